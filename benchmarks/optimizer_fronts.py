@@ -11,6 +11,8 @@ import numpy as np
 
 from benchmarks.report import Row, cpu_time
 from worm_model.parameters import PAPER, ParameterFile
+from worm_optimizer.evaluation.servo_limits import limits_of, load_driver_file, servo_model
+from worm_optimizer.evaluation.task import MarginTask
 from worm_optimizer.search import nsga2
 from worm_optimizer.search.exact import Resolution, Zoom, exact_front
 from worm_optimizer.search.front import (
@@ -22,8 +24,6 @@ from worm_optimizer.search.front import (
 )
 from worm_optimizer.search.gait_request import GaitRequest, Objective, select
 from worm_optimizer.search.search_settings import Robustness, Settings, Waveform
-from worm_optimizer.search.servo_limits import limits_of, load_driver_file, servo_model
-from worm_optimizer.search.task import MarginTask
 
 TITLE = "processor time of exact fronts, requests and scans; NSGA-II compared with the exact front"
 SEEDS = range(1, 6)

@@ -16,7 +16,7 @@ from worm_driver.clock import Traffic
 from worm_driver.control.control_loop import ControlLoop
 from worm_driver.control.driver_settings import DriverSettings
 from worm_driver.control.robot import Robot
-from worm_driver.control.telemetry import Snapshot
+from worm_driver.control.snapshot import Snapshot
 from worm_driver.errors import BusError
 from worm_driver.gait.gait_limits import Gait
 from worm_driver.gait.gait_player import Phase

@@ -15,7 +15,7 @@ import numpy as np
 from driver_rig import Rig
 from twin_samples import run_of_rows
 
-from worm_driver.control.telemetry import Snapshot
+from worm_driver.control.snapshot import Snapshot
 from worm_driver.gait.gait_limits import Gait as DriverGait
 from worm_driver.gait.gait_player import Phase
 from worm_driver.power.ina219 import SampleStatus

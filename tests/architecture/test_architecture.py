@@ -86,6 +86,13 @@ CONFINED = {
 # Which folders of its own package a folder may import beside itself; those that are not named import what they need.
 # What lies in no folder (parameters, gait, run, errors) is everybody's; simulation/warm_up compiles what is compiled.
 SEAMS = {
+    "worm_driver": {
+        "servos": set(),
+        "gait": {"power"},
+        "power": {"virtual_robot"},  # its I2C bus and its clock, chosen by the name of the device
+        "control": {"gait", "power", "servos", "virtual_robot"},
+        "tracking": {"control"},
+    },
     "worm_model": {
         "simulation": set(),
         "bags": set(),
@@ -94,12 +101,18 @@ SEAMS = {
         "identification": {"analysis", "bags", "simulation"},
     },
     "worm_optimizer": {
-        "search": {"robustness"},
-        "robustness": {"search"},
-        "report": {"search", "robustness"},
-        "nodes": {"search", "robustness", "study"},  # study: only for a node that has a cluster
-        "operation": {"search", "robustness", "report", "nodes"},
-        "console": {"search", "robustness", "report", "nodes", "operation"},
+        "evaluation": set(),
+        "robustness": {"evaluation"},
+        "search": {"evaluation", "robustness"},
+        "report": {"evaluation", "search", "robustness"},
+        "nodes": {
+            "evaluation",
+            "search",
+            "robustness",
+            "study",
+        },  # study: only for a node that has a cluster
+        "operation": {"evaluation", "search", "robustness", "report", "nodes"},
+        "console": {"evaluation", "search", "robustness", "report", "nodes", "operation"},
     },
 }
 SEAMLESS = {"worm_model/simulation/warm_up.py"}

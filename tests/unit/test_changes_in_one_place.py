@@ -142,7 +142,7 @@ from worm_model.twin.samples import Kind
 from worm_driver.gait.gait_limits import Gait as DriverGait
 from worm_optimizer.report.expectation import expect
 from worm_optimizer.robustness.prediction import predict
-from worm_optimizer.search.task import MarginTask
+from worm_optimizer.evaluation.task import MarginTask
 from worm_model.parameters import ParameterFile
 
 gait = Gait(0.07, 0.2, ripple_share=0.4)
@@ -217,7 +217,7 @@ from worm_driver.servos.registers import MODELS
 from worm_driver.virtual_robot.servo import control_table
 from worm_driver.virtual_robot.virtual_robot import VirtualRobot
 from worm_driver.virtual_robot.virtual_settings import DEFAULT_FILE, load_settings
-from worm_optimizer.search.servo_limits import limits_of, load_driver_file, servo_model
+from worm_optimizer.evaluation.servo_limits import limits_of, load_driver_file, servo_model
 
 robot = yaml.safe_load(DEFAULT_FILE.read_text())
 robot["cable_servos"][0]["model"] = "XM540-W270"

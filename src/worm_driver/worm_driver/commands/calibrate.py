@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator
 from types import FrameType
 
 from worm_driver.commands.driver_command import Parser, new_file
-from worm_driver.control.supervision import Limits
+from worm_driver.control.supervision import Limits, own_limit
 from worm_driver.errors import (
     BusError,
     ConfigurationError,
@@ -109,7 +109,7 @@ class Calibration:
         )
         self._ask("Enter when it is, hands off the robot ")
         with self._bus.patient():
-            servos.prepare_cable(self._bus, servo, servos.own_limit(servo, Limits()))
+            servos.prepare_cable(self._bus, servo, own_limit(servo, Limits()))
             start = servos.registers(self._bus, servo, "present_position")["present_position"]
         span = round(turns * TICKS_PER_TURN) + _PROBE
         self._goals.bounds = {servo.number: Bound(start - span, start + span)}

@@ -5,7 +5,7 @@ import math
 from collections.abc import Sequence
 
 from worm_driver.control.driver_settings import DriverSettings
-from worm_driver.control.telemetry import SILENT, ServoState
+from worm_driver.control.supervision import fault_level, own_limit
 from worm_driver.errors import HomingError
 from worm_driver.servos import servo_setup as servos
 from worm_driver.servos.goal_gate import Bound, GoalGate
@@ -13,6 +13,7 @@ from worm_driver.servos.position_track import PositionSample, PositionTrack
 from worm_driver.servos.registers import COMMON, TICKS_PER_TURN
 from worm_driver.servos.servo_bus import ServoBus
 from worm_driver.servos.servo_setup import Servo
+from worm_driver.servos.servo_state import SILENT, ServoState
 
 #: Largest distance of a fin from its goal, ticks.
 _FIN_TOLERANCE = 40
@@ -75,7 +76,7 @@ class Actuators:
             )
             return
         for servo in self.cables:
-            servos.prepare_cable(self._bus, servo, servos.own_limit(servo, self.settings.limits))
+            servos.prepare_cable(self._bus, servo, own_limit(servo, self.settings.limits))
         self.homed = all(servos.is_homed(self._bus, servo) for servo in self.cables)
         if self.settings.home_at_start and not self.homed:
             self.home()
@@ -84,7 +85,7 @@ class Actuators:
         """Return the contraction (m) that servos with torque from an earlier driver hold, None without torque."""
         longest = 0.0
         for spool, servo in zip(self.settings.spools, self.cables, strict=True):
-            limit = servos.own_limit(servo, self.settings.limits)
+            limit = own_limit(servo, self.settings.limits)
             ticks = servos.held_position(self._bus, servo, limit)
             if ticks is None:
                 return None
@@ -168,7 +169,7 @@ class Actuators:
         self._bound_goals()
         with self._bus.patient():
             for spool, servo in zip(settings.spools, self.cables, strict=True):
-                limit = servos.own_limit(servo, settings.limits)
+                limit = own_limit(servo, settings.limits)
                 speed = settings.max_cable_speed / spool.radius
                 servos.limit_motion(self._bus, servo, speed, settings.watchdog, limit)
             for servo in self.fins:
@@ -292,7 +293,7 @@ class Actuators:
         limits = self.settings.limits
         return any(
             -spool.sign * state.effort * error > 0.0
-            and abs(state.effort) >= _STRAIN * servos.fault_level(servo, limits)
+            and abs(state.effort) >= _STRAIN * fault_level(servo, limits)
             for spool, servo, state in zip(self.settings.spools, self.cables, states, strict=False)
         )
 

@@ -23,7 +23,7 @@ from worm_driver.control.real_time import (
     return_to_normal,
 )
 from worm_driver.control.robot import Robot
-from worm_driver.control.telemetry import Snapshot
+from worm_driver.control.snapshot import Snapshot
 from worm_driver.control.timing import DeadlineGrid, PeriodMeter, TimingReport
 from worm_driver.errors import DriverError, LimitError, PowerSensorError
 from worm_driver.power.ina219 import INA219, PowerSample, SampleStatus

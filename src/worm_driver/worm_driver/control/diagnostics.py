@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 from worm_driver.control.real_time import Scheduling
-from worm_driver.control.telemetry import SILENT, ServoState
 from worm_driver.control.timing import TimingReport
 from worm_driver.gait.gait_player import Phase, PlayerState
 from worm_driver.power.ina219 import SampleStatus
 from worm_driver.servos.bus_types import BusCounters
 from worm_driver.servos.servo_setup import Servo
+from worm_driver.servos.servo_state import SILENT, ServoState
 
 #: Distance from the servo's own temperature limit below which a report warns, degC.
 _WARM = 10.0

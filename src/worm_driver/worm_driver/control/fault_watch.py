@@ -7,10 +7,9 @@ from collections.abc import Callable
 
 from worm_driver.control import supervision
 from worm_driver.control.actuators import Actuators
-from worm_driver.control.supervision import Counts, Health
-from worm_driver.control.telemetry import SILENT, ServoState
-from worm_driver.servos import servo_setup as servos
+from worm_driver.control.supervision import Counts, Health, fault_level
 from worm_driver.servos.registers import WATCHDOG_EXPIRED
+from worm_driver.servos.servo_state import SILENT, ServoState
 from worm_driver.servos.state_reader import StateReader
 
 #: Time for which the loop's own lateness explains an expired bus watchdog, as health is read in turn, s.
@@ -125,7 +124,7 @@ class FaultWatch:
             for servo, state in zip(robot.cables, states, strict=False)
             if state is not SILENT
         }
-        levels = {servo.number: servos.fault_level(servo, limits) for servo in robot.cables}
+        levels = {servo.number: fault_level(servo, limits) for servo in robot.cables}
         counts = supervision.overload(self._counts, efforts, levels)
         error = robot.length_change(states) - length_change
         self._counts = supervision.following(counts, error, limits)

@@ -13,7 +13,7 @@ from worm_driver.control.control_loop import ControlLoop, PowerLoop
 from worm_driver.control.diagnostics import Report
 from worm_driver.control.driver_settings import DriverSettings, PowerSettings
 from worm_driver.control.robot import Robot
-from worm_driver.control.telemetry import Snapshot
+from worm_driver.control.snapshot import Snapshot
 from worm_driver.errors import ConfigurationError, DriverError
 from worm_driver.power import i2c
 from worm_driver.power.ina219 import INA219, PowerSample, SampleStatus, calibration_for

@@ -13,7 +13,7 @@ from dataclasses import replace
 from worm_driver.control.actuators import PAYOUT_TOLERANCE, Actuators
 from worm_driver.control.driver_settings import DriverSettings
 from worm_driver.control.fault_watch import FaultWatch
-from worm_driver.control.telemetry import SILENT, ServoState, Snapshot
+from worm_driver.control.snapshot import Snapshot
 from worm_driver.errors import (
     BusError,
     ConfigurationError,
@@ -26,6 +26,7 @@ from worm_driver.gait import gait_player
 from worm_driver.gait.gait_limits import Gait, GaitLimits
 from worm_driver.gait.gait_player import Observation, Phase, PlayerState
 from worm_driver.servos.servo_bus import ServoBus
+from worm_driver.servos.servo_state import SILENT, ServoState
 from worm_driver.servos.state_reader import StateReader
 
 #: Readings of the state before an activation, of which two in a row must agree.

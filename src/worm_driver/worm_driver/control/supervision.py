@@ -5,6 +5,10 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 from worm_driver.servos.registers import WATCHDOG_EXPIRED, hardware_error_text
+from worm_driver.servos.servo_setup import Servo
+
+#: Ratio of a servo's own limit to the level of a fault. It exceeds 1, so that the fault can be detected.
+_HEADROOM = 1.1
 
 
 @dataclass(frozen=True)
@@ -26,6 +30,18 @@ class Limits:
     overload_cycles: int = 5
     following_error: float = 0.015
     following_cycles: int = 5
+
+
+def own_limit(servo: Servo, limits: Limits) -> float:
+    """Return a cable servo's own output limit, A, or a ratio of the load if it measures no current."""
+    if servo.model.measures_current:
+        return min(_HEADROOM * limits.max_current, servo.model.strongest_current)
+    return min(_HEADROOM * limits.max_load, 1.0)
+
+
+def fault_level(servo: Servo, limits: Limits) -> float:
+    """Return the effort above which a cable servo is overloaded, in the unit of `own_limit`."""
+    return own_limit(servo, limits) / _HEADROOM
 
 
 @dataclass(frozen=True)

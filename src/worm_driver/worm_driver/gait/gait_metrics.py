@@ -13,7 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from worm_driver.control.driver_settings import Body
+from worm_driver.body import Body
 from worm_driver.gait.gait_player import Run
 from worm_driver.power.ina219 import PowerSample, SampleStatus
 

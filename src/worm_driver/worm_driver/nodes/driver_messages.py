@@ -11,7 +11,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
 from worm_driver.control.diagnostics import Report
-from worm_driver.control.telemetry import Snapshot
+from worm_driver.control.snapshot import Snapshot
 from worm_driver.gait.gait_limits import Gait
 from worm_driver.gait.gait_player import Phase
 from worm_driver.power.ina219 import PowerSample

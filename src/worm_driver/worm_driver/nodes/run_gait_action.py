@@ -19,7 +19,7 @@ from rclpy.task import Future
 
 from worm_driver.control.hardware import Hardware
 from worm_driver.control.heartbeat import PERIOD, HeartbeatMonitor, shorter_timeout
-from worm_driver.control.telemetry import Snapshot
+from worm_driver.control.snapshot import Snapshot
 from worm_driver.errors import DriverError, LimitError
 from worm_driver.gait.gait_metrics import Figures, RunRecord, distance, figures
 from worm_driver.gait.gait_player import Ending, Phase, Run

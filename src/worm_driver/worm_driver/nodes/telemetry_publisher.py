@@ -12,7 +12,7 @@ from sensor_msgs.msg import JointState
 
 from worm_driver.control.emergency import EmergencyLatch
 from worm_driver.control.hardware import Hardware
-from worm_driver.control.telemetry import Snapshot
+from worm_driver.control.snapshot import Snapshot
 from worm_driver.gait.gait_player import Phase, PlayerState
 from worm_driver.nodes import driver_messages
 from worm_driver.nodes.driver_messages import ClockPair

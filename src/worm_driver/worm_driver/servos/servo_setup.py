@@ -13,7 +13,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from worm_driver.control.supervision import Limits
 from worm_driver.errors import BusError, ConfigurationError, CorruptReplyError, HomingError
 from worm_driver.servos.encoding import from_raw, to_raw, unpack_from
 from worm_driver.servos.registers import (
@@ -36,10 +35,6 @@ _STANDS = 64
 _HOME_TOLERANCE = 10
 #: Largest homing offset that the servos accept, ticks (e-manual, homing offset).
 _HOMING_OFFSET_LIMIT = 1_044_479
-
-
-#: Ratio of a servo's own limit to the level of a fault. It exceeds 1, so that the fault can be detected.
-_HEADROOM = 1.1
 
 
 @dataclass(frozen=True)
@@ -159,18 +154,6 @@ def check(bus: ServoBus, servo: Servo) -> None:
         )
 
 
-def own_limit(servo: Servo, limits: Limits) -> float:
-    """Return a cable servo's own output limit, A, or a ratio of the load if it measures no current."""
-    if servo.model.measures_current:
-        return min(_HEADROOM * limits.max_current, servo.model.strongest_current)
-    return min(_HEADROOM * limits.max_load, 1.0)
-
-
-def fault_level(servo: Servo, limits: Limits) -> float:
-    """Return the effort above which a cable servo is overloaded, in the unit of `own_limit`."""
-    return own_limit(servo, limits) / _HEADROOM
-
-
 def prepare(
     bus: ServoBus, servo: Servo, mode: int, settings: Mapping[str, int] = MappingProxyType({})
 ) -> None:
@@ -204,7 +187,7 @@ def prepare(
 def cable_settings(servo: Servo, limit: float) -> dict[str, int]:
     """Return the registers that a cable servo needs in addition to its mode, raw by name.
 
-    This is the current limit (see `own_limit`) if the servo measures its current.
+    This is the current limit (see `supervision.own_limit`) if the servo measures its current.
     """
     if not servo.model.measures_current:
         return {}
@@ -212,7 +195,7 @@ def cable_settings(servo: Servo, limit: float) -> dict[str, int]:
 
 
 def prepare_cable(bus: ServoBus, servo: Servo, limit: float) -> None:
-    """Prepare a cable servo: extended position mode, and its own limit of the current (see `own_limit`)."""
+    """Prepare a cable servo: extended position mode, and its own limit of the current (see `supervision.own_limit`)."""
     prepare(bus, servo, EXTENDED_POSITION_MODE, cable_settings(servo, limit))
 
 
@@ -291,7 +274,7 @@ def limit_motion(
         servo: servo with its torque off, or left on by an earlier driver.
         speed: speed limit, rad/s.
         watchdog: time without packets, s.
-        limit: ratio of the load, see `own_limit`; without meaning if the servo measures its current.
+        limit: ratio of the load, see `supervision.own_limit`; without meaning if the servo measures its current.
 
     Raises:
         BusError: The servo does not answer, or rejects a value.

@@ -3,7 +3,6 @@
 
 from collections.abc import Mapping, Sequence
 
-from worm_driver.control.telemetry import SILENT, STATE_SIZE, STATE_START, ServoState, decode
 from worm_driver.servos import tick_clock
 from worm_driver.servos.bus_types import Reply, error_text
 from worm_driver.servos.encoding import from_raw, unpack_from
@@ -11,6 +10,7 @@ from worm_driver.servos.position_track import PositionTrack
 from worm_driver.servos.registers import COMMON, WATCHDOG_EXPIRED
 from worm_driver.servos.servo_bus import SILENCE_REMEDY, ServoBus
 from worm_driver.servos.servo_setup import Servo
+from worm_driver.servos.servo_state import SILENT, STATE_SIZE, STATE_START, ServoState, decode
 from worm_driver.servos.tick_clock import TickClock
 
 #: Registers outside of the state's block. Each cycle reads one of them in turn, in addition to the state.

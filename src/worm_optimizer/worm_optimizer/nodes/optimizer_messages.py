@@ -11,10 +11,10 @@ from worm_model.gait import GAIT_UNITS
 from worm_msgs.action import OptimizeGaits, ScanMargin
 from worm_msgs.msg import Gait, GaitPrediction
 from worm_msgs.srv import RequestGait
+from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.robustness.prediction import Prediction
 from worm_optimizer.search.front import RobustFront
 from worm_optimizer.search.gait_request import GaitAnswer, RequestStatus
-from worm_optimizer.search.optimizer_errors import OptimizerError
 from worm_optimizer.search.price_of_robustness import CLIFF_RULE, PriceOfRobustness
 from worm_optimizer.search.search_settings import (
     ScanSettings,

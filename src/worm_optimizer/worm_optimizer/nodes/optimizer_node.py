@@ -23,6 +23,7 @@ from worm_msgs.ros_process import ShutdownRequest, spin
 from worm_msgs.srv import RequestGait
 from worm_optimizer.nodes import optimizer_messages, optimizer_parameters
 from worm_optimizer.nodes.rejecting_server import RejectingServer
+from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.search.front import RobustFront, make_front, scanned_price
 from worm_optimizer.search.gait_request import (
     GaitAnswer,
@@ -32,7 +33,6 @@ from worm_optimizer.search.gait_request import (
     request_of,
     select,
 )
-from worm_optimizer.search.optimizer_errors import OptimizerError
 from worm_optimizer.search.resting_phase import SAME_LENGTH, resting_content
 from worm_optimizer.search.search_settings import Settings
 

@@ -23,13 +23,13 @@ from worm_model.analysis.plot_style import (
     letter,
     new_figure,
 )
+from worm_optimizer.evaluation.task import Array, MarginTask
 from worm_optimizer.report.agreement import title_of
 from worm_optimizer.report.expectation import Band, Bands
 from worm_optimizer.report.recorded_gait import RecordedGait
 from worm_optimizer.robustness.prediction import Prediction
 from worm_optimizer.search.front import RobustFront
 from worm_optimizer.search.price_of_robustness import PriceOfRobustness
-from worm_optimizer.search.task import Array, MarginTask
 
 _MAP_STROKES, _MAP_FREQUENCIES = 241, 161
 _COSTS = (25, 50, 100, 200)  # cost of transport of each line in the plane of speed and power

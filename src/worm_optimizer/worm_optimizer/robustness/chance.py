@@ -18,11 +18,8 @@ from numpy.typing import ArrayLike
 
 from worm_model.gait import MAX_MARGIN
 from worm_model.simulation.simulator import AVERAGED
-from worm_optimizer.robustness.success_probability import grooves_in
-from worm_optimizer.robustness.uncertainty import Scenarios
-from worm_optimizer.search.command_shape import SINUSOID, Shapes
-from worm_optimizer.search.optimizer_errors import OptimizerError
-from worm_optimizer.search.task import (
+from worm_optimizer.evaluation.command_shape import SINUSOID, Shapes
+from worm_optimizer.evaluation.task import (
     EDGE_ALLOWANCE,
     EDGE_TOLERANCE,
     Array,
@@ -33,6 +30,9 @@ from worm_optimizer.search.task import (
     Mask,
     Points,
 )
+from worm_optimizer.optimizer_errors import OptimizerError
+from worm_optimizer.robustness.success_probability import grooves_in
+from worm_optimizer.robustness.uncertainty import Scenarios
 
 _MARGIN_STEP = 2.5e-4  # m, of the first look for the margin that a gait stands
 _MOST_MARGIN = 2e-2  # m, where that look ends

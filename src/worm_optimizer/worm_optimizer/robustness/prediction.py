@@ -13,10 +13,10 @@ from worm_model.parameters import ParameterFile
 from worm_model.simulation.batch import GaitTable
 from worm_model.simulation.closed_form import groove_phase
 from worm_model.simulation.simulator import cost_of_transport
+from worm_optimizer.evaluation.command_shape import SINUSOID, Shapes
+from worm_optimizer.evaluation.task import Array, MarginTask, branch_of
 from worm_optimizer.robustness.success_probability import stroke_to_edges, success_probability
 from worm_optimizer.robustness.uncertainty import phase_known, phase_unknown
-from worm_optimizer.search.command_shape import SINUSOID, Shapes
-from worm_optimizer.search.task import Array, MarginTask, branch_of
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,11 +8,11 @@ import dataclasses
 import numpy as np
 from numpy.typing import ArrayLike
 
+from worm_optimizer.evaluation.actuator_limits import NO_LIMITS
+from worm_optimizer.evaluation.command_shape import SINUSOID, Shapes
+from worm_optimizer.evaluation.runs import find_runs
+from worm_optimizer.evaluation.task import EDGE_TOLERANCE, Array, Index, MarginTask
 from worm_optimizer.robustness.uncertainty import Scenarios
-from worm_optimizer.search.actuator_limits import NO_LIMITS
-from worm_optimizer.search.command_shape import SINUSOID, Shapes
-from worm_optimizer.search.runs import find_runs
-from worm_optimizer.search.task import EDGE_TOLERANCE, Array, Index, MarginTask
 
 _BATCH = 200_000  # gaits evaluated in one call, to bound the memory
 _EDGE_STROKES = 41  # strokes of the scan for a gait's edges

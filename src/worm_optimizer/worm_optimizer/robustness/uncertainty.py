@@ -12,7 +12,7 @@ import numpy as np
 from worm_model.parameters import KEYS, POWER_ONLY, ParameterFile, Parameters
 from worm_model.simulation.closed_form import front_groove, groove_phase
 from worm_msgs.robot_parameters import ROWS
-from worm_optimizer.search.task import Array
+from worm_optimizer.evaluation.task import Array
 
 # 95 % half-widths relative to the value, of the parameters that decide the motion, for those without an
 # interval in the parameter file. They are this project's judgement, not the paper's: what careful

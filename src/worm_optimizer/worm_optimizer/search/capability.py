@@ -13,9 +13,9 @@ from worm_model.gait import Gait
 from worm_model.parameters import STANDARD_GRAVITY
 from worm_model.simulation.closed_form import largest_load
 from worm_model.simulation.simulator import cost_of_transport
-from worm_optimizer.search.command_shape import SINUSOID, Shapes, shapes_of
+from worm_optimizer.evaluation.command_shape import SINUSOID, Shapes, shapes_of
+from worm_optimizer.evaluation.task import Array, MarginTask, Mask
 from worm_optimizer.search.exact import Resolution, Zoom, exact_front
-from worm_optimizer.search.task import Array, MarginTask, Mask
 
 # Parameters by key under loads or slopes, arrays that are broadcast against gaits.
 Overrides = Callable[[Array], Mapping[str, Array]]

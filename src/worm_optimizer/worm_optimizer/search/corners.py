@@ -16,9 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from worm_model.gait import CONTRACTION_SHARE_RANGE, MAX_PRETENSION, RAMP_SHARE_RANGE, Profile
-from worm_optimizer.search.command_shape import Shapes, shapes_of
-from worm_optimizer.search.optimizer_errors import OptimizerError
-from worm_optimizer.search.task import (
+from worm_optimizer.evaluation.command_shape import Shapes, shapes_of
+from worm_optimizer.evaluation.task import (
     EDGE_ALLOWANCE,
     EDGE_TOLERANCE,
     Array,
@@ -28,6 +27,7 @@ from worm_optimizer.search.task import (
     Points,
     gained_of,
 )
+from worm_optimizer.optimizer_errors import OptimizerError
 
 # Widths in m to which both borders are located in turn: one moves a little while the other is located.
 COARSE = (2e-5, 1e-6)

@@ -14,9 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from worm_optimizer.search.optimizer_errors import OptimizerError
-from worm_optimizer.search.pareto import front_of
-from worm_optimizer.search.task import (
+from worm_optimizer.evaluation.task import (
     EDGE_ALLOWANCE,
     EDGE_TOLERANCE,
     Array,
@@ -28,6 +26,8 @@ from worm_optimizer.search.task import (
     Points,
     Task,
 )
+from worm_optimizer.optimizer_errors import OptimizerError
+from worm_optimizer.search.pareto import front_of
 
 # A figure of gaits to be minimised, infinite for a gait that does not qualify; shape (n,).
 Cost = Callable[[Points], Array]

@@ -13,16 +13,16 @@ from worm_model.conditions import content_under
 from worm_model.gait import Gait
 from worm_model.parameters import ParameterFile, Parameters
 from worm_model.simulation.simulator import LoadError, cost_of_transport, evaluate_gait
+from worm_optimizer.evaluation.actuator_limits import NO_LIMITS, describe_limit
+from worm_optimizer.evaluation.task import Array, Index, MarginTask, Points, Task
+from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.robustness.chance import PromiseTask, margins_stood
 from worm_optimizer.robustness.prediction import Prediction, outline, predict
 from worm_optimizer.robustness.uncertainty import every_phase, phase_guard, phase_known
-from worm_optimizer.search.actuator_limits import NO_LIMITS, describe_limit
 from worm_optimizer.search.exact import ExactFront, Resolution, Zoom, exact_front
-from worm_optimizer.search.optimizer_errors import OptimizerError
 from worm_optimizer.search.price_of_robustness import PriceOfRobustness, price_of_robustness
 from worm_optimizer.search.search_settings import Robustness, Settings, Waveform
 from worm_optimizer.search.shaped import ShapedTask
-from worm_optimizer.search.task import Array, Index, MarginTask, Points, Task
 
 # Draws over which a promise is optimised; its gaits are then judged on others.
 _CHANCE_SCENARIOS = 200

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from worm_model.gait import FORWARD, REVERSE
+from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.robustness.prediction import Prediction
 from worm_optimizer.search.exact import Cost
 from worm_optimizer.search.front import RobustFront
-from worm_optimizer.search.optimizer_errors import OptimizerError
 
 _TOLERANCE = 1e-9  # relative; a wanted value that was read off a front must be reachable
 

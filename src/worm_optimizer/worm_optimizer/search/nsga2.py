@@ -13,10 +13,10 @@ from pymoo.core.population import Population
 from pymoo.core.problem import Problem
 from pymoo.problems.static import StaticProblem
 
+from worm_optimizer.evaluation.task import Array, Bounds, Index, Points, Task
+from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.search.exact import ExactFront
-from worm_optimizer.search.optimizer_errors import OptimizerError
 from worm_optimizer.search.pareto import front_of, hypervolume
-from worm_optimizer.search.task import Array, Bounds, Index, Points, Task
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from worm_optimizer.search.task import Index, Points
+from worm_optimizer.evaluation.task import Index, Points
 
 
 def non_dominated(speed: ArrayLike, power: ArrayLike) -> Index:

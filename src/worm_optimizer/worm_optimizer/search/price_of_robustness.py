@@ -17,6 +17,8 @@ import numpy as np
 from worm_model.parameters import Parameters
 from worm_model.simulation import closed_form
 from worm_model.simulation.simulator import AVERAGED, cost_of_transport
+from worm_optimizer.evaluation.task import Array, Bounds, Edges, Index, Points
+from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.search.exact import (
     Bracket,
     Resolution,
@@ -26,8 +28,6 @@ from worm_optimizer.search.exact import (
     followed,
     transport_cost,
 )
-from worm_optimizer.search.optimizer_errors import OptimizerError
-from worm_optimizer.search.task import Array, Bounds, Edges, Index, Points
 
 CLIFF_RISE = 1.25
 CLIFF_TOLERANCE = 1e-6  # m

@@ -6,7 +6,7 @@ from __future__ import annotations
 import dataclasses
 
 from worm_model.parameters import ParameterFile
-from worm_optimizer.search.optimizer_errors import OptimizerError
+from worm_optimizer.optimizer_errors import OptimizerError
 
 SAME_LENGTH = 1e-4  # m; initial lengths that differ by less are one: a camera measures no better
 

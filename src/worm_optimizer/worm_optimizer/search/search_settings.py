@@ -20,12 +20,12 @@ from worm_model.gait import (
     MAX_STROKE,
     RAMP_SHARE_RANGE,
 )
-from worm_optimizer.search.actuator_limits import ActuatorLimits
+from worm_optimizer.evaluation.actuator_limits import ActuatorLimits
+from worm_optimizer.evaluation.servo_limits import servo_models, within
+from worm_optimizer.evaluation.task import Array, Bounds
+from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.search.corners import ShapeBounds
 from worm_optimizer.search.exact import Resolution
-from worm_optimizer.search.optimizer_errors import OptimizerError
-from worm_optimizer.search.servo_limits import servo_models, within
-from worm_optimizer.search.task import Array, Bounds
 
 _MOST_MARGINS = 10_000
 

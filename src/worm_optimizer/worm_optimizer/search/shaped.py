@@ -21,7 +21,17 @@ from worm_model.gait import Profile
 from worm_model.parameters import Parameters
 from worm_model.simulation.batch import GaitTable
 from worm_model.simulation.simulator import AVERAGED
-from worm_optimizer.search.command_shape import SINUSOID, Shapes, shapes_of
+from worm_optimizer.evaluation.command_shape import SINUSOID, Shapes, shapes_of
+from worm_optimizer.evaluation.task import (
+    Array,
+    Bounds,
+    Edges,
+    Index,
+    MarginTask,
+    Mask,
+    Points,
+    gained_of,
+)
 from worm_optimizer.search.corners import (
     COARSE,
     FINE,
@@ -32,16 +42,6 @@ from worm_optimizer.search.corners import (
     costs_of,
     improve,
     reaches_of,
-)
-from worm_optimizer.search.task import (
-    Array,
-    Bounds,
-    Edges,
-    Index,
-    MarginTask,
-    Mask,
-    Points,
-    gained_of,
 )
 
 _FREQUENCIES = 17  # at which shares are searched

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from worm_model.parameters import ParameterFile
+from worm_optimizer.evaluation.servo_limits import DrivenBy
 from worm_optimizer.search.exact import Resolution as ScanResolution
 from worm_optimizer.search.search_settings import ScanSettings
-from worm_optimizer.search.servo_limits import DrivenBy
 
 Array = NDArray[np.float64]
 

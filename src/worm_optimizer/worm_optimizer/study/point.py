@@ -17,9 +17,11 @@ from worm_model.gait import FORWARD
 from worm_model.parameters import KEYS, ParameterFile, Parameters
 from worm_model.simulation.closed_form import cliff_margin, front_groove, groove_phase
 from worm_model.simulation.simulator import SimulationError, cost_of_transport
+from worm_optimizer.evaluation.actuator_limits import ActuatorLimits
+from worm_optimizer.evaluation.servo_limits import DrivenBy, limits_of, servo_model
+from worm_optimizer.evaluation.task import Bounds, MarginTask, Points
 from worm_optimizer.robustness.success_probability import success_probability
 from worm_optimizer.robustness.uncertainty import phase_known, phase_unknown
-from worm_optimizer.search.actuator_limits import ActuatorLimits
 from worm_optimizer.search.exact import (
     Cost,
     ExactFront,
@@ -31,8 +33,6 @@ from worm_optimizer.search.front import any_phase_task, front_of_task, thinned
 from worm_optimizer.search.gait_request import Objective, at_power, at_speed
 from worm_optimizer.search.pareto import hypervolume
 from worm_optimizer.search.price_of_robustness import PriceOfRobustness, price_of_robustness
-from worm_optimizer.search.servo_limits import DrivenBy, limits_of, servo_model
-from worm_optimizer.search.task import Bounds, MarginTask, Points
 from worm_optimizer.study.plan import PARAMETER_FILE, Array, Study
 from worm_optimizer.study.quantities import LIMITS
 

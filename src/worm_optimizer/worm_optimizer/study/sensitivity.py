@@ -17,6 +17,7 @@ from worm_model.gait import Gait
 from worm_model.parameters import ParameterFile
 from worm_model.simulation.batch import evaluate_gaits
 from worm_model.simulation.closed_form import cliff_margin, front_groove
+from worm_optimizer.evaluation.task import Array
 from worm_optimizer.robustness.uncertainty import (
     LENGTH,
     MOTION_KEYS,
@@ -24,7 +25,6 @@ from worm_optimizer.robustness.uncertainty import (
     reach_of,
     values_at,
 )
-from worm_optimizer.search.task import Array
 from worm_optimizer.study.plan import SALTELLI, Sample
 from worm_optimizer.study.sobol import Indices, indices_of
 

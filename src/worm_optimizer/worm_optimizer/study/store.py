@@ -30,7 +30,7 @@ import zarr
 from dask.array.core import normalize_chunks, slices_from_chunks
 
 from worm_model.errors import InputError
-from worm_optimizer.search.servo_limits import servo_model
+from worm_optimizer.evaluation.servo_limits import servo_model
 from worm_optimizer.study.plan import PARAMETER_FILE, SAMPLE, Array, Study
 from worm_optimizer.study.point import FAILED, OPEN, Results, dimensions, variables
 from worm_optimizer.study.quantities import QUANTITIES

@@ -25,9 +25,9 @@ from worm_model.parameters import (
     load_parameter_file,
     parse_parameter_file,
 )
+from worm_optimizer.evaluation.servo_limits import DrivenBy, load_driver_file, servo_model
 from worm_optimizer.search.exact import Resolution as ScanResolution
 from worm_optimizer.search.search_settings import ScanSettings
-from worm_optimizer.search.servo_limits import DrivenBy, load_driver_file, servo_model
 from worm_optimizer.study.plan import (
     COMPUTABLE,
     EXTENDABLE,

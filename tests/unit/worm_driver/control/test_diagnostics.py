@@ -7,7 +7,6 @@ import pytest
 from worm_driver.control import diagnostics
 from worm_driver.control.diagnostics import Level
 from worm_driver.control.real_time import NOT_REQUESTED
-from worm_driver.control.telemetry import SILENT, ServoState
 from worm_driver.control.timing import TimingReport
 from worm_driver.errors import PortError
 from worm_driver.gait.gait_player import Phase, PlayerState
@@ -15,6 +14,7 @@ from worm_driver.power.ina219 import SampleStatus
 from worm_driver.servos.bus_types import BusCounters
 from worm_driver.servos.registers import XL430_W250, XM430_W350
 from worm_driver.servos.servo_setup import Servo
+from worm_driver.servos.servo_state import SILENT, ServoState
 
 SERVO = Servo(1, XM430_W350, 48, 4.8, (9.5, 16.0), 80.0)
 STATE = ServoState(0, 0.1, 0.2, 0.3, 12.0, 30.0, 1.0)

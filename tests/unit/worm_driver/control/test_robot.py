@@ -11,10 +11,10 @@ import pytest
 from driver_rig import CABLE, Rig, settings
 
 from worm_driver.control.supervision import Limits
-from worm_driver.control.telemetry import SILENT
 from worm_driver.errors import BusError, ConfigurationError, HomingError, LimitError
 from worm_driver.gait.gait_player import Ending, Phase
 from worm_driver.servos.registers import COMMON
+from worm_driver.servos.servo_state import SILENT
 from worm_driver.servos.transmission import Fin, Spool
 from worm_driver.virtual_robot.servo.control_table import (
     XL330_M288,

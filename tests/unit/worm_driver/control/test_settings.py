@@ -2,7 +2,7 @@
 import pytest
 from driver_rig import settings
 
-from worm_driver.control.driver_settings import Body, load_body
+from worm_driver.body import Body, load_body
 from worm_driver.errors import ConfigurationError
 from worm_driver.servos.transmission import Fin, Spool
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from worm_driver.control.driver_settings import Body
+from worm_driver.body import Body
 from worm_driver.gait.gait_limits import Gait
 from worm_driver.gait.gait_metrics import RunRecord, distance, figures
 from worm_driver.gait.gait_player import Ending, Run

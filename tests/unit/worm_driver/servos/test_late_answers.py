@@ -6,9 +6,9 @@ import re
 import pytest
 from driver_rig import Rig
 
-from worm_driver.control.telemetry import SILENT
 from worm_driver.errors import DriverError
 from worm_driver.gait.gait_player import Phase
+from worm_driver.servos.servo_state import SILENT
 from worm_driver.virtual_robot.wire.faults import make_fault
 
 #: s, by which answers are late: less than a wait, about one, a cycle, several

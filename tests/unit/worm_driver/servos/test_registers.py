@@ -3,8 +3,8 @@ import itertools
 
 import pytest
 
-from worm_driver.control.telemetry import STATE_SIZE, STATE_START
 from worm_driver.servos.registers import COMMON, MODELS, XL430_W250, hardware_error_text
+from worm_driver.servos.servo_state import STATE_SIZE, STATE_START
 from worm_driver.virtual_robot.servo import control_table
 
 MODEL_LIST = sorted(MODELS.values(), key=lambda model: model.number)

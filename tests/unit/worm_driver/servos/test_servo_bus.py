@@ -15,7 +15,6 @@ from dynamixel_sdk import COMM_PORT_BUSY, Protocol2PacketHandler
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from worm_driver.control.telemetry import STATE_SIZE, STATE_START
 from worm_driver.errors import (
     BusError,
     ConfigurationError,
@@ -28,6 +27,7 @@ from worm_driver.servos.bus_types import Identity
 from worm_driver.servos.encoding import pack
 from worm_driver.servos.registers import COMMON, Register
 from worm_driver.servos.servo_bus import BusPort, ServoBus
+from worm_driver.servos.servo_state import STATE_SIZE, STATE_START
 from worm_driver.virtual_robot.virtual_robot import VirtualRobot
 from worm_driver.virtual_robot.virtual_settings import load_settings
 from worm_driver.virtual_robot.wire.faults import make_fault

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from recorded_run import GAIT, simulated_run
 
-from worm_driver.control.driver_settings import Body
+from worm_driver.body import Body
 from worm_driver.gait import gait_limits, gait_metrics, gait_player
 from worm_driver.power.ina219 import PowerSample, SampleStatus
 from worm_model.analysis.run_metrics import (

@@ -21,9 +21,9 @@ from worm_optimizer.nodes.optimizer_messages import (
     scan_result,
     settings_of_goal,
 )
+from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.robustness.prediction import Prediction
 from worm_optimizer.search.gait_request import GaitAnswer, Objective, RequestStatus
-from worm_optimizer.search.optimizer_errors import OptimizerError
 from worm_optimizer.search.price_of_robustness import Cliff, MarginPoint, PriceOfRobustness
 from worm_optimizer.search.search_settings import Robustness
 

@@ -9,6 +9,8 @@ from hypothesis import strategies as st
 
 from worm_model.parameters import PAPER, ParameterFile
 from worm_model.simulation.closed_form import groove_phase
+from worm_optimizer.evaluation.task import MarginTask
+from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.robustness.chance import PromiseTask, margins_stood
 from worm_optimizer.robustness.success_probability import stroke_to_edges, success_probability
 from worm_optimizer.robustness.uncertainty import (
@@ -22,8 +24,6 @@ from worm_optimizer.robustness.uncertainty import (
     phase_unknown,
     reach_of,
 )
-from worm_optimizer.search.optimizer_errors import OptimizerError
-from worm_optimizer.search.task import MarginTask
 
 FILE = ParameterFile()
 PITCH = PAPER.pitch

@@ -15,10 +15,10 @@ from worm_model.parameters import PAPER
 from worm_model.simulation.actuation import length_change_range
 from worm_model.simulation.closed_form import grooves_per_cycle
 from worm_model.simulation.simulator import evaluate_gait
-from worm_optimizer.search.actuator_limits import ActuatorLimits
+from worm_optimizer.evaluation.actuator_limits import ActuatorLimits
+from worm_optimizer.evaluation.task import EDGE_ALLOWANCE, Bounds, MarginTask, Points
+from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.search.exact import Resolution, Zoom, exact_front, transport_cost
-from worm_optimizer.search.optimizer_errors import OptimizerError
-from worm_optimizer.search.task import EDGE_ALLOWANCE, Bounds, MarginTask, Points
 
 ACCEPTED = 2e-5  # relative excess of power over a gait of a dense grid
 

@@ -12,11 +12,11 @@ from worm_model.gait import Gait
 from worm_model.parameters import PAPER, ParameterFile
 from worm_model.simulation.simulator import evaluate_gait
 from worm_optimizer.commands.search_options import gait_table
-from worm_optimizer.search.actuator_limits import ActuatorLimits
+from worm_optimizer.evaluation.actuator_limits import ActuatorLimits
+from worm_optimizer.evaluation.task import Bounds, MarginTask
+from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.search.front import make_front, nominal_gaits, thinned
-from worm_optimizer.search.optimizer_errors import OptimizerError
 from worm_optimizer.search.search_settings import Robustness
-from worm_optimizer.search.task import Bounds, MarginTask
 
 FILE = ParameterFile()
 

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from worm_model.simulation.simulator import evaluate_gait
+from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.search.gait_request import (
     GaitRequest,
     Objective,
@@ -18,7 +19,6 @@ from worm_optimizer.search.gait_request import (
     request_of,
     select,
 )
-from worm_optimizer.search.optimizer_errors import OptimizerError
 
 FRONT = small_front()
 SLOWEST, FASTEST = FRONT.min_power, FRONT.max_speed

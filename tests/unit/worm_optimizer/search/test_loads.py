@@ -13,14 +13,14 @@ from worm_model.gait import Gait
 from worm_model.parameters import PAPER, ParameterFile
 from worm_model.simulation.closed_form import cliff_margin, largest_load
 from worm_model.simulation.simulator import evaluate_gait
+from worm_optimizer.evaluation.task import Bounds, MarginTask
+from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.robustness.uncertainty import phase_known
 from worm_optimizer.search.capability import capabilities, curve, strongest
 from worm_optimizer.search.exact import Zoom, exact_front
 from worm_optimizer.search.front import make_front
-from worm_optimizer.search.optimizer_errors import OptimizerError
 from worm_optimizer.search.price_of_robustness import price_of_robustness
 from worm_optimizer.search.search_settings import Settings, settings_of
-from worm_optimizer.search.task import Bounds, MarginTask
 
 UPHILL = under(Conditions(slope_deg=20.0, tether_N=2.0), PAPER)
 

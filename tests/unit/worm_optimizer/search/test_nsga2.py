@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from gaits_for_tests import coarse_front, random_robot
 
+from worm_optimizer.evaluation.task import MarginTask
+from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.search.nsga2 import SearchSettings, compared, generations, reference_power_of
-from worm_optimizer.search.optimizer_errors import OptimizerError
-from worm_optimizer.search.task import MarginTask
 
 TASK = MarginTask(margin=2e-3)
 SMALL = SearchSettings(population=20, generations=8, seed=3)

@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymoo.indicators.hv import HV
 
+from worm_optimizer.evaluation.task import Points
 from worm_optimizer.search.pareto import front_of, hypervolume, non_dominated
-from worm_optimizer.search.task import Points
 
 # Few distinct values, so that ties in one or both objectives are common.
 SPEEDS = st.integers(0, 8).map(lambda k: 1e-3 * k)

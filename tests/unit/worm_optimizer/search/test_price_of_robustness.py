@@ -9,8 +9,9 @@ from gaits_for_tests import random_robot
 
 from worm_model.parameters import PAPER
 from worm_model.simulation.closed_form import cliff_margin
+from worm_optimizer.evaluation.task import Bounds, MarginTask
+from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.search.exact import Resolution, Zoom, exact_front, transport_cost
-from worm_optimizer.search.optimizer_errors import OptimizerError
 from worm_optimizer.search.price_of_robustness import (
     CLIFF_TOLERANCE,
     MarginPoint,
@@ -20,7 +21,6 @@ from worm_optimizer.search.price_of_robustness import (
     scan,
 )
 from worm_optimizer.search.search_settings import ScanSettings
-from worm_optimizer.search.task import Bounds, MarginTask
 
 TASK = MarginTask()
 

@@ -8,8 +8,8 @@ from gaits_for_tests import QUICK
 
 from worm_model.parameters import PAPER, ParameterFile
 from worm_model.simulation.simulator import evaluate_gait
+from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.search.front import make_front
-from worm_optimizer.search.optimizer_errors import OptimizerError
 from worm_optimizer.search.resting_phase import resting_content
 
 CONTENT = ParameterFile()

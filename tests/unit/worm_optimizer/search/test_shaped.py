@@ -11,13 +11,13 @@ from gaits_for_tests import COARSE, coarse_front
 from worm_model.gait import Gait, Profile
 from worm_model.parameters import PAPER
 from worm_model.simulation.simulator import cost_of_transport, evaluate_gait
-from worm_optimizer.search.actuator_limits import ActuatorLimits, peaks
-from worm_optimizer.search.command_shape import SHAPE_ROW, peak_rate, pull_rate, shapes_of
+from worm_optimizer.evaluation.actuator_limits import ActuatorLimits, peaks
+from worm_optimizer.evaluation.command_shape import SHAPE_ROW, peak_rate, pull_rate, shapes_of
+from worm_optimizer.evaluation.task import Bounds, MarginTask, Points
+from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.search.corners import FINE, Columns, ShapeBounds, corners
 from worm_optimizer.search.exact import ExactFront, Zoom, exact_front
-from worm_optimizer.search.optimizer_errors import OptimizerError
 from worm_optimizer.search.shaped import ShapedTask
-from worm_optimizer.search.task import Bounds, MarginTask, Points
 
 ACCEPTED = 1e-4  # relative excess of power over a random gait
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from study_cases import SMALL
 
 from worm_model.parameters import PAPER, ParameterFile, write_parameter_file
-from worm_optimizer.search.servo_limits import servo_models
+from worm_optimizer.evaluation.servo_limits import servo_models
 from worm_optimizer.study.study_file import (
     StudyError,
     extends,

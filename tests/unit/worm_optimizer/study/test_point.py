@@ -10,8 +10,8 @@ from worm_model.gait import Gait
 from worm_model.parameters import PAPER, ParameterFile
 from worm_model.simulation.closed_form import groove_phase
 from worm_model.simulation.simulator import evaluate_gait
+from worm_optimizer.evaluation.task import MarginTask
 from worm_optimizer.search.front import front_of_task
-from worm_optimizer.search.task import MarginTask
 from worm_optimizer.study.point import (
     DONE,
     FAILED,

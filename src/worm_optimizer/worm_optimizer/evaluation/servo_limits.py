@@ -17,9 +17,9 @@ from typing import Any
 import yaml
 
 from worm_msgs.servo_models import RPM, SERVO_MODELS, VELOCITY_UNIT, Initial
-from worm_optimizer.search.actuator_limits import ActuatorLimits
-from worm_optimizer.search.optimizer_errors import OptimizerError
-from worm_optimizer.search.task import Bounds
+from worm_optimizer.evaluation.actuator_limits import ActuatorLimits
+from worm_optimizer.evaluation.task import Bounds
+from worm_optimizer.optimizer_errors import OptimizerError
 
 _SHUNT_RANGE = 0.32  # V over the shunt of an INA219 at its widest (TI SBOS448, PGA = /8)
 

@@ -13,9 +13,8 @@ from worm_driver.servos import registers
 from worm_driver.virtual_robot.servo import control_table
 from worm_model.gait import FORWARD, Gait
 from worm_model.parameters import PAPER
-from worm_optimizer.search.actuator_limits import NO_LIMITS, ActuatorLimits, peaks
-from worm_optimizer.search.optimizer_errors import OptimizerError
-from worm_optimizer.search.servo_limits import (
+from worm_optimizer.evaluation.actuator_limits import NO_LIMITS, ActuatorLimits, peaks
+from worm_optimizer.evaluation.servo_limits import (
     DRIVER_DEFAULTS,
     DRIVER_RENAMED,
     limits_of,
@@ -24,7 +23,8 @@ from worm_optimizer.search.servo_limits import (
     servo_models,
     within,
 )
-from worm_optimizer.search.task import Bounds, MarginTask
+from worm_optimizer.evaluation.task import Bounds, MarginTask
+from worm_optimizer.optimizer_errors import OptimizerError
 
 ROOT = Path(__file__).resolve().parents[4]
 DRIVER_FILE = ROOT / "src" / "worm_driver" / "config" / "driver.yaml"

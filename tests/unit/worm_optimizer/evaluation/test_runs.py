@@ -5,7 +5,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from worm_optimizer.search.runs import find_runs
+from worm_optimizer.evaluation.runs import find_runs
 
 TOLERANCE = 1e-7
 STEPS = st.lists(st.integers(1, 79), min_size=0, max_size=6, unique=True).map(sorted)

@@ -12,14 +12,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from worm_model.parameters import Parameters
 from worm_model.simulation.batch import sample_cycle
-from worm_optimizer.search.command_shape import (
+from worm_optimizer.evaluation.command_shape import (
     SINUSOID,
     Shapes,
     fields_of,
     peak_rate,
     pull_rate,
 )
-from worm_optimizer.search.optimizer_errors import OptimizerError
+from worm_optimizer.optimizer_errors import OptimizerError
 
 Array = NDArray[np.float64]
 

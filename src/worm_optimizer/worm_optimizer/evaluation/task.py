@@ -27,10 +27,10 @@ from worm_model.gait import (
 from worm_model.parameters import PAPER, Parameters
 from worm_model.simulation.batch import GaitTable, evaluate_gaits
 from worm_model.simulation.simulator import AVERAGED
-from worm_optimizer.search.actuator_limits import ActuatorLimits, peaks
-from worm_optimizer.search.command_shape import SINUSOID, Shapes, fields_of, peak_rate
-from worm_optimizer.search.optimizer_errors import OptimizerError
-from worm_optimizer.search.runs import Array, Index, find_runs
+from worm_optimizer.evaluation.actuator_limits import ActuatorLimits, peaks
+from worm_optimizer.evaluation.command_shape import SINUSOID, Shapes, fields_of, peak_rate
+from worm_optimizer.evaluation.runs import Array, Index, find_runs
+from worm_optimizer.optimizer_errors import OptimizerError
 
 Mask = NDArray[np.bool_]
 

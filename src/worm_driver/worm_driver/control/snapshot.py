@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Result of one cycle of the robot, as a frozen value that passes from the I/O thread to other threads."""
+
+from dataclasses import dataclass
+
+from worm_driver.gait.gait_player import PlayerState
+from worm_driver.servos.servo_state import ServoState
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """Result of one cycle. Times are monotonic, in s.
+
+    Attributes:
+        command_time: time at which the goals were sent.
+        read_time: time at which the states of the servos were requested.
+        active: True if the torque is on.
+        homed: True if the length of the cable is known.
+        player: state of the gait player.
+        commanded: commanded length change of the cable, m; NaN with the torque off.
+        cable: length change by the encoders, m; NaN if a cable servo is silent or before homing.
+        servos: states in the order of the robot's servos; SILENT for one that did not answer.
+        alerts: ids of the servos whose last answer reported a hardware error.
+    """
+
+    command_time: float
+    read_time: float
+    active: bool
+    player: PlayerState
+    commanded: float
+    cable: float
+    servos: tuple[ServoState, ...]
+    alerts: frozenset[int] = frozenset()
+    homed: bool = False
