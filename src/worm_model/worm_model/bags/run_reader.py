@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields
 from functools import partial
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -15,12 +16,14 @@ from numpy.typing import NDArray
 from worm_model.bags.bag import Bag
 from worm_model.bags.bag_errors import BagError
 from worm_model.bags.formats.cdr import ColumnBuilder, Columns
-from worm_model.bags.formats.message_block import Topic
-from worm_model.bags.worm_topics import SERIES, TYPES, find_topic, path_of
+from worm_model.bags.formats.message_block import Topic, messages_of
+from worm_model.bags.worm_topics import SERIES, TWIN_INPUTS, TYPES, find_topic, path_of
 from worm_model.gait import GAIT_DEFAULTS
 from worm_model.run import GaitStates, Run, Stamps, concatenated
 
 RUN_TOPICS = tuple(SERIES)
+_INSTRUMENTS = TWIN_INPUTS[1:]  # without gait_state, which may have been published long before
+_LONGEST_DELAY_NS = 10**9  # of a message on its way to the recorder
 MOST_KEPT = (
     250_000  # messages of a bag that are decoded once, then stay in memory: a quarter of an hour
 )
@@ -252,6 +255,21 @@ def stamps_of(columns: Columns, path: str = "header.stamp") -> NDArray[np.int64]
     whole = _numbers(columns, f"{path}.sec", np.int64)
     stamp: NDArray[np.int64] = whole * 10**9 + _numbers(columns, f"{path}.nanosec", np.int64)
     return stamp
+
+
+def clock_offset(bag: Bag, namespace: str) -> int:
+    """Return by how much log time is ahead of the instruments' stamps at the beginning of a bag, ns.
+
+    Less than a second is delay, and gives 0.
+    """
+    topics = [find_topic(bag.topics.values(), name, namespace) for name in _INSTRUMENTS]
+    names = [topic.name for topic in topics if topic is not None]
+    for message in islice(bag.messages(names), 1):
+        columns = ColumnBuilder()
+        columns.add(messages_of([message]))
+        shift = message.log_time - int(stamps_of(columns.columns())[0])
+        return shift if abs(shift) > _LONGEST_DELAY_NS else 0
+    return 0
 
 
 def _numbers(columns: Columns, path: str, kind: type = np.float64) -> NDArray[Any]:

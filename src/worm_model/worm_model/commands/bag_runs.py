@@ -33,7 +33,7 @@ from worm_model.bags.recording.run_manifest import (
     recorded_robot,
 )
 from worm_model.bags.recovery.recovery import storage_files
-from worm_model.bags.run_reader import read_run
+from worm_model.bags.run_reader import clock_offset, read_run
 from worm_model.bags.worm_topics import REPLAY_INPUTS
 from worm_model.commands.bag_table import CLOSED, COLUMNS, DAMAGED, OPEN
 from worm_model.conditions import Conditions
@@ -66,6 +66,7 @@ def rows_of_bag(path: Path, parameters: str) -> list[dict[str, Any]]:
         record = bag.metadata.get(RUN_RECORD, {})
         span = (bag.end - bag.start) * 1e-9
         start = bag.start
+        offset_ns = clock_offset(bag, "")
     notes = [f"{key[5:]}: {text}" for key, text in record.items() if key.startswith("note.")]
     replay = replay_run(run, values)
     reports = report_replay(run, replay, values.pitch).runs
@@ -73,7 +74,7 @@ def rows_of_bag(path: Path, parameters: str) -> list[dict[str, Any]]:
         said = "; ".join(["no gait was run", *notes, *remarks])
         return [{"start": utc_of(start), "duration_s": span, "notes": said}]
     remarks = [*notes, *remarks]
-    figures = [RunFigures(run, replay, r, values, conditions, remarks) for r in reports]
+    figures = [RunFigures(run, replay, r, values, conditions, offset_ns, remarks) for r in reports]
     return [{column.key: column.value(f) for column in COLUMNS} for f in figures]
 
 
@@ -86,6 +87,7 @@ class RunFigures:
     report: RunReport
     parameters: Parameters
     conditions: Conditions
+    clock_offset_ns: int
     remarks: Sequence[str]
 
     @property
@@ -95,8 +97,8 @@ class RunFigures:
 
     @property
     def start(self) -> str:
-        """UTC of the onset."""
-        return utc_of(self.played.onset)
+        """UTC of the onset by the recorder's clock, like the bag's name: a busy virtual robot's clock is behind it."""
+        return utc_of(self.played.onset + self.clock_offset_ns)
 
     @property
     def duration_s(self) -> float:

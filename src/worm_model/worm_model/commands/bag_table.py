@@ -10,6 +10,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -54,8 +55,13 @@ def gait_text(gait: Mapping[str, Any] | None) -> str:
     return f"{1e3 * gait['stroke']:.1f} mm {gait['frequency']:.3f} Hz{way}"
 
 
+def local_time(start: str) -> str:
+    """Return the ``start`` of a row (ISO 8601) in local time to the second, like the names of bags."""
+    return datetime.fromisoformat(start).astimezone().strftime("%Y-%m-%d %H:%M:%S")
+
+
 COLUMNS = (
-    Column("start", "start", lambda run: run.start, lambda start: str(start)[:19]),
+    Column("start", "start", lambda run: run.start, local_time),
     Column("duration_s", "s", lambda run: run.duration_s, _number(1.0, 1)),
     Column("gait", "gait", lambda run: named_values(run.played.gait), gait_text),
     Column(

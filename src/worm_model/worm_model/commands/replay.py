@@ -9,7 +9,6 @@ import time
 from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
-from itertools import islice
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -24,16 +23,14 @@ from worm_model.analysis.replay_metrics import (
 )
 from worm_model.bags.bag import Bag
 from worm_model.bags.bag_errors import BagError
-from worm_model.bags.formats.cdr import ColumnBuilder
-from worm_model.bags.formats.message_block import Message, Topic, messages_of
+from worm_model.bags.formats.message_block import Message, Topic
 from worm_model.bags.formats.message_types import parse_ahead, topic_of
 from worm_model.bags.opening import open_bag
 from worm_model.bags.recording.run_manifest import recorded_conditions
-from worm_model.bags.run_reader import RunReader, namespace_of, stamps_of
+from worm_model.bags.run_reader import RunReader, clock_offset, namespace_of
 from worm_model.bags.run_writer import stamped_messages, write_extended
 from worm_model.bags.worm_topics import (
     REPLAY_INPUTS,
-    TWIN_INPUTS,
     TWIN_TOPICS,
     TYPES,
     find_topic,
@@ -59,10 +56,8 @@ from worm_model.twin.records import (
 )
 from worm_model.twin.twin import Output, residual_messages
 
-INSTRUMENTS = TWIN_INPUTS[1:]  # without gait_state, which may have been published long before
 DRIVES = ("body_length/commanded", "body_length/measured")
 DISORDER_NS = 10 * NANOSECONDS  # by which an event may be older than the states before it
-LONGEST_DELAY_NS = NANOSECONDS  # of a message on its way to the recorder
 _notify = notifier("replay")
 
 
@@ -87,21 +82,6 @@ def write_replay(bag: Bag, output: Path, replay: OfflineReplay, namespace: str) 
         for _, part in replay.steps()
     )
     write_extended(bag, output, kept, messages, topics.values())
-
-
-def clock_offset(bag: Bag, namespace: str) -> int:
-    """Return by how much log time is ahead of the instruments' stamps at the beginning of a bag, ns.
-
-    Less than a second is delay, and gives 0.
-    """
-    topics = [find_topic(bag.topics.values(), name, namespace) for name in INSTRUMENTS]
-    names = [topic.name for topic in topics if topic is not None]
-    for message in islice(bag.messages(names), 1):
-        columns = ColumnBuilder()
-        columns.add(messages_of([message]))
-        shift = message.log_time - int(stamps_of(columns.columns())[0])
-        return shift if abs(shift) > LONGEST_DELAY_NS else 0
-    return 0
 
 
 def _in_order(batches: Iterable[list[Message]]) -> Iterator[Message]:

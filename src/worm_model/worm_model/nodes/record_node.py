@@ -17,9 +17,11 @@ from worm_model.bags.formats.message_block import Message
 from worm_model.bags.operations.cleaning import Cleaner
 from worm_model.bags.recording.recorder import Manifest
 from worm_model.bags.recording.recording_session import (
+    TIME_FIELD,
     RecordingSession,
     SessionOptions,
     after_crash,
+    dated,
 )
 from worm_model.bags.recording.run_manifest import GAIT_RECORD, is_text, run_manifest
 from worm_model.bags.recording.topic_selection import TopicSelection
@@ -71,8 +73,9 @@ def _parser() -> Parser:
         "-o",
         "--output",
         type=Path,
-        default=Path(time.strftime("worm_%Y_%m_%d-%H_%M_%S")),
-        help="the bag, a directory that must not exist",
+        default=Path(f"worm_{TIME_FIELD}"),
+        help=f"the bag, a directory that must not exist; {TIME_FIELD} stands for the time at which it begins "
+        "(default: %(default)s)",
     )
     parser.add_argument("-a", "--all", action="store_true", help="all topics that are not hidden")
     parser.add_argument("-e", "--regex", default="", help="topics whose full name matches")
@@ -246,7 +249,7 @@ class _Recording:
 
 
 def _session_options(
-    arguments: argparse.Namespace, command: Sequence[str], cleaner: Cleaner | None
+    arguments: argparse.Namespace, output: Path, command: Sequence[str], cleaner: Cleaner | None
 ) -> SessionOptions:
     conditions = conditions_of(arguments)
 
@@ -263,7 +266,7 @@ def _session_options(
 
     manifest()  # what is wrong with it is told before anything is made
     return SessionOptions(
-        output=after_crash(arguments.output) if arguments.after_crash else arguments.output,
+        output=after_crash(output) if arguments.after_crash else output,
         manifest=manifest,
         write=WriteOptions(
             arguments.compression,
@@ -283,15 +286,16 @@ def _run(arguments: argparse.Namespace, command: Sequence[str], ended: ShutdownR
         hidden=arguments.include_hidden_topics,
     )
     cleaner = Cleaner(platform.node(), ()) if arguments.anonymous else None
-    options = _session_options(arguments, command, cleaner)
+    output = dated(arguments.output)
+    options = _session_options(arguments, output, command, cleaner)
     node = RecordNode(selection, arguments.depth)
     session = RecordingSession(options)
     for name in SERVICES:
         node.offer_service(name, getattr(session, name))
     kept = f"the last {options.ring_s:g} s for snapshots" if options.ring_s else "to"
-    if options.output != arguments.output:
+    if options.output != output:
         node.get_logger().warning(
-            f"{arguments.output} was not closed by its recorder, and goes on in {options.output}"
+            f"{output} was not closed by its recorder, and goes on in {options.output}"
         )
     node.get_logger().info(f"recording {kept} {options.output}")
     readiness.announce()

@@ -62,11 +62,11 @@ def _parser() -> Parser:
 
 def _demo(options: argparse.Namespace) -> int:
     load_parameter_file(options.parameters)  # raises on what is none, before anything moves
-    bag = new_bag(options.bags, "demo")
+    new = new_bag(options.bags, "demo")
     say = ProgressLog("demo")
     try:
         with termination_as_interrupt():
-            prediction = _drive(options, bag, say)
+            prediction, bag = _drive(options, new, say)
             say("replaying the recording into the twin")
             comparison, figure = _look_back(bag, prediction, options.parameters)
     except FAILURES as error:
@@ -76,7 +76,7 @@ def _demo(options: argparse.Namespace) -> int:
     return 0
 
 
-def _drive(options: argparse.Namespace, bag: Path, say: Say) -> Prediction:
+def _drive(options: argparse.Namespace, bag: Path, say: Say) -> tuple[Prediction, Path]:
     with work_folder("demo") as folder:
         settings = {
             "directory": str(folder),

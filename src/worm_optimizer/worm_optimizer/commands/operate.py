@@ -223,12 +223,12 @@ def _fault(node: OperatorNode, options: argparse.Namespace) -> int:
 def _run(node: OperatorNode, options: argparse.Namespace) -> int:
     say = ProgressLog("operate")
     order = _ends(options, _own_gait(options) or _requested(node, options, say))
-    bag = None if options.record is None else new_bag(options.record)
+    new = None if options.record is None else new_bag(options.record)
     say(f"running {order}")
     recorder = (
-        nullcontext() if bag is None else recorded(node, bag, options.parameters, str(os.getpid()))
+        nullcontext() if new is None else recorded(node, new, options.parameters, str(os.getpid()))
     )
-    with recorder:
+    with recorder as bag:
         result = _attended(node, order, say)
     content = {**asdict(result), "bag": None if bag is None else str(bag)}
     print_result(options, content, _result_text(result, bag))

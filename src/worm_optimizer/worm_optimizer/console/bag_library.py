@@ -17,7 +17,7 @@ from typing import Any
 
 import worm_model
 from worm_model.bags.finding import METADATA_FILE
-from worm_model.commands.bag_table import gait_text
+from worm_model.commands.bag_table import gait_text, local_time
 from worm_model.errors import InputError
 from worm_optimizer.console.run_traces import RunTraces, traces_of
 from worm_optimizer.operation.processes import executable_command
@@ -234,7 +234,8 @@ def report_of(parameter_file: str) -> str:
 def matches(row: Row, words: str) -> bool:
     """Return True if a row contains each word, as the table shows it or in its notes; upper case does not matter."""
     gait = row["gait"]
+    start = row["start"] and local_time(row["start"])
     direction = "" if gait is None else ("forward" if gait["direction"] > 0 else "reverse")
-    shown = (row["name"], row["start"], gait_text(gait), direction, row["health"], row["state"])
+    shown = (row["name"], start, gait_text(gait), direction, row["health"], row["state"])
     text = " ".join(str(part) for part in (*shown, row.get("notes")) if part).lower()
     return all(word in text for word in words.lower().split())

@@ -83,8 +83,8 @@ def run(
         OperatorError: The gait failed, was cancelled except by STOP, or there is no answer.
         InputError: The bag cannot be created.
     """
-    bag = new_bag(folder)
-    with recorded(node, bag, parameter_file, f"console_{os.getpid()}_{next(_numbers)}"):
+    recorder = f"console_{os.getpid()}_{next(_numbers)}"
+    with recorded(node, new_bag(folder), parameter_file, recorder) as bag:
         if why := cancellation():
             raise OperatorError(f"not started: {why}")
         gait_run = node.begin(command, lambda: not cancellation())

@@ -50,7 +50,7 @@ addEventListener("keydown", (event) => {{
 _STYLE = (
     f"<style>{STYLE}"
     + """
-.scene { aspect-ratio: 3.4; max-height: 36vh; width: 100% }
+.scene { aspect-ratio: 3.4; max-height: 27vh; width: 100% }
 .closer .scene { max-height: 22vh }
 .scene svg { width: 100%; height: 100%; display: block }
 .worm .pipe { fill: #8d8d99 } .worm .robot { fill: #2659bf } .worm .ghost { fill: #e6b422; opacity: .45 }

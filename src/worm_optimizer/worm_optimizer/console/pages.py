@@ -127,6 +127,8 @@ class ConsolePage:
             return "the session has ended: sign in"
         if control.is_held_by(self._id):
             return ""
+        if control.is_requested_by(self._id):
+            return f"{_NO_CONTROL}: it is requested"
         return f"{control.loss_of(self._id) or _NO_CONTROL}: {self._control_action()}"
 
     def _on_alive(self, event: events.GenericEventArguments) -> None:

@@ -8,7 +8,7 @@ from urllib.parse import quote
 
 from nicegui import ui
 
-from worm_model.commands.bag_table import gait_text
+from worm_model.commands.bag_table import gait_text, local_time
 from worm_model.errors import InputError
 from worm_optimizer.console.bag_library import Row, matches
 from worm_optimizer.console.closer_page import CloserLook
@@ -59,13 +59,13 @@ class RecordingsPage:
             columns=columns, rows=[], row_key="key", selection="multiple", pagination=20
         ).classes("w-full")
         self._table.style("min-height: 40vh")
-        self._table.props('no-data-label="no run to show" no-results-label="none"')
+        self._table.props('no-data-label="no run is listed" no-results-label="none"')
         self._table.add_slot("header-selection", _CHECKBOX.format("'Select all'"))
         self._table.add_slot("body-selection", _CHECKBOX.format("'Select ' + props.row.name"))
 
     async def read(self) -> None:
         """Read the list."""
-        self._note.set_text("reading")
+        self._note.set_text("reading the list")
         try:
             self._rows = await self._state.library.rows()
         except InputError as error:
@@ -164,7 +164,7 @@ def _cells(row: Row) -> dict[str, Any]:
     return {
         "key": f"{row['name']} {row['start']}",
         "name": row["name"],
-        "start": (row["start"] or "")[:19].replace("T", " "),
+        "start": row["start"] and local_time(row["start"]),
         "gait": gait_text(row["gait"]),
         "cycles": row["cycles"],
         "speed": _number(row["speed"], 1e3),

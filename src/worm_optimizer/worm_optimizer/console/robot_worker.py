@@ -107,7 +107,7 @@ class RobotWorker:
     @property
     def hindrance(self) -> str:
         """Why no command can be submitted now; empty: one can."""
-        return self.failure or (f"wait: {self.busy}" if self.busy else "")
+        return self.failure or ("wait for the end of the present command" if self.busy else "")
 
     def submit(self, description: str, command: Command) -> bool:
         """Submit a command; return False if there is a `hindrance`."""

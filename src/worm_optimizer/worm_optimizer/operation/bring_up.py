@@ -25,6 +25,7 @@ from worm_optimizer.nodes.operator_node import (
 )
 from worm_optimizer.nodes.service_caller import OperatorError
 from worm_optimizer.operation.processes import (
+    Process,
     ProcessError,
     ProcessGroup,
     executable_command,
@@ -244,8 +245,8 @@ def start_node(
 @contextmanager
 def recording(
     group: ProcessGroup, node: OperatorNode, recorder: NodeDescription, name: str
-) -> Iterator[None]:
-    """Record with a separate recorder during this context.
+) -> Iterator[Path]:
+    """Record with a separate recorder during this context, and provide the path of the bag.
 
     The context begins when the recorder has subscribed to all topics. After it, AFTERWARDS_S of rest are recorded and
     the bag is closed.
@@ -263,9 +264,18 @@ def recording(
     own = replace(recorder, name=name, arguments=words)
     start_node(group, own, node.get_namespace().strip("/"))
     node.graph.wait_for_recorder(name, left_out(recorder))
-    yield
+    yield bag_of(group.processes[name])
     node.rest(AFTERWARDS_S)
     group.end(name)
+
+
+def bag_of(recorder: Process) -> Path:
+    """Return the bag into which a recorder that is ready records; its name contains the time of its begin.
+
+    Raises:
+        ProcessError: The recorder has not logged it.
+    """
+    return Path(recorder.wait_for_line(r": recording to (.+)$", READY_TIMEOUT_S)[1])
 
 
 def left_out(recorder: NodeDescription) -> str:

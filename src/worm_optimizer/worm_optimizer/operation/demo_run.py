@@ -5,17 +5,24 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from worm_optimizer.operation.bring_up import CYCLES, RECORDER, Say, left_out, session
+from worm_optimizer.operation.bring_up import (
+    CYCLES,
+    RECORDER,
+    Say,
+    bag_of,
+    left_out,
+    session,
+)
 from worm_optimizer.operation.system import System
 from worm_optimizer.robot_commands import GaitCommand
 from worm_optimizer.robustness.prediction import Prediction
 from worm_optimizer.search.gait_request import GaitRequest, Objective
 
 
-def drive(system: System, logs: Path, say: Say) -> Prediction:
-    """Bring a system up, run five cycles of a requested gait, shut everything down and return the prediction.
+def drive(system: System, logs: Path, say: Say) -> tuple[Prediction, Path]:
+    """Bring a system up, run five cycles of a requested gait, and shut everything down.
 
-    Afterwards the bag is closed and no process remains, also after an exception.
+    Return the prediction and the bag. Afterwards the bag is closed and no process remains, also after an exception.
 
     Args:
         system: the nodes, including a recorder.
@@ -33,9 +40,10 @@ def drive(system: System, logs: Path, say: Say) -> Prediction:
             f"the optimizer answers: stroke {1e3 * gait.stroke:.1f} mm, frequency "
             f"{gait.frequency:.3f} Hz, margin {1e3 * gait.margin:.1f} mm"
         )
+        bag = bag_of(running.group.processes[RECORDER])
         running.activate()
         node.graph.wait_for_recorder(RECORDER, left_out(system.node(RECORDER)))
         say(f"running {CYCLES} cycles, {CYCLES / gait.frequency:.0f} s")
         running.run_gait(GaitCommand(gait, CYCLES))
         running.release()
-    return prediction
+    return prediction, bag

@@ -3,12 +3,12 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from worm_model.bags.finding import METADATA_FILE
+from worm_model.bags.recording.recording_session import TIME_FIELD
 from worm_model.errors import InputError
 from worm_optimizer.nodes.operator_node import OperatorNode
 from worm_optimizer.operation.bring_up import (
@@ -21,14 +21,14 @@ from worm_optimizer.operation.processes import ProcessGroup
 
 
 def new_bag(folder: Path, kind: str = "run") -> Path:
-    """Return the path of a new bag in a folder, and create the folder.
+    """Return the path of a new bag in a folder, in which the recorder inserts the time, and create the folder.
 
     Args:
         folder: folder of bags.
         kind: first part of the bag's name, followed by the time.
 
     Raises:
-        InputError: The folder is a bag, it cannot be created, or the bag exists.
+        InputError: The folder is a bag, or cannot be created.
     """
     folder = folder.resolve()
     if (folder / METADATA_FILE).exists():
@@ -37,19 +37,16 @@ def new_bag(folder: Path, kind: str = "run") -> Path:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{folder}: {error.strerror}") from None
-    bag = folder / time.strftime(f"{kind}_%Y_%m_%d-%H_%M_%S")
-    if bag.exists():
-        raise InputError(f"{bag}: exists already; try again in a second")
-    return bag
+    return folder / f"{kind}_{TIME_FIELD}"
 
 
 @contextmanager
-def recorded(node: OperatorNode, bag: Path, parameter_file: str, name: str) -> Iterator[None]:
-    """Record in this context with a recorder of the given name; see `recording`.
+def recorded(node: OperatorNode, bag: Path, parameter_file: str, name: str) -> Iterator[Path]:
+    """Record in this context with a recorder of the given name, and provide the path of the bag; see `recording`.
 
     Args:
         node: the operator.
-        bag: path of the new bag.
+        bag: see `new_bag`.
         parameter_file: parameter file to store in the bag; empty: none.
         name: last part of the recorder's node name, which must be unique.
     """
@@ -62,6 +59,6 @@ def recorded(node: OperatorNode, bag: Path, parameter_file: str, name: str) -> I
     with (
         work_folder("record") as work,
         ProcessGroup(work / "logs") as group,
-        recording(group, node, system.node(RECORDER), f"{RECORDER}_{name}"),
+        recording(group, node, system.node(RECORDER), f"{RECORDER}_{name}") as recorded_bag,
     ):
-        yield
+        yield recorded_bag

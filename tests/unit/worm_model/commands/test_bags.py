@@ -3,6 +3,7 @@
 
 import json
 import shutil
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import pytest
@@ -66,6 +67,17 @@ def test_what_was_read_once_is_not_read_again(run, monkeypatch):
     monkeypatch.setattr(bag_runs, "rows_of_bag", None)
     status, again, error = run("table", SAMPLES, "--json")
     assert (status, again, error) == (0, first, "")
+
+
+def test_a_run_of_a_robot_whose_clock_is_slow_starts_by_the_clock_of_its_recorder(run, tmp_path):
+    late = timedelta(seconds=20)
+    shutil.copytree(SAMPLES / "forward", tmp_path / "on_time")
+    with open_bag(SAMPLES / "forward") as bag, new_bag(tmp_path / "late") as writer:
+        shift_ns = round(late.total_seconds() * 1e9)
+        writer.write_all(m._replace(log_time=m.log_time + shift_ns) for m in bag.messages())
+    rows = json.loads(run(tmp_path, "--json")[1])["runs"]
+    starts = {Path(row["bag"]).name: datetime.fromisoformat(row["start"]) for row in rows}
+    assert starts["late"] - starts["on_time"] == late
 
 
 def test_a_bag_that_changed_is_read_again(run, tmp_path):

@@ -22,7 +22,7 @@ def run(monkeypatch: pytest.MonkeyPatch, *cancellations: str, success: bool) -> 
     result = RunResult(GAIT, success, "the result", 1, 0, *6 * (math.nan,))
     gait_run = SimpleNamespace(result=result, close=lambda: None)
     node = SimpleNamespace(begin=lambda *_: gait_run, follow=lambda *_: None)
-    monkeypatch.setattr(page_actions, "recorded", lambda *_: nullcontext())
+    monkeypatch.setattr(page_actions, "recorded", lambda *_: nullcontext(Path("run_1")))
     monkeypatch.setattr(page_actions, "new_bag", lambda _: Path("run_1"))
     answers = iter(cancellations)
     command = GaitCommand(GAIT, cycles=2)

@@ -167,7 +167,8 @@ def test_one_command_at_a_time_and_stop_at_any_time(bench: Bench):
     bench.submit(work)
     assert begun.wait(TIMEOUT_S)
     assert not bench.worker.submit("more", lambda node: "more")
-    assert bench.worker.hindrance == "wait: working"
+    assert bench.worker.busy == "working"
+    assert bench.worker.hindrance
     bench.worker.stop()
     assert "STOP" in bench.worker.busy
     assert bench.stopper.stops.acquire(timeout=TIMEOUT_S)  # while the other still waits

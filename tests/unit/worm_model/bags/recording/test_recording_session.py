@@ -2,6 +2,7 @@
 """What a recorder is asked for while it runs."""
 
 import shutil
+import time
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,7 @@ from worm_model.bags.recording.recording_session import (
     RecordingSession,
     SessionOptions,
     after_crash,
+    dated,
 )
 
 TOPIC = Topic("/a", "std_msgs/msg/UInt64", 0, "uint64 data\n", "ros2msg", "cdr")
@@ -164,3 +166,10 @@ def test_after_a_crash_it_goes_on_in_the_next_bag_and_what_is_closed_is_not_touc
     assert after_crash(output) == tmp_path / "bag_2"
     crashed.close()
     assert after_crash(output) == output
+
+
+def test_a_recording_is_named_by_the_time_of_its_begin(tmp_path: Path):
+    before = time.strftime("run_%Y_%m_%d-%H_%M_%S")
+    name = dated(tmp_path / "run_{time}").name
+    assert before <= name <= time.strftime("run_%Y_%m_%d-%H_%M_%S")
+    assert dated(tmp_path / "run_%Y") == tmp_path / "run_%Y"
