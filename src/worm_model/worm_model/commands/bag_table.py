@@ -18,6 +18,7 @@ from worm_model.bags.finding import bags_below, mark_of, name_below
 from worm_model.conditions import LEVEL, Conditions
 from worm_model.errors import InputError
 from worm_model.gait import named_values
+from worm_model.text_table import text_table
 
 Row = dict[str, Any]
 
@@ -167,9 +168,4 @@ def describe(rows: Sequence[Row], folder: Path) -> str:
         if row["notes"]:
             notes.append(f"{name}: {row['notes']}")
     lines = _without_empty(lines)
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    table = [
-        "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip()
-        for line in lines
-    ]
-    return "\n".join([*table, *dict.fromkeys(notes)])
+    return "\n".join([text_table(lines), *dict.fromkeys(notes)])

@@ -20,6 +20,7 @@ from worm_model.commands.command_line import (
 from worm_model.conditions import conditions_of, under
 from worm_model.gait import STROKE_RANGE
 from worm_model.parameters import load_parameters
+from worm_model.text_table import text_table
 
 
 def _parser() -> Parser:
@@ -46,18 +47,27 @@ def describe(content: PhaseMap) -> str:
     lines = [
         f"groove phase now {content.phase_now * 1e3:+.2f} mm: cliff of the margin at "
         f"{content.cliff_now * 1e3:.2f} mm (closed form)",
-        f"{'phase (mm)':>10}  {'cliff (mm)':>10}  least stroke (mm) for 1, 2, … grooves "
-        f"at {content.frequency:g} Hz",
+    ]
+    rows = [
+        (
+            "phase (mm)",
+            "cliff (mm)",
+            f"least stroke (mm) for 1, 2, … grooves at {content.frequency:g} Hz",
+        )
     ]
     for row in range(0, content.phase.size, max(1, content.phase.size // 16)):
         least = []
         for n in range(1, int(content.grooves.max()) + 1):
             reached = content.stroke[content.grooves[row] >= n]
             least.append(f"{reached[0] * 1e3:.1f}" if reached.size else "none")
-        lines.append(
-            f"{content.phase[row] * 1e3:10.2f}  {content.cliff[row] * 1e3:10.2f}  {', '.join(least)}"
+        rows.append(
+            (
+                f"{content.phase[row] * 1e3:.2f}",
+                f"{content.cliff[row] * 1e3:.2f}",
+                ", ".join(least),
+            )
         )
-    return "\n".join(lines)
+    return "\n".join([*lines, text_table(rows)])
 
 
 def _map(options: argparse.Namespace) -> None:

@@ -18,6 +18,7 @@ from worm_model.commands.command_line import (
 from worm_model.conditions import content_under
 from worm_model.gait import Gait
 from worm_model.parameters import load_parameter_file
+from worm_model.text_table import text_table
 from worm_optimizer.commands.search_options import add_front_options, chosen_settings
 from worm_optimizer.report.capability_figure import capability_figure
 from worm_optimizer.search.capability import (
@@ -64,25 +65,21 @@ def _row(each: Capability, per_metre: float) -> dict[str, Any]:
 
 def describe(found: dict[str, Capability], points: tuple[LoadPoint, ...], per_metre: float) -> str:
     """Return capabilities as text."""
-    lines = [
-        f"{'gait':<12} {'S':>6} {'f':>7} {'largest load':>13} {'all grooves':>12} {'closed form':>12} {'slope':>6}"
-        + ("  tether" if per_metre else ""),
-        f"{'':<12} {'mm':>6} {'Hz':>7} {'N':>13} {'N':>12} {'N':>12} {'°':>6}"
-        + (f"  {'m':>6}" if per_metre else ""),
-    ]
+    heads = ["gait", "S (mm)", "f (Hz)", "largest load (N)", "all grooves (N)"]
+    heads += ["closed form (N)", "slope (°)"] + ["tether (m)"] * bool(per_metre)
+    rows = [heads]
     for name, each in found.items():
         gait = each.gait
-        reach = f"  {each.largest_load / per_metre:6.1f}" if per_metre else ""
-        lines.append(
-            f"{name.replace('_', ' '):<12} {1e3 * gait.stroke:6.2f} {gait.frequency:7.4f} {each.largest_load:13.2f}"
-            f" {each.full_load:12.2f} {each.closed_form_largest_load:12.2f} {each.largest_slope_deg:6.1f}{reach}"
-        )
-    lines += ["", f"{'load (N)':>8}  {'lowest COT':>10}  {'highest speed (mm/s)':>20}"]
-    lines += [
-        f"{point.load:8.2f}  {point.cost_of_transport:10.2f}  {1e3 * point.speed:20.3f}"
+        loads = (each.largest_load, each.full_load, each.closed_form_largest_load)
+        row = [name.replace("_", " "), f"{1e3 * gait.stroke:.2f}", f"{gait.frequency:.4f}"]
+        row += [f"{load:.2f}" for load in loads] + [f"{each.largest_slope_deg:.1f}"]
+        rows.append(row + [f"{each.largest_load / per_metre:.1f}"] * bool(per_metre))
+    over_load = [("load (N)", "lowest COT", "highest speed (mm/s)")]
+    over_load += [
+        (f"{point.load:.2f}", f"{point.cost_of_transport:.2f}", f"{1e3 * point.speed:.3f}")
         for point in points
     ]
-    return "\n".join(lines)
+    return f"{text_table(rows)}\n\n{text_table(over_load)}"
 
 
 def _capability(options: argparse.Namespace) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 from worm_model.analysis.plot_style import save_figure
 from worm_model.commands.command_line import Parser, figure_file, print_result, run_command
 from worm_model.parameters import load_parameter_file
+from worm_model.text_table import text_table
 from worm_optimizer.commands.search_options import add_scan_options, chosen_settings
 from worm_optimizer.report.front_plots import price_figure
 from worm_optimizer.search.front import scanned_price
@@ -45,14 +46,13 @@ def price_json(price: PriceOfRobustness) -> dict[str, Any]:
 
 def describe(price: PriceOfRobustness) -> str:
     """A scan for people."""
-    rows = price.points[:: max(1, len(price.points) // 16)]
-    lines = [f"{'margin (mm)':>11}  {'lowest COT':>10}  {'at S (mm)':>9}  {'f (Hz)':>7}  branches"]
-    for point in rows:
+    rows = [("margin (mm)", "lowest COT", "at S (mm)", "f (Hz)", "branches")]
+    for point in price.points[:: max(1, len(price.points) // 16)]:
         branches = ", ".join(f"{branch:g}" for branch in point.branches) or "none moves"
-        lines.append(
-            f"{1e3 * point.margin:11.2f}  {point.cost_of_transport:10.2f}  {1e3 * point.stroke:9.2f}"
-            f"  {point.frequency:7.4f}  {branches}"
-        )
+        gait = (f"{1e3 * point.stroke:.2f}", f"{point.frequency:.4f}")
+        cost = f"{point.cost_of_transport:.2f}"
+        rows.append((f"{1e3 * point.margin:.2f}", cost, *gait, branches))
+    lines = [text_table(rows)]
     lines.append(f"groove phase {1e3 * price.groove_phase:+.2f} mm")
     lines.append(
         f"cliff        {1e3 * price.cliff.margin:.3f} mm: beyond it the branch with "

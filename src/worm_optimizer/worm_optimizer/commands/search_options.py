@@ -5,12 +5,13 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import groupby
 from typing import Any
 
 from worm_model.commands.command_line import InputError, Parser, number
 from worm_model.gait import Profile
+from worm_model.text_table import text_table
 from worm_optimizer.robustness.prediction import Prediction
 from worm_optimizer.search.gait_request import GaitRequest, Objective
 from worm_optimizer.search.search_settings import (
@@ -141,18 +142,29 @@ def request_of_options(options: argparse.Namespace) -> GaitRequest:
     return GaitRequest(_NAMED[options.objective or "cruise"])
 
 
+#: Columns of `gait_table`: n is the mean number of grooves a cycle, φ the groove phase.
+_HEADS = (
+    "gait",
+    "S (mm)",
+    "f (Hz)",
+    "margin (mm)",
+    "speed (mm/s)",
+    "nominal (mm/s)",
+    "power (W)",
+    "COT",
+    "n",
+    "to edges (mm)",
+    "success",
+    "any φ",
+)
+
+
 def gait_table(robust: Mapping[str, Prediction], nominal: Mapping[str, Prediction]) -> str:
     """Robust and nominal gaits, one line each: nominal optima are fragile, robust ones are not."""
-    header = (
-        f"{'gait':<20} {'S':>6} {'f':>7} {'margin':>6} {'speed':>7} {'nominal':>7} {'power':>6} {'COT':>6}"
-        f" {'n':>4} {'to edges':>11} {'success':>8} {'any φ':>6}\n"
-        f"{'':<20} {'mm':>6} {'Hz':>7} {'mm':>6} {'mm/s':>7} {'mm/s':>7} {'W':>6} {'1':>6}"
-        f" {'1':>4} {'mm':>11} {'1':>8} {'1':>6}"
-    )
-    lines = [header]
+    rows: list[Sequence[str]] = [_HEADS]
     for kind, gaits in (("robust", robust), ("nominal", nominal)):
-        lines += [_line(f"{kind} {name.replace('_', ' ')}", gait) for name, gait in gaits.items()]
-    return "\n".join(lines)
+        rows += [_row(f"{kind} {name.replace('_', ' ')}", gait) for name, gait in gaits.items()]
+    return text_table(rows)
 
 
 def shape_lines(gaits: Mapping[str, Prediction]) -> list[str]:
@@ -166,11 +178,18 @@ def shape_lines(gaits: Mapping[str, Prediction]) -> list[str]:
     ]
 
 
-def _line(name: str, gait: Prediction) -> str:
-    edges = f"-{1e3 * gait.stroke_to_lower_edge:.1f} +{1e3 * gait.stroke_to_upper_edge:.1f}"
+def _row(name: str, gait: Prediction) -> Sequence[str]:
     return (
-        f"{name:<20} {1e3 * gait.stroke:6.2f} {gait.frequency:7.4f} {1e3 * gait.margin:6.2f}"
-        f" {1e3 * gait.speed:7.3f} {1e3 * gait.nominal_speed:7.3f} {gait.power:6.3f}"
-        f" {gait.cost_of_transport:6.1f} {gait.grooves_per_cycle:4.2f} {edges:>11}"
-        f" {gait.success_probability:8.3f} {gait.success_probability_any_phase:6.3f}"
+        name,
+        f"{1e3 * gait.stroke:.2f}",
+        f"{gait.frequency:.4f}",
+        f"{1e3 * gait.margin:.2f}",
+        f"{1e3 * gait.speed:.3f}",
+        f"{1e3 * gait.nominal_speed:.3f}",
+        f"{gait.power:.3f}",
+        f"{gait.cost_of_transport:.1f}",
+        f"{gait.grooves_per_cycle:.2f}",
+        f"-{1e3 * gait.stroke_to_lower_edge:.1f} +{1e3 * gait.stroke_to_upper_edge:.1f}",
+        f"{gait.success_probability:.3f}",
+        f"{gait.success_probability_any_phase:.3f}",
     )

@@ -8,17 +8,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from worm_model.analysis.run_metrics import RecordingError, Window
+from worm_model.text_table import text_table
 from worm_optimizer.report.expectation import Bands
 from worm_optimizer.report.recorded_gait import RecordedGait
 from worm_optimizer.robustness.prediction import Prediction
-
-_NAME_WIDTH = 34
-_COLUMNS = (
-    ("speed", "speed", 12),
-    ("power", "power", 9),
-    ("cost_of_transport", "cost of transport", 18),
-)
-_SHARE_WIDTH = 9  # width of the relative difference that follows a value
 
 
 @dataclass(frozen=True)
@@ -90,23 +83,23 @@ def comparison_table(measured: Performance, predictions: Mapping[str, Performanc
 
     The arguments are in SI units. The table has mm/s, W and percent.
     """
-    heads = "".join(f"{head:>{width}}{'':{_SHARE_WIDTH}}" for _, head, width in _COLUMNS)
-    lines = [f"{'':{_NAME_WIDTH}}{heads}".rstrip(), _row("measured on the robot", measured)]
-    lines += [_row(name, figures, measured) for name, figures in predictions.items()]
-    return "\n".join(lines)
+    rows = [["", "speed", "", "power", "", "cost of transport", ""]]
+    rows.append(_row("measured on the robot", measured, None))
+    rows += [_row(name, figures, measured) for name, figures in predictions.items()]
+    return text_table(rows)
 
 
-def _row(name: str, figures: Performance, reference: Performance | None = None) -> str:
-    cells = {
+def _row(name: str, figures: Performance, reference: Performance | None) -> list[str]:
+    values = {
         "speed": f"{1e3 * figures.speed:.2f} mm/s",
         "power": f"{figures.power:.2f} W",
         "cost_of_transport": f"{figures.cost_of_transport:.1f}",
     }
-    text = f"{name:{_NAME_WIDTH}}"
-    for field, _, width in _COLUMNS:
+    cells = [name]
+    for field, value in values.items():
         share = ""
         if reference is not None:
-            value = relative_difference(getattr(figures, field), getattr(reference, field))
-            share = f"{100.0 * value:+.1f} %"
-        text += f"{cells[field]:>{width}}{share:>{_SHARE_WIDTH}}"
-    return text.rstrip()
+            difference = relative_difference(getattr(figures, field), getattr(reference, field))
+            share = f"{100.0 * difference:+.1f} %"
+        cells += [value, share]
+    return cells

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from worm_model.text_table import text_table
 from worm_optimizer.report.agreement import QUANTITIES, title_of
 from worm_optimizer.report.recorded_gait import RecordedGait
 from worm_optimizer.robustness.prediction import Prediction
@@ -81,13 +82,12 @@ def spread(name: str, promise: Prediction, runs: Sequence[RecordedGait]) -> Spre
 
 def spread_table(spreads: Sequence[Spread]) -> str:
     """Return a text table: successful repeats, then mean and standard deviation of each quantity."""
-    heads = "".join(f"{quantity.title:>22}" for quantity in QUANTITIES.values())
-    lines = [f"{'gait':<24}{'promise kept':>18}{heads}"]
+    rows = [("gait", "promise kept", *(quantity.title for quantity in QUANTITIES.values()))]
     for row in spreads:
         kept = f"{row.kept} of {row.repeats} ({row.promised} a cycle)"
-        cells = "".join(
-            f"{quantity.text(row.means[key]) + ' ± ' + quantity.text(row.deviations[key]):>22}"
+        cells = (
+            f"{quantity.text(row.means[key])} ± {quantity.text(row.deviations[key])}"
             for key, quantity in QUANTITIES.items()
         )
-        lines.append(f"{title_of(row.name):<24}{kept:>18}{cells}")
-    return "\n".join(lines)
+        rows.append((title_of(row.name), kept, *cells))
+    return text_table(rows)

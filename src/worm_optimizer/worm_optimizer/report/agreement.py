@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from worm_model.text_table import text_table
 from worm_optimizer.report.expectation import Band, GrooveShare
 from worm_optimizer.report.recorded_gait import RecordedGait
 
@@ -250,12 +251,8 @@ def describe(gaits: Sequence[RecordedGait]) -> str:
     """Return a table for a terminal: each number with its expected 95 % interval, then the orders."""
     heads = ("gait", "", "measured", "expected", "95 % interval", "difference", "verdict")
     rows = [heads, *(_row(row) for gait in gaits for row in agreements(gait))]
-    widths = [max(len(row[column]) for row in rows) for column in range(len(heads))]
     lines = [f"{gait.name}: {gait.early_end}" for gait in gaits if gait.early_end]
-    lines += [
-        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
-        for row in rows
-    ]
+    lines.append(text_table(rows))
     phases = {f"{1e3 * gait.expected.nominal.groove_phase:+.2f} mm": None for gait in gaits}
     lines += ["", f"expected without the margin, at a groove phase of {', '.join(phases)}"]
     lines += map(order_text, orders(gaits))

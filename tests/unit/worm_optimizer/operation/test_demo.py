@@ -2,6 +2,7 @@
 """The table that the demo shows of its run."""
 
 import math
+import re
 from types import SimpleNamespace
 
 import pytest
@@ -22,11 +23,8 @@ def test_the_table_shows_differences_to_the_measurement():
     lines = table.splitlines()
     assert "5.00 mm/s" in lines[1]
     assert "%" not in lines[1]
-    for text in ("5.50 mm/s  +10.0 %", "1.90 W   -5.0 %", "45.0  -10.0 %"):
-        assert text in lines[2]
-    for head, value in (("speed", "5.50 mm/s"), ("power", "1.90 W"), ("transport", "45.0")):
-        end = lines[0].index(head) + len(head)
-        assert lines[2].index(value) + len(value) == end
+    cells = re.split(r"\s{2,}", lines[2])
+    assert cells == ["twin", "5.50 mm/s", "+10.0 %", "1.90 W", "-5.0 %", "45.0", "-10.0 %"]
 
 
 def test_a_number_that_is_missing_is_refused_of_the_twin_too():

@@ -134,5 +134,5 @@ def test_the_table_shows_fragile_nominal_and_sound_robust_gaits():
         assert gait.success_probability < 0.7 < 0.99 < robust[name].success_probability
         assert gait.stroke_to_lower_edge < 1e-4 < 3e-3 < robust[name].stroke_to_lower_edge
     lines = gait_table(robust, nominal).splitlines()
-    assert len(lines) == 8
+    assert len(lines) == 7
     assert len({len(line) for line in lines}) == 1

@@ -1,0 +1,27 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tables for a terminal."""
+
+import re
+from collections.abc import Sequence
+
+_NUMBER = re.compile(r"[-+−]?(\d|nan|inf|none$)")
+
+
+def text_table(rows: Sequence[Sequence[str]]) -> str:
+    """Return rows of equal length as aligned text, the heads first.
+
+    A column of numbers is aligned to the right, any other column to the left. "none" and an empty cell count as
+    numbers.
+    """
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    numbers = [
+        all(not cell or _NUMBER.match(cell) for cell in column)
+        for column in zip(*rows[1:], strict=True)
+    ] or [False] * len(widths)
+    return "\n".join(
+        "  ".join(
+            cell.rjust(width) if number else cell.ljust(width)
+            for cell, width, number in zip(row, widths, numbers, strict=True)
+        ).rstrip()
+        for row in rows
+    )
