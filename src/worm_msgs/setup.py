@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Package definition for pip, where there is no ROS: the tables and helpers in plain Python, without the messages.
+"""Package definition for pip, for computers without ROS: the tables and helpers in plain Python, no messages.
 
 colcon builds this package with CMake, by package.xml.
 """

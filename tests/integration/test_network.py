@@ -127,7 +127,7 @@ def test_the_same_neighbour_finds_a_driver_that_was_let_onto_the_network(process
     """Else the test before would prove nothing."""
     robot, neighbour = hosts
     driver = start_driver(processes, robot, "WORM_NETWORK=1")
-    driver.wait_for_line(r"network: heard on the network \(WORM_NETWORK=1\)", TIMEOUT_S)
+    driver.wait_for_line(r"network: reachable from the network \(WORM_NETWORK=1\)", TIMEOUT_S)
     probe.wait_for(robot.udp_ports, "driver with its ports")
     assert "driver" in look(neighbour, robot, LOOKING_S)
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Exclusive use of a namespace: one driver and one node graph for each robot on this computer.
 
-A claim is a listening socket in Linux's abstract socket namespace. The kernel admits one socket of a name, whichever
-user binds it, and removes it with its process, however that process ends: a claim is exact at once, and never stale.
-Computers on the network do not share it; the driver looks for their drivers in the ROS graph.
+A claim is a listening socket in Linux's abstract socket namespace. The kernel allows one socket per name, for all
+users, and removes it when its process ends, for whatever reason. So a claim is never stale. It is not visible on other
+computers; the driver looks for their drivers in the ROS graph.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ _CREDENTIALS = struct.Struct("3i")  # pid, uid, gid: struct ucred, unix(7)
 
 
 class ClaimedError(RuntimeError):
-    """Another process has the claim; the message says which one and what to do."""
+    """Another process has the claim. The message names it."""
 
 
 def claim(role: str, namespace: str, domain: int) -> socket.socket:
     """Claim a role in a namespace of a ROS domain until the returned socket is closed or the process ends.
 
     Raises:
-        ClaimedError: another process has the claim.
+        ClaimedError: Another process has the claim.
     """
     made = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
@@ -38,17 +38,17 @@ def claim(role: str, namespace: str, domain: int) -> socket.socket:
         if error.errno != errno.EADDRINUSE:
             raise
         raise ClaimedError(
-            f"/{namespace.strip('/')} has a {role} already, {_holder(role, namespace, domain)} of this computer, in "
-            f"ROS domain {domain}: end it first, or use another namespace or ROS_DOMAIN_ID"
+            f"/{namespace.strip('/')} has a {role} already, {_holder(role, namespace, domain)} on this computer, "
+            f"in ROS domain {domain}. End it first, or use another namespace or ROS_DOMAIN_ID"
         ) from None
     return made
 
 
 def claim_graph(namespace: str, domain: int) -> socket.socket:
-    """Claim a namespace for a node graph that is about to start, which must not have a driver yet.
+    """Claim a namespace for a node graph that is about to start. The namespace must not have a driver yet.
 
     Raises:
-        ClaimedError: a node graph or a driver runs in the namespace.
+        ClaimedError: A node graph or a driver runs in the namespace.
     """
     made = claim(GRAPH, namespace, domain)
     try:
@@ -60,19 +60,19 @@ def claim_graph(namespace: str, domain: int) -> socket.socket:
 
 
 def domain_of(environment: Mapping[str, str]) -> int:
-    """Return the ROS domain that an environment chooses; 0 for what is no number, which ROS itself rejects."""
+    """Return the ROS domain that an environment selects. ROS itself rejects a value that is no number; here it is 0."""
     text = environment.get("ROS_DOMAIN_ID", "")
     return int(text) if text.isdecimal() else 0
 
 
 def _address(role: str, namespace: str, domain: int) -> bytes:
-    """Return the address, whose name would be too long for a socket with the namespace in full."""
+    """Return the address of the socket. It contains a hash, as the length of a socket's name is limited."""
     digest = hashlib.sha256(namespace.strip("/").encode()).hexdigest()[:32]
     return f"\0worm {role} {domain} {digest}".encode()
 
 
 def _holder(role: str, namespace: str, domain: int) -> str:
-    """Name the process that has a claim; nobody accepts the connection, so that it must not block."""
+    """Return the name of the process that has a claim, without blocking: it does not accept connections."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as client:
         client.setblocking(False)
         try:
@@ -80,6 +80,6 @@ def _holder(role: str, namespace: str, domain: int) -> str:
             credentials = client.getsockopt(
                 socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size
             )
-        except OSError:  # it has just ended, or too many have asked
+        except OSError:  # It has just ended, or its queue of connections is full.
             return "another process"
     return f"process {_CREDENTIALS.unpack(credentials)[0]}"

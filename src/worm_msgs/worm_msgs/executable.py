@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How an executable with ROS is loaded: that takes seconds, in which Ctrl-C must not be a traceback."""
+"""Deferred imports of executables with ROS. Loading takes seconds, in which Ctrl-C must not print a traceback."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from importlib import import_module
 
 
 def deferred(module: str) -> Callable[[], int | None]:
-    """The ``main`` of a module that is imported once it is called.
+    """Return the ``main`` of a module, which the first call imports.
 
-    Until the process answers signals itself (module ros_process), SIGINT ends it without a word. As an exception it
-    could come in the middle of any import, and get lost in one that catches it.
+    SIGINT ends the process silently until `ros_process` handles signals. An exception could be lost in an import that
+    catches it.
     """
 
     def main() -> int | None:
@@ -24,12 +24,12 @@ def deferred(module: str) -> Callable[[], int | None]:
 
 
 def deferred_command(module: str) -> Callable[[], int | None]:
-    """As deferred, of a command: once it is imported, SIGINT is the KeyboardInterrupt that it knows."""
+    """Like `deferred`, for a command. Once it is imported, SIGINT raises KeyboardInterrupt again."""
 
     def main() -> int | None:
-        known = signal.signal(signal.SIGINT, signal.SIG_DFL)
+        previous = signal.signal(signal.SIGINT, signal.SIG_DFL)
         command = import_module(module)
-        signal.signal(signal.SIGINT, known)
+        signal.signal(signal.SIGINT, previous)
         status: int | None = command.main()
         return status
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reasons of rejected goals on a topic, as the response of ROS 2 to a goal has no room for them."""
+"""Reasons of rejected goals on a topic, as the response of ROS 2 to a goal has no field for them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from worm_msgs.msg import GoalRejection
 
-#: also for a client that the publisher finds only after the rejection
+#: Latched, for a client that the publisher discovers only after the rejection.
 REJECTIONS_QOS = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
@@ -21,7 +21,7 @@ def rejections_topic(action: str) -> str:
 
 
 class GoalRejections:
-    """Publisher of the reasons of an action's rejections; ``now`` returns the stamp of one."""
+    """Publisher of the reasons of an action's rejections. ``now`` returns the present stamp."""
 
     def __init__(self, node: Node, action: str, now: Callable[[], Any]) -> None:
         self._now = now
@@ -30,7 +30,7 @@ class GoalRejections:
         )
 
     def publish(self, goal_id: bytes, reason: str) -> None:
-        """Publish why a goal is rejected. In any thread."""
+        """Publish why a goal is rejected. Safe in any thread."""
         rejection = GoalRejection(goal=list(goal_id), reason=reason)
         rejection.header.stamp = self._now()
         self._publisher.publish(rejection)

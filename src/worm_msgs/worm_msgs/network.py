@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who can hear a process with ROS: this machine alone, unless somebody decided otherwise under a name.
+"""Network access of a process with ROS: this machine only, unless an environment variable opens the network.
 
-``ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST`` is no access control: the ports are bound on every address all the same, and
-whoever names this machine as a static peer finds its topics, services and actions. So the middleware itself is bound to
-the loopback interface here, each in its own way.
+``ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST`` is no access control. The ports are still bound on every address, and a host
+that names this machine as a static peer finds its topics, services and actions. So this module binds the middleware
+itself to the loopback interface, each in its own way.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from collections.abc import Mapping, MutableMapping
 from dataclasses import dataclass
 from pathlib import Path
 
-#: set to 1: this process may be heard on the network
+#: Environment variable. 1: other hosts can reach this process.
 DECISION = "WORM_NETWORK"
 
 _RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
@@ -25,58 +25,60 @@ _CYCLONE_DDS = (
     '<Peers><Peer address="127.0.0.1"/></Peers></Discovery></Domain></CycloneDDS>'
 )
 
-#: what binds a middleware to the loopback interface, by the beginning of its name: set before its first participant
+#: Variables that bind a middleware to the loopback interface, by the start of its name.
 _BINDINGS: Mapping[str, Mapping[str, str]] = {
     "rmw_fastrtps": {
         "FASTRTPS_DEFAULT_PROFILES_FILE": str(_FAST_DDS),
         "FASTDDS_DEFAULT_PROFILES_FILE": str(_FAST_DDS),
-        "SKIP_DEFAULT_XML": "1",  # else a file of the working folder may open it again
-        # The profile says it all; for LOCALHOST the rmw adds a transport of its own, with sockets on every address.
+        "SKIP_DEFAULT_XML": "1",  # A file of the working folder could open the network again.
+        # The profile is complete. For LOCALHOST the rmw adds a transport of its own, with sockets on every address.
         _RANGE: "SYSTEM_DEFAULT",
     },
     "rmw_cyclonedds": {"CYCLONEDDS_URI": _CYCLONE_DDS, _RANGE: "LOCALHOST"},
 }
-#: the bindings that are somebody's decision for the network when they hold something else
+#: Bindings that open the network when their value is another one.
 _PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE", "CYCLONEDDS_URI")
 
 
 class NetworkError(Exception):
-    """The middleware cannot be kept on this machine, or the variable says nothing that is known."""
+    """The middleware cannot be bound to this machine, or the variable has an unknown value."""
 
 
 @dataclass(frozen=True)
 class Reach:
-    """Who can hear a process.
+    """Hosts that can reach a process.
 
     Attributes:
-        opened_by: the variable, with its value, that lets it onto the network; empty: nothing does.
+        opened_by: variable and value that open the network; empty: this machine only.
     """
 
     opened_by: str = ""
 
     @property
     def is_local(self) -> bool:
-        """Whether only programs of this machine can talk to it."""
+        """True if only programs on this machine can reach the process."""
         return not self.opened_by
 
     def __str__(self) -> str:
         if self.is_local:
-            return "heard on this machine only"
+            return "reachable from this machine only"
         return (
-            f"heard on the network ({self.opened_by}): whoever is on it can move the robot, unless SROS 2 "
-            "keeps them out (docs/safety.md)"
+            f"reachable from the network ({self.opened_by}): every host on it can move the robot, unless SROS 2 "
+            "restricts access (docs/safety.md)"
         )
 
 
 def reach(environment: Mapping[str, str], middleware: str) -> Reach:
-    """Who can hear a process with this environment on this middleware (an rmw's name), once it is bound.
+    """Return which hosts can reach a process with this environment and middleware (name of the rmw) after `bind`.
 
     Raises:
-        NetworkError: nobody decided for the network, and the middleware cannot be kept off it.
+        NetworkError: The network was not opened, and this module cannot bind the middleware to this machine.
     """
     decided = environment.get(DECISION, "")
     if decided not in ("", "0", "1"):
-        raise NetworkError(f"{DECISION} is {decided!r}: 1 lets ROS onto the network, 0 does not")
+        raise NetworkError(
+            f"{DECISION} is {decided!r}; set it to 1 to open ROS to the network, or to 0"
+        )
     binding = _binding(middleware)
     ours = any(known.items() <= environment.items() for known in _BINDINGS.values())
     profiles = {name: (binding or {}).get(name) for name in _PROFILES}
@@ -94,29 +96,27 @@ def reach(environment: Mapping[str, str], middleware: str) -> Reach:
     opener = next((name for name, opens in openers.items() if opens), "")
     if not opener and binding is None:
         raise NetworkError(
-            f"{middleware} cannot be kept on this machine by this software, which can do that with Fast DDS and "
-            f"Cyclone DDS: choose one of them (RMW_IMPLEMENTATION), or decide for the network ({DECISION}=1)"
+            f"{middleware} cannot be bound to this machine only; Fast DDS and Cyclone DDS can. Choose one of "
+            f"them (RMW_IMPLEMENTATION), or open the network ({DECISION}=1)"
         )
     return Reach(f"{opener}={environment[opener]}" if opener else "")
 
 
 def bind(environment: MutableMapping[str, str], middleware: str) -> Reach:
-    """Sets what keeps a process on this machine, unless it is to be heard on the network; returns who can hear it.
+    """Bind a process to this machine, unless its environment opens the network. Return which hosts can reach it.
 
-    To be called before the first context of ROS. Started processes inherit the environment, and the decision with it.
+    Call it before the first context of ROS is created. Child processes inherit the environment.
 
     Raises:
-        NetworkError: as reach.
+        NetworkError: See `reach`.
     """
     current, binding = reach(environment, middleware), _binding(middleware) or {}
     if current.is_local:
-        silent = environment.get(_RANGE) == "OFF"  # hears nobody at all, and shall not
-        environment.update({n: v for n, v in binding.items() if n != _RANGE or not silent})
+        discovers_none = environment.get(_RANGE) == "OFF"
+        environment.update({n: v for n, v in binding.items() if n != _RANGE or not discovers_none})
         return current
     inherited = {n: v for n, v in binding.items() if n != _RANGE}
-    if (
-        binding and inherited.items() <= environment.items()
-    ):  # from a process that was kept on this machine
+    if binding and inherited.items() <= environment.items():  # The parent process was bound.
         for name in inherited:
             del environment[name]
         if environment.get(_RANGE) == binding[_RANGE]:
@@ -131,7 +131,7 @@ def _binding(middleware: str) -> Mapping[str, str] | None:
 
 
 def _leaves_the_machine(peers: str) -> bool:
-    """Whether a list of addresses, as ROS's variables have it, names one beyond this machine."""
+    """Return True if a list of addresses, in the form of ROS's variables, contains another host."""
     hosts = (peer.strip().rsplit(":", 1)[0] for peer in peers.split(";") if peer.strip())
     return not all(host == "localhost" or _is_loopback(host) for host in hosts)
 

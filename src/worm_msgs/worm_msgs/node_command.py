@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The executable of a node: its command line, and what it does with parameters that it is given.
+"""Command line and declaration of the parameters of a node.
 
-Help or one line with status 2: nothing that was meant for a node is ignored, as the values of a robot
-that is not there would run the one that is.
+A node rejects an argument, a parameter or a file that it cannot use, with one line and exit status 2. If it ignored the
+parameters of another robot, it would run this robot with wrong values.
 """
 
 from __future__ import annotations
@@ -27,32 +27,32 @@ from worm_msgs.parameter_rows import ParameterRow, present_names
 from worm_msgs.ros_process import ShutdownRequest, own_arguments, ros_process
 
 BAD_INPUT = 2
-#: what rclpy itself takes, beside the parameters that it declares
+#: Parameters that rclpy itself reads, in addition to those that it declares.
 _ALLOWED = ("qos_overrides.",)
 _FILE_OPTION = "--params-file"
-_CONTENT = "ros__parameters"  # in such a file
+_CONTENT = "ros__parameters"  # key in such a file
 
 Rows = Callable[[], Sequence[ParameterRow]]
 
 
 class ParameterRejectedError(ValueError):
-    """A parameter that was given cannot be used; the message is one line that says why."""
+    """A parameter cannot be used. The message is one line."""
 
 
 def declare(node: Node, rows: Rows) -> None:
     """Declare the parameters of a node.
 
-    A whole number is a value of a float, too. A former name is accepted with a warning. All of that holds for
-    parameters that are set later, too; setting one to the value that it has succeeds.
+    A parameter of type float accepts an integer. A former name is accepted with a warning. Both hold for later changes,
+    too. Setting a parameter to its present value succeeds.
 
     Raises:
-        ParameterRejectedError: a value has a wrong type or is out of its range, no row has its name, a parameter is
-            given by both its names, or a file is for a node whose name is not this one's, but nearly.
+        ParameterRejectedError: A value has the wrong type or is out of range, no row has its name, a parameter is given
+            by both its names, or a file is for a node with a similar name.
     """
     _check_files(node)
     table = rows()
     floats = frozenset(row.name for row in table if _is_float(row.default))
-    # rclpy keeps what the command line gave in this mapping alone
+    # Only this mapping of rclpy contains the parameters of the command line.
     overrides: dict[str, Parameter] = node._parameter_overrides
     given = list(overrides.values())
     overrides.clear()
@@ -69,7 +69,7 @@ def declare(node: Node, rows: Rows) -> None:
 def _translated(
     node: Node, floats: frozenset[str], parameters: Sequence[Parameter]
 ) -> list[Parameter]:
-    """Return parameters by their present names, whole numbers of ``floats`` as floats."""
+    """Return parameters by their present names. Integers of parameters in ``floats`` become floats."""
     try:
         named = present_names({p.name: p for p in parameters}, node.get_logger().warning)
     except ValueError as error:
@@ -79,10 +79,10 @@ def _translated(
 
 
 def _set_changes_alone(node: Node, floats: frozenset[str]) -> None:
-    """Let requests to set parameters pass without those that change nothing.
+    """Drop the parameters that would not change from requests to set parameters.
 
-    rclpy rejects a read-only parameter even where its value stays, so `ros2 param load` of a node's own dump would
-    fail. Its callbacks cannot leave such a parameter out, hence the method below all its setters is wrapped.
+    rclpy rejects a read-only parameter even if its value stays the same, so `ros2 param load` of a node's own dump
+    would fail. Callbacks cannot drop a parameter, so this function wraps the method that all setters call.
     """
     set_all = node._set_parameters_atomically
 
@@ -98,7 +98,7 @@ def _set_changes_alone(node: Node, floats: frozenset[str]) -> None:
 
 
 def _is_set(node: Node, parameter: Parameter) -> bool:
-    """Return whether a parameter has this value already; NaN equals NaN."""
+    """Return True if a parameter has this value already. NaN equals NaN."""
     if not node.has_parameter(parameter.name):
         return False
     present = node.get_parameter_or(parameter.name, Parameter(parameter.name))
@@ -116,25 +116,25 @@ def _reject_unknown(node: Node, overrides: dict[str, Parameter]) -> None:
             continue
         known = sorted(node.get_parameters_by_prefix(""))
         near = difflib.get_close_matches(name, known, n=1)
-        hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(known)}"
+        hint = f"did you mean {near[0]}?" if near else f"the parameters are {', '.join(known)}"
         raise ParameterRejectedError(f"no parameter {name}: {hint}")
 
 
 def declare_none(node: Node) -> None:
-    """As declare, of a node that has no parameters of its own.
+    """Like `declare`, for a node without parameters of its own.
 
     Raises:
-        SystemExit: something was given that it has no use for; the reason is on standard error.
+        SystemExit: A parameter was given. The reason is on standard error.
     """
     try:
         declare(node, list)
     except ParameterRejectedError as error:
-        print(f"{node.get_name()}: {_one_line(error)}", file=sys.stderr)  # noqa: T201 (the command's own words)
+        print(f"{node.get_name()}: {_one_line(error)}", file=sys.stderr)  # noqa: T201 (output of a command)
         raise SystemExit(BAD_INPUT) from error
 
 
 def _check_files(node: Node) -> None:
-    """Rcl passes over what a file of parameters holds for other names than the node's without a word."""
+    """Check that parameter files are for this node: rcl silently ignores the sections of other names."""
     name = node.get_fully_qualified_name()
     files = (file for option, file in pairwise(sys.argv) if option == _FILE_OPTION)
     for file in files:
@@ -145,12 +145,16 @@ def _check_files(node: Node) -> None:
         last = {known.rsplit("/", 1)[-1]: known for known in names}
         near = difflib.get_close_matches(own, last, n=1)
         if near:
-            raise ParameterRejectedError(f"{file} is for {last[near[0]]}, and this is {name}")
-        node.get_logger().warning(f"{file} holds nothing for {name}, only for {', '.join(names)}")
+            raise ParameterRejectedError(
+                f"{file} is for {last[near[0]]}; the name of this node is {name}"
+            )
+        node.get_logger().warning(
+            f"{file} contains no parameters of {name}, only of {', '.join(names)}"
+        )
 
 
 def _node_names(content: Any, prefix: str = "") -> Iterator[str]:
-    """Full names, wildcards included, of the nodes in a file of parameters."""
+    """Yield the full names of the nodes in a parameter file, with their wildcards."""
     for key, value in content.items() if isinstance(content, Mapping) else ():
         name = f"{prefix}/{str(key).strip('/')}"
         if key != _CONTENT and isinstance(value, Mapping):
@@ -160,7 +164,7 @@ def _node_names(content: Any, prefix: str = "") -> Iterator[str]:
 
 
 def _pattern(name: str) -> str:
-    """A name with rcl's wildcards as a regular expression: * is one part of a name, ** any number of them."""
+    """Return a name with rcl's wildcards as a regular expression. * is one part of a name, ** any number of parts."""
     parts = name.split("/")[1:]
     return "".join(
         "(/[^/]+)*" if part == "**" else "/" + re.escape(part).replace(r"\*", "[^/]+")
@@ -190,32 +194,35 @@ def run_node(
     description: str,
     rows: Rows,
     run: Callable[[ShutdownRequest], int | None],
-    refusals: tuple[type[Exception], ...],
+    rejections: tuple[type[Exception], ...],
     arguments: Sequence[str] | None = None,
 ) -> int:
-    """Parses the command line, runs a node, and turns what is refused into a line and status 2.
+    """Parse the command line and run a node. Bad input becomes one line and exit status 2.
 
     Args:
-        name: of the executable.
-        description: for its help.
-        rows: its parameters, for its help.
-        run: makes the node and serves it; returns the exit status, None: 0.
-        refusals: what else it raises on bad input.
-        arguments: the command line with the program's name; None for that of the process.
+        name: name of the executable.
+        description: description for ``--help``.
+        rows: parameters, for ``--help``.
+        run: creates and serves the node. Returns the exit status; None: 0.
+        rejections: exceptions of ``run`` on bad input.
+        arguments: command line with the program's name; None: that of the process.
+
+    Returns:
+        Exit status.
     """
-    refused: tuple[type[Exception], ...] = (ParameterRejectedError, *refusals)
-    words = list(sys.argv if arguments is None else arguments)
-    _Parser(name, description, rows).parse_args(own_arguments(words)[1:])
+    rejected: tuple[type[Exception], ...] = (ParameterRejectedError, *rejections)
+    command_line = list(sys.argv if arguments is None else arguments)
+    _Parser(name, description, rows).parse_args(own_arguments(command_line)[1:])
     try:
-        with ros_process(words) as ended:
+        with ros_process(command_line) as ended:
             return run(ended) or 0
-    except refused as error:
-        print(f"{name}: {_one_line(error)}", file=sys.stderr)  # noqa: T201 (the command's own words)
+    except rejected as error:
+        print(f"{name}: {_one_line(error)}", file=sys.stderr)  # noqa: T201 (output of a command)
         return BAD_INPUT
 
 
 class _Parser(argparse.ArgumentParser):
-    """Knows --help alone: a node takes ROS arguments only."""
+    """Parser whose only own option is --help, as a node accepts ROS arguments only."""
 
     def __init__(self, name: str, description: str, rows: Rows) -> None:
         table = "\n".join(

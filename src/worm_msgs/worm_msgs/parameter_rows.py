@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How every node describes its parameters, and the former names that are still accepted."""
+"""Descriptions of the parameters of nodes, and the former names that are still accepted."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 
 T = TypeVar("T")
 
-#: former name of a parameter: its name; accepted with a warning until the next version, which rejects it
+#: Former name of a parameter: present name. Accepted with a warning; the next version rejects it.
 RENAMED: Mapping[str, str] = {
     "rate_Hz": "rate_hz",
     "ina219.max_current_A": "ina219.max_current_a",
@@ -29,12 +29,12 @@ class ParameterRow:
     """One parameter of a node.
 
     Attributes:
-        name: lower snake case, the unit last.
-        default: its type is that of the parameter.
+        name: lower snake case, with the unit as its last part.
+        default: default value. Its type is that of the parameter.
         description: for --help and ``ros2 param describe``.
-        low: least value of a number; None: no bound.
-        high: greatest value of a number, given together with ``low``.
-        read_only: whether it can be set at the start alone.
+        low: lower limit of a number; None: no limits.
+        high: upper limit, given together with ``low``.
+        read_only: True if it can only be set at the start.
     """
 
     name: str
@@ -45,7 +45,7 @@ class ParameterRow:
     read_only: bool = False
 
     def descriptor(self) -> ParameterDescriptor:
-        """Return a new descriptor, as declaring a parameter changes it."""
+        """Return a new descriptor. Declaring a parameter changes its descriptor."""
         made = ParameterDescriptor(
             name=self.name, description=self.description, read_only=self.read_only
         )
@@ -60,10 +60,10 @@ class ParameterRow:
 
 
 def present_names(values: Mapping[str, T], warn: Callable[[str], None]) -> dict[str, T]:
-    """Return values by the present names of their parameters; warn of each former name.
+    """Return values by the present names of their parameters. Call ``warn`` for each former name.
 
     Raises:
-        ValueError: a parameter is given by its former and its present name.
+        ValueError: A parameter is given by its former and by its present name.
     """
     result = {name: value for name, value in values.items() if name not in RENAMED}
     for former, name in RENAMED.items():
@@ -71,10 +71,10 @@ def present_names(values: Mapping[str, T], warn: Callable[[str], None]) -> dict[
             continue
         if name in result:
             raise ValueError(
-                f"parameter {name} is given twice, also by its former name {former}: remove {former}"
+                f"parameter {name} is also given by its former name {former}: remove {former}"
             )
         warn(
-            f"parameter {former} is named {name} now: change it, the next version rejects {former}"
+            f"parameter {former} is now named {name}: rename it, as the next version rejects {former}"
         )
         result[name] = values[former]
     return result

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Qualities of service that publisher and subscriber must share."""
+"""Quality of service that publisher and subscriber must share."""
 
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-#: the newest word, for those who come late, too: `gait_state`, `emergency_stop`
+#: Late subscribers receive the latest message, too, as of `gait_state` and `emergency_stop`.
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a node reports to the process that started it that it is ready: the protocol of systemd, sd_notify(3).
+"""Report of a node to its parent process that it is ready, in the protocol of systemd, sd_notify(3).
 
-Unlike the ROS graph, this needs no discovery, and cannot be mistaken for a node of the same name.
+Unlike the ROS graph, this needs no discovery and cannot confuse nodes of the same name.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ import socket
 
 _VARIABLE = "NOTIFY_SOCKET"
 _MESSAGE = b"READY=1"
-_ABSTRACT = "@"  # stands for the zero byte with which such an address begins
+_ABSTRACT = "@"  # stands for the zero byte at the start of an abstract address
 
 
 def announce() -> None:
-    """Report that this process is ready; does nothing where the process that started it does not listen."""
+    """Report that this process is ready. Do nothing if the parent process does not listen."""
     address = os.environ.get(_VARIABLE)
     if not address:
         return
@@ -24,13 +24,15 @@ def announce() -> None:
         address = "\0" + address[1:]
     with (
         socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender,
-        contextlib.suppress(OSError),  # nobody listens any more, as to a node that was restarted
+        contextlib.suppress(
+            OSError
+        ),  # the parent no longer listens, as for a node that was restarted
     ):
         sender.sendto(_MESSAGE, address)
 
 
 class Readiness:
-    """Receives the report of one process, which must get ``environment`` in addition to its own."""
+    """Receiver of the report of one process, which must get ``environment`` in addition to its own."""
 
     def __init__(self) -> None:
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
@@ -40,16 +42,16 @@ class Readiness:
         self._received = False
 
     def __call__(self) -> bool:
-        """Return whether the report has arrived."""
+        """Return True if the report has arrived."""
         with contextlib.suppress(BlockingIOError):
             while not self._received:
                 self._received = self._socket.recv(4096) == _MESSAGE
         return self._received
 
     def fileno(self) -> int:
-        """Return the descriptor, which gets readable with a report."""
+        """Return the file descriptor, which becomes readable with a report."""
         return self._socket.fileno()
 
     def close(self) -> None:
-        """Receive no more."""
+        """Close the socket."""
         self._socket.close()

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Table of the robot's parameters, the one place that declares them: key, default, unit, range and symbol.
+"""Table of the robot's parameters: key, default, unit, range and symbol. No other module declares them.
 
-The model, identification, the optimizer and the virtual robot take the parameters from here by key. A further one is a
-row of this table and, where it acts on the robot, a term in the equations of the simulator's kernel and of the plant.
+The model, identification, the optimizer and the virtual robot read the parameters from here by key. To add a parameter,
+add a row and, if it acts on the robot, a term in the equations of the simulator's kernel and of the plant.
 """
 
 from __future__ import annotations

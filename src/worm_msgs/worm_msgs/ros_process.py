@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a process with ROS begins and ends, the same for every executable: the only place that calls rclpy.init."""
+"""Start and end of a process with ROS, the same for every executable. Only this module calls rclpy.init."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ from rclpy.utilities import remove_ros_args
 from worm_msgs import network
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-#: s, after a signal nothing happens for at most so long
+#: s, longest time until a signal takes effect
 SPIN_S = 0.1
-#: s, in which further signals are the same Ctrl-C: a terminal and launch may both pass it on
+#: s, in which further signals belong to the same Ctrl-C, as a terminal and launch may both send it
 _SAME_PRESS_S = 1.5
-#: how rcl's message begins when the environment allows no node: security that this middleware has not, no network
+#: Start of rcl's message if the environment allows no node: a middleware without security, or no network.
 _NO_NODE = "error creating node"
 
 
 class ShutdownRequest:
-    """Whether a process was asked to end: call it.
+    """Request to end the process, made by a signal.
 
     Attributes:
-        first: called by the first signal, in its handler: what ends then is ordered before all that comes later.
-        again: called by every later SIGINT, in its handler: an impatient person's. SIGTERM is how launch and
-            systemd escalate by themselves.
+        first: called in the handler of the first signal, so its effects precede all later ones.
+        again: called in the handler of every later SIGINT, from an impatient operator. Later SIGTERMs do not count:
+            launch and systemd send them to escalate.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -46,11 +46,11 @@ class ShutdownRequest:
         self._first: float | None = None
 
     def __call__(self) -> bool:
-        """Whether it was asked to end."""
+        """Return True if a signal has arrived."""
         return self._first is not None
 
     def on_signal(self, number: int, _: FrameType | None) -> None:
-        """The handler."""
+        """Handle a signal."""
         now = self._clock()
         if self._first is None:
             self._first = now
@@ -61,50 +61,50 @@ class ShutdownRequest:
 
 @contextlib.contextmanager
 def ros_process(arguments: Sequence[str] | None = None) -> Iterator[ShutdownRequest]:
-    """ROS while this lasts; SIGINT, SIGTERM and SIGHUP set a flag and do nothing else.
+    """Initialise ROS for the duration of the context. SIGINT, SIGTERM and SIGHUP only set the yielded request.
 
-    rclpy's own handlers would take the context away from under a node that still has something to do or to say. The
-    process is heard on this machine only, unless the environment says otherwise, which is told (module network).
+    rclpy's own handlers would shut down the context while a node still works. Only this machine can reach the process,
+    unless the environment opens the network, which is printed (module network).
 
     Args:
-        arguments: the command line with the program's name; None for that of the process.
+        arguments: command line with the program's name; None: that of the process.
 
     Raises:
-        SystemExit: the middleware cannot be kept on this machine, or a ROS argument or what the environment asks of
-            ROS cannot be had; the reason is on standard error.
+        SystemExit: The middleware cannot be bound to this machine, or ROS rejects an argument or the environment. The
+            reason is on standard error.
     """
     try:
-        heard = network.bind(os.environ, rclpy.get_rmw_implementation_identifier())
+        reach = network.bind(os.environ, rclpy.get_rmw_implementation_identifier())
     except network.NetworkError as error:
-        _say(str(error))
+        _print_network(str(error))
         raise SystemExit(2) from error
-    if not heard.is_local:
-        _say(str(heard))
+    if not reach.is_local:
+        _print_network(str(reach))
     ending = ShutdownRequest()
     try:
         rclpy.init(
             args=None if arguments is None else list(arguments),
             signal_handler_options=SignalHandlerOptions.NO,
         )
-    except RuntimeError as error:  # of rcl, whose classes have no public name
-        raise _refuse(error) from None
+    except RuntimeError as error:  # from rcl, whose exceptions have no public name
+        raise _exit(error) from None
     before = {number: signal.signal(number, ending.on_signal) for number in SIGNALS}
     try:
         yield ending
-    except RuntimeError as error:  # as above
+    except RuntimeError as error:  # from rcl
         if not str(error).startswith(_NO_NODE):
             raise
-        raise _refuse(error) from None
+        raise _exit(error) from None
     finally:
         rclpy.try_shutdown()
         for number, handler in before.items():
-            # A process that was asked ends now: another Ctrl-C must not turn that into a failure.
+            # After a request the process ends now. Another Ctrl-C must not turn that into a failure.
             signal.signal(number, signal.SIG_IGN if ending() else handler)
 
 
 @contextlib.contextmanager
 def exiting_on_signal() -> Iterator[None]:
-    """Within ros_process, while this lasts: a signal ends the process where it is, as there is nothing to do before."""
+    """Let signals end the process at once, for a part of `ros_process` that needs no clean-up."""
     before = {number: signal.signal(number, signal.SIG_DFL) for number in SIGNALS}
     try:
         yield
@@ -114,38 +114,38 @@ def exiting_on_signal() -> Iterator[None]:
 
 
 def own_arguments(arguments: Sequence[str]) -> list[str]:
-    """A command line without its ROS arguments.
+    """Return a command line without its ROS arguments.
 
     Raises:
-        SystemExit: one of them cannot be used, such as a file of parameters; the reason is on standard error.
+        SystemExit: ROS rejects one of them, such as a parameter file. The reason is on standard error.
     """
     try:
         return list(remove_ros_args(list(arguments)))
-    except RuntimeError as error:  # as above
-        raise _refuse(error) from None
+    except RuntimeError as error:  # from rcl
+        raise _exit(error) from None
 
 
 def one_line_of(error: Exception) -> str:
-    """A message of rcl in one line, without the places in its source."""
+    """Return a message of rcl in one line, without the positions in its source."""
     return " ".join(re.sub(r",? at [./]\S+:\d+", "", str(error)).split())
 
 
-def _refuse(error: Exception) -> SystemExit:
-    print(f"ROS: {one_line_of(error)}", file=sys.stderr)  # noqa: T201 (what every process says)
+def _exit(error: Exception) -> SystemExit:
+    print(f"ROS: {one_line_of(error)}", file=sys.stderr)  # noqa: T201 (output of every process)
     return SystemExit(2)
 
 
 def spare_pauses() -> None:
-    """Exempts all objects that there are now from garbage collection, to be called once a node is built.
+    """Exempt all present objects from garbage collection. Call it once a node is complete.
 
-    A collection through the modules, the compiled kernel and ROS takes some 60 ms, in which every thread stands.
+    A collection through the modules, the compiled kernel and ROS takes some 60 ms, and blocks every thread.
     """
     gc.collect()
     gc.freeze()
 
 
 def spin(node: Node, ended: Callable[[], bool]) -> None:
-    """Serves a node until the process is asked to end."""
+    """Serve a node until ``ended`` returns True."""
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     spare_pauses()
@@ -154,5 +154,5 @@ def spin(node: Node, ended: Callable[[], bool]) -> None:
     executor.shutdown()
 
 
-def _say(text: str) -> None:
-    print(f"network: {text}", file=sys.stderr)  # noqa: T201 (what every process says)
+def _print_network(text: str) -> None:
+    print(f"network: {text}", file=sys.stderr)  # noqa: T201 (output of every process)

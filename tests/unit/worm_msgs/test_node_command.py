@@ -84,7 +84,7 @@ def test_whole_numbers_are_values_of_floats_at_the_start_and_later():
         ),
         (
             ["-p", "zzz:=1"],
-            "machine: no parameter zzz: there are count, margin_m, radii_m, rate_hz, speed_m_per_s",
+            "machine: no parameter zzz: the parameters are count, margin_m, radii_m, rate_hz, speed_m_per_s",
         ),
         (["-p", "speed_m_per_s:=-1"], "out of range"),
         (["-p", "speed_m_per_s:=fast"], "expecting type 'DOUBLE'"),
@@ -104,9 +104,9 @@ def test_what_cannot_be_used_is_one_line_and_status_2(capsys, given, words):
         ("/**", ""),
         ("/*", ""),
         ("/**/machine", ""),
-        ("/robot7/machine", "is for /robot7/machine, and this is /machine"),
-        ("/machin", "is for /machin, and this is /machine"),
-        ("/*/machine", "is for /*/machine, and this is /machine"),
+        ("/robot7/machine", "is for /robot7/machine; the name of this node is /machine"),
+        ("/machin", "is for /machin; the name of this node is /machine"),
+        ("/*/machine", "is for /*/machine; the name of this node is /machine"),
     ],
 )
 def test_a_file_for_another_name_of_the_node_is_refused(capsys, monkeypatch, tmp_path, name, said):
@@ -127,7 +127,7 @@ def test_a_file_for_other_nodes_alone_is_told(capfd, monkeypatch, tmp_path):
     file.write_text("a: {b: {ros__parameters: {x: 1}}}\n")
     monkeypatch.setattr("sys.argv", ["machine", "--ros-args", "--params-file", str(file)])
     assert started()[0] == 0
-    assert "holds nothing for /machine, only for /a/b" in capfd.readouterr().err
+    assert "no parameters of /machine, only of /a/b" in capfd.readouterr().err
 
 
 def test_a_node_without_parameters_refuses_them_all(capsys):
@@ -176,7 +176,7 @@ def test_a_former_name_is_accepted_with_a_warning_at_the_start_and_later(capfd):
     assert later.successful
     (changed,) = node.set_parameters([Parameter("rate_Hz", value=26.0)])
     assert not changed.successful  # read-only, under whichever name
-    assert capfd.readouterr().err.count("parameter rate_Hz is named rate_hz now") == 3
+    assert capfd.readouterr().err.count("parameter rate_Hz is now named rate_hz") == 3
 
 
 def test_a_parameter_by_both_its_names_is_rejected(capsys):

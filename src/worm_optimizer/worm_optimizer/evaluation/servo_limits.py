@@ -125,10 +125,10 @@ def load_driver_file(path: str | Path) -> DrivenBy:
     for former, name in DRIVER_RENAMED.items():
         if former in from_file and name in from_file:
             raise OptimizerError(
-                f"{path}: {name} is given twice, also as {former}: remove {former}"
+                f"{path}: {name} is also given by its former name {former}: remove {former}"
             )
         if former in from_file:
-            text = f"{path}: {former} is named {name} now: change it, the next version ignores {former}"
+            text = f"{path}: {former} is now named {name}: rename it, as the next version ignores {former}"
             warnings.warn(text, FutureWarning, stacklevel=2)
             from_file[name] = from_file[former]
     values = {**DRIVER_DEFAULTS, **from_file}
