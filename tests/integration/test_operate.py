@@ -80,7 +80,7 @@ def lab(processes: Processes, probe: Probe, tmp_path: Path) -> Lab:
 def test_a_robot_whose_operator_is_killed_or_cut_off_comes_to_rest(lab: Lab, end: signal.Signals):
     run = lab.run()
     run.signal(end)
-    lab.wait_for(GaitState.STOPPING, "its owner was not heard for 3 s")
+    lab.wait_for(GaitState.STOPPING, "heartbeat arrived for 3 s")
     lab.wait_for(GaitState.IDLE)
     run.kill()
 

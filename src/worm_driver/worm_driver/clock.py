@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The clock that the threads of a robot go by, and wait on: the machine's, or that of a virtual robot.
+"""Clocks of the threads that work with a robot: that of the machine, or that of a virtual robot.
 
-On a virtual robot the time is the robot's own, and it passes only while every thread that works with the robot waits
-for something (virtual_robot/wire/virtual_clock.py). Whoever waits by one of these, and nowhere else, is not hurried
-by a machine that is slow or has something else to do.
+A virtual robot has its own time, which passes only while every thread that works with the robot waits
+(virtual_robot/wire/virtual_clock.py). A thread that waits only on such a clock meets its deadlines on a slow machine,
+too.
 """
 
 import select
@@ -14,19 +14,19 @@ from typing import Protocol
 
 @dataclass
 class Traffic:
-    """Bytes that a serial line has carried since it was opened, as counted by who opened it."""
+    """Bytes that a serial line has carried since it was opened, counted by the thread that opened it."""
 
     written: int = 0
     read: int = 0
 
 
 class Clock(Protocol):
-    """What a thread goes by; calling it gives the time (s, monotonic).
+    """Clock of a thread. A call returns the time (s, monotonic).
 
     Attributes:
-        traffic: of the serial line that the thread owns, to be kept up to date by it.
-        epoch_ns: ns, the ROS time of the clock's zero; None where the two may be set against each other.
-        patience: s, which a call to another thread is waited for at least: time that the machine takes, not the robot.
+        traffic: bytes on the serial line of the thread, which the thread updates.
+        epoch_ns: ROS time of the clock's zero, ns; None if the ROS clock can be set independently.
+        least_timeout: shortest timeout of a call to another thread, s. It covers time of the machine, not of the robot.
     """
 
     traffic: Traffic
@@ -34,16 +34,16 @@ class Clock(Protocol):
     least_timeout: float
 
     def __call__(self) -> float:
-        """Now."""
+        """Return the present time, s."""
 
     def sleep_until(self, due: float) -> None:
-        """Returns at a time (s), or as soon after it as the machine can."""
+        """Sleep until a time (s). Return as soon after it as the machine can."""
 
     def wait_readable(self, descriptor: int, timeout: float) -> bool:
-        """Waits for something to read from a file for at most a time (s); whether there is."""
+        """Wait up to ``timeout`` (s) for data in a file. Return True if there is data."""
 
     def close(self) -> None:
-        """No longer goes by this clock."""
+        """Stop using this clock."""
 
 
 class MachineClock:
@@ -56,16 +56,16 @@ class MachineClock:
         self.traffic = Traffic()
 
     def __call__(self) -> float:
-        """Now."""
+        """Return the present time, s."""
         return time.monotonic()
 
     def sleep_until(self, due: float) -> None:
-        """Returns at a time (s), or as soon after it as the machine can."""
+        """Sleep until a time (s). Return as soon after it as the machine can."""
         time.sleep(max(0.0, due - time.monotonic()))
 
     def wait_readable(self, descriptor: int, timeout: float) -> bool:
-        """Waits for something to read from a file for at most a time (s); whether there is."""
+        """Wait up to ``timeout`` (s) for data in a file. Return True if there is data."""
         return bool(select.select([descriptor], [], [], max(timeout, 0.0))[0])
 
     def close(self) -> None:
-        """Nothing to do."""
+        """Do nothing."""

@@ -1,33 +1,33 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The exceptions of the driver, one tree: every message says what, where, and what to do."""
+"""Exceptions of the driver. Every message names the problem, the place and the remedy."""
 
 
 class DriverError(Exception):
-    """Anything that the driver knows can go wrong."""
+    """Base class of all errors that the driver detects."""
 
 
 class ConfigurationError(DriverError):
-    """A parameter, or a device that is not what the parameters say."""
+    """A parameter is invalid, or a device does not match the parameters."""
 
 
 class LimitError(DriverError):
-    """A gait or a goal outside the robot's limits."""
+    """A gait or a goal is outside the robot's limits."""
 
 
 class StoppedError(DriverError):
-    """The service stop came in between."""
+    """A stop interrupted the operation."""
 
 
 class ReleaseError(DriverError):
-    """A servo did not say that its torque is off."""
+    """A servo did not confirm that its torque is off."""
 
 
 class HomingError(DriverError):
-    """The turn count of a cable servo is not known, so its cable length is not either."""
+    """The turn count of a cable servo is unknown, and so is its cable length."""
 
 
 class BusError(DriverError):
-    """The servo bus failed an exchange."""
+    """An exchange on the servo bus failed."""
 
 
 class PortError(BusError):
@@ -35,11 +35,11 @@ class PortError(BusError):
 
 
 class NoReplyError(BusError):
-    """A servo did not answer within its time."""
+    """A servo did not answer in time."""
 
 
 class CorruptReplyError(BusError):
-    """An answer came, but its CRC, length or form is wrong."""
+    """The CRC, length or form of an answer is wrong."""
 
 
 class StatusError(BusError):
@@ -51,9 +51,9 @@ class StatusError(BusError):
 
     @property
     def is_noise(self) -> bool:
-        """Whether the line garbled the question, so that it was not carried out and may be repeated."""
+        """True if noise corrupted the request. The servo did not execute it, so it may be repeated."""
         return self.number == 3
 
 
 class PowerSensorError(DriverError):
-    """The power sensor is missing, is another chip, or did not answer."""
+    """The power sensor is missing, is another chip, or does not answer."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The driver's values as ROS messages; no ROS graph is touched here."""
+"""Conversion of the driver's values to ROS messages, and back. Needs no ROS graph."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -31,28 +31,28 @@ _STATE = {
     Phase.FAULT: GaitState.FAULT,
 }
 
-#: s, from where a change between two clocks is a step of one of them
+#: s, smallest change between two clocks that counts as a step of one of them
 _CLOCK_STEP = 0.02
 
 
 @dataclass(frozen=True)
 class ClockPair:
-    """The monotonic clock and the ROS clock, read at the same moment: turns times of one into the other's.
+    """Simultaneous readings of the monotonic and the ROS clock, which convert times between them.
 
     Attributes:
-        offset_ns: ns, ROS time minus monotonic time.
+        offset_ns: ROS time minus monotonic time, ns.
     """
 
     offset_ns: int
 
     def step_since(self, earlier: "ClockPair") -> float:
-        """By how much (s) the ROS clock was set in between; 0 for what two clocks may drift apart."""
+        """Return the step (s) of the ROS clock since an earlier pair; 0 if the difference may be drift."""
         step = (self.offset_ns - earlier.offset_ns) * 1e-9
         return step if abs(step) > _CLOCK_STEP else 0.0
 
     @staticmethod
     def read(ros_now_ns: Callable[[], int], attempts: int = 3) -> "ClockPair":
-        """Reads both clocks; of several attempts the one that was interrupted least."""
+        """Read both clocks. Of several attempts, use the one with the shortest duration."""
         readings = []
         for _ in range(attempts):
             before = time.monotonic_ns()
@@ -62,21 +62,22 @@ class ClockPair:
         return ClockPair(min(readings)[1])
 
     def stamp(self, monotonic: float) -> Time:
-        """The ROS stamp of a monotonic time (s)."""
+        """Return the ROS stamp of a monotonic time (s)."""
         seconds, nanoseconds = divmod(round(monotonic * 1e9) + self.offset_ns, 1_000_000_000)
         return Time(sec=seconds, nanosec=nanoseconds)
 
     def monotonic(self, stamp: Time) -> float:
-        """The monotonic time (s) of a ROS stamp."""
+        """Return the monotonic time (s) of a ROS stamp."""
         return (stamp.sec * 1_000_000_000 + stamp.nanosec - self.offset_ns) * 1e-9
 
 
 def joint_state(
     names: Sequence[str], models: Sequence[ServoModel], snapshot: Snapshot, clocks: ClockPair
 ) -> JointState:
-    """Return positions (rad), velocities (rad/s) and torques (N*m) of all servos; NaN for one that was silent.
+    """Return positions (rad), velocities (rad/s) and torques (N*m) of all servos; NaN for a servo that did not answer.
 
-    The torque is that of the servo's current. One that measures none has NaN; without any, ``effort`` is empty.
+    The torque is computed from the current. It is NaN for a servo that does not measure its current. If no servo does,
+    ``effort`` is empty.
     """
     torques = [
         state.effort * model.torque_constant
@@ -94,7 +95,7 @@ def joint_state(
 def body_length(
     source: int, time_s: float, change: float, initial: float, clocks: ClockPair
 ) -> BodyLength:
-    """A body length (m) from its change at a monotonic time."""
+    """Return the message of a body length, from its change (m) at a monotonic time (s)."""
     return BodyLength(
         header=Header(stamp=clocks.stamp(time_s)),
         source=source,
@@ -104,7 +105,7 @@ def body_length(
 
 
 def power(sample: PowerSample, clocks: ClockPair) -> Power:
-    """A power sample."""
+    """Return the message of a power sample."""
     return Power(
         header=Header(stamp=clocks.stamp(sample.time)),
         status=getattr(Power, sample.status.name),
@@ -115,12 +116,12 @@ def power(sample: PowerSample, clocks: ClockPair) -> Power:
 
 
 def gait_from(message: GaitMessage) -> Gait:
-    """A gait, unchecked."""
+    """Return the gait of a message, unchecked."""
     return Gait(**{row.name: getattr(message, row.name) for row in fields(Gait)})
 
 
 def gait_state(snapshot: Snapshot, clocks: ClockPair, *, emergency_stop: bool) -> GaitState:
-    """What the driver does with gaits, as of a snapshot."""
+    """Return the message of the driver's state in a snapshot."""
     player = snapshot.player
     run = player.active_run
     message = GaitState(
@@ -142,7 +143,7 @@ def gait_state(snapshot: Snapshot, clocks: ClockPair, *, emergency_stop: bool) -
 
 
 def diagnostics(reports: Sequence[Report], stamp: Time, robot: str) -> DiagnosticArray:
-    """Reports as the array that goes on /diagnostics, which all robots share: names begin with the robot's."""
+    """Return the message for /diagnostics. All robots share this topic, so each name begins with the robot's."""
     return DiagnosticArray(
         header=Header(stamp=stamp),
         status=[

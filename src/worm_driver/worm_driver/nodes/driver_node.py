@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The lifecycle node ``driver``: ROS on one side, the robot's loop on the other, nothing of its own in between.
+"""Lifecycle node ``driver``, which connects ROS to the robot's control loop.
 
-configure opens and checks everything, activate enables the torque; deactivate, cleanup, shutdown, SIGINT, SIGTERM and
-an escaped exception bring the gait to rest and release the servos.
+configure opens and checks the devices, activate enables the torque. deactivate, cleanup, shutdown, SIGINT, SIGTERM and
+an uncaught exception bring the gait to rest and release the servos.
 """
 
 import os
@@ -41,23 +41,23 @@ from worm_msgs.ros_process import ShutdownRequest, spare_pauses
 
 T = TypeVar("T")
 
-#: s, how long the interpreter lets a thread run before another may; the default of 5 ms would be half a cycle
+#: s, time slice of the interpreter's threads; the default of 5 ms would be half a cycle
 _SWITCH_INTERVAL = 0.0005
 
-#: s, in which the servos must have been enabled, homed, or released
+#: s, timeouts of enabling the servos, of a service, and of releasing the servos
 _ACTIVATION = 5.0
 _SERVICE_TIME = 10.0
-_LETTING_GO = 5.0
+_RELEASE = 5.0
 
-#: s between two looks at what the threads of the hardware have left: fewer wake-ups than cycles, as each costs the
-#: servo thread the interpreter for a while
+#: s, period of publishing the data of the hardware's threads. It is longer than a cycle, as each wake-up delays the
+#: servo thread.
 _PUBLISH_PERIOD = 0.04
 
-#: s, in which a goal's result must have been made, and for which it has to leave: DDS acknowledges no answer
+#: s, timeout of the results of goals, and time for sending them, as DDS does not acknowledge responses
 _ANSWERS = 1.0
 _LINGER = 0.3
 
-#: why everything is closed when the process ends
+#: reason of closing when the process ends
 _END = "the driver ends"
 
 _Action = Callable[[Hardware, float], object]
@@ -76,10 +76,10 @@ _SERVICES: tuple[tuple[str, _Action, str], ...] = (
 
 
 class DriverNode(LifecycleNode):
-    """See the module.
+    """Node of the driver, see the module.
 
     Attributes:
-        unreleased: what failed when the robot was closed last, in words: a servo may still have its torque.
+        unreleased: failures of the last closing. After a failure a servo may still have its torque.
     """
 
     def __init__(self) -> None:
@@ -122,32 +122,32 @@ class DriverNode(LifecycleNode):
     # --- parameters ----------------------------------------------------------------------------
 
     def _check_parameters(self, parameters: Sequence[Parameter]) -> SetParametersResult:
-        """Reject what cannot take effect, and what would raise a limit, while the robot is open."""
+        """Reject parameters that cannot take effect now, and higher limits while the robot is open."""
         reason = driver_parameters.why_not_set(
             self, parameters, configured=self._hardware is not None
         )
         return SetParametersResult(successful=not reason, reason=reason)
 
     def _apply_parameters(self, _: Sequence[Parameter]) -> None:
-        """What takes effect at once does."""
+        """Apply the parameters that take effect at once."""
         if self._hardware is None:
             return
-        said = self._hardware.apply_settings(driver_parameters.settings(self))
-        if said:
-            self.get_logger().warning(said)
+        warning = self._hardware.apply_settings(driver_parameters.settings(self))
+        if warning:
+            self.get_logger().warning(warning)
         self.get_logger().info(self._hardware.rest_line())
 
     # --- lifecycle -----------------------------------------------------------------------------
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Opens and checks everything; FAILURE, with the reason in the log and the diagnostics, if it cannot."""
+        """Open and check the devices. Return FAILURE, with the reason in the log and the diagnostics, on an error."""
         try:
             settings = driver_parameters.settings(self)
             self._adopt_emergency()
             self._sole.require()
             self._hardware = Hardware(settings, self._tracker.is_ready, self._why_not_start)
             self._stamps.robot_clock = self._hardware.clock
-        except Exception as error:  # noqa: BLE001 (rclpy would drop it without a word)
+        except Exception as error:  # noqa: BLE001 (rclpy would drop it silently)
             return self._failed("configure", error)
         self._failure, self.unreleased = None, []
         for line in self._hardware.description():
@@ -157,7 +157,7 @@ class DriverNode(LifecycleNode):
         return super().on_configure(state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Enables the torque."""
+        """Enable the torque."""
         try:
             self._activate()
         except Exception as error:  # noqa: BLE001 (as above)
@@ -166,10 +166,11 @@ class DriverNode(LifecycleNode):
         return super().on_activate(state)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Brings the gait to rest and releases the servos.
+        """Bring the gait to rest and release the servos.
 
-        FAILURE where a stop came on the way: the robot holds. ERROR, which closes everything, where a servo does not
-        say that its torque is off, or the servo bus thread does not respond.
+        Returns:
+            FAILURE after a stop on the way to rest: the robot holds. ERROR, which closes everything, if a servo does
+            not confirm that its torque is off, or if the servo bus thread does not respond.
         """
         try:
             self._release()
@@ -181,32 +182,36 @@ class DriverNode(LifecycleNode):
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Closes everything."""
+        """Close everything."""
         self.close("the driver is cleaned up")
         return super().on_cleanup(state)
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Brings the gait to rest, releases the servos and closes everything; FAILURE if one may have its torque.
+        """Bring the gait to rest, release the servos and close everything.
 
-        A stop on the way leaves the robot holding, with its torque on.
+        After a stop on the way to rest the robot holds, with its torque on.
+
+        Returns:
+            FAILURE if a servo may still have its torque.
         """
         if self.close("the driver shuts down"):
             return TransitionCallbackReturn.FAILURE
         return super().on_shutdown(state)
 
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Releases and closes everything, so that the driver can be configured again."""
+        """Release and close everything, so that the driver can be configured again."""
         self.close(f"a transition failed: {self._failure}")
         self.get_logger().error(
-            "the driver is unconfigured now, with everything closed: configure and activate it once the servos answer"
+            "the driver has closed all devices and is unconfigured: configure and activate it once the servos answer"
         )
         super().on_error(state)
         return TransitionCallbackReturn.SUCCESS
 
     def close(self, reason: str) -> list[str]:
-        """Brings the robot to rest, releases and closes it; needs no ROS, and is harmless when nothing is open.
+        """Bring the robot to rest, release and close it. Needs no ROS; does nothing if no robot is open.
 
-        Returns what failed, in words: a servo may still have its torque.
+        Returns:
+            Failures, one sentence each. After a failure a servo may still have its torque.
         """
         hardware = self._hardware
         if hardware is None:
@@ -227,7 +232,7 @@ class DriverNode(LifecycleNode):
         return problems
 
     def answer_goals(self, executor: SingleThreadedExecutor) -> None:
-        """Serves until those who wait for the result of a goal have it, for they would wait for ever."""
+        """Serve until all clients have the results of their goals, as they would wait for ever."""
         if not self._action.busy:
             return
         end = time.monotonic() + _ANSWERS
@@ -238,63 +243,65 @@ class DriverNode(LifecycleNode):
             executor.spin_once(timeout_sec=0.05)
 
     def reject_transitions(self) -> None:
-        """Carry no transition out from now on: the process ends."""
-        self._lifecycle.refuse()
+        """Reject all further transitions, as the process ends."""
+        self._lifecycle.reject_all()
 
     def begin_shutdown(self) -> None:
-        """Begin to bring the robot to rest, before any stop that comes from now on. Safe in a signal handler."""
+        """Begin to bring the robot to rest, before any later stop. Safe in a signal handler."""
         if self._hardware is not None:
             self._hardware.loop.shutdown(_END)
 
     def release_at_once(self) -> None:
-        """Cuts a release short: the torque goes at once. Safe in a signal handler."""
+        """Switch the torque off at once, without a return to rest. Safe in a signal handler."""
         if self._hardware is not None:
             self._hardware.loop.release_at_once()
 
     def autostart(self) -> None:
-        """Configures and activates, where the parameter asks for it.
+        """Configure and activate the driver if the parameter autostart is true.
 
-        A robot that cannot be activated yet, as it is not homed, stays configured for its operator. Raises DriverError:
-        it cannot be configured, and the parameter does not leave that to its operator, either.
+        If the activation fails, as for a robot that is not homed, the driver stays configured.
+
+        Raises:
+            DriverError: The driver cannot be configured, and the parameter stay_on_failure is false.
         """
         if not self.get_parameter("autostart").value:
             return
         if self.trigger_configure() == TransitionCallbackReturn.SUCCESS:
             self.trigger_activate()
         elif not self.get_parameter("stay_on_failure").value:
-            raise self._failure or DriverError("it cannot be configured")
+            raise self._failure or DriverError("the driver cannot be configured")
 
     def wait_until_sole(self, ended: ShutdownRequest) -> None:
-        """Wait until this is the only driver of its namespace. Raises `ConfigurationError` where it is not."""
+        """Wait until this is the only driver of its namespace. Raises `ConfigurationError` if it is not."""
         self._sole.wait(ended)
 
     def log_awaited_transition(self) -> None:
-        """A driver that nobody has configured says so."""
+        """Log how to configure the driver if it is not configured."""
         if self._hardware is None:
             name = f"{self.get_namespace().rstrip('/')}/{self.get_name()}"
             self.get_logger().info(
                 f"waiting for configure: ros2 lifecycle set {name} configure, then activate (autostart: both at once)"
             )
 
-    def _failed(self, what: str, error: Exception) -> TransitionCallbackReturn:
+    def _failed(self, transition: str, error: Exception) -> TransitionCallbackReturn:
         self._failure = error
-        words = str(error) if isinstance(error, DriverError) else "".join(format_exception(error))
-        self.get_logger().error(f"cannot {what}: {words}")
+        text = str(error) if isinstance(error, DriverError) else "".join(format_exception(error))
+        self.get_logger().error(f"cannot {transition}: {text}")
         return TransitionCallbackReturn.FAILURE
 
     def _why_not_start(self) -> str:
-        """In any thread: why neither torque nor a run may begin; empty when they may."""
+        """Return why the torque must stay off and no run may begin; empty if they may. Safe in any thread."""
         return self._emergency.why_not_start() or self._sole.problem
 
     def _activate(self) -> None:
-        """Raises DriverError; an activation that takes too long is taken back when it ends."""
+        """Activate the robot. An activation that takes too long is reverted when it ends. Raises DriverError."""
         self._sole.require()
         hardware = self._opened()
         robot = hardware.robot
         hardware.loop.run(robot.activate, _ACTIVATION, undo=lambda _: robot.shutdown())
 
     def _release(self) -> None:
-        """Raises StoppedError, ReleaseError, DriverError."""
+        """Bring the robot to rest and release the servos. Raises StoppedError, ReleaseError, DriverError."""
         hardware = self._opened()
         self._do(
             lambda hardware, now: hardware.robot.ramp_to_rest(now, "the driver is deactivated")
@@ -303,28 +310,28 @@ class DriverNode(LifecycleNode):
         while not self._do(lambda hardware, _: hardware.robot.released) and hardware.clock() < end:
             if self._do(lambda hardware, _: hardware.robot.holding):
                 raise StoppedError(
-                    "a stop or a FAULT came on the way to rest: the robot holds, with its torque on; "
-                    "deactivate it again to let go"
+                    "a stop or a FAULT interrupted the return to rest: the robot holds, with its torque on; "
+                    "deactivate it again to release it"
                 )
             self._publish()
         if not self._do(lambda hardware, _: hardware.robot.released):
             raise StoppedError(
                 "the robot did not come to rest in time: it keeps its torque; deactivate it again to release it"
             )
-        problems = self._do(lambda hardware, _: hardware.robot.release(), _LETTING_GO)
+        problems = self._do(lambda hardware, _: hardware.robot.release(), _RELEASE)
         if problems:
             raise ReleaseError(release_report(problems).message)
 
     # --- services ------------------------------------------------------------------------------
 
     def _adopt_emergency(self) -> None:
-        """Continue with the emergency stop of the robot that the parameters name, as it was left."""
+        """Load the stored emergency stop of the robot that the parameters describe."""
         problem = self._emergency.adopt(driver_parameters.latch_files(self))
         if problem:
             self.get_logger().error(problem)
 
     def destroy_node(self) -> None:
-        """Also end the services that have threads of their own and the claim of the namespace."""
+        """Also end the services with their own threads, and the claim of the namespace."""
         self._lifecycle.close()
         self._stops.close()
         self._sole.close()
@@ -341,7 +348,7 @@ class DriverNode(LifecycleNode):
         return response
 
     def _do(self, action: Callable[[Hardware, float], T], timeout: float = 2.0) -> T:
-        """Has something done between two cycles, within a time (s). Raises DriverError."""
+        """Run an action between two cycles, within a timeout (s). Raises DriverError."""
         hardware = self._opened()
         return hardware.loop.run(lambda now: action(hardware, now), timeout)
 
@@ -364,7 +371,7 @@ class DriverNode(LifecycleNode):
         hardware, latest = self._hardware, self._telemetry.latest
         if hardware is not None:
             hardware.loop.check()
-        self._sole.look()
+        self._sole.check()
         if hardware is None or latest is None:
             reports = [offline_report(self._failure)]
         else:
@@ -378,17 +385,17 @@ class DriverNode(LifecycleNode):
 
 
 def main(args: list[str] | None = None) -> int:
-    """Runs the driver until SIGINT, SIGTERM or SIGHUP; the servos are released on every way out.
+    """Run the driver until SIGINT, SIGTERM or SIGHUP. The servos are released however it ends.
 
-    A first signal brings the robot to rest, a later Ctrl-C releases it at once. A robot that was stopped on the way
-    keeps its torque, as it would spring back: then the exit status is 1.
+    The first signal brings the robot to rest; a later Ctrl-C releases it at once. A robot that was stopped on the way
+    to rest keeps its torque, as it would spring back. The exit status is then 1.
     """
     sys.setswitchinterval(_SWITCH_INTERVAL)
-    about = "Plays gaits on the robot and publishes what it measures, as a lifecycle node."
+    about = "Run gaits on the robot and publish its measurements, as a lifecycle node."
     try:
         return run_node("driver", about, driver_parameters.rows, _run, (ConfigurationError,), args)
     except DriverError as error:
-        print(f"driver: {error}", file=sys.stderr)  # noqa: T201 (the command's own words)
+        print(f"driver: {error}", file=sys.stderr)  # noqa: T201 (output of a command)
         return 1
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The driver's ROS parameters: names, descriptions, ranges and defaults in one table, and the settings they make."""
+"""ROS parameters of the driver in one table (name, default, description, range), and their conversion to settings."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -18,20 +18,22 @@ from worm_driver.servos.transmission import Fin, Spool
 from worm_msgs.parameter_rows import ParameterRow
 
 HEARTBEAT = "heartbeat_s"
-#: parameters that take effect at once; those that bound a motion can then only be lowered
+#: Parameters that take effect at once. The limits of a motion can then only be lowered.
 _LIVE = ("limits.", "rest_duration_s", "return_speed_m_per_s", HEARTBEAT)
 _BOUNDS = ("limits.", "return_speed_m_per_s")
 _SIMULATED_TIME = "use_sim_time"
 _Row = ParameterRow
 _ROWS = (
-    _Row("autostart", False, "Configure and activate by itself, without a lifecycle manager."),
+    _Row("autostart", False, "Configure and activate at the start, without a lifecycle manager."),
     _Row(
         "stay_on_failure",
         False,
-        "Where autostart cannot configure, wait for an operator to do it; false: end, for systemd to start it again.",
+        "If autostart cannot configure, wait for an operator to do it; false: end, so that systemd starts it again.",
     ),
     _Row(
-        "parameter_file", "", "YAML with rear_mass, front_mass, initial_length; empty: the paper's."
+        "parameter_file",
+        "",
+        "YAML with rear_mass, front_mass, initial_length, pitch; empty: the paper's values.",
     ),
     _Row("port", "/dev/worm_bus", "Serial device of the servo bus."),
     _Row("baud_rate", DriverSettings.baud_rate, "bit/s, as set in the servos.", 9600, 4_000_000),
@@ -39,24 +41,26 @@ _ROWS = (
     _Row(
         "real_time_priority",
         40,
-        "SCHED_FIFO of the servo thread, half for the others, with locked memory; 0: none.",
+        "SCHED_FIFO priority of the servo thread, with locked memory; half of it for the other threads; 0: none.",
         0,
         99,
     ),
     _Row(
         "bus_watchdog_s",
         DriverSettings.watchdog,
-        "Silence after which the servos stop by themselves.",
+        "Time without packets after which the servos stop by themselves.",
         0.04,
         2.0,
     ),
     _Row(
-        "home_at_start", False, "Take the length at configuring as the initial one, if not homed."
+        "home_at_start",
+        False,
+        "Use the length at configure as the initial length, if the robot is not homed.",
     ),
     _Row(
         "i2c_bus",
         PowerSettings.i2c_bus,
-        "Number or device of the I2C bus, socket of a virtual robot; empty or none: no sensor.",
+        "Number or device of the I2C bus, or socket of a virtual robot; empty or none: no sensor.",
     ),
     _Row("i2c_address", PowerSettings.i2c_address, "Address of the INA219.", 0x40, 0x4F),
     _Row(
@@ -69,17 +73,25 @@ _ROWS = (
     _Row(
         "ina219.max_current_a",
         PowerSettings.max_current,
-        "Current above which a sample is an overflow.",
+        "Highest current; a sample above it is an overflow.",
         0.01,
         100.0,
     ),
     _Row("cable_servos.ids", [1], "Ids of the cable servos."),
     _Row("cable_servos.signs", [1], "1: rising ticks shorten the body; -1: they lengthen it."),
-    _Row("cable_servos.spool_radius_m", [0.025], "Spool radii, to the middle of the cable."),
-    _Row("fin_servos.ids", [11, 12], "Ids of the fin servos, rear to front."),
+    _Row(
+        "cable_servos.spool_radius_m", [0.025], "Radii of the spools, to the middle of the cable."
+    ),
+    _Row("fin_servos.ids", [11, 12], "Ids of the fin servos, from rear to front."),
     _Row("fin_servos.forward_angle_rad", [2.356, 2.356], "Servo angles for forward gaits."),
     _Row("fin_servos.reverse_angle_rad", [3.927, 3.927], "Servo angles for reverse gaits."),
-    _Row("fin_servos.speed_rad_per_s", DriverSettings.fin_speed, "Speed of a flip.", 0.1, 6.0),
+    _Row(
+        "fin_servos.speed_rad_per_s",
+        DriverSettings.fin_speed,
+        "Speed of the fins' rotation.",
+        0.1,
+        6.0,
+    ),
     _Row(
         "limits.max_stroke_m",
         DriverSettings.max_stroke,
@@ -98,44 +110,46 @@ _ROWS = (
     _Row(
         "limits.max_servo_current_a",
         Limits.max_current,
-        "Of a cable servo; longer than 50 ms is a fault.",
+        "Highest current of a cable servo; more for 50 ms is a fault.",
         0.05,
         5.0,
     ),
     _Row(
         "limits.max_servo_load",
         Limits.max_load,
-        "As max_servo_current_a, for a model without a current sensor (XL430): ratio of its load.",
+        "Like max_servo_current_a, for a model without a current sensor (XL430): ratio of its load.",
         0.1,
         1.0,
     ),
     _Row(
         "limits.max_following_error_m",
         Limits.following_error,
-        "Of the cable; longer is a fault.",
+        "Largest following error of the cable; more is a fault.",
         1e-3,
         0.2,
     ),
     _Row(
         "limits.max_silence_s",
         Limits.max_silence,
-        "Time without a servo's state; longer is a fault.",
+        "Longest time without the state of a servo; more is a fault.",
         0.0,
         2.0,
     ),
-    _Row("rest_duration_s", PlayerSettings.rest_duration, "Least rest before a gait.", 0.1, 60.0),
+    _Row(
+        "rest_duration_s", PlayerSettings.rest_duration, "Shortest rest before a gait.", 0.1, 60.0
+    ),
     _Row(
         HEARTBEAT,
         0.0,
-        "Silence of a goal's owner on the topic heartbeat after which its run ends at the next point of rest; 0: as "
-        "each goal asks.",
+        "Heartbeat timeout of every run, after which it ends at its next point of rest; 0: only the timeout of each "
+        "goal.",
         0.0,
         60.0,
     ),
     _Row(
         "return_speed_m_per_s",
         PlayerSettings.return_speed,
-        "Peak cable speed on the way back to rest.",
+        "Peak cable speed of a return to rest.",
         1e-3,
         0.5,
     ),
@@ -144,7 +158,7 @@ _NAMES = frozenset(row.name for row in _ROWS)
 
 
 def rows() -> list[ParameterRow]:
-    """Return every parameter, each with when it takes effect."""
+    """Return all parameters. Each description ends with the time at which the parameter takes effect."""
     return [
         dataclasses.replace(row, description=f"{row.description} {_effect(row.name)}")
         for row in _ROWS
@@ -153,26 +167,26 @@ def rows() -> list[ParameterRow]:
 
 def _effect(name: str) -> str:
     if name.startswith(_BOUNDS):
-        return "Takes effect at once; a configured driver lets it be lowered only."
+        return "Takes effect at once; it can only be lowered while the driver is configured."
     if name.startswith(_LIVE):
         return "Takes effect at once."
-    return "Takes effect at configure, and is rejected until the next cleanup."
+    return "Takes effect at configure; a configured driver rejects changes until cleanup."
 
 
 def check_time(node: Node) -> None:
-    """Raise ConfigurationError where a driver is to go by simulated time, which would have no effect."""
+    """Raise ConfigurationError if simulated time is requested. It would have no effect on the driver."""
     if node.get_parameter(_SIMULATED_TIME).value:
         raise ConfigurationError(
-            f"{_SIMULATED_TIME} is true: a robot runs in real time; leave it out for the driver"
+            f"{_SIMULATED_TIME} is true, but the driver runs in the time of its robot: remove the parameter"
         )
 
 
 def why_not_set(node: Node, parameters: Sequence[Parameter], *, configured: bool) -> str:
-    """Return why parameters cannot be set now, empty where they can."""
+    """Return why parameters cannot be set now; empty if they can."""
     for parameter in parameters:
         name, value = parameter.name, parameter.value
         if name == _SIMULATED_TIME and value:
-            return f"{name}: a robot runs in real time, the driver cannot go by another clock"
+            return f"{name}: the driver runs in the time of its robot and cannot use another clock"
         if not configured or name not in _NAMES:
             continue
         if not name.startswith(_LIVE):
@@ -187,7 +201,7 @@ def why_not_set(node: Node, parameters: Sequence[Parameter], *, configured: bool
 
 
 def settings(node: Node) -> DriverSettings:
-    """The settings that the node's parameters make. Raises ConfigurationError."""
+    """Return the settings from the node's parameters. Raises ConfigurationError."""
 
     def value(name: str) -> Any:
         return node.get_parameter(name).value
@@ -248,7 +262,7 @@ def latch_files(node: Node) -> tuple[str, ...]:
 
 
 def _rows(node: Node, *names: str) -> list[tuple[Any, ...]]:
-    """Arrays of one length, as rows."""
+    """Return the rows of several arrays of one length. Raises ConfigurationError if their lengths differ."""
     columns = [_array(node, name) for name in names]
     if len({len(column) for column in columns}) != 1:
         lengths = ", ".join(f"{n} has {len(c)}" for n, c in zip(names, columns, strict=True))
@@ -257,5 +271,5 @@ def _rows(node: Node, *names: str) -> list[tuple[Any, ...]]:
 
 
 def _array(node: Node, name: str) -> list[Any]:
-    """An array, also an empty one, which rcl reads as a parameter without a value."""
+    """Return an array. rcl reads an empty array as a parameter without a value."""
     return list(node.get_parameter_or(name, Parameter(name)).value or [])

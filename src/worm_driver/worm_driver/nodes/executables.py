@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The executables that are nodes."""
+"""Entry points of the nodes."""
 
 from worm_msgs.executable import deferred
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An action server that answers every goal of a flood, and that a stop can empty."""
+"""Action server that answers every goal of a burst. A stop rejects all waiting goals."""
 
 from collections.abc import Awaitable, Callable
 from typing import Any
@@ -11,30 +11,30 @@ from rclpy.qos import HistoryPolicy, QoSProfile
 
 from worm_driver.errors import DriverError, LimitError
 
-#: goals that may wait to be begun; those beyond are rejected at once
+#: goals that may wait for their start; further ones are rejected at once
 QUEUE = 4
-#: no request is dropped by the middleware, however many wait
+#: The middleware drops no request, however many wait.
 _EVERY_REQUEST = QoSProfile(history=HistoryPolicy.KEEP_ALL)
-#: s, for which the result of a goal is stored: a client requests it as soon as its goal is accepted
+#: s, for which the result of a goal is stored. A client requests the result as soon as its goal is accepted.
 _RESULT_STORED = 60
 
 
 class GoalServer(ActionServer):
-    """Serves an action in the node's executor, all requests that wait in one go.
+    """Action server in the node's executor that handles all waiting requests at once.
 
     A goal is accepted once it has begun, and rejected otherwise.
 
     Args:
-        node: which serves the action.
-        action: its type.
-        name: of the action.
-        begin: called with the id of a goal, its request and the number of stops before it was received; raises
-            DriverError to reject it.
-        rejected: called in any thread with the id of a goal and why it is rejected.
+        node: node of the action.
+        action: type of the action.
+        name: name of the action.
+        begin: called with the id of a goal, its request and the number of stops before the goal arrived. Raises
+            DriverError to reject the goal.
+        rejected: called in any thread with the id of a goal and the reason for its rejection.
         execute, cancel: as in rclpy.
 
     Attributes:
-        stops: how often `stop` was called.
+        stops: number of calls of `stop`.
     """
 
     def __init__(
@@ -49,7 +49,7 @@ class GoalServer(ActionServer):
     ):
         self.stops = 0
         self._begin, self._rejected = begin, rejected
-        # of the goal that is being answered: its id, its place in the queue, the stops before it was received
+        # Of the present goal: its id, its place in the queue, the number of stops before it arrived.
         self._goal_id, self._place, self._stops_before = b"", 0, 0
         self._is_goal_request_ready = False
         super().__init__(
@@ -66,7 +66,7 @@ class GoalServer(ActionServer):
         )
 
     def stop(self) -> None:
-        """Reject every goal that was received and has not begun. In any thread."""
+        """Reject every goal that was received and has not begun. Safe in any thread."""
         with self._lock:
             self.stops += 1
             waiting = self._accept_goals()
@@ -74,16 +74,16 @@ class GoalServer(ActionServer):
             response = self._action_type.Impl.SendGoalService.Response()
             self._handle.send_goal_response(header, response)
             self._rejected(
-                bytes(request.goal_id.uuid), "a stop came after this goal: send it again"
+                bytes(request.goal_id.uuid), "a stop followed this goal: send the goal again"
             )
 
     def take_data(self) -> dict[str, Any]:
-        """Take all goals that wait, in place of the first one (see rclpy)."""
-        are_there: bool = self._is_goal_request_ready
+        """Return all waiting goals instead of the first one (see rclpy)."""
+        are_ready: bool = self._is_goal_request_ready
         self._is_goal_request_ready = False
         data: dict[str, Any] = super().take_data()
         with self._lock:
-            data["goals"] = self._accept_goals() if are_there else []
+            data["goals"] = self._accept_goals() if are_ready else []
             data["stops"] = self.stops
         return data
 
@@ -96,7 +96,7 @@ class GoalServer(ActionServer):
         await super().execute(taken_data)
 
     def _accept_goals(self) -> list[tuple[Any, Any]]:
-        """The goal requests that wait; the lock is held."""
+        """Return the waiting goal requests. The caller holds the lock."""
         kind, goals = self._action_type.Impl.SendGoalService.Request, []
         while all(taken := self._handle.take_goal_request(kind)):
             goals.append(taken)
@@ -105,7 +105,7 @@ class GoalServer(ActionServer):
     def _on_goal(self, request: Any) -> GoalResponse:
         try:
             if self._place >= QUEUE:
-                raise LimitError(f"{QUEUE} goals wait to be begun already")
+                raise LimitError(f"{QUEUE} goals already wait: send this one later")
             self._begin(self._goal_id, request, self._stops_before)
         except DriverError as error:
             self._rejected(self._goal_id, str(error))

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Subscription to a Bool whose callback receives which publisher sent it, and when.
+"""Subscription to a Bool whose callback also receives the publisher and the time of sending.
 
-The middleware delivers both with every message (rmw_message_info_t); rclpy of Jazzy does not pass the publisher on.
-So the message is taken with rcl's own function, from a subscription that rclpy made.
+The middleware delivers both with every message (rmw_message_info_t), but rclpy of Jazzy does not pass the publisher on.
+So this module reads the message with a function of rcl, from a subscription of rclpy.
 """
 
 import ctypes
@@ -46,17 +46,17 @@ class _MessageInfo(ctypes.Structure):
 
 @cache
 def _rcl_take() -> Callable[..., int]:
-    take = ctypes.CDLL("librcl.so").rcl_take  # the one that rclpy has loaded
+    take = ctypes.CDLL("librcl.so").rcl_take  # the library that rclpy has loaded
     take.restype = ctypes.c_int
     take.argtypes = (ctypes.c_void_p,) * 4
     return take
 
 
 class _Polled(CallbackGroup):
-    """Callback group of a subscription that the executor leaves alone."""
+    """Callback group of a subscription that the executor must not read."""
 
     def can_execute(self, _: object) -> bool:
-        """Return False: the waitable takes the messages."""
+        """Return False, as the waitable reads the messages."""
         return False
 
     def beginning_execution(self, _: object) -> bool:
@@ -64,15 +64,15 @@ class _Polled(CallbackGroup):
         return False
 
     def ending_execution(self, _: object) -> None:
-        """Do nothing, as nothing began."""
+        """Do nothing."""
 
 
 class IdentifiedSubscription(Waitable):
-    """Subscription of a node to a topic of std_msgs/Bool; ``callback`` runs in the thread that spins the node."""
+    """Subscription of a node to a topic of std_msgs/Bool. ``callback`` runs in the thread that spins the node."""
 
     def __init__(self, node: Node, topic: str, qos: QoSProfile, callback: OnBool) -> None:
         super().__init__(MutuallyExclusiveCallbackGroup())
-        _rcl_take()  # here, as a library that lacks it must not come to light with the first message
+        _rcl_take()  # Called here to detect a library without the function before the first message.
         self._logger = node.get_logger()
         self._callback = callback
         self._subscription = node.create_subscription(
@@ -88,7 +88,7 @@ class IdentifiedSubscription(Waitable):
         self._subscription.handle.__exit__(*exception)
 
     def get_num_entities(self) -> NumberOfEntities:
-        """Return that this waits for one subscription."""
+        """Return one subscription."""
         return NumberOfEntities(num_subs=1)
 
     def add_to_wait_set(self, wait_set: object) -> None:
@@ -96,11 +96,11 @@ class IdentifiedSubscription(Waitable):
         self._index = wait_set.add_subscription(self._subscription.handle)  # type: ignore[attr-defined]
 
     def is_ready(self, wait_set: object) -> bool:
-        """Return whether a message waits."""
+        """Return True if a message waits."""
         return bool(wait_set.is_ready("subscription", self._index))  # type: ignore[attr-defined]
 
     def take_data(self) -> list[tuple[bytes, int, bool]]:
-        """Take all messages that wait."""
+        """Return all waiting messages."""
         messages = []
         with self._subscription.handle:
             while (message := self._take()) is not None:
@@ -108,12 +108,12 @@ class IdentifiedSubscription(Waitable):
         return messages
 
     async def execute(self, messages: list[tuple[bytes, int, bool]]) -> None:
-        """Call back with each message."""
+        """Call the callback with each message."""
         for message in messages:
             self._callback(*message)
 
     def drain(self) -> None:
-        """Call back with all messages that wait, in the thread that spins the node."""
+        """Call the callback with all waiting messages. Call this in the thread that spins the node."""
         for message in self.take_data():
             self._callback(*message)
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Answers every lifecycle request, also in a flood and while a transition takes its time.
+"""Service of the lifecycle requests in a thread of its own.
 
-rclpy (7.1) serves these requests in the node's executor, which a transition blocks for seconds, while the middleware
-stores ten of them and drops the others. It also raises out of the executor for a transition that the present state
-does not have, and the node ends with a traceback.
+rclpy (7.1) serves these requests in the node's executor. A transition blocks the executor for seconds, in which the
+middleware stores ten requests and drops the others. A transition that the present state does not have raises out of
+the executor, which ends the node with a traceback. This module answers every request in both cases.
 """
 
 import queue
@@ -35,13 +35,13 @@ _PRIMARY_STATES = (
     State.PRIMARY_STATE_ACTIVE,
     State.PRIMARY_STATE_FINALIZED,
 )
-#: s between two looks for requests while a transition takes its time
-_LOOK = 0.005
+#: s, period of checks for requests during a transition
+_PERIOD = 0.005
 
 
 @dataclass
 class _Transition:
-    """A transition that the node's thread is to carry out."""
+    """Transition that waits for its execution in the node's thread."""
 
     request: ChangeState.Request
     response: ChangeState.Response
@@ -49,10 +49,10 @@ class _Transition:
 
 
 class LifecycleRequests:
-    """Serves a node's lifecycle in a thread of its own; transitions are carried out in the node's.
+    """Server of a node's lifecycle in a thread of its own. Transitions run in the node's thread.
 
-    A change that the state does not have, or that comes while another one is carried out, is answered with success
-    False; the log says why, at most once a second.
+    The response to a change that the state does not have, or that arrives during another one, has success False. The
+    reason is logged, at most once a second.
     """
 
     def __init__(self, node: LifecycleNode):
@@ -65,20 +65,20 @@ class LifecycleRequests:
         self._waiting: queue.SimpleQueue[_Transition] = queue.SimpleQueue()
         self._wake = node.create_guard_condition(self._carry_out_waiting)
         self._closing = threading.Event()
-        self._refuses = False
+        self._rejects_all = False
         self._side.start()
 
-    def refuse(self) -> None:
-        """Carry no transition out from now on: the driver ends."""
-        self._refuses = True
+    def reject_all(self) -> None:
+        """Reject all further transitions, as the driver ends."""
+        self._rejects_all = True
 
     def close(self) -> None:
-        """End the thread; a change that still waits is answered with success False."""
+        """End the thread. Changes that still wait are rejected."""
         self._closing.set()
         self._side.close()
 
     def _move(self, name: str) -> Service:
-        """Have the side node's executor serve one of the node's services."""
+        """Move one of the node's services to the side node's executor."""
         services, side = self._node._services, self._side.node
         service = next(s for s in services if s.srv_name.endswith(f"/{name}"))
         services.remove(service)
@@ -90,24 +90,26 @@ class LifecycleRequests:
     def _on_change(
         self, request: ChangeState.Request, response: ChangeState.Response
     ) -> ChangeState.Response:
-        """In the side thread: pass a change on, and answer whatever else comes until it is carried out."""
+        """Pass a change to the node's thread, and answer other requests until it is done. Runs in the side thread."""
         if why := self._why_impossible(request):
             return self._reject(response, why)
         transition = _Transition(request, response)
         self._waiting.put(transition)
         self._wake.trigger()
-        while not transition.done.wait(_LOOK):
+        while not transition.done.wait(_PERIOD):
             if self._closing.is_set():
                 return self._reject(response, "the driver ends")
             self._answer_others()
         return response
 
     def _carry_out_waiting(self) -> None:
-        """In the node's thread."""
+        """Execute the waiting transitions. Runs in the node's thread."""
         while not self._waiting.empty():
             transition = self._waiting.get()
-            # The state may be another one by now, as where the driver has activated itself.
-            why = "the driver ends" if self._refuses else self._why_impossible(transition.request)
+            # The state may have changed in the meantime, as by autostart.
+            why = (
+                "the driver ends" if self._rejects_all else self._why_impossible(transition.request)
+            )
             try:
                 if why:
                     self._reject(transition.response, why)
@@ -117,22 +119,25 @@ class LifecycleRequests:
                 transition.done.set()
 
     def _why_impossible(self, request: ChangeState.Request) -> str:
-        """Return why the present state does not have a transition; empty where it has."""
-        asked = request.transition
+        """Return why a transition is impossible in the present state; empty if it is possible."""
+        requested = request.transition
         if self._node._state_machine.current_state[0] not in _PRIMARY_STATES:
-            return "another transition is being carried out"
+            return "another transition is in progress"
         offered = self._services[_TRANSITIONS].callback(
             GetAvailableTransitions.Request(), GetAvailableTransitions.Response()
         )
         possible = [description.transition for description in offered.available_transitions]
-        # A label counts before the number, as in rclpy.
-        if any(t.label == asked.label if asked.label else t.id == asked.id for t in possible):
+        # A label takes precedence over the id, as in rclpy.
+        if any(
+            t.label == requested.label if requested.label else t.id == requested.id
+            for t in possible
+        ):
             return ""
         names = ", ".join(sorted({t.label for t in possible})) or "none"
-        return f"there is no transition {asked.label or asked.id} from the present state, only: {names}"
+        return f"there is no transition {requested.label or requested.id} from the present state, only: {names}"
 
     def _reject(self, response: ChangeState.Response, why: str) -> ChangeState.Response:
-        self._log.error(f"refused: {why}")
+        self._log.error(f"lifecycle request rejected: {why}")
         response.success = False
         return response
 
@@ -141,14 +146,14 @@ class LifecycleRequests:
             for request, header in _taken(service):
                 response = service.srv_type.Response()
                 if name == _CHANGE:
-                    self._reject(response, "another transition is being carried out")
+                    self._reject(response, "another transition is in progress")
                 else:
                     service.callback(request, response)
                 service.send_response(response, header)
 
 
 def _taken(service: Service) -> Iterator[tuple[Any, Any]]:
-    """The requests that wait at a service, and their headers."""
+    """Yield the waiting requests of a service, with their headers."""
     while True:
         with service.handle:
             request, header = service.handle.service_take_request(service.srv_type.Request)

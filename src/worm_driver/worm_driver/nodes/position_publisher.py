@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a camera tells of the robot: the topics ``tracker`` and ``body_length/measured``."""
+"""Publisher of the measurements of a camera: the topics ``tracker`` and ``body_length/measured``."""
 
 import math
 
@@ -10,11 +10,11 @@ from std_msgs.msg import Header
 from worm_msgs.msg import BodyLength, Tracker
 
 FRAME = "pipe"  # x forward along the axis, z up (REP 103)
-_SAMPLES = 30  # at the start, at rest, whose mean length is the one that changes count from
+_SAMPLES = 30  # first samples, at rest; length changes are relative to their mean length
 
 
 class PositionPublisher:
-    """``depth`` is how many samples may wait for a subscriber whose machine is busy."""
+    """Publisher of positions and length. ``depth`` samples may wait for a slow subscriber."""
 
     def __init__(self, node: Node, depth: int) -> None:
         self._positions = node.create_publisher(Tracker, "tracker", depth)
@@ -22,7 +22,7 @@ class PositionPublisher:
         self._sum, self._count = 0.0, 0
 
     def publish(self, stamp: Time, rear: float, front: float) -> None:
-        """Positions (m) of the modules, NaN while one is hidden: then there is no length."""
+        """Publish the positions (m) of the modules, NaN while one is hidden, and the length if both are visible."""
         header = Header(stamp=stamp, frame_id=FRAME)
         self._positions.publish(Tracker(header=header, rear_position=rear, front_position=front))
         length = front - rear

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The action run_gait: goals in, feedback and measured figures out.
+"""Server of the action run_gait, with feedback and the metrics of each run.
 
-A goal is accepted when its run has begun, and rejected otherwise. The reason of a rejection, for which the response
-has no room, is logged and published on run_gait/rejections.
+A goal is accepted when its run has begun, and rejected otherwise. The reason of a rejection is logged and published on
+run_gait/rejections, as the response has no field for it.
 """
 
 import math
@@ -36,14 +36,14 @@ from worm_msgs.msg import Heartbeat
 
 #: s between two feedback messages
 _FEEDBACK_PERIOD = 0.2
-#: s after a run's end from which samples of the tracker are wanted, and for which they are waited for
+#: s after a run's end: time of the last tracker sample that the metrics need, and timeout of waiting for it
 _TRACKER_AFTERWARDS = 0.3
-_TRACKER_PATIENCE = 1.0
+_TRACKER_TIMEOUT = 1.0
 
 
 @dataclass
 class _Current:
-    """The run that is being played, and the goal that asked for it."""
+    """Run in progress, and its goal."""
 
     goal_id: bytes
     number: int
@@ -51,18 +51,18 @@ class _Current:
     record: RunRecord
     end: RunEnd
     owner: HeartbeatMonitor
-    #: known once rclpy has accepted the goal
+    #: Set once rclpy has accepted the goal.
     goal: ServerGoalHandle | None = None
     next_feedback: float = -math.inf
     ended: Run | None = None
-    #: the last word on the run, the last cycle whose end the tracker saw, and what has been asked for
+    #: Latest state of the run, last cycle whose end the tracker saw, and True if the end was requested early.
     run: Run | None = None
     judged: int = 0
-    leaving: bool = False
+    end_requested: bool = False
 
 
 class RunGaitAction:
-    """Serves run_gait on a node; everything happens in the node's executor thread."""
+    """Server of run_gait on a node. Callbacks run in the node's executor thread unless noted."""
 
     def __init__(
         self,
@@ -74,7 +74,7 @@ class RunGaitAction:
         self._node = node
         self._hardware = hardware
         self._sees_robot = sees_robot
-        # The last one is being played, those before it still wait for the tracker.
+        # The last one runs; those before it have ended and wait for the tracker.
         self._runs: list[_Current] = []
         self._rejections = GoalRejections(node, "run_gait", stamps.now)
         self._log = ThrottledLog(node.get_logger())
@@ -91,31 +91,31 @@ class RunGaitAction:
         node.create_timer(PERIOD, self._check_heartbeats, clock=steady)
 
     def on_position(self, time_s: float, rear_position: float) -> None:
-        """Takes a tracker sample (s monotonic, m) into the run's record."""
+        """Add a tracker sample (s monotonic, m) to the records of the runs."""
         if math.isfinite(rear_position):
             for current in self._runs:
                 current.record.positions.append((time_s, rear_position))
                 self._judge(current)
 
     def on_heartbeat(self, beat: Heartbeat) -> None:
-        """In any thread: the owner of a goal is there."""
+        """Record a heartbeat of the owner of a goal. Safe in any thread."""
         goal = bytes(beat.goal)
         for current in tuple(self._runs):
             if current.goal_id == goal:
                 current.owner.record()
 
     def on_power(self, sample: PowerSample) -> None:
-        """Takes a power sample into the run's record."""
+        """Add a power sample to the records of the runs."""
         for current in self._runs:
             current.record.power.append(sample)
 
     def on_snapshot(self, snapshot: Snapshot) -> None:
-        """Gives feedback, and ends the goal when its run has ended."""
+        """Publish feedback, and end a goal whose run has ended."""
         run = snapshot.player.run
         for current in self._runs:
             if run is not None and run.number == current.number and run.ending is None:
                 current.run = run
-                self._give_feedback(current, run, snapshot)
+                self._publish_feedback(current, run, snapshot)
                 self._end_unseen(current, run, snapshot.command_time)
             elif run is not None and run.number == current.number:
                 current.ended = run
@@ -123,16 +123,16 @@ class RunGaitAction:
                 self._end_when_seen(current, current.ended, snapshot.command_time)
 
     def stop(self) -> None:
-        """Reject every goal that was received and has not begun. In any thread, before the robot is stopped."""
+        """Reject every goal that has not begun. Safe in any thread; call it before the robot is stopped."""
         self._server.stop()
 
     @property
     def busy(self) -> bool:
-        """Whether a goal has no result yet."""
+        """True while a goal has no result."""
         return bool(self._runs)
 
     def abandon(self, reason: str) -> None:
-        """Ends the goals of runs that nothing plays any more."""
+        """End the goals of all runs, as the robot was closed."""
         for current in self._runs:
             if not current.done.done():
                 current.done.set_result(current.ended or reason)
@@ -144,88 +144,88 @@ class RunGaitAction:
         return CancelResponse.ACCEPT
 
     def _judge(self, current: _Current) -> None:
-        """Ends a run that has reached what it was asked for, by the tracker's newest word."""
+        """End a run that has reached its end, or makes no progress, according to the latest tracker sample."""
         run, hardware = current.run, self._hardware()
         if run is None or run.onset is None or not is_late(run, current.record):
             return
         current.judged = run.cycle(current.record.positions[-1][0])
-        if hardware is None or not current.end.needs_tracker or current.leaving:
+        if hardware is None or not current.end.needs_tracker or current.end_requested:
             return
         if current.end.is_reached(run, current.record, hardware.settings.body.pitch):
-            current.leaving = True
+            current.end_requested = True
             hardware.loop.submit(hardware.robot.finish)
         elif makes_no_progress(run, current.record, hardware.settings.body.pitch):
-            self._leave(current, "ended, as the robot gains no groove with this gait")
+            self._end_early(current, "ended, as the robot gains no groove with this gait")
 
     def _end_unseen(self, current: _Current, run: Run, now: float) -> None:
-        """A run that the tracker does not see comes to rest where it was to go so far, and no farther."""
+        """End a run by grooves or distance if the tracker did not see the end of its last cycle."""
         cycle = unseen_cycle(run, current.judged, now) if current.end.needs_tracker else 0
         if cycle:
-            self._leave(
+            self._end_early(
                 current, f"ended, as the tracker did not see the robot at the end of cycle {cycle}"
             )
 
     def _check_heartbeats(self) -> None:
-        """A run whose owner is not heard any more comes to rest."""
+        """End the runs whose heartbeat timeout has expired."""
         now = time.monotonic()
         for current in self._runs:
             if current.owner.is_silent(now) and current.ended is None:
-                silence = current.owner.timeout
-                self._leave(current, f"ended, as its owner was not heard for {silence:g} s")
+                timeout = current.owner.timeout
+                self._end_early(current, f"ended, as no heartbeat arrived for {timeout:g} s")
 
-    def _leave(self, current: _Current, reason: str) -> None:
-        """Ends a run at its next point of rest, once."""
+    def _end_early(self, current: _Current, reason: str) -> None:
+        """End a run at its next point of rest. Later calls have no effect."""
         hardware = self._hardware()
-        if hardware is None or current.leaving:
+        if hardware is None or current.end_requested:
             return
-        current.leaving = True
+        current.end_requested = True
         self._node.get_logger().warning(f"run {current.number} {reason}")
         hardware.loop.submit(lambda now: hardware.robot.cancel(now, reason), lifetime=math.inf)
 
     def _on_rejected(self, goal_id: bytes, reason: str) -> None:
-        """In any thread: report why a goal is rejected."""
+        """Report why a goal is rejected. Safe in any thread."""
         self._log.warning(f"gait rejected: {reason}")
         self._rejections.publish(goal_id, reason)
 
     async def _execute(self, goal: ServerGoalHandle) -> RunGait.Result:
-        """Wait for the end of the run that `_begin` has begun."""
+        """Wait for the end of the run that `_begin` started, and return its result."""
         current = next(each for each in self._runs if each.goal_id == _id(goal))
         current.goal = goal
         hardware = self._hardware()
-        if goal.is_cancel_requested and hardware is not None:  # faster than this callback
+        if goal.is_cancel_requested and hardware is not None:  # before this callback
             hardware.loop.submit(hardware.robot.cancel)
         outcome = await current.done
         self._runs.remove(current)
         return self._finish(goal, current, outcome)
 
-    def _begin(self, goal_id: bytes, asked: RunGait.Goal, stops: int) -> None:
-        """Begin the run of a goal that was received after a number of stops. Raises DriverError."""
+    def _begin(self, goal_id: bytes, request: RunGait.Goal, stops: int) -> None:
+        """Begin the run of a goal that arrived after ``stops`` stops. Raises DriverError."""
         hardware = self._hardware()
         if hardware is None:
             raise DriverError("the driver is not configured: configure and activate it first")
-        gait = gait_from(asked.gait)
-        end = RunEnd(asked.cycles, asked.grooves, asked.distance)
+        gait = gait_from(request.gait)
+        end = RunEnd(request.cycles, request.grooves, request.distance)
         cycles = end.most_cycles(gait, hardware.robot.limits)
         if end.needs_tracker and not self._sees_robot():
             raise DriverError(
-                "a run that ends by grooves or distance needs the topic tracker, which is silent"
+                "a run by grooves or distance needs the topic tracker, but no samples arrive: start the tracker"
             )
-        owner = HeartbeatMonitor(self._patience(asked.heartbeat), time.monotonic())
+        owner = HeartbeatMonitor(self._heartbeat_timeout(request.heartbeat), time.monotonic())
 
         def start(now: float) -> int:
             if self._server.stops != stops:
-                raise LimitError("a stop came after this goal: send it again")
+                raise LimitError("a stop followed this goal: send the goal again")
             return hardware.robot.start(now, gait, cycles)
 
         number = hardware.loop.run(start, undo=hardware.robot.cancel)
         self._runs.append(_Current(goal_id, number, Future(), RunRecord(), end, owner))
 
-    def _patience(self, asked: float) -> float:
-        """Raises LimitError."""
-        if not (math.isfinite(asked) and asked >= 0.0):
-            raise LimitError(f"heartbeat must be a time in s, not {asked:g}")
-        demanded: float = self._node.get_parameter(HEARTBEAT).value
-        return shorter_timeout(asked, demanded)
+    def _heartbeat_timeout(self, requested: float) -> float:
+        """Return the heartbeat timeout of a run, s. Raises LimitError."""
+        if not (math.isfinite(requested) and requested >= 0.0):
+            raise LimitError(f"heartbeat is {requested:g} s; it must be 0 s or longer")
+        required: float = self._node.get_parameter(HEARTBEAT).value
+        return shorter_timeout(requested, required)
 
     def _finish(
         self, goal: ServerGoalHandle, current: _Current, outcome: Run | str
@@ -237,7 +237,7 @@ class RunGaitAction:
         body = hardware.settings.body if hardware is not None else None
         if body is None:
             goal.abort()
-            return _no_result("the driver was closed during the run, what was measured is lost")
+            return _no_result("the driver was closed during the run; its measurements are lost")
         result = _result(outcome, figures(outcome, current.record, body), body.pitch)
         if outcome.ending is Ending.COMPLETED:
             goal.succeed()
@@ -248,7 +248,7 @@ class RunGaitAction:
         self._node.get_logger().info(f"run {outcome.number}: {result.message}")
         return result
 
-    def _give_feedback(self, current: _Current, run: Run, snapshot: Snapshot) -> None:
+    def _publish_feedback(self, current: _Current, run: Run, snapshot: Snapshot) -> None:
         now = snapshot.command_time
         if current.goal is None or now < current.next_feedback:
             return
@@ -268,11 +268,11 @@ class RunGaitAction:
 
     @staticmethod
     def _end_when_seen(current: _Current, run: Run, now: float) -> None:
-        """Ends a goal once the tracker has reported beyond the run's end, or has had its time."""
+        """End a goal once the tracker samples extend beyond the run's end, or after the timeout."""
         assert run.end is not None
         positions = current.record.positions
         complete = not positions or positions[-1][0] >= run.end + _TRACKER_AFTERWARDS
-        if complete or now > run.end + _TRACKER_PATIENCE:
+        if complete or now > run.end + _TRACKER_TIMEOUT:
             current.done.set_result(run)
 
 
@@ -281,7 +281,7 @@ def _id(goal: ServerGoalHandle) -> bytes:
 
 
 def _elapsed(run: Run, snapshot: Snapshot) -> float:
-    """Time (s) since the onset; until then minus the time that has been rested."""
+    """Return the time (s) since the onset; before it, minus the time at rest."""
     if run.onset is not None:
         return snapshot.command_time - run.onset
     resting = snapshot.player.phase is Phase.RESTING

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Keeps a namespace to one driver: two would both execute what is sent to one of them."""
+"""Check that a namespace has only one driver, as two would both execute each goal."""
 
 import time
 from collections.abc import Callable
@@ -9,28 +9,28 @@ from rclpy.node import Node
 from worm_driver.errors import ConfigurationError, DriverError
 from worm_msgs.claim import DRIVER, ClaimedError, claim
 
-#: only a driver serves it
+#: service that only drivers have
 _SERVICE = "run_gait/_action/send_goal"
-#: s, in which a driver on the network is usually discovered; one that is discovered later still stops every start
+#: s, usual time to discover a driver on the network. A driver that is discovered later still prevents every start.
 _DISCOVERY = 5.0
-#: s between two looks
-_LOOK = 0.05
-#: s, for which DDS announces a driver that was killed
+#: s, period of the checks
+_PERIOD = 0.05
+#: s, for which DDS still announces a driver that was killed
 _LEASE = 25.0
 
 
 class SoleDriver:
-    """The claim of a namespace: exact on this computer, by the ROS graph on the network.
+    """Claim of a namespace: exact on this computer, and by the ROS graph on the network.
 
     Args:
-        node: the driver's.
-        on_network: whether drivers of other computers may share the namespace.
+        node: node of the driver.
+        on_network: True if other computers can reach the driver.
 
     Attributes:
-        problem: why nothing may start, as another driver was discovered; empty when there is none.
+        problem: reason why nothing may start, if another driver was discovered; otherwise empty.
 
     Raises:
-        ConfigurationError: another driver of this computer is in the namespace.
+        ConfigurationError: Another driver on this computer uses the namespace.
     """
 
     def __init__(self, node: Node, *, on_network: bool):
@@ -42,41 +42,41 @@ class SoleDriver:
         self.problem = ""
 
     def close(self) -> None:
-        """Give the claim up."""
+        """Release the claim."""
         self._claim.close()
 
     def wait(self, ended: Callable[[], bool]) -> None:
-        """Wait until no other driver is announced on the network; returns at once where there is none to look for.
+        """Wait until no other driver is announced on the network. Return at once if the network is not open.
 
         Raises:
-            ConfigurationError: there is another driver.
+            ConfigurationError: There is another driver.
         """
         start = time.monotonic()
         while self._on_network and not ended():
-            self.look()
+            self.check()
             elapsed = time.monotonic() - start
             if not self.problem and elapsed > _DISCOVERY:
                 return
             if elapsed > _LEASE:
                 raise ConfigurationError(self.problem)
-            time.sleep(_LOOK)
+            time.sleep(_PERIOD)
 
-    def look(self) -> None:
-        """Look for other drivers; one that comes or goes is logged."""
+    def check(self) -> None:
+        """Look for other drivers, and log changes."""
         if not self._on_network:
             return
         count = self._node.count_services(self._node.resolve_service_name(_SERVICE))
         before, self.problem = self.problem, ""
         if count > 1:
             self.problem = (
-                f"{self._node.get_namespace()} has {count} drivers on the network: nothing starts before all but one "
-                "have ended, or have another namespace or ROS_DOMAIN_ID"
+                f"{self._node.get_namespace()} has {count} drivers on the network: nothing starts. End all but one, or "
+                "give them other namespaces or another ROS_DOMAIN_ID"
             )
         if self.problem != before:
-            self._node.get_logger().error(self.problem or "the other driver is gone")
+            self._node.get_logger().error(self.problem or "the other driver has ended")
 
     def require(self) -> None:
-        """Raise DriverError where there is another driver."""
-        self.look()
+        """Raise DriverError if there is another driver."""
+        self.check()
         if self.problem:
             raise DriverError(self.problem)

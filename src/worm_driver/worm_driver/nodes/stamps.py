@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The ROS times of what the driver tells: by the robot's own clock where it has one, else by the computer's."""
+"""ROS stamps of the driver's messages, from the robot's own clock if it has one, otherwise from the computer's."""
 
 import time
 
@@ -11,10 +11,10 @@ from worm_driver.nodes.driver_messages import ClockPair
 
 
 class Stamps:
-    """Times of a node.
+    """Source of a node's stamps.
 
     Attributes:
-        robot_clock: that of the robot which was opened last; it stays after a clean-up, so that stamps go on.
+        robot_clock: clock of the robot that was opened last. It stays after a clean-up, so that stamps continue.
     """
 
     def __init__(self, node: Node) -> None:
@@ -23,24 +23,24 @@ class Stamps:
         self.robot_clock: Clock | None = None
 
     def clocks(self) -> ClockPair:
-        """Both clocks now; a step of the ROS clock (NTP, a Pi without a clock of its own) is told.
+        """Return the relation of both clocks. Log a step of the ROS clock (by NTP, or a Pi without a battery).
 
-        The robot goes by the monotonic clock: stamps jump with the ROS clock, motion and figures do not.
+        The robot uses the monotonic clock. Stamps jump with the ROS clock; motion and metrics do not.
         """
         clock = self.robot_clock
         if clock is not None and clock.epoch_ns is not None:
-            return ClockPair(clock.epoch_ns)  # a virtual robot's, which is both
+            return ClockPair(clock.epoch_ns)  # A virtual robot has one clock for both.
         clocks = ClockPair.read(lambda: self._node.get_clock().now().nanoseconds)
         step = 0.0 if self._clocks is None else clocks.step_since(self._clocks)
         if step:
             self._node.get_logger().warning(
-                f"the clock was set by {step:.3f} s: stamps jump by as much"
+                f"the system clock was set by {step:.3f} s; the stamps jump by as much"
             )
         self._clocks = clocks
         return clocks
 
     def now(self) -> Time:
-        """The stamp of what is told now."""
+        """Return the present stamp."""
         clock = self.robot_clock
         if clock is not None and clock.epoch_ns is not None:
             return ClockPair(clock.epoch_ns).stamp(clock())
@@ -48,5 +48,5 @@ class Stamps:
         return stamp
 
     def monotonic(self) -> float:
-        """The robot's time now, s."""
+        """Return the robot's present time, s."""
         return time.monotonic() if self.robot_clock is None else self.robot_clock()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Services and topics that work while the driver's own thread is busy: stop, emergency stop, heartbeat, control."""
+"""Services and topics that work while the driver's ROS thread is busy: stop, emergency stop, heartbeat, control."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -18,10 +18,10 @@ from worm_driver.nodes.side_node import SideNode
 from worm_msgs.msg import Heartbeat
 from worm_msgs.qos import LATCHED
 
-#: no request is dropped, however many wait: whoever calls stop gets an answer
+#: The middleware drops no request, so every call of stop gets a response.
 _EVERY_CALL = QoSProfile(history=HistoryPolicy.KEEP_ALL)
-#: subscriptions to the emergency stop: also to messages that were sent before the driver began; to messages that
-#: are sent once, none of which is lost; and to publishers that promise nothing
+#: Subscriptions to the emergency stop: latched, for messages from before the driver started; reliable, for publishers
+#: that are not latched; and for publishers with best effort.
 _EMERGENCY_QOS = (
     LATCHED,
     QoSProfile(depth=10),
@@ -34,11 +34,11 @@ class StopServices:
     """Services of a second node of the driver's process, in its own thread.
 
     Args:
-        node: the driver's.
-        opened: raises DriverError while nothing is open.
-        emergency: is set by the topic.
-        cancel_goals: rejects the goals that were received and have not begun.
-        on_heartbeat: takes each heartbeat.
+        node: node of the driver.
+        opened: returns the hardware. Raises DriverError while none is open.
+        emergency: latch that the topic sets.
+        cancel_goals: rejects the goals that have not begun.
+        on_heartbeat: called with each heartbeat.
         stamp: returns the present ROS time.
     """
 
@@ -71,11 +71,11 @@ class StopServices:
         self._side.start()
 
     def close(self) -> None:
-        """Ends the node and its thread."""
+        """End the node and its thread."""
         self._side.close()
 
     def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """One stop answers all who have called by then, as it takes a cycle."""
+        """Stop the robot. One stop, which takes a cycle, answers all calls that wait."""
         others = list(self._further_stops())
         self._cancel_goals()
         try:
@@ -83,7 +83,7 @@ class StopServices:
             hardware.loop.run_without_deadline(
                 lambda now: hardware.robot.stop(now, "the service stop was called")
             )
-        except Exception as error:  # noqa: BLE001 (the next call must find the service alive)
+        except Exception as error:  # noqa: BLE001 (the service must survive for the next call)
             response.success, response.message = False, str(error)
         else:
             response.success, response.message = True, "stopped, and holding"
@@ -92,21 +92,21 @@ class StopServices:
         return response
 
     def _further_stops(self) -> Iterator[object]:
-        """The headers of calls that wait behind the one that is being served."""
+        """Yield the headers of the calls that wait behind the present one."""
         handle = self._stop.handle
         with handle:
             while (header := handle.service_take_request(Trigger.Request)[1]) is not None:
                 yield header
 
     def _present(self) -> dict[bytes, str]:
-        """Return the publishers of the emergency stop that are there now: the node of each by its identifier."""
+        """Return the present publishers of the emergency stop: identifier and name of the node."""
         return {
             bytes(info.endpoint_gid): f"{info.node_namespace.rstrip('/')}/{info.node_name}"
             for info in self._side.node.get_publishers_info_by_topic(_EMERGENCY)
         }
 
     def _on_emergency(self, publisher: bytes, sent_ns: int, stops: bool) -> None:  # noqa: FBT001
-        """Latch true: from then on nothing starts, what moves holds. A false clears nothing."""
+        """Latch true: the robot holds and nothing starts. False does not clear the latch."""
         if not self._publishers.note(publisher, sent_ns, stops, self._present()) or not stops:
             return
         self._cancel_goals()
@@ -116,28 +116,28 @@ class StopServices:
         try:
             hardware = self._opened()
         except DriverError:
-            return  # nothing is open that could move
+            return  # No robot is open that could move.
         hardware.loop.submit(
             lambda now: hardware.robot.stop(now, "the emergency stop is on"), lifetime=math.inf
         )
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Clear the emergency stop, unless a publisher still holds it."""
-        for subscription in self._emergencies:  # what was published before the request counts
+        for subscription in self._emergencies:  # Messages from before the request count.
             subscription.drain()
         present = self._present()
         stopping = self._publishers.stopping(present)
         if stopping:
             nodes = sorted({present.get(publisher, "an unknown node") for publisher in stopping})
-            last = f"the last message on {_EMERGENCY} of {', '.join(nodes)} is true"
+            last = f"the last message of {', '.join(nodes)} on {_EMERGENCY} is true"
             response.success = False
-            response.message = f"{last}: publish false there first, then reset"
+            response.message = f"{last}: publish false from there first, then reset"
             return response
         gone = self._publishers.forget_absent(present)
         problem = self._emergency.reset() if self._emergency.on else ""
         response.success = not problem
         response.message = problem or "the emergency stop is off: starts are permitted"
         if gone and not problem:
-            response.message += f" ({gone} of its publishers ended without taking it back)"
+            response.message += f" ({gone} of its publishers ended without publishing false)"
         self._logger.error(f"EMERGENCY STOP reset: {response.message}")
         return response

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The driver's topics: what the threads of the hardware have left is published, and the gait state where it changes."""
+"""Publisher of the driver's topics: the data of the hardware's threads, and each change of the gait state."""
 
 import math
 from typing import Any
@@ -22,17 +22,17 @@ from worm_msgs.msg import BodyLength, GaitState, Power
 from worm_msgs.qos import LATCHED
 
 _DELIVERY = Duration(seconds=0.5)
-#: reliable; deep enough for what piles up while the executor's thread waits for a processor
+#: Reliable, and deep enough for the messages that accumulate while the executor's thread waits for a processor.
 _TELEMETRY = QoSProfile(depth=200)
-#: a user may change history, depth and reliability: qos_overrides./worm/power.publisher.reliability
+#: A user may override history, depth and reliability, as with qos_overrides./worm/power.publisher.reliability.
 _OPEN = QoSOverridingOptions.with_default_policies()
 
 
 class TelemetryPublisher:
-    """Publishes on a node, and hands the same on to the action.
+    """Publisher of telemetry, which also passes the data to the action.
 
     Attributes:
-        latest: the last snapshot of what is open; None while nothing is.
+        latest: latest snapshot of the open robot; None while none is open.
     """
 
     def __init__(
@@ -55,7 +55,7 @@ class TelemetryPublisher:
         self.latest: Snapshot | None = None
 
     def publish(self, hardware: Hardware) -> None:
-        """Publish all that has come since the last call."""
+        """Publish all data since the last call."""
         clocks = self._stamps.clocks()
         while hardware.samples:
             sample = hardware.samples.popleft()
@@ -65,7 +65,7 @@ class TelemetryPublisher:
             self._publish_snapshot(hardware, hardware.snapshots.popleft(), clocks)
 
     def show_inactive(self, reason: str) -> None:
-        """Tell that nothing is open, where that or the emergency stop has changed."""
+        """Publish the state INACTIVE if the reason or the emergency stop has changed."""
         shown = (reason, self._emergency.on)
         if shown == self._shown:
             return
@@ -77,7 +77,7 @@ class TelemetryPublisher:
         self._gait_state.publish(message)
 
     def deliver(self) -> None:
-        """Wait until those who listen have the last words, for they are lost with the node."""
+        """Wait until the subscribers have the last messages, which are lost when the node ends."""
         for publisher in (self._joint_states, self._cable, self._power, self._gait_state):
             publisher.wait_for_all_acked(_DELIVERY)
 
@@ -123,11 +123,11 @@ class TelemetryPublisher:
             )
 
     def _log_fault(self, player: PlayerState) -> None:
-        """A fault is an error in the log, once, with its cause and what to do."""
+        """Log a fault once, as an error with its cause and what to do."""
         is_fault = player.phase is Phase.FAULT
         if is_fault and not self._faulty:
             self._logger.error(
-                f"FAULT: {player.message}. The cable holds where it is. Mend the cause, then deactivate and "
+                f"FAULT: {player.message}. The cable holds its position. Remove the cause, then deactivate and "
                 "activate; after a hardware error deactivate, reboot, home, activate"
             )
         self._faulty = is_fault

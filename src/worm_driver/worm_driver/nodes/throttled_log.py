@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Log lines about what may happen hundreds of times a second: a few, then one a second."""
+"""Rate-limited logging of events that may occur hundreds of times a second."""
 
 import time
 from collections.abc import Callable
 from typing import Protocol
 
-#: lines that may follow each other at once, and s after which one more may
+#: lines that may be logged at once, and s until one more may be logged
 _BURST = 5
 _PERIOD = 1.0
 
 
 class Logger(Protocol):
-    """The part of rclpy's logger that is used."""
+    """The used part of rclpy's logger."""
 
     def warning(self, message: str) -> object:
         """Log a warning."""
@@ -21,11 +21,11 @@ class Logger(Protocol):
 
 
 class ThrottledLog:
-    """Logs a few lines, then at most one a second, with the number of lines that were left out since the last one.
+    """Logger of a few lines, then of at most one a second, with the number of lines that were omitted before it.
 
     Args:
-        logger: of a node.
-        clock: s, monotonic.
+        logger: logger of a node.
+        clock: returns the time, s, monotonic.
     """
 
     def __init__(self, logger: Logger, clock: Callable[[], float] = time.monotonic):
@@ -33,26 +33,26 @@ class ThrottledLog:
         self._clock = clock
         self._allowed = float(_BURST)
         self._at = clock()
-        self._left_out = 0
+        self._omitted = 0
 
     def warning(self, message: str) -> None:
-        """Log a warning, or count it."""
+        """Log a warning, or count it as omitted."""
         if line := self._admit(message):
             self._logger.warning(line)
 
     def error(self, message: str) -> None:
-        """Log an error, or count it."""
-        if line := self._admit(message):  # rclpy wants one severity for each place in the source
+        """Log an error, or count it as omitted."""
+        if line := self._admit(message):  # rclpy requires one severity for each line of code
             self._logger.error(line)
 
     def _admit(self, message: str) -> str:
-        """Return the line to be logged; empty where it is only counted."""
+        """Return the line to log; empty if it is omitted."""
         now = self._clock()
         self._allowed = min(_BURST, self._allowed + (now - self._at) / _PERIOD)
         self._at = now
         if self._allowed < 1.0:
-            self._left_out += 1
+            self._omitted += 1
             return ""
-        more = f" ({self._left_out} more lines like this were left out)" if self._left_out else ""
-        self._allowed, self._left_out = self._allowed - 1.0, 0
+        more = f" ({self._omitted} similar lines were omitted)" if self._omitted else ""
+        self._allowed, self._omitted = self._allowed - 1.0, 0
         return message + more

@@ -35,26 +35,29 @@ from worm_msgs.ros_process import ShutdownRequest, spare_pauses
 VIRTUAL = "virtual"
 TOPIC = "topic"
 _TRANSPORTS = ("raw", "compressed")
-_DIFFERENT = (
-    1e-3  # largest relative difference between the calibrations of the setup file and of the topic
-)
+#: Largest relative difference between the calibrations of the setup file and of the topic.
+_DIFFERENT = 1e-3
 _PARAMETERS = tuple(
     ParameterRow(name, default, text, read_only=True)
     for name, default, text in (
-        ("setup_file", "", f"The rig (YAML); {VIRTUAL}: that of the virtual robot's camera."),
+        (
+            "setup_file",
+            "",
+            f"Setup file of the camera and the markers (YAML); {VIRTUAL}: that of the virtual robot.",
+        ),
         (
             "source",
             TOPIC,
-            "topic, a V4L2 device such as /dev/video0, a video, or a folder of images.",
+            "Source of the images: topic, a V4L2 device such as /dev/video0, a video, or a folder of images.",
         ),
-        ("image_transport", "raw", "Of the topic: raw or compressed."),
+        ("image_transport", "raw", "Transport of the topic: raw or compressed."),
     )
 )
 _NANOSECONDS = 10**9
 
 
 def rows() -> tuple[ParameterRow, ...]:
-    """Return every parameter."""
+    """Return all parameters."""
     return _PARAMETERS
 
 
@@ -111,7 +114,9 @@ class TrackerNode(Node):
 
     def _open(self, source: str) -> None:
         if self._tracker is None:
-            raise SetupError("camera_info: topic needs images from a topic: name a file")
+            raise SetupError(
+                "camera_info: topic needs images from a topic; name a file of camera_info instead"
+            )
         camera = self._tracker.camera
         arrival = self.create_guard_condition(self._on_arrival)
         size = camera.width, camera.height
@@ -138,7 +143,7 @@ class TrackerNode(Node):
             if self._tracker is None or self._tracker.camera != camera:
                 self._tracker = ModuleTracker(self._setup, camera)
         elif _differ(self._setup.camera, camera):
-            text = "the calibration on camera_info differs from the setup file's, which is used"
+            text = "the calibration on camera_info differs from that of the setup file; the latter is used"
             self.get_logger().warning(text, once=True)
 
     def _on_image(self, message: Image) -> None:
@@ -213,7 +218,7 @@ class TrackerNode(Node):
 def _setup_path(text: str) -> Path:
     if not text:
         raise SetupError(
-            "setup_file is missing: name the tracker's setup file, -p setup_file:=tracker.yaml"
+            "setup_file is missing: set it to the tracker's setup file, as with -p setup_file:=tracker.yaml"
         )
     if text == VIRTUAL:
         return Path(str(files("worm_driver").joinpath("config/virtual_tracker.yaml")))

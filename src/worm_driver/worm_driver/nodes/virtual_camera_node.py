@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The node ``virtual_camera``: renders and publishes what a camera beside the pipe sees of the virtual robot.
+"""Node ``virtual_camera``, which renders and publishes the images of a camera next to the pipe of the virtual robot.
 
-A process of its own, which virtual_robot starts and feeds: an image costs more time than an answer on the bus may take.
-A line of standard input is an exposure: its stamp in ns, then x1 and x2 in m, nan while out of sight. A line of
-standard output says that one is published or lost, so that a robot whose time can wait is not faster than its camera.
+virtual_robot starts it as a process of its own, as an image takes longer than the deadline of an answer on the bus.
+Each line of standard input is an exposure: stamp in ns, x1 and x2 in m, nan while out of sight. Each line of standard
+output reports that an image was published or lost, so that the virtual time can wait for the camera.
 """
 
 import contextlib
@@ -39,11 +39,11 @@ from worm_msgs.ros_process import ros_process
 FRAME = "camera_optical_frame"
 _NANOSECONDS = 10**9
 _CHUNK = 4096  # bytes
-_ENDING = 3.0  # s that the process may take to end once its input is closed
+_END_TIMEOUT = 3.0  # s, for the end of the process once its input is closed
 
 
 class VirtualCameraNode(Node):
-    """Publishes an image for each exposure; one that comes while an image is rendered waits, further ones are lost."""
+    """Publisher of an image for each exposure. Two exposures may wait; a further one replaces the oldest."""
 
     def __init__(self, settings: CameraSettings, seed: int) -> None:
         super().__init__("virtual_camera")
@@ -57,11 +57,11 @@ class VirtualCameraNode(Node):
         self.ended = False
 
     def read(self) -> None:
-        """Takes exposures from standard input until it is closed; in a thread of its own."""
+        """Read exposures from standard input until it is closed. Runs in its own thread."""
         for line in sys.stdin:
             stamp, rear, front = line.split()
             if len(self._waiting) == self._waiting.maxlen:
-                _tell("lost")
+                _report("lost")
             self._waiting.append((int(stamp), float(rear), float(front)))
             self._arrival.trigger()
         self.ended = True
@@ -74,11 +74,11 @@ class VirtualCameraNode(Node):
             header = _header(exposure[0] + round(self._settings.delay * _NANOSECONDS))
             self._image.publish(_message(self._camera.image(path), header))
             self._info.publish(_info(self._settings, header))
-            _tell("published")
+            _report("published")
 
 
-def _tell(word: str) -> None:
-    sys.stdout.write(f"{word}\n")
+def _report(event: str) -> None:
+    sys.stdout.write(f"{event}\n")
     sys.stdout.flush()
 
 
@@ -109,42 +109,45 @@ def _info(settings: CameraSettings, header: Header) -> CameraInfo:
 
 
 class CameraProcess:
-    """The process, as virtual_robot sees it."""
+    """Handle of the process, for virtual_robot."""
 
     def __init__(self, file: Path, seed: int, namespace: str) -> None:
         command = [sys.executable, "-m", __name__, "--parameters", str(file), "--seed", str(seed)]
         command += ["--ros-args", "-r", f"__ns:={namespace}"]
-        # A session of its own: Ctrl-C is for the virtual robot, which ends it.
+        # It has its own session, as the virtual robot handles Ctrl-C and ends it.
         self._process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True
         )
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._input = self._process.stdin
-        self._process.stdout.readline()  # it is ready, or has ended
+        self._process.stdout.readline()  # The process is ready, or has ended.
         os.set_blocking(self._input.fileno(), False)
         self._output = self._process.stdout.fileno()
         self._ahead = 0  # exposures that are neither published nor lost yet
 
-    def expose(self, stamp: int, rear: float, front: float, patience: float) -> None:
-        """Tells it of an exposure: ns, m, m; waits for up to ``patience`` s until the one before is published.
+    def expose(self, stamp: int, rear: float, front: float, timeout: float) -> None:
+        """Send an exposure (ns, m, m), after waiting up to ``timeout`` s for the publication of the previous one.
 
-        One that it is told too early is lost. Raises ChildProcessError when it has ended.
+        If the process is too slow, the exposure is lost.
+
+        Raises:
+            ChildProcessError: The process has ended.
         """
-        self._follow(patience)
+        self._wait_for_images(timeout)
         line = f"{stamp} {rear!r} {front!r}\n".encode()
         try:
             os.write(self._input.fileno(), line)
             self._ahead += 1
         except BlockingIOError:
-            return  # it is far behind, and this exposure is lost
+            return  # The process is far behind; this exposure is lost.
         except BrokenPipeError:
             raise ChildProcessError(
-                "the virtual camera has ended, see its messages above"
+                "the virtual camera has ended; see its messages above"
             ) from None
 
-    def _follow(self, patience: float) -> None:
-        end = time.monotonic() + patience
+    def _wait_for_images(self, timeout: float) -> None:
+        end = time.monotonic() + timeout
         while select.select(
             [self._output], [], [], max(end - time.monotonic(), 0.0) if self._ahead else 0.0
         )[0]:
@@ -154,30 +157,30 @@ class CameraProcess:
                 return
 
     def close(self) -> None:
-        """Ends it."""
+        """End the process."""
         with contextlib.suppress(BrokenPipeError):
             self._input.close()
         try:
-            self._process.wait(_ENDING)
+            self._process.wait(_END_TIMEOUT)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs until its input is closed; returns the exit status."""
-    words = sys.argv if arguments is None else ["virtual_camera", *arguments]
+    """Run until standard input is closed. Return the exit status."""
+    command_line = sys.argv if arguments is None else ["virtual_camera", *arguments]
     parser = Parser(prog="virtual_camera", description=__doc__)
     parser.add_argument("--parameters", type=Path, metavar="FILE")
     parser.add_argument("--seed", type=int, default=0, metavar="N")
-    options = parser.parse_args(remove_ros_args(words)[1:])
+    options = parser.parse_args(remove_ros_args(command_line)[1:])
     settings = load_camera_settings(options.parameters)
-    with ros_process(words) as ended:
+    with ros_process(command_line) as ended:
         node = VirtualCameraNode(settings, options.seed)
         threading.Thread(target=node.read, name="exposures", daemon=True).start()
         executor = SingleThreadedExecutor()
         executor.add_node(node)
-        _tell("ready")
+        _report("ready")
         while not (ended() or node.ended):
             executor.spin_once(timeout_sec=0.1)
         node.destroy_node()

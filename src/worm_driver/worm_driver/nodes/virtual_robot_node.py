@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The virtual robot as a process: ports for the driver, the camera and the faults as a ROS node."""
+"""Node ``virtual_robot``: serial and I2C ports for the driver, camera and fault injection by ROS."""
 
 import argparse
 import logging
@@ -41,28 +41,32 @@ from worm_msgs.node_command import declare_none
 from worm_msgs.ros_process import ShutdownRequest, own_arguments, ros_process
 from worm_msgs.srv import InjectFault
 
-_DEPTH = 500  # of samples that may wait for a subscriber whose machine is busy
-_CLOCK_PERIOD = 0.05  # s of the robot's time between two messages on clock
-_VIRTUAL = "virtual"  # stands for the installed file of the camera
-# Python hands the interpreter over after 5 ms by default, too late for an answer on the bus.
+_DEPTH = 500  # samples that may wait for a slow subscriber
+_CLOCK_PERIOD = 0.05  # s, virtual time between two messages on clock
+_VIRTUAL = "virtual"  # selects the installed file of the camera
+# By default Python switches threads after 5 ms, too late for an answer on the bus.
 _SWITCH_INTERVAL = 0.0002  # s
-# Conditions of the parameter file that options replace: name, option, unit, meaning.
+# Conditions of the parameter file that options override: name, option, unit, meaning.
 _CONDITIONS = (
     ("slope_deg", "--slope", "DEG", "slope of the pipe, uphill positive"),
     ("tether_n", "--tether", "N", "pull of the tether on the rear module"),
     ("tether_n_per_m", "--tether-per-metre", "N_PER_M", "growth of this pull with the distance"),
 )
-_SIGNAL_LATENCY = 0.1  # s, after which a signal is noticed at the latest
-_CAMERA_PATIENCE = 2.0  # s that an image may take, while the robot's time waits for it
-_QUIET = 0.5  # s without an instruction, after which nobody works with the robot any more
+_SIGNAL_LATENCY = 0.1  # s, longest time until a signal takes effect
+_CAMERA_TIMEOUT = 2.0  # s, longest wait of the virtual time for an image
+_QUIET = 0.5  # s without an instruction, after which the driver counts as ended
 
 log = logging.getLogger("virtual_robot")
 
 
 class VirtualRobotNode(Node):
-    """Publishes what the camera sees, and takes faults.
+    """Publisher of the camera's measurements, and server of fault injection.
 
-    camera: file of the camera whose images are published in the place of the positions; None: positions are.
+    Args:
+        robot: the virtual robot.
+        directory: folder of the ports.
+        rate: virtual seconds per second, at most; None: real time.
+        camera: file of the camera whose images are published; None: positions are published instead.
     """
 
     def __init__(
@@ -74,10 +78,10 @@ class VirtualRobotNode(Node):
         self.server = RobotServer(
             robot,
             directory,
-            self._take_samples,
+            self._publish_samples,
             rate=rate,
             epoch_ns=epoch_ns,
-            on_time=self._tell_time,
+            on_time=self._publish_time,
         )
         self._camera: CameraProcess | None = None
         if camera is None:
@@ -89,28 +93,28 @@ class VirtualRobotNode(Node):
         self.create_service(InjectFault, "inject_fault", self._inject)
 
     def close(self) -> None:
-        """Ends the camera."""
+        """End the camera."""
         if self._camera is not None:
             self._camera.close()
 
-    def _take_samples(self, samples: list[TrackerSample]) -> None:
-        """In the serving thread, as the other one may be late."""
+    def _publish_samples(self, samples: list[TrackerSample]) -> None:
+        """Publish tracker samples. Runs in the serving thread, as the executor's may be late."""
         for sample in samples:
             stamp, places = self._stamp(sample.time), (sample.rear_position, sample.front_position)
             if self._camera is None:
                 self._positions.publish(stamp.to_msg(), *places)
             else:
-                patience = _CAMERA_PATIENCE if self.server.waits else 0.0
-                self._camera.expose(stamp.nanoseconds, *places, patience)
+                timeout = _CAMERA_TIMEOUT if self.server.waits else 0.0
+                self._camera.expose(stamp.nanoseconds, *places, timeout)
 
-    def _tell_time(self, now: float) -> None:
-        """In the serving thread: the robot's time, for whoever uses it (use_sim_time)."""
+    def _publish_time(self, now: float) -> None:
+        """Publish the robot's time for nodes with use_sim_time. Runs in the serving thread."""
         if self._time is not None and now >= self._next_tick:
             self._next_tick = now + _CLOCK_PERIOD
             self._time.publish(Clock(clock=self._stamp(now).to_msg()))
 
     def _stamp(self, time: float) -> Time:
-        """The ROS time of the robot's time (s); in real time that of the machine, which may be set."""
+        """Return the ROS time of the robot's time (s). With --real-time it follows steps of the system clock."""
         server = self.server
         if server.shares_time:
             return Time(nanoseconds=server.epoch_ns + round(time * 1e9))
@@ -122,7 +126,7 @@ class VirtualRobotNode(Node):
     ) -> InjectFault.Response:
         if request.name == "clear":
             self.server.clear_faults()
-            response.success, response.message = True, "all faults are over"
+            response.success, response.message = True, "all faults have ended"
             return response
         try:
             fault = make_fault(
@@ -142,7 +146,7 @@ class VirtualRobotNode(Node):
 
 
 def _camera_file(text: str) -> Path:
-    """The file that --camera names."""
+    """Return the file that --camera selects."""
     return CAMERA_FILE if text == _VIRTUAL else Path(text)
 
 
@@ -150,24 +154,33 @@ def _parse_arguments(arguments: Sequence[str]) -> argparse.Namespace:
     faults = "\n".join(f"  {name:18}{kind}" for name, kind in KINDS.items())
     parser = Parser(
         prog="virtual_robot",
-        description="A worm robot without hardware: opens DIR/servo_bus (serial) and DIR/i2c.sock.",
+        description="Simulate a worm robot: serve DIR/servo_bus (serial) and DIR/i2c.sock (power sensor).",
         epilog=f"faults, with their defaults:\n{faults}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument(
-        "--directory", type=Path, required=True, metavar="DIR", help="made if it is not there"
+        "--directory",
+        type=Path,
+        required=True,
+        metavar="DIR",
+        help="folder of the ports; created if it is missing",
     )
     parser.add_argument(
-        "--parameters", type=Path, metavar="FILE", help="default: the installed one"
+        "--parameters",
+        type=Path,
+        metavar="FILE",
+        help="parameter file of the virtual robot; default: the installed one",
     )
-    parser.add_argument("--seed", type=int, metavar="N", help="default: the parameter file's")
+    parser.add_argument(
+        "--seed", type=int, metavar="N", help="random seed; default: that of the parameter file"
+    )
     for name, option, unit, text in _CONDITIONS:
         parser.add_argument(
             option,
             dest=name,
             type=float,
             metavar=unit,
-            help=f"{text}; default: the parameter file's",
+            help=f"{text}; default: that of the parameter file",
         )
     parser.add_argument(
         "--camera",
@@ -175,14 +188,14 @@ def _parse_arguments(arguments: Sequence[str]) -> argparse.Namespace:
         type=_camera_file,
         const=_camera_file(_VIRTUAL),
         metavar="FILE",
-        help="publish images of this rig in the place of positions; default: the installed one",
+        help="publish images of the camera in this file instead of positions; without FILE: the installed one",
     )
     parser.add_argument(
         "--fault",
         action="append",
         default=[],
         metavar="NAME[:KEY=VALUE,…][@SECONDS]",
-        help="keys: target (a servo's id), duration (s), count, value; may be repeated",
+        help="inject a fault; keys: target (id of a servo), duration (s), count, value; may be repeated",
     )
     time = parser.add_mutually_exclusive_group()
     time.add_argument(
@@ -190,15 +203,15 @@ def _parse_arguments(arguments: Sequence[str]) -> argparse.Namespace:
         type=_rate,
         default=1.0,
         metavar="X",
-        help="virtual seconds per second at most, 0: as fast as possible (default 1). The robot's time waits for the "
-        "driver, so that nothing depends on how fast or busy the machine is",
+        help="virtual seconds per second, at most; 0: as fast as possible (default 1). The virtual time waits for the "
+        "driver, so results do not depend on the speed or the load of the machine",
     )
     time.add_argument(
         "--real-time",
         dest="rate",
         action="store_const",
         const=None,
-        help="its time is the machine's, as a real robot's: to measure how well the driver keeps its deadlines",
+        help="run in real time, like a real robot: to measure how well the driver meets its deadlines",
     )
     return parser.parse_args(arguments)
 
@@ -206,7 +219,7 @@ def _parse_arguments(arguments: Sequence[str]) -> argparse.Namespace:
 def _rate(text: str) -> float:
     value = float(text)
     if not (math.isfinite(value) and value >= 0.0):
-        raise argparse.ArgumentTypeError(f"{text} is not a number from 0 on")
+        raise argparse.ArgumentTypeError(f"{text}: the rate must be a number, 0 or above")
     return value or math.inf
 
 
@@ -214,18 +227,18 @@ def _make_robot(arguments: argparse.Namespace) -> VirtualRobot:
     settings = load_settings(arguments.parameters)
     if arguments.seed is not None:
         settings = settings.with_seed(arguments.seed)
-    stated = {name: getattr(arguments, name) for name, *_ in _CONDITIONS}
-    stated = {name: value for name, value in stated.items() if value is not None}
-    settings = replace(settings, conditions=replace(settings.conditions, **stated))
+    given = {name: getattr(arguments, name) for name, *_ in _CONDITIONS}
+    given = {name: value for name, value in given.items() if value is not None}
+    settings = replace(settings, conditions=replace(settings.conditions, **given))
     check_conditions(settings.conditions)
-    if arguments.camera is not None:  # whose images have noise of their own
+    if arguments.camera is not None:  # The images contain the noise.
         load_camera_settings(arguments.camera)
         settings = replace(settings, tracker=replace(settings.tracker, noise=0.0))
     return VirtualRobot(settings, FaultBoard(parse_fault(text) for text in arguments.fault))
 
 
 def _serve(node: VirtualRobotNode, failures: list[Exception]) -> None:
-    """The serving thread; a failure there ends the process."""
+    """Run the server in its thread. A failure ends the process."""
     try:
         node.server.run()
     except Exception as error:  # noqa: BLE001 (reported by the main thread)
@@ -233,7 +246,7 @@ def _serve(node: VirtualRobotNode, failures: list[Exception]) -> None:
 
 
 def _run(robot: VirtualRobot, options: argparse.Namespace, ended: ShutdownRequest) -> None:
-    """Serves until the process is asked to end, and the driver has. Raises what the serving thread raised."""
+    """Serve until a signal arrives and the driver has ended. Raise the exception of the serving thread, if any."""
     node = VirtualRobotNode(robot, options.directory, options.rate, options.camera)
     ended.again = node.server.stop
     failures: list[Exception] = []
@@ -246,7 +259,7 @@ def _run(robot: VirtualRobot, options: argparse.Namespace, ended: ShutdownReques
         sys.stdout.write(f"ready: {options.directory}\n")
         sys.stdout.flush()
         readiness.announce()
-        # Where all are asked to end at once, the robot is there until the driver has let go of it.
+        # If all processes get the signal at once, the robot must serve until the driver has released it.
         while serving.is_alive() and not (ended() and node.server.quiet_for(_QUIET)):
             executor.spin_once(timeout_sec=_SIGNAL_LATENCY)
     finally:
@@ -260,26 +273,26 @@ def _run(robot: VirtualRobot, options: argparse.Namespace, ended: ShutdownReques
         raise failures[0]
 
 
-def _refuse(error: Exception) -> int:
+def _reject(error: Exception) -> int:
     log.error("%s", error)
     return 2
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """The command; returns the exit status."""
+    """Run the command and return the exit status."""
     logging.basicConfig(stream=sys.stderr, format="virtual_robot: %(message)s")
-    words = sys.argv if arguments is None else ["virtual_robot", *arguments]
-    options = _parse_arguments(own_arguments(words)[1:])
+    command_line = sys.argv if arguments is None else ["virtual_robot", *arguments]
+    options = _parse_arguments(own_arguments(command_line)[1:])
     try:
         robot = _make_robot(options)
     except (SettingsError, FaultError) as error:
-        return _refuse(error)
+        return _reject(error)
     sys.setswitchinterval(_SWITCH_INTERVAL)
     try:
-        with ros_process(words) as ended:
+        with ros_process(command_line) as ended:
             _run(robot, options, ended)
     except DirectoryError as error:
-        return _refuse(error)
+        return _reject(error)
     except Exception:
         log.exception("stopped by an error")
         return 1
