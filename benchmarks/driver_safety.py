@@ -12,7 +12,7 @@ import statistics
 from collections.abc import Callable, Mapping
 
 from benchmarks.report import Row
-from tests.driver_rig import CABLE, Rig, settings
+from tests.helpers.driver_rig import CABLE, Rig, settings
 from worm_driver.gait.gait_player import Phase
 
 TITLE = "from a fault to a cable that stands still, and what bad data move"

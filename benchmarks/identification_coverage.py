@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.report import Row, wall_time
-from tests.virtual_campaign import virtual_campaign
+from tests.helpers.virtual_campaign import virtual_campaign
 from worm_model.identification.estimate import Estimate
 from worm_model.identification.fingerprint import code_version
 from worm_model.identification.identification_errors import IdentificationError

@@ -12,7 +12,7 @@ import numpy as np
 from rclpy.client import Client
 
 from benchmarks.report import Row
-from tests.harness import Probe, Processes
+from tests.helpers.harness import Probe, Processes
 from worm_model.parameters import ParameterFile
 from worm_msgs.srv import RequestGait
 from worm_optimizer.nodes.optimizer_messages import fill_response

@@ -11,8 +11,8 @@ from concurrent.futures import ProcessPoolExecutor
 import numpy as np
 
 from benchmarks.report import Row
-from tests.oracle import Oracle
-from tests.random_cases import random_case
+from tests.helpers.oracle import Oracle
+from tests.helpers.random_cases import random_case
 from worm_model.simulation.simulator import evaluate_gait, simulate
 
 TITLE = "agreement with an independent integration (minutes)"

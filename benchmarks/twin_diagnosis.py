@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the twin makes of robots with something wrong: the cause it names, against the true one, over seeded runs.
 
-The robots are integrated step by step (tests/faulty_robots.py), are off the twin's parameters, have dry friction,
+The robots are integrated step by step (helpers/faulty_robots.py of the tests), are off the twin's parameters, have dry friction,
 grooves that differ and noisy instruments. Each fault begins in the second to the fourth cycle of five. How often power
 alone can name a cause at all is bounded by how often it does in cycles drawn from the very likelihood that the twin
 weighs causes with. ``python -m benchmarks.twin_diagnosis FOLDER`` draws the figures, too.
@@ -23,7 +23,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from benchmarks.report import Row, print_rows
-from tests.faulty_robots import ONSET, Fault, Lab, run_robots
+from tests.helpers.faulty_robots import ONSET, Fault, Lab, run_robots
 from worm_model.gait import Gait
 from worm_model.parameters import PAPER
 from worm_model.simulation.simulator import evaluate_gait
@@ -58,7 +58,7 @@ class Kind:
         sizes: small, middle and large size, relative or in the SI unit.
         code: the right code of TwinEvent.
         scale: factor from the size to the unit of the label.
-        fault: kind in tests/faulty_robots.py.
+        fault: kind in tests/helpers/faulty_robots.py.
     """
 
     name: str

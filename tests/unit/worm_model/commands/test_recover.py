@@ -41,7 +41,7 @@ def test_it_says_what_it_saved(cut: Path, tmp_path: Path, monkeypatch, capsys):
     report = json.loads(capsys.readouterr().out)
     with open_bag(tmp_path / "saved") as bag:
         assert bag.message_count == report["messages"]
-        assert bag.metadata["worm_run"]["made_by"] == "tests/recorded_run.py"
+        assert bag.metadata["worm_run"]["made_by"] == "tests/helpers/recorded_run.py"
     assert report["damaged"][0]["cut_off"] > 0
     assert report["damaged"][0]["file"] == "bag_0.mcap"
     assert (cut / "bag_0.mcap").read_bytes() == before

@@ -71,6 +71,6 @@ def _gait_states(cycles: int, end: float) -> GaitStates:
 def write_bag(path: Path, run: Run, namespace: str = "/worm") -> Path:
     """The run as a bag."""
     with new_bag(path) as writer:
-        writer.add_metadata("worm_run", {"made_by": "tests/recorded_run.py"})
+        writer.add_metadata("worm_run", {"made_by": "tests/helpers/recorded_run.py"})
         write_run(writer, run, namespace)
     return path
