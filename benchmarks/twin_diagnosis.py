@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the twin makes of robots with something wrong: the cause it names, against the true one, over seeded runs.
 
-The robots are integrated step by step (helpers/faulty_robots.py of the tests), are off the twin's parameters, have dry friction,
+`tests/helpers/faulty_robots.py` integrates the robots in steps. They are off the twin's parameters, have dry friction,
 grooves that differ and noisy instruments. Each fault begins in the second to the fourth cycle of five. How often power
 alone can name a cause at all is bounded by how often it does in cycles drawn from the very likelihood that the twin
 weighs causes with. ``python -m benchmarks.twin_diagnosis FOLDER`` draws the figures, too.
