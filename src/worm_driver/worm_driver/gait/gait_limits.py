@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A gait as the driver plays it (paper, eq:problem_formulation_gait), and what the robot can bear."""
+"""Gait of the driver (paper, eq:problem_formulation_gait), and the robot's limits for gaits."""
 
 import math
 from dataclasses import dataclass
@@ -21,16 +21,16 @@ TRAPEZOID = 1
 
 @dataclass(frozen=True)
 class Gait:
-    """A gait as the driver plays it, SI; limits belong to a robot, see `GaitLimits`.
+    """Gait of the driver, SI. `GaitLimits` checks it for a robot.
 
     The fields are those of worm_msgs/msg/Gait. The defaults are the paper's sinusoid.
 
     Attributes:
         stroke: S, m.
-        frequency: of the cycles, Hz.
+        frequency: f, cycles per second, Hz.
         direction: FORWARD or REVERSE.
         margin: robustness margin with which the gait was designed, m; it does not change the motion.
-        pretension: o, m. The cable never returns below it.
+        pretension: o, m. The contraction never falls below it.
         contraction_share: part of a cycle in which the body contracts.
         profile: COSINE or TRAPEZOID, shape of both halves of a cycle.
         ramp_share: part of a half in which a TRAPEZOID accelerates, and in which it decelerates.
@@ -55,7 +55,7 @@ class Gait:
         return self.point_of_rest - self.stroke * contracted
 
     def extended_share(self, phase: float) -> float:
-        """Return the elapsed part of the extension at a phase (0 to 1) of a cycle; negative before it begins."""
+        """Return the elapsed part of the extension at a phase (0 to 1) of a cycle; negative before the extension."""
         return (phase - self.contraction_share) / (1.0 - self.contraction_share)
 
     def _progress(self, part: float) -> float:
@@ -89,16 +89,16 @@ class Gait:
 
 @dataclass(frozen=True)
 class GaitLimits:
-    """What may be asked of a robot; SI.
+    """Limits of a robot for gaits, SI.
 
     Attributes:
-        max_stroke: largest contraction, of stroke and pretension together, m.
-        max_frequency: Hz.
-        max_cable_speed: m/s, already the least of the parameter and of the servos' velocity limits.
-        max_cycles: of one run.
-        min_stroke: m, a few steps of the encoder.
-        min_frequency: Hz; a cancelled gait plays its cycle to the end, so a cancel takes at most 1 / min_frequency.
-        max_duration: s, of one run.
+        max_stroke: largest sum of stroke and pretension, m.
+        max_frequency: highest frequency, Hz.
+        max_cable_speed: minimum of the parameter and the velocity limits of the servos, m/s.
+        max_cycles: most cycles of one run.
+        min_stroke: smallest stroke, m, a few steps of the encoder.
+        min_frequency: lowest frequency, Hz. A cancelled gait completes its cycle, in at most 1 / min_frequency.
+        max_duration: longest duration of one run, s.
     """
 
     max_stroke: float
@@ -110,13 +110,17 @@ class GaitLimits:
     max_duration: float = 7200.0
 
     def most_cycles(self, gait: Gait) -> int:
-        """Of one run, at most; at least 1."""
+        """Return the largest number of cycles of a run with a gait, at least 1."""
         if not (math.isfinite(gait.frequency) and gait.frequency > 0.0):
-            return 1  # check says what is wrong with the gait
+            return 1  # `check` rejects the gait.
         return max(1, min(self.max_cycles, math.floor(self.max_duration * gait.frequency)))
 
     def check(self, gait: Gait, cycles: int) -> None:
-        """Raises LimitError, which says what is wrong and what would be right."""
+        """Check a gait and its number of cycles.
+
+        Raises:
+            LimitError: A value is outside the limits. The message contains the limit.
+        """
         ranges = (
             ("stroke", self.min_stroke, self.max_stroke, " m", "limits.max_stroke_m"),
             ("frequency", self.min_frequency, self.max_frequency, " Hz", "limits.max_frequency_hz"),
@@ -128,14 +132,14 @@ class GaitLimits:
         for name, low, high, unit, limit in ranges:
             value = getattr(gait, name)
             if not math.isfinite(value):
-                raise LimitError(f"the gait's {name} is {value}, not a number that can be played")
+                raise LimitError(f"the gait's {name} is {value}, not a finite number")
             if not low <= value <= high:
                 raise LimitError(
                     f"{name} {value:g}{unit} is outside {low:g} to {high:g}{unit} ({limit})"
                 )
         if gait.reach > self.max_stroke + _ROUNDING:
             raise LimitError(
-                f"pretension {gait.pretension:g} m and stroke {gait.stroke:g} m contract the body by {gait.reach:g} m, "
+                f"pretension {gait.pretension:g} m and stroke {gait.stroke:g} m contract the body by {gait.reach:g} m; "
                 f"the limit is {self.max_stroke:g} m (limits.max_stroke_m)"
             )
         if gait.profile not in (COSINE, TRAPEZOID):
@@ -146,12 +150,12 @@ class GaitLimits:
             raise LimitError(f"cycles must be 1 to {self.max_cycles}, not {cycles}")
         if cycles / gait.frequency > self.max_duration:
             raise LimitError(
-                f"{cycles} cycles at {gait.frequency:g} Hz take {cycles / gait.frequency:.0f} s, a run at most "
-                f"{self.max_duration:.0f} s: ask for {math.floor(self.max_duration * gait.frequency)} cycles"
+                f"{cycles} cycles at {gait.frequency:g} Hz take {cycles / gait.frequency:.0f} s; a run may take "
+                f"{self.max_duration:.0f} s: request at most {math.floor(self.max_duration * gait.frequency)} cycles"
             )
         if gait.peak_speed > self.max_cable_speed:
             highest = gait.stroke * gait.frequency * self.max_cable_speed / gait.peak_speed
             raise LimitError(
-                f"the cable would reach {gait.peak_speed:.4f} m/s, the robot's limit is "
-                f"{self.max_cable_speed:.4f} m/s: stroke times frequency at most {highest:.4f} m/s with this waveform"
+                f"the cable would reach {gait.peak_speed:.4f} m/s; the limit is {self.max_cable_speed:.4f} m/s. "
+                f"With this waveform, stroke times frequency is at most {highest:.4f} m/s"
             )

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The figures of a run, by the paper's protocol: the last three whole cycles, idle power from the first ten samples.
+"""Metrics of a run by the paper's protocol: the last three complete cycles, and idle power from the first ten samples.
 
-Times are monotonic, in s. A figure that cannot be had is NaN, with a reason in words; none is made up from part of
-the data, as what is missing is seldom missing at random (a sensor overflows where the power is largest).
+Times are monotonic, in s. Metrics that cannot be computed are NaN, with a reason. No metric is estimated from part of
+the data, as data is seldom missing at random: a sensor overflows where the power is largest.
 """
 
 import math
@@ -21,33 +21,33 @@ STANDARD_GRAVITY = 9.80665
 AVERAGED_CYCLES = 3
 IDLE_SAMPLES = 10
 
-#: s, the farthest that two tracker samples may lie apart to tell a position between them (30 Hz, two lost)
+#: s, longest gap between two tracker samples for linear interpolation (30 Hz, two lost)
 _TRACKER_GAP = 0.12
-#: s, the longest time for which the tracker may have been blind, and from how far on either side that is bridged
+#: s, longest gap of the tracker that is bridged, and the time on either side whose samples are used for it
 _LONGEST_BRIDGE = 0.5
 _BRIDGE_SIDE = 0.25
 _LEAST_SAMPLES = 4
-#: s, the longest time without a valid power sample within the averaged cycles
+#: s, longest time without a valid power sample within the averaged cycles
 _POWER_GAP = 0.25
 
 
 @dataclass
 class RunRecord:
-    """What is collected while a run goes on.
+    """Measurements of a run.
 
     Attributes:
-        positions: (time s, x1 m) of the tracker, in order; occluded samples are not in it.
-        power: every sample of the power sensor, in order.
+        positions: (time s, x1 m) of the tracker in order, without occluded samples.
+        power: all samples of the power sensor in order.
     """
 
     positions: list[tuple[float, float]] = field(default_factory=list)
     power: list[PowerSample] = field(default_factory=list)
 
     def position_at(self, time: float) -> tuple[float, float]:
-        """x1 (m) at a time, and how long (s) the tracker was blind around it; NaN when that was too long.
+        """Return x1 (m) at a time, and the duration (s) of the tracker's gap there; NaN if the gap is too long.
 
-        Between two neighbouring samples on the straight line. Where a marker was hidden for a moment, on the cubic
-        through the samples of a quarter second on either side, as x1 bends where a cycle begins.
+        x1 is interpolated linearly between neighbouring samples. A short gap is bridged by a cubic through the samples
+        of a quarter second on either side, as x1 is curved at the start of a cycle.
         """
         after = bisect_left(self.positions, (time, -math.inf))
         if after == len(self.positions):
@@ -73,7 +73,7 @@ class RunRecord:
         return float(np.polyfit(np.subtract(times, time), positions, 3)[-1])
 
     def latest_power(self) -> float:
-        """W, of the latest valid sample; NaN without one."""
+        """Return the power of the latest valid sample, W; NaN without one."""
         for sample in reversed(self.power):
             if sample.status is SampleStatus.VALID:
                 return sample.power
@@ -81,11 +81,12 @@ class RunRecord:
 
 
 @dataclass(frozen=True)
-class Figures:
-    """Measured figures of a run; SI. reasons: why figures are missing or less certain, in words.
+class RunMetrics:
+    """Measured metrics of a run, SI.
 
     Attributes:
-        distance: m, of x1 along the gait's direction over all whole cycles.
+        distance: displacement of x1 along the gait's direction over all complete cycles, m.
+        reasons: reasons of missing or less certain metrics.
     """
 
     cycles_completed: int
@@ -98,15 +99,15 @@ class Figures:
     reasons: tuple[str, ...]
 
 
-def figures(run: Run, record: RunRecord, body: Body) -> Figures:
-    """The figures of a run that has ended."""
+def run_metrics(run: Run, record: RunRecord, body: Body) -> RunMetrics:
+    """Return the metrics of a run that has ended."""
     assert run.end is not None
     completed = run.cycles_completed(run.end)
     averaged = min(AVERAGED_CYCLES, completed)
     idle_power, idle_reason = _idle_power(run, record.power)
     if run.onset is None or averaged == 0:
         reasons = _given("no cycle was completed", idle_reason)
-        return Figures(completed, 0, *(math.nan,) * 4, idle_power, reasons)
+        return RunMetrics(completed, 0, *(math.nan,) * 4, idle_power, reasons)
     end = run.onset + completed / run.gait.frequency
     start = end - averaged / run.gait.frequency
     speed, speed_reason = _speed(run, record, start, end)
@@ -114,11 +115,11 @@ def figures(run: Run, record: RunRecord, body: Body) -> Figures:
     cost, cost_reason = _cost_of_transport(power, speed, body)
     reasons = _given(speed_reason, power_reason, cost_reason, idle_reason)
     travelled = run.gait.direction * (record.position_at(end)[0] - record.position_at(run.onset)[0])
-    return Figures(completed, averaged, travelled, speed, power, cost, idle_power, reasons)
+    return RunMetrics(completed, averaged, travelled, speed, power, cost, idle_power, reasons)
 
 
 def distance(run: Run, record: RunRecord) -> float:
-    """Displacement of x1 along the gait's direction since the onset (m); NaN without a tracker."""
+    """Return the displacement of x1 along the gait's direction since the onset, m; NaN without a tracker."""
     if run.onset is None or not record.positions:
         return math.nan
     return run.gait.direction * (record.positions[-1][1] - record.position_at(run.onset)[0])
@@ -130,25 +131,25 @@ def _given(*reasons: str) -> tuple[str, ...]:
 
 def _speed(run: Run, record: RunRecord, start: float, end: float) -> tuple[float, str]:
     if not record.positions:
-        return math.nan, "no speed: the topic tracker was silent"
+        return math.nan, "no speed: no samples arrived on the topic tracker"
     (first, first_gap), (last, last_gap) = record.position_at(start), record.position_at(end)
-    blind = max(first_gap, last_gap)
+    gap = max(first_gap, last_gap)
     if math.isnan(last - first):
-        where = f"the averaged cycles' start or end ({blind:.2f} s)"
+        where = f"the start or the end of the averaged cycles ({gap:.2f} s)"
         return math.nan, f"no speed: the tracker did not see the robot at {where}"
     note = (
-        f"the tracker was blind for {blind:.2f} s where x1 was read, which is bridged"
-        if blind
+        f"speed is less certain: x1 is interpolated over a gap of the tracker of {gap:.2f} s"
+        if gap
         else ""
     )
     return run.gait.direction * (last - first) / (end - start), note
 
 
 def _mean_power(samples: Sequence[PowerSample], start: float, end: float) -> tuple[float, str]:
-    """Mean over time: each valid sample stands for the time until the next one."""
+    """Return the mean over time, and a reason if it is NaN. Each valid sample counts until the next one."""
     window = [sample for sample in samples if start <= sample.time <= end]
     if not window:
-        return math.nan, "no power: there are no samples of the power sensor"
+        return math.nan, "no power: no samples of the power sensor arrived"
     overflows = sum(sample.status is SampleStatus.OVERFLOW for sample in window)
     if overflows:
         return math.nan, f"no power: {overflows} samples overflowed the sensor's range"
@@ -156,7 +157,7 @@ def _mean_power(samples: Sequence[PowerSample], start: float, end: float) -> tup
     times = [start, *(sample.time for sample in valid[1:]), end]
     gap = max(after - before for before, after in pairwise(times))
     if not valid or gap > _POWER_GAP:
-        return math.nan, f"no power: there was no valid sample for {gap:.2f} s"
+        return math.nan, f"no power: no valid sample for {gap:.2f} s"
     energy = math.fsum(
         sample.power * (after - before)
         for sample, (before, after) in zip(valid, pairwise(times), strict=True)
@@ -165,16 +166,16 @@ def _mean_power(samples: Sequence[PowerSample], start: float, end: float) -> tup
 
 
 def _cost_of_transport(power: float, speed: float, body: Body) -> tuple[float, str]:
-    """COT = P / (m g |v|)."""
+    """Return COT = P / (m g |v|), and a reason if only the speed prevents it."""
     if math.isnan(power) or math.isnan(speed):
         return math.nan, ""
     if speed == 0.0:
-        return math.nan, "no cost of transport: the robot stood still"
+        return math.nan, "no cost of transport: the speed is 0"
     return power / (body.mass * STANDARD_GRAVITY * abs(speed)), ""
 
 
 def _idle_power(run: Run, samples: Sequence[PowerSample]) -> tuple[float, str]:
-    """Mean of the first ten valid samples at rest (eq:Pidle_est)."""
+    """Return the mean of the first ten valid samples at rest (eq:Pidle_est), and a reason if it is NaN."""
     if run.rest_start is None:
         return math.nan, "no idle power: the rest did not begin"
     end = math.inf if run.onset is None else run.onset

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the cable and the fins are to do at a time: a pure state machine.
+"""State machine that computes the commands of the cable and the fins.
 
-A run goes RETURNING (only if the cable is not at rest) -> FLIPPING (the fins are set, the robot settles) -> RESTING
-(idle power is sampled) -> RUNNING -> IDLE. A gait with pretension tensions the cable once the fins are set, and returns
-to delta L = 0 after its end: FLIPPING -> TENSIONING -> FLIPPING, and RUNNING -> RETURNING -> IDLE. Cancelling goes
-through STOPPING to the next point of rest, where every cycle begins and ends: delta L = 0, or the pretension. stop and
-fault hold the cable where it is. Times are monotonic, in s.
+A run passes through RETURNING (only if the cable is not at rest), FLIPPING (the fins are set, the robot settles),
+RESTING (idle power is sampled), RUNNING and IDLE. A gait with pretension tensions the cable once the fins are set
+(FLIPPING -> TENSIONING -> FLIPPING), and returns to delta L = 0 after its end (RUNNING -> RETURNING -> IDLE). A
+cancelled run passes through STOPPING to its next point of rest, where every cycle begins and ends: delta L = 0, or the
+pretension. stop and fault hold the cable at its position. Times are monotonic, in s.
 """
 
 import enum
@@ -15,12 +15,12 @@ from dataclasses import dataclass, replace
 from worm_driver.errors import LimitError
 from worm_driver.gait.gait_limits import Gait
 
-#: m, closer to delta L = 0 than this counts as rest: nothing is to be paid out
+#: m, distance from delta L = 0 below which the cable is at rest
 REST_TOLERANCE = 1e-4
 
 
 class Phase(enum.Enum):
-    """What the player is at."""
+    """Phase of the player."""
 
     IDLE = "idle"
     RETURNING = "returning to rest"
@@ -34,7 +34,7 @@ class Phase(enum.Enum):
 
 
 class Ending(enum.Enum):
-    """How a run ended."""
+    """Kind of a run's end."""
 
     COMPLETED = "completed"
     CANCELLED = "cancelled"
@@ -44,14 +44,18 @@ class Ending(enum.Enum):
 
 @dataclass(frozen=True)
 class Run:
-    """A gait that was asked for, and how far it came.
+    """Run of a gait, and its progress.
 
     Attributes:
-        number: counts the runs since the start of the driver.
-        rest_start: s, when the rest began; None before it.
-        onset: s, when the first cycle began; None before it.
-        end: s, when the run ended; None before it.
-        stop_cycle: cycle after which the run stops, at most cycles.
+        number: number of the run, counted since the start of the driver.
+        gait: the gait.
+        cycles: requested cycles.
+        stop_cycle: cycle after which the run stops, at most ``cycles``.
+        rest_start: start of the rest, s; None before it.
+        onset: start of the first cycle, s; None before it.
+        end: end of the run, s; None before it.
+        ending: kind of the end; None before it.
+        reason: reason of an early end.
     """
 
     number: int
@@ -65,14 +69,14 @@ class Run:
     reason: str = ""
 
     def cycles_completed(self, now: float) -> int:
-        """Whole cycles played until a time."""
+        """Return the number of complete cycles at a time (s)."""
         if self.onset is None:
             return 0
         elapsed = (now if self.end is None else self.end) - self.onset
         return min(self.stop_cycle, math.floor(elapsed * self.gait.frequency + 1e-9))
 
     def cycle(self, now: float) -> int:
-        """Number of the cycle that is being played, 1 in the first; 0 before the onset."""
+        """Return the number of the present cycle, 1 in the first; 0 before the onset."""
         if self.onset is None or now < self.onset:
             return 0
         return min(self.stop_cycle, math.floor((now - self.onset) * self.gait.frequency + 1e-9) + 1)
@@ -80,18 +84,18 @@ class Run:
 
 @dataclass(frozen=True)
 class PlayerState:
-    """The player between two steps.
+    """State of the player between two steps.
 
     Attributes:
-        phase: what it is at.
-        since: s, when the phase began.
-        length_change: m, what the cable is asked for now.
-        ramp_from: m, where a return to rest or the tensioning began.
-        direction: where the fins are set to; 0 before the first run and after a hold, which stops them where they are.
-        stepped: s, when the last step was.
-        still_start: s, when the cable and the fins were last asked to move, or seen off their place.
-        run: the current run, or the last one when its ending is set.
-        message: why it holds or has failed.
+        phase: present phase.
+        phase_start: start of the phase, s.
+        length_change: commanded length change, m.
+        ramp_from: length change at the start of a return to rest or of the tensioning, m.
+        direction: commanded direction of the fins; 0 before the first run and after a hold, which stops the fins.
+        stepped: time of the last step, s.
+        still_start: time of the last commanded motion, or of the last observation of fins that are not set, s.
+        run: present run, or the last one if its ending is set.
+        message: reason of a hold or a fault.
     """
 
     phase: Phase = Phase.IDLE
@@ -106,18 +110,18 @@ class PlayerState:
 
     @property
     def active_run(self) -> Run | None:
-        """The run that has not ended yet."""
+        """Run that has not ended; None if there is none."""
         return self.run if self.run is not None and self.run.ending is None else None
 
 
 @dataclass(frozen=True)
 class Observation:
-    """What the player needs to know of the robot.
+    """Observation of the robot for a step.
 
     Attributes:
-        fins_set: the fins have reached where they were sent to.
-        idle_samples: valid power samples since the rest began.
-        tracker_ready: the tracker sees the robot stand, or there is none to wait for.
+        fins_set: True if the fins have reached their goals.
+        idle_samples: number of valid power samples since the rest began.
+        tracker_ready: True if the tracker sees the robot at rest, or if there is no tracker.
     """
 
     fins_set: bool
@@ -127,17 +131,17 @@ class Observation:
 
 @dataclass(frozen=True)
 class PlayerSettings:
-    """Times and speeds of the phases; SI.
+    """Times and speeds of the phases, SI.
 
     Attributes:
-        rest_duration: s, least rest before a gait.
-        settle_time: s, that the robot gets to come to rest after a motion, before the rest counts.
+        rest_duration: shortest rest before a gait, s.
+        settle_time: time between a motion and the rest, in which the robot settles, s.
         rest_samples: idle power samples that the rest waits for.
-        rest_timeout: s, longest rest: then the gait starts without an idle power, or a tracker.
-        flip_timeout: s, longest time for the fins.
-        return_speed: m/s, peak cable speed on the way back to rest, and to the pretension.
-        longest_step: s, by which one step goes on with such a motion at most: after a late one the cable does not
-            catch up, as that would be faster than return_speed.
+        rest_timeout: longest rest, after which the gait starts without an idle power or a tracker, s.
+        flip_timeout: longest motion of the fins, s.
+        return_speed: peak cable speed of a return to rest and of the tensioning, m/s.
+        longest_step: longest advance of such a motion in one step, s. After a late step the cable does not catch up,
+            as that would exceed return_speed.
     """
 
     rest_duration: float = 1.0
@@ -150,18 +154,19 @@ class PlayerSettings:
 
 
 def start(state: PlayerState, now: float, gait: Gait, cycles: int) -> PlayerState:
-    """Begins a run from rest, or from a hold by way of a return to rest.
+    """Begin a run from rest, or from a hold after a return to rest.
 
-    Raises LimitError: a run is going on, or the player is in fault.
+    Raises:
+        LimitError: A run is in progress, or the player is in fault.
     """
     run = state.active_run
     if run is not None:
         raise LimitError(
-            f"a gait is running already (cycle {run.cycle(now)} of {run.cycles}): cancel it first, or wait"
+            f"a gait is running already (cycle {run.cycle(now)} of {run.cycles}): cancel it or wait for its end"
         )
     if state.phase is Phase.FAULT:
         raise LimitError(
-            f"the driver is in fault ({state.message}): deactivate and activate it once that is mended"
+            f"the driver is in fault ({state.message}): remove the cause, then deactivate and activate the driver"
         )
     number = 1 if state.run is None else state.run.number + 1
     state = replace(state, run=Run(number, gait, cycles, cycles), message="")
@@ -169,7 +174,7 @@ def start(state: PlayerState, now: float, gait: Gait, cycles: int) -> PlayerStat
 
 
 def finish(state: PlayerState, now: float) -> PlayerState:
-    """Lets the run end as completed with the present cycle: it has reached what it was asked for."""
+    """End the run as completed with the present cycle."""
     run = state.active_run
     if run is None or state.phase is not Phase.RUNNING:
         return state
@@ -178,7 +183,7 @@ def finish(state: PlayerState, now: float) -> PlayerState:
 
 
 def cancel(state: PlayerState, now: float, reason: str) -> PlayerState:
-    """Lets the run end at the next point of rest."""
+    """End the run at its next point of rest."""
     run = state.active_run
     if run is None or state.phase is Phase.STOPPING:
         return state
@@ -191,40 +196,40 @@ def cancel(state: PlayerState, now: float, reason: str) -> PlayerState:
 
 
 def stop(state: PlayerState, now: float, length_change: float, reason: str) -> PlayerState:
-    """Holds the cable at once at a length change (m)."""
+    """Hold the cable at once at a length change (m)."""
     if state.phase is Phase.FAULT:
         return state
     return _hold(state, now, length_change, Phase.HOLDING, Ending.STOPPED, reason)
 
 
 def fault(state: PlayerState, now: float, length_change: float, reason: str) -> PlayerState:
-    """Holds the cable at once, until the driver is activated anew. The first fault keeps its reason."""
+    """Hold the cable at once, until the driver is activated again. A later fault does not replace the reason."""
     if state.phase is Phase.FAULT:
         return state
     return _hold(state, now, length_change, Phase.FAULT, Ending.FAILED, reason)
 
 
 def return_to_rest(state: PlayerState, now: float, reason: str) -> PlayerState:
-    """Ends a run and pays the cable out to delta L = 0, from wherever it is."""
+    """End the run and pay the cable out to delta L = 0."""
     if state.active_run is not None:
         state = _end(state, now, Ending.STOPPED, Phase.IDLE, reason)
     return _enter(replace(state, message=reason), Phase.RETURNING, now)
 
 
 def at_rest(state: PlayerState) -> bool:
-    """Whether nothing moves, and the cable is at delta L = 0."""
+    """Return True if nothing moves, and the cable is at delta L = 0."""
     return state.phase is Phase.IDLE and abs(state.length_change) <= REST_TOLERANCE
 
 
 def moving(state: PlayerState) -> bool:
-    """Whether the cable is asked to move."""
+    """Return True if the cable is commanded to move."""
     return state.phase in (Phase.RUNNING, Phase.STOPPING, Phase.RETURNING, Phase.TENSIONING)
 
 
 def step(
     state: PlayerState, now: float, observation: Observation, settings: PlayerSettings
 ) -> PlayerState:
-    """The state at a time. A step must follow the one before closely while the cable moves."""
+    """Return the state at a time (s). While the cable moves, steps must follow each other closely."""
     handler = _STEPS.get(state.phase)
     if handler is None:
         return state
@@ -236,7 +241,7 @@ def step(
 
 
 def _delayed(state: PlayerState, now: float, settings: PlayerSettings) -> PlayerState:
-    """The state whose ramp began later by what this step is late."""
+    """Return the state with its ramp delayed by the lateness of this step."""
     is_ramp = state.phase in (Phase.RETURNING, Phase.TENSIONING) or (
         state.phase is Phase.STOPPING and state.run is not None and state.run.onset is None
     )
@@ -265,7 +270,7 @@ def _tensioning(
 
 
 def _ramp(state: PlayerState, now: float, target: float, settings: PlayerSettings) -> PlayerState:
-    """A half cosine from where the ramp began to a target (m): no jump of speed, a bounded peak."""
+    """Move on a half cosine from the start of the ramp to a target (m), without steps of the speed."""
     way = state.ramp_from - target
     duration = math.pi / 2 * abs(way) / settings.return_speed
     elapsed = now - state.phase_start
@@ -287,7 +292,7 @@ def _flipping(
     if observation.fins_set and now - state.still_start >= settings.settle_time:
         return _enter(replace(state, run=replace(run, rest_start=now)), Phase.RESTING, now)
     if not observation.fins_set and now - state.phase_start > settings.flip_timeout:
-        reason = f"the fins did not reach their place within {settings.flip_timeout:g} s"
+        reason = f"the fins did not reach their goals within {settings.flip_timeout:g} s"
         return fault(state, now, state.length_change, reason)
     return state
 
@@ -301,7 +306,11 @@ def _resting(
     enough = rested >= settings.rest_duration and observation.idle_samples >= settings.rest_samples
     if not (enough and observation.tracker_ready) and rested < settings.rest_timeout:
         return state
-    message = "" if observation.tracker_ready else "the robot was not seen at rest before the gait"
+    message = (
+        ""
+        if observation.tracker_ready
+        else "the tracker did not see the robot at rest before the gait"
+    )
     state = replace(state, run=replace(run, onset=now), message=message)
     return _enter(state, Phase.RUNNING, now)
 
@@ -311,7 +320,7 @@ def _running(
 ) -> PlayerState:
     run = state.run
     assert run is not None
-    if run.onset is None:  # cancelled on the way back to rest
+    if run.onset is None:  # The run was cancelled during the return to rest.
         state = _ramp(state, now, 0.0, settings)
         return state if state.length_change else _end(state, now, Ending.CANCELLED, Phase.IDLE)
     end = run.onset + run.stop_cycle / run.gait.frequency
@@ -346,7 +355,7 @@ def _end(
 
 
 def _come_to_rest(state: PlayerState, now: float, ending: Ending) -> PlayerState:
-    """End a run, and pay a pretension out."""
+    """End a run, and pay out its pretension."""
     state = _end(state, now, ending, Phase.IDLE)
     return _enter(state, Phase.RETURNING, now) if state.length_change else state
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""When a run has reached what it was asked for: after so many cycles, grooves, or so far along the pipe."""
+"""End of a run: after a number of cycles or grooves, or after a distance."""
 
 import math
 from dataclasses import dataclass
@@ -9,23 +9,24 @@ from worm_driver.gait.gait_limits import Gait, GaitLimits
 from worm_driver.gait.gait_metrics import RunRecord, distance
 from worm_driver.gait.gait_player import Run
 
-#: part of a cycle's extension after which x1 is where the cycle leaves it, except for the spring-back of the fins
-_LATE = 0.8
-#: part of a groove that may lack: beside whole grooves, x1 moves by what the fins bend, which is no groove
-_NEARLY = 0.25
-#: cycles after which a robot that has not gained a groove in them gains none
+#: part of the extension after which x1 has its final value of the cycle, except for the spring-back of the fins
+_NEAR_END = 0.8
+#: part of a groove that may be missing, as the deflection of the fins also moves x1
+_TOLERANCE = 0.25
+#: cycles without a gained groove after which a run makes no progress
 _CYCLES_WITHOUT_PROGRESS = 3
-#: s after a cycle's end within which the tracker's word on it must have come
+#: s, latest arrival of a tracker sample after the end of a cycle
 _LATENCY = 0.5
 
 
 @dataclass(frozen=True)
 class RunEnd:
-    """What is asked for, the first that is reached counts; 0: does not matter.
+    """Requested end of a run. The condition that is reached first ends it; 0: no condition.
 
     Attributes:
-        grooves: that x1 gains along the gait's direction.
-        distance: m, that x1 travels along the gait's direction.
+        cycles: number of cycles.
+        grooves: grooves that x1 gains along the gait's direction.
+        distance: distance of x1 along the gait's direction, m.
     """
 
     cycles: int = 0
@@ -34,13 +35,13 @@ class RunEnd:
 
     @property
     def needs_tracker(self) -> bool:
-        """Whether it cannot be told without the tracker."""
+        """True if the end depends on the tracker."""
         return self.grooves > 0 or self.distance > 0.0
 
     def most_cycles(self, gait: Gait, limits: GaitLimits) -> int:
-        """After how many cycles the run ends in any case. Raises LimitError."""
+        """Return the number of cycles after which the run ends at the latest. Raises LimitError."""
         if not (math.isfinite(self.distance) and self.distance >= 0.0):
-            raise LimitError(f"distance must be a length in m, not {self.distance:g}")
+            raise LimitError(f"distance is {self.distance:g} m; it must be 0 m or longer")
         if self.cycles:
             return self.cycles
         if not self.needs_tracker:
@@ -48,28 +49,30 @@ class RunEnd:
         return limits.most_cycles(gait)
 
     def is_reached(self, run: Run, record: RunRecord, pitch: float) -> bool:
-        """Whether the run is to end with the present cycle, by the tracker's last word.
+        """Return True if the run must end with the present cycle, according to the latest tracker sample.
 
         Args:
-            pitch: m, of the grooves.
+            run: run in progress.
+            record: its measurements.
+            pitch: distance between two grooves, m.
         """
         travelled = distance(run, record)
-        if not is_late(run, record) or math.isnan(travelled):
+        if not is_near_cycle_end(run, record) or math.isnan(travelled):
             return False
-        by_grooves = 0 < self.grooves <= math.floor(travelled / pitch + _NEARLY)
+        by_grooves = 0 < self.grooves <= math.floor(travelled / pitch + _TOLERANCE)
         return by_grooves or 0.0 < self.distance <= travelled
 
 
-def is_late(run: Run, record: RunRecord) -> bool:
-    """Whether the tracker's last word is of the end of a cycle."""
+def is_near_cycle_end(run: Run, record: RunRecord) -> bool:
+    """Return True if the latest tracker sample is from the end of a cycle."""
     if run.onset is None or not record.positions or record.positions[-1][0] < run.onset:
         return False
     phase = (record.positions[-1][0] - run.onset) * run.gait.frequency % 1.0
-    return run.gait.extended_share(phase) >= _LATE
+    return run.gait.extended_share(phase) >= _NEAR_END
 
 
 def makes_no_progress(run: Run, record: RunRecord, pitch: float) -> bool:
-    """Whether the robot gains nothing any more, by the tracker's last word, which is of the end of a cycle."""
+    """Return True if the robot no longer gains grooves. The latest tracker sample must be near a cycle's end."""
     newest, before = record.positions[-1], _CYCLES_WITHOUT_PROGRESS / run.gait.frequency
     if run.onset is None or newest[0] - before < run.onset:
         return False
@@ -78,10 +81,12 @@ def makes_no_progress(run: Run, record: RunRecord, pitch: float) -> bool:
 
 
 def unseen_cycle(run: Run, judged: int, now: float) -> int:
-    """The cycle whose end the tracker should have seen by now (s) but did not; 0 if there is none.
+    """Return the number of the cycle whose end the tracker missed; 0 if there is none.
 
     Args:
-        judged: the last cycle whose end it saw.
+        run: run in progress.
+        judged: last cycle whose end the tracker saw.
+        now: present time, s.
     """
     if run.onset is None:
         return 0

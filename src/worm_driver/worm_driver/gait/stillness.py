@@ -1,41 +1,41 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rest is seen, not assumed: a body that was stopped while contracted creeps on after its cable is paid out."""
+"""Detection of rest by the tracker, as a body that was stopped while contracted creeps after its cable is paid out."""
 
 import math
 from collections import deque
 from collections.abc import Iterable
 
-#: s before a gait in which the robot must have stood: the twin takes its initial length from them
+#: s at rest before a gait. The twin determines the initial length from this time.
 SPAN = 1.0
-#: m, by which the mean positions of the halves of that span may differ; a tracker's noise is about as large
+#: m, largest difference between the mean positions in the halves of that span, about a tracker's noise
 TOLERANCE = 3e-4
-#: samples that make a mean
+#: samples for a mean, at least
 FEWEST = 3
 
 
 class Stillness:
-    """Whether the tracker sees both modules stand.
+    """Detector of rest.
 
     Attributes:
-        lasts: whether they stood over the SPAN before the last sample; False where too little was seen of it.
+        lasts: True if both modules were at rest for the SPAN before the latest sample; False with too few samples.
     """
 
     def __init__(self) -> None:
         self.lasts = False
-        self._seen: deque[tuple[float, float, float]] = deque()
+        self._samples: deque[tuple[float, float, float]] = deque()
 
     def observe(self, time: float, rear: float, front: float) -> None:
-        """Takes a sample: s, and positions in m, NaN while a marker is hidden.
+        """Add a sample: time (s) and positions (m), NaN while a marker is hidden.
 
-        Where the time is earlier than the last one's, it is another clock's, and what was seen before is forgotten.
+        A time before that of the previous sample is from another clock. It clears the previous samples.
         """
-        if self._seen and time < self._seen[-1][0]:
-            self._seen.clear()
-        self._seen.append((time, rear, front))
-        while self._seen[0][0] < time - SPAN:
-            self._seen.popleft()
-        before = [places for then, *places in self._seen if then < time - SPAN / 2]
-        after = [places for then, *places in self._seen if then >= time - SPAN / 2]
+        if self._samples and time < self._samples[-1][0]:
+            self._samples.clear()
+        self._samples.append((time, rear, front))
+        while self._samples[0][0] < time - SPAN:
+            self._samples.popleft()
+        before = [places for then, *places in self._samples if then < time - SPAN / 2]
+        after = [places for then, *places in self._samples if then >= time - SPAN / 2]
         self.lasts = all(
             abs(
                 _mean(places[module] for places in after)

@@ -21,9 +21,9 @@ from worm_driver.control.hardware import Hardware
 from worm_driver.control.heartbeat import PERIOD, HeartbeatMonitor, shorter_timeout
 from worm_driver.control.snapshot import Snapshot
 from worm_driver.errors import DriverError, LimitError
-from worm_driver.gait.gait_metrics import Figures, RunRecord, distance, figures
+from worm_driver.gait.gait_metrics import RunMetrics, RunRecord, distance, run_metrics
 from worm_driver.gait.gait_player import Ending, Phase, Run
-from worm_driver.gait.run_end import RunEnd, is_late, makes_no_progress, unseen_cycle
+from worm_driver.gait.run_end import RunEnd, is_near_cycle_end, makes_no_progress, unseen_cycle
 from worm_driver.nodes.driver_messages import gait_from
 from worm_driver.nodes.driver_parameters import HEARTBEAT
 from worm_driver.nodes.goal_server import GoalServer
@@ -146,7 +146,7 @@ class RunGaitAction:
     def _judge(self, current: _Current) -> None:
         """End a run that has reached its end, or makes no progress, according to the latest tracker sample."""
         run, hardware = current.run, self._hardware()
-        if run is None or run.onset is None or not is_late(run, current.record):
+        if run is None or run.onset is None or not is_near_cycle_end(run, current.record):
             return
         current.judged = run.cycle(current.record.positions[-1][0])
         if hardware is None or not current.end.needs_tracker or current.end_requested:
@@ -238,7 +238,7 @@ class RunGaitAction:
         if body is None:
             goal.abort()
             return _no_result("the driver was closed during the run; its measurements are lost")
-        result = _result(outcome, figures(outcome, current.record, body), body.pitch)
+        result = _result(outcome, run_metrics(outcome, current.record, body), body.pitch)
         if outcome.ending is Ending.COMPLETED:
             goal.succeed()
         elif outcome.ending is Ending.CANCELLED and goal.is_cancel_requested:
@@ -288,7 +288,7 @@ def _elapsed(run: Run, snapshot: Snapshot) -> float:
     return -(snapshot.command_time - snapshot.player.phase_start) if resting else -0.0
 
 
-def _result(run: Run, measured: Figures, pitch: float) -> RunGait.Result:
+def _result(run: Run, measured: RunMetrics, pitch: float) -> RunGait.Result:
     endings = {
         Ending.COMPLETED: f"completed {measured.cycles_completed} cycles",
         Ending.CANCELLED: f"{run.reason}, at rest after {measured.cycles_completed} cycles",

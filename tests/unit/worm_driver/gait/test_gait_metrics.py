@@ -6,7 +6,7 @@ import pytest
 
 from worm_driver.body import Body
 from worm_driver.gait.gait_limits import Gait
-from worm_driver.gait.gait_metrics import RunRecord, distance, figures
+from worm_driver.gait.gait_metrics import RunRecord, distance, run_metrics
 from worm_driver.gait.gait_player import Ending, Run
 from worm_driver.power.ina219 import PowerSample, SampleStatus
 
@@ -49,7 +49,7 @@ def record(speed: float = 0.01) -> RunRecord:
 
 
 def test_figures_are_those_of_the_last_three_cycles():
-    found = figures(RUN, record(), BODY)
+    found = run_metrics(RUN, record(), BODY)
     assert (found.cycles_completed, found.cycles_averaged) == (5, 3)
     assert found.speed == pytest.approx(0.01)
     assert found.power == pytest.approx(6.0, rel=2e-3)
@@ -66,23 +66,23 @@ def test_idle_power_is_the_first_ten_samples_of_the_rest():
             RUN.rest_start <= sample.time < ONSET and sample not in first
         ) or sample.time < RUN.rest_start:
             seen.power[index] = valid(sample.time, 50.0)
-    assert figures(RUN, seen, BODY).idle_power == pytest.approx(0.8)
+    assert run_metrics(RUN, seen, BODY).idle_power == pytest.approx(0.8)
 
 
 def test_reverse_speed_is_along_the_gaits_direction():
     reverse = replace(RUN, gait=Gait(0.07, FREQUENCY, -1))
-    assert figures(reverse, record(-0.01), BODY).speed == pytest.approx(0.01)
-    assert figures(RUN, record(-0.01), BODY).speed == pytest.approx(-0.01)
+    assert run_metrics(reverse, record(-0.01), BODY).speed == pytest.approx(0.01)
+    assert run_metrics(RUN, record(-0.01), BODY).speed == pytest.approx(-0.01)
 
 
 def test_without_a_tracker_there_is_no_speed_and_a_reason():
     seen = record()
     seen.positions.clear()
-    found = figures(RUN, seen, BODY)
+    found = run_metrics(RUN, seen, BODY)
     assert math.isnan(found.speed)
     assert math.isnan(found.cost_of_transport)
     assert found.power == pytest.approx(6.0, rel=2e-3)
-    assert found.reasons == ("no speed: the topic tracker was silent",)
+    assert found.reasons == ("no speed: no samples arrived on the topic tracker",)
 
 
 def test_a_marker_hidden_for_a_moment_is_bridged_and_told():
@@ -90,35 +90,35 @@ def test_a_marker_hidden_for_a_moment_is_bridged_and_told():
     seen = record()
     bend = [(t, x + 0.05 * (t - 20.0) ** 2) for t, x in seen.positions]
     seen.positions = [(t, x) for t, x in bend if not 19.8 < t < 20.2]
-    found = figures(RUN, seen, BODY)
+    found = run_metrics(RUN, seen, BODY)
     whole = record()
     whole.positions = bend
-    assert found.speed == pytest.approx(figures(RUN, whole, BODY).speed, abs=2e-5)
+    assert found.speed == pytest.approx(run_metrics(RUN, whole, BODY).speed, abs=2e-5)
     assert found.reasons == (
-        "the tracker was blind for 0.40 s where x1 was read, which is bridged",
+        "speed is less certain: x1 is interpolated over a gap of the tracker of 0.40 s",
     )
 
 
 def test_a_tracker_that_was_blind_at_the_end_gives_no_speed():
     seen = record()
     seen.positions = [(t, x) for t, x in seen.positions if not 19.5 < t < 20.2]
-    found = figures(RUN, seen, BODY)
+    found = run_metrics(RUN, seen, BODY)
     assert math.isnan(found.speed)
     assert "did not see the robot" in found.reasons[0]
 
 
 def test_a_robot_that_stands_has_no_cost_of_transport():
-    found = figures(RUN, record(0.0), BODY)
+    found = run_metrics(RUN, record(0.0), BODY)
     assert found.speed == 0.0
     assert math.isnan(found.cost_of_transport)
-    assert "stood still" in found.reasons[0]
+    assert "the speed is 0" in found.reasons[0]
 
 
 def test_an_overflow_in_the_averaged_cycles_gives_no_power():
     """Leaving it out would leave out the highest powers."""
     seen = record()
     seen.power[900] = bad(seen.power[900].time, SampleStatus.OVERFLOW)
-    found = figures(RUN, seen, BODY)
+    found = run_metrics(RUN, seen, BODY)
     assert math.isnan(found.power)
     assert "1 samples overflowed" in found.reasons[0]
 
@@ -126,19 +126,19 @@ def test_an_overflow_in_the_averaged_cycles_gives_no_power():
 def test_an_overflow_before_the_averaged_cycles_does_no_harm():
     seen = record()
     seen.power[300] = bad(seen.power[300].time, SampleStatus.OVERFLOW)
-    assert figures(RUN, seen, BODY).power == pytest.approx(6.0, rel=2e-3)
+    assert run_metrics(RUN, seen, BODY).power == pytest.approx(6.0, rel=2e-3)
 
 
 def test_a_look_that_came_too_early_does_no_harm():
     seen = record()
     seen.power[800:1000:3] = [bad(s.time, SampleStatus.NOT_READY) for s in seen.power[800:1000:3]]
-    assert figures(RUN, seen, BODY).power == pytest.approx(6.0, rel=5e-3)
+    assert run_metrics(RUN, seen, BODY).power == pytest.approx(6.0, rel=5e-3)
 
 
 def test_a_sensor_that_was_gone_for_a_while_gives_no_power():
     seen = record()
     seen.power[800:830] = [bad(s.time, SampleStatus.BUS_ERROR) for s in seen.power[800:830]]
-    found = figures(RUN, seen, BODY)
+    found = run_metrics(RUN, seen, BODY)
     assert math.isnan(found.power)
     assert "no valid sample for 0.31 s" in found.reasons[0]
 
@@ -146,7 +146,7 @@ def test_a_sensor_that_was_gone_for_a_while_gives_no_power():
 def test_without_a_power_sensor_there_is_a_reason_for_each_figure():
     seen = record()
     seen.power.clear()
-    reasons = figures(RUN, seen, BODY).reasons
+    reasons = run_metrics(RUN, seen, BODY).reasons
     assert any(reason.startswith("no power") for reason in reasons)
     assert any(reason.startswith("no idle power: 0 valid samples") for reason in reasons)
 
@@ -159,19 +159,19 @@ def test_uneven_sampling_does_not_bias_the_mean():
         for index, sample in enumerate(seen.power)
         if sample.power < 6.5 or index % 2 or sample.power > 50.0
     ]
-    assert figures(RUN, seen, BODY).power == pytest.approx(6.0, rel=5e-3)
+    assert run_metrics(RUN, seen, BODY).power == pytest.approx(6.0, rel=5e-3)
 
 
 def test_a_cancelled_run_averages_what_it_completed():
     cancelled = replace(RUN, stop_cycle=2, end=ONSET + 2 * PERIOD, ending=Ending.CANCELLED)
-    found = figures(cancelled, record(), BODY)
+    found = run_metrics(cancelled, record(), BODY)
     assert (found.cycles_completed, found.cycles_averaged) == (2, 2)
     assert found.speed == pytest.approx(0.1)
 
 
 def test_a_run_stopped_in_its_first_cycle_has_no_figures():
     stopped = replace(RUN, end=ONSET + 1.0, ending=Ending.STOPPED)
-    found = figures(stopped, record(), BODY)
+    found = run_metrics(stopped, record(), BODY)
     assert (found.cycles_completed, found.cycles_averaged) == (0, 0)
     assert math.isnan(found.speed)
     assert found.idle_power == pytest.approx(0.8)
@@ -180,7 +180,7 @@ def test_a_run_stopped_in_its_first_cycle_has_no_figures():
 
 def test_a_run_stopped_in_its_fourth_cycle_averages_the_three_before():
     stopped = replace(RUN, end=ONSET + 3.5 * PERIOD, ending=Ending.STOPPED)
-    found = figures(stopped, record(), BODY)
+    found = run_metrics(stopped, record(), BODY)
     assert (found.cycles_completed, found.cycles_averaged) == (3, 3)
 
 

@@ -58,7 +58,7 @@ def test_the_rest_waits_for_the_tracker_but_not_for_ever():
     blind = Observation(fins_set=True, idle_samples=100, tracker_ready=False)
     states = play(state, 0.0, 10.0, seen=blind, until=lambda s: s.phase is Phase.RUNNING)
     assert states[-1][0] - states[-1][1].run.rest_start >= SETTINGS.rest_timeout - DT
-    assert states[-1][1].message == "the robot was not seen at rest before the gait"
+    assert states[-1][1].message == "the tracker did not see the robot at rest before the gait"
     assert play(state, 0.0, 10.0, until=lambda s: s.phase is Phase.RUNNING)[-1][1].message == ""
 
 

@@ -10,7 +10,7 @@ from worm_driver.gait import gait_player
 from worm_driver.gait.gait_limits import Gait, GaitLimits
 from worm_driver.gait.gait_metrics import RunRecord
 from worm_driver.gait.gait_player import Phase, PlayerState, Run
-from worm_driver.gait.run_end import RunEnd, is_late, makes_no_progress, unseen_cycle
+from worm_driver.gait.run_end import RunEnd, is_near_cycle_end, makes_no_progress, unseen_cycle
 
 PITCH, ONSET = 0.0173, 10.0
 GAIT = Gait(0.07, 0.2)
@@ -40,7 +40,7 @@ def test_the_end_of_a_cycle_is_that_of_its_extension(share, begins):
     run = Run(1, Gait(0.07, 0.2, contraction_share=share), 9, 9, onset=ONSET)
     for phase in (0.1, share, begins - 0.01, begins + 0.01, 0.999):
         record = RunRecord(positions=[(ONSET + (1.0 + phase) / 0.2, 0.0)])
-        assert is_late(run, record) == (phase > begins)
+        assert is_near_cycle_end(run, record) == (phase > begins)
 
 
 def test_what_the_fins_bend_is_no_groove():
@@ -62,15 +62,15 @@ def test_cycles_bound_a_run_and_without_them_the_limits_do():
     with pytest.raises(LimitError, match="needs an end"):
         RunEnd().most_cycles(GAIT, LIMITS)
     for distance in (math.nan, -1.0, math.inf):
-        with pytest.raises(LimitError, match="distance must be a length"):
+        with pytest.raises(LimitError, match="distance is"):
             RunEnd(distance=distance).most_cycles(GAIT, LIMITS)
 
 
-def test_a_cycle_whose_end_the_tracker_missed_is_named_once_its_word_is_late():
+def test_a_cycle_whose_end_the_tracker_missed_is_named_once_its_word_is_near_cycle_end():
     assert unseen_cycle(RUN, judged=1, now=ONSET + 5.0 + 5.2) == 0
     assert unseen_cycle(RUN, judged=1, now=ONSET + 5.0 + 5.6) == 2
     assert unseen_cycle(RUN, judged=2, now=ONSET + 5.0 + 5.6) == 0
-    assert not is_late(RUN, RunRecord())
+    assert not is_near_cycle_end(RUN, RunRecord())
 
 
 def test_three_cycles_without_a_groove_are_in_vain():

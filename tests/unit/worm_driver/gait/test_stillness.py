@@ -63,4 +63,4 @@ def test_another_clock_begins_anew_and_keeps_no_more_than_a_span():
     for index in range(1, 1000):
         still.observe(index / RATE_HZ, 0.2, 0.2 + LENGTH)
     assert still.lasts
-    assert len(still._seen) <= SPAN * RATE_HZ + 1
+    assert len(still._samples) <= SPAN * RATE_HZ + 1

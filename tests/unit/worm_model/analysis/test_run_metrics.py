@@ -211,7 +211,7 @@ def test_a_recording_that_ends_too_early_is_refused(name):
 # --- the driver's -----------------------------------------------------------------------------------
 
 
-def driver_figures(run: Run, cycles: int) -> gait_metrics.Figures:
+def driver_figures(run: Run, cycles: int) -> gait_metrics.RunMetrics:
     """What the driver would have measured of a recorded run, its clock at 0 with the first sample."""
 
     def clock(stamp: np.ndarray) -> list[float]:
@@ -230,7 +230,7 @@ def driver_figures(run: Run, cycles: int) -> gait_metrics.Figures:
     ended = gait_player.Run(
         1, gait, cycles, cycles, rest_start=0.0, onset=onset, end=onset + cycles * GAIT.period
     )
-    return gait_metrics.figures(ended, record, Body())
+    return gait_metrics.run_metrics(ended, record, Body())
 
 
 @pytest.mark.parametrize("cycles", [2, 5])
