@@ -73,7 +73,8 @@ def _kinds_of(cause: Cause) -> dict[str, Kind]:
     kinds = {}
     for sizes in cause.trials:
         code = cause.code(sizes[0]).code
-        key = cause.name if cause.up == cause.down else code
+        way = "up" if sizes[0] > 0.0 else "down"
+        key = cause.name if cause.up == cause.down else f"{cause.name} {way}"
         label = f"{key.replace('_', ' ')} ({cause.unit})"
         kinds[key] = Kind(label, sizes, code, cause.scale, cause.name)
     return kinds
@@ -331,7 +332,9 @@ def _with_size(kind: str) -> str:
 
 def draw_detection(found: Sequence[Outcome], path: Path) -> None:
     """How often each cause is named within two cycles over its size, and with a tracker within one."""
-    figure, axes = plt.subplots(3, 4, figsize=(12, 8), sharey=True, layout="constrained")
+    lines = math.ceil((len(KINDS) + 1) / 4)  # the last place has the legend
+    size = (12, 2.7 * lines)
+    figure, axes = plt.subplots(lines, 4, figsize=size, sharey=True, layout="constrained")
     for axis, (kind, about) in zip(axes.flat, KINDS.items(), strict=False):
         for seen_by, style in ((TRACKER, "o-"), (ALONE, "s-"), (BOUND, "k:")):
             if seen_by != BOUND or kind not in UNSEEN:

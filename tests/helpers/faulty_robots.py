@@ -33,8 +33,9 @@ SLOW = 1e-3  # m/s below which dry friction fades
 class Fault:
     """Fault of one robot from a phase of a cycle on.
 
-    ``kind`` is sound; gain, viscous_friction, scale (``size`` relative); slip, camera (m); offset (W); robot, gained
-    (grooves); rear, front (successive cycles in which a fin misses its last groove).
+    ``kind`` is sound; gain, viscous_friction, scale (``size`` relative); slip, camera (m); offset (W); rear_load,
+    both_loads (N, the latter shared by the modules); robot, gained (grooves); rear, front (successive cycles in which a
+    fin misses its last groove).
     """
 
     kind: str = "sound"
@@ -260,7 +261,7 @@ class _Bodies:
         return limit
 
     def _fins(self, carried: np.ndarray) -> np.ndarray:
-        """Forces (k, 2) of the fins, N."""
+        """Forces (k, 2) of the fins, and loads, N."""
         p, robots = self.p, np.arange(len(self.kinds))
         stretch = np.where(carried[:, None], 0.0, self.x - self.anchor * self.pitch)
         forces = []
@@ -269,7 +270,9 @@ class _Bodies:
             beyond = np.sign(s) * np.maximum(np.abs(s) - 0.5 * p["clearance"], 0.0)
             held = self.gait.direction * s < 0.0
             stiffness = np.where(held, p["engaged_stiffness"], p["disengaged_stiffness"])
-            forces.append(stiffness * self.factors[robots, f, self.anchor[:, f] % GROOVES] * beyond)
+            fin = stiffness * self.factors[robots, f, self.anchor[:, f] % GROOVES] * beyond
+            own = p["front_load"] if f else p["rear_load"] + self.of("rear_load")
+            forces.append(fin + own + 0.5 * self.of("both_loads"))
         return np.stack(forces, 1)
 
     def _push(self, forces: np.ndarray) -> None:

@@ -315,7 +315,7 @@ print(json.dumps({
     "message": generator.generated_message(generator.TWIN_EVENT.read_text()),
     "page": generator.generated_twin_page(generator.TWIN_PAGE.read_text()),
     "description": LASTING["rear_dry_friction"].describe(2.0, 0.2),
-    "benchmark": KINDS["stick_up"].code,
+    "benchmark": KINDS["rear_dry_friction up"].code,
 }))
 """
 
@@ -340,8 +340,8 @@ def test_a_cause_of_the_twin_is_a_row_of_the_table(copy):
     seen = copy.run(CAUSE.replace("ROOT", repr(str(ROOT))))
     assert seen["default"] == 0.0
     assert seen["signature"] > 0.0
-    assert seen["codes"] == ["ambiguous"]  # other causes have the same effect
-    assert "more dry friction" in seen["texts"][0]
+    assert seen["codes"] == ["stick_up"]
+    assert "dry friction of the rear module" in seen["texts"][0]
     assert seen["description"] == "dry friction of the rear module changed by +1.0 ± 0.2 N: dirt"
     assert 'string STICK_UP="stick_up"' in seen["message"]
     assert "| `stick_down` | dry friction has decreased | power |" in seen["page"]

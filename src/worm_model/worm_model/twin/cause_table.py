@@ -77,6 +77,18 @@ FRICTION_DOWN = EventCode(
     "viscous friction has decreased",
     "power, and positions within the cycle",
 )
+LOAD_UP = EventCode(
+    "load_up",
+    "more load",
+    "the load along the pipe has increased towards -x: tether, slope or flow",
+    "positions within the cycle; power",
+)
+LOAD_DOWN = EventCode(
+    "load_down",
+    "less load",
+    "the load along the pipe has decreased, or pulls towards +x: tether, slope or flow",
+    "positions within the cycle; power",
+)
 POWER_SCALE = EventCode(
     "power_scale",
     "another scale of the power",
@@ -114,6 +126,7 @@ class Effect(enum.Enum):
 
     RELATIVE = enum.auto()  # the parameter of the row's name changes by a share of its value
     ABSOLUTE = enum.auto()  # the parameter of the row's name changes by an amount in its SI unit
+    BOTH_LOADS = enum.auto()  # the load changes by an amount in N, one half of it on each module
     LOOSE_CABLE = enum.auto()  # the cable is longer by an amount in m
     POWER_SCALE = enum.auto()  # the measured power changes by a share
     POWER_OFFSET = enum.auto()  # the measured power changes by an amount in W
@@ -134,6 +147,7 @@ class Cause:
         words: description, with ``{}`` for the size.
         hint: possible explanation, empty if the code says enough.
         trials: sizes that the benchmark simulates, in threes (small, middle, large).
+        large: sizes, in usual ones, at which the effect is not proportional to the size; each has its own signature.
     """
 
     name: str
@@ -146,6 +160,7 @@ class Cause:
     words: str
     hint: str
     trials: tuple[tuple[float, float, float], ...]
+    large: tuple[float, ...] = ()
 
     @property
     def least(self) -> float:
@@ -190,6 +205,32 @@ LASTING = {
             words="friction changed by {}",
             hint="",
             trials=((0.5, 1.0, 2.0), (-0.3, -0.6, -0.8)),
+        ),
+        Cause(
+            name="rear_load",
+            effect=Effect.ABSOLUTE,
+            up=LOAD_UP,
+            down=LOAD_DOWN,
+            size=2.0,
+            unit="N",
+            scale=1.0,
+            words="the load on the rear module changed by {}",
+            hint="tether",
+            trials=((1.0, 3.0, 6.0), (-1.0, -2.0, -4.0)),
+            large=(-2.5, -2.0, -1.0, 1.0, 2.0, 3.0),
+        ),
+        Cause(
+            name="both_loads",
+            effect=Effect.BOTH_LOADS,
+            up=LOAD_UP,
+            down=LOAD_DOWN,
+            size=2.0,
+            unit="N",
+            scale=1.0,
+            words="the load on both modules together changed by {}",
+            hint="slope of the pipe, or flow",
+            trials=((1.0, 3.0, 6.0), (-1.0, -2.0, -4.0)),
+            large=(-2.5, -2.0, -1.0, 1.0, 2.0, 3.0),
         ),
         Cause(
             name="slip",

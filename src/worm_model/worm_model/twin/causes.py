@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -31,7 +31,7 @@ from worm_model.twin.cause_table import (
     MISSED_BY_FIN,
     EventCode,
 )
-from worm_model.twin.core.memory import CHANNELS, POWER
+from worm_model.twin.core.memory import CHANNELS, POSITION, POWER
 from worm_model.twin.cycle_data import POWER_SHARE, SCATTER, CycleData
 from worm_model.twin.inference import NullModel
 from worm_model.twin.signatures import BINS, L0_STEP_M, Signatures
@@ -45,9 +45,11 @@ WRONG_LENGTH, LENGTH_SPREAD_M = 0.01, 0.003  # probability that L0 is wrong; sca
 RIGHT = 0.95  # probability that a cycle gains the predicted grooves
 DEVIATION = 0.001  # probability of an unexplained deviation in a cycle
 DEVIATION_SCATTER = (0.01, 0.002, 1.0)  # standard deviations of that deviation, m, m, W
+CAMERA_M = 0.03  # usual step of the positions when a camera is moved
 ONSETS = (0.0, 0.25, 0.5, 0.75)  # tested phases of a cycle at which a change begins
 BROAD = 4.0  # prior deviation of a reported change, in usual sizes
 SHIFT = 1.0  # common deviation of a whole cycle, in scatters
+LARGEST = 300.0  # logarithm of the largest weight
 THRESHOLDS = 0.5  # scatter of thresholds between cycles, relative to that of healthy robots
 
 
@@ -77,6 +79,7 @@ class Candidate(NamedTuple):
         phase: phase of the first cycle at which it begins, 0 to 1.
         cycles: number of cycles that it lasts, 0 without an end.
         fact: True if its size is known to be 1.
+        variant: signature of the name that it has.
         error: error of L0, m.
         weight: posterior probability divided by that of a healthy robot.
         size: estimated size, in usual sizes.
@@ -90,6 +93,7 @@ class Candidate(NamedTuple):
     phase: float = 0.0
     cycles: int = 0
     fact: bool = False
+    variant: int = 0
     error: float = 0.0
     weight: float = 0.0
     size: float = 0.0
@@ -102,6 +106,7 @@ def weigh_causes(
     signs: Signatures,
     *,
     length_seen: bool,
+    steps: Sequence[Candidate] = (),
 ) -> list[Candidate]:
     """Return all candidates for the remembered cycles with their weights; a healthy robot has the weight 1.
 
@@ -110,6 +115,7 @@ def weigh_causes(
         reported: causes already reported.
         signs: signatures of gait and robot.
         length_seen: True if an instrument measured L0, so that no other L0 is a candidate.
+        steps: further candidates, steps of the camera.
     """
     data = Data(cycles, reported, signs)
     lasting = list(_lasting(cycles, signs))
@@ -117,10 +123,11 @@ def weigh_causes(
     tracked = any(cycle.step is not None for cycle in cycles)
     # Without a tracker, another L0 is no candidate, because power alone cannot exclude a miss.
     lengths = list(_lengths(cycles, signs)) if tracked and not length_seen else []
-    candidates = [*lasting, *grooves, *(candidate for candidate, _ in lengths)]
+    candidates = [*lasting, *steps, *grooves, *(candidate for candidate, _ in lengths)]
     causes = np.array(
         [
             *data.lasting(lasting),
+            *map(data.step, steps),
             *map(data.direction, grooves),
             *(direction for _, direction in lengths),
         ]
@@ -129,11 +136,13 @@ def weigh_causes(
     null = NullModel(data.seen, data.weight, data.nuisances, data.offsets)
     weighed = null.weigh(causes, known)
     logs = np.array([c.log_prior for c in candidates]) + weighed.evidence
-    weights = np.exp(np.minimum(logs, 300.0))
+    unexplained = math.log(DEVIATION) + null.weigh_noise(data.unexplained())
+    # A healthy robot, whose weight is 1, is out of the question where this limit has an effect.
+    logs, unexplained = np.split(_limited(np.append(logs, unexplained)), [len(logs)])
+    weights = np.exp(logs)
     weights[
         [_is_impossible(*c) for c in zip(candidates, weighed.size, weighed.deviation, strict=True)]
     ] = 0.0
-    unexplained = null.weigh_noise(data.unexplained())
     return [
         *(
             c._replace(code=_code(c, s), weight=w, size=s, deviation=d)
@@ -152,13 +161,16 @@ def weigh_causes(
                 n,
                 math.log(DEVIATION),
                 cycles=1,
-                weight=DEVIATION * w,
+                weight=w,
             )
-            for n, w in zip(
-                data.numbers, np.exp(np.minimum(unexplained, 300.0)).tolist(), strict=True
-            )
+            for n, w in zip(data.numbers, np.exp(unexplained).tolist(), strict=True)
         ),
     ]
+
+
+def _limited(logs: Array) -> Array:
+    """Return logarithms of weights that are at most `LARGEST`, with the same ratios."""
+    return logs - max(float(logs.max()) - LARGEST, 0.0)
 
 
 def _code(candidate: Candidate, size: float) -> EventCode:
@@ -201,13 +213,20 @@ class Data:
         numbers = range(candidate.cycle, candidate.cycle + candidate.cycles)
         return self._grooves(candidate.name, candidate.code == GAINED, numbers)
 
-    def lasting(self, causes: Sequence[Candidate | ReportedCause]) -> Array:
+    def lasting(self, causes: Sequence[Candidate]) -> Array:
         """Return the effects of lasting causes, shape (causes, cycles, channels times bins)."""
-        changes = np.array([self.signs.lasting[cause.name] for cause in causes])
+        changes = np.array([self.signs.lasting[cause.name][cause.variant] for cause in causes])
         since = np.array([self._bins_before(cause.cycle, cause.phase) for cause in causes])
         bins = np.arange(len(self.numbers) * BINS).reshape(-1, 1, BINS)
         whole = changes[:, None] * (bins >= since[:, None, None, None])
         return whole.reshape(len(causes), *self.seen.shape)
+
+    def step(self, candidate: Candidate) -> Array:
+        """Return the effect of a camera that moves by `CAMERA_M`, shape (cycles, channels times bins)."""
+        whole = np.zeros((len(self.numbers) * BINS, CHANNELS))
+        whole[self._bins_before(candidate.cycle, candidate.phase) :, POSITION] = CAMERA_M
+        blocks = whole.reshape(len(self.numbers), BINS, CHANNELS).swapaxes(1, 2)
+        return blocks.reshape(self.seen.shape)
 
     def unexplained(self) -> Array:
         """Return the weights with an unexplained deviation in each cycle in turn.
@@ -236,9 +255,11 @@ class Data:
         """Yield the effects of the causes already reported."""
         for event in reported:
             if event.name in self.signs.lasting:
-                yield BROAD * self.lasting([event])[0]
+                begun = Candidate(LASTING[event.name].up, event.name, event.cycle, 0.0, event.phase)
+                for variant in range(len(self.signs.lasting[event.name])):
+                    yield BROAD * self.lasting([begun._replace(variant=variant)])[0]
                 if event.name == "viscous_friction":  # the power is not linear in a large change
-                    yield self.lasting([replace(event, name="scale")])[0]
+                    yield self.lasting([begun._replace(name="scale")])[0]
             elif event.name == "missed":
                 for fin in self.signs.missed:
                     yield self._grooves(fin, False, [event.cycle])
@@ -286,12 +307,12 @@ def _excess(values: Array, variance: Array) -> Array:
 
 def _lasting(cycles: Sequence[CycleData], signs: Signatures) -> Iterator[Candidate]:
     """Yield lasting causes that begin at each of `ONSETS` in each cycle."""
-    prior = math.log(CHANGE / len(ONSETS))
-    for name, change in signs.lasting.items():
-        if change.any():
+    for name, changes in signs.lasting.items():
+        code, prior = LASTING[name].up, math.log(CHANGE / len(ONSETS) / len(changes))
+        for variant in np.flatnonzero(changes.any(axis=(1, 2))).tolist():
             for cycle in cycles:
                 for phase in ONSETS:
-                    yield Candidate(LASTING[name].up, name, cycle.number, prior, phase)
+                    yield Candidate(code, name, cycle.number, prior, phase, variant=variant)
 
 
 def _grooves(

@@ -8,7 +8,7 @@ its mean there is the step. The step is removed from the data, and `worm_model.t
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,7 +87,7 @@ class CycleData:
 def cycle_data(
     number: int, sums: Array, noise: Array, power: Array, pitch: float, *, fresh: bool
 ) -> CycleData:
-    """Return the data of a cycle.
+    """Return the data of a cycle, with the positions after its step.
 
     Args:
         number: number of the cycle.
@@ -110,11 +110,17 @@ def cycle_data(
     variance += scatter**2
     watched = bool(sums[-round(WINDOW * PHASES) :, POSITION_COUNT].sum() >= FEWEST)
     step = _step(sums, values[POSITION], some[POSITION], pitch) if watched else None
-    if step is None:
-        variance[POSITION] = np.inf  # the position after an unknown step cannot be compared
-    elif not step.is_none:
-        variance[POSITION, max(int(step.phase * BINS) - LEAD, 0) :] = np.inf
     return CycleData(number, values, variance, step, watched)
+
+
+def without_step(data: CycleData) -> CycleData:
+    """Return the data of a cycle without the positions from its step on, or without any after an unknown step."""
+    if data.step is not None and data.step.is_none:
+        return data
+    first = 0 if data.step is None else max(int(data.step.phase * BINS) - LEAD, 0)
+    variance = data.variance.copy()
+    variance[POSITION, first:] = np.inf
+    return replace(data, variance=variance)
 
 
 def _step(sums: Array, position: Array, some: NDArray[np.bool_], pitch: float) -> Step | None:

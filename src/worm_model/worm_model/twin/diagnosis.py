@@ -36,6 +36,7 @@ from worm_model.twin.cause_table import (
     EventCode,
 )
 from worm_model.twin.causes import (
+    CAMERA_M,
     GAIN,
     MISS,
     UNEXPLAINED,
@@ -44,7 +45,14 @@ from worm_model.twin.causes import (
     weigh_causes,
 )
 from worm_model.twin.core.memory import LENGTH_COUNT, POSITION, POSITION_COUNT, POSITION_SUM
-from worm_model.twin.cycle_data import STEP_M, WINDOW, CycleData, Step, cycle_data
+from worm_model.twin.cycle_data import (
+    STEP_M,
+    WINDOW,
+    CycleData,
+    Step,
+    cycle_data,
+    without_step,
+)
 from worm_model.twin.findings import (
     INFORMATION,
     Finding,
@@ -62,7 +70,6 @@ MOVED = 0.002  # probability per cycle that a person moves the robot, or the cam
 MOST_GROOVES = 8  # largest number of grooves by which a person moves the robot
 LASTED = 0.5  # smallest part of a cycle after which a change counts as lasting
 WHOLE_M = 0.0008  # standard deviation of a step by whole grooves
-CAMERA_M = 0.03  # usual step of the positions when a camera is moved
 LENGTHS = 2  # smallest number of cycles from which L0 is estimated
 TIMING = 0.06  # standard deviation of the phase at which a fin slips
 ANY_TIME = 0.05  # share of missed grooves at an arbitrary phase
@@ -157,6 +164,9 @@ def judge_cycle(history: History, cycle: CycleSeen) -> tuple[History, list[Findi
     history, data, findings = _place(history, cycle, data)
     if cycle.joined or cycle.blind_s:  # the course of this cycle is unknown
         return replace(history, cycles=()), findings
+    if _lasts(history, cycle, data, signs):
+        data = replace(data, step=Step(0.0))
+    data = without_step(data)
     step = data.step
     if step is not None and not step.is_none:
         data = replace(data, gained=_whole(step.size, cycle) * cycle.gait.direction)
@@ -193,6 +203,23 @@ def off_at_end(cycle: CycleSeen) -> float:
     last = cycle.sums[-round(WINDOW * len(cycle.sums)) :]
     count = last[:, POSITION_COUNT].sum()
     return float(last[:, POSITION_SUM].sum() / count) if count else math.nan
+
+
+def _lasts(history: History, cycle: CycleSeen, data: CycleData, signs: Signatures) -> bool:
+    """Return True if a lasting cause, such as a load that bends the fins, explains a step better than the camera."""
+    step = data.step
+    if step is None or step.is_none or _whole(step.size, cycle):
+        return False
+    moved = Candidate(CAMERA_MOVED, "", data.number, math.log(MOVED), step.phase, cycles=1)
+    weighed = weigh_causes(
+        (*history.cycles, data)[-REMEMBERED:],
+        history.reported,
+        signs,
+        length_seen=cycle.length_seen,
+        steps=[moved],
+    )
+    lasting = 1.0 + sum(c.weight for c in weighed if c.name in LASTING)
+    return lasting >= SURE * (1.0 + sum(c.weight for c in weighed))
 
 
 def _weigh(history: History, cycle: CycleSeen, signs: Signatures) -> list[Candidate]:

@@ -5,7 +5,7 @@ At the onset all earlier samples have been processed.
 
 - x1 is the tracker's position of the rear module over the last ``rest_s``.
 - L0 is the mean measured length of that span, otherwise that of the previous run, otherwise the parameter.
-- The first run starts with each module on its groove.
+- The first run starts with each module on its groove, or where the fins hold its load.
 - After a run the fins stay where they are, so that the modules are up to some millimetres off their grooves. Another
   start would be wrong for the whole next run.
 - While the cable is at rest, the body returns to its initial length. Fins that are turned for the other direction move
@@ -203,8 +203,8 @@ def _stand(
             text += "; the robot was moved since the last run"
     if place is None:
         anchor = float(m["origin"]) if math.isnan(position) else position
-        straight = Start(0.0, front_groove(parameters.replace(initial_length=initial_length)))
-        stands, known = start or straight, start is not None
+        free = _unstressed(parameters.replace(initial_length=initial_length), direction)
+        stands, known = start or free, start is not None
         place = Place(stands.x1, stands.front_groove, anchor - stands.x1)
     m["start_known"] = known
     m["initial_length"], m["length_seen"], m["length_fitted"] = initial_length, tracked, fitted
@@ -212,6 +212,20 @@ def _stand(
     m["origin_known"] = m["origin_known"] or math.isfinite(position)
     m["pose_x1"], m["pose_front"] = place.x1, place.front_groove
     return text, tightened
+
+
+def _unstressed(parameters: Parameters, direction: int) -> Start:
+    """Return the pose of a robot whose fins are straight, or bent by its load alone."""
+    straight = Start(0.0, front_groove(parameters))
+    if not (parameters.rear_load or parameters.front_load):
+        return straight
+    model = Locomotion(parameters, direction)
+    try:
+        motion = _rested(model, model.start(), parameters.initial_length)
+    except SimulationError:
+        return straight
+    x1 = model.x1(motion) - motion.rear_groove * parameters.pitch
+    return Start(x1, motion.front_groove - motion.rear_groove)
 
 
 def _tightened(m: Any, before: Parameters, rest: _Rest) -> float:

@@ -71,7 +71,8 @@ class Signatures:
     Attributes:
         grooves: grooves per cycle.
         power: predicted power, W, shape (BINS,).
-        lasting: changes by lasting causes at their usual size, by name.
+        lasting: changes by lasting causes at their usual size, by name. Shape (1 + k, CHANNELS, BINS): of a small
+            change, and of k large ones that keep the grooves per cycle.
         missed: changes by a missed groove, by fin. Shape (2, CHANNELS, BINS): the cycle before, and the cycle in which
             x1
             falls behind.
@@ -185,27 +186,42 @@ class _Model:
         value = getattr(self.parameters, key) + step * amount
         return self.change(self.parameters.replace(**{key: value}))
 
+    def with_both_loads(self, amount: float, step: float) -> tuple[Array, int]:
+        """Return the effect of a part of a load (N) that both modules share, and the additional grooves per cycle."""
+        p, half = self.parameters, 0.5 * step * amount
+        return self.change(p.replace(rear_load=p.rear_load + half, front_load=p.front_load + half))
+
     def with_loose_cable(self, amount: float, step: float) -> tuple[Array, int]:
         """Return the effect of a part of a cable's excess length (m), and the additional grooves per cycle."""
         return self.change(self.parameters, np.minimum(self.commands + step * amount, 0.0))
 
 
 def _lasting(model: _Model, cause: Cause) -> Array:
-    """Return the effect of a lasting cause at its usual size."""
-    effect = np.zeros((CHANNELS, BINS))
+    """Return the effects of a lasting cause at its usual size: of a small change, then of the large ones."""
+    change = _change_of(model, cause)
+    effects = [model.extrapolated(change)]
+    for size in cause.large:
+        effect, grooves = change(size)
+        if grooves == 0:
+            effects.append(effect / size)
+    return np.array(effects)
+
+
+def _change_of(model: _Model, cause: Cause) -> Callable[[float], tuple[Array, int]]:
+    """Return the effect of a lasting cause, and the additional grooves per cycle, as a function of its size."""
     match cause.effect:
         case Effect.RELATIVE:
             amount = cause.size * getattr(model.parameters, cause.name)
-            effect = model.extrapolated(partial(model.with_parameter, cause.name, amount))
+            return partial(model.with_parameter, cause.name, amount)
         case Effect.ABSOLUTE:
-            effect = model.extrapolated(partial(model.with_parameter, cause.name, cause.size))
+            return partial(model.with_parameter, cause.name, cause.size)
+        case Effect.BOTH_LOADS:
+            return partial(model.with_both_loads, cause.size)
         case Effect.LOOSE_CABLE:
-            effect = model.extrapolated(partial(model.with_loose_cable, cause.size))
-        case Effect.POWER_SCALE:
-            effect[POWER] = cause.size * model.seen[POWER]
-        case Effect.POWER_OFFSET:
-            effect[POWER] = cause.size
-    return effect
+            return partial(model.with_loose_cable, cause.size)
+    effect = np.zeros((CHANNELS, BINS))
+    effect[POWER] = cause.size * (model.seen[POWER] if cause.effect is Effect.POWER_SCALE else 1.0)
+    return lambda size: (size * effect, 0)
 
 
 def _healthy(model: _Model) -> dict[str, Array]:

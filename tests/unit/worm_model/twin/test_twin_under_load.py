@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The twin under loads: known ones raise no alarm, changed ones are named, other causes are not mistaken for them."""
+
+from functools import lru_cache
+
+import numpy as np
+import pytest
+from faulty_robots import Fault, Robots, run_robots
+from virtual_session import Session, live_twin, recording, virtual_settings
+
+from worm_driver.virtual_robot.plant import Conditions as PlantConditions
+from worm_model.analysis.replay_metrics import report_replay
+from worm_model.conditions import Conditions, under
+from worm_model.gait import REVERSE, Gait
+from worm_model.parameters import PAPER
+from worm_model.twin.cause_table import LASTING, LOAD_DOWN, LOAD_UP
+from worm_model.twin.core.memory import POSITION, POWER
+from worm_model.twin.offline_replay import replay_run
+from worm_model.twin.records import Health
+from worm_model.twin.signatures import signatures
+from worm_model.twin.twin import Twin
+
+GAIT = Gait(0.08, 0.2)
+AFTER_NS = 2 * 10**9  # of rest after each gait
+SLOPES = ((20.0, 2.0), (-20.0, 0.0))  # deg, N of the tether
+FAULTS = (
+    ("load_up", Fault("rear_load", 1.0, 2, 0.0)),
+    ("load_up", Fault("rear_load", 6.0, 3, 0.3)),
+    ("load_up", Fault("both_loads", 3.0, 2, 0.6)),
+    ("load_down", Fault("rear_load", -2.0, 2, 0.3)),
+    ("load_down", Fault("both_loads", -4.0, 3, 0.0)),
+    ("friction_up", Fault("viscous_friction", 1.0, 2, 0.0)),
+    ("power_scale", Fault("scale", 0.1, 2, 0.0)),
+    ("cable_slip", Fault("slip", 0.003, 2, 0.0)),
+    ("camera_moved", Fault("camera", 0.012, 2, 0.0)),
+    ("", Fault()),
+)
+
+
+@lru_cache
+def climbed(slope: float, tether: float) -> Session:
+    session = Session(
+        virtual_settings(conditions=PlantConditions(slope_deg=slope, tether_n=tether))
+    )
+    session.run(GAIT, 3)
+    session.run(Gait(0.07, 0.25, REVERSE), 2)
+    return session
+
+
+@pytest.mark.parametrize(("slope", "tether"), SLOPES)
+def test_a_twin_that_knows_its_load_follows_the_robot_live_and_in_replay(slope, tether):
+    session = climbed(slope, tether)
+    loaded = under(Conditions(slope_deg=slope, tether_N=tether), PAPER)
+    live = live_twin(session.rows, Twin(loaded))
+    assert {event.code for event in live.events} <= {"", "clock_jump"}  # the first sample
+    stamps = live.residuals["stamp_ns"]
+    for played in session.played:  # between them the robot slides while its fins turn
+        inside = (stamps > played.onset_ns) & (stamps < played.end_ns - AFTER_NS)
+        assert live.residuals["health"][inside].max() == Health.HEALTHY
+        run = recording(session.rows, live.memories, played.begin_ns, played.end_ns)
+        (report,) = report_replay(run, replay_run(run, loaded), loaded.pitch).runs
+        assert (report.health, list(report.events)) == (Health.HEALTHY, [])
+        complete = [cycle for cycle in report.cycles if cycle.complete]
+        assert tuple(round(cycle.grooves) for cycle in complete) == played.grooves
+
+
+def test_without_the_tracker_the_robot_starts_where_its_fins_hold_the_load():
+    """The twin of a robot on a slope starts its first run with the fins bent by the load, not straight."""
+    slope, tether = SLOPES[0]
+    session = climbed(slope, tether)
+    loaded = under(Conditions(slope_deg=slope, tether_N=tether), PAPER)
+    first = session.played[0]
+    states = live_twin(session.rows, Twin(loaded)).states
+    begun = states[np.searchsorted(states["stamp_ns"], first.onset_ns)]
+    rear = begun["rear_position"] - begun["rear_anchor"]
+    # The rear fin alone holds it, as the front fin stands in its clearance.
+    sag = 0.5 * PAPER.clearance + (loaded.rear_load + loaded.front_load) / PAPER.engaged_stiffness
+    assert -rear == pytest.approx(sag, abs=1.5e-3)
+
+
+@lru_cache
+def robots() -> Robots:
+    return run_robots(GAIT, [fault for _, fault in FAULTS], seed=3)
+
+
+def codes(number: int, *, tracker: bool) -> list[str]:
+    twin = Twin()
+    rows = robots().rows(number, tracker=tracker)
+    events = twin.advance(twin.start(), rows, to_the_end=True).events
+    return [event.code for event in events if event.code]
+
+
+@pytest.mark.parametrize("number", range(len(FAULTS)))
+def test_a_changed_load_is_named_and_nothing_else_is_named_a_load(number):
+    expected = FAULTS[number][0]
+    assert codes(number, tracker=True)[:1] == ([expected] if expected else [])
+
+
+@pytest.mark.parametrize("number", range(len(FAULTS)))
+def test_power_alone_names_no_false_cause(number):
+    expected = FAULTS[number][0]
+    assert set(codes(number, tracker=False)) <= {expected, "ambiguous"}
+
+
+@pytest.mark.parametrize("name", ["rear_load", "both_loads"])
+def test_a_load_that_is_zero_has_a_signature_in_newtons(name):
+    cause = LASTING[name]
+    assert (cause.up, cause.down) == (LOAD_UP, LOAD_DOWN)
+    small = signatures(GAIT, PAPER, driven=True).lasting[name][0]
+    # At rest the fin yields by Q/(k_eng + k_dis), the whole robot with it.
+    shift = -cause.size / (PAPER.engaged_stiffness + PAPER.disengaged_stiffness)
+    assert np.median(small[POSITION]) == pytest.approx(shift, rel=0.3)
+    assert np.abs(small[POWER]).max() > 0.0
