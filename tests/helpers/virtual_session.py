@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import astuple, dataclass, replace
+from dataclasses import asdict, astuple, dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -115,9 +115,7 @@ class Session:
         begin = self.now_ns
         self.rest(before)
         robot, clock = self.rig.robot, self.rig.clock
-        robot.start(
-            clock.now, DriverGait(gait.stroke, gait.frequency, gait.direction, gait.margin), cycles
-        )
+        robot.start(clock.now, DriverGait(**asdict(gait)), cycles)
         self._follow(LONGEST_S, lambda s: s.player.phase is Phase.RUNNING)
         onset = robot.player.run.onset
         assert onset is not None
