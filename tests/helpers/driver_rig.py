@@ -204,6 +204,7 @@ class Rig:
         driver: DriverSettings | None = None,
         virtual: VirtualRobot | None = None,
         clock: Clock | None = None,
+        why_not_start: Callable[[], str] = lambda: "",
     ):
         self.clock = clock or Clock()
         self.virtual = virtual or VirtualRobot(load_settings(None))
@@ -222,7 +223,13 @@ class Rig:
             calibration_for(0.1, 3.2),
         )
         self.sensor.start()
-        self.robot = Robot(self.settings, self.bus, self._valid_samples, clock=self.clock)
+        self.robot = Robot(
+            self.settings,
+            self.bus,
+            self._valid_samples,
+            clock=self.clock,
+            why_not_start=why_not_start,
+        )
         self.loop = ControlLoop(self.robot, self.snapshots.append, self.clock)
         self.ended = False
 

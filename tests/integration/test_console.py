@@ -31,6 +31,12 @@ ARGUMENTS = (
 TIMEOUT_S = 600.0  # includes the compilation of a kernel and a report, both with low priority on a busy machine
 PASSWORD = "dirty hands"
 BAGS = Path(__file__).parents[2] / "bags"
+LARGEST_SHIFT = 0.1  # sum of a walk; a page counts as stable below it (web.dev/cls)
+OBSERVE_SHIFTS = """
+window.shifts = {sum: 0, observed: PerformanceObserver.supportedEntryTypes.includes("layout-shift")};
+new PerformanceObserver((list) => list.getEntries().forEach((shift) => shifts.sum += shift.value))
+  .observe({type: "layout-shift", buffered: true});
+"""
 HEAVIER = Parameters(rear_mass=0.45)
 
 
@@ -204,6 +210,7 @@ def test_a_page_without_connection_shows_it_and_comes_back_without_control(
     connection = page.locator("#connection")
     expect(connection).to_contain_text("no connection")
     expect(page.locator("main")).to_have_attribute("inert", "")
+    expect(page.get_by_text("This page has control")).to_be_hidden()
     press(page, "STOP (Esc)")
     expect(connection).to_contain_text("CANNOT BE DELIVERED")
     page.context.set_offline(False)
@@ -272,6 +279,28 @@ def test_no_tab_violates_the_rules_of_accessibility(
         assert violations() == []
         press(page, "Back to the list")
         press(page, "Light or dark")
+
+
+def test_no_tab_shifts_what_a_person_looks_at(
+    page: "sync_api.Page", processes: Processes, tmp_path: Path
+):
+    """Shifts after a click count, too: the browser's own sum leaves them out."""
+    expect = sync_api.expect
+    console = Console(processes, tmp_path)
+    shutil.copytree(BAGS / "forward", console.bags / "forward")
+    page.add_init_script(OBSERVE_SHIFTS)
+    console.open(page)
+    page.get_by_role("tab", name="Recordings").click()
+    page.get_by_role("checkbox", name="Select forward").click()
+    press(page, "Look closer")
+    expect(page.get_by_role("slider", name="Time since the onset, s")).to_be_visible()
+    press(page, "Back to the list")
+    for name in ("Studies", "Live", "Act", "Recordings"):
+        page.get_by_role("tab", name=name).click()
+        expect(page.get_by_role("heading", name=name, exact=True)).to_be_visible()
+    press(page, "Light or dark")
+    assert page.evaluate("shifts.observed")
+    assert page.evaluate("shifts.sum") < LARGEST_SHIFT
 
 
 @pytest.mark.parametrize(

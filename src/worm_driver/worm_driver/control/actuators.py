@@ -34,7 +34,7 @@ class Actuators:
     left_on.
 
     Attributes:
-        settings: settings of this robot. `take` replaces them.
+        settings: settings of this robot. `apply_settings` replaces them.
         cables: servos of the spools, in the order of the settings.
         fins: servos of the fins, in the order of the settings.
         homed: True if the cable servos count their turns from the initial length.

@@ -266,9 +266,15 @@ class ControlLoop(PeriodicThread):
         return not (shutting_down and self._robot.is_closed(now))
 
     def _serve(self, now: float) -> bool:
-        """Run the waiting commands. Return True if there was one."""
+        """Run the waiting commands. Return True if there was one.
+
+        Commands that follow the end of a run wait for the next gap. A snapshot then contains that end before another
+        run can begin, so that its goal receives its result.
+        """
         served = bool(self._commands)
-        while self._commands:
+        run_ended = False
+        while self._commands and not run_ended:
+            before = self._robot.player.active_run
             command = self._commands.popleft()
             if not command.answer.set_running_or_notify_cancel():
                 continue
@@ -281,6 +287,7 @@ class ControlLoop(PeriodicThread):
                 command.answer.set_result(command.action(now))
             except Exception as error:  # noqa: BLE001 (the future passes it to the caller)
                 command.answer.set_exception(error)
+            run_ended = before is not None and self._robot.player.active_run is None
         return served
 
     def _at_start(self) -> None:
@@ -294,7 +301,8 @@ class ControlLoop(PeriodicThread):
         if self.scheduling not in (NOT_REQUESTED, VIRTUAL):
             return_to_normal()
         self._clock.close()  # a thread that has ended must not keep a virtual robot's time
-        self._serve(math.inf)
+        while self._serve(math.inf):
+            pass  # every command receives an answer
 
 
 class PowerLoop(PeriodicThread):

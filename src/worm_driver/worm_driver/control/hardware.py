@@ -51,7 +51,7 @@ class Hardware:
         why_not_start: returns why neither torque nor a run may begin; empty if they may.
 
     Attributes:
-        settings: present settings, see `take`.
+        settings: present settings, see `apply_settings`.
         clock: clock of the robot.
         robot: the robot, owned by the loop.
         loop: control loop.

@@ -94,7 +94,7 @@ class Robot:
 
     @property
     def settings(self) -> DriverSettings:
-        """Present settings, see `take`."""
+        """Present settings, see `apply_settings`."""
         return self.actuators.settings
 
     @property

@@ -51,6 +51,16 @@ def _waveform(gait: Gait) -> str:
     return "".join(f", {part}" for part in parts)
 
 
+def _load(parameters: Parameters) -> list[str]:
+    """Return the line about the load, none without a load."""
+    if not (parameters.rear_load or parameters.front_load):
+        return []
+    return [
+        f"load               {parameters.rear_load:.3f} N on the rear and {parameters.front_load:.3f} N on the "
+        "front module, positive towards -x"
+    ]
+
+
 def describe(result: GaitResult, parameters: Parameters, cycles: int = 5) -> str:
     """Return the lines that describe a gait after so many cycles; its speed holds for its groove phase alone."""
     gait = result.gait
@@ -59,8 +69,7 @@ def describe(result: GaitResult, parameters: Parameters, cycles: int = 5) -> str
         [
             f"gait               {gait.stroke * 1e3:.2f} mm at {gait.frequency:.4f} Hz, {way}, "
             f"margin {gait.margin * 1e3:.2f} mm{_waveform(gait)}",
-            f"load               {parameters.rear_load:.3f} N on the rear and {parameters.front_load:.3f} N on the "
-            "front module, positive towards -x",
+            *_load(parameters),
             f"speed              {result.speed * 1e3:.4f} mm/s at a groove phase of "
             f"{result.groove_phase * 1e3:+.2f} mm",
             f"power              {result.power:.4f} W",

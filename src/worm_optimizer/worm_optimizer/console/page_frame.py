@@ -65,6 +65,7 @@ _STYLE = (
 :focus-visible { outline: 3px solid #ff8f00 !important; outline-offset: 2px }
 #connection:not(:empty) { background: #b71c1c; color: white; font-size: 1.2rem; padding: .5rem 1rem; flex-basis: 100% }
 .no-connection main { filter: grayscale(1); opacity: .4 } .no-connection [role=status] { opacity: .4 }
+.no-connection .needs-connection { visibility: hidden }
 #popup, #q-loading-bar { display: none } /* the page has its own message */
 </style>"""
 )

@@ -108,7 +108,7 @@ class ConsolePage:
             self._hand_over = ui.button("Hand over", on_click=self._on_hand_over)
             for button, colour in ((self._take, "white"), (self._hand_over, "amber")):
                 button.props(f"color={colour} text-color=black").classes("needs-connection")
-            self._holder = ui.label().classes("line")
+            self._holder = ui.label().classes("line needs-connection")
             self._status = (
                 ui.label()
                 .classes("line order-first w-full sm:order-none sm:w-0 sm:grow")

@@ -19,6 +19,7 @@ class NotingRobot:
     """Counts cycles; needs a few of them to come to rest."""
 
     settings = SimpleNamespace(period=0.002, real_time_priority=0)
+    player = SimpleNamespace(active_run=None)
 
     def __init__(self) -> None:
         self.cycles = 0

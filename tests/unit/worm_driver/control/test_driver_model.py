@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Random lives of a driver on the virtual robot, byte for byte and on the virtual clock, against what must always hold.
 
-Ten thousand steps: goals, cancels, stops, transitions, services, signals, faults on the wire and of servos, wrong
-samples and ids, kills and restarts.
+Ten thousand steps: goals, cancels, stops, emergency stops, transitions, services, signals, faults on the wire and of
+servos, wrong samples and ids, kills and restarts.
 """
 
 import math
@@ -22,7 +22,7 @@ from hypothesis.stateful import (
     run_state_machine_as_test,
 )
 
-from worm_driver.errors import DriverError
+from worm_driver.errors import DriverError, StoppedError
 from worm_driver.gait import gait_player
 from worm_driver.gait.gait_limits import COSINE, TRAPEZOID, Gait
 from worm_driver.gait.gait_player import Phase as GaitPhase
@@ -52,6 +52,7 @@ SPRINGS_BACK = 2.5e-3
 OFF = 0.006
 #: s, in which every return to rest ends; with less a person does not wait for it
 PATIENT = 8.0
+EMERGENCY = "the emergency stop is on"
 MAY_MOVE = (GaitPhase.RUNNING, GaitPhase.STOPPING, GaitPhase.RETURNING, GaitPhase.TENSIONING)
 
 FAULTS = st.one_of(
@@ -125,7 +126,8 @@ class Life(RuleBasedStateMachine):
 
     @initialize()
     def open(self) -> None:
-        self.rig: Rig = Rig(QUICK)
+        self.latched = False  # the emergency stop is on
+        self.rig: Rig = Rig(QUICK, why_not_start=self.why_not_start)
         self.virtual, self.clock = self.rig.virtual, self.rig.clock
         self.alive = True
         self.goals: list[int] = []
@@ -150,6 +152,7 @@ class Life(RuleBasedStateMachine):
             snapshot = self.rig.run(QUICK.period)
             self.check_goals(self.clock.now if seen is None else seen.time)
             self.check_release()
+            self.check_emergency()
             if before.phase in MAY_MOVE or snapshot.player.phase in MAY_MOVE:
                 self.moved_until = self.clock.now
             self.check_motion()
@@ -194,9 +197,32 @@ class Life(RuleBasedStateMachine):
             self.time_passes(1)
 
     @precondition(lambda self: self.alive)
-    @rule(stop_after=st.one_of(st.none(), st.integers(0, 120)), again=st.integers(0, 9))
-    def signal(self, stop_after: int | None, again: int) -> None:
-        """The process is asked to end, in any state; a stop may come at any moment of it, or a second Ctrl-C."""
+    @rule(gait=GAITS, cycles=st.integers(1, 30))
+    def emergency_stop(self, gait: Gait, cycles: int) -> None:
+        """Until its reset, and in the next driver too, nothing starts and nothing moves."""
+        self.latch()
+        self.time_passes(cycles)
+        assert self.try_to(lambda now: self.rig.robot.start(now, gait, 1)) is None
+        was_active = self.rig.robot.active
+        self.activate()
+        assert was_active or not self.rig.robot.active
+
+    @precondition(lambda self: self.alive and self.latched)
+    @rule()
+    def reset_emergency_stop(self) -> None:
+        self.latched = False
+
+    @precondition(lambda self: self.alive)
+    @rule(
+        stop_after=st.one_of(st.none(), st.integers(0, 120)),
+        again=st.integers(0, 9),
+        emergency=st.booleans(),
+    )
+    def signal(self, stop_after: int | None, again: int, *, emergency: bool) -> None:
+        """The process is asked to end, in any state.
+
+        A stop or an emergency stop may come at any moment of it, or a second Ctrl-C.
+        """
         robot, stopped = self.rig.robot, False
         self.rig.loop.shutdown("the driver ends")
         end = self.clock.now + PATIENT
@@ -204,7 +230,10 @@ class Life(RuleBasedStateMachine):
         while not self.rig.ended and self.clock.now < end:
             if passed == stop_after:
                 stopped = robot.active
-                self.rig.loop.submit(lambda now: robot.stop(now, "stop"), lifetime=math.inf)
+                if emergency:
+                    self.latch()
+                else:
+                    self.rig.loop.submit(lambda now: robot.stop(now, "stop"), lifetime=math.inf)
             self.time_passes(1)
             assert robot.player.active_run is None or not stopped
             passed += 1
@@ -252,7 +281,12 @@ class Life(RuleBasedStateMachine):
     def bring_to_rest(self, patience: float) -> None:
         robot = self.rig.robot
         in_fault = robot.player.phase is GaitPhase.FAULT
-        robot.ramp_to_rest(self.clock.now, "deactivated")
+        try:
+            robot.ramp_to_rest(self.clock.now, "deactivated")
+        except StoppedError:
+            assert self.latched
+            assert robot.holding
+            return  # deactivate fails
         end = self.clock.now + patience
         while not robot.released and self.clock.now < end:
             self.time_passes(1)
@@ -306,6 +340,15 @@ class Life(RuleBasedStateMachine):
         self.virtual.board.add(make_fault(name, **arguments).delayed(self.clock.now + delay))
         self.troubled_until = self.clock.now + delay + arguments.get("duration", 0.4) + 1.0
 
+    def latch(self) -> None:
+        """Set the emergency stop, as the node does."""
+        robot = self.rig.robot
+        self.latched = True
+        self.rig.loop.submit(lambda now: robot.stop(now, EMERGENCY), lifetime=math.inf)
+
+    def why_not_start(self) -> str:
+        return EMERGENCY if self.latched else ""
+
     # --- how ---------------------------------------------------------------------------------------
 
     def try_to(self, action):
@@ -321,7 +364,7 @@ class Life(RuleBasedStateMachine):
         self.pass_without_driver(away)
         for _ in range(3):
             try:
-                self.rig = Rig(QUICK, self.virtual, self.clock)
+                self.rig = Rig(QUICK, self.virtual, self.clock, self.why_not_start)
             except DriverError:
                 self.pass_without_driver(1.0)
             else:
@@ -367,6 +410,11 @@ class Life(RuleBasedStateMachine):
         if self.held and not holds and not self.person and not own_doing:
             assert self.contraction <= SPRINGS_BACK, self.rig.robot.player
         self.held, self.person, self.booted_at = holds, False, cable._booted_at
+
+    def check_emergency(self) -> None:
+        """From the cycle after an emergency stop on, the robot holds or has no torque."""
+        if self.latched and self.rig.robot.active:
+            assert self.rig.robot.player.phase in (GaitPhase.HOLDING, GaitPhase.FAULT)
 
     def check_motion(self, *, whole: bool = True) -> None:
         cable = self.virtual.servos[0]

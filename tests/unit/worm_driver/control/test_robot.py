@@ -12,6 +12,7 @@ from driver_rig import CABLE, Rig, settings
 
 from worm_driver.control.supervision import Limits
 from worm_driver.errors import BusError, ConfigurationError, HomingError, LimitError
+from worm_driver.gait.gait_limits import Gait
 from worm_driver.gait.gait_player import Ending, Phase
 from worm_driver.servos.registers import COMMON
 from worm_driver.servos.servo_state import SILENT
@@ -208,6 +209,19 @@ def test_the_servos_velocity_limit_is_a_limit_of_gaits():
     rig.activate()
     with pytest.raises(LimitError, match=r"limit is 0\.0575 m/s"):
         rig.start(0.09, 0.4)
+
+
+def test_the_end_of_each_run_is_in_a_snapshot_however_soon_the_next_one_begins():
+    """Otherwise the goal of that run would never receive its result."""
+    rig = Rig()
+    rig.activate()
+    gait = Gait(0.03, 0.4)
+    for _ in range(3):
+        rig.loop.submit(lambda now: rig.robot.start(now, gait, 1))
+        rig.loop.submit(lambda now: rig.robot.stop(now, "stop"))
+    rig.run(0.1)
+    runs = [snapshot.player.run for snapshot in rig.snapshots]
+    assert {run.number for run in runs if run and run.ending is Ending.STOPPED} == {1, 2, 3}
 
 
 def test_stop_stops_at_once():
