@@ -51,6 +51,9 @@ _CONDITIONS = (
     ("slope_deg", "--slope", "DEG", "slope of the pipe, uphill positive"),
     ("tether_n", "--tether", "N", "pull of the tether on the rear module"),
     ("tether_n_per_m", "--tether-per-metre", "N_PER_M", "growth of this pull with the distance"),
+    ("distance_m", "--distance", "M", "length of tether in the pipe at the start"),
+    ("flow_m_per_s", "--flow", "M_PER_S", "velocity of the water towards -x"),
+    ("drag_area_m2", "--drag-area", "M2", "drag coefficient times area of each module"),
 )
 _SIGNAL_LATENCY = 0.1  # s, longest time until a signal takes effect
 _CAMERA_TIMEOUT = 2.0  # s, longest wait of the virtual time for an image

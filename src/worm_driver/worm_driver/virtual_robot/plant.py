@@ -4,8 +4,9 @@
 The model follows the paper (eq:x1_ddot_full to eq:power_model) with its own parameters. Additional effects are dry
 friction of both modules, fins whose threshold and stiffness differ from groove to groove, and optionally a compliant
 cable. With a compliant cable, its force drives the two masses and the load changes the length; in the paper's model
-the length depends on the command alone. The weight of the modules in a sloping pipe and the pull of a tether load the
-robot along the pipe. SI units; forward is +x; contraction is negative; a positive load acts towards -x.
+the length depends on the command alone. The weight of the modules in a sloping pipe, the pull of a tether and the drag
+of flowing water load the robot along the pipe. SI units; forward is +x; contraction is negative; a positive load acts
+towards -x.
 
 The state contains the centre of mass, y = x1 + M2/(M1+M2)*(L - L0): adding eq:x1_ddot_full and
 eq:x2_ddot_full leaves no second derivative of the length in its equation of motion.
@@ -25,6 +26,7 @@ LOOSE = 0  # the fins are between their two angles: neither bar touches the wall
 _GROOVES = 512  # number of different grooves; the pattern repeats after them
 _SLOW = 1e-3  # m/s; dry friction is regularised below this speed, so that the robot can rest
 _STANDARD_GRAVITY = 9.80665  # m/s^2
+_WATER_DENSITY = 998.2  # kg/m^3 at 20 degrees Celsius
 # A robot that is still faster, or has moved further, after a time under its load slides.
 _SETTLING = 600.0  # s
 _SETTLING_STEP = 0.01  # s; the fin forces, which are explicit, are stable up to about 50 ms
@@ -60,20 +62,36 @@ class Conditions:
     Attributes:
         slope_deg: slope of the pipe, degrees; positive if +x leads uphill.
         tether_n: pull of the tether on the rear module towards -x where the robot starts, N.
-        tether_n_per_m: increase of this pull with the distance from the start along +x, N/m.
+        tether_n_per_m: increase of this pull with the length of tether in the pipe, N/m.
+        distance_m: length of tether in the pipe where the robot starts, m.
+        flow_m_per_s: velocity of the water towards -x, m/s.
+        drag_area_m2: drag coefficient times area of each module, m^2; 0 if the pipe is dry.
     """
 
     slope_deg: float = 0.0
     tether_n: float = 0.0
     tether_n_per_m: float = 0.0
+    distance_m: float = 0.0
+    flow_m_per_s: float = 0.0
+    drag_area_m2: float = 0.0
+
+    def drag(self, velocity: float) -> float:
+        """Return the drag of the water on a module divided by its velocity relative to the water, N*s/m.
+
+        velocity: of the module, m/s.
+        """
+        relative = abs(self.flow_m_per_s + velocity)
+        return 0.5 * _WATER_DENSITY * self.drag_area_m2 * relative
 
     def loads(self, parameters: RobotParameters, rear_position: float) -> tuple[float, float]:
-        """Return the loads of the rear and the front module (N), with the rear one at a position (m).
+        """Return the loads of both modules without drag (N), with the rear one at a position (m).
 
         A tether does not push, and behind the start none is paid out.
         """
         along = _STANDARD_GRAVITY * math.sin(math.radians(self.slope_deg))
-        tether = max(self.tether_n + self.tether_n_per_m * max(rear_position, 0.0), 0.0)
+        tether = max(
+            self.tether_n + self.tether_n_per_m * (self.distance_m + max(rear_position, 0.0)), 0.0
+        )
         return parameters.rear_mass * along + tether, parameters.front_mass * along
 
 
@@ -146,7 +164,7 @@ class Plant:
         front = round(p.initial_length / p.pitch)
         force = p.bellows_stiffness * (p.unstressed_length - p.initial_length)
         start = PlantState(0.0, 0.0, 0.0, 0.0, 0, front, False, 0.0, force, 0.0)
-        if self._loads(0.0) == (0.0, 0.0):
+        if self._loads(0.0, 0.0, 0.0) == (0.0, 0.0):
             return start
         state, plant = start, replace(self, step_s=_SETTLING_STEP)
         for _ in range(round(_SETTLING / _SETTLING_STEP)):
@@ -193,12 +211,12 @@ class Plant:
         x1, x2 = self.positions(state)
         rear_groove, rear_force = self._fin(x1, state.rear_groove, laws[0], self.rear_grooves)
         front_groove, front_force = self._fin(x2, state.front_groove, laws[1], self.front_grooves)
-        rear_load, front_load = self._loads(x1)
+        share = p.front_mass / (p.rear_mass + p.front_mass)
+        v1_before = state.centre_velocity - share * state.length_rate
+        rear_load, front_load = self._loads(x1, v1_before, v1_before + state.length_rate)
         rear_force, front_force = rear_force + rear_load, front_force + front_load
         velocity, drag1 = self._push(state, length_rate, rear_force + front_force)
-        share = p.front_mass / (p.rear_mass + p.front_mass)
         v1 = velocity - share * length_rate
-        v1_before = state.centre_velocity - share * state.length_rate
         force = (  # eq:Fc
             p.rear_mass * (v1 - v1_before) / self.step_s
             + p.bellows_stiffness * (p.unstressed_length - p.initial_length - length_change)
@@ -234,11 +252,11 @@ class Plant:
         x1, x2 = self.positions(state)
         rear_groove, rear_force = self._fin(x1, state.rear_groove, laws[0], self.rear_grooves)
         front_groove, front_force = self._fin(x2, state.front_groove, laws[1], self.front_grooves)
-        rear_load, front_load = self._loads(x1)
-        rear_force, front_force = rear_force + rear_load, front_force + front_load
         share = p.front_mass / (p.rear_mass + p.front_mass)
         v1 = state.centre_velocity - share * state.length_rate
         v2 = v1 + state.length_rate
+        rear_load, front_load = self._loads(x1, v1, v2)
+        rear_force, front_force = rear_force + rear_load, front_force + front_load
         drag1, drag2 = self._drags(v1, v2)
         rear = p.rear_mass / h, p.rear_mass * v1 / h - rear_force, drag1
         front = p.front_mass / h, p.front_mass * v2 / h - front_force, drag2
@@ -270,17 +288,25 @@ class Plant:
             max(-force * rate, 0.0),
         )
 
-    def _loads(self, x1: float) -> tuple[float, float]:
-        """Return the loads of the rear and the front module (N) with the rear one at x1 (m)."""
-        rear, front = self.conditions.loads(self.parameters, x1)
-        return rear + self.parameters.rear_load, front + self.parameters.front_load
+    def _loads(self, x1: float, v1: float, v2: float) -> tuple[float, float]:
+        """Return the loads of the rear and the front module (N) with the rear one at x1 (m), at velocities in m/s.
+
+        They contain the drag's share of the water's velocity; `_drags` contains that of the modules' velocities.
+        """
+        p, around = self.parameters, self.conditions
+        rear, front = around.loads(p, x1)
+        flow = around.flow_m_per_s
+        return (
+            rear + p.rear_load + around.drag(v1) * flow,
+            front + p.front_load + around.drag(v2) * flow,
+        )
 
     def _drags(self, v1: float, v2: float) -> tuple[float, float]:
-        """Return viscous and dry friction of the rear and the front module divided by velocity, N·s/m."""
-        p = self.parameters
+        """Return friction and drag of the rear and the front module divided by velocity, N·s/m; see `_loads`."""
+        p, drag = self.parameters, self.conditions.drag
         return (
-            p.viscous_friction + p.rear_dry_friction / (abs(v1) + _SLOW),
-            p.viscous_friction + p.front_dry_friction / (abs(v2) + _SLOW),
+            p.viscous_friction + p.rear_dry_friction / (abs(v1) + _SLOW) + drag(v1),
+            p.viscous_friction + p.front_dry_friction / (abs(v2) + _SLOW) + drag(v2),
         )
 
     def _slack(self, state: PlantState, cable: float) -> tuple[bool, float]:

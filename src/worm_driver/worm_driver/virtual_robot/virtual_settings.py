@@ -21,7 +21,14 @@ DEFAULT_FILE = Path(str(files("worm_driver").joinpath("config/virtual_robot.yaml
 # Parameters that a ruler or a scale measures are not perturbed by the seed.
 _MEASURED = ("rear_mass", "front_mass", "unstressed_length", "initial_length", "pitch")
 _SUFFIXES = ("_N_per_m", "_s", "_m", "_N", "_rad", "_ohm", "_V", "_W", "_Hz")
-_STRONGEST = 1000.0  # N and N/m; a tether beyond it is taken for a wrong unit
+_CONDITION_RANGES = {  # values beyond them are probably in a wrong unit
+    "slope_deg": (-90.0, 90.0),
+    "tether_n": (0.0, 1e3),
+    "tether_n_per_m": (0.0, 1e3),
+    "distance_m": (0.0, 1e4),
+    "flow_m_per_s": (-10.0, 10.0),
+    "drag_area_m2": (0.0, 1.0),
+}
 
 T = TypeVar("T")
 
@@ -253,14 +260,10 @@ def _check(robot: RobotSettings) -> None:
 
 def check_conditions(conditions: Conditions) -> None:
     """Raise SettingsError unless the conditions are admissible."""
-    if not abs(conditions.slope_deg) <= 90.0:
-        raise SettingsError(
-            f"conditions: slope_deg is {conditions.slope_deg:g}; use -90 (downhill) to 90"
-        )
-    for name in ("tether_n", "tether_n_per_m"):
+    for name, (low, high) in _CONDITION_RANGES.items():
         value = getattr(conditions, name)
-        if not 0.0 <= value <= _STRONGEST:
-            raise SettingsError(f"conditions: {name} is {value:g}; use 0 to {_STRONGEST:g}")
+        if not low <= value <= high:
+            raise SettingsError(f"conditions: {name} is {value:g}; use {low:g} to {high:g}")
 
 
 def _check_shared_line(

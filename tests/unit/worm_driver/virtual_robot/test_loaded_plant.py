@@ -183,3 +183,50 @@ def test_a_fault_changes_the_load_for_its_time(settings):
         found.append((robot.plant.conditions.slope_deg, robot.plant.conditions.tether_n))
     assert found == [(0.0, 0.0), (30.0, 0.0), (30.0, 5.0), (0.0, 5.0), (0.0, 0.0)]
     assert robot.plant.positions(robot.state)[0] < -robot.plant.parameters.clearance / 4
+
+
+@pytest.mark.parametrize("effects", [NO_EFFECTS, COMPLIANT])
+@pytest.mark.parametrize("flow", [-0.8, 0.8])
+def test_flowing_water_loads_each_resting_module_with_half_of_rho_c_a_times_the_flow_squared(
+    flow, effects
+):
+    water = Conditions(flow_m_per_s=flow, drag_area_m2=0.004)
+    load = 0.5 * 998.2 * 0.004 * flow * abs(flow)
+    same = replace(EVEN, rear_load=load, front_load=load)
+    in_water, loaded = plant_of(water, EVEN, effects), plant_of(Conditions(), same, effects)
+    found = in_water.positions(in_water.at_rest()), loaded.positions(loaded.at_rest())
+    assert found[0] == pytest.approx(found[1], abs=2e-7)
+
+
+def test_in_slow_water_a_gait_gains_and_costs_what_the_linearised_drag_predicts():
+    """The neglected part is half of rho C_d A times the square of the modules' velocity."""
+    area, flow = 0.004, 0.6
+    factor = 998.2 * area * flow
+    linear = replace(
+        PAPER,
+        viscous_friction=PAPER.viscous_friction + factor,
+        rear_load=0.5 * factor * flow,
+        front_load=0.5 * factor * flow,
+    )
+    water = plant_of(Conditions(flow_m_per_s=flow, drag_area_m2=area))
+    plain = plant_of(Conditions(), linear)
+    states = play(water, 0.078, 0.15), play(plain, 0.078, 0.15)
+    gained = [
+        grooves_per_cycle(plant, run) for plant, run in zip((water, plain), states, strict=True)
+    ]
+    energy = [sum(state.mechanical_power for state in run) for run in states]
+    assert gained[0] == pytest.approx(gained[1], abs=0.01)
+    assert energy[0] == pytest.approx(energy[1], rel=0.01)
+
+
+def test_still_water_brakes_a_fast_gait():
+    dry, wet = plant_of(Conditions()), plant_of(Conditions(drag_area_m2=0.02))
+    assert sum(s.mechanical_power for s in play(wet, 0.078, 0.3)) > sum(
+        s.mechanical_power for s in play(dry, 0.078, 0.3)
+    )
+
+
+def test_the_tether_in_the_pipe_at_the_start_pulls_as_much_as_the_one_that_follows():
+    start = Conditions(tether_n=1.0, tether_n_per_m=2.0, distance_m=3.0)
+    assert start.loads(PAPER, 0.5)[0] == pytest.approx(1.0 + 2.0 * 3.5)
+    assert start.loads(PAPER, -0.5)[0] == pytest.approx(1.0 + 2.0 * 3.0)
