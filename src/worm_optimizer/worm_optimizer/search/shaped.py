@@ -168,7 +168,9 @@ class ShapedTask:
             )
         part = part[:, np.newaxis]
         mixed = (1.0 - part) * low + part * high
-        return np.where(np.isnan(mixed), np.where(np.isnan(high), low, high), mixed)
+        shares = np.where(np.isnan(mixed), np.where(np.isnan(high), low, high), mixed)
+        # Between two nodes at a bound, rounding may lead beyond it.
+        return np.clip(shares, *self.shapes.shares.T)
 
 
 @dataclass(frozen=True)

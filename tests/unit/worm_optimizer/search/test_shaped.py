@@ -17,7 +17,7 @@ from worm_optimizer.evaluation.task import Bounds, MarginTask, Points
 from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.search.corners import FINE, Columns, ShapeBounds, corners
 from worm_optimizer.search.exact import ExactFront, Zoom, exact_front
-from worm_optimizer.search.shaped import ShapedTask
+from worm_optimizer.search.shaped import ShapedTask, Track
 
 ACCEPTED = 1e-4  # relative excess of power over a random gait
 
@@ -210,3 +210,17 @@ def test_a_reverse_gait_of_equal_modules_costs_the_same():
         ShapedTask(dataclasses.replace(task, direction=1), ShapeBounds()), COARSE, Zoom(5, 4)
     ).front
     assert reverse.power == pytest.approx(forward.power, rel=1e-6)
+
+
+def test_between_margins_shares_at_a_bound_stay_within_it():
+    """Interpolation of 0.1 and 0.1 may yield 0.0999…"""
+    task = ShapedTask(MarginTask(), ShapeBounds(), (0.0, 0.004))
+    frequency = np.array([0.1, 0.3])
+    tracks = [Track(m, 3, 1.0, frequency, np.full((2, 2), [0.9, 0.1])) for m in task.nodes]
+    task.__dict__["tracks"] = tuple(tracks)
+    margins = np.linspace(0.0, 0.004, 41)
+    found = task.edges(np.full(41, 0.2), np.full((41, 2), 0.05), margin=margins)
+    shape = found.points.shape
+    own = shape["profile"] == Profile.TRAPEZOID
+    assert np.count_nonzero(own) > 1
+    assert np.all((shape["ramp_share"][own] >= 0.1) & (shape["contraction_share"][own] <= 0.9))
