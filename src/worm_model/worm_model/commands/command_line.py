@@ -91,11 +91,11 @@ class Parser(argparse.ArgumentParser):
             help=f"{GAIT_MEANINGS['profile']} (default: {Profile.COSINE})",
         )
 
-    def add_conditions(self) -> None:
+    def add_conditions(self, default: float | None = 0.0) -> None:
         """Add an option for each field of `Conditions`; `conditions_of` makes the conditions of the parsed options."""
         for name, row in CONDITION_ROWS.items():
             metavar = row["unit"].upper().replace("/", "_PER_")
-            self.add_number(row["option"], metavar, row["meaning"], 0.0, dest=name)
+            self.add_number(row["option"], metavar, row["meaning"], default, dest=name)
 
     def add_figure(self) -> None:
         """Add --figure; see `figure_file`."""

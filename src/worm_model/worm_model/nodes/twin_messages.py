@@ -12,6 +12,8 @@ from builtin_interfaces.msg import Time
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
+from worm_model.conditions import CONDITION_PARAMETERS, CONDITION_ROWS, Conditions, under
+from worm_model.parameters import Parameters, load_parameters
 from worm_model.twin.forecast import Forecast
 from worm_model.twin.records import (
     NANOSECONDS,
@@ -184,7 +186,28 @@ def rows() -> list[ParameterRow]:
     """Return every parameter."""
     file = ParameterRow(PARAMETER_FILE, "", "The model's parameters (YAML); empty: the paper's.")
     settings = dataclasses.fields(TwinSettings)
-    return [file, *(ParameterRow(row.name, row.default, **row.metadata) for row in settings)]
+    return [
+        file,
+        *(
+            ParameterRow(key, 0.0, f"{row['meaning']}, {row['unit']}", row["low"], row["high"])
+            for key, name in CONDITION_PARAMETERS.items()
+            for row in (CONDITION_ROWS[name],)
+        ),
+        *(ParameterRow(row.name, row.default, **row.metadata) for row in settings),
+    ]
+
+
+def robot_of(value: Callable[[str], Any]) -> Parameters:
+    """Return the robot under the conditions that parameters of the node state.
+
+    Args:
+        value: returns the value of a parameter by name.
+
+    Raises:
+        ParameterError, ConditionsError: The parameter file is invalid, or the conditions are not admissible.
+    """
+    stated = {name: value(key) for key, name in CONDITION_PARAMETERS.items()}
+    return under(Conditions(**stated), load_parameters(value(PARAMETER_FILE)))
 
 
 def settings_of(node: Any) -> TwinSettings:

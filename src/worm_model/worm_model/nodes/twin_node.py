@@ -26,13 +26,15 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from visualization_msgs.msg import MarkerArray
 
+from worm_model.conditions import ConditionsError
+from worm_model.errors import InputError
 from worm_model.gait import (
     GaitError,
     gait_of,
 )
 from worm_model.nodes import twin_messages
 from worm_model.nodes.scene_markers import marker_array
-from worm_model.parameters import ParameterError, load_parameters
+from worm_model.parameters import ParameterError
 from worm_model.simulation import warm_up
 from worm_model.twin.forecast import ForecastError, forecast
 from worm_model.twin.records import Event, Severity, StateRecord
@@ -188,16 +190,15 @@ class TwinNode(Node):
     # --- parameters -----------------------------------------------------------------------------
 
     def _make_twin(self) -> Twin:
-        parameters = load_parameters(self.get_parameter(twin_messages.PARAMETER_FILE).value)
-        return Twin(parameters, twin_messages.settings_of(self))
+        robot = twin_messages.robot_of(lambda name: self.get_parameter(name).value)
+        return Twin(robot, twin_messages.settings_of(self))
 
     def _check_parameters(self, parameters: Sequence[Parameter]) -> SetParametersResult:
-        for parameter in parameters:
-            if parameter.name == twin_messages.PARAMETER_FILE:
-                try:
-                    load_parameters(parameter.value)
-                except ParameterError as error:
-                    return SetParametersResult(successful=False, reason=str(error))
+        new = {parameter.name: parameter for parameter in parameters}
+        try:
+            twin_messages.robot_of(lambda name: (new.get(name) or self.get_parameter(name)).value)
+        except InputError as error:
+            return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
     def _apply_parameters(self, _: Sequence[Parameter]) -> None:
@@ -259,7 +260,9 @@ def _spin(node: TwinNode, ended: Callable[[], bool]) -> None:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the twin until SIGINT or SIGTERM; return the exit status."""
     about = "Follows the robot with the model, compares both, and reports changes."
-    return run_node("twin_node", about, twin_messages.rows, _run, (ParameterError,), arguments)
+    return run_node(
+        "twin_node", about, twin_messages.rows, _run, (ConditionsError, ParameterError), arguments
+    )
 
 
 def _run(ended: ShutdownRequest) -> None:

@@ -22,6 +22,7 @@ from worm_model.commands.command_line import (
     run_command,
 )
 from worm_model.commands.identify import StageProgress
+from worm_model.conditions import Conditions
 from worm_model.parameters import load_parameter_file
 from worm_optimizer.commands.robot_options import add_robot, robot_of
 from worm_optimizer.nodes.service_caller import OperatorError
@@ -29,9 +30,9 @@ from worm_optimizer.operation.bring_up import CYCLES, FAILURES, ProgressLog, Ses
 from worm_optimizer.operation.campaign_plan import (
     PROMISES,
     Plan,
-    beside_nominal,
     is_promised,
     make_plan,
+    with_comparisons,
     write_promises,
 )
 from worm_optimizer.operation.campaign_runs import Prepare, Robot, put_aside, run_gaits
@@ -56,7 +57,7 @@ from worm_optimizer.report.recorded_gait import RecordedGait
 from worm_optimizer.report.recordings import read_recorded_gaits
 from worm_optimizer.report.report_page import PAGE, Report, build_report
 from worm_optimizer.robot_commands import GaitCommand
-from worm_optimizer.search.search_settings import Settings
+from worm_optimizer.search.search_settings import Settings, Waveform, waveform_of
 
 _GAITS = 3  # of a campaign without repeats and nominal gaits: nothing spreads
 SPREAD_FIGURE = "spread.png"
@@ -109,6 +110,12 @@ def _parser() -> Parser:
         help="also run the gaits that are best without a margin, beside the robust ones",
     )
     add(
+        "--waveform",
+        choices=[kind.value for kind in Waveform],
+        default=Waveform.SINUSOID.value,
+        help="gaits that are searched (default: sinusoid); shaped: also run the gaits of the paper's waveform",
+    )
+    add(
         "--identify",
         action="store_true",
         help="first run the gaits that identify a robot, each past five ridges, write its parameters and report, and "
@@ -141,7 +148,7 @@ def _campaign(options: argparse.Namespace) -> int:
                 robot = robot.with_parameters(options.parameters)
                 options.identification = [folder / PARAMETERS, folder / REPORT]
                 identification = identification_of(options)
-            plan = _plan(options)
+            plan = _plan(options, robot.conditions)
             _promise(plan, folder)
             names = run_names(tuple(plan.gaits), options.repeats)
             orders = {
@@ -175,14 +182,15 @@ def _campaign(options: argparse.Namespace) -> int:
     return 0
 
 
-def _plan(options: argparse.Namespace) -> Plan:
+def _plan(options: argparse.Namespace, conditions: Conditions) -> Plan:
     """The gaits of the exact front."""
     content = load_parameter_file(options.parameters)
-    settings = Settings(margin=options.margin)
+    settings = Settings(
+        margin=options.margin, conditions=conditions, waveform=waveform_of(options.waveform)
+    )
     plan = make_plan(content, settings, options.direction)
-    if options.with_nominal or options.identify:
-        plan = beside_nominal(plan, content, settings, options.direction)
-    return plan
+    nominal = options.with_nominal or options.identify
+    return with_comparisons(plan, content, settings, options.direction, nominal=nominal)
 
 
 def _identify(

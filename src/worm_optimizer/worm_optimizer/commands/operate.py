@@ -23,6 +23,7 @@ from worm_model.commands.command_line import (
     print_result,
     run_command,
 )
+from worm_model.conditions import CONDITION_PARAMETERS, LEVEL, Conditions
 from worm_model.gait import (
     GAIT_DEFAULTS,
     WAVEFORM,
@@ -30,7 +31,7 @@ from worm_model.gait import (
     gait_of,
 )
 from worm_optimizer.commands.search_options import add_objective, request_of_options
-from worm_optimizer.nodes.operator_node import OperatorNode, UnreachableError, operator
+from worm_optimizer.nodes.operator_node import OPTIMIZER, OperatorNode, UnreachableError, operator
 from worm_optimizer.operation.bring_up import CYCLES, FAILURES, ProgressLog
 from worm_optimizer.operation.processes import counted_interrupts
 from worm_optimizer.operation.recorded_run import new_bag, recorded
@@ -129,6 +130,7 @@ def _add_fault(parser: Parser) -> None:
 def _add_run(parser: Parser) -> None:
     parser.add_gait()
     add_objective(parser)
+    parser.add_conditions(None)
     ends = parser.add_argument_group("end of the run: the first that is reached")
     ends.add_argument(
         "--cycles", type=int, default=0, metavar="N", help=f"default {CYCLES} if no end is given"
@@ -222,11 +224,14 @@ def _fault(node: OperatorNode, options: argparse.Namespace) -> int:
 
 def _run(node: OperatorNode, options: argparse.Namespace) -> int:
     say = ProgressLog("operate")
+    conditions = _conditions(node, options, say)
     order = _ends(options, _own_gait(options) or _requested(node, options, say))
     new = None if options.record is None else new_bag(options.record)
     say(f"running {order}")
     recorder = (
-        nullcontext() if new is None else recorded(node, new, options.parameters, str(os.getpid()))
+        nullcontext()
+        if new is None
+        else recorded(node, new, options.parameters, conditions, str(os.getpid()))
     )
     with recorder as bag:
         result = _attended(node, order, say)
@@ -235,6 +240,27 @@ def _run(node: OperatorNode, options: argparse.Namespace) -> int:
     if not result.success:
         print(f"operate: {result.message}", file=sys.stderr)  # noqa: T201
     return 0 if result.success else FAILED
+
+
+def _conditions(node: OperatorNode, options: argparse.Namespace, say: ProgressLog) -> Conditions:
+    """Set the conditions of the options in twin and optimizer, and return those that hold now.
+
+    Without an optimizer, a run of a given gait has the conditions of the options.
+    """
+    stated = {
+        key: value
+        for key, name in CONDITION_PARAMETERS.items()
+        if (value := getattr(options, name)) is not None
+    }
+    if not node.graph.has_node(OPTIMIZER):
+        say("no optimizer runs: the conditions are those of the options")
+        return Conditions(**{CONDITION_PARAMETERS[key]: value for key, value in stated.items()})
+    if stated:
+        node.set_model_parameters(stated)
+    conditions = node.conditions()
+    if conditions != LEVEL:
+        say(f"conditions: {conditions}")
+    return conditions
 
 
 def _own_gait(options: argparse.Namespace) -> Gait | None:

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from worm_model.commands.command_line import InputError, Parser
+from worm_model.conditions import CONDITION_PARAMETERS
 from worm_optimizer.operation.bring_up import installed_system_file
 from worm_optimizer.operation.campaign_runs import Robot
 from worm_optimizer.operation.system import SystemFileError
@@ -41,8 +42,9 @@ def with_tracker(settings: Mapping[str, str], choice: str, mode: str) -> dict[st
 
 
 def add_robot(parser: Parser) -> None:
-    """Adds --set and --tracker; see `robot_of`."""
+    """Adds --set, --tracker and the conditions in the pipe; see `robot_of`."""
     add_tracker(parser)
+    parser.add_conditions(None)
     parser.add_argument(
         "--set",
         action="append",
@@ -57,6 +59,9 @@ def robot_of(options: argparse.Namespace, mode: str) -> Robot:
     settings = (
         {"parameter_file": str(Path(options.parameters).resolve())} if options.parameters else {}
     )
+    for key, name in CONDITION_PARAMETERS.items():
+        if (value := getattr(options, name)) is not None:
+            settings[key] = repr(value)
     for text in options.set:
         name, separator, value = text.partition("=")
         if not (name and separator):
@@ -66,6 +71,7 @@ def robot_of(options: argparse.Namespace, mode: str) -> Robot:
     try:
         robot = Robot(installed_system_file(), mode, settings)
         robot.system()
+        robot.conditions  # noqa: B018 (raises InputError)
     except SystemFileError as error:
         raise InputError(str(error)) from None
     return robot

@@ -50,16 +50,6 @@ def read_front(
     return gaits if fastest.speed <= gaits[-1].speed else [*gaits, fastest]
 
 
-def set_parameter_file(node: OperatorNode, file: str) -> str:
-    """Set the parameter file of twin and optimizer; empty for the paper's values. Raises `OperatorError`."""
-    node.set_parameter_file("twin", file)
-    try:
-        node.set_parameter_file("optimizer", file)
-    except OperatorError as error:
-        raise OperatorError(f"only the twin uses the new parameters: {error}") from None
-    return f"twin and optimizer use {Path(file).name or 'the paper’s values'}"
-
-
 def run(
     node: OperatorNode,
     command: GaitCommand,
@@ -84,7 +74,8 @@ def run(
         InputError: The bag cannot be created.
     """
     recorder = f"console_{os.getpid()}_{next(_numbers)}"
-    with recorded(node, new_bag(folder), parameter_file, recorder) as bag:
+    conditions = node.conditions()
+    with recorded(node, new_bag(folder), parameter_file, conditions, recorder) as bag:
         if why := cancellation():
             raise OperatorError(f"not started: {why}")
         gait_run = node.begin(command, lambda: not cancellation())

@@ -5,10 +5,10 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Sequence
+from pathlib import Path
 
 from worm_model.errors import InputError
 from worm_model.parameters import load_parameters
-from worm_optimizer.console import page_actions
 from worm_optimizer.console.console_state import ConsoleState
 from worm_optimizer.console.robot_worker import Notice
 from worm_optimizer.nodes.operator_node import OperatorNode
@@ -109,9 +109,9 @@ class Studies:
         state, parameters = self._state, load_parameters(file)
 
         def apply(node: OperatorNode) -> str:
-            text = page_actions.set_parameter_file(node, file)
+            node.set_model_parameters({"parameter_file": file})
             state.parameters, state.parameter_file = parameters, file
             state.fronts.clear()
-            return text
+            return f"twin and optimizer use {Path(file).name or 'the paper’s values'}"
 
         return state.worker.submit("setting the parameters of twin and optimizer", apply)

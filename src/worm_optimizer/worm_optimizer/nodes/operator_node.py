@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from typing import TypeVar
 
@@ -19,7 +19,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces.msg import Log, Parameter, ParameterType, ParameterValue
-from rcl_interfaces.srv import SetParameters
+from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 from rclpy.duration import Duration
 from rclpy.logging import LoggingSeverity
 from rclpy.publisher import Publisher
@@ -27,6 +27,7 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
+from worm_model.conditions import CONDITION_PARAMETERS, Conditions
 from worm_model.gait import FORWARD
 from worm_model.twin.records import Activity
 from worm_msgs import network
@@ -59,7 +60,7 @@ from worm_optimizer.robustness.prediction import Prediction
 from worm_optimizer.search.gait_request import GaitRequest, Objective
 from worm_optimizer.snapshot import Snapshot, Wish
 
-DRIVER = "driver"  # name of the node in system.yaml
+DRIVER, TWIN, OPTIMIZER = "driver", "twin", "optimizer"  # names of the nodes in system.yaml
 SILENCE_S = 60.0  # timeout for feedback of a running gait
 REASON_S = 1.0  # timeout for the driver's log message about a failed transition
 TELEMETRY_S = 1.0  # timeout of `state` for the optional topics of power, tracker and twin
@@ -380,17 +381,37 @@ class OperatorNode(ServiceCaller):
         """
         return self._sent(SearchGoal(self, order, on_end))
 
-    def set_parameter_file(self, node: str, parameter_file: str) -> None:
-        """Set the parameter file of a node; empty for the paper's values.
+    def set_parameters(self, node: str, values: Mapping[str, str | float]) -> None:
+        """Set parameters of a node, all or none.
 
         Raises:
-            OperatorError: The node rejects the file.
+            OperatorError: The node rejects a value.
         """
-        value = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=parameter_file)
-        request = SetParameters.Request(parameters=[Parameter(name="parameter_file", value=value)])
-        answer = self.call_twice(SetParameters, f"{node}/set_parameters", request).results[0]
+        parameters = [Parameter(name=name, value=_value(value)) for name, value in values.items()]
+        request = SetParametersAtomically.Request(parameters=parameters)
+        service = f"{node}/set_parameters_atomically"
+        answer = self.call_twice(SetParametersAtomically, service, request).result
         if not answer.successful:
-            raise OperatorError(f"{node} rejects {parameter_file}: {answer.reason}")
+            raise OperatorError(f"{node} rejects new parameters: {answer.reason}")
+
+    def set_model_parameters(self, values: Mapping[str, str | float]) -> None:
+        """Set parameters of twin and optimizer, such as their parameter file and the conditions in the pipe.
+
+        Raises:
+            OperatorError: A node rejects a value; the message says if the twin has accepted it.
+        """
+        self.set_parameters(TWIN, values)
+        try:
+            self.set_parameters(OPTIMIZER, values)
+        except OperatorError as error:
+            raise OperatorError(f"only the twin uses the new parameters: {error}") from None
+
+    def conditions(self) -> Conditions:
+        """Return the conditions that the optimizer assumes. Raises `OperatorError` if there is no optimizer."""
+        request = GetParameters.Request(names=list(CONDITION_PARAMETERS))
+        answer = self.call_twice(GetParameters, f"{OPTIMIZER}/get_parameters", request)
+        values = (value.double_value for value in answer.values)
+        return Conditions(**dict(zip(CONDITION_PARAMETERS.values(), values, strict=True)))
 
     def follow(
         self, run: GaitRun, progress: Progress, until: Callable[[], bool] = lambda: False
@@ -470,3 +491,9 @@ class OperatorNode(ServiceCaller):
         request = ChangeState.Request(transition=Transition(id=transition))
         response = self.call(ChangeState, f"{node}/change_state", request)
         return bool(response.success)
+
+
+def _value(value: str | float) -> ParameterValue:
+    if isinstance(value, str):
+        return ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=value)
+    return ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=float(value))

@@ -13,6 +13,7 @@ from rclpy.action.server import ServerGoalHandle
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from worm_model.conditions import CONDITION_PARAMETERS, ConditionsError
 from worm_model.errors import InputError
 from worm_model.gait import FORWARD, REVERSE
 from worm_model.parameters import ParameterError, ParameterFile, load_parameter_file
@@ -116,7 +117,7 @@ class OptimizerNode(Node):
         changes = {parameter.name: parameter.value for parameter in parameters}
         if optimizer_parameters.PARAMETER_FILE in changes:
             self._content = load_parameter_file(changes[optimizer_parameters.PARAMETER_FILE])
-        elif not changes.keys() & optimizer_parameters.CONDITIONS.keys():
+        elif not changes.keys() & CONDITION_PARAMETERS.keys():
             return
         self._settings = self._under(changes)
         self._forget()
@@ -125,9 +126,7 @@ class OptimizerNode(Node):
     def _under(self, changes: Mapping[str, Any]) -> Settings:
         """Return the settings with changed parameters of the conditions. Raises `ConditionsError`."""
         conditions = {
-            field: changes[name]
-            for name, field in optimizer_parameters.CONDITIONS.items()
-            if name in changes
+            field: changes[name] for name, field in CONDITION_PARAMETERS.items() if name in changes
         }
         changed = dataclasses.replace(self._settings.conditions, **conditions)
         return dataclasses.replace(self._settings, conditions=changed)
@@ -250,7 +249,7 @@ def main() -> int:
         "Answers requests for gaits from exact robust fronts.",
         optimizer_parameters.rows,
         _run,
-        (OptimizerError, ParameterError),
+        (ConditionsError, OptimizerError, ParameterError),
     )
 
 

@@ -7,13 +7,11 @@ import dataclasses
 
 from rclpy.node import Node
 
-from worm_model.conditions import CONDITION_ROWS
+from worm_model.conditions import CONDITION_PARAMETERS
 from worm_msgs.parameter_rows import ParameterRow
 from worm_optimizer.search.search_settings import SETTINGS, Settings, settings_of
 
 PARAMETER_FILE = "parameter_file"
-#: field of `Conditions` by the parameter that sets it
-CONDITIONS = {name.lower(): name for name in CONDITION_ROWS}
 MOST_RESTING = 8  # largest number of stored fronts for other initial lengths
 
 
@@ -24,7 +22,10 @@ def rows() -> list[ParameterRow]:
     )
     return [
         ParameterRow(PARAMETER_FILE, "", "Parameter file; empty: the paper's values."),
-        *(dataclasses.replace(row, read_only=row.name not in CONDITIONS) for row in settings),
+        *(
+            dataclasses.replace(row, read_only=row.name not in CONDITION_PARAMETERS)
+            for row in settings
+        ),
     ]
 
 

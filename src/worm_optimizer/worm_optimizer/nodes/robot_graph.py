@@ -11,6 +11,7 @@ from worm_optimizer.nodes.service_caller import DISCOVERY_TIMEOUT_S, OperatorErr
 # Only drivers have this service, whatever their names.
 _DRIVER_SERVICE = "run_gait/_action/send_goal"
 NODES_TIMEOUT_S = 120.0  # the first start of the twin includes the compilation of its kernel
+NODE_S = 5.0  # time for the discovery of a node that may be missing
 LEASE_S = 25.0  # DDS counts a silent participant as alive for 20 s
 
 
@@ -30,6 +31,10 @@ class RobotGraph:
         if not self._node.wait(lambda: expected <= self._node_names(), NODES_TIMEOUT_S):
             missing = min(expected - self._node_names())
             raise OperatorError(f"no node {missing} within {NODES_TIMEOUT_S:g} s")
+
+    def has_node(self, name: str) -> bool:
+        """Return True if a node of this name exists in this namespace; one may be discovered for NODE_S."""
+        return self._node.wait(lambda: name in self._node_names(), NODE_S)
 
     def publishers(self, topic: str) -> int:
         """Return the number of publishers of a topic of this namespace."""

@@ -8,13 +8,21 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from worm_model.commands.command_line import finite
+from worm_model.conditions import LEVEL
 from worm_model.gait import named_values
 from worm_model.parameters import ParameterFile
-from worm_optimizer.report.agreement import NOMINAL
+from worm_optimizer.report.agreement import LEVEL_GROUND, NOMINAL, SINUSOIDAL
 from worm_optimizer.report.optimisation import Optimisation
 from worm_optimizer.robustness.prediction import Prediction
-from worm_optimizer.search.front import make_front, nominal_gaits, reason_for, scanned_price
-from worm_optimizer.search.search_settings import Settings
+from worm_optimizer.search.front import (
+    make_front,
+    nominal_gaits,
+    predicted_gaits,
+    reason_for,
+    scanned_price,
+)
+from worm_optimizer.search.search_settings import Settings, Waveform
 
 PROMISES = "promised.json"
 
@@ -46,13 +54,35 @@ def make_plan(content: ParameterFile, settings: Settings, direction: int) -> Pla
     return Plan(front.three, Optimisation(front, price))
 
 
-def beside_nominal(plan: Plan, content: ParameterFile, settings: Settings, direction: int) -> Plan:
-    """Return the plan with the nominal gait, which is optimal without a margin, after each robust one."""
-    nominal = nominal_gaits(content, settings, direction)
+def with_comparisons(
+    plan: Plan, content: ParameterFile, settings: Settings, direction: int, *, nominal: bool
+) -> Plan:
+    """Return the plan with gaits to compare after each of its three gaits, all with the plan's margin.
+
+    Under conditions these are the gaits designed for level ground, and in a plan of shaped gaits those of the paper's
+    waveform.
+
+    Args:
+        plan, content, settings, direction: see `make_plan`.
+        nominal: True to include the gaits designed without a margin.
+
+    Raises:
+        OptimizerError: No gait to compare moves.
+    """
+    settings = replace(settings, margin=plan.optimisation.front.margin, margin_force=None)
+    compared: dict[str, Mapping[str, Prediction]] = {}
+    if nominal:
+        compared[NOMINAL] = nominal_gaits(content, settings, direction)
+    if settings.conditions != LEVEL:
+        level = make_front(content, replace(settings, conditions=LEVEL), direction)
+        compared[LEVEL_GROUND] = predicted_gaits(level.three, content, settings)
+    if settings.waveform is Waveform.SHAPED:
+        sinusoid = replace(settings, waveform=Waveform.SINUSOID)
+        compared[SINUSOIDAL] = make_front(content, sinusoid, direction).three
     gaits = {
-        each: gait
-        for name, robust in plan.gaits.items()
-        for each, gait in ((name, robust), (NOMINAL + name, nominal[name]))
+        prefix + name: group[name]
+        for name in plan.gaits
+        for prefix, group in {"": plan.gaits, **compared}.items()
     }
     return replace(plan, gaits=gaits)
 
@@ -75,4 +105,5 @@ def is_promised(plan: Plan, folder: Path) -> bool:
 
 
 def _promises(plan: Plan) -> str:
-    return json.dumps({name: named_values(gait) for name, gait in plan.gaits.items()}, indent=2)
+    content = {name: named_values(gait) for name, gait in plan.gaits.items()}
+    return json.dumps(finite(content), allow_nan=False, indent=2)

@@ -11,9 +11,10 @@ from worm_model.analysis.run_metrics import RecordingError, last_played_gait
 from worm_model.bags.bag_errors import BagError
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import read_run
+from worm_model.conditions import Conditions
 from worm_optimizer.nodes.tracker_watch import TrackerWatch
 from worm_optimizer.operation.bring_up import RECORDER, Say, Session, recording, session
-from worm_optimizer.operation.system import System, SystemFile
+from worm_optimizer.operation.system import System, SystemFile, conditions_of
 from worm_optimizer.robot_commands import GaitCommand
 
 Prepare = Callable[[Session, str], None]
@@ -37,6 +38,11 @@ class Robot:
     file: SystemFile
     mode: str
     settings: Mapping[str, str]
+
+    @property
+    def conditions(self) -> Conditions:
+        """Conditions in the pipe, as the settings state them. Raises `ConditionsError`."""
+        return conditions_of(self.settings)
 
     def system(self) -> System:
         """Return the system of the nodes that run during the whole campaign."""

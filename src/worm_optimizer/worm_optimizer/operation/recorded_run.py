@@ -9,6 +9,7 @@ from pathlib import Path
 
 from worm_model.bags.finding import METADATA_FILE
 from worm_model.bags.recording.recording_session import TIME_FIELD
+from worm_model.conditions import Conditions
 from worm_model.errors import InputError
 from worm_optimizer.nodes.operator_node import OperatorNode
 from worm_optimizer.operation.bring_up import (
@@ -18,6 +19,7 @@ from worm_optimizer.operation.bring_up import (
     work_folder,
 )
 from worm_optimizer.operation.processes import ProcessGroup
+from worm_optimizer.operation.system import settings_of
 
 
 def new_bag(folder: Path, kind: str = "run") -> Path:
@@ -41,13 +43,16 @@ def new_bag(folder: Path, kind: str = "run") -> Path:
 
 
 @contextmanager
-def recorded(node: OperatorNode, bag: Path, parameter_file: str, name: str) -> Iterator[Path]:
+def recorded(
+    node: OperatorNode, bag: Path, parameter_file: str, conditions: Conditions, name: str
+) -> Iterator[Path]:
     """Record in this context with a recorder of the given name, and provide the path of the bag; see `recording`.
 
     Args:
         node: the operator.
         bag: see `new_bag`.
         parameter_file: parameter file to store in the bag; empty: none.
+        conditions: conditions to store in the bag.
         name: last part of the recorder's node name, which must be unique.
     """
     system = installed_system_file().system(
@@ -55,6 +60,7 @@ def recorded(node: OperatorNode, bag: Path, parameter_file: str, name: str) -> I
         node.get_namespace().strip("/"),
         bag=str(bag),
         parameter_file=str(Path(parameter_file).resolve()) if parameter_file else "",
+        **settings_of(conditions),
     )
     with (
         work_folder("record") as work,

@@ -10,7 +10,7 @@ import numpy as np
 
 from worm_model.analysis.plot_style import BLUE, VERMILION, finish, new_figure, save_figure
 from worm_optimizer.operation.spread import Spread
-from worm_optimizer.report.agreement import NOMINAL, title_of
+from worm_optimizer.report.agreement import COMPARED, title_of
 
 _WIDTH = 0.3  # half the length of the line of a prediction
 
@@ -20,7 +20,7 @@ def draw_spread(path: Path, spreads: Sequence[Spread]) -> None:
     figure = new_figure(1.6 + 1.3 * len(spreads), 3.6)
     axes = figure.add_subplot()
     for place, row in enumerate(spreads):
-        color = VERMILION if row.name.startswith(NOMINAL) else BLUE
+        color = VERMILION if row.name.startswith(tuple(COMPARED)) else BLUE
         aside = np.linspace(-_WIDTH / 2, _WIDTH / 2, row.repeats) if row.repeats > 1 else [0.0]
         axes.plot(place + np.asarray(aside), 1e3 * np.array(row.speeds), "o", color=color)
         level = 1e3 * row.promised_speed

@@ -5,12 +5,15 @@ from __future__ import annotations
 
 import difflib
 import json
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import yaml
+
+from worm_model.conditions import CONDITION_PARAMETERS, Conditions
 
 Value = bool | int | float | str | list[bool] | list[int] | list[float] | list[str]
 
@@ -96,10 +99,17 @@ class System:
 
 @dataclass(frozen=True)
 class Setting:
-    """Setting of a system file that can differ between starts, such as the path of a device."""
+    """Setting of a system file that can differ between starts, such as the path of a device.
+
+    Attributes:
+        default: its default value.
+        description: its meaning.
+        number: True if its value is a finite number, or empty.
+    """
 
     default: str
     description: str
+    number: bool = False
 
 
 @dataclass(frozen=True)
@@ -130,13 +140,16 @@ class SystemFile:
             raise SystemFileError(unknown_name("setting", unknown[0], self.settings))
         names = {"namespace": namespace}
         defaults = {name: row.default.format_map(names) for name, row in self.settings.items()}
-        values = {**names, **defaults, **settings}
+        values: dict[str, str | float] = {**names, **defaults, **settings}
+        for name, row in self.settings.items():
+            if row.number and values[name]:
+                values[name] = _number(name, str(values[name]))
         nodes = tuple(
             self._node(name, content, mode, values)
             for name, content in self.nodes.items()
             if mode in content.get("modes", MODES) and _is_wanted(content, values)
         )
-        return System(namespace, self._with_required(nodes, values.get(ALSO_REQUIRED, "")))
+        return System(namespace, self._with_required(nodes, str(values.get(ALSO_REQUIRED, ""))))
 
     def _with_required(
         self, nodes: tuple[NodeDescription, ...], names: str
@@ -149,7 +162,7 @@ class SystemFile:
         return tuple(replace(n, required=n.required or n.name in also) for n in nodes)
 
     def _node(
-        self, name: str, content: Mapping[str, Any], mode: str, values: Mapping[str, str]
+        self, name: str, content: Mapping[str, Any], mode: str, values: Mapping[str, str | float]
     ) -> NodeDescription:
         parameters = _of_mode(content.get("parameters", {}), mode)
         try:
@@ -189,6 +202,31 @@ def load_system_file(path: str | Path) -> SystemFile:
     return SystemFile(path, content["namespace"], settings, content["nodes"])
 
 
+def _number(name: str, text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise SystemFileError(f"setting {name}: {text!r} is not a finite number")
+    return value
+
+
+def settings_of(conditions: Conditions) -> dict[str, str]:
+    """Return the settings of a system that state conditions in the pipe."""
+    return {key: repr(getattr(conditions, name)) for key, name in CONDITION_PARAMETERS.items()}
+
+
+def conditions_of(settings: Mapping[str, str]) -> Conditions:
+    """Return the conditions in the pipe that settings state; see `settings_of`. Raises `ConditionsError`."""
+    stated = {
+        name: _number(key, settings[key])
+        for key, name in CONDITION_PARAMETERS.items()
+        if settings.get(key)
+    }
+    return Conditions(**stated)
+
+
 def unknown_name(kind: str, name: str, known: Iterable[str]) -> str:
     """Return a message that a name is unknown, with the nearest known name."""
     near = difflib.get_close_matches(name, known, n=1)
@@ -196,7 +234,9 @@ def unknown_name(kind: str, name: str, known: Iterable[str]) -> str:
     return f"no {kind} {name!r}: {hint}"
 
 
-def _parameters(parameters: Mapping[str, Value], values: Mapping[str, str]) -> dict[str, Value]:
+def _parameters(
+    parameters: Mapping[str, Value], values: Mapping[str, str | float]
+) -> dict[str, Value]:
     """Return the parameters with values filled in. Empty ones are left out, so that the node's default holds."""
     filled = {key: _fill(value, values) for key, value in parameters.items()}
     return {key: value for key, value in filled.items() if value != ""}
@@ -208,16 +248,22 @@ def _of_mode(rows: Mapping[str, Any], mode: str) -> dict[str, Any]:
     return {**common, **rows.get(mode, {})}
 
 
-def _is_wanted(content: Mapping[str, Any], values: Mapping[str, str]) -> bool:
+def _is_wanted(content: Mapping[str, Any], values: Mapping[str, str | float]) -> bool:
     """Return True unless a node needs a setting that is empty."""
     return "needs" not in content or bool(values[content["needs"]])
 
 
-def _arguments(groups: Sequence[Sequence[str]], values: Mapping[str, str]) -> tuple[str, ...]:
+def _arguments(
+    groups: Sequence[Sequence[str]], values: Mapping[str, str | float]
+) -> tuple[str, ...]:
     """Return the arguments of all groups with values filled in; a group with an empty argument is left out."""
     filled = [[str(_fill(word, values)) for word in group] for group in groups]
     return tuple(word for group in filled if all(group) for word in group)
 
 
-def _fill(value: Value, values: Mapping[str, str]) -> Value:
-    return value.format_map(values) if isinstance(value, str) else value
+def _fill(value: Value, values: Mapping[str, str | float]) -> Value:
+    """Return a value with settings filled in; ``{name}`` alone keeps the type of the setting."""
+    if not isinstance(value, str):
+        return value
+    alone = values.get(value[1:-1], "") if value == f"{{{value[1:-1]}}}" else ""
+    return value.format_map(values) if isinstance(alone, str) else alone

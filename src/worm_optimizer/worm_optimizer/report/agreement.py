@@ -49,7 +49,10 @@ LEAST_DISAGREEMENT = 0.20
 # A measurement can contradict a number of grooves with at least the probability CERTAIN. Numbers with a probability
 # below POSSIBLE are not expected.
 CERTAIN, POSSIBLE = 0.9, 0.05
-NOMINAL = "nominal_"  # prefix of the names of gaits designed without a margin
+# Prefixes of the names of gaits that a campaign runs for comparison: designed without a margin, without the
+# conditions of the campaign, and with the paper's waveform.
+NOMINAL, LEVEL_GROUND, SINUSOIDAL = "nominal_", "level_", "sinusoid_"
+COMPARED = {NOMINAL: "nominal", LEVEL_GROUND: "for level ground", SINUSOIDAL: "sinusoid"}
 _TITLES = {"min_power": "minimum power", "cruise": "cruising", "max_speed": "maximum speed"}
 
 
@@ -160,9 +163,10 @@ class Agreement:
 
 def title_of(name: str) -> str:
     """Return the title of a gait: in plain English for the gaits of a campaign, else its name."""
-    plain = name.removeprefix(NOMINAL)
-    title = _TITLES.get(plain, plain)
-    return title if plain == name else f"{title}, nominal"
+    for prefix, text in COMPARED.items():
+        if name.startswith(prefix):
+            return f"{title_of(name.removeprefix(prefix))}, {text}"
+    return _TITLES.get(name, name)
 
 
 def percent(difference: float) -> str:

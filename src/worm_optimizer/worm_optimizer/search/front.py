@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,7 @@ from worm_model.gait import Gait
 from worm_model.parameters import ParameterFile, Parameters
 from worm_model.simulation.simulator import LoadError, cost_of_transport, evaluate_gait
 from worm_optimizer.evaluation.actuator_limits import NO_LIMITS, describe_limit
+from worm_optimizer.evaluation.command_shape import SHAPE_ROW, shapes_of
 from worm_optimizer.evaluation.task import Array, Index, MarginTask, Points, Task
 from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.robustness.chance import PromiseTask, margins_stood
@@ -281,3 +283,25 @@ def nominal_gaits(
     chosen = front.take(three_rows(front, content.parameters))
     predictions = _predicted(task, content, settings, chosen, np.zeros(len(chosen)))
     return dict(zip(("min_power", "cruise", "max_speed"), predictions, strict=True))
+
+
+def predicted_gaits(
+    gaits: Mapping[str, Gait], content: ParameterFile, settings: Settings
+) -> dict[str, Prediction]:
+    """Predict given gaits of one direction, each with its own margin, under the conditions of the settings."""
+    content = content_under(settings.conditions, content)
+    stroke, frequency, margin = (
+        np.array([getattr(gait, name) for gait in gaits.values()])
+        for name in ("stroke", "frequency", "margin")
+    )
+    shape = shapes_of(
+        len(gaits),
+        **{
+            name: [getattr(gait, name) for gait in gaits.values()] for name in SHAPE_ROW.names or ()
+        },
+    )
+    (direction,) = {gait.direction for gait in gaits.values()}
+    task = task_of(content, settings, direction)
+    drawn = settings.samples, settings.seed
+    predictions = predict(task, content, stroke, frequency, margin, *drawn, shape)
+    return dict(zip(gaits, predictions, strict=True))

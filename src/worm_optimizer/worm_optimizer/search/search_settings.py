@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from worm_model.conditions import CONDITION_ROWS, Conditions
+from worm_model.conditions import CONDITION_PARAMETERS, CONDITION_ROWS, Conditions
 from worm_model.gait import (
     CONTRACTION_SHARE_RANGE,
     MAX_FREQUENCY,
@@ -160,14 +160,15 @@ _BOX, _SCAN, _PLAIN, _SHAPES = Bounds(), ScanSettings(), Settings(), ShapeBounds
 _Row = SettingRow
 _CONDITIONS = tuple(
     _Row(
-        name.lower(),
+        key,
         row["option"].removeprefix("--"),
         0.0,
         f"{row['meaning']}, {row['unit']}",
         row["low"],
         row["high"],
     )
-    for name, row in CONDITION_ROWS.items()
+    for key, name in CONDITION_PARAMETERS.items()
+    for row in (CONDITION_ROWS[name],)
 )
 
 # What decides about a margin scan, and so about a front, too.
@@ -244,7 +245,7 @@ def settings_of(values: Mapping[str, Any]) -> Settings:
         margin=None if math.isnan(value["margin_m"]) else value["margin_m"],
         samples=value["samples"],
         seed=value["seed"],
-        conditions=Conditions(**{name: value[name.lower()] for name in CONDITION_ROWS}),
+        conditions=Conditions(**{name: value[key] for key, name in CONDITION_PARAMETERS.items()}),
         waveform=waveform_of(value["waveform"]),
         shapes=ShapeBounds(
             *(

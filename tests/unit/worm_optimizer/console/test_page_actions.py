@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from worm_model.conditions import LEVEL
 from worm_model.gait import Gait
 from worm_optimizer.console import page_actions
 from worm_optimizer.console.robot_worker import STOP_PRESSED
@@ -21,7 +22,9 @@ def run(monkeypatch: pytest.MonkeyPatch, *cancellations: str, success: bool) -> 
     """Run a gait with the answers of `cancellation`, from the start of the run to its end."""
     result = RunResult(GAIT, success, "the result", 1, 0, *6 * (math.nan,))
     gait_run = SimpleNamespace(result=result, close=lambda: None)
-    node = SimpleNamespace(begin=lambda *_: gait_run, follow=lambda *_: None)
+    node = SimpleNamespace(
+        begin=lambda *_: gait_run, follow=lambda *_: None, conditions=lambda: LEVEL
+    )
     monkeypatch.setattr(page_actions, "recorded", lambda *_: nullcontext(Path("run_1")))
     monkeypatch.setattr(page_actions, "new_bag", lambda _: Path("run_1"))
     answers = iter(cancellations)

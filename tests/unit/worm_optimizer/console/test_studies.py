@@ -30,23 +30,23 @@ class Goal:
 
 
 class Node:
-    """Operator whose nodes accept parameter files, except ``rejecting``."""
+    """Operator whose nodes accept parameters, unless it is ``rejecting``."""
 
     def __init__(self) -> None:
         self.goals: list[Goal] = []
         self.ends: list[Callable[[SearchResult], None]] = []
-        self.files: list[tuple[str, str]] = []
-        self.rejecting = ""
+        self.parameters: list[dict[str, object]] = []
+        self.rejecting = False
 
     def search(self, order: object, on_end: Callable[[SearchResult], None]) -> Goal:
         self.goals.append(Goal())
         self.ends.append(on_end)
         return self.goals[-1]
 
-    def set_parameter_file(self, node: str, file: str) -> None:
-        if node == self.rejecting:
-            raise OperatorError(f"{node} rejects {file}")
-        self.files.append((node, file))
+    def set_model_parameters(self, values: dict[str, object]) -> None:
+        if self.rejecting:
+            raise OperatorError("rejected")
+        self.parameters.append(values)
 
 
 class RobotWorker:
@@ -162,21 +162,21 @@ def test_both_nodes_and_the_pages_use_new_parameters(bench: SimpleNamespace, tmp
     file = tmp_path / "robot.yaml"
     write_parameter_file(file, ParameterFile(PAPER))
     assert bench.studies.set_parameter_file(str(file))
-    assert bench.node.files == [("twin", str(file)), ("optimizer", str(file))]
+    assert bench.node.parameters == [{"parameter_file": str(file)}]
     assert (bench.state.parameter_file, bench.state.fronts) == (str(file), {})
     assert bench.studies.initial_file == ""
     assert bench.studies.set_parameter_file("")
     assert bench.worker.results[-1] == "twin and optimizer use the paper’s values"
 
 
-def test_a_rejection_by_one_node_is_an_error_that_names_the_other(
+def test_after_a_rejection_the_pages_use_the_former_parameters(
     bench: SimpleNamespace, tmp_path: Path
 ):
     file = tmp_path / "robot.yaml"
     with pytest.raises(ParameterError):
         bench.studies.set_parameter_file(str(file))
     write_parameter_file(file, ParameterFile(PAPER))
-    bench.node.rejecting = "optimizer"
-    with pytest.raises(OperatorError, match="only the twin"):
+    bench.node.rejecting = True
+    with pytest.raises(OperatorError):
         bench.studies.set_parameter_file(str(file))
     assert bench.state.parameter_file == ""

@@ -3,17 +3,25 @@
 
 import dataclasses
 import json
+import math
 import sys
 from pathlib import Path
 
 import pytest
 from recorded_run import GAIT, simulated_run, write_bag
 
+from worm_model.commands.command_line import finite
+from worm_model.conditions import Conditions
 from worm_model.gait import named_values
 from worm_model.parameters import ParameterFile
 from worm_optimizer.commands import campaign as command
 from worm_optimizer.operation.bring_up import left_out
-from worm_optimizer.operation.campaign_plan import is_promised, make_plan, write_promises
+from worm_optimizer.operation.campaign_plan import (
+    is_promised,
+    make_plan,
+    with_comparisons,
+    write_promises,
+)
 from worm_optimizer.operation.campaign_runs import (
     Robot,
     is_recorded,
@@ -21,11 +29,22 @@ from worm_optimizer.operation.campaign_runs import (
     run_gaits,
 )
 from worm_optimizer.operation.system import load_system_file
+from worm_optimizer.report.agreement import title_of
 from worm_optimizer.robot_commands import GaitCommand
 from worm_optimizer.search.exact import Resolution
-from worm_optimizer.search.search_settings import ScanSettings, Settings
+from worm_optimizer.search.search_settings import ScanSettings, Settings, Waveform
 
 FILE = load_system_file(Path(__file__).parents[4] / "src/worm_optimizer/config/system.yaml")
+
+
+@pytest.fixture(scope="module")
+def quick() -> Settings:
+    return Settings(
+        margin=0.001,
+        scan=ScanSettings(0.0, 0.002, 0.001),
+        resolution=Resolution(21, 17),
+        samples=20,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -51,10 +70,40 @@ def test_the_plan_has_the_papers_three_gaits_by_rising_speed(plan):
     assert {gait.margin for gait in plan.gaits.values()} == {0.0034}
 
 
+def test_under_conditions_each_gait_is_followed_by_the_one_for_level_ground(quick):
+    steep = dataclasses.replace(quick, conditions=Conditions(slope_deg=20.0, tether_N=2.0))
+    plan = make_plan(ParameterFile(), steep, 1)
+    compared = with_comparisons(plan, ParameterFile(), steep, 1, nominal=False)
+    names = ["min_power", "cruise", "max_speed"]
+    assert list(compared.gaits) == [each for name in names for each in (name, f"level_{name}")]
+    level = compared.gaits["level_cruise"]
+    designed = make_plan(ParameterFile(), quick, 1).gaits["cruise"]
+    assert level.gait == designed.gait
+    assert level.nominal_speed < designed.nominal_speed  # predicted under the load
+    assert compared.gaits["cruise"].nominal_speed > level.nominal_speed
+    assert title_of("level_cruise") == "cruising, for level ground"
+
+
+def test_each_shaped_gait_is_followed_by_the_one_of_the_papers_waveform(quick):
+    plan = make_plan(ParameterFile(), quick, 1)
+    shaped = dataclasses.replace(quick, waveform=Waveform.SHAPED)
+    compared = with_comparisons(plan, ParameterFile(), shaped, 1, nominal=False)
+    names = ["min_power", "cruise", "max_speed"]
+    assert list(compared.gaits) == [each for name in names for each in (name, f"sinusoid_{name}")]
+    assert compared.gaits["sinusoid_cruise"].gait == plan.gaits["cruise"].gait
+
+
+def test_promises_of_a_gait_that_does_not_move_are_json(plan, tmp_path: Path):
+    still = dataclasses.replace(plan.gaits["cruise"], cost_of_transport=math.inf)
+    path = write_promises(dataclasses.replace(plan, gaits={"cruise": still}), tmp_path)
+    content = json.loads(path.read_text(), parse_constant=pytest.fail)
+    assert content["cruise"]["cost_of_transport"] is None
+
+
 def test_promises_are_written_once(plan, tmp_path: Path):
     path = write_promises(plan, tmp_path)
     content = json.loads(path.read_text())
-    assert content["cruise"] == named_values(plan.gaits["cruise"])
+    assert content["cruise"] == finite(named_values(plan.gaits["cruise"]))
     with pytest.raises(FileExistsError):
         write_promises(plan, tmp_path)
 
@@ -84,6 +133,9 @@ def test_a_calibrated_driver_gets_its_file():
         (("--mode", "robot", "--tracker", "camera"), "give the rig, --set tracker_setup=FILE"),
         (("--set", "prot=/dev/ttyUSB0"), "no setting 'prot'"),
         (("--margin", "-1"), "margin: -1"),
+        (("--slope", "91"), "slope_deg: 91"),
+        (("--tether-per-metre", "1"), "distance_m"),
+        (("--set", "slope_deg=steep"), "steep"),
         (("--parameters", "none.yaml"), "none.yaml: cannot be read"),
         (("--mode", "imaginary"), "invalid choice"),
     ],

@@ -7,11 +7,14 @@ from pathlib import Path
 import pytest
 import yaml
 
+from worm_model.conditions import CONDITION_PARAMETERS, LEVEL, Conditions
 from worm_optimizer.operation.system import (
     MODES,
     NodeDescription,
     SystemFileError,
+    conditions_of,
     load_system_file,
+    settings_of,
 )
 
 SHIPPED = Path(__file__).resolve().parents[4] / "src/worm_optimizer/config/system.yaml"
@@ -195,3 +198,32 @@ def test_only_the_virtual_robot_is_driven_in_virtual_mode():
     driver = content.system("virtual", directory="/run/x").node("driver")
     assert driver.parameters["port"] == "/run/x/servo_bus"
     assert "virtual_robot" not in [node.name for node in content.system("robot").nodes]
+
+
+def test_conditions_reach_twin_optimizer_recorder_and_virtual_robot():
+    stated = Conditions(slope_deg=-20.0, tether_N=2.0, tether_N_per_m=0.5, distance_m=3.0)
+    settings = settings_of(stated)
+    assert conditions_of(settings) == stated
+    system = load_system_file(SHIPPED).system("virtual", bag="b", **settings)
+    for name in ("twin", "optimizer"):
+        given = system.node(name).parameters
+        assert {key: given[key] for key in settings} == {k: float(v) for k, v in settings.items()}
+    for name in ("recorder", "virtual_robot"):
+        arguments = system.node(name).arguments
+        assert arguments[arguments.index("--slope") + 1] == "-20.0"
+        assert arguments[arguments.index("--distance") + 1] == "3.0"
+
+
+def test_conditions_that_are_not_stated_are_left_to_each_node():
+    content = load_system_file(SHIPPED)
+    assert conditions_of({}) == LEVEL
+    system = content.system("virtual", bag="b")
+    for node in system.nodes:
+        assert not CONDITION_PARAMETERS.keys() & node.parameters.keys()
+        assert "--slope" not in node.arguments
+
+
+@pytest.mark.parametrize("text", ["steep", "nan", "inf"])
+def test_a_setting_that_is_no_number_is_rejected(text: str):
+    with pytest.raises(SystemFileError, match="slope_deg"):
+        load_system_file(SHIPPED).system("virtual", slope_deg=text)
