@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks.report import Row, cpu_time
 from worm_driver.tracking.camera_model import CameraModel
 from worm_driver.tracking.tracker import Tracker
-from worm_driver.tracking.tracker_setup import ModuleMarker, TrackerSetup
+from worm_driver.tracking.tracker_setup import ModuleLine, ModuleMarker, TrackerSetup
 from worm_driver.tracking.vision import MarkerDetector
 from worm_driver.virtual_robot.camera_images import (
     CameraSettings,
@@ -52,7 +52,15 @@ def _tracker(s: CameraSettings) -> Tracker:
     model = CameraModel(s.width, s.height, (s.focal, s.focal), s.centre, "plumb_bob", s.distortion)
     rear, front = ModuleMarker(s.rear.marker, 0.0), ModuleMarker(s.front.marker, 0.0)
     return Tracker(
-        TrackerSetup("DICT_4X4_50", s.marker_size, rear, front, s.module_line, s.reference, model)
+        TrackerSetup(
+            dictionary="DICT_4X4_50",
+            marker_size=s.marker_size,
+            rear=rear,
+            front=front,
+            line=ModuleLine(*s.module_line),
+            reference=s.reference,
+            camera=model,
+        )
     )
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from worm_driver.tracking.camera_model import CameraModel
 from worm_driver.tracking.tracker import TrackedPositions, Tracker
-from worm_driver.tracking.tracker_setup import ModuleMarker, TrackerSetup
+from worm_driver.tracking.tracker_setup import ModuleLine, ModuleMarker, TrackerSetup
 from worm_driver.tracking.vision import Detection, MarkerDetector
 from worm_driver.virtual_robot.camera_images import (
     CameraSettings,
@@ -54,7 +54,7 @@ def setup_of(settings: CameraSettings, **changes: object) -> TrackerSetup:
         marker_size=settings.marker_size,
         rear=ModuleMarker(settings.rear.marker, settings.rear.offset),
         front=ModuleMarker(settings.front.marker, settings.front.offset),
-        line=settings.module_line,
+        line=ModuleLine(*settings.module_line),
         reference=settings.reference,
         camera=model_of(settings),
     )

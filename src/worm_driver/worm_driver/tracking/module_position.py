@@ -9,7 +9,7 @@ import numpy as np
 from worm_driver.tracking import vision
 from worm_driver.tracking.camera_model import Array, CameraModel
 from worm_driver.tracking.camera_pose import CameraPose
-from worm_driver.tracking.tracker_setup import TrackerSetup
+from worm_driver.tracking.tracker_setup import ModuleLine, TrackerSetup
 from worm_driver.tracking.vision import Detection
 
 #: Largest distance of the centre from the line, relative to the marker's side: a module has some play in the pipe.
@@ -57,12 +57,10 @@ def _crossing(rays: Array) -> Array:
     return crossing
 
 
-def _nearest_on_line(
-    line: tuple[float, float], pose: CameraPose, ray: Array
-) -> tuple[float, float]:
+def _nearest_on_line(line: ModuleLine, pose: CameraPose, ray: Array) -> tuple[float, float]:
     """Return the x (m) of the point of the line closest to a ray, and its distance (m) from the ray."""
     along = pose.rotation[:, 0]
-    start = pose.rotation @ np.array([0.0, *line]) + pose.shift
+    start = pose.rotation @ np.array([0.0, line.y, line.z]) + pose.shift
     # The projection of (start + x * along) equals ray: two equations linear in x, in m at the depth of the point.
     slope = along[:2] - ray * along[2]
     offset = start[:2] - ray * start[2]
@@ -80,7 +78,7 @@ def _problem(
         return f"blurred over {detection.edge_width:.1f} cells"
     if offset > _OFF_LINE * setup.marker_size:
         return f"at an implausible position, {offset * 1e3:.1f} mm from the modules' line"
-    sides = np.diff(_on_plane(setup.line[0], pose, rays), axis=0, append=0.0)
+    sides = np.diff(_on_plane(setup.line.y, pose, rays), axis=0, append=0.0)
     sides[3] = -sides[:3].sum(axis=0)
     lengths = np.hypot(*sides.T) / setup.marker_size
     if np.abs(lengths - 1.0).max() > _SIZE:

@@ -56,7 +56,7 @@ def _line(tracker: Tracker, pose: CameraPose) -> list[Label]:
     setup = tracker.setup
     along = [place[0] for place in setup.reference.values()]
     x = np.linspace(min(along) - _MARGIN, max(along) + _MARGIN, 60)
-    points = np.column_stack([x, np.full_like(x, setup.line[0]), np.full_like(x, setup.line[1])])
+    points = np.column_stack([x, np.full_like(x, setup.line.y), np.full_like(x, setup.line.z)])
     there = vision.project(tracker.camera, points, pose.rotation, pose.shift)
     labels = [Label(np.concatenate([there, there[::-1]]), "modules' line, +x this way >", _AXIS)]
     for place in setup.reference.values():

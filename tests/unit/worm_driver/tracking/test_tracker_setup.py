@@ -54,44 +54,49 @@ def test_the_calibration_may_come_with_the_images(write):
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "message"),
+    ("old", "new", "facts"),
     [
-        ("rate_hz: 30.0", "rate: 30.0", "unknown key 'rate'"),
-        ("offset_m: 0.0}", "offset_m: 0.0, colour: red}", "rear: unknown key 'colour'"),
-        ("  11: [0.30", "  10: [0.30", "line 8: .*10"),
-        ("rate_hz: 30.0", "dictionary: DICT_4X4_50", "line 10: .*dictionary"),
-        ("  11: [0.30, 0.0, 0.06]\n", "", "2 markers are needed, not 1"),
-        ("marker_size_m: 0.020", "marker_size_m: 20", "in m, not mm .did you mean 0.02"),
-        ("marker_size_m: 0.020", "marker_size_m: 0", "must be above 0"),
-        ("[0.30, 0.0, 0.06]", "[300, 0.0, 60]", "11: x is 300 m: lengths are in m, not mm"),
-        ("[0.30, 0.0, 0.06]", "[0.30, 0.0, 60]", "11: z is 60 m"),
-        ("offset_m: -0.004", "offset_m: -4", "front: offset_m is -4 m"),
-        ("z_m: 0.0", "z_m: 15", "module_line: z_m is 15 m"),
-        ("[0.30, 0.0, 0.06]", "[0.01, 0.0, 0.06]", "0.01 m apart, closer than the 0.02 m"),
-        ("[0.30, 0.0, 0.06]", "[0.30, 0.06]", r"11 must be \[x, y, z\]"),
-        ("[0.30, 0.0, 0.06]", "[0.30, 0.0, .nan]", "must be a number"),
-        ("id: 1", "id: 0", "same marker 0"),
-        ("id: 1", "id: 10", "marker 10 is both front and a reference"),
-        ("id: 1", "id: 50", "DICT_4X4_50 has 0 to 49"),
-        ("id: 1", "id: true", "id: .*True"),
-        ("DICT_4X4_50", "DICT_4X4", "'DICT_4X4'"),
-        ("camera_info: camera.yaml\n", "", "camera_info .the camera's calibration.* is missing"),
-        ("camera.yaml", "lost.yaml", "lost.yaml: No such file.*calibrate_camera"),
-        ("rate_hz: 30.0", "delay_s: -1.0", "delay_s must not be negative"),
-        ("rate_hz: 30.0", "pose: free", "pose must be one of fixed, each_image"),
-        ("rate_hz: 30.0", "max_speed_m_s: 0", "max_speed_m_s must be above 0"),
-        ("rear: {id: 0, offset_m: 0.0}", "rear: 0", "rear must be a mapping with id"),
-        (REFERENCE, "reference: [10, 11]\n", "reference must map"),
-        ("dictionary: DICT_4X4_50", "dictionary: [", "YAML"),
+        ("rate_hz: 30.0", "rate: 30.0", ["rate", "rate_hz"]),
+        ("offset_m: 0.0}", "offset_m: 0.0, colour: red}", ["rear", "colour"]),
+        ("  11: [0.30", "  10: [0.30", ["line 8", "10"]),
+        ("rate_hz: 30.0", "dictionary: DICT_4X4_50", ["line 10", "dictionary"]),
+        ("  11: [0.30, 0.0, 0.06]\n", "", ["reference", "2", "1"]),
+        ("marker_size_m: 0.020", "marker_size_m: 20", ["marker_size_m", "0.5", "20"]),
+        ("marker_size_m: 0.020", "marker_size_m: 0", ["marker_size_m", "0"]),
+        ("[0.30, 0.0, 0.06]", "[300, 0.0, 60]", ["reference", "11", "20", "300"]),
+        ("[0.30, 0.0, 0.06]", "[0.30, 0.0, 60]", ["reference", "11", "3", "60"]),
+        ("offset_m: -0.004", "offset_m: -4", ["front", "offset_m", "-0.5", "-4"]),
+        ("z_m: 0.0", "z_m: 15", ["module_line", "z_m", "3", "15"]),
+        ("[0.30, 0.0, 0.06]", "[0.01, 0.0, 0.06]", ["10", "11", "0.01 m", "0.02 m"]),
+        ("[0.30, 0.0, 0.06]", "[0.30, 0.06]", ["reference", "11"]),
+        ("[0.30, 0.0, 0.06]", "[0.30, 0.0, 0.06, 0]", ["reference", "11", "3 items"]),
+        ("[0.30, 0.0, 0.06]", "[0.30, 0.0, .nan]", ["reference", "11", "finite", "nan"]),
+        ("id: 1", "id: 0", ["rear", "front", "marker 0"]),
+        ("id: 1", "id: 10", ["marker 10", "front", "reference"]),
+        ("id: 1", "id: 50", ["50", "DICT_4X4_50", "49"]),
+        ("id: 1", "id: true", ["front", "id", "integer", "True"]),
+        ("  11:", "  eleven:", ["reference", "eleven", "integer"]),
+        ("DICT_4X4_50", "DICT_4X4", ["dictionary", "'DICT_4X4'", "'DICT_4X4_50'"]),
+        ("camera_info: camera.yaml\n", "", ["camera_info"]),
+        ("camera.yaml", "lost.yaml", ["lost.yaml", "No such file", "calibrate_camera"]),
+        ("rate_hz: 30.0", "delay_s: -1.0", ["delay_s", "0", "-1"]),
+        ("rate_hz: 30.0", "pose: free", ["pose", "fixed", "each_image", "free"]),
+        ("rate_hz: 30.0", "max_speed_m_s: 0", ["max_speed_m_s", "0"]),
+        ("rate_hz: 30.0", "max_speed_m_s: 1e-3", ["max_speed_m_s", "'1e-3'", "1.0e-3"]),
+        ("rear: {id: 0, offset_m: 0.0}", "rear: 0", ["rear", "mapping", "0"]),
+        (REFERENCE, "reference: [10, 11]\n", ["reference", "mapping", "[10, 11]"]),
+        ("dictionary: DICT_4X4_50", "dictionary: [", ["YAML", "line"]),
     ],
 )
-def test_a_wrong_one_is_refused_in_one_line(write, old, new, message):
+def test_a_wrong_one_is_refused_in_one_line(write, old, new, facts):
     assert old in GOOD
     path = write(GOOD.replace(old, new))
-    with pytest.raises(SetupError, match=message) as refused:
+    with pytest.raises(SetupError) as refused:
         load_setup(path)
-    assert "\n" not in str(refused.value)
-    assert str(path.parent) in str(refused.value)
+    message = str(refused.value)
+    assert "\n" not in message
+    assert message.startswith(str(path.parent))
+    assert [fact for fact in facts if fact not in message.removeprefix(str(path))] == []
 
 
 def test_a_missing_file(tmp_path):

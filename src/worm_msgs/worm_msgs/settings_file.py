@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Settings files: YAML that is validated against a frozen dataclass, whose fields declare keys, types and bounds.
+
+A field is declared as ``spool_radius: Annotated[float, key("spool_radius_m", gt=0.0)]``. Values are validated as the
+JSON of the file: no boolean is a number, numbers are finite, and every key has to be known. The same declaration
+yields the JSON Schema, with which an editor completes and checks the file.
+"""
+
+import difflib
+import json
+import reprlib
+from collections.abc import Hashable, Iterable, Mapping
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+import yaml
+from pydantic import ConfigDict, Field, GetCoreSchemaHandler, TypeAdapter, ValidationError
+from pydantic_core import ErrorDetails, core_schema
+
+T = TypeVar("T")
+_CONFIG = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
+_BOUNDS = ("greater_than", "greater_than_equal", "less_than", "less_than_equal")
+_YAML_TERMS = {"an object": "a mapping", "valid array": "list", " after validation": ""}
+
+
+class SettingsFileError(ValueError):
+    """A file or its content is invalid; the message is one line with the key, the value and what is allowed."""
+
+
+def key(name: str | None = None, **bounds: Any) -> Any:
+    """Return the annotation of a field: its key in the file if that is not its name, and bounds such as gt and le."""
+    return Field(alias=name, **bounds)
+
+
+class OneOf(Generic[T]):
+    """Annotation of a field that has to be one of several texts; for a mapping, the field stores its value."""
+
+    def __init__(self, choices: Iterable[str] | Mapping[str, T]) -> None:
+        self._choices = choices
+
+    def __get_pydantic_core_schema__(
+        self, source: Any, handler: GetCoreSchemaHandler
+    ) -> core_schema.CoreSchema:
+        """Return the schema, as pydantic requires."""
+        schema = core_schema.literal_schema(list(self._choices))
+        if not isinstance(self._choices, Mapping):
+            return schema
+        return core_schema.no_info_after_validator_function(self._choices.__getitem__, schema)
+
+
+def read_settings(path: Path, kind: type[T], error: type[Exception] = SettingsFileError) -> T:
+    """Return the content of a YAML file as a dataclass.
+
+    Raises:
+        error: The file is unreadable or invalid. The message begins with the path.
+    """
+    content = read_yaml(path, error)
+    try:
+        return settings_of(content, kind)
+    except SettingsFileError as problem:
+        raise error(f"{path}: {problem}") from None
+
+
+def read_yaml(path: Path, error: type[Exception] = SettingsFileError) -> Any:
+    """Return the content of a YAML file without duplicate keys.
+
+    Raises:
+        error: The file is unreadable or no YAML. The message begins with the path.
+    """
+    try:
+        return parse_yaml(path.read_text(encoding="utf-8"))
+    except OSError as problem:
+        raise error(f"{path}: cannot be read ({problem.strerror})") from None
+    except UnicodeDecodeError:
+        raise error(f"{path}: is not a text file") from None
+    except SettingsFileError as problem:
+        raise error(f"{path}: {problem}") from None
+
+
+def parse_yaml(text: str) -> Any:
+    """Return the content of a YAML text. Raises SettingsFileError, also for a duplicate key."""
+    try:
+        return yaml.load(text, _Loader)
+    except (yaml.YAMLError, RecursionError, ValueError) as error:  # ValueError: a date such as 2026-13-01
+        mark = getattr(error, "problem_mark", None)
+        line = f" at line {mark.line + 1}" if mark else ""
+        problem = getattr(error, "problem", None) or "no valid value"
+        raise SettingsFileError(f"is not valid YAML{line}: {problem}") from None
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML loader that rejects duplicate keys, of which PyYAML would silently drop the first."""
+
+
+def _unique_mapping(loader: _Loader, node: yaml.MappingNode) -> dict[Hashable, Any]:
+    before = set()
+    for key_node, _ in node.value:
+        name = str(loader.construct_object(key_node, deep=True))
+        if name in before:
+            raise yaml.MarkedYAMLError(
+                problem=f"duplicate key {name}", problem_mark=key_node.start_mark
+            )
+        before.add(name)
+    return yaml.SafeLoader.construct_mapping(loader, node, deep=True)
+
+
+_Loader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _unique_mapping)
+
+
+def settings_of(content: Any, kind: type[T]) -> T:
+    """Return the parsed content of a file as a dataclass. Raises SettingsFileError."""
+    try:
+        text = json.dumps([content], default=str)
+    except (TypeError, ValueError, RecursionError) as error:
+        raise SettingsFileError(f"has keys or values that settings cannot have: {error}") from None
+    try:
+        return _adapter(kind).validate_json(text)[0]
+    except ValidationError as error:
+        raise SettingsFileError(_message(error.errors(include_url=False), kind)) from None
+
+
+def json_schema(kind: type[Any]) -> dict[str, Any]:
+    """Return the JSON Schema of a dataclass's files."""
+    schema = _adapter(kind).json_schema()
+    definitions = schema["$defs"]
+    whole = definitions.pop(schema["prefixItems"][0]["$ref"].split("/")[-1])
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        **whole,
+        **({"$defs": definitions} if definitions else {}),
+    }
+
+
+def _adapter(kind: type[T]) -> TypeAdapter[tuple[T]]:
+    # Inside a tuple, because pydantic accepts a configuration for plain dataclasses only below another type.
+    return TypeAdapter(tuple[kind], config=_CONFIG)
+
+
+def _message(errors: list[ErrorDetails], kind: type[Any]) -> str:
+    """Return the message of the first error. A misspelt key comes before the key that is missing because of it."""
+    first = min(errors, key=lambda error: error["type"] != "unexpected_keyword_argument")
+    path, value, words = first["loc"][1:], first["input"], first["msg"]
+    if first["type"] == "unexpected_keyword_argument":
+        unknown = unknown_name("key", str(path[-1]), _known_keys(kind, path[:-1]))
+        return f"{_place(path[:-1])}: {unknown}" if path[:-1] else unknown
+    if first["type"] == "missing":
+        return f"{_place(path)} is missing"
+    if first["type"] == "value_error":
+        return f"{_place(path)}: {first['ctx']['error']}" if path else str(first["ctx"]["error"])
+    if path[-1:] == ("[key]",):
+        path = (*path[:-2], "a key")
+    for term, ours in _YAML_TERMS.items():
+        words = words.replace(term, ours)
+    must = words.partition(" should ")[2].partition(", not ")[0]
+    return f"{_place(path)} must {must}, not {reprlib.repr(value)}{_hint(first)}"
+
+
+def _place(path: Iterable[str | int]) -> str:
+    """Return the keys and indices that lead to a value, as in servos: [0]: sign."""
+    parts = [f"[{part}]" if isinstance(part, int) else part for part in path]
+    return ": ".join(parts) or "the file"
+
+
+def _hint(error: ErrorDetails) -> str:
+    """Return a likely reason for a wrong value."""
+    if error["type"] in _BOUNDS and any(error["ctx"].values()):
+        return "; is it in another unit?"
+    if error["type"] == "float_type" and isinstance(error["input"], str) and "e" in error["input"]:
+        return " (YAML reads 1e-3 as text: write 1.0e-3)"
+    return ""
+
+
+def _known_keys(kind: type[Any], path: Iterable[str | int]) -> list[str]:
+    """Return the keys of the mapping at a path, from the JSON Schema."""
+    top = json_schema(kind)
+    part: dict[str, Any] = top
+    for step in path:
+        items = part.get("prefixItems", ())
+        if isinstance(step, int):
+            part = items[step] if step < len(items) else part["items"]
+        else:
+            part = part["properties"].get(step) or part["additionalProperties"]
+        part = part.get("anyOf", [part])[0]
+        if "$ref" in part:
+            part = top["$defs"][part["$ref"].split("/")[-1]]
+    return list(part["properties"])
+
+
+def unknown_name(kind: str, name: str, known: Iterable[str]) -> str:
+    """Return a message that a name is unknown, with the nearest known name."""
+    near = difflib.get_close_matches(name, known, n=1)
+    hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(known)}"
+    return f"no {kind} {name!r}: {hint}"
