@@ -27,7 +27,7 @@ PACKAGES: dict[str, set[str]] = {
 # Libraries that only the files named here may import; the rest of the code does not know them.
 NODES = ["*/nodes/*.py"]
 # Plain tables that several packages share; they know no ROS, although they lie beside the messages.
-SHARED = {"worm_msgs.robot_parameters", "worm_msgs.servo_models"}
+SHARED = {"worm_msgs.robot_parameters", "worm_msgs.servo_models", "worm_msgs.settings_file"}
 PROCESSES = [
     f"worm_msgs/{name}.py"
     for name in ("ros_process", "node_command", "parameter_rows", "qos", "goal_rejections")
@@ -58,6 +58,8 @@ CONFINED = {
         "*/report/*.py",
     ],
     "PIL": ["worm_model/analysis/gait_animation.py"],
+    "pydantic": ["worm_msgs/settings_file.py"],
+    "pydantic_core": ["worm_msgs/settings_file.py"],
     "jinja2": ["worm_optimizer/report/report_page.py", "worm_optimizer/study/study_page.py"],
     "markdown2": ["worm_optimizer/report/identification_parts.py"],
     "mcap": ["worm_model/bags/*.py"],

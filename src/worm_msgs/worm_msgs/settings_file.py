@@ -81,7 +81,11 @@ def parse_yaml(text: str) -> Any:
     """Return the content of a YAML text. Raises SettingsFileError, also for a duplicate key."""
     try:
         return yaml.load(text, _Loader)
-    except (yaml.YAMLError, RecursionError, ValueError) as error:  # ValueError: a date such as 2026-13-01
+    except (
+        yaml.YAMLError,
+        RecursionError,
+        ValueError,
+    ) as error:  # ValueError: a date such as 2026-13-01
         mark = getattr(error, "problem_mark", None)
         line = f" at line {mark.line + 1}" if mark else ""
         problem = getattr(error, "problem", None) or "no valid value"
@@ -133,7 +137,7 @@ def json_schema(kind: type[Any]) -> dict[str, Any]:
 
 def _adapter(kind: type[T]) -> TypeAdapter[tuple[T]]:
     # Inside a tuple, because pydantic accepts a configuration for plain dataclasses only below another type.
-    return TypeAdapter(tuple[kind], config=_CONFIG)
+    return TypeAdapter(tuple[kind], config=_CONFIG)  # type: ignore[arg-type, valid-type]
 
 
 def _message(errors: list[ErrorDetails], kind: type[Any]) -> str:
