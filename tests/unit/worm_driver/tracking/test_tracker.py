@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from worm_driver.tracking.tracker import Tracker
-from worm_driver.tracking.tracker_setup import ModuleMarker
+from worm_driver.tracking.tracker_setup import ModuleLine, ModuleMarker
 from worm_driver.tracking.tracking_errors import SetupError
 
 CAMERA = PaperCamera()
@@ -37,7 +37,7 @@ def test_positions_are_exact_at_any_depth_of_the_line(rear, length, y, z):
 def test_a_wrong_depth_would_be_seen():
     """The test above could not pass if the depth did not matter: 20 mm of it are 8 mm here."""
     y, z = SETTINGS.module_line
-    tracker = Tracker(setup_of(SETTINGS, line=(y + 0.02, z)))
+    tracker = Tracker(setup_of(SETTINGS, line=ModuleLine(y + 0.02, z)))
     found = see(CAMERA.marker(0, (0.3, Y, Z)), tracker=tracker)
     assert abs(found.rear - 0.3) > 2e-3 or "19.6 mm" in found.reason
 
