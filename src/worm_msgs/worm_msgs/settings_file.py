@@ -9,7 +9,7 @@ yields the JSON Schema, with which an editor completes and checks the file.
 import difflib
 import json
 import reprlib
-from collections.abc import Hashable, Iterable, Mapping
+from collections.abc import Callable, Hashable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -33,9 +33,9 @@ def key(name: str | None = None, **bounds: Any) -> Any:
 
 
 class OneOf(Generic[T]):
-    """Annotation of a field that has to be one of several texts; for a mapping, the field stores its value."""
+    """Annotation of a field that has to be one of several values; if they are keys, the field stores the mapping's value."""
 
-    def __init__(self, choices: Iterable[str] | Mapping[str, T]) -> None:
+    def __init__(self, choices: Iterable[str | int] | Mapping[str, T]) -> None:
         self._choices = choices
 
     def __get_pydantic_core_schema__(
@@ -44,8 +44,28 @@ class OneOf(Generic[T]):
         """Return the schema, as pydantic requires."""
         schema = core_schema.literal_schema(list(self._choices))
         if not isinstance(self._choices, Mapping):
-            return schema
+            return core_schema.no_info_before_validator_function(_reject_boolean, schema)
         return core_schema.no_info_after_validator_function(self._choices.__getitem__, schema)
+
+
+def _reject_boolean(value: Any) -> Any:
+    if isinstance(value, bool):  # which Python compares equal to 1 or 0
+        raise ValueError(f"must not be {value}")
+    return value
+
+
+class Converted:
+    """Annotation of a field that is read as one type and stored as what a function returns for it."""
+
+    def __init__(self, kind: Any, function: Callable[[Any], Any]) -> None:
+        self._kind, self._function = kind, function
+
+    def __get_pydantic_core_schema__(
+        self, source: Any, handler: GetCoreSchemaHandler
+    ) -> core_schema.CoreSchema:
+        """Return the schema, as pydantic requires."""
+        schema = handler.generate_schema(self._kind)
+        return core_schema.no_info_after_validator_function(self._function, schema)
 
 
 def read_settings(path: Path, kind: type[T], error: type[Exception] = SettingsFileError) -> T:

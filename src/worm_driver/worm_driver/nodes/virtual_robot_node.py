@@ -24,7 +24,6 @@ from worm_driver.virtual_robot.camera_images import DEFAULT_FILE as CAMERA_FILE
 from worm_driver.virtual_robot.camera_images import load_camera_settings
 from worm_driver.virtual_robot.virtual_robot import VirtualRobot
 from worm_driver.virtual_robot.virtual_settings import (
-    SettingsError,
     check_conditions,
     load_settings,
 )
@@ -39,6 +38,7 @@ from worm_driver.virtual_robot.wire.robot_server import DirectoryError, RobotSer
 from worm_msgs import readiness
 from worm_msgs.node_command import declare_none
 from worm_msgs.ros_process import ShutdownRequest, own_arguments, ros_process
+from worm_msgs.settings_file import SettingsFileError
 from worm_msgs.srv import InjectFault
 
 _DEPTH = 500  # samples that may wait for a slow subscriber
@@ -288,7 +288,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parse_arguments(own_arguments(command_line)[1:])
     try:
         robot = _make_robot(options)
-    except (SettingsError, FaultError) as error:
+    except (SettingsFileError, FaultError) as error:
         return _reject(error)
     sys.setswitchinterval(_SWITCH_INTERVAL)
     try:

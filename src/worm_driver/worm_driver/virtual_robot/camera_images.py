@@ -6,16 +6,16 @@ of the prints, and the print is averaged over the pixel and over the exposure. A
 that both averages are differences of its integral: edges are exact to a fraction of a pixel, without sampling.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import astuple, dataclass
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from worm_driver.virtual_robot.virtual_settings import SettingsError, read_settings
+from worm_msgs.settings_file import Converted, key, read_settings
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -30,93 +30,66 @@ _MODULE_SIZE = (0.048, 0.062)  # visible part of a module along x and z, m
 _UNDISTORTIONS = 25  # fixed-point iterations; the error is well below a thousandth of a pixel
 
 
+def framed(rows: Sequence[str]) -> Array:
+    """Return the reflectance of a print's cells, row by row from the top, with black frame and white margin."""
+    bits = np.array([[float(bit) for bit in row] for row in rows])
+    return _INK + (_PAPER - _INK) * np.pad(np.pad(bits, 1), 1, constant_values=1.0)
+
+
+Pair = tuple[float, float]
+Point = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class _Line:
+    y: Annotated[float, key("y_m")]
+    z: Annotated[float, key("z_m")]
+
+
 @dataclass(frozen=True)
 class ModulePrint:
     """Marker on a module and its distance (m) to the fin root."""
 
-    marker: int
-    offset: float
+    marker: Annotated[int, key(ge=0)]
+    offset: Annotated[float, key("offset_m")]
 
 
 @dataclass(frozen=True)
 class CameraSettings:
     """Settings of the camera in SI units, see config/virtual_camera.yaml."""
 
-    width: int
-    height: int
-    focal: float
-    centre: tuple[float, float]
+    width: Annotated[int, key(gt=0)]
+    height: Annotated[int, key(gt=0)]
+    focal: Annotated[float, key("focal_px", gt=0.0)]
+    centre: Annotated[Pair, key("centre_px")]
     distortion: tuple[float, ...]
-    position: tuple[float, float, float]
-    yaw: float
-    pitch_angle: float
-    roll: float
-    pixel_spread: float
-    exposure: float
-    delay: float
-    light: float
-    light_slope: tuple[float, float]
-    noise_dark: float
-    noise_bright: float
-    ridge_transmission: float
-    glare: float
-    glare_heights: tuple[float, float]
-    ridge_pitch: float
-    pipe_radius: float
-    marker_size: float
-    module_line: tuple[float, float]
+    position: Annotated[Point, key("position_m")]
+    yaw: Annotated[float, key("yaw_rad")]
+    pitch_angle: Annotated[float, key("pitch_rad")]
+    roll: Annotated[float, key("roll_rad")]
+    pixel_spread: Annotated[float, key(ge=0.0)]
+    exposure: Annotated[float, key("exposure_s", ge=0.0)]
+    delay: Annotated[float, key("delay_s", ge=0.0)]
+    light: Annotated[float, key(ge=0.0)]
+    light_slope: Pair
+    noise_dark: Annotated[float, key(ge=0.0)]
+    noise_bright: Annotated[float, key(ge=0.0)]
+    ridge_transmission: Annotated[float, key(ge=0.0, le=1.0)]
+    glare: Annotated[float, key(ge=0.0)]
+    glare_heights: Annotated[Pair, key("glare_z_m")]
+    ridge_pitch: Annotated[float, key("pitch_m", gt=0.0)]
+    pipe_radius: Annotated[float, key("pipe_radius_m", gt=0.0)]
+    marker_size: Annotated[float, key("marker_size_m", gt=0.0)]
+    module_line: Annotated[Pair, Converted(_Line, astuple)]
     rear: ModulePrint
     front: ModulePrint
-    reference: Mapping[int, tuple[float, float, float]]
-    markers: Mapping[int, NDArray[np.float64]]
-
-
-_KEYS = {
-    "focal_px": "focal", "centre_px": "centre", "position_m": "position", "yaw_rad": "yaw",
-    "pitch_rad": "pitch_angle", "roll_rad": "roll", "exposure_s": "exposure", "delay_s": "delay",
-    "glare_z_m": "glare_heights", "pitch_m": "ridge_pitch", "pipe_radius_m": "pipe_radius",
-    "marker_size_m": "marker_size",
-}  # fmt: skip
+    reference: Mapping[int, Point]
+    markers: Mapping[int, Annotated[Array, Converted(tuple[str, ...], framed)]]
 
 
 def load_camera_settings(path: Path | None = None) -> CameraSettings:
-    """Read the settings of a file (None: the installed one). Raises SettingsError."""
-    return read_settings(DEFAULT_FILE if path is None else path, _camera)
-
-
-def _camera(content: Any) -> CameraSettings:
-    if not isinstance(content, Mapping):
-        raise SettingsError("expected a mapping of names to values")
-    values = {_KEYS.get(str(key), str(key)): value for key, value in content.items()}
-    known = {field.name for field in fields(CameraSettings)}
-    different = sorted(known.symmetric_difference(values))
-    if different:
-        problem = "unknown key" if different[0] in values else "missing key"
-        raise SettingsError(f"{problem} {different[0]!r}")
-    try:
-        return CameraSettings(**{name: _value(name, value) for name, value in values.items()})
-    except (KeyError, TypeError, ValueError) as error:
-        raise SettingsError(f"a value has the wrong type: {error}") from error
-
-
-def _value(name: str, value: Any) -> Any:
-    if name == "markers":
-        return {number: framed(rows) for number, rows in value.items()}
-    if name == "reference":
-        return {number: tuple(map(float, place)) for number, place in value.items()}
-    if name == "module_line":
-        return float(value["y_m"]), float(value["z_m"])
-    if name in ("rear", "front"):
-        return ModulePrint(int(value["marker"]), float(value["offset_m"]))
-    if isinstance(value, list):
-        return tuple(map(float, value))
-    return int(value) if name in ("width", "height") else float(value)
-
-
-def framed(rows: list[str]) -> Array:
-    """Return the reflectance of a print's cells, row by row from the top, with black frame and white margin."""
-    bits = np.array([[float(bit) for bit in row] for row in rows])
-    return _INK + (_PAPER - _INK) * np.pad(np.pad(bits, 1), 1, constant_values=1.0)
+    """Read the settings of a file (None: the installed one). Raises SettingsFileError."""
+    return read_settings(DEFAULT_FILE if path is None else path, CameraSettings)
 
 
 class Pattern:

@@ -15,9 +15,10 @@ eq:x2_ddot_full leaves no second derivative of the length in its equation of mot
 import math
 from dataclasses import dataclass, field, replace
 from random import Random
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 from worm_msgs.robot_parameters import RobotParameters
+from worm_msgs.settings_file import key
 
 FORWARD = 1
 REVERSE = -1
@@ -48,16 +49,16 @@ class PlantEffects:
             c_b/(k_cable + k_b).
     """
 
-    threshold_scatter: float
-    stiffness_scatter: float
-    slack_engagement: float
-    slack_release: float
-    cable_stiffness: float = 0.0
+    threshold_scatter: Annotated[float, key("threshold_scatter_m", ge=0.0)]
+    stiffness_scatter: Annotated[float, key(ge=0.0)]
+    slack_engagement: Annotated[float, key("slack_engagement_m", ge=0.0)]
+    slack_release: Annotated[float, key("slack_release_s", ge=0.0)]
+    cable_stiffness: Annotated[float, key("cable_stiffness_N_per_m", ge=0.0)] = 0.0
 
 
 @dataclass(frozen=True)
 class Conditions:
-    """Conditions in the pipe that load the robot.
+    """Conditions in the pipe that load the robot. Values beyond the bounds are probably in a wrong unit.
 
     Attributes:
         slope_deg: slope of the pipe, degrees; positive if +x leads uphill.
@@ -68,12 +69,12 @@ class Conditions:
         drag_area_m2: drag coefficient times area of each module, m^2; 0 if the pipe is dry.
     """
 
-    slope_deg: float = 0.0
-    tether_n: float = 0.0
-    tether_n_per_m: float = 0.0
-    distance_m: float = 0.0
-    flow_m_per_s: float = 0.0
-    drag_area_m2: float = 0.0
+    slope_deg: Annotated[float, key(ge=-90.0, le=90.0)] = 0.0
+    tether_n: Annotated[float, key(ge=0.0, le=1e3)] = 0.0
+    tether_n_per_m: Annotated[float, key(ge=0.0, le=1e3)] = 0.0
+    distance_m: Annotated[float, key(ge=0.0, le=1e4)] = 0.0
+    flow_m_per_s: Annotated[float, key(ge=-10.0, le=10.0)] = 0.0
+    drag_area_m2: Annotated[float, key(ge=0.0, le=1.0)] = 0.0
 
     def drag(self, velocity: float) -> float:
         """Return the drag of the water on a module divided by its velocity relative to the water, N*s/m.

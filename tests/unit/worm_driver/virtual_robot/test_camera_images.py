@@ -8,12 +8,13 @@ import pytest
 from camera_rig import SETTINGS, PaperCamera
 
 from worm_driver.virtual_robot.camera_images import (
+    DEFAULT_FILE,
     Pattern,
     VirtualCamera,
     exposure_path,
     load_camera_settings,
 )
-from worm_driver.virtual_robot.virtual_settings import SettingsError
+from worm_msgs.settings_file import SettingsFileError
 
 HALVES = Pattern(np.array([[0.0, 1.0]]), (1.0, 1.0))  # black for u < 0, white for u > 0
 
@@ -72,17 +73,24 @@ def test_the_path_of_an_exposure():
 
 
 @pytest.mark.parametrize(
-    ("text", "message"),
+    ("old", "new", "facts"),
     [
-        ("width: 3", "'centre'"),
-        ("[1]", "expected a mapping"),
-        ("a: [", "no YAML"),
+        ("width: 1280\n", "", ["width", "missing"]),
+        ("width: 1280", "width: 1280.5", ["width", "integer", "1280.5"]),
+        ("focal_px", "focal_mm", ["'focal_mm'", "focal_px"]),
+        ("centre_px: [652.3, 351.8]", "centre_px: [652.3]", ["centre_px: [1]", "missing"]),
+        ("z_m: 0.0}", "z_m: off}", ["module_line: z_m", "number"]),
+        ('"1011"', '"10x1"', ["markers: 0", "'x'"]),
+        ("width: 1280", "width: [", ["YAML"]),
     ],
 )
-def test_a_wrong_file_is_refused(tmp_path, text, message):
+def test_an_invalid_file_is_rejected(tmp_path, old, new, facts):
+    text = DEFAULT_FILE.read_text()
+    assert old in text
     path = tmp_path / "camera.yaml"
-    path.write_text(text)
-    with pytest.raises(SettingsError, match=message):
+    path.write_text(text.replace(old, new))
+    with pytest.raises(SettingsFileError) as caught:
         load_camera_settings(path)
-    with pytest.raises(SettingsError, match="No such file"):
+    assert [fact for fact in facts if fact not in str(caught.value)] == []
+    with pytest.raises(SettingsFileError, match="No such file"):
         load_camera_settings(tmp_path / "none.yaml")

@@ -5,7 +5,8 @@ import pytest
 import yaml
 
 from worm_driver.virtual_robot.plant import Conditions
-from worm_driver.virtual_robot.virtual_settings import DEFAULT_FILE, SettingsError, load_settings
+from worm_driver.virtual_robot.virtual_settings import DEFAULT_FILE, load_settings
+from worm_msgs.settings_file import SettingsFileError
 
 
 def write(tmp_path, change):
@@ -27,44 +28,50 @@ def test_its_truth_is_not_the_papers_table(settings):
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("change", "facts"),
     [
-        (lambda c: c["body"].update(colour=1), "unknown name 'colour'"),
-        (lambda c: c["body"].pop("gain"), "'gain' is missing"),
-        (lambda c: c["body"].update(pitch="wide"), "pitch must be a number"),
-        (lambda c: c["body"].update(pitch=float("nan")), "pitch must be finite"),
-        (lambda c: c["body"].update(pitch=-0.01), "pitch must be positive"),
-        (lambda c: c.update(seed=1.5), "seed must be a whole number"),
-        (lambda c: c.update(step_s=0.01), "step_s must be"),
-        (lambda c: c["servos"].update(baud_rate=1234), "baud_rate must be one of"),
-        (lambda c: c["cable_servos"][0].update(id=11), "the same id"),
-        (lambda c: c["cable_servos"][0].update(id=253), "an id is 0 to 252"),
-        (lambda c: c["cable_servos"][0].update(sign=0), "sign must be 1 or -1"),
-        (lambda c: c["cable_servos"][0].update(model="XL320"), "no model 'XL320'"),
-        (lambda c: c["fin_servos"][0].update(model="XL330-M288"), "takes 3.7 to 6.0 V"),
-        (lambda c: c["fin_servos"].pop(), "both modules"),
-        (lambda c: c.update(fin_servos=[]), "at least one servo"),
-        (lambda c: c.update(tracker=3), "tracker must be a mapping"),
-        (lambda c: c["conditions"].update(slope_deg=91), "slope_deg is 91"),
-        (lambda c: c["conditions"].update(tether_n=-1), "tether_n is -1"),
-        (lambda c: c["conditions"].update(tether_n_per_m=1e4), "tether_n_per_m is 10000"),
-        (lambda c: c["conditions"].update(flow=1), "unknown name 'flow'"),
+        (lambda c: c["body"].update(colour=1), ["body", "'colour'"]),
+        (lambda c: c["body"].update(pich=1), ["body", "'pich'", "pitch"]),
+        (lambda c: c["body"].pop("gain"), ["body: gain", "missing"]),
+        (lambda c: c["body"].update(pitch="wide"), ["body: pitch", "number", "'wide'"]),
+        (lambda c: c["body"].update(pitch=float("nan")), ["body: pitch", "finite", "nan"]),
+        (lambda c: c["body"].update(pitch=-0.01), ["body: pitch", "-0.01"]),
+        (lambda c: c["body"].update(pitch=17.3), ["body: pitch", "17.3 m", "0.2 m"]),
+        (lambda c: c.update(seed=1.5), ["seed", "integer", "1.5"]),
+        (lambda c: c.update(step_s=0.01), ["step_s", "0.001", "0.01"]),
+        (lambda c: c.update(step_m=0.001), ["'step_m'", "step_s"]),
+        (lambda c: c["servos"].update(baud_rate=1234), ["servos: baud_rate", "57600", "1234"]),
+        (lambda c: c["cable_servos"][0].update(id=11), ["same id"]),
+        (lambda c: c["cable_servos"][0].update(id=253), ["cable_servos: [0]: id", "252", "253"]),
+        (lambda c: c["cable_servos"][0].update(sign=0), ["cable_servos: [0]: sign", "1 or -1"]),
+        (lambda c: c["cable_servos"][0].update(sign=True), ["cable_servos: [0]: sign", "True"]),
+        (lambda c: c["cable_servos"][0].update(model="XL320"), ["model", "XL330-M288", "'XL320'"]),
+        (lambda c: c["fin_servos"][0].update(model="XL330-M288"), ["servo 11", "3.7", "6.0 V"]),
+        (lambda c: c["fin_servos"].pop(), ["fin_servos", "rear", "front"]),
+        (lambda c: c.update(fin_servos=[]), ["fin_servos", "1 item"]),
+        (lambda c: c.update(tracker=3), ["tracker", "mapping", "3"]),
+        (lambda c: c["conditions"].update(slope_deg=91), ["conditions: slope_deg", "90", "91"]),
+        (lambda c: c["conditions"].update(tether_n=-1), ["conditions: tether_n", "0", "-1"]),
+        (lambda c: c["conditions"].update(tether_n_per_m=1e4), ["tether_n_per_m", "10000"]),
+        (lambda c: c["conditions"].update(flow=1), ["conditions", "'flow'"]),
     ],
 )
-def test_what_is_refused(tmp_path, change, words):
+def test_what_is_refused(tmp_path, change, facts):
     path = write(tmp_path, change)
-    with pytest.raises(SettingsError, match=words) as caught:
+    with pytest.raises(SettingsFileError) as caught:
         load_settings(path)
-    assert str(caught.value).startswith(str(path))
-    assert "\n" not in str(caught.value)
+    message = str(caught.value)
+    assert message.startswith(str(path))
+    assert "\n" not in message
+    assert [fact for fact in facts if fact not in message.removeprefix(str(path))] == []
 
 
 def test_a_missing_file_and_one_that_is_no_yaml(tmp_path):
-    with pytest.raises(SettingsError, match="No such file"):
+    with pytest.raises(SettingsFileError, match="No such file"):
         load_settings(tmp_path / "none.yaml")
     path = tmp_path / "bad.yaml"
     path.write_text("a: [1\n")
-    with pytest.raises(SettingsError, match="no YAML"):
+    with pytest.raises(SettingsFileError, match="YAML"):
         load_settings(path)
 
 
