@@ -33,7 +33,7 @@ def key(name: str | None = None, **bounds: Any) -> Any:
 
 
 class OneOf(Generic[T]):
-    """Annotation of a field that has to be one of several values; if they are keys, the field stores the mapping's value."""
+    """Annotation of a field that has to be one of several values. Of a mapping, the field stores the value."""
 
     def __init__(self, choices: Iterable[str | int] | Mapping[str, T]) -> None:
         self._choices = choices
