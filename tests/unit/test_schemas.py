@@ -1,0 +1,32 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The JSON Schemas of the settings files are up to date, and the files of this repository name them."""
+
+import importlib.util
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+_SPEC = importlib.util.spec_from_file_location("schemas", ROOT / "docs/generate_schemas.py")
+assert _SPEC is not None
+assert _SPEC.loader is not None
+GENERATOR = importlib.util.module_from_spec(_SPEC)
+_SPEC.loader.exec_module(GENERATOR)
+MODELINE = "# yaml-language-server: $schema="
+FILES = [
+    path
+    for folder in ("src", "examples")
+    for path in sorted((ROOT / folder).rglob("*.yaml"))
+    if path.read_text(encoding="utf-8").startswith(MODELINE)
+]
+
+
+@pytest.mark.parametrize("path", GENERATOR.SETTINGS, ids=lambda path: path.name)
+def test_a_schema_is_up_to_date(path):
+    assert path.read_text(encoding="utf-8") == GENERATOR.generated(GENERATOR.SETTINGS[path])
+
+
+def test_each_schema_is_named_by_a_file_of_its_kind():
+    lines = {path: path.read_text(encoding="utf-8").splitlines()[0] for path in FILES}
+    named = {(path.parent / line.removeprefix(MODELINE)).resolve() for path, line in lines.items()}
+    assert named == set(GENERATOR.SETTINGS)
