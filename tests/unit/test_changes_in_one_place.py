@@ -261,7 +261,7 @@ def test_a_servo_model_is_a_row_of_the_table(copy):
     ),
 """
     copy.edit("worm_msgs/worm_msgs/servo_models.py", first, first + row)
-    seen = copy.run(SERVO.replace("TESTS", repr(str(ROOT / "tests"))))
+    seen = copy.run(SERVO.replace("TESTS", repr(str(ROOT / "tests" / "helpers"))))
     assert seen["driver"] == seen["identified"] == "XM540-W270-T"
     assert seen["strongest"] == pytest.approx(2047 * 2.69e-3)
     assert seen["virtual"] == 1120
