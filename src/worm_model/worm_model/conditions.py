@@ -43,7 +43,7 @@ class Conditions:
     tether_N_per_m: float = _row(  # noqa: N815
         "--tether-per-metre", "N/m", 0.0, 1e3, "further force for each metre of tether"
     )
-    distance_m: float = _row("--distance", "m", 0.0, 1e4, "length of tether in the pipe")
+    distance_m: float = _row("--tether-length", "m", 0.0, 1e4, "length of tether in the pipe")
     flow_m_per_s: float = _row(
         "--flow", "m/s", -10.0, 10.0, "velocity of the water, positive towards -x"
     )

@@ -106,12 +106,16 @@ class ScanRequest:
 
 @dataclass(frozen=True)
 class FrontRequest:
-    """Optimisation; ``margin`` in m, NaN for the one at the cliff; ``probability`` 0 for the optimizer's own value."""
+    """Optimisation; ``margin`` in m, NaN for the one at the cliff.
+
+    ``probability`` 0 and an empty ``waveform`` stand for the optimizer's own values.
+    """
 
     direction: int
     robustness: str = "margin"
     margin: float = math.nan
     probability: float = 0.0
+    waveform: str = ""
 
 
 @dataclass(frozen=True)

@@ -51,7 +51,7 @@ _CONDITIONS = (
     ("slope_deg", "--slope", "DEG", "slope of the pipe, uphill positive"),
     ("tether_n", "--tether", "N", "pull of the tether on the rear module"),
     ("tether_n_per_m", "--tether-per-metre", "N_PER_M", "growth of this pull with the distance"),
-    ("distance_m", "--distance", "M", "length of tether in the pipe at the start"),
+    ("distance_m", "--tether-length", "M", "length of tether in the pipe at the start"),
     ("flow_m_per_s", "--flow", "M_PER_S", "velocity of the water towards -x"),
     ("drag_area_m2", "--drag-area", "M2", "drag coefficient times area of each module"),
 )

@@ -8,7 +8,7 @@ import json
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,7 @@ from worm_model.commands.identify import StageProgress
 from worm_model.conditions import Conditions
 from worm_model.parameters import load_parameter_file
 from worm_optimizer.commands.robot_options import add_robot, robot_of
+from worm_optimizer.commands.search_options import add_campaign_options, chosen_settings
 from worm_optimizer.nodes.service_caller import OperatorError
 from worm_optimizer.operation.bring_up import CYCLES, FAILURES, ProgressLog, Session, work_folder
 from worm_optimizer.operation.campaign_plan import (
@@ -57,7 +58,6 @@ from worm_optimizer.report.recorded_gait import RecordedGait
 from worm_optimizer.report.recordings import read_recorded_gaits
 from worm_optimizer.report.report_page import PAGE, Report, build_report
 from worm_optimizer.robot_commands import GaitCommand
-from worm_optimizer.search.search_settings import Settings, Waveform, waveform_of
 
 _GAITS = 3  # of a campaign without repeats and nominal gaits: nothing spreads
 SPREAD_FIGURE = "spread.png"
@@ -75,7 +75,8 @@ def _parser() -> Parser:
     parser = Parser(
         prog="campaign",
         description="Runs the minimum-power, cruising and maximum-speed gaits of the robust front, five cycles each, "
-        "on the virtual robot or on a real one, records each, and compares what was measured with what was predicted.",
+        "on the virtual robot or on a real one, records each, and compares what was measured with what was predicted. "
+        "Under conditions, the gaits for level ground follow; after shaped gaits, those of the paper's waveform.",
     )
     add = parser.add_argument
     parser.add_argument(
@@ -95,7 +96,7 @@ def _parser() -> Parser:
         help="go on with an interrupted campaign: its folder, with the other options as at its start; "
         "gaits that are recorded are kept",
     )
-    parser.add_number("--margin", "M", "robustness margin in m; default: at the cliff")
+    add_campaign_options(parser)
     parser.add_direction()
     add(
         "--repeats",
@@ -108,12 +109,6 @@ def _parser() -> Parser:
         "--with-nominal",
         action="store_true",
         help="also run the gaits that are best without a margin, beside the robust ones",
-    )
-    add(
-        "--waveform",
-        choices=[kind.value for kind in Waveform],
-        default=Waveform.SINUSOID.value,
-        help="gaits that are searched (default: sinusoid); shaped: also run the gaits of the paper's waveform",
     )
     add(
         "--identify",
@@ -185,9 +180,7 @@ def _campaign(options: argparse.Namespace) -> int:
 def _plan(options: argparse.Namespace, conditions: Conditions) -> Plan:
     """The gaits of the exact front."""
     content = load_parameter_file(options.parameters)
-    settings = Settings(
-        margin=options.margin, conditions=conditions, waveform=waveform_of(options.waveform)
-    )
+    settings = replace(chosen_settings(options), conditions=conditions)
     plan = make_plan(content, settings, options.direction)
     nominal = options.with_nominal or options.identify
     return with_comparisons(plan, content, settings, options.direction, nominal=nominal)

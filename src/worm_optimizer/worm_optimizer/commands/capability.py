@@ -36,7 +36,7 @@ def _parser() -> Parser:
         prog="capability",
         description="The largest load on the rear module and the largest slope up to which gaits still move: of your "
         "own gait, of the three gaits of the front, and of the strongest gait; cost of transport "
-        "and speed over the load; with --tether-per-metre and without --distance, how far a tether is dragged.",
+        "and speed over the load; with --tether-per-metre and without --tether-length, how far a tether is dragged.",
     )
     parser.add_number("--stroke", "M", "stroke of a gait of your own in m")
     parser.add_number("--frequency", "HZ", "its frequency in Hz")
@@ -85,7 +85,7 @@ def describe(found: dict[str, Capability], points: tuple[LoadPoint, ...], per_me
 def _capability(options: argparse.Namespace) -> None:
     content = load_parameter_file(options.parameters)
     per_metre = 0.0
-    if options.distance is None and options.tether_per_metre is not None:
+    if options.tether_length is None and options.tether_per_metre is not None:
         per_metre, options.tether_per_metre = options.tether_per_metre, None
         if not per_metre > 0.0:
             raise InputError(f"--tether-per-metre {per_metre:g}: give a positive force in N/m")

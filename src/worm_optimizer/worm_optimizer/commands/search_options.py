@@ -10,6 +10,7 @@ from itertools import groupby
 from typing import Any
 
 from worm_model.commands.command_line import InputError, Parser, number
+from worm_model.conditions import CONDITION_PARAMETERS
 from worm_model.gait import Profile
 from worm_model.text_table import text_table
 from worm_optimizer.robustness.prediction import Prediction
@@ -51,6 +52,12 @@ def add_scan_options(parser: Parser) -> None:
     parser.add_figure()
     parser.add_json()
     parser.add_parameters()
+
+
+def add_campaign_options(parser: Parser) -> None:
+    """Add the options of a front, except for the conditions, which are options of the robot (`robot_options`)."""
+    rows = (*SCAN_SETTINGS, *FRONT_SETTINGS)
+    _add_settings(parser, tuple(r for r in rows if r.parameter not in CONDITION_PARAMETERS))
 
 
 def add_front_options(parser: Parser) -> None:

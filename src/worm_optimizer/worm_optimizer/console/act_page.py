@@ -10,12 +10,13 @@ from functools import partial
 from nicegui import events, ui
 
 from worm_model.analysis.plot_style import BLUE, VERMILION
+from worm_model.conditions import CONDITION_PARAMETERS, CONDITION_ROWS, LEVEL, Conditions
 from worm_model.errors import InputError
-from worm_model.gait import FORWARD, REVERSE
+from worm_model.gait import FORWARD, GAIT_DEFAULTS, REVERSE, Gait, Profile
 from worm_optimizer.console import page_actions
 from worm_optimizer.console.console_state import ConsoleState
 from worm_optimizer.console.page_chart import chart
-from worm_optimizer.console.view import obstacles
+from worm_optimizer.console.view import MOVING, obstacles
 from worm_optimizer.nodes.operator_node import OperatorNode
 from worm_optimizer.operation.bring_up import CYCLES
 from worm_optimizer.optimizer_errors import OptimizerError
@@ -28,6 +29,9 @@ _RECORDED = "Every run is recorded."
 _SHOWN = {
     "stroke": ("stroke", 1e3, "mm"),
     "frequency": ("frequency", 1.0, "Hz"),
+    "pretension": ("pretension", 1e3, "mm"),
+    "contraction_share": ("contraction share", 1.0, ""),
+    "ramp_share": ("ramp share of a trapezoid", 1.0, ""),
     "margin": ("margin", 1e3, "mm"),
     "speed": ("speed, robust", 1e3, "mm/s"),
     "nominal_speed": ("speed, nominal", 1e3, "mm/s"),
@@ -39,6 +43,11 @@ _SHOWN = {
     "groove_phase": ("groove phase", 1e3, "mm"),
     "success_probability": ("success, phase known", 1.0, ""),
     "success_probability_any_phase": ("success, any phase", 1.0, ""),
+}
+#: fields of a gait in numbers with their defaults in SI units, in the order of _SHOWN
+_OWN = {
+    name: GAIT_DEFAULTS.get(name)
+    for name in ("stroke", "frequency", "pretension", "contraction_share", "ramp_share", "margin")
 }
 
 
@@ -52,7 +61,9 @@ class ActPage:
 
     def __init__(self, state: ConsoleState, why_not: Callable[[], str]) -> None:
         self._state, self._why_not = state, why_not
-        self._chosen: Prediction | None = None
+        self._chosen: Prediction | None = None  # on the front
+        self._gait: Gait | None = None  # to run: the chosen one, or one in numbers
+        self._conditions_shown = LEVEL
         self._shown: list[Prediction] = []
         self._buttons: dict[str, tuple[ui.button, ui.tooltip]] = {}
         ui.html("Act", tag="h2", sanitize=False).classes("text-lg")
@@ -73,8 +84,10 @@ class ActPage:
         with ui.row().classes("w-full gap-4"):
             with ui.column().classes("gap-1").style("flex: 1 1 18rem; min-width: 0"):
                 self._front()
+                self._conditions()
+                self._own_gait()
             with ui.column().classes("gap-1"):
-                self._gait()
+                self._chosen_gait()
         ui.timer(REFRESH_S, self._refresh)
 
     def _button(self, name: str, press: Callable[[], None]) -> None:
@@ -95,7 +108,30 @@ class ActPage:
             ui.button("Find gait", on_click=self._find)
         self._error = ui.label().classes("line error").props("role=alert")
 
-    def _gait(self) -> None:
+    def _conditions(self) -> None:
+        with (
+            ui.expansion("Conditions in the pipe").classes("w-full"),
+            ui.row().classes("items-center gap-2"),
+        ):
+            self._condition_fields = {
+                name: _field(row["option"].strip("-").replace("-", " "), 1.0, row["unit"], 0.0)
+                for name, row in CONDITION_ROWS.items()
+            }
+            self._button("Set conditions", self._set_conditions)
+        self._condition_text = ui.label().classes("line")
+
+    def _own_gait(self) -> None:
+        with (
+            ui.expansion("A gait in numbers").classes("w-full"),
+            ui.row().classes("items-center gap-2"),
+        ):
+            self._fields = {name: _field(*_SHOWN[name], default) for name, default in _OWN.items()}
+            self._profile = ui.select(
+                [str(profile) for profile in Profile], value=str(Profile.COSINE), label="profile"
+            ).classes("w-32")
+            ui.button("Use this gait", on_click=self._use_own)
+
+    def _chosen_gait(self) -> None:
         with ui.grid(columns=2).classes("gap-x-4 gap-y-0 numbers"):
             self._cells = {}
             for key, (name, _, unit) in _SHOWN.items():
@@ -121,19 +157,59 @@ class ActPage:
 
         def read(node: OperatorNode) -> str:
             front = page_actions.read_front(node, direction, length, self._state.worker.progress)
+            self._state.conditions = node.conditions()
             self._state.fronts[direction] = front
             return f"the front has {len(front)} gaits"
 
         if not self._state.worker.submit("reading the front", read):
             ui.notify(self._state.worker.hindrance, type="warning")
 
+    def _set_conditions(self) -> None:
+        state = self._state
+        try:
+            stated = Conditions(
+                **{
+                    name: float(field.value or 0.0)
+                    for name, field in self._condition_fields.items()
+                }
+            )
+        except InputError as error:
+            self._error.set_text(str(error))
+            return
+        values = {key: getattr(stated, name) for key, name in CONDITION_PARAMETERS.items()}
+
+        def apply(node: OperatorNode) -> str:
+            node.set_model_parameters(values)
+            state.conditions = stated
+            state.fronts.clear()
+            return f"twin and optimizer assume {stated}"
+
+        self._error.set_text("")
+        self._submit("setting the conditions of twin and optimizer", apply)
+
+    def _use_own(self) -> None:
+        values = {
+            name: float(field.value or 0.0) / _SHOWN[name][1]
+            for name, field in self._fields.items()
+        }
+        try:
+            gait = Gait(
+                **values,
+                direction=self._direction.value,
+                profile=Profile[self._profile.value.upper()],
+            )
+        except InputError as error:
+            self._error.set_text(str(error))
+            return
+        self._choose(None, gait)
+
     def _click(self, event: events.EChartPointClickEventArguments) -> None:
-        self._choose(self._shown[event.data_index])
+        self._choose_on_front(self._shown[event.data_index])
 
     def _step(self, by: int) -> None:
         if self._shown:
             here = self._shown.index(self._chosen) if self._chosen in self._shown else -1
-            self._choose(self._shown[min(max(here + by, 0), len(self._shown) - 1)])
+            self._choose_on_front(self._shown[min(max(here + by, 0), len(self._shown) - 1)])
 
     def _find(self) -> None:
         if not self._shown:
@@ -151,24 +227,30 @@ class ActPage:
                 f"no gait of the front is so fast; the fastest has {fastest:.3f} mm/s"
             )
             return
-        self._choose(min(fast_enough, key=lambda gait: gait.power))
+        self._choose_on_front(min(fast_enough, key=lambda gait: gait.power))
 
-    def _choose(self, prediction: Prediction) -> None:
-        self._chosen = prediction
+    def _choose_on_front(self, prediction: Prediction) -> None:
+        self._choose(prediction, prediction.gait)
+
+    def _choose(self, prediction: Prediction | None, gait: Gait) -> None:
+        """Choose a gait, with its prediction if it is one of the front."""
+        self._chosen, self._gait = prediction, gait
         self._error.set_text("")
         for key, (_, scale, _) in _SHOWN.items():
-            value = getattr(prediction, key)
+            value = getattr(prediction or gait, key, math.nan)
+            if key == "ramp_share" and gait.profile is Profile.COSINE:
+                value = math.nan
             self._cells[key].set_text(f"{scale * value:.4g}" if math.isfinite(value) else "–")
-        self._plot.options["series"][1]["data"] = [_point(prediction)]
+        self._plot.options["series"][1]["data"] = [] if prediction is None else [_point(prediction)]
         self._plot.update()
 
     def _run(self) -> None:
-        if self._chosen is None:
+        if self._gait is None:
             self._error.set_text("choose a gait on the front first")
             return
         try:
             end = {self._unit.value: int(self._count.value or 0)}
-            command = GaitCommand(self._chosen.gait, **end)
+            command = GaitCommand(self._gait, **end)
         except InputError as error:
             self._error.set_text(str(error))
             return
@@ -189,9 +271,14 @@ class ActPage:
     def _refresh(self) -> None:
         snapshot, worker = self._state.snapshot(), self._state.worker
         reasons = obstacles(snapshot, self._why_not() or worker.hindrance)
-        if not reasons["Run"] and self._chosen is None:
+        if not reasons["Run"] and self._gait is None:
             reasons["Run"] = "choose a gait on the front first"
         reasons["Read front"] = worker.hindrance
+        moves = snapshot.driver is not None and snapshot.driver.state in MOVING
+        reasons["Set conditions"] = (
+            self._why_not() or worker.hindrance or ("the robot moves" if moves else "")
+        )
+        self._show_conditions()
         why = reasons["Run"]
         self._run_note.set_text(f"Run is not possible: {why}" if why else _RECORDED)
         for name, (button, tooltip) in self._buttons.items():
@@ -204,10 +291,25 @@ class ActPage:
         if gaits != self._shown:
             self._shown = gaits
             self._plot.options["series"][0]["data"] = [_point(gait) for gait in gaits]
-            if self._chosen not in gaits:
-                self._chosen = None
+            if self._chosen is not None and self._chosen not in gaits:
+                self._chosen = self._gait = None
                 self._plot.options["series"][1]["data"] = []
             self._plot.update()
+
+    def _show_conditions(self) -> None:
+        """Show the present conditions; fields that a person edits stay until other conditions hold."""
+        conditions = self._state.conditions
+        self._condition_text.set_text(f"The front holds for {conditions}.")
+        if conditions != self._conditions_shown:
+            self._conditions_shown = conditions
+            for name, field in self._condition_fields.items():
+                field.set_value(getattr(conditions, name))
+
+
+def _field(name: str, scale: float, unit: str, value: float | None) -> ui.number:
+    """Return a field for a value in SI units, which is shown times a scale."""
+    shown = None if value is None else scale * value
+    return ui.number(f"{name}, {unit}" if unit else name, value=shown).classes("w-36")
 
 
 def _point(gait: Prediction) -> list[float]:

@@ -8,6 +8,7 @@ import time
 from collections import deque
 from dataclasses import dataclass, field
 
+from worm_model.conditions import LEVEL, Conditions
 from worm_model.gait import FORWARD
 from worm_model.parameters import Parameters
 from worm_model.twin.records import LengthSource
@@ -34,6 +35,7 @@ class ConsoleState:
         parameters: parameters in use.
         parameter_file: their file; empty: the paper's values.
         notices: messages, the newest last.
+        conditions: conditions in the pipe that the optimizer assumed at the latest request.
         fronts: gaits of the front, by direction.
         history: the last minute.
     """
@@ -44,6 +46,7 @@ class ConsoleState:
     parameters: Parameters
     parameter_file: str
     notices: deque[Notice]
+    conditions: Conditions = LEVEL
     fronts: dict[int, list[Prediction]] = field(default_factory=dict)
     history: History = field(default_factory=lambda: History(time.monotonic))
     _latest: tuple[float, Snapshot] = (-math.inf, Snapshot())

@@ -25,6 +25,7 @@ _KINDS = {
     "chance": "a probability of the grooves",
     "any_phase": "the grooves at every phase",
 }
+_WAVEFORMS = {"": "as the optimizer", "sinusoid": "the paper's", "shaped": "shaped"}
 _INITIAL = "those at the start of the console"
 
 
@@ -76,6 +77,7 @@ class StudiesPage:
             self._probability = ui.number("Probability", value=0.95, min=0.0, max=1.0, step=0.01)
             self._probability.classes("w-28")
             self._probability.bind_visibility_from(self._kind, "value", value="chance")
+            self._waveform = ui.select(_WAVEFORMS, value="", label="Waveform").classes("w-40")
             self._controlled.append(ui.button("Compute front", on_click=self._ask_front))
         ui.label(
             "The optimizer has its own values for empty fields; the margin is then the one at the cliff."
@@ -131,6 +133,7 @@ class StudiesPage:
             kind,
             _metres(self._margin, nan) if kind == "margin" else nan,
             (self._probability.value or 0.0) if kind == "chance" else 0.0,
+            self._waveform.value,
         )
         self._ask_search(request)
 

@@ -138,7 +138,7 @@ class Agreement:
         the expected 95 % interval and the span of the measured cycles overlap. The span stands for the uncertainty of
         the measurement. A relative difference of `LEAST_DISAGREEMENT` or more never agrees.
         """
-        if math.isnan(self.measured.value) or math.isnan(self.expected.value):
+        if math.isnan(self.measured.value) or not math.isfinite(self.expected.value):
             return None
         if self.grooves is not None:
             return self.grooves.agrees
@@ -151,6 +151,8 @@ class Agreement:
             return "agrees" if self.agrees else "disagrees"
         if math.isnan(self.measured.value):
             return "not measured"
+        if math.isinf(self.expected.value):
+            return "undefined: no groove is expected"
         if self.grooves is not None:
             return f"fragile: {self.grooves}"
         return "no draw of the parameters gains the measured grooves"

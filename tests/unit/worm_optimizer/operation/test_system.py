@@ -211,7 +211,7 @@ def test_conditions_reach_twin_optimizer_recorder_and_virtual_robot():
     for name in ("recorder", "virtual_robot"):
         arguments = system.node(name).arguments
         assert arguments[arguments.index("--slope") + 1] == "-20.0"
-        assert arguments[arguments.index("--distance") + 1] == "3.0"
+        assert arguments[arguments.index("--tether-length") + 1] == "3.0"
 
 
 def test_conditions_that_are_not_stated_are_left_to_each_node():

@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command operate, as far as no robot is needed."""
+
+import sys
+
+import pytest
+
+pytest.importorskip("worm_msgs.msg", reason="worm_msgs is not built")
+
+from worm_model.conditions import LEVEL, Conditions
+from worm_optimizer.commands import operate
+
+
+class Robot:
+    """Operator of a robot with or without an optimizer, which assumes conditions."""
+
+    def __init__(self, *, has_optimizer: bool) -> None:
+        self.has_optimizer = has_optimizer
+        self.parameters: dict[str, float] = {}
+        self.graph = self
+
+    def has_node(self, name: str) -> bool:
+        return self.has_optimizer
+
+    def set_model_parameters(self, values: dict[str, float]) -> None:
+        self.parameters = values
+
+    def conditions(self) -> Conditions:
+        return Conditions(slope_deg=self.parameters.get("slope_deg", 0.0), tether_N=1.0)
+
+
+def options_of(*words: str):
+    return operate._parser().parse_args(["run", *words])
+
+
+def test_only_the_given_conditions_are_set_and_those_that_hold_are_returned():
+    robot = Robot(has_optimizer=True)
+    found = operate._conditions(robot, options_of("--slope", "20"), print)
+    assert robot.parameters == {"slope_deg": 20.0}
+    assert found == Conditions(slope_deg=20.0, tether_N=1.0)
+    operate._conditions(robot, options_of("--slope", "0", "--distance", "0.1"), print)
+    assert robot.parameters == {"slope_deg": 0.0}
+
+
+def test_without_an_optimizer_the_conditions_are_those_of_the_options():
+    robot = Robot(has_optimizer=False)
+    assert operate._conditions(robot, options_of("--tether", "2"), print) == Conditions(tether_N=2)
+    assert operate._conditions(robot, options_of(), print) == LEVEL
+    assert robot.parameters == {}
+
+
+def test_help_is_printed(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture):
+    monkeypatch.setattr(sys, "argv", ["operate", "run", "--help"])
+    with pytest.raises(SystemExit) as end:
+        operate.main()
+    assert end.value.code == 0
+    assert "--tether-length" in capsys.readouterr().out
