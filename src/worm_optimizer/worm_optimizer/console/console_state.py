@@ -35,8 +35,8 @@ class ConsoleState:
         parameters: parameters in use.
         parameter_file: their file; empty: the paper's values.
         notices: messages, the newest last.
-        conditions: conditions in the pipe that the optimizer assumed at the latest request.
         fronts: gaits of the front, by direction.
+        conditions: conditions in the pipe that the optimizer assumed at the latest request.
         history: the last minute.
     """
 
@@ -46,8 +46,8 @@ class ConsoleState:
     parameters: Parameters
     parameter_file: str
     notices: deque[Notice]
-    conditions: Conditions = LEVEL
     fronts: dict[int, list[Prediction]] = field(default_factory=dict)
+    conditions: Conditions = LEVEL
     history: History = field(default_factory=lambda: History(time.monotonic))
     _latest: tuple[float, Snapshot] = (-math.inf, Snapshot())
     _drawn: tuple[Snapshot | None, str] = (None, "")
