@@ -86,6 +86,8 @@ def _stopping_time(deed: Deed | None, moment: float, dice: random.Random | None)
     return max((time for time, speed in rig.speeds if speed > STILL), default=begin) - begin
 
 
+#: id of a fin servo
+FIN = 11
 #: ticks by which a sample is wrong
 JUMPS = (-12288, -4096, -1000, -600, -300, 300, 600, 1000, 4096, 12288)
 #: ticks per cycle by which samples drift from the truth
@@ -157,13 +159,13 @@ def _off_command(jump: int) -> float:
     return max(off)
 
 
-def _largest_unnoticed() -> int:
-    """Ticks of the largest lasting offset, begun in one sample while idle, that is no fault."""
+def _largest_unnoticed(servo: int) -> int:
+    """Ticks of the largest lasting offset of a servo, begun in one sample while idle, that is no fault."""
     low, high = 0, 4096
     while high - low > 1:
         middle = (low + high) // 2
         rig = _idle()
-        _wrong(middle, duration=1e6)(rig)
+        rig.inject("wrong_position", target=servo, value=middle, duration=1e6)
         noticed = rig.run(LOOKED).player.phase is Phase.FAULT
         low, high = (low, middle) if noticed else (middle, high)
     return low
@@ -208,13 +210,28 @@ def _flip_stopped(moment: float) -> tuple[float, float]:
     return last - begin, farthest
 
 
+def _fastest_return(dice: random.Random | None) -> float:
+    """M/s of the cable during a return to rest, mean over 30 ms."""
+    rig = _running(1.2)
+    rig.robot.stop(rig.clock.now, "stop")
+    rig.run(0.4)
+    rig.robot.ramp_to_rest(rig.clock.now, "deactivated")
+    rig.positions.clear()
+    while not rig.robot.released:
+        _cycle(rig, dice)
+    pairs = zip(
+        rig.positions, rig.positions[round(0.03 / rig.virtual.settings.step) :], strict=False
+    )
+    return max(_metres(b[1] - a[1]) / (b[0] - a[0]) for a, b in pairs)
+
+
 def _bad_data() -> list[Row]:
     once = max(_moved(_idle(), _wrong(jump, count=1)) for jump in JUMPS)
     confirmed = max(_moved(_idle(), _wrong(jump, duration=1e6)) for jump in JUMPS)
     running = max(_off_command(jump) for jump in JUMPS)
     stops = [_stopping_time(_wrong(jump, duration=1e6), 0.62, None) for jump in JUMPS]
     drift = max(_moved(_idle(), _drift(ticks)) for ticks in DRIFTS)
-    offset = _largest_unnoticed()
+    offset, of_fin = _largest_unnoticed(CABLE), _largest_unnoticed(FIN)
     sizes = f"worst of {len(JUMPS)} sizes, {JUMPS[0]} to {JUMPS[-1]} ticks"
     return [
         Row("one wrong sample, idle: the cable moves", f"{once * 1e3:.2f} mm", "", sizes),
@@ -235,12 +252,20 @@ def _bad_data() -> list[Row]:
             "",
             f"{_metres(offset) * 1e3:.1f} mm of cable",
         ),
+        Row(
+            "largest lasting offset of a fin that is not noticed",
+            f"{of_fin} ticks",
+            "",
+            f"{of_fin * 360 / 4096:.0f} degrees",
+        ),
     ]
 
 
 def _stops() -> list[Row]:
     closing = [_stopped_while_closing(moment) for moment in STOPS]
     flips = [_flip_stopped(moment) for moment in FLIPS]
+    on_time = _fastest_return(None)
+    late = max(_fastest_return(random.Random(seed)) for seed in range(10))
     torques = sum(torque for *_, torque in closing)
     contracted = ", ".join(f"{length * 1e3:.0f}" for _, length, _ in closing)
     return [
@@ -255,6 +280,13 @@ def _stops() -> list[Row]:
             f"{max(time for time, _ in flips) * 1e3:.0f} ms",
             "",
             f"they move on by {max(angle for _, angle in flips):.2f} rad at most",
+        ),
+        Row("return to rest: fastest cable", f"{on_time * 1e3:.1f} mm/s", "", "mean over 30 ms"),
+        Row(
+            "return to rest: fastest cable, busy",
+            f"{late * 1e3:.1f} mm/s",
+            "",
+            "mean over 30 ms, worst of 10 seeds",
         ),
     ]
 
