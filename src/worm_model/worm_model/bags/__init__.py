@@ -9,7 +9,7 @@ Only these modules know the file formats; all other packages use typed arrays an
 - `formats`: MCAP, sqlite3, metadata.yaml, message definitions, CDR. `bag_writer.new_bag` writes a complete bag.
 - `recording`: `recorder.BagRecorder` writes a bag that stays readable if the recorder is killed.
 - `recovery`: `recovery.recover` saves every readable message of a damaged bag.
-- `operations`: cut, join, clean, export, import, play.
+- `operations`: cut, join, clean, export, play.
 
 Defects of a bag raise a `bag_errors.BagError` with a message of one line, or pass one line to the caller's `notify`.
 """

@@ -1,19 +1,36 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Abstract bag for reading, whatever its format: rosbag2 directories and single files, MCAP or other storages."""
+"""Bag that is open for reading, whatever its format: one or several files, read lazily, extent by extent."""
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
+import zstandard
+from zstandard import ZstdDecompressor
 
 from worm_model.bags.bag_errors import BagError
 from worm_model.bags.formats.cdr import check_length
-from worm_model.bags.formats.message_block import Message, Messages, Topic
+from worm_model.bags.formats.contents import AttachedFile, Extent
+from worm_model.bags.formats.mcap_records import LARGEST_CHUNK
+from worm_model.bags.formats.message_block import (
+    Message,
+    Messages,
+    Topic,
+    cells,
+    merge,
+    messages_of,
+)
 from worm_model.bags.formats.message_types import PACKAGE, with_definition
+from worm_model.bags.formats.stored_file import LATEST_NS, StoredFile
+
+DECOMPRESSED_BYTES = 16 << 20  # of decompressed messages per block
 
 Notify = Callable[[str], None]
 
@@ -26,55 +43,66 @@ class MetadataRecord:
     values: tuple[tuple[str, str], ...]
 
 
-@dataclass(frozen=True)
-class AttachedFile:
-    """File stored inside a bag."""
-
-    name: str
-    media_type: str
-    data: bytes
-
-
-class Bag(ABC):
+class Bag:
     """Bag that is open for reading; a context manager.
 
-    Attributes:
+    Args:
         path: directory or file from which the bag was opened.
+        files: the open files; closed with the bag.
+        notify: called with one line for each inconsistency of the bag.
+
+    Attributes:
         channels: topics with their layouts; a topic whose layout changes occurs several times.
         start, end: smallest and largest log time, ns since the epoch; 0 in an empty bag.
         records: all metadata records in their order, without the repetitions in further files. A recording has one
             ``worm_gait`` for each gait that was run.
-        notify: called with one line for each inconsistency of the bag.
         topics: topics by name, with the last layout and the number of messages of all layouts.
     """
 
     def __init__(
-        self,
-        path: Path,
-        channels: tuple[Topic, ...],
-        span: tuple[int, int],
-        records: tuple[MetadataRecord, ...],
-        notify: Notify,
+        self, path: Path, files: Sequence[StoredFile], notify: Notify = lambda _: None
     ) -> None:
         self.path = path
-        self.channels = channels
-        self.start, self.end = span
-        self.records = records
         self.notify = notify
-        self.topics = _by_name(channels)
+        self._files = files
+        counts: Counter[Topic] = Counter()
+        for file in files:
+            for number, topic in file.channels.items():
+                counts[topic] += file.contents.counts[number]
+        by_name = sorted(counts.items(), key=lambda item: item[0].name)
+        self.channels = tuple(replace(topic, count=count) for topic, count in by_name)
+        self.topics = _by_name(self.channels)
+        records = (
+            MetadataRecord(record.name, tuple(record.metadata.items()))
+            for file in files
+            for record in file.contents.metadata
+        )
+        self.records = tuple(dict.fromkeys(records))
+        self.start, self.end = self._span()
         self._given: dict[Topic, Topic] = {}
 
-    @abstractmethod
-    def attachments(self) -> Iterator[AttachedFile]:
-        """Yield the files stored inside the bag, such as the parameter file of the run."""
+    def _span(self) -> tuple[int, int]:
+        """Return the smallest and the largest plausible log time, ns; report implausible ones."""
+        extents = [(file, extent) for file in self._files for extent in file.contents.extents]
+        start = min((extent.start for _, extent in extents), default=0)
+        latest = max((extent.end for _, extent in extents), default=0)
+        if latest <= LATEST_NS:
+            return start, latest
+        self.notify(
+            f"{self.path}: a message has the log time {latest * 1e-9:.0f} s, after the year 2262; such messages are "
+            "read last, and the duration does not include them"
+        )
+        return start, max((_plausible_end(file, extent) for file, extent in extents), default=start)
 
-    @abstractmethod
-    def _blocks(self, topics: frozenset[str]) -> Iterator[Messages]:
-        """Yield the messages of some topics in order of log time, lazily."""
-
-    @abstractmethod
     def close(self) -> None:
         """Close the files."""
+        for file in self._files:
+            file.close()
+
+    def attachments(self) -> Iterator[AttachedFile]:
+        """Yield the files stored inside the bag, such as the parameter file of the run, each once."""
+        attached = (attached for file in self._files for attached in file.attachments())
+        return iter(dict.fromkeys(attached))
 
     def define(self, definitions: Path | None) -> None:
         """Use external definitions for topics that contain none, and report these topics.
@@ -151,6 +179,71 @@ class Bag(ABC):
         for message in defined.select(taken[block.channel]) if taken.any() else ():
             check_length(message.channel, message.data)
         return defined
+
+    def _blocks(self, topics: frozenset[str]) -> Iterator[Messages]:
+        """Yield the messages of some topics in order of log time.
+
+        The extents that overlap in time are in memory at the same time, or TOGETHER_BYTES of small ones, regardless
+        of the length of the files.
+        """
+        extents = [(file, extent) for file in self._files for extent in file.contents.extents]
+        # Equal ones stay in the order of the files.
+        extents.sort(key=lambda item: (item[1].start, item[1].end))
+        runs = groupby(extents, key=itemgetter(0))
+        count = 0
+        for block in merge(
+            block for file, run in runs for block in file.blocks((e for _, e in run), topics)
+        ):
+            count += len(block)
+            yield from _decompressed(block)
+        expected = sum(channel.count for channel in self.channels if channel.name in topics)
+        if count != expected:
+            raise BagError(
+                f"{self.path} holds {count} messages instead of the {expected} that its summary declares; save those "
+                f"with: worm_model recover {self.path}"
+            )
+
+
+def _plausible_end(file: StoredFile, extent: Extent) -> int:
+    """Return the largest log time of an extent that is not after LATEST_NS."""
+    if extent.end <= LATEST_NS:
+        return extent.end
+    topics = frozenset(channel.name for channel in file.channels.values())
+    times = [block.log_time for _, block in file.blocks([extent], topics)]
+    return max((int(t) for part in times for t in part if t <= LATEST_NS), default=extent.start)
+
+
+def _decompressed(block: Messages) -> Iterator[Messages]:
+    """Yield a block with decompressed messages, which rosbag2 compresses in its compression mode MESSAGE.
+
+    No CDR begins like them. The block is divided where its messages grow to more than DECOMPRESSED_BYTES.
+    """
+    rows = np.flatnonzero(block.size >= len(zstandard.FRAME_HEADER))
+    beginnings = cells(block.buffer, len(zstandard.FRAME_HEADER))[block.offset[rows]]
+    if not (beginnings.view("<u4") == int.from_bytes(zstandard.FRAME_HEADER, "little")).any():
+        yield block
+        return
+    messages: list[Message] = []
+    size = 0
+    for message in block:
+        data = _payload(message)
+        if messages and size + len(data) > DECOMPRESSED_BYTES:
+            yield messages_of(messages)
+            messages, size = [], 0
+        messages.append(message._replace(data=data))
+        size += len(data)
+    if messages:
+        yield messages_of(messages)
+
+
+def _payload(message: Message) -> bytes:
+    """Return the decompressed payload of a message; unchanged if it is not compressed, or damaged."""
+    data = message.data
+    if data.startswith(zstandard.FRAME_HEADER) and message.channel.encoding == "cdr":
+        with suppress(zstandard.ZstdError):
+            if zstandard.frame_content_size(data) <= LARGEST_CHUNK:
+                return ZstdDecompressor().decompress(data, max_output_size=LARGEST_CHUNK)
+    return data
 
 
 def _by_name(channels: Iterable[Topic]) -> dict[str, Topic]:

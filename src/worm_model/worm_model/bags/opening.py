@@ -18,7 +18,7 @@ from worm_model.bags.finding import (
 )
 from worm_model.bags.formats.bag_metadata import custom_data, read_metadata
 from worm_model.bags.formats.message_types import PACKAGE
-from worm_model.bags.formats.stored_bag import StoredBag, StoredFile
+from worm_model.bags.formats.stored_file import StoredFile
 from worm_model.bags.recovery.recovery import (
     LOSS,
     RECOVERY_RECORD,
@@ -28,9 +28,7 @@ from worm_model.bags.recovery.recovery import (
     is_unfinished,
     named,
     open_files,
-    open_whole,
     recover,
-    storage_files,
     undeclared,
 )
 from worm_model.errors import printable
@@ -138,20 +136,28 @@ def _compared(bag: Bag, files: Sequence[Path]) -> Bag:
 
 
 def _open_stored(path: Path, paths: Sequence[Path], notify: Notify) -> Bag:
-    files, unreadable = open_files(paths, open_whole)
+    files = _sound_files(paths)
+    if files is None:
+        return _recovered(path, notify)
+    for file in files:
+        for complaint in file.contents.complaints:
+            notify(f"{file.path}: {complaint}")
+    return Bag(path, files, notify)
+
+
+def _sound_files(paths: Sequence[Path]) -> list[StoredFile] | None:
+    """Return the open files of a bag; None if one of them requires recovery."""
+    files, unreadable = open_files(paths)
     if not unreadable and all(file.contents.sound for file in files):
-        for file in files:
-            for complaint in file.contents.complaints:
-                notify(f"{file.path}: {complaint}")
-        return StoredBag(path, files, notify)
+        return files
     _close(files)
-    return _recovered(path, notify)
+    return None
 
 
 def _recovered(path: Path, notify: Notify) -> Bag:
     """Return the recovered copy of an unclosed or damaged bag; recover the bag if there is none."""
     path = named(path)
-    content = _content(path)
+    content = fingerprint(path)
     number = 1
     while (target := recovered_path(path, number)).exists():
         if _is_recovery(target, path, content):
@@ -180,13 +186,6 @@ def _instead(path: Path, target: Path, notify: Notify, outcome: str) -> Bag:
     return bag
 
 
-def _content(path: Path) -> str:
-    files, _ = open_files(storage_files(path), open_whole)
-    content = fingerprint(files)
-    _close(files)
-    return content
-
-
 def _is_recovery(target: Path, source: Path, content: str) -> bool:
     try:
         custom = custom_data(read_metadata(target))
@@ -202,7 +201,6 @@ def _close(files: Sequence[StoredFile]) -> None:
 
 def are_sound(paths: Sequence[Path]) -> bool:
     """Return True if the files of a bag can be read without recovery."""
-    files, unreadable = open_files(paths, open_whole)
-    sound = not unreadable and all(file.contents.sound for file in files)
-    _close(files)
-    return sound
+    files = _sound_files(paths)
+    _close(files or ())
+    return files is not None

@@ -24,9 +24,8 @@ from worm_model.run import GaitStates, Run, Stamps, concatenated
 RUN_TOPICS = tuple(SERIES)
 _INSTRUMENTS = TWIN_INPUTS[1:]  # without gait_state, which may have been published long before
 _LONGEST_DELAY_NS = 10**9  # of a message on its way to the recorder
-MOST_KEPT = (
-    250_000  # messages of a bag that are decoded once, then stay in memory: a quarter of an hour
-)
+# messages of a bag that are decoded once, then stay in memory: a quarter of an hour
+MOST_KEPT = 250_000
 
 
 def read_run(bag: Bag, namespace: str = "", names: Sequence[str] = RUN_TOPICS) -> Run:

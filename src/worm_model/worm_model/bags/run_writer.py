@@ -4,21 +4,19 @@
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import fields
 from operator import attrgetter, itemgetter
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from worm_model.bags.bag import Bag
 from worm_model.bags.bag_errors import BagError
-from worm_model.bags.formats.bag_writer import BagFiles, new_bag
-from worm_model.bags.formats.cdr import defined_message, encode
+from worm_model.bags.formats.bag_writer import BagFiles
+from worm_model.bags.formats.cdr import encode
 from worm_model.bags.formats.message_block import Message, Topic
-from worm_model.bags.formats.message_types import topic_of, with_definition
+from worm_model.bags.formats.message_types import topic_of
 from worm_model.bags.worm_topics import SERIES, TYPES, offered_qos, path_of
 from worm_model.run import Run, Stamps
 
@@ -66,34 +64,6 @@ def stamped_messages(
         Message(topic.name, time, data[row], time, topic)
         for row, time in sorted(enumerate(stamp.tolist()), key=itemgetter(1))
     ]
-
-
-def write_extended(
-    bag: Bag,
-    output: Path,
-    topics: Sequence[str],
-    messages: Iterable[Message],
-    additional: Iterable[Topic] = (),
-) -> None:
-    """Write a bag with messages of another bag and additional ones; the same input gives the same bytes.
-
-    Args:
-        bag: source of the existing messages.
-        output: the new bag.
-        topics: names of the topics of ``bag`` to include.
-        messages: further messages in order of log time; at equal times they follow those of ``bag``.
-        additional: topics of the further messages.
-
-    Raises:
-        BagError: The output exists, or a topic has no definition.
-    """
-    kept = [with_definition(channel) for channel in bag.channels if channel.name in topics]
-    with new_bag(output) as writer:
-        writer.copy_records(bag)
-        for topic in (*kept, *additional):
-            writer.add_topic(topic)
-        own = map(defined_message, bag.messages(topics))
-        writer.write_all(heapq.merge(own, messages, key=attrgetter("log_time")))
 
 
 def _columns(samples: Any) -> dict[str, Any]:

@@ -36,11 +36,18 @@ def _parser() -> Parser:
     )
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB", parser_class=Parser)
 
-    def add_verb(name: str, act: Callable[[argparse.Namespace], None], **texts: Any) -> Parser:
+    def add_verb(
+        name: str, act: Callable[[argparse.Namespace], None], bags: str | None = None, **texts: Any
+    ) -> Parser:
         verb: Parser = verbs.add_parser(name, **texts)
         verb.set_defaults(act=act)
         verb.add_json()
+        if name != TABLE:
+            verb.add_argument("bag", type=Path, nargs=bags, metavar="BAG")
         return verb
+
+    def add_output(verb: Parser, metavar: str = "BAG2", meaning: str = "must not exist") -> None:
+        verb.add_argument("--output", required=True, metavar=metavar, help=meaning)
 
     table = add_verb(
         TABLE,
@@ -53,27 +60,20 @@ def _parser() -> Parser:
         "folder", type=Path, nargs="?", default=FOLDER, metavar="FOLDER", help="default: bags"
     )
     table.add_parameters()
-    info = add_verb("info", _info, help="what a bag holds")
-    info.add_argument("bag", type=Path, metavar="BAG")
+    add_verb("info", _info, help="what a bag holds")
     trim = add_verb(
         "trim",
         _trim,
         help="a part of a bag, by time or by run",
         description="Writes a bag with the messages of a span, or of one run with the rest before it.",
     )
-    trim.add_argument("bag", type=Path, metavar="BAG")
-    trim.add_argument("--output", required=True, metavar="BAG2", help="must not exist")
+    add_output(trim)
     trim.add_number("--start", "S", "start of the span, in s since the bag's")
     trim.add_number("--end", "S", "end of the span, in s since the bag's start")
     trim.add_argument("--run", type=int, metavar="N", help="the n-th run instead")
     split = add_verb("split", _split, help="a bag for each run of a bag")
-    split.add_argument("bag", type=Path, metavar="BAG")
-    split.add_argument(
-        "--output", required=True, metavar="FOLDER", help="of run_1, run_2, …; must not exist"
-    )
-    merge = add_verb("merge", _merge, help="one bag of several, by time")
-    merge.add_argument("bags", type=Path, nargs="+", metavar="BAG")
-    merge.add_argument("--output", required=True, metavar="BAG2", help="must not exist")
+    add_output(split, "FOLDER", "of run_1, run_2, …; must not exist")
+    add_output(add_verb("merge", _merge, "+", help="one bag of several, by time"))
     clean = add_verb(
         "clean",
         _clean,
@@ -82,8 +82,7 @@ def _parser() -> Parser:
         "absolute path (command line, parameter file, devices; in metadata, attachments and texts of messages) "
         "all but its last part. Names of the robot's topics stay.",
     )
-    clean.add_argument("bag", type=Path, metavar="BAG")
-    clean.add_argument("--output", required=True, metavar="BAG2", help="must not exist")
+    add_output(clean)
     clean.add_definitions()
     return parser
 
@@ -93,10 +92,16 @@ def _table(options: argparse.Namespace) -> None:
     print_result(options, {"runs": rows}, describe(rows, options.folder))
 
 
-def _info(options: argparse.Namespace) -> None:
+def _opened(options: argparse.Namespace, path: Path | None = None) -> Bag:
+    """Open a bag, by default that of the options."""
     from worm_model.bags.opening import open_bag
 
-    with open_bag(options.bag, notifier("bags info")) as bag:
+    notify = notifier(f"bags {options.verb}")
+    return open_bag(path or options.bag, notify, getattr(options, "definitions", None))
+
+
+def _info(options: argparse.Namespace) -> None:
+    with _opened(options) as bag:
         content: dict[str, Any] = {
             "bag": str(bag.path),
             "start_ns": bag.start,
@@ -120,13 +125,12 @@ def _info(options: argparse.Namespace) -> None:
 
 
 def _trim(options: argparse.Namespace) -> None:
-    from worm_model.bags.opening import open_bag
     from worm_model.bags.operations.cutting import trim
 
     if (options.run is None) == (options.start is None and options.end is None):
         raise InputError("give --start, --end or both, or --run")
     output = new_file(options.output)
-    with open_bag(options.bag, notifier("bags trim")) as bag:
+    with _opened(options) as bag:
         first, last = bag.start, bag.end
         if options.run is not None:
             spans = _spans(bag)
@@ -152,11 +156,10 @@ def _spans(bag: Bag) -> list[tuple[int, int]]:
 
 
 def _split(options: argparse.Namespace) -> None:
-    from worm_model.bags.opening import open_bag
     from worm_model.bags.operations.cutting import trim
 
     output = new_file(options.output)
-    with open_bag(options.bag, notifier("bags split")) as bag:
+    with _opened(options) as bag:
         spans = _spans(bag)
         if not spans:
             raise InputError(f"{bag.path}: holds no run; `bags trim` cuts by time")
@@ -167,15 +170,11 @@ def _split(options: argparse.Namespace) -> None:
 
 
 def _merge(options: argparse.Namespace) -> None:
-    from worm_model.bags.opening import open_bag
     from worm_model.bags.operations.cutting import merge
 
     output = new_file(options.output)
     with ExitStack() as stack:
-        notify = notifier("bags merge")
-        count = merge(
-            [stack.enter_context(open_bag(path, notify)) for path in options.bags], output
-        )
+        count = merge([stack.enter_context(_opened(options, path)) for path in options.bag], output)
     _written(options, {"bag": str(output), "messages": count})
 
 
@@ -185,11 +184,10 @@ def _written(options: argparse.Namespace, content: dict[str, Any]) -> None:
 
 
 def _clean(options: argparse.Namespace) -> None:
-    from worm_model.bags.opening import open_bag
     from worm_model.bags.operations.cleaning import clean_bag
 
     output = new_file(options.output)
-    with open_bag(options.bag, notifier("bags clean"), options.definitions) as bag:
+    with _opened(options) as bag:
         count = bag.message_count
         cleaner = clean_bag(bag, output)
     content = {"bag": str(output), "messages": count, "changed": cleaner.changed}

@@ -7,7 +7,6 @@ import argparse
 import sys
 from pathlib import Path
 
-from worm_model.bags.operations.lab_logs import LabSettings
 from worm_model.commands.command_line import (
     InputError,
     Parser,
@@ -24,6 +23,7 @@ from worm_model.identification.identification_report import (
     write_report,
 )
 from worm_model.identification.inputs import EPOCH, Inputs, read_inputs, read_recordings
+from worm_model.identification.lab_logs import LabSettings
 from worm_model.identification.literal import literal
 from worm_model.identification.reference_values import (
     ReferenceValues,

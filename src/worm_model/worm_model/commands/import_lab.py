@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 
 from worm_model.bags.formats.bag_writer import new_bag
-from worm_model.bags.operations.lab_logs import LabRun, LabSettings, read_lab_run
 from worm_model.bags.run_writer import write_run
 from worm_model.commands.command_line import (
     InputError,
@@ -21,6 +20,7 @@ from worm_model.commands.command_line import (
     number,
     print_result,
 )
+from worm_model.identification.lab_logs import LabRun, LabSettings, read_lab_run
 from worm_model.parameters import Parameters, load_parameters
 
 _notify = notifier("import_lab")

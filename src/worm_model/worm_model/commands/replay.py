@@ -26,9 +26,10 @@ from worm_model.bags.bag_errors import BagError
 from worm_model.bags.formats.message_block import Message, Topic
 from worm_model.bags.formats.message_types import parse_ahead, topic_of
 from worm_model.bags.opening import open_bag
+from worm_model.bags.operations.cutting import write_copy
 from worm_model.bags.recording.run_manifest import recorded_conditions
 from worm_model.bags.run_reader import RunReader, clock_offset, namespace_of
-from worm_model.bags.run_writer import stamped_messages, write_extended
+from worm_model.bags.run_writer import stamped_messages
 from worm_model.bags.worm_topics import (
     REPLAY_INPUTS,
     TWIN_TOPICS,
@@ -70,8 +71,9 @@ def write_replay(bag: Bag, output: Path, replay: OfflineReplay, namespace: str) 
     Raises:
         BagError: The output exists or cannot be written.
     """
-    live = {find_topic(bag.topics.values(), name, namespace) for name in TWIN_TOPICS}
-    kept = [topic.name for topic in bag.topics.values() if topic not in live]
+    found = (find_topic(bag.topics.values(), name, namespace) for name in TWIN_TOPICS)
+    live = {topic.name for topic in found if topic is not None}
+    kept = [channel for channel in bag.channels if channel.name not in live]
     topics = {
         name: topic_of(f"{namespace}/{name}", TYPES[name], offered_qos(name))
         for name in TWIN_TOPICS
@@ -81,7 +83,8 @@ def write_replay(bag: Bag, output: Path, replay: OfflineReplay, namespace: str) 
         [m for name in TWIN_TOPICS for m in _messages(name, topics[name], part, shift_ns)]
         for _, part in replay.steps()
     )
-    write_extended(bag, output, kept, messages, topics.values())
+    own = bag.messages({channel.name for channel in kept})
+    write_copy([bag], output, [own, messages], [*kept, *topics.values()])
 
 
 def _in_order(batches: Iterable[list[Message]]) -> Iterator[Message]:

@@ -49,17 +49,14 @@ SERVICES = ("start", "stop", "pause", "resume", "split", "snapshot")
 
 
 def _whole(text: str) -> int:
-    value = int(text)
-    if value < 0:
-        raise argparse.ArgumentTypeError(f"{text} is negative")
-    return value
+    not_negative(text)
+    return int(text)
 
 
 def _positive(text: str) -> int:
-    value = _whole(text)
-    if value == 0:
+    if _whole(text) == 0:
         raise argparse.ArgumentTypeError("0 keeps nothing")
-    return value
+    return int(text)
 
 
 def _parser() -> Parser:

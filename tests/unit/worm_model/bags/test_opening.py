@@ -33,11 +33,11 @@ from worm_model.bags.formats.bag_writer import new_bag
 from worm_model.bags.formats.cdr import encode
 from worm_model.bags.formats.message_block import Topic
 from worm_model.bags.formats.message_types import topic_of
-from worm_model.bags.formats.stored_bag import DECOMPRESSED_BYTES, LARGEST_RATIO
+from worm_model.bags.formats.stored_file import DECOMPRESSED_BYTES, LARGEST_RATIO
 from worm_model.bags.opening import open_bag
+from worm_model.bags.operations.cutting import write_copy
 from worm_model.bags.recovery.recovery import recover
 from worm_model.bags.run_reader import read_run
-from worm_model.bags.run_writer import write_extended
 from worm_model.commands import export, health, identify
 
 TYPE = "std_msgs/msg/UInt64"
@@ -283,6 +283,11 @@ def test_equal_times_keep_the_order_of_the_file(tmp_path: Path, chunked: bool, i
             last = int(block.log_time[-1])
 
 
+def copy_power(bag: Bag, output: Path) -> None:
+    topics = [channel for channel in bag.channels if channel.name == "/worm/power"]
+    write_copy([bag], output, [bag.messages(["/worm/power"])], topics)
+
+
 def count_messages(bag: Bag) -> int:
     return sum(1 for _ in bag.messages())
 
@@ -497,7 +502,7 @@ def test_a_bag_without_definitions_is_read_by_the_installed_ones_which_is_told(t
     told: list[str] = []
     with open_bag(bag, told.append) as opened:
         assert read_run(opened).power.power.tolist() == [2.5]
-        write_extended(opened, tmp_path / "copy", ["/worm/power"], [])
+        copy_power(opened, tmp_path / "copy")
     assert any("carry no definition" in line for line in told)
     with open_bag(tmp_path / "copy") as copy:
         assert "float64 bus_voltage" in copy.topics["/worm/power"].definition
@@ -514,7 +519,7 @@ def test_messages_of_another_length_than_the_installed_definition_are_refused(
         with pytest.raises(BagError, match="/worm/power"):
             read_run(opened)
         with pytest.raises(BagError, match="not as long as"):
-            write_extended(opened, tmp_path / "copy", ["/worm/power"], [])
+            copy_power(opened, tmp_path / "copy")
     assert not (tmp_path / "copy").exists()
 
 
@@ -550,7 +555,7 @@ def test_a_bag_of_an_older_layout_is_read_by_the_definitions_that_are_given(
     assert export.main() == 1
     assert "--definitions FOLDER" in capsys.readouterr().err
     with open_bag(old_bag, lambda _: None) as bag, pytest.raises(BagError, match="--definitions"):
-        write_extended(bag, tmp_path / "none2", ["/worm/power"], [])
+        copy_power(bag, tmp_path / "none2")
 
     arguments = ["--output", str(tmp_path / "tables"), "--definitions", str(old_definitions)]
     arguments += ["--topic", "/worm/power"]
@@ -583,7 +588,7 @@ def test_a_copy_carries_the_definitions_that_were_given(
 ):
     with open_bag(old_bag, lambda _: None, old_definitions) as bag:
         (before,) = bag.messages()
-        write_extended(bag, tmp_path / "copy", ["/worm/power"], [])
+        copy_power(bag, tmp_path / "copy")
     told: list[str] = []
     with open_bag(tmp_path / "copy", told.append) as copy:
         assert copy.topics["/worm/power"].definition.startswith(OLD_POWER)
@@ -600,7 +605,7 @@ def test_given_definitions_that_do_not_fit_are_refused(
         with pytest.raises(BagError, match="not as long as"):
             list(bag.messages())
         with pytest.raises(BagError, match="not as long as"):
-            write_extended(bag, tmp_path / "copy", ["/worm/power"], [])
+            copy_power(bag, tmp_path / "copy")
     assert not (tmp_path / "copy").exists()
     data = next(iter_messages(old_bag))
     hashed = without_definitions(tmp_path / "hashed", data, "RIHS01_" + 64 * "0")

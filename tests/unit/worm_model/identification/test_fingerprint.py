@@ -14,7 +14,7 @@ def test_what_identification_imports_is_in_it_and_nothing_else():
     assert {
         "commands/identify.py",
         "identification/grooves.py",
-        "bags/operations/lab_logs.py",
+        "identification/lab_logs.py",
     } <= files
     assert {"simulation/simulator.py", "simulation/smoothing.py", "bags/run_reader.py"} <= files
     assert not {"twin/core.py", "nodes/twin_node.py", "commands/health.py"} & files

@@ -17,8 +17,8 @@ from lab_files import write_bench_tests
 from recorded_run import GAIT, simulated_run, write_bag
 from recorded_session import joined_session, recorded_session
 
-from worm_model.bags.bag import AttachedFile
 from worm_model.bags.formats.bag_writer import new_bag
+from worm_model.bags.formats.contents import AttachedFile
 from worm_model.bags.run_writer import write_run
 from worm_model.commands.command_line import InputError
 from worm_model.gait import Gait

@@ -14,9 +14,10 @@ from typing import BinaryIO
 
 from mcap.writer import CompressionType, Writer
 
-from worm_model.bags.bag import AttachedFile, Bag
+from worm_model.bags.bag import Bag
 from worm_model.bags.bag_errors import UnwritableError
 from worm_model.bags.formats.bag_metadata import Extent, metadata_text, write_metadata
+from worm_model.bags.formats.contents import AttachedFile
 from worm_model.bags.formats.message_block import Message, Topic
 from worm_model.bags.formats.whole_folder import new_folder
 from worm_model.errors import printable
@@ -190,9 +191,8 @@ class _OpenFile:
         self.path = path
         self._synchronise = synchronise
         self.stream: BinaryIO = path.open("xb")
-        fcntl.flock(
-            self.stream, fcntl.LOCK_EX | fcntl.LOCK_NB
-        )  # until the writer closes the file or dies
+        # The lock ends when the writer closes the file or dies.
+        fcntl.flock(self.stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
         self.mcap = Writer(
             self.stream,
             chunk_size=options.chunk_bytes,

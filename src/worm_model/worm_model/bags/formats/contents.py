@@ -10,6 +10,15 @@ from typing import NamedTuple
 from mcap.records import Channel, Metadata, Schema
 
 
+@dataclass(frozen=True)
+class AttachedFile:
+    """File stored inside a bag."""
+
+    name: str
+    media_type: str
+    data: bytes
+
+
 class Extent(NamedTuple):
     """Part of a file with messages: a chunk, a run of plain records, or rows of a database.
 

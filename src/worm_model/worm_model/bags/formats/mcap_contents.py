@@ -38,9 +38,8 @@ from worm_model.bags.formats.mcap_walk import (
 )
 
 RUN_BYTES = 1 << 20  # size of the runs in which messages outside of chunks are read
-_FOOTER = struct.Struct(
-    "<BQQQI"
-)  # opcode, length, start of the summary, start of its offsets, checksum
+# opcode, length, start of the summary, start of its offsets, checksum
+_FOOTER = struct.Struct("<BQQQI")
 
 
 def extent_records(data: Buffer, extent: Extent) -> Buffer:
@@ -106,10 +105,9 @@ def salvage(data: Buffer) -> Contents:
         for record in summary.definitions:
             if isinstance(record, Schema):
                 contents.schemas.setdefault(record.id, record)
-            elif (
-                contents.channels.setdefault(record.id, record) is record
-                and (contents.counts[record.id])
-            ):
+                continue
+            known = contents.channels.setdefault(record.id, record)
+            if known is record and contents.counts[record.id]:
                 contents.complaints.append(
                     f"the definition of {record.topic} is damaged in its data; that in its summary is used"
                 )

@@ -9,10 +9,9 @@ import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import Attachment
 
-from worm_model.bags.bag import AttachedFile
 from worm_model.bags.bag_errors import BagError
 from worm_model.bags.formats.bag_metadata import named_qos
-from worm_model.bags.formats.contents import Contents, Extent
+from worm_model.bags.formats.contents import AttachedFile, Contents, Extent
 from worm_model.bags.formats.mcap_contents import extent_records, salvage, scan
 from worm_model.bags.formats.mcap_records import (
     HEAD,
@@ -24,7 +23,7 @@ from worm_model.bags.formats.mcap_records import (
     release,
 )
 from worm_model.bags.formats.message_block import Messages, Topic
-from worm_model.bags.formats.stored_bag import StoredFile, explained
+from worm_model.bags.formats.stored_file import StoredFile, explained
 
 TOGETHER_BYTES = 1 << 20  # of small extents per block: numpy's cost is per call
 

@@ -53,9 +53,8 @@ _PROTECTED = frozenset(
     {Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.ATTACHMENT, Opcode.METADATA, Opcode.DATA_END}
 )
 _DATA = _INSIDE | _PROTECTED | {Opcode.HEADER}
-_PROVEN = frozenset(
-    {DAMAGED, Opcode.CHUNK, Opcode.ATTACHMENT, Opcode.DATA_END}
-)  # whose end is verified
+# records whose end is verified
+_PROVEN = frozenset({DAMAGED, Opcode.CHUNK, Opcode.ATTACHMENT, Opcode.DATA_END})
 _SUMMARY = range(Opcode.FOOTER, Opcode.DATA_END)
 
 Judge = Callable[[Buffer], bool]
@@ -157,9 +156,8 @@ class Walk:
         first, last = place + RECORD.size, place + RECORD.size + length
         if last <= self._size and _belongs(opcode, self._kinds):
             body = self._data[first:last]
-            hidden = opcode >= FIRST_PRIVATE_OPCODE and is_intact_chunk(
-                body
-            )  # a chunk with a damaged opcode
+            # It may be a chunk with a damaged opcode.
+            hidden = opcode >= FIRST_PRIVATE_OPCODE and is_intact_chunk(body)
             if not hidden and self._is_whole(opcode, body, judge):
                 return self._defined(Part(opcode, place, last))
         return self._chunk_by_content(place, last)

@@ -16,7 +16,7 @@ from worm_model.bags.bag_errors import BagError
 from worm_model.bags.formats.bag_metadata import named_qos
 from worm_model.bags.formats.contents import Contents, Extent
 from worm_model.bags.formats.message_block import Message, Messages, Topic, messages_of
-from worm_model.bags.formats.stored_bag import LATEST_NS, StoredFile, explained
+from worm_model.bags.formats.stored_file import LATEST_NS, StoredFile, explained
 
 MAGIC = b"SQLite format 3\0"
 TOGETHER = 1000  # rows per extent
@@ -27,9 +27,7 @@ Row = tuple[Any, ...]
 
 
 class SqliteFile(StoredFile):
-    """Sqlite3 file of which all readable rows are read, and the payloads of messages only when required."""
-
-    _probe = "length(data)"
+    """Sqlite3 file of which every readable row is read once when it is opened."""
 
     def _survey(self) -> Contents:
         if self.data[: len(MAGIC)] != MAGIC:
@@ -45,10 +43,10 @@ class SqliteFile(StoredFile):
         complete = self._is_complete()
         contents = Contents(unit="rows", complete=complete, whole=complete)
         rows: list[Row] = []
-        for row, first, last in self._rows("messages", f"topic_id, timestamp, {self._probe}"):
+        for row, first, last in self._rows("messages", "topic_id, timestamp, data"):
             if row is not None and self._is_message(row):
                 contents.counts[row[1]] += 1
-                rows.append(row)
+                rows.append(row[:3])  # without the payload
             else:
                 contents.lose(first, last)
                 self._add_extent(contents, rows)
@@ -69,7 +67,7 @@ class SqliteFile(StoredFile):
             topic in self.channels
             and isinstance(time, int)
             and 0 <= time <= LATEST_NS
-            and isinstance(payload, int | bytes)
+            and isinstance(payload, bytes)
         )
 
     @staticmethod
@@ -194,9 +192,3 @@ class SqliteFile(StoredFile):
         if hasattr(self, "_copies"):
             self._copies.cleanup()
         super().close()
-
-
-class SalvagedSqliteFile(SqliteFile):
-    """Sqlite3 file of which every payload has been read once."""
-
-    _probe = "data"

@@ -11,10 +11,11 @@ from typing import Any
 
 from rosbags.serde import SerdeError
 
-from worm_model.bags.bag import AttachedFile, Bag
+from worm_model.bags.bag import Bag
 from worm_model.bags.bag_errors import BagError
 from worm_model.bags.formats.bag_writer import ROSBAG2_RECORD, new_bag
 from worm_model.bags.formats.cdr import defined_message
+from worm_model.bags.formats.contents import AttachedFile
 from worm_model.bags.formats.message_block import Message
 from worm_model.bags.formats.message_types import typestore, with_definition
 from worm_model.bags.recording.recorder import Manifest

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Extraction of a time span from a bag, and joining of bags. The same input gives the same bytes."""
+"""Copies of bags: a time span, several bags joined, further messages. The same input gives the same bytes."""
 
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from operator import attrgetter
 from pathlib import Path
 
@@ -12,9 +12,35 @@ from worm_model.bags.bag import Bag
 from worm_model.bags.bag_errors import BagError
 from worm_model.bags.formats.bag_writer import new_bag
 from worm_model.bags.formats.cdr import defined_message
-from worm_model.bags.formats.message_block import Message
+from worm_model.bags.formats.message_block import Message, Topic
 from worm_model.bags.formats.message_types import with_definition
 from worm_model.bags.worm_topics import LATCHED
+
+
+def write_copy(
+    bags: Sequence[Bag],
+    output: Path,
+    series: Iterable[Iterable[Message]],
+    topics: Iterable[Topic] | None = None,
+) -> int:
+    """Write a bag with metadata and attachments of other bags; return the number of its messages.
+
+    Args:
+        bags: sources of metadata and attachments.
+        output: the new bag.
+        series: messages in order of log time each; at equal times, their order is that of ``series``.
+        topics: topics to list; None: those of ``bags``.
+
+    Raises:
+        BagError: The output exists, or a topic has no definition.
+    """
+    with new_bag(output) as writer:
+        for bag in bags:
+            writer.copy_records(bag)
+        for topic in (c for bag in bags for c in bag.channels) if topics is None else topics:
+            writer.add_topic(with_definition(topic))
+        messages = heapq.merge(*series, key=attrgetter("log_time"))
+        return writer.write_all(map(defined_message, messages))
 
 
 def trim(bag: Bag, output: Path, first: int, last: int) -> int:
@@ -26,21 +52,7 @@ def trim(bag: Bag, output: Path, first: int, last: int) -> int:
     Raises:
         BagError: The span contains no message, or the output exists.
     """
-    with new_bag(output) as writer:
-        writer.copy_records(bag)
-        for channel in bag.channels:
-            writer.add_topic(with_definition(channel))
-        count = writer.write_all(map(defined_message, _within(bag, first, last)))
-        if not count:  # then nothing has been written
-            raise BagError(
-                f"{bag.path} holds no message from {_since(bag, first):.3f} s to {_since(bag, last):.3f} s; it is "
-                f"{_since(bag, bag.end):.3f} s long: give a span with messages"
-            )
-        return count
-
-
-def _since(bag: Bag, time: int) -> float:
-    return (time - bag.start) * 1e-9
+    return write_copy([bag], output, [_within(bag, first, last)])
 
 
 def _within(bag: Bag, first: int, last: int) -> Iterator[Message]:
@@ -55,9 +67,15 @@ def _within(bag: Bag, first: int, last: int) -> Iterator[Message]:
                 held[message.channel.name] = message
             continue
         if not begun:
-            yield from (word._replace(log_time=first) for word in held.values())
+            yield from (latched._replace(log_time=first) for latched in held.values())
             begun = True
         yield message
+    if not begun:
+        start, end, length = ((time - bag.start) * 1e-9 for time in (first, last, bag.end))
+        raise BagError(
+            f"{bag.path} holds no message from {start:.3f} s to {end:.3f} s; it is {length:.3f} s long: give a span "
+            "with messages"
+        )
 
 
 def merge(bags: Sequence[Bag], output: Path) -> int:
@@ -71,10 +89,4 @@ def merge(bags: Sequence[Bag], output: Path) -> int:
     Raises:
         BagError: The output exists.
     """
-    with new_bag(output) as writer:
-        for bag in bags:
-            writer.copy_records(bag)
-            for channel in bag.channels:
-                writer.add_topic(with_definition(channel))
-        series = [map(defined_message, bag.messages()) for bag in bags]
-        return writer.write_all(heapq.merge(*series, key=attrgetter("log_time")))
+    return write_copy(bags, output, [bag.messages() for bag in bags])

@@ -13,8 +13,9 @@ from pathlib import Path
 
 import yaml
 
-from worm_model.bags.bag import AttachedFile, Bag
+from worm_model.bags.bag import Bag
 from worm_model.bags.bag_errors import BagError
+from worm_model.bags.formats.contents import AttachedFile
 from worm_model.bags.recording.recorder import Manifest
 from worm_model.conditions import (
     CONDITION_PARAMETERS,

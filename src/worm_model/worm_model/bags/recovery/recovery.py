@@ -6,7 +6,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,26 +24,22 @@ from worm_model.bags.formats.bag_metadata import (
 from worm_model.bags.formats.bag_writer import new_bag
 from worm_model.bags.formats.mcap_file import McapFile, SalvagedMcapFile
 from worm_model.bags.formats.mcap_records import MAGIC as MCAP_MAGIC
-from worm_model.bags.formats.mcap_records import release
 from worm_model.bags.formats.message_block import Topic
 from worm_model.bags.formats.message_types import with_definition
 from worm_model.bags.formats.sqlite_file import MAGIC as SQLITE_MAGIC
-from worm_model.bags.formats.sqlite_file import SalvagedSqliteFile, SqliteFile
-from worm_model.bags.formats.stored_bag import StoredBag, StoredFile
+from worm_model.bags.formats.sqlite_file import SqliteFile
+from worm_model.bags.formats.stored_file import StoredFile
 from worm_model.bags.recording.recorder import STATE, UNFINISHED
 from worm_model.errors import printable
 
 SOURCE = "recovered_from"
 SOURCE_SHA256 = "recovered_sha256"
-RECOVERY_RECORD = (
-    "worm_recovery"  # metadata record of a recovered bag, with its source and its loss
-)
+# metadata record of a recovered bag, with its source and its loss
+RECOVERY_RECORD = "worm_recovery"
 LOSS = "loss"
 _PIECE = 4 << 20  # bytes
 _LISTED = 3  # number of damaged parts of a file that are described individually
 _NUMBERED = re.compile(r"(?P<stem>.+_)(?P<number>\d+)(?P<ending>\.(?:mcap|db3)(?:\.zstd)?)")
-
-OpenFile = Callable[[Path], StoredFile]
 
 
 @dataclass(frozen=True)
@@ -143,14 +139,14 @@ def recover(path: Path, output: Path | None = None) -> Recovery:
         BagError: No message can be recovered, the bag is still being recorded, or the output exists.
     """
     path = named(path)
-    files, unreadable = open_files(storage_files(path), open_damaged)
+    files, unreadable = open_files(storage_files(path), SalvagedMcapFile)
     try:
         for file in files:
             if not file.contents.whole and file.is_being_written():
                 raise BagError(f"{path} is still being recorded; stop the recorder first")
         source = printable(path.name)
         target = recovered_path(path) if output is None else output
-        bag = StoredBag(path, files)
+        bag = Bag(path, files)
         counts = {topic.name: topic.count for topic in bag.topics.values()}
         damaged = tuple(d for file in files if (d := _damage(file, bag.start)) is not None)
         report = Recovery(
@@ -161,7 +157,7 @@ def recover(path: Path, output: Path | None = None) -> Recovery:
             absent=_absent(path),
             undeclared=undeclared(path, counts),
         )
-        with new_bag(target, {SOURCE: source, SOURCE_SHA256: fingerprint(files)}) as writer:
+        with new_bag(target, {SOURCE: source, SOURCE_SHA256: fingerprint(path)}) as writer:
             writer.copy_records(bag)
             if report.loss:
                 writer.add_metadata(RECOVERY_RECORD, {SOURCE: source, LOSS: printable(report.loss)})
@@ -291,16 +287,6 @@ def _split_number(name: str) -> tuple[int, str]:
     return (int(number) if number.isdecimal() else 0), name
 
 
-def open_whole(path: Path) -> StoredFile:
-    """Open a file for lazy reading; its checksums, if any, determine how much is read."""
-    return SqliteFile(path) if _is_sqlite(path) else McapFile(path)
-
-
-def open_damaged(path: Path) -> StoredFile:
-    """Open a file by reading it completely; only its intact data is available."""
-    return SalvagedSqliteFile(path) if _is_sqlite(path) else SalvagedMcapFile(path)
-
-
 def _is_sqlite(path: Path) -> bool:
     check_readable(path)
     with path.open("rb") as stream:
@@ -311,9 +297,13 @@ def _is_sqlite(path: Path) -> bool:
 
 
 def open_files(
-    paths: Iterable[Path], open_file: OpenFile
+    paths: Iterable[Path], mcap_file: type[McapFile] = McapFile
 ) -> tuple[list[StoredFile], dict[str, str]]:
     """Open the files that can be opened; return them and the errors of the others by name.
+
+    Args:
+        paths: the files.
+        mcap_file: class that reads MCAP files.
 
     Raises:
         BagError: No file can be opened.
@@ -322,7 +312,7 @@ def open_files(
     failed: dict[str, BagError] = {}
     for path in paths:
         try:
-            files.append(open_file(path))
+            files.append(SqliteFile(path) if _is_sqlite(path) else mcap_file(path))
         except BagError as error:
             failed[path.name] = error
     if failed and not files:
@@ -330,11 +320,11 @@ def open_files(
     return files, {name: str(error) for name, error in failed.items()}
 
 
-def fingerprint(files: Sequence[StoredFile]) -> str:
-    """Return the SHA-256 of the files' content, which identifies the source of a recovery later."""
+def fingerprint(path: Path) -> str:
+    """Return the SHA-256 of the content of a bag's files, which identifies the source of a recovery later."""
     digest = hashlib.sha256()
-    for file in files:
-        for first in range(0, len(file.data), _PIECE):
-            digest.update(file.data[first : first + _PIECE])
-            release(file.data)
+    for file in storage_files(path):
+        with file.open("rb") as stream:
+            while piece := stream.read(_PIECE):
+                digest.update(piece)
     return digest.hexdigest()

@@ -21,11 +21,11 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
 from rosbags.typesys import Stores, get_typestore
 
-from worm_model.bags.bag import AttachedFile
 from worm_model.bags.bag_errors import BagError
 from worm_model.bags.formats.bag_metadata import qos_profiles
 from worm_model.bags.formats.bag_writer import BagFiles, WriteOptions, new_bag
 from worm_model.bags.formats.cdr import ColumnBuilder
+from worm_model.bags.formats.contents import AttachedFile
 from worm_model.bags.formats.message_block import Topic
 from worm_model.bags.formats.message_types import topic_of
 from worm_model.bags.opening import open_bag

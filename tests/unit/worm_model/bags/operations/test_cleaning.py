@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from worm_model.bags.bag import AttachedFile
 from worm_model.bags.formats.bag_writer import new_bag
 from worm_model.bags.formats.cdr import encode
+from worm_model.bags.formats.contents import AttachedFile
 from worm_model.bags.formats.message_types import topic_of
 from worm_model.bags.opening import open_bag
 from worm_model.bags.operations.cleaning import Cleaner

@@ -11,10 +11,10 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability, QosReliability
 
-from worm_model.bags.bag import AttachedFile
 from worm_model.bags.bag_errors import BagError
 from worm_model.bags.formats.bag_metadata import dump_yaml, qos_profile
 from worm_model.bags.formats.bag_writer import WriteOptions
+from worm_model.bags.formats.contents import AttachedFile
 from worm_model.bags.formats.message_block import Topic
 from worm_model.bags.recording.recorder import BagRecorder, Manifest
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from recorded_run import simulated_run
 
-from worm_model.bags.bag import AttachedFile
 from worm_model.bags.formats.bag_writer import new_bag
+from worm_model.bags.formats.contents import AttachedFile
 from worm_model.bags.opening import open_bag
 from worm_model.bags.operations.cutting import merge
 from worm_model.bags.recording.run_manifest import (

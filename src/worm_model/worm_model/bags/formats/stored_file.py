@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Open file of a bag, whatever its format."""
+
+from __future__ import annotations
+
+import fcntl
+import mmap
+import shutil
+import sqlite3
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from tempfile import NamedTemporaryFile, gettempdir
+from typing import BinaryIO, cast
+
+import zstandard
+from zstandard import ZstdDecompressor
+
+from worm_model.bags.bag_errors import BagError
+from worm_model.bags.finding import COMPRESSED, check_readable
+from worm_model.bags.formats.contents import AttachedFile, Contents, Extent
+from worm_model.bags.formats.mcap_records import DAMAGE
+from worm_model.bags.formats.message_block import Messages, Topic
+
+LARGEST_RATIO = 1000  # of a compressed file's content to its size; recordings compress to a tenth
+LATEST_NS = (1 << 63) - 1  # in the year 2262; later times in ns exceed 64 bits with a sign
+
+
+@contextmanager
+def explained(path: Path) -> Iterator[None]:
+    """Convert exceptions of the readers at damaged content to a BagError."""
+    try:
+        yield
+    except BagError:
+        raise
+    except (*DAMAGE, sqlite3.Error) as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise BagError(
+            f"{path} is damaged ({reason}); save its intact part with: worm_model recover {path}"
+        ) from None
+
+
+class StoredFile(ABC):
+    """File with messages that is open for reading.
+
+    Args:
+        path: the file.
+
+    Attributes:
+        data: its bytes.
+        contents: its contents without the messages.
+
+    Raises:
+        BagError: The file is missing or empty, or cannot be read.
+    """
+
+    contents: Contents
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        check_readable(path)
+        try:
+            self._stream = _unpacked(path) if path.suffix == COMPRESSED else path.open("rb")
+            self._map = mmap.mmap(self._stream.fileno(), 0, access=mmap.ACCESS_READ)
+        except BagError:
+            raise
+        except ValueError:
+            self._stream.close()
+            raise BagError(f"{path} is empty: nothing was recorded, or its disk was full") from None
+        except OSError as error:
+            raise BagError(f"{path} cannot be read: {error.strerror}") from None
+        self.data = memoryview(self._map)
+        try:
+            with explained(path):
+                self.contents = self._survey()
+        except BagError:
+            self.close()
+            raise
+
+    @abstractmethod
+    def _survey(self) -> Contents:
+        """Return the contents of the file."""
+
+    @property
+    @abstractmethod
+    def channels(self) -> Mapping[int, Topic]:
+        """Topics by the number of their channel, without their counts."""
+
+    @abstractmethod
+    def blocks(
+        self, extents: Iterable[Extent], topics: frozenset[str]
+    ) -> Iterator[tuple[int, Messages]]:
+        """Yield messages of some topics in some extents in order of start, each block with its start (ns)."""
+
+    def attachments(self) -> Iterator[AttachedFile]:
+        """Yield the attached files."""
+        return iter(())
+
+    def close(self) -> None:
+        """Close the file; arrays that were read from it stay valid."""
+        with suppress(BufferError):  # arrays still refer to the map, which is closed with them
+            self.data.release()
+            self._map.close()
+        self._stream.close()
+
+    def is_being_written(self) -> bool:
+        """Return True if a recorder has the file open at this moment."""
+        try:
+            fcntl.flock(self._stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except OSError:
+            return True
+        fcntl.flock(self._stream, fcntl.LOCK_UN)
+        return False
+
+
+def _unpacked(path: Path) -> BinaryIO:
+    """Return the content of a file that rosbag2 has compressed, up to the first damage, in a temporary file.
+
+    Raises:
+        BagError: The content is larger than LARGEST_RATIO times the file, or than half of the free space for temporary
+            files, which other processes need, too.
+    """
+    free = shutil.disk_usage(gettempdir()).free // 2
+    most, size = min(free, LARGEST_RATIO * path.stat().st_size), 0
+    unpacked = cast(BinaryIO, NamedTemporaryFile())  # noqa: SIM115 - the caller closes it
+    with path.open("rb") as packed, suppress(zstandard.ZstdError):
+        for piece in ZstdDecompressor().read_to_iter(packed):
+            size += len(piece)
+            if size > most:
+                unpacked.close()
+                limit = (
+                    f"half of the free space in {gettempdir()}; set TMPDIR to a folder with more"
+                    if most == free
+                    else f"{LARGEST_RATIO} times its size; it is damaged or was not written by a recorder"
+                )
+                raise BagError(f"{path} decompresses to more than {most} bytes, {limit}")
+            unpacked.write(piece)
+    unpacked.flush()
+    return unpacked
