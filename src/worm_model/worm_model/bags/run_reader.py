@@ -181,6 +181,18 @@ def _none_of_the_worms(bag: Bag, where: str = "") -> BagError:
     return BagError(f"{bag.path} has none of the worm's topics{where}; it has {names}")
 
 
+def received_at(bag: Bag, name: str) -> dict[int, int]:
+    """Return the log time of each message of one of the worm's topics by its stamp, both ns since the epoch."""
+    topic, received = find_topic(bag.topics.values(), name), {}
+    for block in bag.blocks([topic.name] if topic else []):
+        builder = ColumnBuilder()
+        builder.add(block)
+        received.update(
+            zip(stamps_of(builder.columns()).tolist(), block.log_time.tolist(), strict=True)
+        )
+    return received
+
+
 def read_columns(bag: Bag, topics: Sequence[Topic]) -> dict[str, Columns]:
     """Return all fields of some topics of a bag as columns, by topic name.
 

@@ -146,13 +146,16 @@ def _trim(options: argparse.Namespace) -> None:
 
 
 def _spans(bag: Bag) -> list[tuple[int, int]]:
-    """Log times, in ns, between which each run lies: from the end of the one before it, its rest included."""
+    """Return the first and the last log time (ns) of each run, from the end of the one before it, its rest included."""
     from worm_model.analysis.run_metrics import played_gaits
-    from worm_model.bags.run_reader import read_run
+    from worm_model.bags.run_reader import read_run, received_at
 
     played = played_gaits(read_run(bag, names=("gait_state",)).gait_state)
-    ends = [gait.end or bag.end for gait in played[:-1]]
-    return list(zip([bag.start, *ends], [*ends, bag.end], strict=True)) if played else []
+    received = received_at(bag, "gait_state")
+    # The state that ends a run is the first one of the next part, too, because its topic is latched.
+    ends = [received[gait.end] if gait.end else bag.end for gait in played[:-1]]
+    starts = [bag.start, *(end + 1 for end in ends)]
+    return list(zip(starts, [*ends, bag.end], strict=True)) if played else []
 
 
 def _split(options: argparse.Namespace) -> None:

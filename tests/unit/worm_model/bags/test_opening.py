@@ -27,13 +27,13 @@ from rosbags.rosbag2 import Writer as RosbagsWriter
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from zstandard import ZstdCompressor, ZstdDecompressor
 
-from worm_model.bags.bag import Bag
+from worm_model.bags.bag import DECOMPRESSED_BYTES, Bag
 from worm_model.bags.bag_errors import BagError
 from worm_model.bags.formats.bag_writer import new_bag
 from worm_model.bags.formats.cdr import encode
 from worm_model.bags.formats.message_block import Topic
 from worm_model.bags.formats.message_types import topic_of
-from worm_model.bags.formats.stored_file import DECOMPRESSED_BYTES, LARGEST_RATIO
+from worm_model.bags.formats.stored_file import LARGEST_RATIO
 from worm_model.bags.opening import open_bag
 from worm_model.bags.operations.cutting import write_copy
 from worm_model.bags.recovery.recovery import recover

@@ -4,16 +4,22 @@
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from recorded_run import write_bag
 from virtual_session import Live, Played, Session, live_twin, recording, virtual_settings
 
 from worm_driver.virtual_robot.plant import Grooves
 from worm_driver.virtual_robot.virtual_robot import VirtualRobot
 from worm_model.analysis.replay_metrics import RunReport, report_replay
+from worm_model.bags.opening import open_bag
+from worm_model.bags.run_reader import read_run
+from worm_model.bags.worm_topics import REPLAY_INPUTS
+from worm_model.commands import bags
 from worm_model.gait import REVERSE, Gait
 from worm_model.parameters import PAPER
 from worm_model.twin.offline_replay import Replay, replay_run
@@ -256,6 +262,82 @@ def test_of_ten_gaits_exactly_the_disturbed_ones_are_flagged_with_the_cause(
     else:
         assert not codes
         assert report.health is Health.HEALTHY
+
+
+# --- parts of a recording -----------------------------------------------------------------------
+
+
+@lru_cache
+def three_gaits() -> Seen:
+    session = Session()
+    session.run(LONG, 2)
+    session.run(BACKWARD, stop_after=6.0)
+    session.run(FORWARD_GAIT, 5, disturb=miss)
+    return seen(session)
+
+
+def replay_of(bag: Path) -> tuple[bool, tuple[RunReport, ...]]:
+    """Whether the replay of a bag resumed from a stored memory, and its report."""
+    with open_bag(bag, pytest.fail) as opened:
+        run = read_run(opened, names=REPLAY_INPUTS)
+    replay = replay_run(run, PAPER)
+    return bool(replay.resumed_ns), report_replay(run, replay, PAPER.pitch).runs
+
+
+def findings(report: RunReport, first: int = 1) -> tuple[object, ...]:
+    """Health, events and grooves of a run's cycles from the first given one on."""
+    cycles = [cycle for cycle in report.cycles if cycle.complete and cycle.number >= first]
+    assert cycles
+    return (
+        report.health,
+        [(event.code, event.cycle, event.stamp_ns) for _, event in report.events],
+        [(cycle.number, cycle.grooves, cycle.not_judged) for cycle in cycles],
+    )
+
+
+@pytest.fixture(scope="module")
+def whole_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    session = three_gaits()
+    end = session.played[-1].end_ns
+    bag = tmp_path_factory.mktemp("parts") / "whole"
+    return write_bag(bag, recording(session.rows, session.live.memories, 0, end))
+
+
+def test_each_part_of_a_split_recording_is_replayed_like_the_whole(
+    whole_bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    _, whole = replay_of(whole_bag)
+    assert [run.health for run in whole[:2]] == [Health.HEALTHY] * 2
+    assert {event.code for _, event in whole[2].events} <= CAUSES[3][1]
+    assert whole[2].events
+    parts = tmp_path / "parts"
+    monkeypatch.setattr("sys.argv", ["bags", "split", str(whole_bag), "--output", str(parts)])
+    assert bags.main() == 0
+    for number, run in enumerate(whole, 1):
+        resumed, (part,) = replay_of(parts / f"run_{number}")
+        assert resumed
+        assert findings(part) == findings(run)
+
+
+@pytest.mark.parametrize(("after_onset_s", "first"), [(-1.0, 1), (5.0, 3), (9.5, 4)])
+def test_a_trimmed_recording_is_replayed_like_the_whole(
+    whole_bag: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    after_onset_s: float,
+    first: int,
+):
+    """A part that begins in a gait agrees from its first whole cycle on; the fourth is disturbed."""
+    _, whole = replay_of(whole_bag)
+    played = three_gaits().played[-1]
+    with open_bag(whole_bag) as bag:
+        start = (played.onset_ns - bag.start) * 1e-9 + after_onset_s
+    options = ["--start", str(start), "--output", str(tmp_path / "part")]
+    monkeypatch.setattr("sys.argv", ["bags", "trim", str(whole_bag), *options])
+    assert bags.main() == 0
+    resumed, (part,) = replay_of(tmp_path / "part")
+    assert resumed
+    assert findings(part, first) == findings(whole[-1], first)
 
 
 GAIT_REVERSE = Gait(0.07, 0.4, REVERSE)

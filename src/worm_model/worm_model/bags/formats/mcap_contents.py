@@ -54,11 +54,13 @@ def extent_records(data: Buffer, extent: Extent) -> Buffer:
 
 
 def _run_pieces(records: Buffer, first: int, last: int) -> Iterator[Buffer]:
-    """Yield the records of a run; a definition gets its true length, because the stored one may be damaged."""
-    begin = first
-    if records[first] in DEFINITIONS:
-        begin += RECORD.size
-        yield RECORD.pack(records[first], last - begin)
+    """Yield the records of a run; a record of its own gets its true length, because the stored one may be damaged."""
+    begin = first + RECORD.size
+    opcode, length = RECORD.unpack_from(records, first)
+    if opcode in DEFINITIONS or begin + length > last:
+        yield RECORD.pack(opcode, last - begin)
+    else:
+        yield records[first:begin]
     yield records[begin:last]
 
 

@@ -198,13 +198,25 @@ class Walk:
         if head is None or head.checksum or self._data[place] != Opcode.CHUNK:
             return None
         records = first_records(self._data[place + RECORD.size :])
-        runs = _whole_runs(Walk(records, 0, self._channels, has_chunk_head, _INSIDE))
+        parts = list(Walk(records, 0, self._channels, has_chunk_head, _INSIDE))
+        if (
+            parts
+            and len(records) == head.size
+            and self._is_last_message(records[parts[-1].first :])
+        ):
+            parts[-1] = parts[-1]._replace(opcode=Opcode.MESSAGE)
+        runs = _whole_runs(records, parts)
         if not runs:
             return None
         if head.compression:  # its end is uncertain, and other records may follow inside it
             return Part(Opcode.CHUNK, place, self._next_plausible(place + 1, self._size), runs)
         last = min(place + RECORD.size + head.last, self._size)
         return Part(Opcode.CHUNK, place, last, runs)
+
+    def _is_last_message(self, record: Buffer) -> bool:
+        """Return True if a record at the end of a chunk is a message, whose length may be damaged."""
+        body = record[RECORD.size :]
+        return record[0] == _MESSAGE and self._is_whole(_MESSAGE, body, has_chunk_head)
 
     def _chunk_head(self, place: int) -> ChunkHead | None:
         if Opcode.CHUNK not in self._kinds:
@@ -298,14 +310,19 @@ def first_records(body: Buffer) -> Buffer:
     return joined(pieces)
 
 
-def _whole_runs(parts: Iterable[Part]) -> tuple[tuple[int, int], ...]:
-    """Return the ranges of consecutive complete records without damage; each definition is a range of its own."""
+def _whole_runs(records: Buffer, parts: Iterable[Part]) -> tuple[tuple[int, int], ...]:
+    """Return the ranges of consecutive complete records without damage.
+
+    Each definition, and each record that declares a larger length, is a range of its own.
+    """
     runs: list[tuple[int, int]] = []
     alone = True
     for part in parts:
         if part.opcode == DAMAGED:
             continue
-        alone, before = part.opcode in DEFINITIONS, alone
+        _, length = RECORD.unpack_from(records, part.first)
+        is_longer = part.first + RECORD.size + length > part.last
+        alone, before = is_longer or part.opcode in DEFINITIONS, alone
         if runs and runs[-1][1] == part.first and not (alone or before):
             runs[-1] = runs[-1][0], part.last
         else:
