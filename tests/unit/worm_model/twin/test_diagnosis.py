@@ -99,6 +99,17 @@ def test_what_power_alone_cannot_tell_is_not_called_a_missed_groove(fault: Fault
     assert not any("groove" in event.code for event in told(fault, tracker=False))
 
 
+@pytest.mark.parametrize("size", [3.0, 4.0])
+def test_much_more_friction_does_not_change_the_scale_of_the_power_too(size: float):
+    """The power is not linear in so large a change, and what remains looks like another scale."""
+    faults = [Fault("viscous_friction", size, 3, phase) for phase in (0.0, 0.3, 0.6)]
+    rows = run_robots(GAIT, faults, seed=7, cycles=7).rows(2, tracker=True)
+    twin = Twin()
+    codes = [event.code for event in twin.advance(twin.start(), rows, to_the_end=True).events]
+    assert "friction_up" in codes
+    assert "power_scale" not in codes
+
+
 @pytest.mark.parametrize("fault", [f for f in FAULTS if f.size == 2])
 def test_two_misses_running_do_not_move_l0_though_the_front_marker_is_hidden(fault: Fault):
     found = told(fault, tracker=True, front_marker=False)
