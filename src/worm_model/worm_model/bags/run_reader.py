@@ -183,7 +183,8 @@ def _none_of_the_worms(bag: Bag, where: str = "") -> BagError:
 
 def received_at(bag: Bag, name: str) -> dict[int, int]:
     """Return the log time of each message of one of the worm's topics by its stamp, both ns since the epoch."""
-    topic, received = find_topic(bag.topics.values(), name), {}
+    received: dict[int, int] = {}
+    topic = find_topic(bag.topics.values(), name)
     for block in bag.blocks([topic.name] if topic else []):
         builder = ColumnBuilder()
         builder.add(block)

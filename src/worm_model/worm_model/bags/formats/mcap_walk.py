@@ -214,9 +214,12 @@ class Walk:
         return Part(Opcode.CHUNK, place, last, runs)
 
     def _is_last_message(self, record: Buffer) -> bool:
-        """Return True if a record at the end of a chunk is a message, whose length may be damaged."""
+        """Return True if a record up to the end of a chunk is a message, with at most one wrong bit in its length."""
         body = record[RECORD.size :]
-        return record[0] == _MESSAGE and self._is_whole(_MESSAGE, body, has_chunk_head)
+        if record[0] != _MESSAGE or not self._is_whole(_MESSAGE, body, has_chunk_head):
+            return False
+        _, length = RECORD.unpack_from(record)
+        return bool((length ^ len(body)).bit_count() <= 1)
 
     def _chunk_head(self, place: int) -> ChunkHead | None:
         if Opcode.CHUNK not in self._kinds:
