@@ -230,7 +230,8 @@ def chunk_pieces(head: ChunkHead, body: Buffer) -> Iterator[Buffer]:
     read = _READ[head.compression](data)
     while size <= most:
         try:
-            piece = read(min(most + 1 - size, _PIECE))
+            # Other bytes may follow the declared ones, and a read across them would lose these.
+            piece = read(min(max(most - size, 1), _PIECE))
         except DAMAGE:
             if size < head.size:
                 raise

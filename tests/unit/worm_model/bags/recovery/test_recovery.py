@@ -146,6 +146,7 @@ def edit(data: bytes, edits: list[tuple[str, float]]) -> bytes:
     edits=[("cut", 0.1875), ("cut", 0.21875), ("flip", 0.0)]
 )  # header damaged, cut after a chunk
 @example(edits=[("cut", 0.25), ("flip", 0.048828125)])  # "rosbag2": the length of a definition
+@example(edits=[("flip", 0.6875)])  # "rosbag2 zstd": the length of a chunk's compressed bytes
 @example(edits=[("flip", 0.7811433250333382)])  # "rosbag2": the length of a chunk's last message
 def test_it_saves_what_the_stream_reader_returns_and_every_intact_chunk(layout: str, edits):
     data = file_of(layout)
