@@ -9,7 +9,8 @@ At the onset all earlier samples have been processed.
 - After a run the fins stay where they are, so that the modules are up to some millimetres off their grooves. Another
   start would be wrong for the whole next run.
 - While the cable is at rest, the body returns to its initial length. Fins that are turned for the other direction move
-  to the nearest grooves.
+  to the nearest grooves. Shortly after a pull, the body is still shorter then by the effect of the slack. If it is
+  not known which, the grooves differ, and no tracker shows them, the start is not known.
 - If the body is shorter by the effect of the slack, the slack is still tightened. L0 then stays, and ΔL starts there.
 """
 
@@ -51,6 +52,8 @@ FEWEST = 5  # smallest number of samples for a mean
 STILL_M, STILL_NOISE = 0.0005, 5.0
 # Samples closer to the onset are ignored, because its stamp and those of the instruments come from different clocks.
 GUARD_NS = 100_000_000
+TURNED_NS = 2_500_000_000  # longest time from the turning of the fins to the onset
+SLACK_NS = 2_000_000_000  # after a pull, in which the slack returns
 RELAX_S = 1.0  # time in which the body returns to its initial length, and again to come to rest
 TOLERANCE = 0.3  # tolerance, in pitches, for a robot that was not moved since the last run
 SURE_M = 0.002  # deviation up to which it is certainly where the previous run left it
@@ -191,9 +194,14 @@ def _stand(
     text = f"a run begins, L0 = {1e3 * initial_length:.2f} mm ({source})"
     if tightened:
         text += f"; the slack is still tightened, which makes the body {-1e3 * tightened:.1f} mm shorter"
-    place = _left_behind(m, before, initial_length + tightened, direction)
-    known = place is not None
+    standing = initial_length + tightened
+    shorter = 0.0 if tightened else before.gain * before.slack
+    lengths = _lengths_when_turned(memory, driver.onset_ns, standing, shorter)
+    places = [_left_behind(m, before, standing, direction, at) for at in lengths]
+    place = places[0]
+    known = place is not None and place == places[-1]
     if place is not None and math.isfinite(position):
+        place = min(filter(None, places), key=lambda each: each.off(position, parameters.pitch))
         off = place.off(position, parameters.pitch)
         known = off <= SURE_M
         if off <= TOLERANCE * parameters.pitch:
@@ -226,6 +234,26 @@ def _unstressed(parameters: Parameters, direction: int) -> Start:
         return straight
     x1 = model.x1(motion) - motion.rear_groove * parameters.pitch
     return Start(x1, motion.front_groove - motion.rear_groove)
+
+
+def _lengths_when_turned(
+    memory: Memory, onset_ns: int, standing: float, shorter: float
+) -> tuple[float, ...]:
+    """Return the possible lengths (m) of the body when the fins were turned before an onset, the likelier one first.
+
+    Args:
+        memory: the twin's memory.
+        onset_ns: onset of the run.
+        standing: length of the body at rest, m.
+        shorter: effect of the slack, m.
+    """
+    m = memory.record[0]
+    rows = memory.rows[: int(m["place"])]
+    pulled = rows["stamp"][(rows["kind"] == Kind.COMMAND) & (rows["a"] < -STILL_M)]
+    since = onset_ns - max(int(m["end_ns"]), int(pulled.max(initial=0)))
+    if since <= TURNED_NS:
+        return (standing - shorter,)
+    return (standing,) if since >= TURNED_NS + SLACK_NS else (standing, standing - shorter)
 
 
 def _tightened(m: Any, before: Parameters, rest: _Rest) -> float:
@@ -297,7 +325,9 @@ def _joined(gait: Gait, elapsed: float, parameters: Parameters) -> tuple[float, 
     return float(commands[-1]), float(length_change_of_command(times, commands, parameters)[-1])
 
 
-def _left_behind(m: Any, parameters: Parameters, length: float, direction: int) -> Place | None:
+def _left_behind(
+    m: Any, parameters: Parameters, length: float, direction: int, turned_at: float
+) -> Place | None:
     """Return where the previous run leaves the robot, or None without a previous run.
 
     Args:
@@ -305,21 +335,24 @@ def _left_behind(m: Any, parameters: Parameters, length: float, direction: int) 
         parameters: parameters of the previous run.
         length: length of the body at rest, m.
         direction: direction for which the fins are set.
+        turned_at: length of the body when the fins were turned, m.
     """
     if not m["moving"] or not m["start_ns"]:
         return None
     before = int(m["direction"])
     model = Locomotion(parameters, before)
+    standing = length if direction == before else turned_at
     try:
-        motion = _rested(model, motion_of(m), length)
+        motion = _rested(model, motion_of(m), standing)
         grooves = int(m["moved"]) + motion.rear_groove
         x1 = model.x1(motion) - motion.rear_groove * parameters.pitch
         front = motion.front_groove - motion.rear_groove
         if direction != before:
             model = Locomotion(parameters, direction)
-            over, front = round(x1 / parameters.pitch), round((x1 + length) / parameters.pitch)
-            grooves, x1, front = grooves + over, x1 - over * parameters.pitch, front - over
-            change = length - parameters.initial_length
+            over = round(x1 / parameters.pitch)
+            front = round((x1 + standing) / parameters.pitch) - over
+            grooves, x1 = grooves + over, x1 - over * parameters.pitch
+            change = standing - parameters.initial_length
             x1 = model.x1(_rested(model, model.start(0.0, change, x1, front), length))
     except SimulationError:
         return None

@@ -345,8 +345,7 @@ GAITS = st.sampled_from([Gait(0.07, 0.4), Gait(0.085, 0.35), GAIT_REVERSE])
 ENDS = st.sampled_from([{}, {"stop_after": 3.2}, {"cancel_after": 1.0}])
 
 
-# 70 mm at 0.4 Hz is fragile: by power alone, the twin is sometimes wrong by a groove (the example: it predicts 2 in the
-# first cycle, the plant gains 1, and the power does not tell); the camera sees it.
+# The example: after a stop, the fins are turned while the slack is still tightened, and stay in their grooves.
 @example([(GAIT_REVERSE, {"stop_after": 3.2}, False), (Gait(0.07, 0.4), {}, False)], 1)
 @settings(max_examples=4, deadline=None, derandomize=True)
 @given(st.lists(st.tuples(GAITS, ENDS, st.booleans()), min_size=2, max_size=3), st.integers(1, 99))
@@ -365,5 +364,6 @@ def test_live_twin_and_replay_agree_on_the_grooves_of_every_complete_cycle(gaits
             if e.code and played.onset_ns <= e.stamp_ns <= played.end_ns
         ]
         assert [(event.code, event.cycle) for _, event in report.events] == codes
-        if camera and not codes:
+        judged = [not cycle.not_judged for cycle in report.cycles if cycle.complete]
+        if not codes and (camera or all(judged[1:])):
             assert grooves_of(replay.states, played) == played.grooves
