@@ -364,6 +364,9 @@ class _Call:
             return findings, "it had begun when the first sample came"
         if cycle.blind_s:
             return findings, f"nothing is known of {cycle.blind_s:.1f} s of it"
+        # Power alone never shows where the robot stands, but after one cycle the fins no longer depend on it.
+        watched = bool(history.cycles) and history.cycles[-1].watched
+        unplaced = unplaced and (watched or cycle.number == state.joined_cycle + 1)
         return findings, "where the robot stood at its beginning is not known" if unplaced else ""
 
     def _judge_first(

@@ -8,11 +8,15 @@ import numpy as np
 import pytest
 from faulty_robots import ONSET, Fault, Lab, Robots, run_robots
 from scipy.stats import multivariate_normal
+from twin_samples import run_of_rows
 
+from worm_model.analysis.replay_metrics import report_replay
 from worm_model.gait import Gait
 from worm_model.parameters import PAPER
 from worm_model.twin.inference import NullModel
+from worm_model.twin.offline_replay import replay_run
 from worm_model.twin.records import Event, Health
+from worm_model.twin.samples import Kind
 from worm_model.twin.twin import Twin
 
 GAIT = Gait(0.08, 0.2)
@@ -115,6 +119,37 @@ def test_two_misses_running_do_not_move_l0_though_the_front_marker_is_hidden(fau
     found = told(fault, tracker=True, front_marker=False)
     assert [event.cycle for event in found] == [3, 4]
     assert all(event.code.startswith("missed_groove") for event in found)
+
+
+@pytest.mark.parametrize("tracker", [True, False])
+@pytest.mark.parametrize("fault", [Fault("rear", 1, 3), Fault("front", 1, 3)])
+def test_samples_that_were_received_late_are_replayed_like_others(fault: Fault, tracker: bool):
+    """Up to 0.9 s late, each by another time."""
+    rows = robots().rows(FAULTS.index(fault), tracker=tracker)
+    late = np.random.default_rng(0).integers(0, 900_000_000, len(rows))
+    found = [
+        replay_run(run_of_rows(each), PAPER)
+        for each in (rows, rows[np.argsort(rows["stamp"] + late, kind="stable")])
+    ]
+    assert [event.code for event in found[0].notices if event.code] == [CODES[fault.kind]]
+    assert found[1].notices == found[0].notices
+    assert found[1].states["rear_position"].tolist() == found[0].states["rear_position"].tolist()
+
+
+@pytest.mark.parametrize("tracker", [True, False])
+@pytest.mark.parametrize(("begin_cycle", "codes"), [(1, {"missed_groove_rear"}), (2, set())])
+def test_of_a_recording_that_begins_in_a_gait_the_first_whole_cycle_is_not_judged(
+    tracker: bool, begin_cycle: int, codes: set[str]
+):
+    """Without a stored memory, the grooves in which the fins stand are not known; the third cycle has a miss."""
+    rows = robots().rows(FAULTS.index(Fault("rear", 1, 3)), tracker=tracker)
+    begin = ONSET + round((begin_cycle - 0.6) * GAIT.period * 10**9)
+    latched = rows[(rows["kind"] == Kind.GAIT) & (rows["stamp"] < begin)][-1:]
+    run = run_of_rows(np.concatenate([latched, rows[rows["stamp"] >= begin]]))
+    (report,) = report_replay(run, replay_run(run, PAPER), PAPER.pitch).runs
+    assert {event.code for _, event in report.events} == codes
+    whole = [cycle for cycle in report.cycles if cycle.complete]
+    assert [cycle.number for cycle in whole if cycle.not_judged] == [begin_cycle + 1]
 
 
 def test_the_time_of_a_step_is_told():
