@@ -255,13 +255,13 @@ class Walk:
         if Opcode.CHUNK in kinds and self._has_checksums:
             kinds = _PROTECTED
         codes = b"".join(b"\\x%02x" % kind for kind in kinds)
-        return re.compile(rb"(?s)(?=[" + codes + rb"].{5}\0\0\0)")
+        return re.compile(rb"(?s)[" + codes + rb"](?=.{5}\0\0\0)")
 
     @property
     def _has_checksums(self) -> bool:
         """True if the first intact chunk has a checksum; without intact ones, the first whose two lengths agree."""
         damaged: list[bool] = []
-        for match in re.finditer(rb"(?s)(?=\x06.{5}\0\0\0)", self._data):
+        for match in re.finditer(rb"(?s)\x06(?=.{5}\0\0\0)", self._data):
             head, first = self._chunk_head(match.start()), match.start() + RECORD.size
             _, length = RECORD.unpack_from(self._data, match.start())
             if head is None or head.last != length:
