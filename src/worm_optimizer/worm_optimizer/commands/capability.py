@@ -73,7 +73,7 @@ def describe(found: dict[str, Capability], points: tuple[LoadPoint, ...], per_me
         loads = (each.largest_load, each.full_load, each.closed_form_largest_load)
         row = [name.replace("_", " "), f"{1e3 * gait.stroke:.2f}", f"{gait.frequency:.4f}"]
         row += [f"{load:.2f}" for load in loads] + [f"{each.largest_slope_deg:.1f}"]
-        rows.append(row + [f"{each.largest_load / per_metre:.1f}"] * bool(per_metre))
+        rows.append([*row, f"{each.largest_load / per_metre:.1f}"] if per_metre else row)
     over_load = [("load (N)", "lowest COT", "highest speed (mm/s)")]
     over_load += [
         (f"{point.load:.2f}", f"{point.cost_of_transport:.2f}", f"{1e3 * point.speed:.3f}")
