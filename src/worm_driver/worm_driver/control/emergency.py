@@ -7,6 +7,8 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from worm_driver.virtual_robot.wire.virtual_clock import last_link
+
 #: Folder shared by the service and every login shell: the state directory of worm-driver.service.
 SHARED_FOLDER = Path("/var/lib/worm")
 
@@ -50,17 +52,9 @@ def latch_names(namespace: str, servos: Iterable[int], port: str) -> tuple[str, 
     """
     device = os.path.realpath(port)
     if device.startswith("/dev/pts/"):
-        return (f"{_VIRTUAL}{_plain(_last_link(port))}",)
+        return (f"{_VIRTUAL}{_plain(last_link(port))}",)
     robot = _plain(" ".join((namespace.strip("/"), *map(str, sorted(servos)))))
     return f"emergency_stop_robot_{robot}", f"emergency_stop_device{_plain(device)}"
-
-
-def _last_link(port: str) -> str:
-    """Return the last link in a chain of links to a device. A device that is not a link is returned unchanged."""
-    path = Path(port)
-    while path.is_symlink() and (target := path.parent / path.readlink()).is_symlink():
-        path = target
-    return str(path.parent.resolve() / path.name)
 
 
 def _plain(text: str) -> str:

@@ -186,10 +186,21 @@ class VirtualClock:
 
 
 def clock_of(device: str, port: bytes) -> Clock:
-    """Return the clock for a device: the virtual robot's if the device belongs to one, else the machine's."""
-    directory = Path(device).parent
-    if not device or not (directory / SOCKET_NAME).is_socket():
-        return MachineClock()
-    with contextlib.suppress(OSError):
-        return VirtualClock(directory, port)
+    """Return the clock for a device: the virtual robot's if the device belongs to one, else the machine's.
+
+    A virtual robot is found by whatever link leads to its pseudo-terminal or socket.
+    """
+    for path in (last_link(device), os.path.realpath(device)) if device else ():
+        directory = Path(path).parent
+        if (directory / SOCKET_NAME).is_socket():
+            with contextlib.suppress(OSError):
+                return VirtualClock(directory, port)
     return MachineClock()
+
+
+def last_link(device: str) -> str:
+    """Return the last link in a chain of links to a device. A device that is not a link is returned unchanged."""
+    path = Path(device)
+    while path.is_symlink() and (target := path.parent / path.readlink()).is_symlink():
+        path = target
+    return str(path.parent.resolve() / path.name)

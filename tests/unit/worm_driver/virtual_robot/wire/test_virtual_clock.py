@@ -137,3 +137,15 @@ def test_in_real_time_and_on_real_devices_the_clock_is_the_machines(settings, tm
     robot.end()
     assert isinstance(clock_of("/dev/ttyUSB0", SERIAL), MachineClock)
     assert isinstance(clock_of("", I2C), MachineClock)
+
+
+@pytest.mark.parametrize(("device", "port"), [("servo_bus", SERIAL), ("i2c.sock", I2C)])
+def test_the_clock_is_found_by_whatever_link_leads_to_the_device(settings, tmp_path, device, port):
+    robot = _Robot(settings, tmp_path / "robot", 1.0)
+    link, chain = tmp_path / "link", tmp_path / "chain"
+    link.symlink_to(tmp_path / "robot" / device)
+    chain.symlink_to(link)
+    clock = clock_of(str(chain), port)
+    assert isinstance(clock, VirtualClock)
+    clock.close()
+    robot.end()
