@@ -8,6 +8,7 @@ yields the JSON Schema, with which an editor completes and checks the file.
 
 import difflib
 import json
+import re
 import reprlib
 from collections.abc import Callable, Hashable, Iterable, Mapping
 from pathlib import Path
@@ -173,6 +174,12 @@ def _message(errors: list[ErrorDetails], kind: type[Any]) -> str:
         return f"{_place(path)}: {first['ctx']['error']}" if path else str(first["ctx"]["error"])
     if path[-1:] == ("[key]",):
         path = (*path[:-2], "a key")
+    if first["type"] == "literal_error" and isinstance(value, str):
+        choices = re.findall("'([^']*)'", first["ctx"]["expected"])
+        if difflib.get_close_matches(value, choices, n=1):
+            is_key = path[-1] == "a key"
+            unknown = unknown_name("key" if is_key else "value", value, choices)
+            return f"{_place(path[:-1] if is_key else path)}: {unknown}"
     for term, ours in _YAML_TERMS.items():
         words = words.replace(term, ours)
     must = words.partition(" should ")[2].partition(", not ")[0]

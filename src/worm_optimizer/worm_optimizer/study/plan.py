@@ -6,13 +6,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from worm_model.parameters import ParameterFile
+from worm_msgs.settings_file import OneOf, key
 from worm_optimizer.evaluation.servo_limits import DrivenBy
 from worm_optimizer.search.exact import Resolution as ScanResolution
 from worm_optimizer.search.search_settings import ScanSettings
@@ -23,6 +24,7 @@ PARAMETER_FILE, SAMPLE = "parameter_file", "sample"  # dimensions that are no qu
 SOBOL, SALTELLI, LATIN_HYPERCUBE = "sobol", "saltelli", "latin_hypercube"
 METHODS = (SOBOL, SALTELLI, LATIN_HYPERCUBE)
 EXTENDABLE = (SOBOL, SALTELLI)  # more samples continue the same sequence
+MOST_POINTS = 10_000_000
 COMPUTABLE = ("front", "gaits", "cliff", "success", "any_phase")
 
 _BLOCK_SECONDS = (
@@ -56,9 +58,9 @@ class Sample:
     With `SALTELLI`, ``points`` is the number of base samples. Each of them is 2 + d points for d axes.
     """
 
-    method: str = SOBOL
-    points: int = 64
-    seed: int = 1
+    method: Annotated[str, OneOf(METHODS)] = SOBOL
+    points: Annotated[int, key(ge=1, le=MOST_POINTS)] = 64
+    seed: Annotated[int, key(ge=0, lt=2**32)] = 1
 
     def size(self, axes: int) -> int:
         """Return the number of points for ``axes`` axes with a range."""

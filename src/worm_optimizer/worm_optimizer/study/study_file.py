@@ -7,13 +7,13 @@ docs/studies.md lists the keys. All values are checked here, before the computat
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import hashlib
 import json
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import yaml
 from numpy import linspace
@@ -25,13 +25,14 @@ from worm_model.parameters import (
     load_parameter_file,
     parse_parameter_file,
 )
+from worm_msgs.settings_file import OneOf, SettingsFileError, key, parse_yaml, settings_of
 from worm_optimizer.evaluation.servo_limits import DrivenBy, load_driver_file, servo_model
 from worm_optimizer.search.exact import Resolution as ScanResolution
 from worm_optimizer.search.search_settings import ScanSettings
 from worm_optimizer.study.plan import (
     COMPUTABLE,
     EXTENDABLE,
-    METHODS,
+    MOST_POINTS,
     SALTELLI,
     Axis,
     Hardware,
@@ -42,12 +43,51 @@ from worm_optimizer.study.plan import (
 from worm_optimizer.study.quantities import QUANTITIES
 
 CLIFF = "cliff"  # written instead of a margin: the margin at the cliff of the point's own scan
-MOST_POINTS = 10_000_000
-KEYS = (
-    *("title", "parameters", "parameter_files", "vary", "sample", "fixed", "hardware"),
-    *("compute", "resolution", "scan", "block_points"),
-)
-_HARDWARE_KEYS = ("driver", "servo_model", "supply_voltage_V")
+_FINEST = 10_000  # values of a resolution
+_MOST_VALUES = 100_000  # of an axis
+_SCAN, _PLAIN = ScanResolution(), Resolution()
+
+Quantity = Annotated[str, OneOf(tuple(QUANTITIES))]
+
+
+@dataclass(frozen=True)
+class _ResolutionFile:
+    strokes: Annotated[int, key(ge=3, le=_FINEST)] = _SCAN.strokes
+    frequencies: Annotated[int, key(ge=2, le=_FINEST)] = _SCAN.frequencies
+    front_gaits: Annotated[int, key(ge=3, le=_FINEST)] = _PLAIN.front_gaits
+    samples: Annotated[int, key(ge=1, le=1_000_000)] = _PLAIN.samples
+    seed: Annotated[int, key(ge=0, lt=2**32)] = _PLAIN.seed
+
+
+@dataclass(frozen=True)
+class _ScanFile:
+    lowest: Annotated[float, key("lowest_m")] = ScanSettings.lowest
+    highest: Annotated[float, key("highest_m")] = ScanSettings.highest
+    step: Annotated[float, key("step_m")] = ScanSettings.step
+
+
+@dataclass(frozen=True)
+class _HardwareFile:
+    driver: Any  # name of the driver's parameter file, or the limits that `format_study` writes
+    servo_model: str = ""
+    supply_voltage: Annotated[float | None, key("supply_voltage_V", gt=0.0)] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class StudyFile:
+    """Content of a study's file. Each value of `vary` and `fixed` is checked against its quantity afterwards."""
+
+    title: str = "Study"
+    parameters: str = ""
+    parameter_files: Any = None
+    vary: Mapping[Quantity, Any] = field(default_factory=dict)
+    sample: Sample | None = None
+    fixed: Mapping[Quantity, Any] = field(default_factory=dict)
+    hardware: _HardwareFile | None = None
+    compute: Annotated[tuple[Annotated[str, OneOf(COMPUTABLE)], ...], key(min_length=1)]
+    resolution: _ResolutionFile = _ResolutionFile()
+    scan: _ScanFile = _ScanFile()
+    block_points: Annotated[int | None, key(ge=1, le=MOST_POINTS)] = None
 
 
 class StudyError(InputError):
@@ -78,37 +118,38 @@ def load_study(path: str | Path, parameters: str = "") -> Study:
 def parse_study(text: str, folder: Path, parameters: str = "") -> Study:
     """Return the `Study` described by the text of its file, see `load_study`."""
     try:
-        content = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        raise StudyError(
-            "is not valid YAML" + (f" at line {mark.line + 1}" if mark else "")
-        ) from None
-    entries = _mapping("the file", content, KEYS)
-    axes = _axes(entries.get("vary"))
-    fixed, at_cliff = _fixed(entries.get("fixed"))
+        content = parse_yaml(text)
+        if isinstance(content, Mapping):  # a key without a value is as good as none
+            content = {name: value for name, value in content.items() if value is not None}
+        file = settings_of(content, StudyFile)
+    except SettingsFileError as error:
+        raise StudyError(str(error)) from None
+    axes = tuple(_axis(name, row) for name, row in file.vary.items())
+    fixed, at_cliff = _fixed(file.fixed)
     twice = {axis.name for axis in axes} & set(fixed)
     if at_cliff and any(axis.name == "margin_m" for axis in axes):
         twice.add("margin_m")
     if twice:
         raise StudyError(f"{min(twice)}: stands under vary and under fixed; keep one")
+    fine = dataclasses.asdict(file.resolution)
+    scan = ScanResolution(fine.pop("strokes"), fine.pop("frequencies"))
     study = Study(
-        title=str(entries.get("title") or "Study"),
+        title=file.title,
         text=text,
-        files=_files(entries, folder, parameters),
+        files=_files(file, folder, parameters),
         axes=axes,
-        sample=_sample(entries.get("sample"), axes),
+        sample=_sample(file.sample, axes),
         fixed=fixed,
         margin_at_cliff=at_cliff,
-        hardware=_hardware(entries.get("hardware"), folder),
-        compute=_compute(entries.get("compute")),
-        resolution=_resolution(entries.get("resolution")),
-        scan=_scan(entries.get("scan")),
+        hardware=_hardware(file.hardware, folder),
+        compute=tuple(name for name in COMPUTABLE if name in file.compute),
+        resolution=Resolution(scan, **fine),
+        scan=ScanSettings(**dataclasses.asdict(file.scan)),
         block_points=1,
     )
     _check(study)
-    points = entries.get("block_points", study.default_block_points())
-    return dataclasses.replace(study, block_points=_whole("block_points", points, 1, MOST_POINTS))
+    points = file.block_points or study.default_block_points()
+    return dataclasses.replace(study, block_points=points)
 
 
 def format_study(study: Study) -> str:
@@ -198,22 +239,6 @@ def _check(study: Study) -> None:
             )
 
 
-def _mapping(where: str, content: Any, known: Sequence[str]) -> dict[str, Any]:
-    if not isinstance(content, Mapping):
-        raise StudyError(f"{where}: expected a mapping with some of {', '.join(known)}")
-    for key in content:
-        if key not in known:
-            raise StudyError(f"{where}: {_unknown(str(key), known)}")
-    return dict(content)
-
-
-def _unknown(key: str, known: Sequence[str]) -> str:
-    close = difflib.get_close_matches(key, known, n=1)
-    return f"no such key as {key!r}; " + (
-        f"did you mean {close[0]}?" if close else f"there are {', '.join(known)}"
-    )
-
-
 def _number(where: str, value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         hint = " (YAML reads 1e-3 as text: write 1.0e-3)" if isinstance(value, str) else ""
@@ -232,33 +257,6 @@ def _quantity(where: str, name: str, value: Any) -> float:
             f"{quantity.unit}; is it in another unit?"
         )
     return number
-
-
-def _whole(where: str, value: Any, least: int, most: int) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
-        raise StudyError(f"{where}: {value!r} is not a whole number from {least} to {most}")
-    return value
-
-
-class _Section(dict[str, Any]):
-    """Optional part of the file, with validated keys."""
-
-    def __init__(self, where: str, content: Any, known: Sequence[str]) -> None:
-        super().__init__({} if content is None else _mapping(where, content, known))
-        self._where = where
-
-    def number(self, key: str, default: float) -> float:
-        """Return a finite number, or the default if the key is missing."""
-        return _number(f"{self._where}: {key}", self.get(key, default))
-
-    def whole(self, key: str, default: int, least: int, most: int) -> int:
-        """Return an integer within bounds, or the default if the key is missing."""
-        return _whole(f"{self._where}: {key}", self.get(key, default), least, most)
-
-
-def _axes(content: Any) -> tuple[Axis, ...]:
-    rows = _Section("vary", content, tuple(QUANTITIES))
-    return tuple(_axis(name, row) for name, row in rows.items())
 
 
 def _axis(name: str, row: Any) -> Axis:
@@ -290,7 +288,11 @@ def _listed(where: str, name: str, form: Mapping[str, Any]) -> tuple[float, ...]
     Evenly spaced values are rounded, so that 0.3 is exactly 0.3.
     """
     if "count" in form:
-        count = _whole(f"{where}: count", form["count"], 2, 100_000)
+        count = form["count"]
+        if isinstance(count, bool) or not isinstance(count, int) or not 2 <= count <= _MOST_VALUES:
+            raise StudyError(
+                f"{where}: count: {count!r} is not a whole number from 2 to {_MOST_VALUES}"
+            )
         low, high = (_quantity(f"{where}: {end}", name, form[end]) for end in ("from", "to"))
         values = [float(f"{value:.12g}") for value in linspace(low, high, count)]
     elif isinstance(form["values"], list) and form["values"]:
@@ -302,25 +304,23 @@ def _listed(where: str, name: str, form: Mapping[str, Any]) -> tuple[float, ...]
     return tuple(values)
 
 
-def _fixed(content: Any) -> tuple[dict[str, float], bool]:
+def _fixed(content: Mapping[str, Any]) -> tuple[dict[str, float], bool]:
     """Return the fixed values, and True if the margin is that at the cliff."""
-    rows = _Section("fixed", content, tuple(QUANTITIES))
+    rows = dict(content)
     at_cliff = rows.get("margin_m") == CLIFF
     if at_cliff:
         del rows["margin_m"]
     return {name: _quantity(f"fixed: {name}", name, row) for name, row in rows.items()}, at_cliff
 
 
-def _files(
-    entries: Mapping[str, Any], folder: Path, parameters: str
-) -> tuple[tuple[str, ParameterFile], ...]:
-    names, single = entries.get("parameter_files"), entries.get("parameters")
+def _files(file: StudyFile, folder: Path, parameters: str) -> tuple[tuple[str, ParameterFile], ...]:
+    names, single = file.parameter_files, file.parameters
     if sum(map(bool, (names, single, parameters))) > 1:
         raise StudyError(
             "parameters: the robot is given twice; keep one of parameters, parameter_files, --parameters"
         )
     if names is None:
-        path = str(folder / str(single)) if single else parameters
+        path = str(folder / single) if single else parameters
         return ((Path(path).name if path else "the paper", load_parameter_file(path)),)
     if isinstance(names, Mapping) and names:
         return tuple((str(name), parse_parameter_file(content)) for name, content in names.items())
@@ -333,7 +333,7 @@ def _files(
     return tuple((str(name), load_parameter_file(folder / str(name))) for name in names)
 
 
-def _sample(content: Any, axes: Sequence[Axis]) -> Sample:
+def _sample(content: Sample | None, axes: Sequence[Axis]) -> Sample:
     needed = any(axis.sampled for axis in axes)
     if needed and content is None:
         raise StudyError(
@@ -341,27 +341,15 @@ def _sample(content: Any, axes: Sequence[Axis]) -> Sample:
         )
     if not needed and content is not None:
         raise StudyError("sample: nothing under vary has a range to sample")
-    plain, rows = Sample(), _Section("sample", content, ("method", "points", "seed"))
-    method = rows.get("method", plain.method)
-    if method not in METHODS:
-        raise StudyError(f"sample: method {method!r} is none of {', '.join(METHODS)}")
-    points = rows.whole("points", plain.points, 1, MOST_POINTS)
-    return Sample(method, points, rows.whole("seed", plain.seed, 0, 2**32 - 1))
+    return content or Sample()
 
 
-def _hardware(content: Any, folder: Path) -> Hardware:
+def _hardware(content: _HardwareFile | None, folder: Path) -> Hardware:
     if content is None:
         return Hardware()
-    rows = _Section("hardware", content, _HARDWARE_KEYS)
-    if not rows.get("driver"):
-        raise StudyError("hardware: driver is missing: name the driver's parameter file")
-    model, voltage = str(rows.get("servo_model") or ""), rows.get("supply_voltage_V")
-    servo_model(model)  # raises if the name is unknown
-    return Hardware(
-        driver=_driver(rows["driver"], folder),
-        model=model,
-        voltage=None if voltage is None else rows.number("supply_voltage_V", 0.0),
-    )
+    servo_model(content.servo_model)  # raises if the name is unknown
+    driver = _driver(content.driver, folder)
+    return Hardware(driver, content.servo_model, content.supply_voltage)
 
 
 def _driver(content: Any, folder: Path) -> DrivenBy:
@@ -369,42 +357,9 @@ def _driver(content: Any, folder: Path) -> DrivenBy:
     if not isinstance(content, Mapping):
         return load_driver_file(folder / str(content))
     names = tuple(row.name for row in dataclasses.fields(DrivenBy))
-    values = _mapping("hardware: driver", content, names)
+    values = dict(content)
     try:
         radii = tuple(map(float, values.pop("spool_radii")))
         return DrivenBy(radii, **{name: float(value) for name, value in values.items()})
     except (KeyError, TypeError, ValueError):
         raise StudyError(f"hardware: driver: expected numbers for {', '.join(names)}") from None
-
-
-def _compute(content: Any) -> tuple[str, ...]:
-    if not isinstance(content, list) or not content:
-        raise StudyError(f"compute: expected a list with some of {', '.join(COMPUTABLE)}")
-    for name in content:
-        if name not in COMPUTABLE:
-            raise StudyError(f"compute: {_unknown(str(name), COMPUTABLE)}")
-    return tuple(name for name in COMPUTABLE if name in content)
-
-
-def _resolution(content: Any) -> Resolution:
-    plain = Resolution()
-    keys = ("strokes", "frequencies", "front_gaits", "samples", "seed")
-    rows = _Section("resolution", content, keys)
-    return Resolution(
-        scan=ScanResolution(
-            strokes=rows.whole("strokes", plain.scan.strokes, 3, 10_000),
-            frequencies=rows.whole("frequencies", plain.scan.frequencies, 2, 10_000),
-        ),
-        front_gaits=rows.whole("front_gaits", plain.front_gaits, 3, 10_000),
-        samples=rows.whole("samples", plain.samples, 1, 1_000_000),
-        seed=rows.whole("seed", plain.seed, 0, 2**32 - 1),
-    )
-
-
-def _scan(content: Any) -> ScanSettings:
-    plain, rows = ScanSettings(), _Section("scan", content, ("lowest_m", "highest_m", "step_m"))
-    return ScanSettings(
-        rows.number("lowest_m", plain.lowest),
-        rows.number("highest_m", plain.highest),
-        rows.number("step_m", plain.step),
-    )
