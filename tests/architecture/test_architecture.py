@@ -26,8 +26,11 @@ PACKAGES: dict[str, set[str]] = {
 
 # Libraries that only the files named here may import; the rest of the code does not know them.
 NODES = ["*/nodes/*.py"]
-# Plain tables that several packages share; they know no ROS, although they lie beside the messages.
-SHARED = {"worm_msgs.robot_parameters", "worm_msgs.servo_models", "worm_msgs.settings_file"}
+# Plain tables and readers that several packages share; they know no ROS, although they lie beside the messages.
+SHARED = {
+    f"worm_msgs.{name}"
+    for name in ("robot_parameters", "servo_models", "settings_file", "yaml_file")
+}
 PROCESSES = [
     f"worm_msgs/{name}.py"
     for name in ("ros_process", "node_command", "parameter_rows", "qos", "goal_rejections")

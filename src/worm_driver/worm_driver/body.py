@@ -5,9 +5,8 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-import yaml
-
 from worm_driver.errors import ConfigurationError
+from worm_msgs.yaml_file import read_yaml
 
 
 @dataclass(frozen=True)
@@ -41,10 +40,7 @@ def load_body(path: str) -> Body:
     """
     if not path:
         return Body()
-    try:
-        content = yaml.safe_load(Path(path).read_text())
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise ConfigurationError(f"parameter file {path} cannot be read: {error}") from error
+    content = read_yaml(Path(path), ConfigurationError)
     if not isinstance(content, dict):
         raise ConfigurationError(f"parameter file {path} holds no keys")
     values = {name: content[name] for name in Body.__dataclass_fields__ if name in content}

@@ -21,6 +21,7 @@ import yaml
 
 from worm_model.errors import InputError
 from worm_msgs.robot_parameters import RobotParameters, rows_of
+from worm_msgs.yaml_file import read_yaml
 
 STANDARD_GRAVITY = 9.80665  # m/s², exact by definition (CGPM 1901)
 
@@ -244,17 +245,9 @@ def load_parameter_file(path: str | Path) -> ParameterFile:
     """
     if not str(path):
         return ParameterFile()
+    content = read_yaml(Path(path), ParameterError)
     try:
-        content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
         return parse_parameter_file(content)
-    except OSError as error:
-        raise ParameterError(f"{path}: cannot be read ({error.strerror})") from None
-    except UnicodeDecodeError:
-        raise ParameterError(f"{path}: is not a text file") from None
-    except yaml.YAMLError as error:
-        where = getattr(error, "problem_mark", None)
-        line = f" at line {where.line + 1}" if where else ""
-        raise ParameterError(f"{path}: is not valid YAML{line}") from None
     except ParameterError as error:
         raise ParameterError(f"{path}: {error}") from None
 

@@ -37,6 +37,7 @@ from launch_ros.utilities import prefix_namespace
 
 from worm_msgs.claim import ClaimedError, claim_graph, domain_of
 from worm_msgs.readiness import Readiness
+from worm_msgs.yaml_file import unknown_name
 from worm_optimizer.operation.system import (
     MODES,
     RESTARTS,
@@ -44,7 +45,6 @@ from worm_optimizer.operation.system import (
     SystemFile,
     SystemFileError,
     load_system_file,
-    unknown_name,
 )
 
 RESTART_DELAY_S = 2.0

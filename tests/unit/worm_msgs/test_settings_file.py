@@ -10,11 +10,11 @@ import pytest
 
 from worm_msgs.settings_file import (
     OneOf,
-    SettingsFileError,
     json_schema,
     key,
     read_settings,
 )
+from worm_msgs.yaml_file import SettingsFileError
 
 MODELS = {"small": 1.5, "large": 3.0}
 

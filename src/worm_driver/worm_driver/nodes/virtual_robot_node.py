@@ -38,8 +38,8 @@ from worm_driver.virtual_robot.wire.robot_server import DirectoryError, RobotSer
 from worm_msgs import readiness
 from worm_msgs.node_command import declare_none
 from worm_msgs.ros_process import ShutdownRequest, own_arguments, ros_process
-from worm_msgs.settings_file import SettingsFileError
 from worm_msgs.srv import InjectFault
+from worm_msgs.yaml_file import SettingsFileError
 
 _DEPTH = 500  # samples that may wait for a slow subscriber
 _CLOCK_PERIOD = 0.05  # s, virtual time between two messages on clock

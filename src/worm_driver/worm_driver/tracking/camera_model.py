@@ -17,6 +17,7 @@ import yaml
 from numpy.typing import NDArray
 
 from worm_driver.tracking.tracking_errors import SetupError
+from worm_msgs.yaml_file import read_yaml
 
 Array = NDArray[np.float64]
 
@@ -56,14 +57,11 @@ def load_camera_info(path: Path) -> CameraModel:
     Raises:
         SetupError: The file is missing or is not a calibration.
     """
-    try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
+    if not path.exists():
         raise SetupError(
-            f"{path}: {error.strerror}. Create it with calibrate_camera, or copy the camera's camera_info file there"
-        ) from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise SetupError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from None
+            f"{path}: No such file. Create it with calibrate_camera, or copy the camera's camera_info file there"
+        )
+    content = read_yaml(path, SetupError)
     try:
         return _from_file(content)
     except SetupError as error:

@@ -14,7 +14,8 @@ from worm_driver.virtual_robot.plant import Conditions, PlantEffects
 from worm_driver.virtual_robot.servo.control_table import BAUD_RATES, MODELS, ServoModel
 from worm_driver.virtual_robot.wire.packet import HIGHEST_ID
 from worm_msgs.robot_parameters import ROWS, RobotParameters
-from worm_msgs.settings_file import OneOf, SettingsFileError, key, read_yaml, settings_of
+from worm_msgs.settings_file import OneOf, key, settings_of
+from worm_msgs.yaml_file import SettingsFileError, read_yaml
 
 DEFAULT_FILE = Path(str(files("worm_driver").joinpath("config/virtual_robot.yaml")))
 

@@ -14,9 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from worm_msgs.servo_models import RPM, SERVO_MODELS, VELOCITY_UNIT, Initial
+from worm_msgs.yaml_file import read_yaml
 from worm_optimizer.evaluation.actuator_limits import ActuatorLimits
 from worm_optimizer.evaluation.task import Bounds
 from worm_optimizer.optimizer_errors import OptimizerError
@@ -115,11 +114,7 @@ def servo_model(name: str) -> ServoModel | None:
 
 def load_driver_file(path: str | Path) -> DrivenBy:
     """Reads the driver's parameter file; raises `OptimizerError` whose message starts with the path."""
-    try:
-        content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise OptimizerError(f"{path}: cannot be read: {error}".splitlines()[0]) from None
-    from_file = _parameters_of_driver(content)
+    from_file = _parameters_of_driver(read_yaml(Path(path), OptimizerError))
     if not from_file:
         raise OptimizerError(f"{path}: holds no ros__parameters of a node named driver")
     for former, name in DRIVER_RENAMED.items():

@@ -3,17 +3,15 @@
 
 from __future__ import annotations
 
-import difflib
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from worm_model.conditions import CONDITION_PARAMETERS, Conditions
+from worm_msgs.yaml_file import read_yaml, unknown_name
 
 Value = bool | int | float | str | list[bool] | list[int] | list[float] | list[str]
 
@@ -183,10 +181,7 @@ class SystemFile:
 def load_system_file(path: str | Path) -> SystemFile:
     """Read a system file. Raises `SystemFileError`, whose message names the path and the key."""
     path = Path(path)
-    try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, yaml.YAMLError) as error:
-        raise SystemFileError(f"{path}: {error}") from None
+    content = read_yaml(path, SystemFileError)
     if not isinstance(content, Mapping) or set(content) != _SYSTEM_KEYS:
         raise SystemFileError(f"{path}: expected the keys {', '.join(sorted(_SYSTEM_KEYS))}")
     for name, node in content["nodes"].items():
@@ -225,13 +220,6 @@ def conditions_of(settings: Mapping[str, str]) -> Conditions:
         if settings.get(key)
     }
     return Conditions(**stated)
-
-
-def unknown_name(kind: str, name: str, known: Iterable[str]) -> str:
-    """Return a message that a name is unknown, with the nearest known name."""
-    near = difflib.get_close_matches(name, known, n=1)
-    hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(known)}"
-    return f"no {kind} {name!r}: {hint}"
 
 
 def _parameters(

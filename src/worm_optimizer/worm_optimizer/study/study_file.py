@@ -25,7 +25,8 @@ from worm_model.parameters import (
     load_parameter_file,
     parse_parameter_file,
 )
-from worm_msgs.settings_file import OneOf, SettingsFileError, key, parse_yaml, settings_of
+from worm_msgs.settings_file import OneOf, key, settings_of
+from worm_msgs.yaml_file import SettingsFileError, parse_yaml
 from worm_optimizer.evaluation.servo_limits import DrivenBy, load_driver_file, servo_model
 from worm_optimizer.search.exact import Resolution as ScanResolution
 from worm_optimizer.search.search_settings import ScanSettings

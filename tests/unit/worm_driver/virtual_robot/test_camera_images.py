@@ -14,7 +14,7 @@ from worm_driver.virtual_robot.camera_images import (
     exposure_path,
     load_camera_settings,
 )
-from worm_msgs.settings_file import SettingsFileError
+from worm_msgs.yaml_file import SettingsFileError
 
 HALVES = Pattern(np.array([[0.0, 1.0]]), (1.0, 1.0))  # black for u < 0, white for u > 0
 

@@ -6,7 +6,7 @@ import yaml
 
 from worm_driver.virtual_robot.plant import Conditions
 from worm_driver.virtual_robot.virtual_settings import DEFAULT_FILE, load_settings
-from worm_msgs.settings_file import SettingsFileError
+from worm_msgs.yaml_file import SettingsFileError
 
 
 def write(tmp_path, change):

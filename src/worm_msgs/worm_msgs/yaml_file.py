@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reader of YAML files that a person edits."""
+
+import difflib
+from collections.abc import Hashable, Iterable
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+
+class SettingsFileError(ValueError):
+    """A file or its content is invalid; the message is one line with the key, the value and what is allowed."""
+
+
+def read_yaml(path: Path, error: type[Exception] = SettingsFileError) -> Any:
+    """Return the content of a YAML file without duplicate keys.
+
+    Raises:
+        error: The file is unreadable or no YAML. The message begins with the path.
+    """
+    try:
+        return parse_yaml(path.read_text(encoding="utf-8"))
+    except OSError as problem:
+        raise error(f"{path}: cannot be read ({problem.strerror})") from None
+    except UnicodeDecodeError:
+        raise error(f"{path}: is not a text file") from None
+    except SettingsFileError as problem:
+        raise error(f"{path}: {problem}") from None
+
+
+def parse_yaml(text: str) -> Any:
+    """Return the content of a YAML text. Raises SettingsFileError, also for a duplicate key."""
+    try:
+        return yaml.load(text, _Loader)
+    except (
+        yaml.YAMLError,
+        RecursionError,
+        ValueError,
+    ) as error:  # ValueError: a date such as 2026-13-01
+        mark = getattr(error, "problem_mark", None)
+        line = f" at line {mark.line + 1}" if mark else ""
+        problem = getattr(error, "problem", None) or "no valid value"
+        raise SettingsFileError(f"is not valid YAML{line}: {problem}") from None
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML loader that rejects duplicate keys, of which PyYAML would silently drop the first."""
+
+
+def _unique_mapping(loader: _Loader, node: yaml.MappingNode) -> dict[Hashable, Any]:
+    before = set()
+    for key_node, _ in node.value:
+        name = str(loader.construct_object(key_node, deep=True))
+        if name in before:
+            raise yaml.MarkedYAMLError(
+                problem=f"duplicate key {name}", problem_mark=key_node.start_mark
+            )
+        before.add(name)
+    return yaml.SafeLoader.construct_mapping(loader, node, deep=True)
+
+
+_Loader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _unique_mapping)
+
+
+def unknown_name(kind: str, name: str, known: Iterable[str]) -> str:
+    """Return a message that a name is unknown, with the nearest known name."""
+    near = difflib.get_close_matches(name, known, n=1)
+    hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(known)}"
+    return f"no {kind} {name!r}: {hint}"
