@@ -44,6 +44,9 @@ def parse_yaml(text: str) -> Any:
         raise SettingsFileError(f"is not valid YAML{line}: {problem}") from None
 
 
+_MERGE = "tag:yaml.org,2002:merge"  # of the key <<
+
+
 class _Loader(yaml.SafeLoader):
     """YAML loader that rejects duplicate keys, of which PyYAML would silently drop the first."""
 
@@ -51,6 +54,8 @@ class _Loader(yaml.SafeLoader):
 def _unique_mapping(loader: _Loader, node: yaml.MappingNode) -> dict[Hashable, Any]:
     before = set()
     for key_node, _ in node.value:
+        if key_node.tag == _MERGE:
+            continue
         name = str(loader.construct_object(key_node, deep=True))
         if name in before:
             raise yaml.MarkedYAMLError(

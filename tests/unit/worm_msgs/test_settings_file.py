@@ -92,6 +92,11 @@ def test_an_invalid_file_is_rejected_in_one_line(tmp_path, text, facts):
     assert [fact for fact in facts if fact not in message.removeprefix(str(tmp_path))] == []
 
 
+def test_a_merge_key_adds_the_keys_of_another_mapping(tmp_path):
+    text = "step_s: 1\nservos: [&first {id: 1, radius_m: 0.1}, {<<: *first, id: 2}]\n"
+    assert read(tmp_path, text).servos == (Servo(1, 0.1), Servo(2, 0.1))
+
+
 def test_an_unreadable_file_raises_the_error_of_the_caller(tmp_path):
     with pytest.raises(KeyError, match="No such file"):
         read_settings(tmp_path / "none.yaml", Robot, KeyError)

@@ -76,7 +76,7 @@ def test_the_calibration_may_come_with_the_images(write):
         ("id: 1", "id: 50", ["50", "DICT_4X4_50", "49"]),
         ("id: 1", "id: true", ["front", "id", "integer", "True"]),
         ("  11:", "  eleven:", ["reference", "eleven", "integer"]),
-        ("DICT_4X4_50", "DICT_4X4", ["dictionary", "'DICT_4X4'", "'DICT_4X4_50'"]),
+        ("DICT_4X4_50", "DICT_4X4", ["dictionary", "'DICT_4X4'", "DICT_4X4_"]),
         ("camera_info: camera.yaml\n", "", ["camera_info"]),
         ("camera.yaml", "lost.yaml", ["lost.yaml", "No such file", "calibrate_camera"]),
         ("rate_hz: 30.0", "delay_s: -1.0", ["delay_s", "0", "-1"]),
