@@ -7,6 +7,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from worm_model.gait import GAIT_DEFAULTS, WAVEFORM, Gait
 from worm_optimizer.report.recorded_gait import RecordedGait
 from worm_optimizer.search.front import RobustFront, make_front, reason_for, scanned_price
 from worm_optimizer.search.price_of_robustness import PriceOfRobustness
@@ -22,7 +23,7 @@ class Optimisation:
     Attributes:
         front: robust front.
         price: price of robustness.
-        note: which gaits the front applies to if their margins differ; else empty.
+        note: which gaits the front applies to if their margins or waveforms differ; else empty.
     """
 
     front: RobustFront
@@ -45,6 +46,12 @@ def why_no_front(gaits: Sequence[RecordedGait]) -> str:
     return ""
 
 
+def sinusoid_of(gait: Gait) -> Gait:
+    """Return the gait with the paper's waveform, of the same stroke and frequency."""
+    shaping = {name: GAIT_DEFAULTS[name] for name in WAVEFORM if name in GAIT_DEFAULTS}
+    return replace(gait, **shaping)
+
+
 def optimise(gaits: Sequence[RecordedGait]) -> Optimisation:
     """Return front and price of robustness for gaits that `why_no_front` accepts.
 
@@ -56,15 +63,17 @@ def optimise(gaits: Sequence[RecordedGait]) -> Optimisation:
     content, direction = gaits[0].content, gaits[0].gait.direction
     price = scanned_price(content, Settings(), direction)
     margins = sorted({gait.gait.margin for gait in gaits})
-    note, margin = "", margins[0]
+    notes, margin = [], margins[0]
     if margins[-1] - margins[0] > _SAME_MARGIN:
         low, high = 1e3 * margins[0], 1e3 * margins[-1]
         margin = price.margin
-        note = (
+        notes.append(
             f"The gaits were made with margins from {low:.2f} to {high:.2f} mm; the front is that of the margin "
             "at the cliff."
         )
+    if any(gait.gait != sinusoid_of(gait.gait) for gait in gaits):
+        notes.append("The front is that of the paper's waveform; some gaits are shaped.")
     front = make_front(content, Settings(margin=margin), direction)
     if math.isclose(margin, price.margin, abs_tol=_SAME_MARGIN):
         front = replace(front, reason=reason_for(price))
-    return Optimisation(front, price, note)
+    return Optimisation(front, price, " ".join(notes))

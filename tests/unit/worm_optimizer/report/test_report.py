@@ -388,6 +388,14 @@ def test_the_front_has_the_margin_that_the_gaits_were_made_with(gait: RecordedGa
 
 
 @pytest.mark.usefixtures("coarse")
+def test_next_to_shaped_gaits_the_page_names_the_waveform_of_the_front(gait: RecordedGait):
+    shaped = dataclasses.replace(gait.gait, margin=0.002, pretension=0.005)
+    played = dataclasses.replace(gait.played, gait=shaped)
+    found = optimise([dataclasses.replace(gait, played=played), made_with(gait, 0.002)])
+    assert "waveform" in found.note
+
+
+@pytest.mark.usefixtures("coarse")
 def test_gaits_of_different_margins_get_the_cliffs_and_the_page_says_so(
     gait: RecordedGait, tmp_path: Path
 ):
