@@ -35,6 +35,7 @@ _STATE = {
     Phase.IDLE: Activity.IDLE,
     Phase.RETURNING: Activity.RESTING,
     Phase.FLIPPING: Activity.RESTING,
+    Phase.TENSIONING: Activity.RESTING,
     Phase.RESTING: Activity.RESTING,
     Phase.RUNNING: Activity.RUNNING,
     Phase.STOPPING: Activity.STOPPING,

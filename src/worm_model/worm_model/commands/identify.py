@@ -15,6 +15,7 @@ from worm_model.commands.command_line import (
     new_file,
     print_result,
 )
+from worm_model.identification import pull_test
 from worm_model.identification.advice import advise
 from worm_model.identification.identification_report import (
     delay_text,
@@ -86,6 +87,11 @@ def _parser() -> Parser:
         "--literal",
         action="store_true",
         help="the paper's procedure instead, to compare with: its costs as printed, no nuisances, no intervals",
+    )
+    parser.add_argument(
+        "--estimate",
+        choices=[pull_test.KEY],
+        help="estimate this alone, on the known robot of --parameters: the load of a tether in N, a pull test",
     )
     parser.add_argument(
         "--one-sided-cable",
@@ -160,6 +166,39 @@ def _literal(options: argparse.Namespace, inputs: Inputs, output: Path | None) -
     print_result(options, content, "\n".join(lines))
 
 
+def _pull_test(options: argparse.Namespace, inputs: Inputs, output: Path | None) -> None:
+    """Run the pull test; see `worm_model.identification.pull_test`."""
+    others = {
+        "--literal": options.literal,
+        "--report": options.report,
+        "--validation": options.validation,
+        "--bellows": options.bellows,
+        "--fin": options.fin,
+    }
+    given = [name for name, value in others.items() if value]
+    if given:
+        raise InputError(f"{given[0]} has no effect with --estimate {pull_test.KEY}; leave it out")
+    if not options.parameters:
+        raise InputError(f"--estimate {pull_test.KEY} needs a known robot; give --parameters FILE")
+    robot = load_parameter_file(options.parameters)
+    result = pull_test.estimate_rear_load(inputs, _reference(options, inputs))
+    if output is not None:
+        write_parameter_file(output, pull_test.loaded_file(result, robot))
+    for warning in result.warnings:
+        sys.stderr.write(f"{warning}\n")
+    load = result.load
+    errors = {
+        run.name: {"x1_rmse": residual}
+        for run, residual in zip(result.runs, result.residuals, strict=True)
+    }
+    text = f"{pull_test.KEY}  {load.value:.3f} N, 95 %: {load.low:.3f} to {load.high:.3f} N"
+    print_result(
+        options,
+        {"parameters": {pull_test.KEY: load.as_dict()}, "runs": errors},
+        "\n".join([text, *([load.note] if load.note else [])]),
+    )
+
+
 def _describe(result: Identification, advice: str) -> str:
     parts = [
         parameter_table(result.estimates),
@@ -181,6 +220,9 @@ def _run(options: argparse.Namespace) -> None:
     reporter = StageProgress()
     logs = LabSettings(EPOCH, onset=options.onset, spool_radius=options.spool_radius)
     inputs = read_inputs(options.runs, options.bellows, options.fin, options.definitions, logs)
+    if options.estimate:
+        _pull_test(options, inputs, output)
+        return
     if options.literal:
         _literal(options, inputs, output)
         return

@@ -9,8 +9,9 @@ module. The standard deviations are estimated from the data (expectation maximis
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,6 +79,9 @@ class GrooveFit:
         return self.solution.shared[:MEANS]
 
 
+Build = Callable[[NDArray[np.int64], Scatter], Problem]
+
+
 def tables_of(deviations: Array, places: NDArray[np.int64]) -> tuple[Array, Array]:
     """Return the kernel's tables of grooves of the rear and of the front module."""
     tables = np.zeros((2, ROWS, GROOVE_COLUMNS))
@@ -99,29 +103,44 @@ def groove_problem(
         samples = slide(traverses[run], worm, *tables_of(values[MEANS:], places))
         return x1_residuals(traverses[run], samples)
 
-    half = 0.5 * known.parameters.pitch
-    deviations = [
+    deviations = deviation_quantities(places, scatter, known.parameters.pitch)
+    shared = [*shared_quantities(known), *deviations]
+    return Problem(residuals, shared, [own_quantities(t) for t in traverses], jumps=True)
+
+
+def deviation_quantities(
+    places: NDArray[np.int64], scatter: Scatter, pitch: float
+) -> list[Quantity]:
+    """Return the deviations of single grooves; the scatter is their prior."""
+    half = 0.5 * pitch
+    return [
         Quantity(STEPS[0], -half, half, 0.0, scatter.threshold)
         if column == THRESHOLD
         else Quantity(STEPS[1], -0.9, 9.0, 0.0, scatter.stiffness)
         for _, _, column in places
     ]
-    shared = [*shared_quantities(known), *deviations]
-    return Problem(residuals, shared, [own_quantities(t) for t in traverses], jumps=True)
 
 
 def fit_grooves(traverses: Sequence[Traverse], known: Known, start: Solution) -> GrooveFit:
     """Estimate scatter, deviations and means, starting from a solution with even grooves."""
+    return fit_uneven(partial(groove_problem, traverses, known), start)
+
+
+def fit_uneven(build: Build, start: Solution) -> GrooveFit:
+    """Estimate scatter, deviations and the parameters before them, starting from a solution with even grooves.
+
+    ``build`` returns the problem for given places and scatter; its last shared parameters are the deviations.
+    """
     scatter = Scatter(*FIRST_SCATTER)
-    places = _passed(traverses, known, start)
+    places = _passed(build, start)
     shared = np.concatenate([start.shared, np.zeros(len(places))])
     own = start.own
     for _ in range(ROUNDS):
-        problem = groove_problem(traverses, known, places, scatter)
+        problem = build(places, scatter)
         solution = _scanned(problem, solve(problem, shared, own, iterations=4), places)
         shared, own = solution.shared, solution.own
         scatter = _learned_scatter(problem, solution, places, scatter)
-    problem = groove_problem(traverses, known, places, scatter)
+    problem = build(places, scatter)
     return GrooveFit(solve(problem, shared, own, iterations=6), places, scatter)
 
 
@@ -130,7 +149,8 @@ def _scanned(problem: Problem, solution: Solution, places: NDArray[np.int64]) ->
 
     A switch that just fails or just happens is a jump of the cost, which no gradient shows.
     """
-    for entry in MEANS + np.flatnonzero(places[:, 2] == THRESHOLD):
+    first = len(problem.shared) - len(places)
+    for entry in first + np.flatnonzero(places[:, 2] == THRESHOLD):
         for value in SCANNED:
             moved = solution.shared.copy()
             moved[entry] = value
@@ -140,15 +160,16 @@ def _scanned(problem: Problem, solution: Solution, places: NDArray[np.int64]) ->
     return solution
 
 
-def _passed(traverses: Sequence[Traverse], known: Known, start: Solution) -> NDArray[np.int64]:
+def _passed(build: Build, start: Solution) -> NDArray[np.int64]:
     """Return the places of the deviations that affect the residuals, those of the grooves passed."""
     places = np.argwhere(np.ones((2, ROWS, GROOVE_COLUMNS)))  # all possible deviations
-    problem = groove_problem(traverses, known, places, Scatter(*FIRST_SCATTER))
+    problem = build(places, Scatter(*FIRST_SCATTER))
+    first = start.shared.size
     shared = np.concatenate([start.shared, np.zeros(len(places))])
     matters = []
-    for entry in range(len(places)):
+    for entry in range(first, shared.size):
         moved = shared.copy()
-        moved[MEANS + entry] += problem.shared[MEANS + entry].step
+        moved[entry] += problem.shared[entry].step
         matters.append(
             any(
                 not np.array_equal(problem.residuals(run, moved, start.own[run]), residuals)
@@ -164,7 +185,8 @@ def _learned_scatter(
     """Return the scatter by expectation maximisation on the problem linearised around the solution."""
     matrix, gradient = normal_equations(problem, solution)
     values = np.concatenate([solution.shared, solution.own.ravel()])
-    entries = [MEANS + np.flatnonzero(places[:, 2] == k) for k in (THRESHOLD, STIFFNESS)]
+    first = len(problem.shared) - len(places)
+    entries = [first + np.flatnonzero(places[:, 2] == k) for k in (THRESHOLD, STIFFNESS)]
     spreads = [scatter.of(THRESHOLD), scatter.of(STIFFNESS)]
     pull = matrix @ values - gradient
     for index, spread in zip(entries, spreads, strict=True):
@@ -194,9 +216,12 @@ def held(
 ) -> Solution:
     """Return the solution with one of the means fixed at a value and all others fitted again."""
     problem = groove_problem(traverses, known, fit.places, fit.scatter)
-    shared = np.delete(fit.solution.shared, entry)
-    solution = solve(with_fixed(problem, entry, value), shared, fit.solution.own, iterations=8)
+    return fixed_at(problem, fit.solution, entry, value)
+
+
+def fixed_at(problem: Problem, solution: Solution, entry: int, value: float) -> Solution:
+    """Return the solution with one of the shared parameters fixed at a value and all others fitted again."""
+    shared = np.delete(solution.shared, entry)
+    found = solve(with_fixed(problem, entry, value), shared, solution.own, iterations=8)
     prior = prior_cost([value], [problem.shared[entry]])
-    return replace(
-        solution, shared=np.insert(solution.shared, entry, value), cost=solution.cost + prior
-    )
+    return replace(found, shared=np.insert(found.shared, entry, value), cost=found.cost + prior)

@@ -122,7 +122,7 @@ def identify_locomotion(
     plain = _as_printed(traverses, known, start)
     fit = fit_grooves(traverses, known, start)
     progress(0.5)
-    inflation = _inflation(traverses, fit.solution)
+    inflation = variance_inflation(traverses, fit.solution)
     for _ in range(MOST_RESTARTS):
         intervals, better = _profiles(traverses, known, fit, inflation)
         if better is None:
@@ -200,7 +200,7 @@ def holding_forces(
     return tuple(forces)
 
 
-def _inflation(traverses: Sequence[Traverse], solution: Solution) -> float:
+def variance_inflation(traverses: Sequence[Traverse], solution: Solution) -> float:
     """Return the factor on the variance of the camera's noise for correlated residuals, at least 1."""
     power, memory = 0.0, 0.0
     for residuals in solution.residuals:

@@ -36,7 +36,8 @@ class Worm(NamedTuple):
     """Parameters in SI units; ``direction`` is that of the fins, ±1, ``rear_dry`` and ``front_dry`` are in N.
 
     ``onset`` is how ΔL sets in with a rate at once: 0 if the modules share it by their masses, so that the centre of
-    mass stays at rest, 1 if the rear module is at rest after it too, as the paper's initial values have it.
+    mass stays at rest, 1 if the rear module is at rest after it too, as the paper's initial values have it. ``load`` of
+    both modules, N, is positive towards −x. ``start`` is the deflection of the rear fin at rest, m.
     """
 
     direction: float
@@ -52,6 +53,8 @@ class Worm(NamedTuple):
     rear_dry: float
     front_dry: float
     onset: float = 0.0
+    load: float = 0.0
+    start: float = 0.0
 
 
 @inlined
@@ -112,7 +115,7 @@ def _implicit_step(
     along = piece.start + weight * h * piece.slope
     rear_rest += mu * along + piece.rear_anchor
     force = (rear_drag * mu - front_drag * (1.0 - mu)) * piece.slope + rear_k * rear_rest
-    force += front_k * (front_rest - front_offset - (1.0 - mu) * along)
+    force += front_k * (front_rest - front_offset - (1.0 - mu) * along) - worm.load
     # mass·(ẏ' − ẏ)/h = force − drag·ẏw − k·yw at the weighted moment, y' = y + h·ẏw, yw = y + weight·h·ẏw
     inertia, k = mass / (weight * h), rear_k + front_k
     mean_rate = (force + inertia * rate - k * y) / (inertia + drag + k * weight * h)
@@ -234,18 +237,18 @@ def slide(
     front_grooves: np.ndarray,
     samples: np.ndarray,
 ) -> int:
-    """Follows ΔL from rest at x1 = 0, the front anchor on the nearest groove; returns the number of switches.
+    """Follows ΔL from rest, the front anchor on the nearest groove; returns the number of switches.
 
     ``length_changes`` (n,) in m at every ``step`` s, the first at rest, straight lines between them. The grooves
     that a module passes, (m, GROOVE_COLUMNS), each differ from the worm's values by a threshold in m and a relative
-    stiffness; the row FIRST_GROOVE is where it starts. ``samples`` (n, SAMPLE_COLUMNS) is filled: x1 in m, v1 in
-    m/s and M1·v̇1 + friction + F_1 in N (eq:Fc) over the step that ends there. Returns −1 if the anchors switch to
-    and fro without end.
+    stiffness; the row FIRST_GROOVE is where it starts. ``samples`` (n, SAMPLE_COLUMNS) is filled: x1 from its rest in
+    m, v1 in m/s and M1·v̇1 + friction + F_1 in N (eq:Fc) over the step that ends there. Returns −1 if the anchors
+    switch to and fro without end.
     """
     mu = worm.front_mass / (worm.rear_mass + worm.front_mass)
     lattice = worm.pitch * nearest_groove_of(worm.initial_length, worm.pitch)
     onset_rate = worm.onset * mu * (length_changes[1] - length_changes[0]) / step
-    state, total = _State(mu * length_changes[0], onset_rate, 0, 0), 0
+    state, total = _State(worm.start + mu * length_changes[0], onset_rate, 0, 0), 0
     samples[0, X1], samples[0, V1], samples[0, HOLDING_FORCE] = 0.0, 0.0, 0.0
     for at in range(1, length_changes.size):
         start, end = length_changes[at - 1], length_changes[at]
@@ -255,7 +258,7 @@ def slide(
         if switches < 0:
             return -1
         total += switches
-        samples[at, X1] = state.y - mu * end
+        samples[at, X1] = state.y - mu * end - worm.start
         samples[at, V1] = state.rate - mu * (end - start) / step
         samples[at, HOLDING_FORCE] = holding
     _add_inertia(step, worm.rear_mass, samples)

@@ -1,0 +1,241 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pull test: the load on the rear module of a known robot, from x1 under the measured length.
+
+Only the sum of both loads affects x1, so that the load of the front module must be known. The robot's parameters are
+nuisance parameters with their intervals as priors, and so are differences between grooves, L0, and the pose of the fins
+at rest. A parameter without an interval counts as exact, except for dry friction, which acts much like a load.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from worm_model.arrays import Array
+from worm_model.identification.block_least_squares import Problem, Quantity, Solution, solve
+from worm_model.identification.estimate import Estimate, follow_profile
+from worm_model.identification.fingerprint import code_version
+from worm_model.identification.grooves import (
+    GrooveFit,
+    Scatter,
+    deviation_quantities,
+    fit_uneven,
+    fixed_at,
+    tables_of,
+)
+from worm_model.identification.identification_errors import IdentificationError
+from worm_model.identification.inputs import Inputs
+from worm_model.identification.locomotion import (
+    LOST,
+    Traverse,
+    own_quantities,
+    slide,
+    worm_of,
+    x1_residuals,
+)
+from worm_model.identification.locomotion_stage import (
+    BETTER,
+    NORMAL,
+    USUAL_DRY,
+    variance_inflation,
+)
+from worm_model.identification.reference_values import ReferenceValues
+from worm_model.identification.run_selection import Run, fitted_runs
+from worm_model.identification.strides import check_pitch
+from worm_model.parameters import ParameterFile, Parameters
+from worm_model.simulation.kernel.stepped_dry_friction import Worm
+from worm_msgs.robot_parameters import ROWS
+
+KEY = "rear_load"
+#: step of the numerical derivative by parameter, in its unit; field of the kernel's `Worm`
+NUISANCES = {
+    "viscous_friction": (1.0, "friction"),
+    "switching_threshold": (3e-5, "threshold"),
+    "rear_dry_friction": (0.02, "rear_dry"),
+    "front_dry_friction": (0.02, "front_dry"),
+    "pitch": (2e-6, "pitch"),
+    "clearance": (3e-5, "clearance"),
+    "engaged_stiffness": (10.0, "engaged_stiffness"),
+    "disengaged_stiffness": (4.0, "disengaged_stiffness"),
+}
+DRY = ("rear_dry_friction", "front_dry_friction")
+ONSET = Quantity(0.1, 0.0, 1.0, 0.5, 0.5)  # see `Worm.onset`
+EXACT = 1e-7  # standard deviation of an exact parameter, relative to its value
+LOAD_STEP, MOST_LOAD = 0.05, 50.0  # N
+SEARCHED = np.linspace(-12.0, 12.0, 13)  # N, loads from which fits start
+FIRST_REACH = 0.1  # N, first step of the search for the end of the profile
+MOST_RESTARTS = 10
+LOAD = 0  # entry of the load among the shared parameters
+NO_FIT = "no load between -12 and 12 N explains the motion of x1; check the parameter file and the starts of the runs"
+NOT_SETTLED = (
+    "the fit kept finding a better load far from the last, so that no interval holds; check the parameter file, the "
+    "pitch first, and add a run"
+)
+
+
+@dataclass(frozen=True)
+class PullTest:
+    """Result: ``load`` of the rear module in N, the runs, their residuals of x1 (rms, m), and remarks."""
+
+    load: Estimate
+    runs: tuple[Run, ...]
+    residuals: tuple[float, ...]
+    warnings: tuple[str, ...]
+
+
+def estimate_rear_load(inputs: Inputs, reference: ReferenceValues) -> PullTest:
+    """Estimate the load on the rear module of a known robot, positive towards −x.
+
+    Raises `IdentificationError` if no load explains the runs.
+    """
+    parameters = reference.parameters
+    runs, warnings = fitted_runs(inputs.recordings, parameters.pitch)
+    deviation = reference.estimate("pitch").spread / NORMAL
+    check_pitch([run.recording for run in runs], parameters.pitch, deviation)
+    traverses = [run.traverse for run in runs]
+    build = partial(_problem, traverses, reference)
+    fit = fit_uneven(build, _start(traverses, build, parameters))
+    for _ in range(MOST_RESTARTS):
+        interval, better = _profile(traverses, build, fit)
+        if better is None:
+            break
+        fit = replace(fit, solution=better)
+    else:
+        raise IdentificationError(NOT_SETTLED)
+    value = float(fit.solution.shared[LOAD])
+    exact = [key for key in NUISANCES if key not in (*DRY, *reference.intervals)]
+    note = f"the interval takes {', '.join(exact)} as exact" if exact else ""
+    residuals = tuple(
+        float(np.sqrt(np.mean(r**2))) * t.noise
+        for r, t in zip(fit.solution.residuals, traverses, strict=True)
+    )
+    value, low, high = (total - parameters.front_load for total in (value, *interval))
+    return PullTest(
+        Estimate(value, low, high, note=note), tuple(runs), residuals, (*inputs.remarks, *warnings)
+    )
+
+
+def _quantity(reference: ReferenceValues, key: str) -> Quantity:
+    """Return a parameter of the robot with its interval as the prior."""
+    estimate, row = reference.estimate(key), ROWS[key]
+    spread = estimate.spread / NORMAL
+    if not np.isfinite(spread):
+        spread = USUAL_DRY if key in DRY else 0.0
+    spread = max(spread, EXACT * max(abs(estimate.value), row["low"], EXACT))
+    return Quantity(NUISANCES[key][0], row["low"], row["high"], estimate.value, spread)
+
+
+def _problem(
+    traverses: Sequence[Traverse],
+    reference: ReferenceValues,
+    places: NDArray[np.int64],
+    scatter: Scatter,
+) -> Problem:
+    """Return the problem of x1: load, onset, parameters and deviations are shared, L0 and the pose at rest are not."""
+    parameters = reference.parameters
+    unloaded = parameters.replace(rear_load=0.0, front_load=0.0)
+    worms = [worm_of(unloaded, t.direction) for t in traverses]
+    shared = [
+        Quantity(LOAD_STEP, -MOST_LOAD, MOST_LOAD),
+        ONSET,
+        *(_quantity(reference, key) for key in NUISANCES),
+        *deviation_quantities(places, scatter, parameters.pitch),
+    ]
+    first = len(shared) - len(places)
+
+    def residuals(run: int, values: Array, own: Array) -> Array:
+        worm = _worm(worms[run], values, own)
+        return x1_residuals(
+            traverses[run], slide(traverses[run], worm, *tables_of(values[first:], places))
+        )
+
+    pose = Quantity(
+        5e-5,
+        -parameters.switching_threshold,
+        parameters.switching_threshold,
+        0.0,
+        parameters.clearance,
+    )
+    return Problem(residuals, shared, [[*own_quantities(t), pose] for t in traverses], jumps=True)
+
+
+def _worm(worm: Worm, values: Array, own: Array) -> Worm:
+    fields = dict(
+        zip((field for _, field in NUISANCES.values()), values[2:].tolist(), strict=False)
+    )
+    return worm._replace(
+        load=float(values[LOAD]),
+        onset=float(values[1]),
+        initial_length=float(own[0]),
+        start=float(own[1]),
+        **fields,
+    )
+
+
+def _start(
+    traverses: Sequence[Traverse], build: partial[Problem], parameters: Parameters
+) -> Solution:
+    """Return the best fit with even grooves of those that start from the searched loads."""
+    problem = build(np.empty((0, 3), np.int64), Scatter(0.0, 0.0))
+    centres = np.array([quantity.centre for quantity in problem.shared])
+
+    def fit(load: float) -> Solution:
+        shared = centres.copy()
+        shared[LOAD] = load
+        sag = np.sign(load) * 0.5 * parameters.clearance + load / parameters.engaged_stiffness
+        own = np.array([[t.length.initial_length, -sag] for t in traverses])
+        return solve(problem, shared, own, iterations=12)
+
+    with ThreadPoolExecutor() as pool:
+        best = min(pool.map(fit, SEARCHED.tolist()), key=lambda solution: solution.cost)
+    if max(float(np.sqrt(np.mean(r**2))) for r in best.residuals) >= LOST:
+        raise IdentificationError(NO_FIT)
+    return best
+
+
+def _profile(
+    traverses: Sequence[Traverse], build: partial[Problem], fit: GrooveFit
+) -> tuple[tuple[float, float], Solution | None]:
+    """Return (low, high) of the load of both modules, and a better solution found on the way, or None."""
+    problem = build(fit.places, fit.scatter)
+    rise = NORMAL**2 * variance_inflation(traverses, fit.solution)
+    value = float(fit.solution.shared[LOAD])
+    met: list[Solution] = []
+
+    def cost(at: float) -> float:
+        solution = fixed_at(problem, fit.solution, LOAD, at)
+        if solution.cost < fit.solution.cost - BETTER:
+            met.append(solution)
+            return rise
+        return max(solution.cost - fit.solution.cost, 0.0)
+
+    with ThreadPoolExecutor() as pool:
+        low, high = pool.map(
+            lambda sign: follow_profile(cost, value, rise, sign * FIRST_REACH, MOST_LOAD),
+            (-1.0, 1.0),
+        )
+    if met:
+        best = min(met, key=lambda solution: solution.cost)
+        return (low, high), solve(problem, best.shared, best.own)
+    return (low, high), None
+
+
+def loaded_file(result: PullTest, robot: ParameterFile) -> ParameterFile:
+    """Return the parameter file of a known robot with the estimated load and its interval."""
+    load = result.load
+    runs = {
+        run.name: {"date": run.recording.date or "not recorded", **run.recording.sources}
+        for run in result.runs
+    }
+    provenance = {**robot.provenance, "pull_test": {"code": code_version(), "runs": runs}}
+    return replace(
+        robot,
+        parameters=robot.parameters.replace(**{KEY: load.value}),
+        intervals={**robot.intervals, KEY: (load.low, load.high)},
+        provenance=provenance,
+    )
