@@ -20,7 +20,7 @@ from worm_model.run import (
     TrackerSamples,
 )
 from worm_model.twin.records import Activity, Event, residual_message
-from worm_model.twin.samples import SAMPLE, VALUES, Kind
+from worm_model.twin.samples import GAIT_VALUES, SAMPLE, VALUES, Kind
 from worm_model.twin.twin import Twin, TwinState
 
 
@@ -174,10 +174,10 @@ def run_of_rows(rows: np.ndarray, memories: Sequence[tuple[int, str]] = ()) -> R
         gait_state=GaitStates(
             stamp=gait["stamp"],
             state=gait["state"],
-            stroke=gait["a"],
-            frequency=gait["b"],
-            direction=gait["c"].astype(np.int64),
-            margin=gait["d"],
+            **{
+                name: gait[value].astype(np.int64 if name in ("direction", "profile") else float)
+                for name, value in GAIT_VALUES.items()
+            },
             onset=gait["onset"],
             cycle=gait["cycle"],
             cycles=0 * gait["cycle"],

@@ -11,6 +11,7 @@ At the onset all earlier samples have been processed.
 - While the cable is at rest, the body returns to its initial length. Fins that are turned for the other direction move
   to the nearest grooves. Shortly after a pull, the body is still shorter then by the effect of the slack. If it is
   not known which, the grooves differ, and no tracker shows them, the start is not known.
+- Under a pretension the body is shorter by its effect, so that L0 is longer than measured, and ΔL starts there.
 - If the body is shorter by the effect of the slack, the slack is still tightened. L0 then stays, and ΔL starts there.
 """
 
@@ -150,7 +151,8 @@ def begin_run(
     if driver.gait is not None:
         for name in WAVEFORM:
             m[name] = getattr(driver.gait, name)
-    m["engaged"], m["command_ns"], m["command"], m["answer"] = 1, start, 0.0, tightened
+    rest = 0.0 if driver.gait is None else float(driver.gait.command(0.0))
+    m["engaged"], m["command_ns"], m["command"], m["answer"] = 1, start, rest, tightened
     if late > 0 and driver.gait is not None:
         m["command"], m["answer"] = _joined(driver.gait, late / NANOSECONDS, parameters)
     m["moved"], m["blind_s"], m["warning"], m["warned_until"] = 0, 0.0, 0, 0
@@ -176,11 +178,12 @@ def _stand(
     """Set L0, pose and origin from the data of the robot at rest before a run; return a message and ΔL (m)."""
     m = memory.record[0]
     rest = _at_rest(memory, driver.onset_ns, settings)
-    length, position = rest.length, rest.position
+    pulled = _pretension_change(driver.gait, parameters)
+    length, position = rest.length - pulled, rest.position
     direction = FORWARD if driver.gait is None else driver.gait.direction
     before = parameters.replace(initial_length=float(m["initial_length"]))
-    tightened = _tightened(m, before, rest)
-    if tightened or not rest.settled:
+    tightened = pulled or _tightened(m, before, rest)
+    if tightened != pulled or not rest.settled:
         length = math.nan  # a length that is still changing is not L0
     if abs(length - parameters.initial_length) <= PLAUSIBLE_M:  # False for NaN
         initial_length, source = length, "as measured at rest"
@@ -192,7 +195,9 @@ def _stand(
         initial_length, source = parameters.initial_length, "from the parameters"
         tracked, fitted = False, False
     text = f"a run begins, L0 = {1e3 * initial_length:.2f} mm ({source})"
-    if tightened:
+    if pulled:
+        text += f"; the pretension makes the body {-1e3 * pulled:.1f} mm shorter"
+    elif tightened:
         text += f"; the slack is still tightened, which makes the body {-1e3 * tightened:.1f} mm shorter"
     standing = initial_length + tightened
     shorter = 0.0 if tightened else before.gain * before.slack
@@ -211,7 +216,7 @@ def _stand(
             text += "; the robot was moved since the last run"
     if place is None:
         anchor = float(m["origin"]) if math.isnan(position) else position
-        free = _unstressed(parameters.replace(initial_length=initial_length), direction)
+        free = _unstressed(parameters.replace(initial_length=initial_length), direction, pulled)
         stands, known = start or free, start is not None
         place = Place(stands.x1, stands.front_groove, anchor - stands.x1)
     m["start_known"] = known
@@ -222,14 +227,21 @@ def _stand(
     return text, tightened
 
 
-def _unstressed(parameters: Parameters, direction: int) -> Start:
-    """Return the pose of a robot whose fins are straight, or bent by its load alone."""
+def _pretension_change(gait: Gait | None, parameters: Parameters) -> float:
+    """Return ΔL (m) of a body at rest under the pretension of a gait, 0 without one."""
+    if gait is None or not gait.pretension:
+        return 0.0
+    return -parameters.gain * max(gait.pretension, parameters.slack)
+
+
+def _unstressed(parameters: Parameters, direction: int, pulled: float) -> Start:
+    """Return the pose of a robot whose fins are straight, or bent by its load and the pretension (ΔL, m) alone."""
     straight = Start(0.0, front_groove(parameters))
-    if not (parameters.rear_load or parameters.front_load):
+    if not (parameters.rear_load or parameters.front_load or pulled):
         return straight
     model = Locomotion(parameters, direction)
     try:
-        motion = _rested(model, model.start(), parameters.initial_length)
+        motion = _rested(model, model.start(), parameters.initial_length + pulled)
     except SimulationError:
         return straight
     x1 = model.x1(motion) - motion.rear_groove * parameters.pitch

@@ -20,7 +20,7 @@ from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import read_run
 from worm_model.bags.worm_topics import REPLAY_INPUTS
 from worm_model.commands import bags
-from worm_model.gait import REVERSE, Gait
+from worm_model.gait import REVERSE, Gait, Profile
 from worm_model.parameters import PAPER
 from worm_model.twin.offline_replay import Replay, replay_run
 from worm_model.twin.records import Health
@@ -367,3 +367,35 @@ def test_live_twin_and_replay_agree_on_the_grooves_of_every_complete_cycle(gaits
         judged = [not cycle.not_judged for cycle in report.cycles if cycle.complete]
         if not codes and (camera or all(judged[1:])):
             assert grooves_of(replay.states, played) == played.grooves
+
+
+SHAPED = Gait(
+    0.065, 0.2, pretension=0.015, contraction_share=0.7, profile=Profile.TRAPEZOID, ramp_share=0.2
+)
+SHAPED_BACKWARD = Gait(0.06, 0.25, REVERSE, pretension=0.02, contraction_share=0.6)
+
+
+@lru_cache
+def shaped() -> Seen:
+    """Gaits with pretension and other shapes, forward and in reverse, one of them held at once."""
+    session = Session()
+    session.run(SHAPED, 2)
+    session.run(SHAPED_BACKWARD, 2)
+    session.run(SHAPED, stop_after=7.0)
+    return seen(session)
+
+
+@pytest.mark.parametrize("memory", [True, False])
+@pytest.mark.parametrize("number", range(3))
+def test_shaped_gaits_are_healthy_live_and_in_their_recordings(number: int, memory: bool):
+    session = shaped()
+    played = session.played[number]
+    assert not any(
+        e.code for e in session.live.events if e.code != "clock_jump"
+    )  # the first sample
+    assert grooves_of(session.live.states, played) == played.grooves
+    assert live_health(session, played) is Health.HEALTHY
+    replay, report = replayed(session, played, memory=memory)
+    assert report.played.gait == played.gait
+    assert grooves_of(replay.states, played) == played.grooves
+    assert (report.health, list(report.events)) == (Health.HEALTHY, [])
