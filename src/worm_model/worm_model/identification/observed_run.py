@@ -28,6 +28,10 @@ from worm_model.run import (
 LONGEST_REST = 3_000_000_000
 FEWEST_SAMPLES = 20  # smallest number of samples of an instrument
 SAME_PLACE = 4e-3  # m between two starts, half the paper's clearance, within which no fin is bent
+PRETENSION = (
+    "{}: the gait has a pretension of {:g} mm, so that the body at rest is shorter than L0 and its fins are bent; "
+    "identify with gaits without pretension"
+)
 MOST_MISFIT = 1e-3  # m, between the commanded lengths and those of the recorded gait
 
 
@@ -122,6 +126,8 @@ def _recording(run: Run, row: int, name: str) -> Recording:
     """Return the recording of the gait whose first playing message is a row of the states."""
     states = run.gait_state
     gait = replace(states.gait(row), margin=0.0)
+    if gait.pretension > 0.0:
+        raise IdentificationError(PRETENSION.format(name, 1e3 * gait.pretension))
     onset = int(states.onset[row])
     first, last = _span(states, row)
 

@@ -6,9 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from twin_samples import run_of_rows
 from virtual_campaign import RESTING, RUNNING, Instruments, exact_run
+from virtual_session import Session
 
-from worm_model.gait import Gait
+from worm_model.gait import Gait, Profile
+from worm_model.identification.actuation_stage import identify_actuation
 from worm_model.identification.identification_errors import IdentificationError
 from worm_model.identification.idle import idle_power, idle_power_of
 from worm_model.identification.locomotion import traverse_of
@@ -284,3 +287,29 @@ def test_a_stuck_servo_is_left_out_or_refused_and_never_averaged(time):
     assert "stuck servo" in reasons[0]
     with pytest.raises(IdentificationError, match="stuck servo"):
         usable([spoilt], lengths[1:])
+
+
+SHAPES = (
+    Gait(0.075, 0.2, contraction_share=0.4, profile=Profile.TRAPEZOID),
+    Gait(0.06, 0.25, contraction_share=0.7),
+)
+
+
+@pytest.mark.parametrize("gait", SHAPES)
+def test_gaits_of_other_shapes_determine_the_actuation(gait):
+    session = Session()
+    session.run(gait, 3)
+    truth = session.rig.virtual.plant.parameters
+    recording = recordings_of(run_of_rows(session.rows), "shaped")[0]
+    assert recording.gait == gait
+    found = identify_actuation([recording], np.random.default_rng(0))
+    assert found.gain.low - 0.005 <= truth.gain <= found.gain.high + 0.005
+    assert found.slack.low - 2e-4 <= truth.slack <= found.slack.high + 2e-4
+
+
+def test_a_gait_with_pretension_is_rejected():
+    session = Session()
+    session.run(Gait(0.065, 0.2, pretension=0.015), 1)
+    with pytest.raises(IdentificationError, match="pretension") as error:
+        recordings_of(run_of_rows(session.rows), "tight")
+    assert "15 mm" in str(error.value)
