@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The hybrid simulator: actuation, locomotion and energy, exact between events."""
+"""Hybrid simulator of actuation, locomotion and energy, exact between events."""

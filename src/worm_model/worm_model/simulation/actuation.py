@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The slack-aware actuation model (eq:slack_clip, eq:first_order_actuation) in closed form.
 
-Within each part of a cycle (`kernel.waveform`), u_eff is a constant, a sinusoid or a parabola, so ΔL is the same and
-one exponential.
+Within each part of a cycle (`kernel.waveform`), u_eff is a constant, a sinusoid or a parabola. ΔL then has the same
+form plus one exponential.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 
 def effective_command(command: ArrayLike, slack: float) -> Array:
-    """u_eff in m of u_cmd in m (eq:slack_clip), elementwise."""
+    """Return u_eff in m of u_cmd in m (eq:slack_clip), elementwise."""
     return np.minimum(np.asarray(command, dtype=float), -slack)
 
 
@@ -36,11 +36,18 @@ def length_change_of_command(
     at: ArrayLike | None = None,
     engaged: float | None = None,
 ) -> Array:
-    """ΔL in m of a sampled command, piecewise linear between samples, exact.
+    """Return ΔL in m of a sampled command that is linear between its samples, exact.
 
-    ``times`` (n,) in s, not decreasing; ``commands`` (n,) in m; ``at`` (m,) in s, ascending, are the times asked
-    for, by default ``times``. ΔL is ``start`` (m) until ``engaged`` (s), by default the first time. Raises
-    ValueError if the shapes differ or there is no sample.
+    Args:
+        times: times of the samples (n,), s, not decreasing.
+        commands: samples (n,), m.
+        parameters: parameters of the robot.
+        start: ΔL until ``engaged``, m.
+        at: times of the result (m,), s, ascending; by default ``times``.
+        engaged: time from which ΔL responds, s; by default the first time.
+
+    Raises:
+        ValueError: The shapes differ, or there is no sample.
     """
     time = np.ascontiguousarray(times, dtype=float)
     command = np.ascontiguousarray(commands, dtype=float)
@@ -48,20 +55,20 @@ def length_change_of_command(
         raise ValueError(
             f"times {time.shape} and commands {command.shape} must be one-dimensional, equally long and not empty"
         )
-    asked = time if at is None else np.ascontiguousarray(at, dtype=float)
-    length_change = np.empty_like(asked)
-    since = float(time[0]) if engaged is None else engaged
-    respond_at(time, command, since, start, actuator(parameters), asked, length_change)
+    query = time if at is None else np.ascontiguousarray(at, dtype=float)
+    length_change = np.empty_like(query)
+    begin = float(time[0]) if engaged is None else engaged
+    respond_at(time, command, begin, start, actuator(parameters), query, length_change)
     return length_change
 
 
 def actuator(parameters: Parameters) -> Actuator:
-    """What the kernel needs of the actuation."""
+    """Return the actuation parameters as the kernel reads them."""
     return Actuator(parameters.gain, parameters.slack, parameters.time_constant)
 
 
 def length_change_range(gait: Gait, parameters: Parameters) -> tuple[float, float]:
-    """Lowest and highest ΔL in m of the gait's periodic steady state (the transient has died out)."""
+    """Return the lowest and highest ΔL in m of the gait's periodic steady state."""
     lag = parameters.time_constant
     end, _ = _cycle(gait, parameters, 0.0)
     steady = end / -math.expm1(-gait.period / lag)  # a cycle maps ΔL to end + ΔL·e^(−T/τ)
@@ -82,7 +89,7 @@ def length_change_range(gait: Gait, parameters: Parameters) -> tuple[float, floa
 def _cycle(
     gait: Gait, parameters: Parameters, length_change: float
 ) -> tuple[float, list[tuple[float, Coefficients, float]]]:
-    """(ΔL in m at the end of a cycle, (duration in s, ΔL, ω in 1/s) of each part) from ΔL at its start."""
+    """Return (ΔL in m at the end of a cycle, (duration in s, ΔL, ω in 1/s) of each part) for ΔL at its start."""
     row, a = gait_rows(gait)[0], actuator(parameters)
     parts, start = [], 0.0
     for part, end in enumerate(borders_of(0.0, row, a)):
@@ -95,7 +102,7 @@ def _cycle(
 
 
 def _least(function: Callable[[Array], Array], low: float, high: float) -> float:
-    """Least value of a function of an array, by a grid that narrows around the best point."""
+    """Return the least value of a function of an array, with a grid that narrows around the best point."""
     for _ in range(4):  # each pass narrows the bracket 200-fold
         points = np.linspace(low, high, 401)
         values = function(points)

@@ -26,15 +26,15 @@ from worm_model.simulation.simulator import (
 
 Array = NDArray[np.float64]
 
-CHUNK = 256  # gaits that one thread takes at a time: some milliseconds
+CHUNK = 256  # gaits in one task of a thread: some milliseconds
 
 
 @dataclass(frozen=True)
 class GaitTable:
-    """Figures of many gaits, each field an array of the broadcast shape; see `simulator.GaitResult`.
+    """Results of many gaits, each field an array of the broadcast shape; see `simulator.GaitResult`.
 
-    ``gait`` maps the fields of `Gait` to such arrays. Figures of a gait without an end (chatter) and under a load
-    that the fins do not hold at rest are NaN.
+    ``gait`` maps the fields of `Gait` to such arrays. The results are NaN if the fins chatter, and under a load that
+    the fins do not hold at rest.
     """
 
     gait: Mapping[str, Array]
@@ -48,7 +48,7 @@ class GaitTable:
 
 
 def _gait_rows(fields: Mapping[str, ArrayLike], shape: tuple[int, ...]) -> Rows:
-    """Return the gaits as rows (n,) of GAIT_ROW; raises as `evaluate_gaits` does."""
+    """Return the gaits as rows (n,) of GAIT_ROW. The errors are those of `evaluate_gaits`."""
     rows = np.empty(int(np.prod(shape)), GAIT_ROW)
     for name in GAIT_ROW.names or ():
         rows[name] = np.broadcast_to(np.asarray(fields[name], dtype=float), shape).ravel()
@@ -82,7 +82,7 @@ def _parameter_rows(
 
 
 def check_bodies(reach: ArrayLike, initial_length: ArrayLike) -> None:
-    """Raise `GaitError` unless o + S (m) is below the length of the body (m); they broadcast."""
+    """Raise `GaitError` unless every o + S (m) is below the length of the body (m). The arguments broadcast."""
     reaches, lengths = np.broadcast_arrays(*np.atleast_1d(reach, initial_length))
     if reaches.size:
         worst = np.unravel_index(np.argmax(reaches - lengths), reaches.shape)
@@ -90,7 +90,7 @@ def check_bodies(reach: ArrayLike, initial_length: ArrayLike) -> None:
 
 
 def _check_rows(rows: Rows) -> None:
-    """Raises `ParameterError` as `Parameters` does if a row is not admissible; extremes speak for all."""
+    """Raise the `ParameterError` of `Parameters` if a row is not admissible. The extremes of each column suffice."""
     suspects = [pick(rows[key]) for key in KEYS for pick in (np.argmin, np.argmax)]
     suspects += [
         np.argmin(2.0 * rows["switching_threshold"] - rows[key]) for key in ("pitch", "clearance")
@@ -111,14 +111,17 @@ def evaluate_gaits(
     progress: Callable[[float], None] | None = None,
     **further: ArrayLike,
 ) -> GaitTable:
-    """Figures of every gait, as `simulator.evaluate_gait` gives them one by one.
+    """Return the results of every gait, the same as `simulator.evaluate_gait` returns for one.
 
     ``stroke`` m, ``frequency`` Hz, ``margin`` m, ``direction`` ±1, ``further`` fields of `Gait` (by default the gait's
     own defaults) and the values of ``overrides`` (parameter key to array, SI) are broadcast against each other.
-    ``progress`` is called with the fraction done, in the calling thread; an exception it raises cancels the rest.
-    Strokes must be shorter than the body, but where ``overrides`` hold its length: a scenario may draw any.
+    ``progress`` is called with the fraction done, in the calling thread; an exception that it raises cancels the rest.
+    Strokes must be shorter than the body, unless ``overrides`` contain its length, because a scenario may draw any.
 
-    Raises `GaitError`, `ParameterError` or ValueError for values that are not admissible.
+    Raises:
+        GaitError: A field of a gait is out of its limits.
+        ParameterError: An override is out of its limits.
+        ValueError: A value is not finite, or the number of cycles is impossible.
     """
     check_cycles(cycles, averaged)
     overrides = overrides or {}
@@ -149,7 +152,7 @@ def _evaluate_rows(
     results: Array,
     progress: Callable[[float], None] | None,
 ) -> None:
-    """Fills the results."""
+    """Fill the results."""
     shared = len(parameters_of_rows) == 1
 
     def work(part: slice) -> None:
@@ -164,7 +167,7 @@ def _on_all_cores(
     count: int,
     progress: Callable[[float], None] | None = None,
 ) -> None:
-    """Does the work chunk by chunk; the kernel releases the interpreter's lock."""
+    """Process all chunks in a pool of threads. The kernel releases the interpreter's lock."""
     done = 0
     with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
         parts = [slice(start, min(start + CHUNK, count)) for start in range(0, count, CHUNK)]
@@ -189,11 +192,11 @@ def sample_cycle(
     phases: ArrayLike,
     **further: ArrayLike,
 ) -> tuple[Array, Array]:
-    """(cable force F_c in N, source power in W) within a cycle of gaits from the start, as `simulator.simulate` has it.
+    """Return (cable force F_c in N, source power in W) within a cycle of gaits from the start.
 
     ``stroke`` m and ``frequency`` Hz of shape (n,); ``cycle`` counts from 0; ``phases`` (m,) in [0, 1], ascending, are
-    shares of it; ``further`` as in `evaluate_gaits`. Both results have the shape (n, m), NaN for a gait without an end
-    (chatter).
+    shares of the cycle; ``further`` as in `evaluate_gaits`. Both results have the shape (n, m) and equal those of
+    `simulator.simulate`. They are NaN for a gait whose fins chatter.
     """
     gaits = {"stroke": stroke, "frequency": frequency, "direction": direction}
     columns = _columns({**GAIT_DEFAULTS, **gaits, **further})

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Closed forms of the slow limit: groove phase, groove count and the cliff of the margin.
 
-They are this project's, not the paper's: in the slow limit the viscous friction is negligible, so the
-module whose fins are engaged holds while the other is dragged, and counting grooves is counting how
-often the dragged fin passes its threshold. They agree with the simulator in 99 % of the paper's box.
+They are this project's, not the paper's. In the slow limit the viscous friction is negligible: the module whose fins
+are engaged holds while the other is dragged. The grooves gained are the number of times that the dragged fin passes
+its threshold. They agree with the simulator in 99 % of the paper's box.
 """
 
 from __future__ import annotations
@@ -19,22 +19,22 @@ from worm_model.simulation.rows import gait_rows
 
 
 def front_groove(parameters: Parameters) -> int:
-    """N of the groove nearest to the front module at the start: A2 = n·d, x1 = 0."""
+    """Return the number n of the groove nearest to the front module at the start: A2 = n·d, x1 = 0."""
     return int(nearest_groove(parameters.initial_length, parameters.pitch))
 
 
 def groove_phase(parameters: Parameters) -> float:
-    """φ = L0 − n·d in m, in (−d/2, d/2]: how far the front module starts from its groove."""
+    """Return φ = L0 − n·d in m, in (−d/2, d/2], the distance of the front module from its groove at the start."""
     return parameters.initial_length - front_groove(parameters) * parameters.pitch
 
 
 def switching_travel(
     parameters: Parameters, margin: float = 0.0, direction: int = FORWARD
 ) -> float:
-    """Length change c in m from one threshold to the other.
+    """Return the length change c in m from one threshold to the other.
 
     c = δ_c + (p_sw + δ_m − δ_c/2)(1 + k_dis/k_eng) + Q/k_eng: the dragged fin must go from the middle to its threshold
-    while the engaged fin, which carries its force and the load Q against the direction, gives way. Under a load along
+    while the engaged fin, which carries its force and the load Q against the direction, deflects. Under a load along
     the direction that exceeds the force of the dragged fin, the other fin does not engage but is dragged as well.
     """
     half = 0.5 * parameters.clearance
@@ -46,12 +46,15 @@ def switching_travel(
 
 
 def _load(parameters: Parameters, direction: int) -> float:
-    """Load of both modules in N, positive against the direction."""
+    """Return the load of both modules in N, positive against the direction."""
     return direction * (parameters.rear_load + parameters.front_load)
 
 
 def grooves_per_cycle(gait: Gait, parameters: Parameters) -> int:
-    """Grooves that a cycle gains after the transient, in the slow limit, under a load that the engaged fin holds."""
+    """Return the grooves that a cycle gains after the transient, in the slow limit.
+
+    The load must be one that the engaged fin holds.
+    """
     lowest, highest = length_change_range(gait, parameters)
     travel = switching_travel(parameters, gait.margin, gait.direction)
     offset = -groove_phase(parameters) - highest
@@ -61,10 +64,10 @@ def grooves_per_cycle(gait: Gait, parameters: Parameters) -> int:
 
 
 def largest_load(gait: Gait, parameters: Parameters, grooves: int = 1) -> float:
-    """Load Q1 + Q2 in N against the direction up to which a gait gains ``grooves`` in a cycle, in the slow limit.
+    """Return the load Q1 + Q2 in N against the direction up to which a gait gains ``grooves`` a cycle, slow limit.
 
-    The loads of the parameters do not count. NaN if the gait does not gain them without a load. The load is also
-    limited by the engaged fin, which must not reach its threshold before the dragged one:
+    The loads of the parameters do not count. The result is NaN if the gait does not gain them without a load. The load
+    is also limited by the engaged fin, which must not reach its threshold before the dragged one:
     Q < (k_eng − k_dis)·(p_sw + δ_m − δ_c/2).
     """
     free = parameters.replace(rear_load=0.0, front_load=0.0)
@@ -87,10 +90,10 @@ def largest_load(gait: Gait, parameters: Parameters, grooves: int = 1) -> float:
 
 
 def largest_static_load(parameters: Parameters, side: int, gait: Gait) -> float:
-    """Load in N that the fins hold at the start of a gait, towards −x (``side`` 1) or +x (−1), as an amount.
+    """Return the size in N of the load that the fins hold at the start of a gait, towards −x (``side`` 1) or +x (−1).
 
-    One fin is at its threshold. The other one is there, too, or off it by the phase of the front module between two
-    grooves, or by a pitch less that.
+    One fin is at its threshold. The distance of the other fin from its threshold is the phase of the front module
+    between two grooves, or the pitch minus this phase.
     """
     stiff, soft = parameters.engaged_stiffness, parameters.disengaged_stiffness
     if side != gait.direction:
@@ -109,10 +112,10 @@ def largest_static_load(parameters: Parameters, side: int, gait: Gait) -> float:
 def cliff_margin(
     parameters: Parameters, direction: int = FORWARD, pretension: float = 0.0
 ) -> float:
-    """Margin δ_m* in m beyond which the branch with two grooves a cycle is lost, in the slow limit.
+    """Return the margin δ_m* in m beyond which the branch with two grooves a cycle is lost, in the slow limit.
 
-    Valid where the bound on the stroke does not cut the branch first; may be negative (no margin to give). A load Q
-    against the direction takes Q/(k_eng + k_dis) of it.
+    It is valid where the bound on the stroke does not cut the branch first. A negative value means that the branch is
+    lost even without a margin. A load Q against the direction reduces the margin by Q/(k_eng + k_dis).
     """
     yielding = 1.0 + parameters.disengaged_stiffness / parameters.engaged_stiffness
     rest = parameters.gain * max(pretension, parameters.slack)

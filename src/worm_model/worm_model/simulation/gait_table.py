@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tables of gaits as CSV: one row a gait, its parameters overridden by further columns."""
+"""Tables of gaits as CSV. Each row is a gait; further columns override its parameters."""
 
 from __future__ import annotations
 
@@ -25,9 +25,10 @@ Columns = dict[str, NDArray[np.float64]]
 
 
 def read_gaits(path: str | Path) -> Columns:
-    """Columns of a table of gaits.
+    """Return the columns of a table of gaits.
 
-    Raises `InputError` naming the line and column of what is missing, unknown or not a number.
+    Raises:
+        InputError: A value is missing, unknown or not a number. The message names the line and the column.
     """
     try:
         with Path(path).open(newline="", encoding="utf-8-sig") as file:
@@ -83,7 +84,7 @@ def _number(path: str | Path, line: int, name: str, text: str | None) -> float:
 def evaluate_table(
     columns: Columns, parameters: Parameters, progress: Callable[[float], None] | None = None
 ) -> tuple[Columns, GaitTable]:
-    """(the overridden parameters, the figures) of every row; raises as `batch.evaluate_gaits` does."""
+    """Return (overridden parameters, results) of every row. The errors are those of `batch.evaluate_gaits`."""
     overrides = {key: columns[key] for key in KEYS if key in columns}
     if "L0_m" in columns:
         overrides["initial_length"] = columns["L0_m"]
@@ -97,7 +98,7 @@ def evaluate_table(
 
 
 def write_table(path: Path, table: GaitTable, overrides: Columns, parameters: Parameters) -> None:
-    """Writes the table: the gait, its figures, then a column for every further parameter overridden."""
+    """Write the table: the gait, its results, then a column for every other overridden parameter."""
     rows = table.speed.size
     length = np.broadcast_to(overrides.get("initial_length", parameters.initial_length), (rows,))
     further = {key: values for key, values in overrides.items() if key != "initial_length"}

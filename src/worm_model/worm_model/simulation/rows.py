@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters and gaits as rows of structured arrays, the form in which the compiled kernel reads them.
 
-The columns are the fields of `Parameters` and `Gait`, under their names, so that a new field is a column of every
-batch without further ado. All columns are float64; what is true or false is 1 or 0.
+The columns are the fields of `Parameters` and `Gait`, under their names, so that a new field becomes a column of every
+batch. All columns are float64; True and False are 1 and 0.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from worm_model.parameters import Parameters
 Rows = NDArray[np.void]
 
 PARAMETER_ROW, GAIT_ROW = (
-    # records, so that a row has its columns as attributes in Python too, where the kernel may be run uncompiled
+    # Records have their columns as attributes in Python too, so that the kernel can be run uncompiled.
     np.dtype((np.record, [(row.name, np.float64) for row in dataclasses.fields(kind)]))
     for kind in (Parameters, Gait)
 )

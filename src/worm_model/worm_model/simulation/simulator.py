@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The hybrid simulator: a gait, or any length signal, in; what the worm does, out.
+"""Hybrid simulator: from a gait, or any length signal, to the motion and power of the robot.
 
-It is exact: between events everything has a closed form and events are located, so there is no step
-size. `evaluate_gait` gives the figures of a gait, `simulate` its trajectory, `Locomotion` and `advance`
-follow a measured or estimated length. Batches are in `worm_model.simulation.batch`.
+It is exact: between events everything has a closed form, and events are located, so there is no step size.
+`evaluate_gait` returns the results of a gait and `simulate` its trajectory. `Locomotion` follows a measured or
+estimated length. Batches are in `worm_model.simulation.batch`.
 """
 
 from __future__ import annotations
@@ -27,22 +27,22 @@ from worm_model.simulation.rows import gait_rows, parameter_rows
 
 Array = NDArray[np.float64]
 
-CYCLES = 5  # run from the start
-AVERAGED = 3  # the last ones
+CYCLES = 5  # cycles of a run, from the start
+AVERAGED = 3  # the last cycles of the run
 
 _NO_ROWS = np.empty((0, march.SAMPLE_COLUMNS))
 
 
 class SimulationError(RuntimeError):
-    """The simulator gave up: a fin switches to and fro without end (chatter)."""
+    """The simulation stopped because a fin switches to and fro without end (chatter)."""
 
 
 class LoadError(InputError):
-    """The fins do not hold the load at rest: the robot slides, and no gait has a speed."""
+    """The fins do not hold the load at rest, so the robot slides and no gait has a speed."""
 
 
 def _check(failure: float, subject: object, parameters: Parameters) -> None:
-    """Raise the error of a failure of the kernel, unless it is 0; ``subject`` is the gait of a run from the start."""
+    """Raise the error of a kernel failure, unless it is 0; ``subject`` is the gait of a run from the start."""
     if failure == run.SLIDES and isinstance(subject, Gait):
         load = parameters.rear_load + parameters.front_load
         side = 1 if load > 0.0 else -1
@@ -57,11 +57,11 @@ def _check(failure: float, subject: object, parameters: Parameters) -> None:
 
 @dataclass(frozen=True)
 class GaitResult:
-    """Figures of a gait over its averaged cycles.
+    """Results of a gait over its averaged cycles.
 
     ``speed`` m/s along the gait's direction; ``power`` W, mean source power; ``cost_of_transport`` 1, infinite
-    for a gait that does not advance; ``grooves_per_cycle`` 1, advance in pitches; ``min_grooves`` 1, the
-    same of the poorest averaged cycle; ``groove_phase`` m; ``switches`` in all cycles from the start.
+    for a gait that does not advance; ``grooves_per_cycle`` 1, mean advance in pitches; ``min_grooves`` 1, advance of
+    the averaged cycle that advances least; ``groove_phase`` m; ``switches`` in all cycles from the start.
     """
 
     gait: Gait
@@ -75,7 +75,7 @@ class GaitResult:
 
 
 def cost_of_transport(speed: ArrayLike, power: ArrayLike, mass: ArrayLike) -> Array:
-    """P̄ / (m·g·v̄), elementwise; infinite where the speed is not positive."""
+    """Return P̄ / (m·g·v̄), elementwise; infinite where the speed is not positive."""
     speed_array, power_array = np.asarray(speed, dtype=float), np.asarray(power, dtype=float)
     with np.errstate(divide="ignore", invalid="ignore"):
         cost = power_array / (np.asarray(mass) * STANDARD_GRAVITY * speed_array)
@@ -83,7 +83,7 @@ def cost_of_transport(speed: ArrayLike, power: ArrayLike, mass: ArrayLike) -> Ar
 
 
 def check_cycles(cycles: int, averaged: int) -> None:
-    """Raises ValueError unless 1 ≤ averaged ≤ cycles."""
+    """Raise ValueError unless 1 ≤ averaged ≤ cycles."""
     if not 1 <= averaged <= cycles:
         raise ValueError(f"{averaged} of {cycles} cycles cannot be averaged")
 
@@ -91,10 +91,13 @@ def check_cycles(cycles: int, averaged: int) -> None:
 def evaluate_gait(
     gait: Gait, parameters: Parameters = PAPER, cycles: int = CYCLES, averaged: int = AVERAGED
 ) -> GaitResult:
-    """Speed, power and grooves of a gait over the last ``averaged`` of ``cycles`` from the start.
+    """Return speed, power and grooves of a gait over the last ``averaged`` of ``cycles`` from the start.
 
-    Raises `GaitError` for a stroke that the body cannot make, `LoadError` for a load that the fins do not hold,
-    ValueError for an impossible number of cycles and `SimulationError` on chatter.
+    Raises:
+        GaitError: The stroke is not below the body length.
+        LoadError: The fins do not hold the load.
+        ValueError: The number of cycles is impossible.
+        SimulationError: A fin chatters.
     """
     check_body(gait.reach, parameters.initial_length)
     check_cycles(cycles, averaged)
@@ -117,10 +120,10 @@ def evaluate_gait(
 
 @dataclass(frozen=True)
 class Event:
-    """A fin leaves its region at ``time`` s.
+    """Event: a fin leaves its region at ``time`` s.
 
-    ``fin`` is 1 (rear) or 2 (front), ``direction`` +1 or −1 along x; ``switched`` if its anchor moved by
-    a pitch, else the fin met or left a ridge.
+    ``fin`` is 1 (rear) or 2 (front), ``direction`` +1 or −1 along x. ``switched`` is True if its anchor moved by a
+    pitch, and False if the fin met or left a ridge.
     """
 
     time: float
@@ -134,8 +137,8 @@ class Motions:
     """Dense output at ``time`` (n,): every field has shape (n,), SI units.
 
     ``cable_force`` F_c (eq:Fc; below 0 a cable would have to push), ``rear_force`` F_1 and ``front_force`` F_2 in N;
-    anchors A1, A2 in m and as grooves of the lattice; ``energy`` in J since the start. At an event the values are those
-    before it.
+    anchors A1, A2 in m and as numbers of their grooves; ``energy`` in J since the start. At an event the values are
+    those before it.
     """
 
     time: Array
@@ -157,7 +160,7 @@ class Motions:
 
 
 def _motions(samples: Array, parameters: Parameters, energy: Array | None = None) -> Motions:
-    """Names the columns of the kernel's samples; without ``energy`` it is that of the cable work."""
+    """Return the columns of the kernel's samples by name; ``energy`` is by default that of the cable work."""
     time, force, rate = (samples[:, k] for k in (march.TIME, march.FORCE, march.LENGTH_RATE))
     mechanical = cable_power(force, rate, parameters.one_sided_cable)
     power = parameters.idle_power + parameters.power_factor * mechanical
@@ -186,9 +189,9 @@ def _motions(samples: Array, parameters: Parameters, energy: Array | None = None
 
 @dataclass(frozen=True)
 class Trajectory:
-    """What the worm does under a gait, from the start over a number of cycles.
+    """Motion and power of the robot under a gait, from the start over a number of cycles.
 
-    It holds no samples: `at` computes them, exactly, for the times asked for.
+    It stores no samples; `at` computes them exactly for the requested times.
     """
 
     gait: Gait
@@ -197,11 +200,15 @@ class Trajectory:
 
     @property
     def duration(self) -> float:
-        """Length of the run in s."""
+        """Duration of the run, s."""
         return self.cycles / self.gait.frequency
 
     def at(self, times: ArrayLike) -> Motions:
-        """Dense output at ``times`` (n,) in s, ascending, within the run; raises ValueError otherwise."""
+        """Return dense output at ``times`` (n,) in s.
+
+        Raises:
+            ValueError: The times do not ascend, or lie outside of the run.
+        """
         time = _ascending(times, 0.0, self.duration)
         samples = np.empty((time.size, march.SAMPLE_COLUMNS))
         samples[:, march.TIME] = time
@@ -209,7 +216,7 @@ class Trajectory:
         return _motions(samples, self.parameters)
 
     def events(self) -> list[Event]:
-        """Every event in its order."""
+        """Return all events in order."""
         rows = np.empty((int(self._run(_NO_ROWS, _NO_ROWS)[march.EVENTS]), march.EVENT_COLUMNS))
         self._run(_NO_ROWS, rows)
         return _events(rows)
@@ -240,9 +247,19 @@ def _events(rows: Array) -> list[Event]:
 def play_gait(
     gait: Gait, parameters: Parameters, start: LocomotionState, times: ArrayLike
 ) -> Motions:
-    """A gait that begins at time 0 from a state: dense output at ``times`` (n,) in s, ascending, at least one.
+    """Return dense output of a gait that begins at time 0 from a state.
 
-    Energy counts from time 0. Raises ValueError for other times and `SimulationError` on chatter.
+    Energy counts from time 0.
+
+    Args:
+        gait: the gait.
+        parameters: parameters of the robot.
+        start: state at time 0.
+        times: at least one time (n,), s, ascending.
+
+    Raises:
+        ValueError: The times do not ascend from 0 on.
+        SimulationError: A fin chatters.
     """
     samples = np.empty((np.size(times), march.SAMPLE_COLUMNS))
     samples[:, march.TIME] = _ascending(times, 0.0, math.inf)
@@ -269,9 +286,11 @@ def _motion_of(state: LocomotionState) -> Motion:
 
 
 def simulate(gait: Gait, parameters: Parameters = PAPER, cycles: int = CYCLES) -> Trajectory:
-    """The trajectory of a gait from the start: at rest, anchors on the lattice, see `kernel.start`.
+    """Return the trajectory of a gait from the start: at rest, anchors in grooves, see `kernel.start`.
 
-    Raises `GaitError` for a stroke that the body cannot make and ValueError for an impossible number of cycles.
+    Raises:
+        GaitError: The stroke is not below the body length.
+        ValueError: The number of cycles is impossible.
     """
     check_body(gait.reach, parameters.initial_length)
     check_cycles(cycles, cycles)
@@ -280,9 +299,9 @@ def simulate(gait: Gait, parameters: Parameters = PAPER, cycles: int = CYCLES) -
 
 @dataclass(frozen=True)
 class LocomotionState:
-    """State of the worm under a length that is given from outside.
+    """State of the robot whose length is an input.
 
-    ``time`` s; ``length_change`` ΔL in m; ``y`` = x1 + μ·ΔL in m and its rate in m/s, in which the dynamics
+    ``time`` s; ``length_change`` ΔL in m; ``y`` = x1 + μ·ΔL in m and its rate in m/s, with which the dynamics
     need no derivative of the length; grooves and regions of both fins; ``switches`` so far.
     """
 
@@ -299,7 +318,7 @@ class LocomotionState:
 
 @dataclass(frozen=True)
 class Locomotion:
-    """The locomotion model (eq:continuous_model to eq:A2_switch) of a robot that moves in a direction."""
+    """Locomotion model (eq:continuous_model to eq:A2_switch) of a robot that moves in one direction."""
 
     parameters: Parameters = PAPER
     direction: int = FORWARD
@@ -312,7 +331,14 @@ class Locomotion:
         x1: float = 0.0,
         front: int | None = None,
     ) -> LocomotionState:
-        """At rest, ΔL in m, x1 in m from the rear anchor at 0; the front anchor in ``front``, else nearest to L0."""
+        """Return a state at rest, with the rear anchor at 0.
+
+        Args:
+            time: time of the state, s.
+            length_change: ΔL, m.
+            x1: position of the rear module, m.
+            front: groove of the front anchor; by default the one nearest to L0.
+        """
         c = self._constants()
         groove = front_groove(self.parameters) if front is None else front
         x2 = x1 + self.parameters.initial_length + length_change
@@ -328,21 +354,21 @@ class Locomotion:
         )
 
     def x1(self, state: LocomotionState) -> float:
-        """Position of the rear module in m."""
+        """Return the position of the rear module in m."""
         return state.y - self._constants().mu * state.length_change
 
     def x2(self, state: LocomotionState) -> float:
-        """Position of the front module in m."""
+        """Return the position of the front module in m."""
         return self.x1(state) + self.parameters.initial_length + state.length_change
 
     def advance(self, state: LocomotionState, time: float, length_change: float) -> LocomotionState:
-        """The state at a later ``time`` in s, ΔL moving in a straight line to ``length_change`` in m."""
+        """Return the state at a later ``time`` in s. ΔL moves in a straight line to ``length_change`` in m."""
         return self.follow(state, [time], [length_change])[0]
 
     def follow(
         self, state: LocomotionState, times: ArrayLike, length_changes: ArrayLike
     ) -> tuple[LocomotionState, Motions]:
-        """(state at the end, dense output at every sample) under samples of ΔL joined by straight lines.
+        """Return (state at the end, dense output at every sample) under samples of ΔL joined by straight lines.
 
         ``times`` (n,) in s, ascending from the state's; ``length_changes`` (n,) in m. Power and energy of
         the output use the slopes of those lines; for noisy samples see `worm_model.simulation.smoothing`.
@@ -359,7 +385,7 @@ class Locomotion:
     def follow_polynomial(
         self, state: LocomotionState, breaks: ArrayLike, coefficients: ArrayLike, times: ArrayLike
     ) -> tuple[LocomotionState, Motions]:
-        """(state at the last break, dense output at ``times``) under a piecewise cubic ΔL.
+        """Return (state at the last break, dense output at ``times``) under a piecewise cubic ΔL.
 
         ``breaks`` (n + 1,) in s from the state's time on; ``coefficients`` (4, n) in m, m/s, …, constant
         term first, of the time since each break; ``times`` (m,) in s, ascending within the breaks.
@@ -367,7 +393,7 @@ class Locomotion:
         knots = np.ascontiguousarray(breaks, dtype=float)
         forms = np.ascontiguousarray(coefficients, dtype=float)
         if not (np.all(np.isfinite(knots)) and np.all(np.isfinite(forms))):
-            raise ValueError("times and lengths must be finite: leave out what was not seen")
+            raise ValueError("times and lengths must be finite: exclude missing samples")
         samples = np.empty((np.size(times), march.SAMPLE_COLUMNS))
         samples[:, march.TIME] = _ascending(times, knots[0], knots[-1])
         totals = np.zeros(march.TOTALS_SIZE)
@@ -391,5 +417,5 @@ class Locomotion:
 
 @lru_cache(maxsize=16)
 def _constants_of(parameters: Parameters, direction: int, margin: float) -> Constants:
-    """Of a few robots: a twin asks for them a hundred times a second."""
+    """Return the kernel's constants, cached because a twin requests them a hundred times a second."""
     return run.constants_of(parameter_rows(parameters)[0], float(direction), margin)

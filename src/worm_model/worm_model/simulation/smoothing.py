@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The stated smoothing of a sampled length, from which power is predicted.
+"""Smoothing of a sampled length, from which power is predicted.
 
-Motion never needs the derivative of a measured length, the cable force does (eq:Fc), and so does power.
-At every time asked for, a parabola is fitted by least squares to the samples within a window (a
-Savitzky–Golay filter for any sampling); its value and slope there are the length and its rate. With
-a centred window of half-width h the slope of a sinusoid of angular frequency ω comes out short by
-the factor 1 − (ωh)²/10. Against the exact energy of a gait, the default h and a 30 Hz camera come out
-short by 0.3 % at 0.15 Hz, 0.7 % at 0.2 Hz and 3 % at 0.4 Hz (a test holds these numbers).
+The motion never needs the derivative of a measured length, but the cable force (eq:Fc) and the power do. At every
+requested time, a parabola is fitted by least squares to the samples within a window (a Savitzky–Golay filter for any
+sampling). Its value and slope there are the length and its rate. A centred window of half-width h reduces the slope of
+a sinusoid of angular frequency ω by the factor 1 − (ωh)²/10. With the default h and a 30 Hz camera, the energy of a
+gait is 0.3 % too low at 0.15 Hz, 0.7 % at 0.2 Hz and 3 % at 0.4 Hz (a test checks these numbers).
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ class Smoothed:
     rate: Array
 
     def cubic(self) -> tuple[Array, Array]:
-        """(breaks (n,), coefficients (4, n − 1)), the cubics through values and rates, constant first."""
+        """Return (breaks (n,), coefficients (4, n − 1)) of the cubics through values and rates, constant first."""
         step = np.diff(self.time)
         rise = np.diff(self.value) / step
         start, end = self.rate[:-1], self.rate[1:]
@@ -52,11 +51,14 @@ def smooth(
     before: float = HALF_WINDOW,
     after: float = HALF_WINDOW,
 ) -> Smoothed:
-    """Fits a parabola to the samples within [t − before, t + after] around every time t of ``at``.
+    """Fit a parabola to the samples within [t − before, t + after] around every time t of ``at``.
 
     ``times`` (n,) in s, ascending; ``values`` (n,), NaN where a sample is missing; ``at`` (m,) in s, by
-    default ``times``; ``after=0`` makes a causal filter. Where a window holds fewer than FEWEST_SAMPLES,
-    value and rate are NaN: a gap is not bridged. Raises ValueError for times that do not ascend.
+    default ``times``; ``after=0`` makes a causal filter. Where a window contains fewer than FEWEST_SAMPLES, value
+    and rate are NaN, so that no gap is bridged.
+
+    Raises:
+        ValueError: The times do not ascend.
     """
     time, value = np.asarray(times, dtype=float), np.asarray(values, dtype=float)
     target = time if at is None else np.atleast_1d(np.asarray(at, dtype=float))
@@ -73,7 +75,7 @@ def smooth(
 
 
 def _fit(time: Array, value: Array, at: Array, before: float, after: float) -> Array:
-    """(2, m): value and slope at every time of ``at``."""
+    """Return value and slope (2, m) at every time of ``at``."""
     rounding = 1e-9
     first = np.searchsorted(time, at - before - rounding)
     last = np.searchsorted(time, at + after + rounding)
@@ -89,9 +91,8 @@ def _fit(time: Array, value: Array, at: Array, before: float, after: float) -> A
     powers = np.stack([inside.astype(float), t, t * t])
     normal = np.einsum("iab,jab->aij", powers, powers)
     moments = np.einsum("iab,ab->ai", powers, y)
-    spread = np.linalg.eigvalsh(
-        normal
-    )  # ascending: samples at fewer than three times make no parabola
+    # The eigenvalues ascend. Samples at fewer than three times define no parabola.
+    spread = np.linalg.eigvalsh(normal)
     enough = (last - first >= FEWEST_SAMPLES) & (spread[:, 0] > 1e-10 * spread[:, 2])
     solution = np.full((at.size, 3), np.nan)
     solution[enough] = np.linalg.solve(normal[enough], moments[enough][..., np.newaxis])[..., 0]

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compiles the kernel into its cache, so that nothing compiles later: ``python -m worm_model.simulation.warm_up``.
+"""Compilation of the kernel into its cache at build time: ``python -m worm_model.simulation.warm_up``.
 
-Prints the folder of the cache.
+The script prints the folder of the cache.
 """
 
 import numpy as np
@@ -26,7 +26,7 @@ from worm_model.twin.offline_replay import replay_run
 
 
 def main() -> None:
-    """Calls every entry of the kernel once."""
+    """Call every entry of the kernel once."""
     gait = Gait(0.07, 0.2)
     evaluate_gait(gait)
     evaluate_gaits([0.07, 0.08], 0.2)
@@ -44,7 +44,7 @@ def main() -> None:
 
 
 def _recording(gait: Gait) -> Run:
-    """Half a second of a gait."""
+    """Return a recording of half a second of a gait."""
     stamp = 10**9 + 10**7 * np.arange(50)
     command = np.array([gait.command(time) for time in (stamp - 10**9) * 1e-9])
     length = PAPER.initial_length + command

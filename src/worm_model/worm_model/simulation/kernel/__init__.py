@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The compiled kernel of the simulator: closed forms between events, events located, no step size.
+"""Compiled kernel of the simulator: closed forms between located events, without a step size.
 
-Tuples and arrays of floats in, tuples and arrays out; the modules beside this package give them names.
+Its functions take and return tuples and arrays of floats. The modules next to this package name their fields.
 
-Compiled code is cached on disk under a hash of all sources of the kernel, because the compiler itself
-only notices a change in the file of the function that is called, not in the files of what that calls.
+Compiled code is cached on disk under a hash of all sources of the kernel. The compiler itself only notices changes in
+the file of the called function, not in the files of the functions that this one calls.
 """
 
 from __future__ import annotations
@@ -22,9 +22,12 @@ SOURCES = sorted(Path(__file__).parent.glob("[!_]*.py"))
 
 
 def cache_directory(more: Sequence[Path] = ()) -> Path:
-    """Where code compiled from these sources and more is kept.
+    """Return the folder in which code compiled from these sources and ``more`` is cached.
 
-    That is NUMBA_CACHE_DIR, else the user's cache, else the temporary directory.
+    It is below NUMBA_CACHE_DIR, else below the user's cache, else below the temporary directory.
+
+    Raises:
+        OSError: None of them can be written.
     """
     digest = hashlib.sha256()
     for source in (Path(__file__), *SOURCES, *more):
@@ -40,13 +43,13 @@ def cache_directory(more: Sequence[Path] = ()) -> Path:
         if os.access(directory, os.W_OK):
             return directory
     raise OSError(
-        f"no directory to keep the compiled kernel in: neither {base} nor the temporary directory can "
-        "be written; set NUMBA_CACHE_DIR to one that can"
+        f"no directory for the compiled kernel: neither {base} nor the temporary directory can "
+        "be written; set NUMBA_CACHE_DIR to a directory that can be written"
     )
 
 
 def load_compiled(package: str, folder: Path) -> None:
-    """Imports the modules of a package in a folder whose compiled code builds on the kernel, and is kept with it."""
+    """Import the modules of a package in a folder, whose compiled code depends on the kernel and is cached with it."""
     sources = sorted(folder.glob("[!_]*.py"))
     before = numba.config.CACHE_DIR
     own = folder == Path(__file__).parent

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The actuation law: slack clip (eq:slack_clip) and first-order lag (eq:first_order_actuation), exact.
+"""Actuation law: slack clip (eq:slack_clip) and first-order lag (eq:first_order_actuation), exact.
 
-Every user of the law has it from here: the waveform of a gait, sampled commands (straight lines between samples),
-fits, the twin and what-if. The effective command min(u_cmd, −δ_s) is a constant, a line, a parabola or a sinusoid
-between the moments at which the command crosses −δ_s, which are located exactly; in between ΔL has a closed form, that
-of τ·d(ΔL)/dt + ΔL = K·u_eff.
+All users of the law import it from here: the waveform of a gait, sampled commands (straight lines between samples),
+fits, the twin and forecasts. The moments at which the command crosses −δ_s are located exactly. Between them, the
+effective command min(u_cmd, −δ_s) is a constant, a line, a parabola or a sinusoid, and ΔL has a closed form, the
+solution of τ·d(ΔL)/dt + ΔL = K·u_eff.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from worm_model.simulation.kernel.linear import Coefficients
 
 
 class Actuator(NamedTuple):
-    """K in 1, δ_s in m, τ in s."""
+    """Parameters of the actuation: K in 1, δ_s in m, τ in s."""
 
     gain: float
     slack: float
@@ -28,7 +28,7 @@ class Actuator(NamedTuple):
 
 @inlined
 def effective(command: float, a: Actuator) -> float:
-    """K·u_eff in m, towards which ΔL moves."""
+    """Return K·u_eff in m, towards which ΔL moves."""
     return a.gain * min(command, -a.slack)
 
 
@@ -36,7 +36,7 @@ def effective(command: float, a: Actuator) -> float:
 def answer_to_parabola(
     length_change: float, target: float, slope: float, bend: float, a: Actuator
 ) -> Coefficients:
-    """ΔL (m) from its value on while its target moves with a slope in m/s that grows by ``bend`` in m/s²."""
+    """Return ΔL (m) from its value on while its target moves with a slope in m/s that grows by ``bend`` in m/s²."""
     slope -= a.time_constant * bend
     behind = target - a.time_constant * slope
     rest = length_change - behind
@@ -45,9 +45,9 @@ def answer_to_parabola(
 
 @inlined
 def answer_to_line(length_change: float, target: float, slope: float, a: Actuator) -> Coefficients:
-    """ΔL (m) from its value on while its target moves along a straight line with a slope in m/s.
+    """Return ΔL (m) from its value on while its target moves along a straight line with a slope in m/s.
 
-    The answer to a ramp lags it by τ·slope; what is left of that decays.
+    The response to a ramp lags it by τ·slope; the difference from this lag decays.
     """
     return answer_to_parabola(length_change, target, slope, 0.0, a)
 
@@ -56,7 +56,7 @@ def answer_to_line(length_change: float, target: float, slope: float, a: Actuato
 def answer_to_sinusoid(
     length_change: float, stroke: float, omega: float, phase: float, pretension: float, a: Actuator
 ) -> Coefficients:
-    """ΔL (m) from its value on under u_cmd = −o − S/2·(1 − cos(phase + ωσ)), beyond the slack."""
+    """Return ΔL (m) from its value on under u_cmd = −o − S/2·(1 − cos(phase + ωσ)), beyond the slack."""
     lag = omega * a.time_constant
     amplitude = 0.5 * a.gain * stroke / (1.0 + lag * lag)
     # amplitude·(cos(ωt) + lag·sin(ωt)), ωt = phase + ωσ
@@ -69,7 +69,7 @@ def answer_to_sinusoid(
 
 @inlined
 def value_at(form: Coefficients, time: float, omega: float, time_constant: float) -> float:
-    """ΔL in m at a time in s after the form's start."""
+    """Return ΔL in m at a time in s after the form's start."""
     wave = 0.0
     if omega != 0.0:
         wave = form.cos * math.cos(omega * time) + form.sin * math.sin(omega * time)
@@ -79,14 +79,14 @@ def value_at(form: Coefficients, time: float, omega: float, time_constant: float
 
 @inlined
 def crossing(start: float, end: float, a: Actuator) -> float:
-    """Share of the way at which a command that moves in a straight line crosses −δ_s; 1 if it does not."""
+    """Return the share of the way at which a command that moves in a straight line crosses −δ_s, or 1."""
     before, after = start + a.slack, end + a.slack
     return before / (before - after) if before * after < 0.0 else 1.0
 
 
 @compiled
 def respond(length_change: float, start: float, end: float, duration: float, a: Actuator) -> float:
-    """ΔL in m after a command (m) has moved in a straight line from start to end in so many s."""
+    """Return ΔL in m after a command (m) has moved in a straight line from start to end within a duration in s."""
     if duration <= 0.0:
         return length_change
     share = crossing(start, end, a)
@@ -114,10 +114,10 @@ def respond_at(
     at: np.ndarray,
     response: np.ndarray,
 ) -> None:
-    """Fills the ``response`` (m,) at the times ``at`` (m,) in s to commands (n,) in m at ``times`` (n,) in s, exact.
+    """Fill the ``response`` (m,) at the times ``at`` (m,) in s to commands (n,) in m at ``times`` (n,) in s, exact.
 
-    Both ascend; where two times are equal the command steps; it stays at its first and last value outside them.
-    ΔL is ``start`` until ``engaged`` (s), and answers from there on.
+    All times ascend. Where two times are equal the command steps. Outside of ``times`` it keeps its first and last
+    value. ΔL is ``start`` until ``engaged`` (s), and responds from there on.
     """
     value, now, k = start, engaged, 0
     while k < times.size and times[k] <= engaged:

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How the kernel is compiled.
+"""Decorators that compile the kernel.
 
-Divisions follow IEEE 754 rather than raise. Sums may be fused and reordered, which moves results in their
-last digits only, as no formula here relies on the order of a compensated sum. Within a run nothing is
-infinite or not a number, its inputs are checked before; the entries of `simulation.kernel.whole_run` and what
-fills tables keep the meaning of NaN and infinity.
+Divisions follow IEEE 754 and do not raise. Sums may be fused and reordered. This changes only the last digits of the
+results, because no formula here relies on the order of a compensated sum. Within a run nothing is infinite or NaN,
+because the inputs are checked before. The entries of `simulation.kernel.whole_run` and the functions that fill tables
+preserve NaN and infinity.
 """
 
 from numba import njit
@@ -13,9 +13,9 @@ _FAST = {"contract", "arcp", "nsz", "reassoc"}
 _FINITE = _FAST | {"nnan", "ninf"}
 
 compiled = njit(cache=True, error_model="numpy", fastmath=_FINITE)
-# small, or called with large tuples that would be copied
+# For functions that are small, or are called with large tuples that would be copied
 inlined = njit(cache=True, error_model="numpy", fastmath=_FINITE, forceinline=True)
-# called from Python
+# For functions that Python calls
 entry = njit(cache=True, error_model="numpy", fastmath=_FAST)
-# the same for long: other threads run meanwhile
+# For long computations that Python calls: other threads run meanwhile
 unlocked = njit(cache=True, error_model="numpy", fastmath=_FAST, nogil=True)

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Dry friction of the modules (Coulomb's), exact: sliding is a constant force, sticking a mode, its end an event.
+"""Dry (Coulomb) friction of the modules, exact: sliding is a constant force, sticking a mode, its end an event.
 
-A module that slides is pushed back by a constant force D. One that sticks moves with the pipe, so that ΔL alone
-moves the other, until what friction must hold exceeds D. Where both stick, ΔL stands still, too. How a module is held
-follows from its velocity and, where that vanishes, from the forces: it is judged wherever a mode opens.
+A constant force D opposes a module that slides. A module that sticks stays where it is, so that ΔL alone moves the
+other one, until the force that friction must hold exceeds D. Both modules can stick only while ΔL is constant. Whether
+a module slides or sticks follows from its velocity and, where that vanishes, from the forces. This is decided at the
+start of each mode.
 
-`STILL` and `SPARE` are the widths of the borders between sliding and sticking. They keep rounding from deciding, and
-from deciding to and fro: a module sticks below STILL, and slides on from SPARE above what friction holds.
+`STILL` and `SPARE` are the widths of the borders between sliding and sticking. They prevent that rounding switches a
+module to and fro: it sticks below STILL, and slides again from SPARE above the force that friction holds.
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ LOCATED = 0.1  # share of these widths to which an event is located
 
 
 class Grip(NamedTuple):
-    """How dry friction holds both modules: the sign of the velocity of one that slides, 0 for one that sticks."""
+    """State of dry friction of both modules: the sign of the velocity if a module slides, 0 if it sticks."""
 
     rear: int
     front: int
@@ -68,10 +69,10 @@ def _sign(value: float) -> int:
 
 @inlined
 def _from_rest(load: float, stretch: int, bend: float, c: Constants) -> Grip:
-    """The grip of two modules at rest.
+    """Return the grip of two modules at rest.
 
-    ``load`` in N pushes both, ``stretch`` is the sign of L̇ from here on (0: ΔL stands still), ``bend`` is L̈. The
-    more load along the stretch, the more goes that way: none, first one, then both modules.
+    ``load`` in N pushes both, ``stretch`` is the sign of L̇ from here on (0: ΔL is constant), ``bend`` is L̈. As the
+    load along the stretch grows, first no module, then one, then both move along the stretch.
     """
     both = c.rear_dry + c.front_dry
     if stretch == 0:
@@ -94,7 +95,7 @@ def _from_rest(load: float, stretch: int, bend: float, c: Constants) -> Grip:
 def _judge(
     motion: Motion, length_change: Coefficients, wave: Wave, c: Constants, b: Basis
 ) -> tuple[Grip, float]:
-    """(the grip from here on, ẏ of a module at rest without rounding)."""
+    """Return (the grip from here on, ẏ, free of rounding if a module rests)."""
     roots = roots_of(c.mass, c.friction, 0.0)
     rate_form = derivative(length_change, roots, wave)
     bend_form = derivative(rate_form, roots, wave)
@@ -132,7 +133,7 @@ def _judge(
 
 @inlined
 def _held(mode: Mode, grip: Grip, motion: Motion, wave: Wave, c: Constants) -> Coefficients:
-    """What dry friction must hold of the module that sticks, N; of both together where both do."""
+    """Return the force in N that dry friction must hold on the module that sticks, or on both together."""
     rate = derivative(mode.length_change, mode.roots, wave)
     bend = derivative(rate, mode.roots, wave)
     fins = combine(
@@ -152,10 +153,11 @@ def _held(mode: Mode, grip: Grip, motion: Motion, wave: Wave, c: Constants) -> C
 def enter_dry_mode(
     motion: Motion, length_change: Coefficients, wave: Wave, c: Constants, start: Basis
 ) -> tuple[Mode, Coefficients, Grip]:
-    """(the mode that begins with ``motion``, F_c over it, its grip); of the basis only the segment's part counts.
+    """Return (the mode that begins with ``motion``, F_c over it, its grip).
 
-    Where both modules stick, how they share the load is open, as for any body that rests at two places; they are
-    taken to share it by what each can hold. No work depends on it, for ΔL stands still.
+    Only the segment's part of the basis is used. Where both modules stick, their shares of the load are statically
+    indeterminate. They are assumed to be proportional to the forces that each can hold. No work depends on this,
+    because ΔL is constant.
     """
     grip, rate = _judge(motion, length_change, wave, c, start)
     motion = Motion(
@@ -184,7 +186,7 @@ def enter_dry_mode(
 def _watched(
     at_front: bool, mode: Mode, grip: Grip, motion: Motion, wave: Wave, c: Constants
 ) -> tuple[Coefficients, float, float]:
-    """(what decides how a module is held, the borders below and above at which that changes)."""
+    """Return (the quantity that decides on a module's grip, the borders below and above at which the grip changes)."""
     side = grip.front if at_front else grip.rear
     dry = c.front_dry if at_front else c.rear_dry
     together = grip.rear == 0 and grip.front == 0
@@ -211,7 +213,7 @@ def look_for_grip(
     wave: Wave,
     c: Constants,
 ) -> Horizon:
-    """The horizon once the modules' grips have been consulted."""
+    """Return the horizon, narrowed by the changes of the modules' grips."""
     coarse = mode.roots.joined or mode.resonant
     for at_front in (False, True):
         watched, low, high = _watched(at_front, mode, grip, motion, wave, c)
@@ -238,7 +240,7 @@ def locate_grip(
     wave: Wave,
     c: Constants,
 ) -> tuple[float, Basis]:
-    """(time in the mode, basis) at which a grip changes."""
+    """Return (time in the mode, basis) at which a grip changes."""
     at_front = ahead.stop in (FRONT_GRIP_HIGH, FRONT_GRIP_LOW)
     watched, low, high = _watched(at_front, mode, grip, motion, wave, c)
     border = high if ahead.stop in (REAR_GRIP_HIGH, FRONT_GRIP_HIGH) else low

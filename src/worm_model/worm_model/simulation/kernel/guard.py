@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The first zero of several gaps, found without stepping past any.
+"""Search for the first zero of several gaps, without stepping past any.
 
-A guard watches a gap that is positive until its event. Its value, its rate and bounds on its second
-derivative enclose it between two parabolas for the time ahead. The lower one tells how long the gap
-surely stays open; where the upper one reaches zero, the event surely happens, and only once in between,
-so that Newton's method may locate it. A gap that touches zero within rounding, and opens again or stays, triggers
-nothing.
+A guard watches a gap that is positive until its event. The gap's value, its rate and bounds on its second derivative
+enclose it between two parabolas for the time ahead. The gap stays open at least until the lower parabola reaches zero.
+The event has happened when the upper one reaches zero, and only once in between, so that Newton's method can locate
+it. A gap that touches zero within rounding, and opens again or stays, triggers nothing.
 """
 
 from __future__ import annotations
@@ -28,15 +27,19 @@ NOTHING, REAR_HIGH, REAR_LOW, FRONT_HIGH, FRONT_LOW, FORCE_SIGN, RATE_SIGN, END 
 # Beyond END: dry friction, see `worm_model.simulation.kernel.dry_friction`
 REAR_GRIP_HIGH, REAR_GRIP_LOW, FRONT_GRIP_HIGH, FRONT_GRIP_LOW = range(8, 12)
 
-SHORTEST_STEP = 1e-10  # s, keeps a gap that opens from zero moving
-TOUCH = 1e-13  # m (N, m/s of a sign): a fin at rest at its border, moved by rounding alone, does not pass it
-SIMULTANEOUS = 1e-11  # s, events closer than this are one moment: the guard named first comes first
+SHORTEST_STEP = 1e-10  # s; guarantees progress where a gap opens from zero
+TOUCH = (
+    1e-13  # m (N, m/s of a sign): a fin at rest at its border does not pass it by rounding alone
+)
+SIMULTANEOUS = (
+    1e-11  # s; events closer than this are simultaneous, and the guard named first comes first
+)
 MOST_NEWTON_STEPS = 50
 NEVER = 1e300  # s; infinity has no meaning here, see `worm_model.simulation.kernel.compiled`
 
 
 class Followed(NamedTuple):
-    """A quantity over a mode, its derivatives, and the amplitude of its acceleration's wave."""
+    """Quantity over a mode, its derivatives, and the amplitude of its acceleration's wave."""
 
     position: Coefficients
     rate: Coefficients
@@ -45,7 +48,7 @@ class Followed(NamedTuple):
 
 
 class Reading(NamedTuple):
-    """A followed quantity now: value, rate, and bounds of its second derivative for the time left."""
+    """Present value and rate of a followed quantity, and bounds of its second derivative for the time left."""
 
     position: float
     rate: float
@@ -54,10 +57,10 @@ class Reading(NamedTuple):
 
 
 class Horizon(NamedTuple):
-    """What is known of the time ahead.
+    """Bounds on the next event.
 
-    Nothing happens before ``earliest``; at ``time`` at the latest the event ``stop`` has happened, or,
-    if that is NOTHING or END, the look-out ends there.
+    Nothing happens before ``earliest``. The event ``stop`` has happened at ``time`` at the latest. If ``stop`` is
+    NOTHING or END, the search ends at ``time`` without an event.
     """
 
     earliest: float
@@ -67,7 +70,7 @@ class Horizon(NamedTuple):
 
 @inlined
 def follow(position: Coefficients, roots: Roots, wave: Wave) -> Followed:
-    """Prepares a quantity to be followed over a mode."""
+    """Return a quantity with the derivatives that guards need to follow it over a mode."""
     rate = derivative(position, roots, wave)
     acceleration = derivative(rate, roots, wave)
     amplitude = math.sqrt(acceleration.cos**2 + acceleration.sin**2)
@@ -76,7 +79,7 @@ def follow(position: Coefficients, roots: Roots, wave: Wave) -> Followed:
 
 @compiled
 def _coarse_swing(c: Coefficients, s: float, end: float, roots: Roots, mass: float) -> float:
-    """Bound on the h1, h2 and R terms over [s, end] for joined roots or a resonance; rarely used."""
+    """Return a bound on the h1, h2 and R terms over [s, end] for joined roots or a resonance; rarely used."""
     if not roots.joined:
         swing = abs(c.h1) * math.exp(roots.r1 * s) + abs(c.h2) * math.exp(roots.r2 * s)
     elif roots.discriminant < 0.0:
@@ -91,7 +94,7 @@ def _coarse_swing(c: Coefficients, s: float, end: float, roots: Roots, mass: flo
 def read(
     f: Followed, b: Basis, s: float, left: float, roots: Roots, wave: Wave, coarse: bool
 ) -> Reading:
-    """Reads a followed quantity at the moment of the basis, with bounds for the ``left`` seconds on."""
+    """Return a followed quantity at the moment of the basis, with bounds for the next ``left`` seconds."""
     c = f.acceleration
     if wave.q != 0.0:
         decaying = c.exp * b.exp
@@ -113,19 +116,19 @@ def read(
 
 @inlined
 def below(r: Reading, border: float) -> Reading:
-    """The gap between a quantity and a border above it."""
+    """Return the gap between a quantity and a border above it."""
     return Reading(border - r.position, -r.rate, -r.most, -r.least)
 
 
 @inlined
 def above(r: Reading, border: float) -> Reading:
-    """The gap between a quantity and a border below it."""
+    """Return the gap between a quantity and a border below it."""
     return Reading(r.position - border, r.rate, r.least, r.most)
 
 
 @compiled
 def _enclosure(gap: float, rate: float, least: float, most: float) -> tuple[float, float]:
-    """(earliest, latest) zero of a gap; the latest is NEVER where a zero is not certain."""
+    """Return the (earliest, latest) zero of a gap; the latest is NEVER where a zero is not certain."""
     discriminant = rate * rate - 2.0 * least * gap
     if rate >= 0.0:
         return ((rate + math.sqrt(discriminant)) / -least if least < 0.0 else NEVER), NEVER
@@ -138,7 +141,7 @@ def _enclosure(gap: float, rate: float, least: float, most: float) -> tuple[floa
 
 @inlined
 def narrow(ahead: Horizon, gap: Reading, stop: int) -> Horizon:
-    """The horizon once a further guard has been consulted."""
+    """Return the horizon, narrowed by one more guard."""
     h, least = ahead.time, min(gap.least, 0.0)
     if gap.position + h * (gap.rate + 0.5 * least * h) >= -TOUCH:
         return ahead
@@ -170,9 +173,9 @@ def locate(
     wave: Wave,
     resonant: bool,
 ) -> tuple[float, Basis]:
-    """(time s in the mode, basis) at which the quantity meets the border, the one zero in the enclosure.
+    """Return (time s in the mode, basis) at which the quantity meets the border, the only zero in the enclosure.
 
-    ``s`` and ``b`` are the present moment. Halley's method, from where a parabola would meet the border.
+    ``s`` and ``b`` are the present moment. Halley's method starts from where a parabola would meet the border.
     """
     low, high = s + ahead.earliest, s + ahead.time
     gap, rate, bend = value(f.position, b) - border, value(f.rate, b), value(f.acceleration, b)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Closed form of M·ÿ + 2η·ẏ + k·y = forcing, for every kind of roots.
 
-Every quantity of a mode (y, a fin's displacement, the cable force) is a sum over one set of functions,
-its coefficients a `Coefficients`; its derivative is again one. With σ the time in the segment (within
-which the forcing keeps its form) and s the time in the mode (within which the fins keep their region):
+Every quantity of a mode (y, a fin's displacement, the cable force) is a sum over one set of functions with the factors
+`Coefficients`. Its derivative is such a sum, too. σ is the time in the segment, within which the forcing keeps its
+form; s is the time in the mode, within which the fins stay in their regions:
 
     1, σ, σ², σ³          a piecewise polynomial length
     cos ωσ, sin ωσ, e^qσ  a gait's length; q = −1/τ
@@ -36,7 +36,7 @@ class Roots(NamedTuple):
 
 
 class Coefficients(NamedTuple):
-    """A quantity as a sum over the functions named in the module's docstring."""
+    """Coefficients of a quantity that is a sum over the functions in the module's docstring."""
 
     one: float
     t1: float
@@ -51,7 +51,7 @@ class Coefficients(NamedTuple):
 
 
 class Basis(NamedTuple):
-    """The functions' values at one moment, in the order of `Coefficients` from t1 on."""
+    """Values of the functions at one moment, in the order of `Coefficients` from t1 on."""
 
     t1: float
     cos: float
@@ -63,7 +63,7 @@ class Basis(NamedTuple):
 
 
 class Wave(NamedTuple):
-    """What the functions depend on: mass M, angular frequency ω (0: polynomial length), q = −1/τ."""
+    """Parameters of the functions: mass M, angular frequency ω (0: polynomial length), q = −1/τ."""
 
     mass: float
     omega: float
@@ -72,7 +72,7 @@ class Wave(NamedTuple):
 
 @inlined
 def roots_of(mass: float, friction: float, stiffness: float) -> Roots:
-    """Roots of mass·r² + 2·friction·r + stiffness."""
+    """Return the roots of mass·r² + 2·friction·r + stiffness."""
     gamma = friction / mass
     discriminant = gamma * gamma - stiffness / mass
     if discriminant > (_JOINED_BELOW * gamma) ** 2:
@@ -86,7 +86,7 @@ def roots_of(mass: float, friction: float, stiffness: float) -> Roots:
 
 @compiled
 def joined_response(s: float, roots: Roots) -> tuple[float, float]:
-    """(h1, h2) of joined roots: e^(−γs)·(C, S), C' = D·S, S' = C, C(0) = 1, S(0) = 0."""
+    """Return (h1, h2) of joined roots: e^(−γs)·(C, S), C' = D·S, S' = C, C(0) = 1, S(0) = 0."""
     if roots.discriminant < 0.0:
         beta = math.sqrt(-roots.discriminant)
         decay = math.exp(-roots.gamma * s)
@@ -101,7 +101,7 @@ def joined_response(s: float, roots: Roots) -> tuple[float, float]:
 
 @compiled
 def _difference_quotient(a: float, b: float, s: float) -> float:
-    """(e^(a·s) − e^(b·s)) / (a − b), also at a = b."""
+    """Return (e^(a·s) − e^(b·s)) / (a − b), also at a = b."""
     if a == b:
         return s * math.exp(a * s)
     low, high = min(a, b), max(a, b)
@@ -110,10 +110,10 @@ def _difference_quotient(a: float, b: float, s: float) -> float:
 
 @compiled
 def resonant_response(s: float, roots: Roots, q: float, mass: float) -> float:
-    """R(s): response to e^(q·s) from rest, M·R'' + 2η·R' + k·R = e^(q·s).
+    """Return R(s), the response to e^(q·s) from rest, M·R'' + 2η·R' + k·R = e^(q·s).
 
-    It is a divided difference of the exponential over r1, r2 and q, taken in the order that cancels
-    least; where all three nearly meet (or meet a complex pair) it is summed as a series.
+    It is a divided difference of the exponential over r1, r2 and q, in the order that cancels least. Where all three
+    nearly meet (or meet a complex pair) it is summed as a series.
     """
     near, far = roots.r1, roots.r2
     if abs(q - near) > abs(q - far):
@@ -135,14 +135,14 @@ def resonant_response(s: float, roots: Roots, q: float, mass: float) -> float:
 
 @inlined
 def is_resonant(roots: Roots, q: float) -> bool:
-    """Whether e^qσ as a particular solution would cancel against the free response."""
+    """Return True if e^qσ as a particular solution would cancel against the free response."""
     scale = _RESONANT_BELOW * (abs(q) + abs(roots.gamma)) ** 2
     return abs((q + roots.gamma) ** 2 - roots.discriminant) < scale
 
 
 @inlined
 def derivative(c: Coefficients, roots: Roots, wave: Wave) -> Coefficients:
-    """Coefficients of the time derivative."""
+    """Return the coefficients of the time derivative."""
     if roots.joined:
         h1 = -roots.gamma * c.h1 + c.h2
         h2 = roots.discriminant * c.h1 - roots.gamma * c.h2 + c.res / wave.mass
@@ -166,7 +166,7 @@ def derivative(c: Coefficients, roots: Roots, wave: Wave) -> Coefficients:
 
 @inlined
 def combine(a: float, x: Coefficients, b: float, y: Coefficients) -> Coefficients:
-    """a·x + b·y."""
+    """Return a·x + b·y."""
     return Coefficients(
         a * x.one + b * y.one,
         a * x.t1 + b * y.t1,
@@ -183,13 +183,13 @@ def combine(a: float, x: Coefficients, b: float, y: Coefficients) -> Coefficient
 
 @inlined
 def shifted(c: Coefficients, offset: float) -> Coefficients:
-    """The quantity plus a constant."""
+    """Return the quantity plus a constant."""
     return Coefficients(c.one + offset, c.t1, c.t2, c.t3, c.cos, c.sin, c.exp, c.h1, c.h2, c.res)
 
 
 @inlined
 def basis_at(sigma: float, s: float, roots: Roots, wave: Wave, resonant: bool) -> Basis:
-    """The functions at σ in the segment and s in the mode."""
+    """Return the functions at σ in the segment and s in the mode."""
     if roots.joined:
         h1, h2 = joined_response(s, roots)
     else:
@@ -205,13 +205,13 @@ def basis_at(sigma: float, s: float, roots: Roots, wave: Wave, resonant: bool) -
 
 @inlined
 def basis_at_start(b: Basis, roots: Roots) -> Basis:
-    """The basis at the moment of ``b`` in a mode that starts there."""
+    """Return the basis at the moment of ``b`` in a mode that starts there."""
     return Basis(b.t1, b.cos, b.sin, b.exp, 1.0, 0.0 if roots.joined else 1.0, 0.0)
 
 
 @inlined
 def value(c: Coefficients, b: Basis) -> float:
-    """The quantity at the moment of the basis."""
+    """Return the quantity at the moment of the basis."""
     return (
         c.one
         + b.t1 * (c.t1 + b.t1 * (c.t2 + b.t1 * c.t3))

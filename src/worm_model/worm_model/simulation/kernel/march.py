@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Marching through the modes of one segment of the length signal, from event to event.
+"""March through the modes of one segment of the length signal, from event to event.
 
-The written rules: an event happens at the end of a half-open interval (t0, t1], when a fin that moves
-outward reaches its border; of two events at one moment the rear fin's (A1) comes first, the front fin's
-follows in a mode of no duration. A fin that touches a border without passing it triggers nothing.
+Rules of the events:
+
+- An event happens at the end of a half-open interval (t0, t1], when a fin that moves outward reaches its border.
+- Of two simultaneous events, the rear fin's (A1) comes first. The front fin's follows in a mode of no duration.
+- A fin that touches a border without passing it triggers nothing.
 """
 
 from __future__ import annotations
@@ -62,8 +64,8 @@ from worm_model.simulation.kernel.mode import (
 )
 from worm_model.simulation.kernel.work import cable_power_of, cable_work
 
-POSITION_TOLERANCE = 1e-14  # m, to which a border is located
-SIGN_TOLERANCE = 1e-9  # N, m/s: signs matter only through an integrand that vanishes with them
+POSITION_TOLERANCE = 1e-14  # m; accuracy with which a border is located
+SIGN_TOLERANCE = 1e-9  # N, m/s; signs matter only through an integrand that vanishes with them
 TIME_ROUNDING = 1e-14  # relative: a sample at the end of a run belongs to it
 MOST_STEPS = 20_000  # in a segment; beyond it the march reports chatter
 
@@ -84,7 +86,7 @@ MOST_STEPS = 20_000  # in a segment; beyond it the march reports chatter
     FRONT_GROOVE,
 ) = range(13)
 SAMPLE_COLUMNS = 13
-# Columns of a row of events: the guard's number tells the fin and the direction
+# Columns of a row of events; the guard's number encodes the fin and the direction
 EVENT_TIME, EVENT_GUARD, EVENT_SWITCHED = range(3)
 EVENT_COLUMNS = 3
 # Entries of the totals
@@ -94,7 +96,7 @@ CHATTERS = 1.0  # in the entry FAILURE: the anchors switch to and fro without en
 
 
 class Segment(NamedTuple):
-    """A piece of the length signal: its start on the run's clock, its duration, ΔL and its functions."""
+    """Piece of the length signal: its start on the run's clock, its duration, ΔL and its functions."""
 
     start: float
     duration: float
@@ -103,9 +105,9 @@ class Segment(NamedTuple):
 
 
 class Stage(NamedTuple):
-    """Everything about a mode that is followed; ``offset`` is the mode's start in its segment.
+    """Mode with all quantities that guards follow; ``offset`` is the mode's start in its segment.
 
-    ``grip`` is that of dry friction, without meaning where there is none.
+    ``grip`` has no meaning without dry friction.
     """
 
     offset: float
@@ -122,7 +124,7 @@ class Stage(NamedTuple):
 
 
 class PositiveWork(NamedTuple):
-    """Whether cable work is being counted, by the signs of F_c and L̇, and the antiderivative where that began."""
+    """State of the count of cable work: the signs of F_c and L̇, and the antiderivative where the count began."""
 
     force_side: float
     rate_side: float
@@ -132,13 +134,13 @@ class PositiveWork(NamedTuple):
 
 @inlined
 def is_dry(c: Constants) -> bool:
-    """Whether there is dry friction."""
+    """Return True if a module has dry friction."""
     return c.rear_dry + c.front_dry > 0.0
 
 
 @inlined
 def _borders(region: int, c: Constants) -> tuple[float, float]:
-    """Displacements at which a fin leaves its region."""
+    """Return the displacements at which a fin leaves its region."""
     if region == CLEAR:
         return -c.half_clearance, c.half_clearance
     if region == BELOW:
@@ -182,7 +184,7 @@ def _look_ahead(
     wave: Wave,
     c: Constants,
 ) -> Horizon:
-    """What comes next within the ``left`` seconds of the segment; see `Horizon`."""
+    """Return the bounds on the next event within the ``left`` seconds of the segment."""
     roots = stage.mode.roots
     coarse = roots.joined or stage.mode.resonant
     ahead = Horizon(left, left, END)
@@ -217,7 +219,7 @@ def _go(
     wave: Wave,
     c: Constants,
 ) -> tuple[float, Basis]:
-    """(time in the mode, basis) of the next stop."""
+    """Return (time in the mode, basis) of the next stop."""
     mode, offset = stage.mode, stage.offset
     if ahead.stop == NOTHING or ahead.stop == END:
         s += max(ahead.time, SHORTEST_STEP) if ahead.stop == NOTHING else ahead.time
@@ -240,7 +242,7 @@ def _go(
 
 @inlined
 def _side(quantity: Followed, b: Basis) -> float:
-    """Sign of a quantity from here on: of its value, or of its rate where the value vanishes."""
+    """Return the sign of a quantity from here on: of its value, or of its rate where the value vanishes."""
     here = value(quantity.position, b)
     if abs(here) <= SIGN_TOLERANCE:
         here = value(quantity.rate, b)
@@ -270,7 +272,7 @@ def _open_work(
 
 @inlined
 def _crossed(motion: Motion, stop: int, y: float, y_rate: float, c: Constants) -> Motion:
-    """Motion once a fin has left its region: in the neighbouring one, or a groove on (eq:A1_switch)."""
+    """Return the motion after a fin has left its region for the neighbouring one or the next groove (eq:A1_switch)."""
     front = stop in (FRONT_HIGH, FRONT_LOW)
     direction = 1 if stop in (REAR_HIGH, FRONT_HIGH) else -1
     region = motion.front_region if front else motion.rear_region
@@ -282,7 +284,7 @@ def _crossed(motion: Motion, stop: int, y: float, y_rate: float, c: Constants) -
         region = region_of(direction * (c.threshold - c.pitch), c.half_clearance)
     elif c.half_clearance > 0.0:
         region = CLEAR
-    else:  # straight from one bar to the other: a region of no width could be entered for ever
+    else:  # From one bar to the other: a fin could enter a region of no width without end.
         region = ABOVE if direction > 0 else BELOW
     if front:
         return Motion(y, y_rate, motion.rear_groove, groove, motion.rear_region, region)
@@ -293,7 +295,7 @@ def _crossed(motion: Motion, stop: int, y: float, y_rate: float, c: Constants) -
 def _write_sample(
     row: np.ndarray, stage: Stage, motion: Motion, b: Basis, wave: Wave, c: Constants
 ) -> None:
-    """Fills a row of samples but for its time and work."""
+    """Fill a row of samples except for its time and work."""
     mode = stage.mode
     length_change, length_rate = value(mode.length_change, b), value(stage.length_rate.position, b)
     rear, front = value(mode.rear, b), value(mode.front, b)
@@ -326,7 +328,7 @@ def _write_samples(
     totals: np.ndarray,
     samples: np.ndarray,
 ) -> None:
-    """Fills the rows whose times lie no later than ``until`` seconds into the mode."""
+    """Fill the rows whose times are at most ``until`` seconds after the start of the mode."""
     start = segment.start + stage.offset
     end = (start + until) * (1.0 + TIME_ROUNDING)
     at = int(totals[SAMPLED])
@@ -364,7 +366,11 @@ def _follow_mode(
     totals: np.ndarray,
     samples: np.ndarray,
 ) -> tuple[float, int, Basis]:
-    """Follows a mode to its end: (its duration, what ends it, the basis there); NOTHING if it gives up."""
+    """Follow a mode to its end.
+
+    Returns:
+        Its duration, the guard that ends it (NOTHING if the march gives up), and the basis at the end.
+    """
     wave = segment.wave
     work = _open_work(_side(stage.force, b), _side(stage.length_rate, b), stage, b, wave, c)
     s = 0.0
@@ -398,15 +404,19 @@ def march(
     samples: np.ndarray,
     events: np.ndarray,
 ) -> Motion:
-    """Advances the motion to the end of a segment.
+    """Return the motion at the end of a segment.
 
-    Which module sticks is judged anew wherever a mode opens, so that a motion needs no memory of it.
+    Which module sticks is decided at the start of every mode, so that a motion does not contain it.
 
-    ``totals`` (TOTALS_SIZE,) accumulates the positive cable work in J (of a gait's length; a sampled
-    length has no usable rate), groove switches, steps, and the numbers of rows used of ``samples``
-    (n, SAMPLE_COLUMNS; their TIME column, ascending, is given) and of ``events`` (m, EVENT_COLUMNS;
-    what exceeds m is only counted). Returns the motion at the end; the entry FAILURE of the totals
-    becomes CHATTERS if the march gave up.
+    Args:
+        segment: piece of the length signal.
+        motion: motion at its start.
+        c: constants of the robot.
+        totals: (TOTALS_SIZE,); accumulates the positive cable work in J (only of a gait's length, because a sampled
+            length has no usable rate), switches, steps, and the numbers of used rows of ``samples`` and ``events``.
+            Its entry FAILURE becomes CHATTERS if the march gives up.
+        samples: (n, SAMPLE_COLUMNS), to be filled; the TIME column is given, ascending.
+        events: (m, EVENT_COLUMNS), to be filled; further events are only counted.
     """
     totals[STEPS] = 0.0
     b = basis_at(0.0, 0.0, roots_of(c.mass, c.friction, 0.0), segment.wave, False)

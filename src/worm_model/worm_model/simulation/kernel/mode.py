@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One mode: the fins keep their regions, so every quantity has a closed form until the next event.
+"""One mode: the fins stay in their regions, so every quantity has a closed form until the next event.
 
 The state is that of the pseudo-position y = x1 + μ·ΔL with μ = M2 / (M1 + M2), in which the reduced
 dynamics (eq:continuous_model) need no second derivative of the length:
@@ -29,11 +29,11 @@ from worm_model.simulation.kernel.linear import (
     value,
 )
 
-BELOW, CLEAR, ABOVE = 0, 1, 2  # the region of a fin: which bar touches the ridge, or none
+BELOW, CLEAR, ABOVE = 0, 1, 2  # region of a fin: the bar that touches the ridge, or none
 
 
 class Constants(NamedTuple):
-    """Parameters as the kernel uses them; stiffnesses by region, so that they carry the direction."""
+    """Parameters as the kernel uses them. The stiffnesses are stated by region and thus contain the direction."""
 
     mass: float
     mu: float
@@ -56,7 +56,7 @@ class Constants(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """State between events: y and ẏ, the anchors as lattice indices, the fins' regions."""
+    """State between events: y and ẏ, the anchors as numbers of grooves, the fins' regions."""
 
     y: float
     rate: float
@@ -67,7 +67,7 @@ class Motion(NamedTuple):
 
 
 class Mode(NamedTuple):
-    """Closed form of a mode: y, ΔL, both fin displacements, and what its functions depend on."""
+    """Closed form of a mode: y, ΔL, both fin displacements, and the roots on which its functions depend."""
 
     y: Coefficients
     length_change: Coefficients
@@ -78,19 +78,20 @@ class Mode(NamedTuple):
 
 
 def nearest_groove(length: Any, pitch: Any) -> Any:
-    """N of the groove nearest to the front module at a length in m, the rear one at 0; halfway, the lower of both.
+    """Return the number of the groove nearest to the front module at a length in m, with the rear module at 0.
 
-    Numbers or, outside the kernel, arrays; a whole number as a float.
+    Halfway between two grooves, it is the lower one. The arguments are numbers or, outside the kernel, arrays. The
+    result is a whole number as a float.
     """
     return np.ceil(length / pitch - 0.5 - 1e-12)
 
 
-nearest_groove_of = inlined(nearest_groove)  # of numbers, within the kernel
+nearest_groove_of = inlined(nearest_groove)  # For numbers, within the kernel
 
 
 @inlined
 def region_of(displacement: float, half_clearance: float) -> int:
-    """Region of a fin displacement x − A; the borders belong to the clearance (eq:fin_force_piecewise)."""
+    """Return the region of a fin displacement x − A; the borders belong to the clearance (eq:fin_force_piecewise)."""
     if displacement > half_clearance:
         return ABOVE
     return BELOW if displacement < -half_clearance else CLEAR
@@ -98,7 +99,7 @@ def region_of(displacement: float, half_clearance: float) -> int:
 
 @inlined
 def fin_stiffness(region: int, c: Constants) -> float:
-    """Stiffness of a fin in its region, N/m."""
+    """Return the stiffness of a fin in its region, N/m."""
     if region == CLEAR:
         return 0.0
     return c.stiffness_below if region == BELOW else c.stiffness_above
@@ -106,7 +107,7 @@ def fin_stiffness(region: int, c: Constants) -> float:
 
 @inlined
 def fin_force(displacement: Coefficients, region: int, c: Constants) -> Coefficients:
-    """Force f of a fin that stays in its region (eq:fin_force_piecewise)."""
+    """Return the force f of a fin that stays in its region (eq:fin_force_piecewise)."""
     k = fin_stiffness(region, c)
     touched = shifted(displacement, -(region - 1.0) * c.half_clearance)
     return combine(k, touched, 0.0, touched)
@@ -116,7 +117,7 @@ def fin_force(displacement: Coefficients, region: int, c: Constants) -> Coeffici
 def _polynomial_response(
     g: Coefficients, k: float, friction: float, mass: float
 ) -> tuple[float, float, float, float]:
-    """Polynomial that answers the forcing's polynomial part, constant term first."""
+    """Return the polynomial response to the forcing's polynomial part, constant term first."""
     if k > 0.0:
         p3 = g.t3 / k
         p2 = (g.t2 - 6.0 * friction * p3) / k
@@ -132,7 +133,7 @@ def _polynomial_response(
 def _particular(
     g: Coefficients, k: float, c: Constants, wave: Wave, resonant: bool, start: Basis
 ) -> Coefficients:
-    """A response to the forcing g; its resonant part starts from rest with the mode."""
+    """Return a response to the forcing g. Its resonant part starts from rest with the mode."""
     p0, p1, p2, p3 = _polynomial_response(g, k, c.friction, c.mass)
     in_phase = k - c.mass * wave.omega * wave.omega
     in_quadrature = 2.0 * c.friction * wave.omega
@@ -151,7 +152,7 @@ def _particular(
 
 @inlined
 def _free(y: float, rate: float, roots: Roots) -> tuple[float, float]:
-    """Coefficients of h1, h2 for a free response that starts at y with ẏ = rate."""
+    """Return the coefficients of h1, h2 for a free response that starts at y with ẏ = rate."""
     if roots.joined:
         return y, rate + roots.gamma * y
     gap = roots.r1 - roots.r2
@@ -167,7 +168,7 @@ def mode_of(
     resonant: bool,
     c: Constants,
 ) -> Mode:
-    """The mode in which y and ΔL are these, with what follows from them."""
+    """Return the mode with these y and ΔL, and the fin displacements that follow from them."""
     rear = shifted(combine(1.0, y, -c.mu, length_change), -motion.rear_groove * c.pitch)
     offset = c.initial_length - motion.front_groove * c.pitch
     front = shifted(combine(1.0, y, 1.0 - c.mu, length_change), offset)
@@ -183,7 +184,7 @@ def enter_mode(
     start: Basis,
     push: float,
 ) -> Mode:
-    """The mode that begins with ``motion``; of the basis ``start`` only the part of the segment counts.
+    """Return the mode that begins with ``motion``. Only the segment's part of the basis ``start`` is used.
 
     ``push`` in N is a constant force on both modules together, that of dry friction on modules that slide.
     """
@@ -206,7 +207,7 @@ def enter_mode(
     forcing = shifted(forcing, rear_k * rear_rest + front_k * front_rest + push - c.load)
     p = _particular(forcing, k, c, wave, resonant, start)
     p_rate = derivative(p, roots, wave)
-    # Of the particular response only the part of the segment counts: its resonant part starts from rest.
+    # The resonant part of the particular response starts from rest, so only the segment's part has a value here.
     moment = Basis(start.t1, start.cos, start.sin, start.exp, 0.0, 0.0, 0.0)
     y0, rate0 = value(p, moment), value(p_rate, moment)
     h1, h2 = _free(motion.y - y0, motion.rate - rate0, roots)
@@ -216,7 +217,7 @@ def enter_mode(
 
 @inlined
 def cable_force(mode: Mode, rear_region: int, wave: Wave, c: Constants) -> Coefficients:
-    """F_c over the mode (eq:Fc)."""
+    """Return F_c over the mode (eq:Fc)."""
     length_rate = derivative(mode.length_change, mode.roots, wave)
     x1 = combine(1.0, mode.y, -c.mu, mode.length_change)
     x1_rate = derivative(x1, mode.roots, wave)

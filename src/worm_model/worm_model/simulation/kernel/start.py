@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The state in which a run begins: at rest, under a load in the equilibrium of the fins."""
+"""State in which a run begins: at rest and, under a load, in the equilibrium of the fins."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ REGIONS = 3
 
 @compiled
 def _balance(offset: float, c: Constants) -> tuple[float, int, int]:
-    """(deflection of the rear fin in m, the regions of both fins) at which the fins hold the load.
+    """Return (deflection of the rear fin in m, the regions of both fins) at which the fins hold the load.
 
-    ``offset`` in m is the deflection of the front fin less that of the rear one. The force of both fins grows with the
-    deflection, so that one pair of regions contains its own balance, but for rounding at a border.
+    ``offset`` in m is the deflection of the front fin minus that of the rear one. The force of both fins grows with
+    the deflection. Therefore one pair of regions contains its own balance, except for rounding at a border.
     """
     best, deflection, regions = NEVER, 0.0, 0
     for pair in range(REGIONS * REGIONS):
@@ -46,7 +46,7 @@ def _balance(offset: float, c: Constants) -> tuple[float, int, int]:
 
 @compiled
 def _outside(deflection: float, region: int, c: Constants) -> float:
-    """How far a deflection lies outside of a region, m."""
+    """Return the distance by which a deflection lies outside of a region, m."""
     if region == ABOVE:
         return max(c.half_clearance - deflection, 0.0)
     if region == BELOW:
@@ -56,11 +56,11 @@ def _outside(deflection: float, region: int, c: Constants) -> float:
 
 @compiled
 def start_of(g: Any, c: Constants, a: Actuator) -> tuple[bool, float, Motion]:
-    """(whether the fins hold the load, ΔL in m, the motion) at the start of a gait's row.
+    """Return (True if the fins hold the load, ΔL in m, the motion) at the start of a gait's row.
 
-    Without a load, x1 = 0. With one, the modules are where the fins balance it. The front anchor is on the groove that
-    is nearest to the front module at ΔL = 0. A fin beyond its threshold slips into the next groove at once, the rear
-    one first; a load that both fins have given way to by a groove is not held. v1 = 0, and ẏ = v1 + μ·L̇.
+    Without a load, x1 = 0. With one, the modules are where the fins balance it. The front anchor is the groove nearest
+    to the front module at ΔL = 0. A fin beyond its threshold slips into the next groove at once, the rear one first.
+    The load is not held if both fins slip. v1 = 0, and ẏ = v1 + μ·L̇.
     """
     length_change = rest_of(g, a)
     length_rate = 0.0 if g.pretension > 0.0 else -a.gain * a.slack / a.time_constant

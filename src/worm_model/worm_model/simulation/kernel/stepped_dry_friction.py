@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The locomotion model with dry friction of its modules, integrated in steps along a sampled length.
+"""Locomotion model with dry friction, integrated in steps along a sampled length.
 
-Identification fits with it, for it knows grooves that differ and costs half as much along a sampled length: an
-approximation of `worm_model.simulation.kernel.march`, the one place of the model with a step size. A test holds how
-far it is from it. What the fit finds is then checked, and used, in the exact model.
+It approximates `worm_model.simulation.kernel.march` and is the only part of the model with a step size. Identification
+fits with it, because it allows grooves that differ and takes half the time along a sampled length. A test limits its
+difference from the exact model. The fitted parameters are then checked, and used, in the exact model.
 
-The state is y = x1 + μ·ΔL as everywhere. Friction of a module is (η + F/(|v| + v_s))·v: v_s, the speed below
-which dry friction fades, keeps it a function.
+The state is y = x1 + μ·ΔL as everywhere. The friction of a module is (η + F/(|v| + v_s))·v. Dry friction fades below
+the speed v_s, so that it is a function of the speed.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from worm_model.simulation.kernel.mode import nearest_groove_of
 
 FADING_SPEED = 1e-3  # m/s
 SHORTEST_STEP = 1e-9  # s, after a switch at a step's end
-MOST_SWITCHES = 8  # in a step; beyond it the anchors switch to and fro
+MOST_SWITCHES = 8  # in a step; with more, the anchors switch to and fro
 
-# Columns of a row of samples: rear module, its velocity, and the cable force but for the body's part
+# Columns of a row of samples: rear module, its velocity, and the cable force without the body's part
 X1, V1, HOLDING_FORCE = range(3)
 SAMPLE_COLUMNS = 3
 # Columns of a row of grooves
@@ -35,8 +35,8 @@ FIRST_GROOVE = 2  # row of the groove in which a module starts
 class Worm(NamedTuple):
     """Parameters in SI units; ``direction`` is that of the fins, ±1, ``rear_dry`` and ``front_dry`` are in N.
 
-    ``onset`` is how ΔL sets in with a rate at once: 0 if the modules share it by their masses, so that the centre of
-    mass stays at rest, 1 if the rear module is at rest after it too, as the paper's initial values have it. ``load`` of
+    ``onset`` selects the velocities after ΔL has begun with a step of its rate. 0: the centre of mass stays at rest,
+    as the modules share the rate by their masses. 1: the rear module stays at rest, as in the paper's initial values. ``load`` of
     both modules, N, is positive towards −x. ``start`` is the deflection of the rear fin at rest, m.
     """
 
@@ -59,7 +59,7 @@ class Worm(NamedTuple):
 
 @inlined
 def _spring(stretch: float, factor: float, worm: Worm) -> tuple[float, float]:
-    """(stiffness, rest) of a fin at a stretch: its force is stiffness·(stretch − rest) (eq:fin_force_piecewise)."""
+    """Return (stiffness, rest) of a fin, whose force is stiffness·(stretch − rest) (eq:fin_force_piecewise)."""
     half = 0.5 * worm.clearance
     if abs(stretch) <= half:
         return 0.0, 0.0
@@ -74,7 +74,7 @@ def _drag(velocity: float, dry: float, worm: Worm) -> float:
 
 
 class _Piece(NamedTuple):
-    """What stays during a step: ΔL at its start and its slope, the anchors and the factors of their stiffness."""
+    """Constants of a step: ΔL at its start and its slope, the anchors and the factors of their stiffness."""
 
     start: float
     slope: float
@@ -95,10 +95,10 @@ def _implicit_step(
     at: float,
     worm: Worm,
 ) -> tuple[float, float, float, float]:
-    """(mean ẏ, weight of the end, drag and fin force of the rear module) of a step of ``h`` seconds.
+    """Return (mean ẏ, weight of the end, drag and fin force of the rear module) of a step of ``h`` seconds.
 
-    The fins' regions and the drags are those of the state ``y_seen``, ``rate_seen``, ``at`` seconds into the step;
-    the rest is solved implicitly, by the trapezoidal rule unless the drag is so high that it would ring.
+    The fins' regions and the drags are those of the state ``y_seen``, ``rate_seen``, ``at`` seconds into the step.
+    The rest is solved implicitly, by the trapezoidal rule unless the drag is so high that it would ring.
     """
     mass = worm.rear_mass + worm.front_mass
     mu = worm.front_mass / mass
@@ -125,7 +125,7 @@ def _implicit_step(
 
 @inlined
 def _step(y: float, rate: float, h: float, piece: _Piece, worm: Worm) -> tuple[float, float, float]:
-    """(y, ẏ, force of friction and fin on the rear module) after ``h`` seconds, of second order in ``h``."""
+    """Return (y, ẏ, force of friction and fin on the rear module) after ``h`` seconds, of second order in ``h``."""
     mean_rate, weight, drag, force = _implicit_step(y, rate, h, piece, y, rate, 0.0, worm)
     middle, middle_rate = y + 0.5 * h * mean_rate, rate + 0.5 * (mean_rate - rate) / weight
     mean_rate, weight, drag, force = _implicit_step(
@@ -145,7 +145,7 @@ def _first_switch(
     front_after: float,
     front_threshold: float,
 ) -> tuple[float, int, int]:
-    """(fraction of the step until the first threshold is passed, steps of the rear and of the front anchor)."""
+    """Return (fraction of the step until the first threshold is passed, steps of the rear and front anchors)."""
     fraction, rear, front = 1.0, 0, 0
     if abs(rear_after) > rear_threshold:
         border = math.copysign(rear_threshold, rear_after)
@@ -161,12 +161,12 @@ def _first_switch(
 
 @inlined
 def _row(groove: int, grooves: np.ndarray) -> int:
-    """Row of a groove, counted from where its module started, which is the row FIRST_GROOVE."""
+    """Return the row of a groove, counted from the groove of the module's start in row FIRST_GROOVE."""
     return min(max(groove + FIRST_GROOVE, 0), grooves.shape[0] - 1)
 
 
 class _State(NamedTuple):
-    """State between steps: y and its rate, and how many grooves each anchor has moved."""
+    """State between steps: y, its rate, and the grooves that each anchor has moved."""
 
     y: float
     rate: float
@@ -185,7 +185,7 @@ def _advance(
     rear_grooves: np.ndarray,
     front_grooves: np.ndarray,
 ) -> tuple[_State, float, int]:
-    """(state after a step, force on the rear module, switches or −1), ΔL going straight from ``start`` to ``end``."""
+    """Return (state after a step, force on the rear module, switches or −1); ΔL moves straight to ``end``."""
     mu = worm.front_mass / (worm.rear_mass + worm.front_mass)
     y, rate, rear, front = state.y, state.rate, state.rear, state.front
     slope, left = (end - start) / step, step
@@ -222,7 +222,7 @@ def _advance(
 
 @inlined
 def _add_inertia(step: float, mass: float, samples: np.ndarray) -> None:
-    """M1·v̇1, from sample to sample."""
+    """Add M1·v̇1, from sample to sample."""
     for at in range(1, samples.shape[0]):
         gain = samples[at, V1] - samples[at - 1, V1]
         samples[at, HOLDING_FORCE] += mass * gain / step
@@ -237,13 +237,13 @@ def slide(
     front_grooves: np.ndarray,
     samples: np.ndarray,
 ) -> int:
-    """Follows ΔL from rest, the front anchor on the nearest groove; returns the number of switches.
+    """Follow ΔL from rest, the front anchor on the nearest groove, and return the number of switches.
 
     ``length_changes`` (n,) in m at every ``step`` s, the first at rest, straight lines between them. The grooves
     that a module passes, (m, GROOVE_COLUMNS), each differ from the worm's values by a threshold in m and a relative
-    stiffness; the row FIRST_GROOVE is where it starts. ``samples`` (n, SAMPLE_COLUMNS) is filled: x1 from its rest in
-    m, v1 in m/s and M1·v̇1 + friction + F_1 in N (eq:Fc) over the step that ends there. Returns −1 if the anchors
-    switch to and fro without end.
+    stiffness; it starts in the row FIRST_GROOVE. ``samples`` (n, SAMPLE_COLUMNS) receives x1 from its rest in m, v1 in m/s and
+    M1·v̇1 + friction + F_1 in N (eq:Fc) over the step that ends there. The result is −1 if the anchors switch to and
+    fro without end.
     """
     mu = worm.front_mass / (worm.rear_mass + worm.front_mass)
     lattice = worm.pitch * nearest_groove_of(worm.initial_length, worm.pitch)

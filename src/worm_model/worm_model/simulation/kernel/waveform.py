@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A cycle of a gait (`worm_model.gait.Gait`) in parts over which the effective command has one form.
+"""Parts of a cycle of a gait (`worm_model.gait.Gait`) over which the effective command has one form.
 
 A cycle begins and ends in the slack, unless the pretension exceeds it. In between, each half is a half wave of a
 cosine or three pieces of the trapezoidal velocity profile. The two half waves of equal duration are one sinusoid.
@@ -19,7 +19,7 @@ from worm_model.simulation.kernel.actuation_law import (
 from worm_model.simulation.kernel.compiled import compiled, inlined
 from worm_model.simulation.kernel.linear import Coefficients
 
-COSINE = 0.0  # of `worm_model.gait.Profile`
+COSINE = 0.0  # value of `worm_model.gait.Profile`
 PARTS = 8  # slack, three pieces of the contraction, three of the extension, slack
 
 Borders = tuple[float, float, float, float, float, float, float, float]
@@ -27,13 +27,13 @@ Borders = tuple[float, float, float, float, float, float, float, float]
 
 @inlined
 def rest_of(g: Any, a: Actuator) -> float:
-    """ΔL in m at which a run begins; ``g`` is a gait's row. Without pretension the slack is still to be taken up."""
+    """Return ΔL in m at which a run begins; ``g`` is a gait's row. Without pretension, the cable is still slack."""
     return 0.0 if g.pretension == 0.0 else -a.gain * max(g.pretension, a.slack)
 
 
 @inlined
 def _slack_time(share: float, g: Any, a: Actuator) -> float:
-    """Time in s at the outer end of a half cycle, of a ``share`` of the cycle, in which the command is in the slack."""
+    """Return the time in s at the outer end of a half cycle, of a ``share`` of the cycle, spent in the slack."""
     taken_up = (a.slack - g.pretension) / g.stroke
     if taken_up <= 0.0:
         return 0.0
@@ -53,7 +53,7 @@ def _slack_time(share: float, g: Any, a: Actuator) -> float:
 
 @compiled
 def borders_of(begin: float, g: Any, a: Actuator) -> Borders:
-    """Ends of the parts of a cycle that begins at ``begin`` in s, not descending; a part may have no duration."""
+    """Return the ends of the parts of a cycle that begins at ``begin`` in s, ascending; parts may have no duration."""
     period = 1.0 / g.frequency
     opening = begin + _slack_time(g.contraction_share, g, a)
     closing = begin + period - _slack_time(1.0 - g.contraction_share, g, a)
@@ -73,9 +73,10 @@ def borders_of(begin: float, g: Any, a: Actuator) -> Borders:
 def _answer_to_piece(
     piece: int, half: float, time: float, length_change: float, g: Any, a: Actuator
 ) -> Coefficients:
-    """ΔL (m) over a piece of the trapezoid, 0 to 2 of the contraction and 3 to 5 of the extension, from a time on.
+    """Return ΔL (m) over a piece of the trapezoid, from a time on.
 
-    ``half`` is the duration of the half and ``time`` the time in it, s.
+    The pieces 0 to 2 are those of the contraction and 3 to 5 those of the extension. ``half`` is the duration of the
+    half and ``time`` the time in it, s.
     """
     ramp, speed = g.ramp_share * half, g.stroke / ((1.0 - g.ramp_share) * half)
     bend = speed / ramp
@@ -99,7 +100,10 @@ def _answer_to_piece(
 def answer_to_part(
     part: int, begin: float, start: float, length_change: float, g: Any, a: Actuator
 ) -> tuple[Coefficients, float]:
-    """(ΔL in m, angular frequency ω in 1/s or 0) over a part of the cycle begun at ``begin``, from ``start`` on."""
+    """Return (ΔL in m, angular frequency ω in 1/s or 0) over a part of a cycle, from ``start`` on.
+
+    The cycle begins at ``begin``, s.
+    """
     if part in (0, PARTS - 1):
         return answer_to_line(length_change, -a.gain * a.slack, 0.0, a), 0.0
     share, origin, phase = g.contraction_share, begin, 0.0

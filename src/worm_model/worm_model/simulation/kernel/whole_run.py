@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whole runs: a gait from the start, a sampled length, and batches over all cores."""
+"""Whole runs: gaits from the start, sampled lengths, and batches over all cores."""
 
 from __future__ import annotations
 
@@ -33,16 +33,16 @@ MEAN_ADVANCE, MEAN_POWER, LEAST_ADVANCE, RUN_SWITCHES, RUN_FAILURE = range(5)
 RESULT_COLUMNS = 5
 # Failure of a run, in the entry FAILURE of the totals like the march's own CHATTERS
 SLIDES = 2.0  # the fins do not hold the load at rest
-# Columns of a row of how far a run is at the start of a cycle
+# Columns of a row with the progress of a run at the start of a cycle
 REACHED, CABLE_WORK, SWITCHED = range(3)
 BOUNDARY_COLUMNS = 3
 
-STEADY = 1e-14  # m, m/s, to which two states are one: as exactly as events are located
+STEADY = 1e-14  # m, m/s; states are equal within this, the accuracy with which events are located
 
 
 @entry
 def constants_of(p: Any, direction: float, margin: float) -> Constants:
-    """Constants of a parameter row; forward, the fin is stiff when pushed backward (below its clearance)."""
+    """Return the constants of a parameter row. Forward fins are stiff when pushed backward (below the clearance)."""
     mass = p.rear_mass + p.front_mass
     below, above = p.engaged_stiffness, p.disengaged_stiffness
     if direction < 0:
@@ -71,7 +71,7 @@ def constants_of(p: Any, direction: float, margin: float) -> Constants:
 
 @inlined
 def actuator_of(p: Any) -> Actuator:
-    """K, δ_s and τ of a parameter row."""
+    """Return K, δ_s and τ of a parameter row."""
     return Actuator(p.gain, p.slack, p.time_constant)
 
 
@@ -88,7 +88,7 @@ def play(
     samples: np.ndarray,
     events: np.ndarray,
 ) -> tuple[float, Motion]:
-    """Plays a gait from ``first`` to ``last`` in s since its onset; returns (ΔL in m, the motion) at the end.
+    """Play a gait from ``first`` to ``last`` in s since its onset, and return (ΔL in m, the motion) at the end.
 
     ``g`` is a gait's row, ``length_change`` is ΔL at the start; the arrays are those of `march`.
     """
@@ -119,7 +119,7 @@ def run_gait(
     samples: np.ndarray,
     events: np.ndarray,
 ) -> None:
-    """Runs a gait from the start for a number of cycles; the arrays are those of `march`."""
+    """Run a gait from the start for a number of cycles; the arrays are those of `march`."""
     c, a = constants_of(p, g.direction, g.margin), actuator_of(p)
     held, length_change, motion = start_of(g, c, a)
     if not held:
@@ -129,7 +129,7 @@ def run_gait(
 
 @inlined
 def _alike(before: Motion, after: Motion, c: Constants) -> bool:
-    """Whether two motions are one within STEADY, but for the grooves that both anchors have gained."""
+    """Return True if two motions are equal within STEADY, except for the grooves that both anchors have gained."""
     gained = after.rear_groove - before.rear_groove
     moved = after.y - before.y - gained * c.pitch
     return (
@@ -149,11 +149,11 @@ def run_cycles(
     boundaries: np.ndarray,
     totals: np.ndarray,
 ) -> None:
-    """Runs a gait from the start for a number of cycles, unless the march gives up; ``totals`` are those of `march`.
+    """Run a gait from the start for a number of cycles, unless the march gives up; ``totals`` are those of `march`.
 
     ``boundaries`` (cycles + 1, BOUNDARY_COLUMNS) receives x1 in m, the cable work so far in J and the switches so far
-    at the start of each cycle and at the end. All that a cycle does follows from the state in which it begins: once
-    that is the state in which the cycle before began, every further cycle is that one again, and not run.
+    at the start of each cycle and at the end. The state at its start determines a cycle. Once this state equals that
+    of the cycle before, all further cycles repeat it and are not simulated.
     """
     nothing = np.empty((0, SAMPLE_COLUMNS))
     held, length_change, motion = start_of(g, c, a)
@@ -193,7 +193,7 @@ def evaluate(
     averaged: int,
     result: np.ndarray,
 ) -> None:
-    """Fills a result row for a gait.
+    """Fill a result row for a gait.
 
     Its entries: mean advance of x1 a cycle in m along the direction, mean power in W, least advance of an
     averaged cycle in m, switches in the whole run, and the failure of the run or 0.
@@ -224,7 +224,7 @@ def evaluate(
 def evaluate_many(
     gaits: np.ndarray, parameters: np.ndarray, cycles: int, averaged: int, results: np.ndarray
 ) -> None:
-    """`evaluate` of rows, without the interpreter's lock.
+    """Apply `evaluate` to rows, without the interpreter's lock.
 
     ``gaits`` (n,) of GAIT_ROW; ``parameters`` (n,) of PARAMETER_ROW, or one row, shared (`simulation.rows`);
     ``results`` (n, RESULT_COLUMNS).
@@ -243,7 +243,7 @@ def sample_many(
     force: np.ndarray,
     length_rate: np.ndarray,
 ) -> None:
-    """Samples a cycle, counted from 0, of gaits (n,) of GAIT_ROW, without the interpreter's lock.
+    """Sample a cycle, counted from 0, of gaits (n,) of GAIT_ROW, without the interpreter's lock.
 
     ``phases`` (m,), ascending, are shares of the cycle; ``force`` and ``length_rate`` (n, m) receive F_c in N and L̇ in
     m/s there, NaN where the run gave up.
@@ -268,7 +268,7 @@ def run_sampled(
     samples: np.ndarray,
     events: np.ndarray,
 ) -> Motion:
-    """Runs under a piecewise cubic ΔL from breaks[0] to breaks[-1]; returns the motion at the end.
+    """Run under a piecewise cubic ΔL from breaks[0] to breaks[-1], and return the motion at the end.
 
     ``breaks`` (n + 1,) in s, ascending; ``coefficients`` (4, n), constant term first, of the time since
     the segment's break; the other arrays are those of `march`.
@@ -301,7 +301,7 @@ def run_sampled(
 def step(
     segment: Segment, motion: Motion, c: Constants, totals: np.ndarray, sample: np.ndarray
 ) -> Motion:
-    """The motion at a segment's end, which ``sample`` (1, SAMPLE_COLUMNS) describes; see `march`."""
+    """Return the motion at a segment's end; ``sample`` (1, SAMPLE_COLUMNS) receives its quantities. See `march`."""
     totals[SAMPLED] = 0.0
     sample[0, TIME] = segment.start + segment.duration
     return march(segment, motion, c, totals, sample, sample[:0])
@@ -317,7 +317,7 @@ def play_on(
     totals: np.ndarray,
     samples: np.ndarray,
 ) -> Motion:
-    """Plays a gait that begins at time 0 with a motion and ΔL (m), up to the last row's time of ``samples``."""
+    """Play a gait that begins at time 0 with a motion and ΔL (m), up to the last row's time of ``samples``."""
     last = samples[samples.shape[0] - 1, TIME]
     a = actuator_of(p)
     _, motion = play(0.0, last, g, length_change, motion, c, a, totals, samples, samples[:0])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The cable's mechanical power (of eq:power_model), and the antiderivative of F_c·L̇ over a mode, in closed form."""
+"""Mechanical power of the cable (eq:power_model), and the antiderivative of F_c·L̇ over a mode, in closed form."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from worm_model.simulation.kernel.linear import Basis, Coefficients, Roots, Wave
 
 
 def cable_power(force: Any, rate: Any, one_sided_cable: Any) -> Any:
-    """What the cable puts in, W: max(−F_c·L̇, 0), and nothing of a one-sided cable that would have to push (F_c < 0).
+    """Return the mechanical power of the cable, max(−F_c·L̇, 0), W. A one-sided cable has none where F_c < 0.
 
     ``force`` F_c in N and ``rate`` L̇ in m/s are numbers or, outside the kernel, arrays.
     """
@@ -21,12 +21,12 @@ def cable_power(force: Any, rate: Any, one_sided_cable: Any) -> Any:
     return np.maximum(-force * rate, 0.0)
 
 
-cable_power_of = inlined(cable_power)  # of numbers, within the kernel
+cable_power_of = inlined(cable_power)  # For numbers, within the kernel
 
 
 @inlined
 def _wave_products(r: Coefficients, f: Coefficients, b: Basis, wave: Wave) -> float:
-    """∫ of the wave terms of the rate r times those of the force f."""
+    """Return ∫ of the wave terms of the rate r times those of the force f."""
     w, q = wave.omega, wave.q
     exponential = r.exp * f.exp * b.exp * b.exp / (2.0 * q)
     if w == 0.0:
@@ -44,7 +44,7 @@ def _wave_products(r: Coefficients, f: Coefficients, b: Basis, wave: Wave) -> fl
 def _separated_products(
     r: Coefficients, f: Coefficients, b: Basis, wave: Wave, roots: Roots
 ) -> float:
-    """∫ of the wave terms of the rate times f.h1·e^(r1·s) + f.h2·e^(r2·s)."""
+    """Return ∫ of the wave terms of the rate times f.h1·e^(r1·s) + f.h2·e^(r2·s)."""
     w = wave.omega
     total = 0.0
     for root, response in ((roots.r1, f.h1 * b.h1), (roots.r2, f.h2 * b.h2)):
@@ -59,7 +59,7 @@ def _separated_products(
 
 @inlined
 def _rotated(z: complex, factor: complex, h1: float, h2: float, b: Basis, roots: Roots) -> float:
-    """Re ∫ factor·(h1 term + h2 term) where d factor/dt = z·factor, for joined roots."""
+    """Return Re ∫ factor·(h1 term + h2 term) where d factor/dt = z·factor, for joined roots."""
     p = z - roots.gamma
     det = p * p - roots.discriminant
     a1 = (p * h1 - h2) / det
@@ -69,7 +69,7 @@ def _rotated(z: complex, factor: complex, h1: float, h2: float, b: Basis, roots:
 
 @inlined
 def _joined_products(r: Coefficients, f: Coefficients, b: Basis, wave: Wave, roots: Roots) -> float:
-    """∫ of the wave terms of the rate times f.h1·h1 + f.h2·h2, for joined roots."""
+    """Return ∫ of the wave terms of the rate times f.h1·h1 + f.h2·h2, for joined roots."""
     turning = (r.cos - 1j * r.sin) * (b.cos + 1j * b.sin)
     decaying = complex(r.exp * b.exp, 0.0)
     return _rotated(complex(0.0, wave.omega), turning, f.h1, f.h2, b, roots) + _rotated(
@@ -81,7 +81,7 @@ def _joined_products(r: Coefficients, f: Coefficients, b: Basis, wave: Wave, roo
 def _resonant_products(
     r: Coefficients, f: Coefficients, b: Basis, wave: Wave, roots: Roots
 ) -> float:
-    """∫ of the wave terms of the rate times f.res·R, by parts: R' = q·R + S/M, S free from rest."""
+    """Return ∫ of the wave terms of the rate times f.res·R, by parts: R' = q·R + S/M, S free from rest."""
     turning = (r.cos - 1j * r.sin) * (b.cos + 1j * b.sin)
     decaying = r.exp * b.exp
     z = complex(0.0, wave.omega) + wave.q
@@ -101,7 +101,7 @@ def _resonant_products(
 
 @inlined
 def _line_times_free(p0: float, p1: float, h1: float, h2: float, b: Basis, roots: Roots) -> float:
-    """∫ (p0 + p1·σ) times the free response with the coefficients h1 and h2, by parts."""
+    """Return ∫ (p0 + p1·σ) times the free response with the coefficients h1 and h2, by parts."""
     line = p0 + p1 * b.t1
     if roots.joined:
         det = roots.discriminant - roots.gamma * roots.gamma
@@ -118,7 +118,7 @@ def _line_times_free(p0: float, p1: float, h1: float, h2: float, b: Basis, roots
 def _polynomial_products(
     r: Coefficients, f: Coefficients, b: Basis, wave: Wave, roots: Roots
 ) -> float:
-    """∫ of the polynomial of the rate times the force, and of its decaying term times the force's beyond a constant."""
+    """Return the part of ∫ rate · force that the rate's polynomial, or the force beyond its constant, contributes."""
     t, q = b.t1, wave.q
     total = t * (r.one * f.one + t * 0.5 * (r.one * f.t1 + r.t1 * f.one))
     total += t * t * t * ((r.one * f.t2 + r.t1 * f.t1) / 3.0 + t * 0.25 * r.t1 * f.t2)
@@ -144,9 +144,9 @@ def cable_work(
     wave: Wave,
     roots: Roots,
 ) -> float:
-    """∫ F_c·L̇ dt up to the moment of the basis, J, but for a constant; for a gait's length only.
+    """Return ∫ F_c·L̇ dt up to the moment of the basis, J, up to a constant; only for a gait's length.
 
-    ``length_change`` and ``rate`` are the wave's ΔL and its derivative, ``force`` is F_c.
+    ``length_change`` and ``rate`` are ΔL and its derivative, ``force`` is F_c.
     """
     steady = force.one * (
         length_change.cos * b.cos + length_change.sin * b.sin + length_change.exp * b.exp
