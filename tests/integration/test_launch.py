@@ -248,7 +248,9 @@ def test_a_recorder_that_crashes_goes_on_in_the_next_bag(launched, probe, tmp_pa
     probe.wait_for(lambda: states and states[-1].cycle >= 1, "running gait", START_S)
     os.kill(before["recorder"], signal.SIGKILL)
     launch.wait_for_line("recorder has ended with exit status -9: it starts again", START_S)
-    launch.wait_for_line(f"{bag} was not closed by its recorder, and goes on in {bag}_2", START_S)
+    launch.wait_for_line(
+        f"{bag} was not closed by its recorder; the recording continues in {bag}_2", START_S
+    )
     cycle = states[-1].cycle
     probe.wait_for(lambda: states[-1].cycle > cycle + 1, "the gait that goes on", START_S)
     launch.interrupt()

@@ -189,8 +189,11 @@ def test_what_cannot_be_published_is_left_out_and_told(
     assert [m.power for m in powers] == [0.0, 2.0]
     assert player.exit_code == 0
     assert "/a is not played" in player.output()
-    assert "'/../x' is not played: ROS has no such names" in player.output()
-    assert "/worm/power is not played in whole: a message is not as long" in player.output()
+    assert "'/../x' is not played: it is not a valid name of a topic" in player.output()
+    assert (
+        "/worm/power is played without the messages that cannot be converted: a message is not as long"
+        in player.output()
+    )
     assert "2 messages published" in player.output()
 
 
@@ -254,9 +257,9 @@ def test_a_signal_ends_it_in_order(
     [
         (["no_bag"], "no_bag does not exist"),
         (["{bag}", "--rate", "0"], "--rate"),
-        (["{bag}", "--start", "1000"], "behind the end"),
+        (["{bag}", "--start", "1000"], "after the end"),
         (["{bag}", "--topic", "/no"], "no topic /no"),
-        (["{bag}", "--exclude", "."], "none of the topics"),
+        (["{bag}", "--exclude", "."], "none of the selected topics"),
         (["{bag}", "--exclude", "("], "regular expression"),
     ],
 )

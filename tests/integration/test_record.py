@@ -136,7 +136,7 @@ def test_all_topics_and_a_new_publisher_that_offers_less(
     recorder.wait_for_line("recording /worm/tracker ", TIMEOUT_S)
     publish(reliable, range(10))
     best_effort = probe.node.create_publisher(Tracker, "tracker", BEST_EFFORT)
-    recorder.wait_for_line("/worm/tracker: a new publisher offers less", TIMEOUT_S)
+    recorder.wait_for_line("/worm/tracker: adapted the quality of service", TIMEOUT_S)
     file = tmp_path / "bag" / "bag_0.mcap"
     grown(probe, file, lambda: best_effort.publish(tracker(10)))
     recorder.signal(signal.SIGTERM)
@@ -172,10 +172,10 @@ def test_nothing_is_lost_or_doubled_while_it_adapts(
         depth=10, reliability=ReliabilityPolicy.BEST_EFFORT, durability=LATCHED.durability
     )
     newcomer = probe.node.create_publisher(Tracker, "tracker", less)
-    adapted = "a new publisher offers less"
+    adapted = "to a new publisher that offers less"
     probe.wait_for(lambda: send() or adapted in recorder.output(), "the second subscription")
     probe.node.destroy_publisher(newcomer)  # while an unheard one is there, a gap may be its start
-    alone = "the old subscription is given up"
+    alone = "the old subscription is closed"
     probe.wait_for(lambda: send() or alone in recorder.output(), "the second subscription alone")
     for _ in range(50):
         send()

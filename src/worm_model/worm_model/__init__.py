@@ -3,6 +3,6 @@
 
 import os
 
-# Its matrices are small: a second thread of the linear algebra gains nothing, and on a busy computer both wait for each
-# other, which takes ten times as long. It is read when NumPy is loaded.
+# The matrices are small, so a second thread of the linear algebra gains nothing. On a busy computer both threads wait
+# for each other, which takes ten times as long. NumPy reads the variable when it is loaded.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The kinds of arrays that most modules speak of."""
+"""Types of arrays that most modules use."""
 
 import numpy as np
 from numpy.typing import NDArray

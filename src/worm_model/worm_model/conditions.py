@@ -16,7 +16,7 @@ WATER_DENSITY = 998.2  # kg/m³ at 20 °C
 
 
 class ConditionsError(InputError):
-    """A condition is not admissible; the message says which and why."""
+    """A condition is not admissible. The message names it and the reason."""
 
 
 def _row(option: str, unit: str, low: float, high: float, meaning: str) -> float:
@@ -67,13 +67,13 @@ class Conditions:
                 )
 
     def __str__(self) -> str:
-        """Return the values that are not zero in words, such as ``slope 20 deg, tether 2 N``, or ``level ground``."""
-        words = ", ".join(
+        """Return the values that are not zero as text, such as ``slope 20 deg, tether 2 N``, or ``level ground``."""
+        text = ", ".join(
             f"{row['option'].strip('-').replace('-', ' ')} {value:g} {row['unit']}"
             for name, row in CONDITION_ROWS.items()
             if (value := getattr(self, name))
         )
-        return words or "level ground"
+        return text or "level ground"
 
     @property
     def tether(self) -> float:

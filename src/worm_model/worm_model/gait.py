@@ -19,7 +19,7 @@ REVERSE: Final = -1
 STROKE_RANGE = (0.01, 0.09)  # m
 FREQUENCY_RANGE = (0.08, 0.4)  # Hz
 
-MAX_STROKE = 1.0  # m; beyond it a stroke is taken for a wrong unit
+MAX_STROKE = 1.0  # m; a larger stroke is probably in another unit
 MAX_FREQUENCY = 20.0  # Hz
 MAX_MARGIN = 0.1  # m
 MAX_PRETENSION = 1.0  # m
@@ -28,7 +28,7 @@ RAMP_SHARE_RANGE = (0.1, 0.5)
 
 
 class GaitError(InputError):
-    """A gait is not admissible; the message says why."""
+    """A gait is not admissible. The message states the reason."""
 
 
 def _row(unit: str, meaning: str, default: Any = dataclasses.MISSING) -> Any:
@@ -39,7 +39,7 @@ def _row(unit: str, meaning: str, default: Any = dataclasses.MISSING) -> Any:
 class Profile(enum.IntEnum):
     """Shape of a half cycle: a half wave of a cosine, or a trapezoidal velocity profile.
 
-    The number stands in messages and arrays, the name (``str(profile)``) in JSON, CSV, YAML and on command lines.
+    Messages and arrays contain the number; JSON, CSV, YAML and command lines the name (``str(profile)``).
     `Profile` of either returns the member and raises `GaitError` for anything else.
     """
 
@@ -59,7 +59,7 @@ class Profile(enum.IntEnum):
 
 @dataclass(frozen=True)
 class Gait:
-    """A periodic command of the cable that contracts the body and extends it again.
+    """Periodic command of the cable that contracts the body and extends it again.
 
     With the phase p in [0, 1) of a cycle, the command swings between −o and −(o + S):
 
@@ -72,13 +72,13 @@ class Gait:
 
     ``stroke`` S in m, ``frequency`` in Hz, ``direction`` FORWARD (+x) or REVERSE (fins flipped),
     ``margin`` the robustness margin δ_m in m by which the switching threshold is enlarged
-    (eq:A1_switch_robust); 0 is the nominal prediction. ``pretension`` o in m: the cable never returns below it.
+    (eq:A1_switch_robust); 0 is the nominal prediction. ``pretension`` o in m: least contraction of the command.
     ``contraction_share`` s: part of a cycle in which the body contracts.
 
-    The fields are those of the message worm_msgs/msg/Gait. Tables, messages, bags and the kernel take them from here by
-    name; a further one needs a default that means what gaits without it were.
+    The fields are those of the message worm_msgs/msg/Gait. Tables, messages, bags and the kernel read them from here by
+    name. A new field needs the default that gaits without the field correspond to.
 
-    Raises `GaitError` on anything that is not finite or not in range.
+    Raises `GaitError` if a value is not finite or not in its range.
     """
 
     stroke: float = _row("m", "contraction stroke")
@@ -129,7 +129,7 @@ class Gait:
 
     def command(self, time: Any) -> Any:
         """Return the commanded length change u_cmd in m (≤ 0) at ``time`` s after the onset, a number or an array."""
-        import numpy as np  # here, as the commands' --help imports this module and needs no array
+        import numpy as np  # Here, because --help of the commands imports this module and needs no array.
 
         phase, share = np.mod(self.frequency * time, 1.0), self.contraction_share
         extending = phase >= share
@@ -178,14 +178,14 @@ GAIT_TYPES: Mapping[str, Any] = get_type_hints(Gait)
 GAIT_COLUMNS: Mapping[str, str] = {
     name: name if unit == "1" else f"{name}_{unit}" for name, unit in GAIT_UNITS.items()
 }
-#: the fields that shape u_cmd
+#: fields that determine u_cmd
 WAVEFORM = tuple(name for name in GAIT_UNITS if name not in ("direction", "margin"))
 
 
 def gait_of(source: Any) -> Gait:
     """Return the gait with the fields of a message, a record or a mapping, by name.
 
-    A field that the source lacks has its default. Raises `GaitError` on values that are not admissible.
+    A field that the source lacks has its default. Raises `GaitError` if a value is not admissible.
     """
     if not isinstance(source, Mapping):
         source = {name: getattr(source, name) for name in GAIT_UNITS if hasattr(source, name)}
@@ -193,7 +193,7 @@ def gait_of(source: Any) -> Gait:
 
 
 def named_values(gait: Gait) -> dict[str, Any]:
-    """Return the fields of a gait or a prediction as JSON and YAML files have them, the profile by its name."""
+    """Return the fields of a gait or a prediction as in JSON and YAML files, the profile by its name."""
     return dataclasses.asdict(gait) | {"profile": str(gait.profile)}
 
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The parameters of the worm robot and the file that holds them.
+"""Parameters of the worm robot and the parameter file.
 
-The keys are those of the parameter table of the paper (``tab1``) in SI units, and three that the table
-lacks: ``initial_length``, which was calibrated, and the dry friction of both modules (see `Parameters`). One more
-key is no number: ``one_sided_cable``, the form of the power.
+The keys are those of the parameter table of the paper (``tab1``) in SI units, and some that the table lacks, such as
+``initial_length``, which was calibrated, and the dry friction of both modules (see `Parameters`). One key is not a
+number: ``one_sided_cable``, the form of the power.
 """
 
 from __future__ import annotations
@@ -27,25 +27,25 @@ STANDARD_GRAVITY = 9.80665  # m/s², exact by definition (CGPM 1901)
 
 
 class ParameterError(InputError):
-    """A parameter or a parameter file is not admissible; the message says which and why."""
+    """A parameter or a parameter file is not admissible. The message names it and the reason."""
 
 
 @dataclass(frozen=True)
 class Parameters(RobotParameters):
-    """The worm in its pipe, SI units. The defaults are the values of the paper's table ``tab1``.
+    """Parameters of the robot in its pipe, SI units. The defaults are the values of the paper's table ``tab1``.
 
-    ``initial_length`` (L0) is missing from the paper; 0.2952 m is this project's calibration: with it
-    the price-of-robustness cliff lies where the paper found it, at 3.4 mm. It sets the groove phase
-    and so decides how many grooves a cycle gains.
+    ``initial_length`` (L0) is missing from the paper. 0.2952 m is this project's calibration: with it the cliff of the
+    price of robustness is at 3.4 mm, as in the paper. It determines the groove phase and thus how many grooves a cycle
+    gains.
 
-    ``rear_dry_friction`` and ``front_dry_friction`` (D1, D2) are not in the paper's model, which has viscous
-    friction alone; 0, the default, is that model.
+    ``rear_dry_friction`` and ``front_dry_friction`` (D1, D2) are not in the paper's model, which has viscous friction
+    alone. The default 0 is the paper's model.
 
-    ``one_sided_cable``: the power is that of a cable that cannot push, max(F_c, 0) in the place of F_c in
-    eq:power_model; c_b and α_P hold for the form that they were fitted with alone. Motion is the same in both.
+    ``one_sided_cable``: the power is that of a cable that cannot push, with max(F_c, 0) instead of F_c in
+    eq:power_model. c_b and α_P are valid only for the form with which they were fitted. The motion is the same in both.
 
-    Raises `ParameterError` if a value is not a finite number, lies outside its admissible range (a range of
-    orders of magnitude, there to catch wrong units), or if values exclude each other.
+    Raises `ParameterError` if a value is not a finite number, is outside its admissible range (orders of magnitude, to
+    detect wrong units), or if values exclude each other.
     """
 
     one_sided_cable: bool = False
@@ -56,7 +56,7 @@ class Parameters(RobotParameters):
         if not isinstance(self.one_sided_cable, bool):
             raise ParameterError(f"{FORM}: {self.one_sided_cable!r}: write true or false")
         if 2.0 * self.switching_threshold < self.pitch:
-            # A fin that switches lands a pitch back: below its lower threshold, it would switch for ever.
+            # The deflection of a fin that switches changes by a pitch: past the lower threshold it would switch back.
             raise ParameterError(
                 f"switching_threshold: {self.switching_threshold:g} m is less than half the pitch "
                 f"({self.pitch:g} m): a fin that switches would switch back at once, without end"
@@ -81,14 +81,14 @@ class Parameters(RobotParameters):
         return self.rear_mass + self.front_mass
 
     def replace(self, **changes: Any) -> Parameters:
-        """A copy with some values changed; raises `ParameterError` as the constructor does."""
+        """Return a copy with some values changed; raise `ParameterError` as the constructor does."""
         unknown = set(changes) - {*KEYS, FORM}
         if unknown:
             raise ParameterError(_unknown_key(sorted(unknown)[0]))
         return dataclasses.replace(self, **changes)
 
     def as_dict(self) -> dict[str, float]:
-        """The values by key, in the order of the table; ``one_sided_cable`` last."""
+        """Return the values by key, in the order of the table; ``one_sided_cable`` is last."""
         return dataclasses.asdict(self)
 
 
@@ -113,18 +113,18 @@ FORM = "one_sided_cable"  # key of the form of the power, also in a file's prove
 POWER_ONLY = frozenset(row.name for row in rows_of(Parameters) if row.metadata["power_only"])
 NOT_OF_PAPER = tuple(row.name for row in rows_of(Parameters) if not row.default)  # ours, default 0
 FITTED_WITH_FORM = ("bellows_damping", "power_factor")
-MADE_BY = "worm_model identify"  # begins provenance's made_by in what `identify` wrote
+MADE_BY = "worm_model identify"  # beginning of the provenance's made_by in files of `identify`
 PAPER = Parameters()
 
 
 @dataclass(frozen=True)
 class ParameterFile:
-    """What a parameter file holds: the values, their 95 % intervals and where they come from.
+    """Content of a parameter file: the values, their 95 % intervals and their provenance.
 
-    ``intervals`` maps a key to (low, high) in the key's unit; ``provenance`` is free (bags and their
-    hashes, code version, seed). ``correlations`` maps pairs of keys to the correlation of their errors;
-    ``run_to_run`` a key to the standard deviation, in its unit, by which the robot itself differs from
-    one run to the next, which an interval of the mean leaves out. All may be empty.
+    ``intervals`` maps a key to (low, high) in the key's unit. ``provenance`` is free (bags and their hashes, code
+    version, seed). ``correlations`` maps pairs of keys to the correlation of their errors. ``run_to_run`` maps a key to
+    the standard deviation, in its unit, of the robot itself from run to run, which an interval of the mean does not
+    contain. All may be empty.
     """
 
     parameters: Parameters = PAPER
@@ -200,24 +200,24 @@ def _parse_run_to_run(content: Any) -> dict[str, float]:
 def _check_form(
     parameters: Parameters, keys: Container[str], provenance: Mapping[str, Any]
 ) -> None:
-    """Raises `ParameterError` if c_b and α_P were fitted with another form of the power than the file's."""
+    """Raise `ParameterError` if c_b and α_P were fitted with another form of the power than the file's."""
     form = parameters.one_sided_cable
     if form and not all(key in keys for key in FITTED_WITH_FORM):
         raise ParameterError(
-            f"{FORM}: true needs {' and '.join(FITTED_WITH_FORM)} that were fitted with it, which the paper's were "
-            "not: identify with --one-sided-cable, which writes them"
+            f"{FORM}: true needs {' and '.join(FITTED_WITH_FORM)} fitted with it, which the paper's values are "
+            "not. Use a file that identify --one-sided-cable has written"
         )
     identified = str(provenance.get("made_by", "")).startswith(MADE_BY)
     if identified and provenance.get(FORM, False) != form:
         raise ParameterError(
             f"{FORM}: {str(form).lower()}, but identify fitted {' and '.join(FITTED_WITH_FORM)} with "
-            f"{str(not form).lower()}: put that back, or identify again "
+            f"{str(not form).lower()}. Restore that value, or identify again "
             f"{'with' if form else 'without'} --one-sided-cable"
         )
 
 
 def parse_parameter_file(content: Any) -> ParameterFile:
-    """Makes a `ParameterFile` of a parsed YAML document; a missing key means the paper's value.
+    """Return the `ParameterFile` of a parsed YAML document. A missing key means the paper's value.
 
     Raises `ParameterError` on an unknown key, a value that is not admissible, a malformed section, or c_b and α_P that
     were fitted with another form of the power than the file's ``one_sided_cable``.
@@ -239,7 +239,7 @@ def parse_parameter_file(content: Any) -> ParameterFile:
 
 
 def load_parameter_file(path: str | Path) -> ParameterFile:
-    """Reads a parameter file (YAML). An empty path means the paper's values.
+    """Return the content of a parameter file (YAML). An empty path means the paper's values.
 
     Raises `ParameterError` whose message starts with the path.
     """
@@ -253,12 +253,12 @@ def load_parameter_file(path: str | Path) -> ParameterFile:
 
 
 def load_parameters(path: str | Path) -> Parameters:
-    """The values of a parameter file; see `load_parameter_file`."""
+    """Return the values of a parameter file; see `load_parameter_file`."""
     return load_parameter_file(path).parameters
 
 
 def format_parameter_file(content: ParameterFile) -> str:
-    """The text of a parameter file, each value with its unit and symbol as a comment."""
+    """Return the text of a parameter file, each value with its unit and symbol as a comment."""
     lines = [
         f"{key}: {getattr(content.parameters, key)!r}  # {UNITS[key]}, {SYMBOLS[key]}"
         for key in KEYS
@@ -283,6 +283,6 @@ def format_parameter_file(content: ParameterFile) -> str:
 
 
 def write_parameter_file(path: str | Path, content: ParameterFile) -> None:
-    """Writes a new parameter file; raises `FileExistsError` rather than overwrite one."""
+    """Write a new parameter file; raise `FileExistsError` if the file exists."""
     with Path(path).open("x", encoding="utf-8") as file:
         file.write(format_parameter_file(content))

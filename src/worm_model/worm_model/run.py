@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One run of the worm as typed arrays: what was commanded, measured and played, whoever recorded it.
+"""One run of the robot as typed arrays: commands, measurements and states of the driver, from any recorder.
 
-Stamps are acquisition stamps in ns since the epoch (int64, shape (n,)), in the order of reception; other quantities
-are SI units, float64 of shape (n,) unless said otherwise. A topic that was not recorded has no samples.
+Stamps are acquisition stamps in ns since the epoch (int64, shape (n,)), in the order of reception. Other quantities
+are in SI units, float64 of shape (n,) unless stated otherwise. A topic that was not recorded has no samples.
 """
 
 from __future__ import annotations
@@ -20,33 +20,33 @@ from worm_model.gait import GAIT_DEFAULTS, GAIT_TYPES, GAIT_UNITS, Gait, gait_of
 
 Codes = NDArray[np.int64]
 
-# The values of GaitState.state and of Power.status, for what knows no ROS; a test holds them to worm_msgs.
+# Values of GaitState.state and of Power.status for code without ROS; a test compares them with worm_msgs.
 INACTIVE, IDLE, RESTING, RUNNING, STOPPING, FAULT = range(6)
 STATE_NAMES = ("inactive", "idle", "resting", "running", "stopping", "fault")
 POWER_VALID = 0
 POWER_STATUS_NAMES = ("valid", "overflow", "not ready", "bus error", "sensor reset")
 
-# the driver tells a run's onset anew with each cycle, through two clocks
+# The driver computes a run's onset in each cycle from two clocks, so that it varies by less than this.
 SAME_ONSET_NS = 100_000_000
 
 
 def state_name(state: int) -> str:
-    """A value of GaitState.state in words."""
+    """Return the name of a value of GaitState.state."""
     return STATE_NAMES[state] if 0 <= state < len(STATE_NAMES) else f"state {state}"
 
 
 def power_status_name(status: int) -> str:
-    """A value of Power.status in words."""
+    """Return the name of a value of Power.status."""
     known = 0 <= status < len(POWER_STATUS_NAMES)
     return POWER_STATUS_NAMES[status] if known else f"status {status}"
 
 
 def is_another_run(before: tuple[Any, Any, Any], after: tuple[Any, Any, Any]) -> Any:
-    """Whether one gait state is of another run than the one before it: what is one run is decided here alone.
+    """Return True where a gait state is of another run than the state before it.
 
     Each is (number of the run, number of the cycle, onset in ns), numbers or arrays of one shape. The driver's number
-    of the run tells (a driver that was started anew counts from 1, and its cycles do, too); in a recording without
-    numbers, onsets that differ by more than `SAME_ONSET_NS` do.
+    of the run decides. A driver that was restarted counts runs and cycles from 1. In a recording without numbers, runs
+    differ if their onsets differ by more than `SAME_ONSET_NS`.
     """
     (run, cycle, onset), (next_run, next_cycle, next_onset) = before, after
     restarted, moved = next_cycle < cycle, abs(next_onset - onset) > SAME_ONSET_NS
@@ -54,12 +54,12 @@ def is_another_run(before: tuple[Any, Any, Any], after: tuple[Any, Any, Any]) ->
 
 
 def seconds(stamp: Stamps, origin: int) -> Array:
-    """Stamps as s since an origin (ns since the epoch); exact to a ns for months around it."""
+    """Return stamps as s since an origin (ns since the epoch), exact to a ns for months around it."""
     return (stamp - origin).astype(np.float64) * 1e-9
 
 
 def utc_of(stamp: int) -> str:
-    """A stamp (ns since the epoch) as a date in UTC to the second, ISO 8601."""
+    """Return a stamp (ns since the epoch) as a date in UTC to the second, ISO 8601."""
     return datetime.fromtimestamp(stamp * 1e-9, timezone.utc).isoformat(timespec="seconds")
 
 
@@ -120,7 +120,7 @@ class PowerSamples:
 
     @property
     def valid_power(self) -> Array:
-        """Power in W, NaN unless the sensor calls it valid."""
+        """Power in W, NaN where its status is not valid."""
         return np.where(self.status == POWER_VALID, self.power, np.nan)
 
 
@@ -137,10 +137,10 @@ _GaitColumns: Any = make_dataclass(
 
 @dataclass(frozen=True, kw_only=True)
 class GaitStates(_GaitColumns):
-    """What the driver did: `state` as GaitState has it, the gait, and its `onset` (ns since the epoch, 0: unknown).
+    """States of the driver: `state` as in GaitState, the gait, and its `onset` (ns since the epoch, 0: unknown).
 
     The fields of `Gait` are arrays of the same names; those that a recording lacks have the gait's defaults.
-    `run` numbers the runs since the driver started; 0 in recordings from before it did.
+    `run` is the driver's number of the run, 0 in recordings without it.
     """
 
     stamp: Stamps = field(default_factory=_stamps)
@@ -151,17 +151,17 @@ class GaitStates(_GaitColumns):
     run: Codes = field(default_factory=_stamps)
 
     def __post_init__(self) -> None:
-        unknown = dict.fromkeys(("cycle", "cycles", "run"), 0)  # where a recording does not tell
+        unknown = dict.fromkeys(("cycle", "cycles", "run"), 0)  # where a recording lacks them
         for name, default in {**GAIT_DEFAULTS, **unknown}.items():
             if getattr(self, name).size != self.stamp.size:
                 kind = getattr(self, name).dtype
                 object.__setattr__(self, name, np.full(self.stamp.size, default, kind))
 
     @classmethod
-    def of(cls, gait: Gait, stamp: Stamps, **told: Any) -> GaitStates:
-        """States of one gait at stamps (n,) in ns; what is ``told`` beside it are the other fields."""
+    def of(cls, gait: Gait, stamp: Stamps, **others: Any) -> GaitStates:
+        """Return states of one gait at stamps (n,) in ns; ``others`` are the other fields."""
         values = {name: np.full(stamp.size, value) for name, value in asdict(gait).items()}
-        return cls(stamp=stamp, **values, **told)
+        return cls(stamp=stamp, **values, **others)
 
     def gait(self, row: int) -> Gait:
         """Return the gait of a row; raises `GaitError` if it is not admissible."""
@@ -169,24 +169,24 @@ class GaitStates(_GaitColumns):
 
     @property
     def played(self) -> NDArray[np.bool_]:
-        """In which states a gait runs whose onset is known, shape (n,)."""
+        """True for states in which a gait with a known onset runs, shape (n,)."""
         return (self.state == RUNNING) & (self.onset > 0)
 
     @property
     def mixed(self) -> bool:
-        """Whether a run goes on after another one has begun: what several drivers told, or merged recordings."""
+        """True if a run continues after another one has begun: states of several drivers, or merged recordings."""
         onset = self.onset[self._played_rows]
         first = np.append(True, np.abs(np.diff(onset)) > SAME_ONSET_NS)[: onset.size]
         return bool((np.diff(np.sort(onset[first])) <= SAME_ONSET_NS).any())
 
     @property
     def _played_rows(self) -> NDArray[np.int64]:
-        """The rows of `played` in the order of their stamps."""
+        """Rows of `played` in the order of their stamps."""
         rows = np.flatnonzero(self.played)
         return rows[np.argsort(self.stamp[rows], kind="stable")]
 
     def rows_of_runs(self) -> list[NDArray[np.int64]]:
-        """The rows of `played` run by run, in the order of their stamps; what is one run: `is_another_run`."""
+        """Return the rows of `played` for each run, in the order of their stamps; see `is_another_run`."""
         rows = self._played_rows
         if not rows.size:
             return []
@@ -194,7 +194,7 @@ class GaitStates(_GaitColumns):
         before, after = (
             (self.run[part], self.cycle[part], self.onset[part]) for part in (rows[:-1], rows[1:])
         )
-        # A driver that was restarted counts from 1: its first run is another one than the first of the one before.
+        # A driver that was restarted counts from 1, so two different runs in sequence may have the number 1.
         ended = np.searchsorted(over, self.stamp[rows[1:]]) > np.searchsorted(
             over, self.stamp[rows[:-1]]
         )
@@ -219,7 +219,7 @@ class JointSamples:
 
 @dataclass(frozen=True)
 class MemorySamples:
-    """Memories that the live twin stored: `content` is text, see `worm_model.twin.stored_memory`."""
+    """Memories that the live twin stored; `content` is text, see `worm_model.twin.stored_memory`."""
 
     stamp: Stamps = field(default_factory=_stamps)
     content: NDArray[np.object_] = field(default_factory=lambda: np.empty(0, object))
@@ -227,7 +227,7 @@ class MemorySamples:
 
 @dataclass(frozen=True)
 class Run:
-    """A run: `origin` is its least stamp (ns since the epoch), 0 if it has no samples at all."""
+    """Recorded run; `origin` is its least stamp (ns since the epoch), 0 without any sample."""
 
     origin: int = 0
     commanded: LengthSamples = field(default_factory=LengthSamples)

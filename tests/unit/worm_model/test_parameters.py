@@ -106,16 +106,16 @@ def test_the_form_of_the_power_is_written_and_no_number(tmp_path: Path) -> None:
         ("one_sided_cable: null", "write true or false"),
         ("one_sided_cabel: true", "did you mean one_sided_cable"),
         ("intervals: {one_sided_cable: [0, 1]}", "no such parameter"),
-        ("one_sided_cable: true", "identify with --one-sided-cable"),
+        ("one_sided_cable: true", "identify --one-sided-cable"),
         ("{one_sided_cable: true, power_factor: 3.0}", "needs bellows_damping and power_factor"),
         (
             "{one_sided_cable: true, power_factor: 3.0, bellows_damping: 900.0, "
             "provenance: {made_by: worm_model identify}}",
-            "put that back, or identify again with --one-sided-cable",
+            "identify again with --one-sided-cable",
         ),
         (
             "provenance: {made_by: worm_model identify, one_sided_cable: true}",
-            "put that back, or identify again without --one-sided-cable",
+            "identify again without --one-sided-cable",
         ),
     ],
 )

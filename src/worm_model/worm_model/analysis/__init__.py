@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of a run and of its parameters."""
+"""Metrics, tables and figures of a run, and figures of the model."""

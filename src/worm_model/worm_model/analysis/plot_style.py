@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Common style of all figures: colours for colour-blind readers, line styles by role, panels, files.
 
-Nothing here imports pyplot: figures are made and saved without a global state, and without a display.
+Nothing here imports pyplot, so that figures need neither global state nor a display.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from worm_model.errors import InputError
 
-# Okabe and Ito's palette (https://jfly.uni-koeln.de/color), and what stands out on top of all of it.
+# Okabe and Ito's palette (https://jfly.uni-koeln.de/color), and colours that contrast with all of it.
 BLUE, VERMILION, GREEN, PINK, SKY, ORANGE = (
     "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00",
 )  # fmt: skip

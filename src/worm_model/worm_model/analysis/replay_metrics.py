@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How well the twin follows a recording: residuals of x1, length and power, run by run and cycle by cycle."""
+"""Residuals of the twin over a recording: x1, length and power, for each run and each cycle."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ from worm_model.twin.samples import NO_SAMPLES, Kind, Rows
 from worm_model.twin.twin import ClosedCycle, Output
 from worm_model.twin.twin_settings import DEFAULTS
 
-RESUMED_AFTER_NS = 500_000_000  # of a cycle's end, within which a live twin has stored its memory
+RESUMED_AFTER_NS = 500_000_000  # after a cycle's end, within which a live twin stores its memory
 SETTLED_NS = 2_000_000_000  # after a cycle's end, when all its samples have been processed
-NEAR_NS = 1_000_000_000  # around a stamp, in which positions determine that at the stamp
+NEAR_NS = 1_000_000_000  # before and after a stamp: positions used for the position at the stamp
 _FOREVER = int(np.iinfo(np.int64).max)
 _RESIDUALS = ("rear_position", "length", "power")
 
 
 @dataclass(frozen=True)
 class Residuals:
-    """Measured minus predicted over a span: means and root mean squares; NaN without samples.
+    """Means and root mean squares of measured minus predicted over a span; NaN without samples.
 
     x1 in m; length (measured minus estimated from the command) in m; power in W.
     """
@@ -50,13 +50,13 @@ class CycleReport:
     """One cycle of the gait.
 
     Attributes:
-        number: in its run, from 1 on.
+        number: number of the cycle in its run, from 1.
         start: s since the recording's first sample.
-        grooves: grooves that the twin's rear anchor gained in it, along +x; NaN where the recording begins in it.
-        measured_grooves: displacement of the rear module as the tracker saw it, in pitches.
-        residuals: over the cycle.
-        complete: whether the recording holds all of it.
-        not_judged: why the twin did not judge it; empty where it did.
+        grooves: grooves that the twin's rear anchor gained in it, along +x; NaN if the recording begins in it.
+        measured_grooves: displacement of the rear module according to the tracker, in pitches.
+        residuals: residuals over the cycle.
+        complete: True if the recording contains the whole cycle.
+        not_judged: reason why the twin did not judge it; empty if it did.
     """
 
     number: int
@@ -72,7 +72,7 @@ class CycleReport:
 class RunReport:
     """One run of a recording; ``health`` is the worst in it, ``events`` are at times in s since the first sample.
 
-    ``not_judged`` says why nothing of it could be judged, and is empty otherwise.
+    ``not_judged`` is the reason why the run could not be judged, or empty.
     """
 
     played: PlayedGait
@@ -85,7 +85,7 @@ class RunReport:
 
 @dataclass(frozen=True)
 class ReplayReport:
-    """A recording: residuals from the last gait's onset on (of everything, where no gait was recorded).
+    """Report on a recording: residuals from the last gait's onset on (of the whole recording without a gait).
 
     `energy_error` is (measured − predicted) / measured at the last run's end; `cycles` are the last run's.
     """
@@ -110,7 +110,7 @@ def report_replay(run: Run, replay: Replay, pitch: float) -> ReplayReport:
 
 @dataclass
 class _CycleData:
-    """A cycle of a run: its span in ns, and its figures as soon as they are computed."""
+    """Cycle of a run: its span in ns, and its metrics as soon as they are computed."""
 
     start: int
     end: int
@@ -121,7 +121,7 @@ class _CycleData:
 
 @dataclass
 class _RunData:
-    """A run: onset, end, and onset of the next run in ns, its cycles, the number of the first one, the worst health."""
+    """Run: its end and the onset of the next run in ns, the number of the first cycle, its cycles, its worst health."""
 
     played: PlayedGait
     end: int
@@ -132,7 +132,7 @@ class _RunData:
 
 
 class ReplayReporter:
-    """Report on a replay, which is added part by part; in memory are only the samples of the current cycle.
+    """Report on a replay that is added in parts. Only the samples of the current cycle are in memory.
 
     Args:
         samples: the recording.
@@ -166,7 +166,7 @@ class ReplayReporter:
         self._positions: Series = {}
 
     def add(self, rows: Rows, output: Output) -> None:
-        """Add some samples and what the twin put out meanwhile."""
+        """Add samples and the output of the twin over them."""
         self.events += output.events
         for closed in output.cycles:
             self._closed.setdefault(closed.number, []).append(closed)
@@ -218,7 +218,7 @@ class ReplayReporter:
         return self._samples.origin if first is None else first
 
     def _close(self, until: int) -> None:
-        """Compute the figures of the cycles that end before a stamp (ns), and release their samples."""
+        """Compute the metrics of the cycles that end before a stamp (ns), and discard their samples."""
         count = 0
         while self._open and self._open[0].end < until:
             cycle, count = self._open.popleft(), count + 1
@@ -231,10 +231,10 @@ class ReplayReporter:
             sums.add(self._residuals, cycle.start, cycle.end)
             cycle.residuals = sums.residuals()
         self._starts = self._starts[count:]
-        since = (int(self._starts[0]) if len(self._starts) else _FOREVER) - NEAR_NS
-        self._states = _since(self._states, "stamp_ns", since)
-        self._residuals = _since(self._residuals, "stamp_ns", since)
-        self._positions = _since(self._positions, "stamp", since)
+        begin = (int(self._starts[0]) if len(self._starts) else _FOREVER) - NEAR_NS
+        self._states = _since(self._states, "stamp_ns", begin)
+        self._residuals = _since(self._residuals, "stamp_ns", begin)
+        self._positions = _since(self._positions, "stamp", begin)
 
     def _position_at(self, when: int) -> float:
         """Return the tracker's x1 (m) at a stamp, linear between samples; NaN if none is within 0.1 s."""
@@ -246,10 +246,10 @@ class ReplayReporter:
         return float(np.interp(0.0, (stamp - when) * 1e-9, values))
 
     def _groove_at(self, when: int, resumed: int = 0) -> float:
-        """Return the twin's rear groove in the first state since a stamp, when a missed groove is known.
+        """Return the twin's rear groove in the first state from a stamp on, when a missed groove is known.
 
-        Just before the stamp at which a stored memory was ``resumed``, the first state after that counts, because
-        earlier ones count from another groove. NaN without any state.
+        Just before the stamp at which a stored memory was ``resumed``, the first state after it is used, because
+        earlier states count from another groove. The result is NaN without a state.
         """
         if 0 <= resumed - when <= RESUMED_AFTER_NS:
             when = resumed + 1
@@ -300,7 +300,7 @@ class ReplayReporter:
 
 
 class _ResidualSums:
-    """Sums over residuals: of the finite values, their squares, and their number, for each channel."""
+    """Sums of the finite residuals and of their squares, and their number, for each channel."""
 
     def __init__(self) -> None:
         self._sums = np.zeros((3, len(_RESIDUALS)))
@@ -321,10 +321,10 @@ class _ResidualSums:
 
 
 class _Energy:
-    """Energy error at the last residual of the energy; the measured energy (J) is integrated by trapezoids.
+    """Energy error at the last residual of the energy. The measured energy (J) is integrated by trapezoids.
 
     Args:
-        start: stamp at which the integral begins, ns. The first sample of the power counts from there on.
+        start: stamp at which the integral begins, ns. The first sample of the power is used from there on.
     """
 
     def __init__(self, start: int) -> None:
@@ -357,21 +357,21 @@ class _Energy:
 
 
 def _appended(series: Series, more: Any, names: tuple[str, ...]) -> Series:
-    """Return some columns with further rows, as copies."""
+    """Return copies of some columns with more rows."""
     return {n: np.append(series[n], more[n]) if series else more[n].copy() for n in names}
 
 
-def _since(series: Series, stamps: str, since: int) -> Series:
+def _since(series: Series, stamps: str, begin: int) -> Series:
     """Return the rows from a stamp (ns) on, and at least the last one."""
-    if not series or not len(series[stamps]) or series[stamps][0] >= since:
+    if not series or not len(series[stamps]) or series[stamps][0] >= begin:
         return series
-    kept = series[stamps] >= since
+    kept = series[stamps] >= begin
     kept[-1] = True
     return {name: column[kept] for name, column in series.items()}
 
 
 def run_end(run: Run, played: PlayedGait) -> int:
-    """Return the stamp (ns) at which a run was over, as far as it was recorded: its last cycle, or an earlier stop."""
+    """Return the stamp (ns) of the end of a run, as far as recorded: of its last cycle, or of an earlier stop."""
     lasts = [s.stamp[-1] for s in (run.commanded, run.measured, run.tracker) if len(s.stamp)]
     return _end_of_run(run.gait_state, int(max(lasts, default=run.origin)), played)
 

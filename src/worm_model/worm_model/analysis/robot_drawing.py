@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Side view of the robot in its pipe, drawn from a pose of the model.
 
-Lengths along the pipe are to scale, in mm. The model knows no heights, so the radii of pipe and robot are chosen.
-Colours of the fins are those of the twin's scene: green where a fin holds, amber where it yields, grey where it
-touches nothing.
+Lengths along the pipe are to scale, in mm. The model contains no heights, so the radii of pipe and robot are
+arbitrary. The fins have the colours of the twin's scene: green if a fin holds, amber if it yields, grey if it touches
+nothing.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _PIPE_COLOUR, _MODULE_COLOUR, _BELLOWS_COLOUR = "#D9DBE0", "#BFD7EA", "#E8F0F7"
 
 @dataclass(frozen=True)
 class Pose:
-    """Positions x1, x2 and anchors A1, A2 in m, and the slack in m that hangs in the cable."""
+    """Positions x1, x2 and anchors A1, A2 in m, and the slack of the cable in m."""
 
     x1: float
     x2: float
@@ -133,7 +133,7 @@ def _fin(axes: Axes) -> list[Line2D]:
 
 
 def _anchor_marks(axes: Axes) -> Line2D:
-    """Return the marks on the wall at the groove that a fin pair holds in."""
+    """Return the marks on the wall at the groove in which a fin pair sits."""
     (marks,) = axes.plot([], [], "d", color=BLACK, markersize=5, zorder=5)
     return marks
 

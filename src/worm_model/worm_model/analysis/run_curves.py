@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Curves of a recorded run and of the twin that followed it, over the time since the gait's onset."""
+"""Curves of a recorded run and of the twin, over the time since the gait's onset."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ from worm_model.run import LengthSamples, Run, seconds
 from worm_model.simulation.actuation import effective_command, length_change_of_command
 from worm_model.twin.offline_replay import Replay, Series
 
-TWIN = "twin, by the measured length"
-_AROUND_S = 2.0  # of rest before and after the gait that an overview shows
+TWIN = "twin, from the measured length"
+_AROUND_S = 2.0  # rest that an overview shows before and after the gait
 
 
 def plot_run(run: Run, replay: Replay, parameters: Parameters, title: str = "") -> Figure:
-    """Draw the last gait of a run: x1, its residual, length change, power; the averaged cycles are shaded.
+    """Draw the last gait of a run: x1, its residual, length change and power. The averaged cycles are shaded.
 
-    ``replay`` is the twin's, by `worm_model.twin.offline_replay.replay_run`. Raises `RecordingError` without a gait.
+    ``replay`` is a result of `worm_model.twin.offline_replay.replay_run`. Raises `RecordingError` without a gait.
     """
     played = last_played_gait(run.gait_state)
     window = played.cycle_window(*averaged_cycles(run, played))
@@ -49,7 +49,7 @@ def plot_run(run: Run, replay: Replay, parameters: Parameters, title: str = "") 
 
 
 def position_curves(run: Run, replay: Replay, onset: int) -> tuple[Curves, Curves]:
-    """Return x1 relative to its rest before the onset (ns), measured and of the twin; and their difference."""
+    """Return x1 relative to its value at rest before the onset (ns), measured and of the twin; and their difference."""
     time = seconds(run.tracker.stamp, onset)
     rest = value_at_onset(time, run.tracker.rear_position)
     measured = Curve("measured", time, run.tracker.rear_position - rest, MEASURED)
@@ -61,13 +61,13 @@ def position_curves(run: Run, replay: Replay, onset: int) -> tuple[Curves, Curve
 def length_curves(run: Run, onset: int, parameters: Parameters) -> tuple[Curves, Curves]:
     """Return the length changes of cable and body, their prediction from the command, u_cmd and u_eff (eq:slack_clip).
 
-    Each instrument's change is from what it told at rest, so that no offset of a length shows.
+    The change is relative to each instrument's value at rest, which removes offsets.
     """
     time, command = seconds(run.commanded.stamp, onset), run.commanded.length_change
     time, command = time[time >= 0.0], command[time >= 0.0]
     predicted = length_change_of_command(time, command, parameters)
     lengths = [
-        _change(run.cable, onset, "cable, by the encoder", CABLE),
+        _change(run.cable, onset, "cable, from the encoder", CABLE),
         _change(run.measured, onset, "body, measured", MEASURED),
         Curve("body, predicted", time, predicted, PREDICTED),
     ]
@@ -84,7 +84,7 @@ def length_curves(run: Run, onset: int, parameters: Parameters) -> tuple[Curves,
 
 
 def power_curves(run: Run, replay: Replay, onset: int) -> Curves:
-    """Return the source power, measured and of the twin, which is known from the onset on."""
+    """Return the source power, measured and of the twin. The twin's is known from the onset on."""
     known = np.isfinite(run.power.valid_power)
     measured = seconds(run.power.stamp[known], onset)
     stamp, power = settled_power(run, replay)

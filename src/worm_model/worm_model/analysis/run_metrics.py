@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Metrics of a run, each defined only here: averaged cycles, speed, power, cost of transport, rms.
 
-The protocol is the paper's: of the whole cycles that were played, the last three are averaged. The driver, which
-knows nothing of this package, measures its own for the result of RunGait; a test compares both on one run.
+The protocol is the paper's: the last three of the played whole cycles are averaged. The driver does not depend on this
+package and computes its own metrics for the result of RunGait. A test compares both on one run.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from worm_model.run import FAULT, RESTING, RUNNING, STOPPING, GaitStates, Run, s
 from worm_model.simulation.quadrature import accumulated
 from worm_model.simulation.simulator import AVERAGED
 
-Samples = tuple[Stamps, Array]  # stamps in ns since the epoch and values, NaN where there is none
+Samples = tuple[Stamps, Array]  # stamps in ns since the epoch and values, NaN if missing
 
 AVERAGED_CYCLES = AVERAGED
-IDLE_SAMPLES = 10  # valid samples at rest that the idle power is the mean of (eq:Pidle_est)
-END_TOLERANCE_NS = 100_000_000  # the end of a gait is told through two clocks
+IDLE_SAMPLES = 10  # valid samples at rest whose mean is the idle power (eq:Pidle_est)
+END_TOLERANCE_NS = 100_000_000  # the end of a gait is computed from two clocks
 _FOREVER = int(np.iinfo(np.int64).max)
 
 
 class RecordingError(InputError):
-    """Raised if a recording lacks the data of a metric; the message names them."""
+    """A recording lacks the data of a metric. The message names them."""
 
 
 @dataclass(frozen=True)
@@ -52,11 +52,11 @@ class Window:
 class PlayedGait:
     """Played gait: ``cycles`` is the requested number, from the ``onset`` on (ns since the epoch).
 
-    ``run`` is the driver's number of the run, 0 in recordings from before it had one.
-    ``end`` is the stamp (ns) at which the driver told that it played no more, ``state_after`` what it told then, one
-    of `worm_model.run.STATE_NAMES`, or STOPPING of a gait that was brought to its next point of rest; both are None
-    where the recording ends before. ``rest_start`` is the stamp (ns)
-    from which on the robot rested before the onset, None if that was not told.
+    ``run`` is the driver's number of the run, 0 in recordings without it.
+    ``end`` is the stamp (ns) at which the driver reported the end of the gait. ``state_after`` is the state that it
+    reported then, an index of `worm_model.run.STATE_NAMES`, or STOPPING if the gait was stopped at its next point of
+    rest. Both are None if the recording ends before. ``rest_start`` is the stamp (ns) at which the rest before the
+    onset began, None if unknown.
     """
 
     gait: Gait
@@ -84,13 +84,13 @@ def last_played_gait(states: GaitStates) -> PlayedGait:
     runs = states.rows_of_runs()
     if not runs:
         raise RecordingError(
-            "the recording holds no gait that was run: record one, with the topic gait_state"
+            "the recording contains no run of a gait: record one, with the topic gait_state"
         )
     return _played_gait(states, runs[-1])
 
 
 def played_gaits(states: GaitStates) -> list[PlayedGait]:
-    """Return the gaits that were played, in their order, without inadmissible ones."""
+    """Return the gaits that were played, in order, without inadmissible ones."""
     gaits = []
     for rows in states.rows_of_runs():
         with suppress(RecordingError):
@@ -103,7 +103,9 @@ def _played_gait(states: GaitStates, rows: NDArray[np.int64]) -> PlayedGait:
     try:
         gait = states.gait(row)
     except GaitError as error:
-        raise RecordingError(f"the recording holds a gait that is none: {error}") from None
+        raise RecordingError(
+            f"the recording contains a gait that is not admissible: {error}"
+        ) from None
     later = states.stamp > states.stamp[row]
     stopping = np.flatnonzero(later & (states.state == STOPPING))
     over = np.flatnonzero(later & ~np.isin(states.state, (RUNNING, STOPPING)))
@@ -123,7 +125,7 @@ def _played_gait(states: GaitStates, rows: NDArray[np.int64]) -> PlayedGait:
 
 
 def _state_after(states: GaitStates, after: int, stopping: NDArray[np.int64]) -> int:
-    """What the driver told at the end, or that it was stopping until then."""
+    """Return the driver's state at the end, or STOPPING if the gait was stopped."""
     state = int(states.state[after])
     stopped = np.any(states.stamp[stopping] <= states.stamp[after])
     return STOPPING if stopped and state != FAULT else state
@@ -199,7 +201,7 @@ def single_cycles(window: Window, cycles: int) -> Iterator[Window]:
 
 
 def root_mean_square(values: Array) -> float:
-    """Of the values that are finite; NaN if none is."""
+    """Return the root mean square of the finite values; NaN without any."""
     finite = values[np.isfinite(values)]
     return float(np.sqrt(np.mean(finite**2))) if finite.size else math.nan
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings cut into the runs of single gaits."""
+"""Division of recordings into the runs of single gaits."""
 
 from __future__ import annotations
 
@@ -12,27 +12,27 @@ from numpy.typing import NDArray
 
 from worm_model.run import RESTING, GaitStates, Run
 
-_REST_NS = 3_000_000_000  # before a gait whose rest was not announced
+_REST_NS = 3_000_000_000  # assumed rest before a gait without the state RESTING
 _SERIES = tuple(field.name for field in fields(Run) if field.name != "origin")
 
 
 @dataclass(frozen=True)
 class Part:
-    """The run of one gait; it holds what has a stamp from ``start`` to before ``end`` (ns since the epoch)."""
+    """Run of one gait, with the samples from ``start`` to before ``end`` (ns since the epoch)."""
 
     run: Run
     start: int
     end: int
 
     def holds(self, stamp: int) -> bool:
-        """Whether a stamp lies in the part."""
+        """Return True if a stamp lies in the part."""
         return self.start <= stamp < self.end
 
 
 def parts_of(run: Run) -> list[Part]:
-    """A part a gait that was played, in their order; each begins with the rest before its gait.
+    """Return one part for each played gait, in order. Each begins with the rest before its gait.
 
-    A run of one gait or of none is its own only part.
+    A run of one gait or without a gait has one part, the run itself.
     """
     states = run.gait_state
     onsets = [int(states.onset[rows].min()) for rows in states.rows_of_runs()]
@@ -43,13 +43,13 @@ def parts_of(run: Run) -> list[Part]:
 
 
 def last_stamp(run: Run) -> int:
-    """The greatest stamp (ns since the epoch) of a run, its origin if it has no samples."""
+    """Return the greatest stamp (ns since the epoch) of a run, or its origin without samples."""
     stamps = [getattr(run, name).stamp for name in _SERIES]
     return int(max((stamp.max() for stamp in stamps if stamp.size), default=run.origin))
 
 
 def _rest_before(states: GaitStates, previous: int, onset: int) -> int:
-    """When the rest began that leads to an onset."""
+    """Return the stamp (ns) at which the rest before an onset began."""
     rests = states.stamp[
         (states.state == RESTING) & (states.stamp > previous) & (states.stamp <= onset)
     ]
@@ -66,7 +66,7 @@ def _cut(run: Run, start: int, end: int) -> Run:
 
 
 def _rows(series: Any, rows: NDArray[np.bool_]) -> Any:
-    """Some samples of a series."""
+    """Return some samples of a series."""
     columns = {field.name: getattr(series, field.name) for field in fields(series)}
     arrays = {name: col[rows] for name, col in columns.items() if isinstance(col, np.ndarray)}
     return replace(series, **arrays)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of a run, for the demo, reports and the identification alike: x1, length change, power and energy.
+"""Figures of a run for the demo, reports and the identification: x1, length change, power and energy.
 
-Who has a run makes `Curve`s of it; what belongs into which panel is decided here.
+Callers convert a run to `Curve`s; the functions of this module arrange them in panels.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _TIME = "time since the gait's onset (s)"
 
 @dataclass(frozen=True)
 class Curve:
-    """Series of one source: ``time`` (n,) in s since the onset, ``values`` (n,) in SI units, NaN if unknown."""
+    """Time series of one source: ``time`` (n,) in s since the onset, ``values`` (n,) in SI units, NaN if unknown."""
 
     label: str
     time: Array
@@ -172,7 +172,7 @@ def _figure(frame: Frame, contents: Sequence[_Panel]) -> Figure:
 
 
 def _draw(axes: Axes, content: _Panel, frame: Frame) -> None:
-    """Return the curves within the frame, so that values outside do not affect the axes."""
+    """Draw the curves within the frame, so that values outside do not affect the axes."""
     for curve in content.curves:
         inside = (curve.time >= frame.start) & (curve.time <= frame.end)
         axes.plot(

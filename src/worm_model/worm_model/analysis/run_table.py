@@ -24,13 +24,13 @@ _LENGTHS = ("commanded", "cable", "measured", "estimated")
 class RunTable:
     """Columns of equal length by name, with the unit at the end of the name; nothing is interpolated.
 
-    A row is a moment at which something was measured or commanded, in the order of the stamps. What was not at that
-    moment is NaN, of texts None. The first columns are
+    Each row is a moment at which something was measured or commanded, in the order of the stamps. Values without a
+    sample at that moment are NaN, or None for texts. The first columns are
 
-    - ``time_s``: since the onset of the gait that the row belongs to; without any gait since the first sample;
-    - ``gait``: its number in the recording, from 1; 0 where none was played. The rest before a gait belongs to it;
-    - ``cycle``: of the gait, from 1; 0 before it and after what was asked for;
-    - ``stamp_ns``: of acquisition, since the epoch.
+    - ``time_s``: time since the onset of the row's gait; without any gait, since the first sample;
+    - ``gait``: number of the gait in the recording, from 1; 0 without a gait. The rest before a gait belongs to it;
+    - ``cycle``: number of the cycle, from 1; 0 before the gait and after its requested end;
+    - ``stamp_ns``: acquisition stamp, ns since the epoch.
     """
 
     columns: dict[str, Column]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Simulated gait over time, as a table and as the recording of ideal instruments."""
+"""Simulated gait over time, as a table and as a recording of ideal instruments."""
 
 from __future__ import annotations
 
@@ -27,11 +27,10 @@ from worm_model.simulation.closed_form import front_groove, groove_phase
 from worm_model.simulation.simulator import Motions, simulate
 from worm_model.twin.records import LengthSource
 
-EPOCH_NS = (
-    1_767_225_600 * 10**9
-)  # 2026-01-01 00:00 UTC: a simulation has no date, ROS has no stamp of 0
-REST_S = 2.0  # before the gait, of a recorded run
-BUS_VOLTAGE = 12.0  # V, at which the current of a recorded run is told
+# 2026-01-01 00:00 UTC. A simulation has no date, but a stamp of 0 means "unknown" in ROS.
+EPOCH_NS = 1_767_225_600 * 10**9
+REST_S = 2.0  # rest before the gait in a recorded run
+BUS_VOLTAGE = 12.0  # V; determines the current in a recorded run
 
 
 @dataclass(frozen=True)
@@ -62,11 +61,11 @@ class SimulatedRun:
 
     @property
     def stamp(self) -> NDArray[np.int64]:
-        """Return stamps (n,) in ns since the epoch, with a made-up date."""
+        """Stamps (n,) in ns since the epoch, with an invented date."""
         return EPOCH_NS + round(REST_S * 1e9) + np.round(1e9 * self.time).astype(np.int64)
 
     def provenance(self) -> dict[str, str]:
-        """Return the provenance for a bag: no robot, these parameters."""
+        """Return the provenance for a bag: a simulation, with its parameters."""
         values = {f"parameter.{key}": repr(v) for key, v in self.parameters.as_dict().items()}
         return {"made_by": "worm_model simulate", **values}
 
@@ -96,7 +95,7 @@ class SimulatedRun:
         }
 
     def as_recorded(self) -> Run:
-        """Return the recording of an ideal driver, camera and power sensor, with a rest before and a made-up date."""
+        """Return the recording of an ideal driver, camera and power sensor, with a rest before the gait."""
         length = self.parameters.initial_length
         step = self.time[1] - self.time[0]
         count = round(REST_S / step)

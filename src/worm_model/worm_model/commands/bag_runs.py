@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The runs of one bag, each with its figures: the twin follows the bag, the numbers are those of the analysis."""
+"""Runs of one bag with their metrics, from the analysis and from a replay of the bag with the twin."""
 
 from __future__ import annotations
 
@@ -42,11 +42,11 @@ from worm_model.run import Run, utc_of
 from worm_model.simulation.simulator import cost_of_transport
 from worm_model.twin.offline_replay import Replay, replay_run
 
-RECOVER = "./worm run worm_model recover makes a whole bag of it"
+RECOVER = "./worm run worm_model recover writes its readable messages to a new bag"
 
 
 def state_of_bag(path: Path) -> tuple[str, str]:
-    """(state, why it is no better): what opening would first have to recover is not opened."""
+    """Return (state, reason for it). A bag that must first be recovered is not opened."""
     if path.is_dir() and (
         not (path / METADATA_FILE).is_file() or is_unfinished(read_metadata(path))
     ):
@@ -58,7 +58,11 @@ def state_of_bag(path: Path) -> tuple[str, str]:
 
 
 def rows_of_bag(path: Path, parameters: str) -> list[dict[str, Any]]:
-    """A row for each run of a closed bag; one without a run says so. Raises `InputError` if it cannot be read."""
+    """Return a row for each run of a closed bag, or one row that states that it has none.
+
+    Raises:
+        InputError: The bag cannot be read.
+    """
     remarks: list[str] = []
     with open_bag(path, remarks.append) as bag:
         run = read_run(bag, names=REPLAY_INPUTS)
@@ -71,16 +75,16 @@ def rows_of_bag(path: Path, parameters: str) -> list[dict[str, Any]]:
     replay = replay_run(run, values)
     reports = report_replay(run, replay, values.pitch).runs
     if not reports:
-        said = "; ".join(["no gait was run", *notes, *remarks])
-        return [{"start": utc_of(start), "duration_s": span, "notes": said}]
+        text = "; ".join(["no gait was run", *notes, *remarks])
+        return [{"start": utc_of(start), "duration_s": span, "notes": text}]
     remarks = [*notes, *remarks]
-    figures = [RunFigures(run, replay, r, values, conditions, offset_ns, remarks) for r in reports]
+    figures = [RunMetrics(run, replay, r, values, conditions, offset_ns, remarks) for r in reports]
     return [{column.key: column.value(f) for column in COLUMNS} for f in figures]
 
 
 @dataclass(frozen=True)
-class RunFigures:
-    """Figures of a run, from which `bag_table.COLUMNS` takes its values; NaN where one cannot be computed."""
+class RunMetrics:
+    """Metrics of a run for `bag_table.COLUMNS`. Metrics that cannot be computed are NaN."""
 
     run: Run
     replay: Replay
@@ -92,7 +96,7 @@ class RunFigures:
 
     @property
     def played(self) -> PlayedGait:
-        """The gait, from its onset to its end."""
+        """Gait, from its onset to its end."""
         return self.report.played
 
     @property
@@ -132,7 +136,7 @@ class RunFigures:
 
     @property
     def grooves_per_cycle(self) -> float:
-        """Displacement of a cycle in pitches."""
+        """Mean displacement in a cycle, in pitches."""
         return self.speed / self.played.gait.frequency / self.parameters.pitch
 
     @property
@@ -144,20 +148,20 @@ class RunFigures:
 
     @property
     def notes(self) -> str:
-        """Why the run ended early or was not judged, what was noted, and remarks on the bag."""
+        """Reasons of an early end and of missing verdicts, the operator's notes, and remarks on the bag."""
         early = early_end(self.run, self.played)
         return "; ".join(filter(None, [early, *_not_judged(self.report), *self.remarks]))
 
     @cached_property
     def _window(self) -> Window | None:
-        """The averaged cycles; None where none was completed."""
+        """Averaged cycles; None without a completed cycle."""
         first, last = averaged_cycles(self.run, self.played)
         completed = completed_cycles(self.run, self.played)
         return self.played.cycle_window(first, last) if completed else None
 
 
 def _not_judged(report: RunReport) -> list[str]:
-    """Why the twin judged nothing of a run, or not all of its complete cycles."""
+    """Return the reasons why the twin did not judge a run, or some of its complete cycles."""
     if report.not_judged:
         return [f"not judged: {report.not_judged}"]
     return [
@@ -174,7 +178,7 @@ def _last(run: Run, played: PlayedGait) -> int:
 
 
 def _rate(window: Window | None, samples: Any, name: str) -> float:
-    """NaN where no cycle was completed, or the instrument did not see the averaged ones."""
+    """Return the mean rate, or NaN without a completed cycle or without samples over the averaged cycles."""
     if window is None:
         return math.nan
     try:

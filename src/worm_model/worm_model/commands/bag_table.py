@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What was recorded: a row for each run of each bag below a folder, from an index of what was read before."""
+"""Table of the recorded runs: one row for each run of each bag below a folder, with an index of bags already read."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ Row = dict[str, Any]
 
 CLOSED, OPEN, DAMAGED = "closed", "not closed", "damaged"
 MISSING = "–"
-FIGURES_VERSION = 5  # raise it where a figure is computed otherwise
+METRICS_VERSION = 5  # Increase it when the computation of a metric changes.
 
 
 @dataclass(frozen=True)
 class Column:
-    """A column of the table: all that a new one needs is a row of COLUMNS.
+    """Column of the table. To add a column, add a row to COLUMNS.
 
     Attributes:
-        key: of the value in a row, and in `--json`.
-        title: in the table for people; empty: it is not shown there.
-        value: from the `bag_runs.RunFigures` of a run.
-        text: of the value, which is not None.
+        key: key of the value in a row and in `--json`.
+        title: title in the printed table; empty: the column is not printed.
+        value: returns the value from the `bag_runs.RunMetrics` of a run.
+        text: returns the printed text of a value that is not None.
     """
 
     key: str
@@ -49,7 +49,7 @@ def _number(scale: float, decimals: int) -> Callable[[float], str]:
 
 
 def gait_text(gait: Mapping[str, Any] | None) -> str:
-    """The gait of a row in words, empty where it has none."""
+    """Return the gait of a row as text; empty without a gait."""
     if gait is None:
         return ""
     way = "" if gait["direction"] > 0 else " reverse"
@@ -80,17 +80,16 @@ COLUMNS = (
     Column("health", "health", lambda run: run.report.health.name.lower()),
     Column("notes", "", lambda run: run.notes),
 )
-STATE = "state"  # of the files: a column, too, but not one of a run
+STATE = "state"  # key of the state of the files, which belongs to a bag, not to a run
 
 
 def bag_rows(
     folder: Path, parameters: str, progress: Callable[[float], None]
 ) -> tuple[list[Row], int]:
-    """(the rows of all runs below a folder, or of one bag; how many bags were read anew).
+    """Return (the rows of all runs below a folder, or of one bag; the number of bags that were not in the index).
 
-    What was recovered from a bag is listed instead of it.
-    ``parameters`` is a parameter file; empty: the one inside each bag, else the paper's. Raises `InputError` where
-    there is no bag.
+    A recovered copy is listed instead of the bag itself. ``parameters`` is a parameter file; empty: the one in each
+    bag, else the paper's values. Raises `InputError` if there is no bag.
     """
     bags = sorted(copies[-1] if copies else bag for bag, copies in bags_below(folder).items())
     index = _index_file(folder, parameters)
@@ -101,7 +100,7 @@ def bag_rows(
         known[str(bag)] = [marks[str(bag)], _read(bag, parameters)]
         progress(done / len(todo))
     if todo or len(known) != len(bags):
-        _keep(index, {name: known[name] for name in marks})
+        _store(index, {name: known[name] for name in marks})
     rows = [{"bag": str(bag), **row} for bag in bags for row in known[str(bag)][1]]
     return rows, len(todo)
 
@@ -109,13 +108,13 @@ def bag_rows(
 def _index_file(folder: Path, parameters: str) -> Path:
     content = Path(parameters).read_bytes() if parameters else b""
     keys = [column.key for column in COLUMNS]
-    name = f"{FIGURES_VERSION} {keys}\n".encode() + os.fsencode(folder.resolve()) + b"\n" + content
+    name = f"{METRICS_VERSION} {keys}\n".encode() + os.fsencode(folder.resolve()) + b"\n" + content
     home = Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser())
     return home / "worm_model" / f"bags-{hashlib.sha256(name).hexdigest()[:16]}.json"
 
 
 def _known(index: Path) -> dict[str, Any]:
-    """What an index holds; nothing where it is missing or not one."""
+    """Return the content of an index; empty if the file is missing or invalid."""
     try:
         content = json.loads(index.read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -123,8 +122,8 @@ def _known(index: Path) -> dict[str, Any]:
     return content if isinstance(content, dict) else {}
 
 
-def _keep(index: Path, content: dict[str, Any]) -> None:
-    """An index that cannot be kept is made again the next time."""
+def _store(index: Path, content: dict[str, Any]) -> None:
+    """Write the index. A failure is ignored, because the next call reads the bags again."""
     with suppress(OSError):
         index.parent.mkdir(parents=True, exist_ok=True)
         part = index.with_name(f"{index.name}.{os.getpid()}")
@@ -133,7 +132,7 @@ def _keep(index: Path, content: dict[str, Any]) -> None:
 
 
 def _read(bag: Path, parameters: str) -> list[Row]:
-    """The rows of a bag; one that cannot be read as it is has one that says why, and is left as it is."""
+    """Return the rows of a bag, or one row with the reason why it cannot be read. The bag is not changed."""
     from worm_model.bags.recording.run_manifest import ManifestError
     from worm_model.commands.bag_runs import rows_of_bag, state_of_bag
 
@@ -149,14 +148,14 @@ def _read(bag: Path, parameters: str) -> list[Row]:
 
 
 def _without_empty(lines: Sequence[Sequence[str]]) -> list[list[str]]:
-    """Return a table without the columns that have a title alone, such as the conditions on level ground."""
+    """Return a table without empty columns, such as the conditions on level ground."""
     columns = zip(*lines, strict=True)
     filled = [column for column in columns if set(column[1:]) - {"", MISSING}]
     return [list(row) for row in zip(*filled, strict=True)]
 
 
 def describe(rows: Sequence[Row], folder: Path) -> str:
-    """The table for people."""
+    """Return the table as text."""
     shown = [column for column in COLUMNS if column.title]
     lines = [["bag", *(column.title for column in shown)]]
     notes = []

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Command line: what was recorded, and what is done with bags as a whole, a verb each."""
+"""Command line: table of the recorded runs, and operations on whole bags, one verb each."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ FOLDER = Path("bags")  # where ./worm records
 def _parser() -> Parser:
     parser = Parser(
         prog="bags",
-        description="A table of what was recorded below a folder, a row for each run, or a VERB. `bags FOLDER` is "
-        "`bags table FOLDER`.",
+        description="Print a table of the recorded runs below a folder, or process bags with a VERB. `bags FOLDER` "
+        "means `bags table FOLDER`.",
     )
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB", parser_class=Parser)
 
@@ -52,35 +52,36 @@ def _parser() -> Parser:
     table = add_verb(
         TABLE,
         _table,
-        help="what was recorded; the verb may be left out",
-        description="Gait, cycles, groove phase, grooves per cycle, speed, power, cost of transport, health by the "
-        "twin, state of the files and notes of every run. What was read once is kept in an index.",
+        help="table of the recorded runs; the verb may be omitted",
+        description="Print gait, cycles, groove phase, grooves per cycle, speed, power, cost of transport, health "
+        "according to the twin, state of the files and notes of every run. An index stores the rows of bags that were "
+        "read before.",
     )
     table.add_argument(
         "folder", type=Path, nargs="?", default=FOLDER, metavar="FOLDER", help="default: bags"
     )
     table.add_parameters()
-    add_verb("info", _info, help="what a bag holds")
+    add_verb("info", _info, help="content of a bag")
     trim = add_verb(
         "trim",
         _trim,
-        help="a part of a bag, by time or by run",
-        description="Writes a bag with the messages of a span, or of one run with the rest before it.",
+        help="write a part of a bag, by time or by run",
+        description="Write a bag with the messages of a span, or of one run with the rest before it.",
     )
     add_output(trim)
-    trim.add_number("--start", "S", "start of the span, in s since the bag's")
-    trim.add_number("--end", "S", "end of the span, in s since the bag's start")
-    trim.add_argument("--run", type=int, metavar="N", help="the n-th run instead")
-    split = add_verb("split", _split, help="a bag for each run of a bag")
-    add_output(split, "FOLDER", "of run_1, run_2, …; must not exist")
-    add_output(add_verb("merge", _merge, "+", help="one bag of several, by time"))
+    trim.add_number("--start", "S", "start of the span, in s since the start of the bag")
+    trim.add_number("--end", "S", "end of the span, in s since the start of the bag")
+    trim.add_argument("--run", type=int, metavar="N", help="n-th run, instead of a span")
+    split = add_verb("split", _split, help="write a bag for each run of a bag")
+    add_output(split, "FOLDER", "folder for run_1, run_2, …; must not exist")
+    add_output(add_verb("merge", _merge, "+", help="merge several bags into one, ordered by time"))
     clean = add_verb(
         "clean",
         _clean,
-        help="a copy without the host's name and absolute paths",
-        description="Writes a copy of a bag without what tells where it was recorded: the host's name, and of every "
-        "absolute path (command line, parameter file, devices; in metadata, attachments and texts of messages) "
-        "all but its last part. Names of the robot's topics stay.",
+        help="copy a bag without the host's name and absolute paths",
+        description="Write a copy of a bag that does not reveal where it was recorded. The host's name is removed, "
+        "and every absolute path (command line, parameter file, devices; in metadata, attachments and texts of "
+        "messages) is reduced to its last part. Names of the robot's topics do not change.",
     )
     add_output(clean)
     clean.add_definitions()
@@ -135,7 +136,7 @@ def _trim(options: argparse.Namespace) -> None:
         if options.run is not None:
             spans = _spans(bag)
             if not 1 <= options.run <= len(spans):
-                raise InputError(f"--run {options.run}: {bag.path} holds {len(spans)} runs")
+                raise InputError(f"--run {options.run}: {bag.path} contains {len(spans)} runs")
             first, last = spans[options.run - 1]
         elif options.start is not None:
             first = bag.start + round(options.start * 1e9)
@@ -165,7 +166,7 @@ def _split(options: argparse.Namespace) -> None:
     with _opened(options) as bag:
         spans = _spans(bag)
         if not spans:
-            raise InputError(f"{bag.path}: holds no run; `bags trim` cuts by time")
+            raise InputError(f"{bag.path}: contains no run. Use `bags trim` to cut by time")
         output.mkdir()
         made = [output / f"run_{number}" for number in range(1, len(spans) + 1)]
         counts = [trim(bag, path, *span) for path, span in zip(made, spans, strict=True)]
@@ -194,17 +195,17 @@ def _clean(options: argparse.Namespace) -> None:
         count = bag.message_count
         cleaner = clean_bag(bag, output)
     content = {"bag": str(output), "messages": count, "changed": cleaner.changed}
-    text = f"{output}: {count} messages, in {cleaner.changed} of them texts changed"
+    text = f"{output}: {count} messages, {cleaner.changed} of them with changed texts"
     print_result(options, content, text)
 
 
 VERBS = (TABLE, "info", "trim", "split", "merge", "clean")
 
 
-def _arguments(words: list[str]) -> list[str]:
-    """With the verb that may be left out."""
-    named = bool(words) and (words[0] in VERBS or words[0] in ("-h", "--help"))
-    return words if named else [TABLE, *words]
+def _arguments(given: list[str]) -> list[str]:
+    """Return the arguments with the default verb if none is given."""
+    has_verb = bool(given) and (given[0] in VERBS or given[0] in ("-h", "--help"))
+    return given if has_verb else [TABLE, *given]
 
 
 def main() -> int:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Common parts of all command lines: options, exit status, one-line errors, output, progress.
 
-Exit status 0: done; 2: bad input, one line on standard error says what and how to mend it; 1: anything
-else. Standard output holds the result alone, progress and logs go to standard error.
+The exit status is 0 after success, 2 for bad input, with one line on standard error that says what is wrong and how to
+correct it, and 1 otherwise. Standard output contains only the result. Progress and logs go to standard error.
 """
 
 from __future__ import annotations
@@ -117,12 +117,12 @@ class Parser(argparse.ArgumentParser):
         self.add_number(
             "--onset",
             "S",
-            "start of the gait in a lab's logs in s; default: as the servo's log shows it",
+            "start of the gait in a lab's logs in s; default: from the servo's log",
         )
         self.add_number(
             "--spool-radius",
             "M",
-            "of the cable servo in a lab's logs in m; default: that with which its goals play the gait's stroke",
+            "spool radius of the cable servo in a lab's logs in m; default: computed from its goals and the stroke",
         )
 
     def add_definitions(self) -> None:
@@ -131,8 +131,8 @@ class Parser(argparse.ArgumentParser):
             "--definitions",
             type=Path,
             metavar="FOLDER",
-            help="worm_msgs' .msg files as they were at the recording, for topics of the bag that carry no definition; "
-            "default: the installed ones",
+            help=".msg files of worm_msgs from the time of the recording, for topics without a definition in the bag; "
+            "default: the installed files",
         )
 
     def add_json(self) -> None:
@@ -154,7 +154,7 @@ def run_command(
         notify(one_line(error))
         return BAD_INPUT
     except BrokenPipeError:
-        sys.stderr.close()  # the reader of the output has gone, as `head` does
+        sys.stderr.close()  # The reader of the output has ended, as `head` does.
         return FAILED
     except OSError as error:  # a full disk, no permission
         notify(one_line(error))
@@ -175,7 +175,7 @@ def executable(
 def one_line(error: BaseException) -> str:
     """Return the message of an error without line breaks."""
     if isinstance(error, FileExistsError):
-        return f"{error.filename}: exists already; give another name, nothing is overwritten"
+        return f"{error.filename}: exists already and is not overwritten; give another name"
     return " ".join(str(error).split())
 
 
@@ -208,9 +208,9 @@ def new_file(path: str) -> Path:
     """Return a path that does not exist yet in an existing folder; raise `InputError` otherwise."""
     target = Path(path)
     if target.exists():
-        raise InputError(f"{path}: exists already; give another name, nothing is overwritten")
+        raise InputError(f"{path}: exists already and is not overwritten; give another name")
     if not target.parent.is_dir():
-        raise InputError(f"{path}: its folder {target.parent} does not exist; make it first")
+        raise InputError(f"{path}: its folder {target.parent} does not exist; create it first")
     return target
 
 

@@ -22,7 +22,7 @@ from worm_model.parameters import Parameters, load_parameters
 if TYPE_CHECKING:
     from worm_model.simulation.simulator import GaitResult
 
-# The simulator is imported where it is used: its compiler takes most of a start, which --help does not need.
+# The simulator is imported where it is used, because --help does not need it and its compiler starts slowly.
 
 
 def gait_json(result: GaitResult, conditions: Conditions) -> dict[str, Any]:
@@ -62,7 +62,7 @@ def _load(parameters: Parameters) -> list[str]:
 
 
 def describe(result: GaitResult, parameters: Parameters, cycles: int = 5) -> str:
-    """Return the lines that describe a gait after so many cycles; its speed holds for its groove phase alone."""
+    """Return the lines that describe a gait after a number of cycles. Its speed holds only for its groove phase."""
     gait = result.gait
     way = "forward" if gait.direction == FORWARD else "reverse"
     return "\n".join(
@@ -83,13 +83,13 @@ def describe(result: GaitResult, parameters: Parameters, cycles: int = 5) -> str
 def _parser() -> Parser:
     parser = Parser(
         prog="evaluate_gait",
-        description="Speed, power and cost of transport of a gait: five cycles from the start, the "
+        description="Print speed, power and cost of transport of a gait: five cycles from the start, the "
         "last three averaged.",
     )
     parser.add_gait()
     parser.add_conditions()
     parser.add_argument("--gaits", metavar="IN.csv", help="evaluate a table of gaits instead")
-    parser.add_argument("--output", metavar="OUT.csv", help="where the table's results go")
+    parser.add_argument("--output", metavar="OUT.csv", help="file for the results of the table")
     parser.add_json()
     parser.add_parameters()
     return parser
@@ -97,14 +97,14 @@ def _parser() -> Parser:
 
 def _evaluate_table(options: argparse.Namespace, parameters: Parameters) -> None:
     if options.output is None:
-        raise InputError("--gaits needs --output, the file that the results go to")
+        raise InputError("--gaits needs --output, the file for the results")
     import numpy as np
 
     from worm_model.simulation.gait_table import evaluate_table, read_gaits, write_table
 
     if conditions_of(options) != LEVEL:
         raise InputError(
-            "conditions are for one gait; a table has the columns rear_load and front_load, N"
+            "conditions apply to one gait; in a table, use the columns rear_load and front_load, N"
         )
     output = new_file(options.output)
     overrides, table = evaluate_table(read_gaits(options.gaits), parameters, ProgressLine("gaits"))
@@ -115,7 +115,7 @@ def _evaluate_table(options: argparse.Namespace, parameters: Parameters) -> None
     if failed:
         lines = ", ".join(map(str, failed[:10])) + (", ..." if len(failed) > 10 else "")
         text += (
-            f"; {len(failed)} of them have no figures (nan), lines {lines}: the fins do not hold the load at rest, "
+            f"; {len(failed)} of them have no results (nan), lines {lines}: the fins do not hold the load at rest, "
             "or the anchors switch to and fro without end"
         )
     print_result(options, {"output": str(output), "gaits": count, "without_figures": failed}, text)

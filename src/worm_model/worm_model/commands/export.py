@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Command line: a bag's topics as CSV or Parquet tables."""
+"""Command line: export of a bag's topics as CSV or Parquet tables."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ from worm_model.commands.command_line import (
 )
 
 STEM_BYTES = 200
-MERGED = "run"  # the table of all that was measured and commanded
+MERGED = "run"  # name of the table with all measurements and commands
 _NOTIFY = notifier("export")
 
 Kinds = Mapping[str, Kind]
@@ -47,9 +47,9 @@ _RUN_TYPES = {TYPES[name] for name in RUN_TOPICS if name != "joint_states"}
 
 
 class CsvWriter:
-    """Columns of ``kinds``, and those of arrays by the kinds of their elements, ``lists``, which CSV cannot hold.
+    """Writer of a CSV file with the columns ``kinds``. CSV cannot contain ``lists``, the columns of arrays.
 
-    Numbers are written so that reading them gives the same; what is missing, and NaN, is an empty cell.
+    Reading the numbers gives the same values. Missing values and NaN are empty cells.
     """
 
     def __init__(self, path: Path, kinds: Kinds, lists: Kinds) -> None:
@@ -59,8 +59,8 @@ class CsvWriter:
         self._writer.writerow(self._columns)
         for name in lists:
             _NOTIFY(
-                f"{path.name}: {name} is left out, its arrays have more than {MOST_ELEMENTS} elements; "
-                "--format parquet keeps it"
+                f"{path.name}: {name} is not exported, its arrays have more than {MOST_ELEMENTS} elements; "
+                "use --format parquet"
             )
 
     def write(self, rows: Rows) -> None:
@@ -78,7 +78,7 @@ def _cell(value: Any) -> Any:
 
 
 class ParquetWriter:
-    """Columns keep their types, also where a value is missing, which is null; NaN stays NaN."""
+    """Writer of a Parquet file. Columns have their types, missing values are null, and NaN is NaN."""
 
     def __init__(self, path: Path, kinds: Kinds, lists: Kinds) -> None:
         try:
@@ -113,20 +113,20 @@ WRITERS: Mapping[str, type[TableWriter]] = {"csv": CsvWriter, "parquet": Parquet
 
 @dataclass(frozen=True)
 class Exported:
-    """What was written: number of `rows` by file name, and why topics were `left_out`."""
+    """Result of an export: the number of `rows` by file name, and the reason for each topic that is `left_out`."""
 
     rows: dict[str, int] = field(default_factory=dict)
     left_out: dict[str, str] = field(default_factory=dict)
 
 
 def export(bag: Bag, output: Path, kind: str, topics: list[str], namespace: str = "") -> Exported:
-    """Write a table a topic into a new folder, and without ``topics`` the merged one of the robot in ``namespace``.
+    """Write one table per topic to a new folder and, without ``topics``, the merged table of the robot's namespace.
 
-    Memory does not grow with the bag, but for the samples of the merged table. The folder is there whole or not at all.
+    Only the merged table's memory grows with the bag. If the export fails, no folder remains.
 
     Raises:
-        BagError: the bag lacks a topic or is damaged.
-        InputError: the format needs a package that is not installed.
+        BagError: The bag lacks a topic or is damaged.
+        InputError: The format needs a package that is not installed.
     """
     tables, failed = find_tables(bag, topics or bag.topics)
     stems = file_stems(table.topic.name for table in tables)
@@ -147,7 +147,7 @@ def export(bag: Bag, output: Path, kind: str, topics: list[str], namespace: str 
 
 
 def _export_merged(bag: Bag, path: Path, namespace: str, exported: Exported) -> None:
-    """Write the merged table, or note why it is left out."""
+    """Write the merged table, or store the reason why it is left out."""
     try:
         columns = run_table(read_run(bag, namespace)).columns
     except BagError as error:
@@ -164,12 +164,12 @@ def _export_merged(bag: Bag, path: Path, namespace: str, exported: Exported) -> 
 
 
 def file_stems(topics: Iterable[str]) -> dict[str, str]:
-    """A file name for each topic: /a/b is a__b, and so is /a__b, which then becomes a__b_2."""
+    """Return a unique file name for each topic: a__b for /a/b, and a__b_2 for /a__b next to it."""
     stems: dict[str, str] = {}
     for topic in topics:
         stem = wanted = _file_stem(topic)
         number = 1
-        while stem.lower() in {MERGED, *(taken.lower() for taken in stems.values())}:
+        while stem.lower() in {MERGED, *(used.lower() for used in stems.values())}:
             number += 1
             stem = f"{wanted}_{number}"
         stems[topic] = stem
@@ -177,7 +177,7 @@ def file_stems(topics: Iterable[str]) -> dict[str, str]:
 
 
 def _file_stem(topic: str) -> str:
-    """A topic's name as that of a file: other writers than ROS put anything into it, and systems take 255 bytes."""
+    """Return a topic's name as a file name: writers other than ROS allow any character, file systems 255 bytes."""
     plain = "".join(c if c.isprintable() else "_" for c in topic.strip("/").replace("/", "__"))
     return plain.encode(errors="replace")[:STEM_BYTES].decode(errors="ignore") or "_"
 
@@ -185,18 +185,20 @@ def _file_stem(topic: str) -> str:
 def _parser() -> Parser:
     parser = Parser(
         prog="export",
-        description="Writes a table for each topic of a bag (a row a message, a column a field, times in ns), and "
-        f"{MERGED}.csv or {MERGED}.parquet: all that was measured and commanded, in seconds since the gait's onset. "
-        "Ends with status 1 if a topic had to be left out.",
+        description="Write a table for each topic of a bag (a row per message, a column per field, times in ns), and "
+        f"{MERGED}.csv or {MERGED}.parquet with all measurements and commands, in seconds since the gait's onset. "
+        "The exit status is 1 if a topic is left out.",
     )
     parser.add_argument("bag", type=Path, metavar="BAG")
     parser.add_argument("--output", required=True, metavar="FOLDER", help="must not exist")
     parser.add_argument("--format", choices=WRITERS, default="csv", help="default csv")
     parser.add_argument(
-        "--topic", action="append", default=[], help="only this one; may be repeated"
+        "--topic", action="append", default=[], help="export only this topic; may be repeated"
     )
     parser.add_argument(
-        "--namespace", default="", help="of the merged table's robot; default: the one in the bag"
+        "--namespace",
+        default="",
+        help="namespace of the merged table's robot; default: the one in the bag",
     )
     parser.add_definitions()
     parser.add_json()

@@ -28,8 +28,8 @@ from worm_model.parameters import UNITS, load_parameter_file
 def _parser() -> Parser:
     parser = Parser(
         prog="health",
-        description="Estimates friction, switching threshold, gain, slack and idle power from each bag "
-        "alone and tells which of them drift over the bags, since when, and what to look at.",
+        description="Estimate friction, switching threshold, gain, slack and idle power from each bag alone, and "
+        "report which of them drift over the bags, since when, and what to check.",
     )
     parser.add_argument("bags", nargs="+", type=Path, metavar="BAG", help="one run each, any order")
     parser.add_figure()
@@ -125,7 +125,9 @@ def _lines(chart: Chart, bags: Sequence[BagEstimates]) -> list[str]:
     if chart.began is not None:
         head += f" since {bags[chart.began].name}"
     known = chart.value[np.isfinite(chart.value)]
-    lines = [f"{head}; " + (f"last {known[-1]:.4g}{unit}" if known.size else "no bag tells it")]
+    lines = [
+        f"{head}; " + (f"last {known[-1]:.4g}{unit}" if known.size else "no bag determines it")
+    ]
     if chart.limits is not None:
         lines.append(
             f"  limits {chart.limits.low:.4g} to {chart.limits.high:.4g}{unit} from {chart.limits.source}"
@@ -138,7 +140,7 @@ def _lines(chart: Chart, bags: Sequence[BagEstimates]) -> list[str]:
             f"{bags[signal.last].name} ({last:.4g}{unit})"
         )
     if chart.advice:
-        lines.append(f"  {chart.advice}; then identify the robot anew")
+        lines.append(f"  {chart.advice}; then identify the robot again")
     return lines
 
 
@@ -153,7 +155,7 @@ def _remarks(bags: Sequence[BagEstimates], charts: Sequence[Chart]) -> list[str]
         )
     if len({bag.gait for bag in bags}) > 1:
         remarks.append(
-            "the bags hold different gaits: what the model leaves out differs between gaits, and may look like drift"
+            "the bags contain different gaits: errors of the model differ between gaits, and may look like drift"
         )
     return remarks
 

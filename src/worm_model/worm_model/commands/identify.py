@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Command line: from bags, or a lab's folder, to a parameter file with intervals."""
+"""Command line: identification of a parameter file with intervals from bags or a lab's folder."""
 
 from __future__ import annotations
 
@@ -50,23 +50,23 @@ SIDES = {"positive": 1, "negative": -1}
 def _parser() -> Parser:
     parser = Parser(
         prog="identify",
-        description="Identifies the worm's parameters from recorded runs, each from rest over five ridges.",
-        epilog="Masses, pitch and unstressed length come from --parameters, else from the README.md of a "
-        "lab's folder, else from the paper.",
+        description="Identify the robot's parameters from recorded runs, each from rest over five ridges.",
+        epilog="Masses, pitch and unstressed length are read from --parameters, else from the README.md of a "
+        "lab's folder, else they are the paper's.",
     )
     parser.add_argument(
         "runs",
         type=Path,
         nargs="+",
         metavar="BAG",
-        help="bags, one run each, or a lab's folder of runs, or some runs of it",
+        help="bags with one run each, a lab's folder of runs, or some runs of it",
     )
     parser.add_argument("--bellows", type=Path, metavar="CSV", help="compression_m, force_N")
     parser.add_argument("--fin", type=Path, metavar="CSV", help="displacement_m, force_N")
     parser.add_argument(
         "--fin-engages",
         choices=sorted(SIDES),
-        help="sign of displacement in which the tested fin engages; default: its stiffer side",
+        help="sign of the displacement in which the tested fin engages; default: its stiffer side",
     )
     parser.add_argument(
         "--validation",
@@ -74,19 +74,17 @@ def _parser() -> Parser:
         nargs="+",
         default=[],
         metavar="BAG",
-        help="runs to check it against, none of them fitted",
+        help="runs for validation, which are not fitted",
     )
-    parser.add_argument("--output", metavar="FILE", help="the parameter file, which must not exist")
+    parser.add_argument("--output", metavar="FILE", help="new parameter file; must not exist")
+    parser.add_argument("--report", metavar="DIR", help="folder for the report; must not exist")
     parser.add_argument(
-        "--report", metavar="DIR", help="folder for the report, which must not exist"
-    )
-    parser.add_argument(
-        "--seed", type=int, default=0, metavar="N", help="of the bootstrap (default 0)"
+        "--seed", type=int, default=0, metavar="N", help="seed of the bootstrap (default 0)"
     )
     parser.add_argument(
         "--literal",
         action="store_true",
-        help="the paper's procedure instead, to compare with: its costs as printed, no nuisances, no intervals",
+        help="run the paper's procedure for comparison: its costs as printed, no nuisances, no intervals",
     )
     parser.add_argument(
         "--estimate",
@@ -96,8 +94,8 @@ def _parser() -> Parser:
     parser.add_argument(
         "--one-sided-cable",
         action="store_true",
-        help="fit the power of a cable that cannot push, and say so in the parameter file; default: as --parameters "
-        "says, else the paper's form",
+        help="fit the power of a cable that cannot push, and state it in the parameter file; default: the form of "
+        "--parameters, else the paper's form",
     )
     parser.add_transmission()
     parser.add_definitions()
@@ -138,11 +136,11 @@ def _literal(options: argparse.Namespace, inputs: Inputs, output: Path | None) -
     """Run the paper's procedure; see `worm_model.identification.literal`."""
     if options.report or options.validation:
         raise InputError(
-            "--literal has no report and no validation: leave --report and --validation out"
+            "--literal has no report and no validation; remove --report and --validation"
         )
     if options.one_sided_cable:
         raise InputError(
-            "--literal has the paper's form of the power: leave --one-sided-cable out, or --literal"
+            "--literal has the paper's form of the power; remove --one-sided-cable or --literal"
         )
     reference = _reference(options, inputs)
     parameters, costs = literal(inputs, reference.parameters, StageProgress())

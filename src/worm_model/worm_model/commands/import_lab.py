@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Command line: a lab's CSV files become a bag with the topics that the driver and the tracker publish."""
+"""Command line: conversion of a lab's CSV files to a bag with the topics of the driver and the tracker."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ _LONGEST_BODY = 2.0  # m
 
 
 def import_lab(folder: Path, output: Path, settings: LabSettings, namespace: str) -> LabRun:
-    """Make a bag of a run's folder; the same files give the same bytes.
+    """Convert a run's folder to a bag. The same files give the same bytes.
 
     Raises:
-        LabError: the folder cannot be used.
-        BagError: the bag cannot be written.
+        LabError: The folder cannot be used.
+        BagError: The bag cannot be written.
     """
     lab = read_lab_run(folder, settings)
     with new_bag(output) as writer:
@@ -65,15 +65,15 @@ def _gait(lab: LabRun, settings: LabSettings) -> dict[str, str]:
 def _parser() -> Parser:
     parser = Parser(
         prog="import_lab",
-        description="Makes a bag of a lab's run: camera.csv, power.csv and servo.csv in FOLDER, the gait in "
-        "runs.json in it or beside it.",
+        description="Convert a lab's run to a bag: camera.csv, power.csv and servo.csv in FOLDER, the gait in "
+        "runs.json in it or in its parent folder.",
     )
     parser.add_argument("folder", type=Path, metavar="FOLDER", help="the run's folder")
-    parser.add_argument(
-        "--output", required=True, metavar="BAG", help="the bag, which must not exist"
-    )
+    parser.add_argument("--output", required=True, metavar="BAG", help="new bag; must not exist")
     parser.add_transmission()
-    parser.add_number("--initial-length", "M", "in m; default: what the camera sees at rest")
+    parser.add_number(
+        "--initial-length", "M", "initial length in m; default: the camera's measurement at rest"
+    )
     parser.add_argument(
         "--epoch",
         type=number,
@@ -81,7 +81,9 @@ def _parser() -> Parser:
         metavar="S",
         help="UTC of t = 0 in s (default: 2026-01-01)",
     )
-    parser.add_argument("--namespace", default="/worm", help="of the topics (default /worm)")
+    parser.add_argument(
+        "--namespace", default="/worm", help="namespace of the topics (default /worm)"
+    )
     parser.add_json()
     parser.add_parameters()
     return parser
@@ -122,7 +124,7 @@ def _run(options: argparse.Namespace) -> None:
 
 def _check_length(option: str, value: float, most: float) -> None:
     if not 0.0 < value <= most:
-        raise InputError(f"{option} {value:g}: it is in m, above 0 and at most {most:g}")
+        raise InputError(f"{option} {value:g}: give a length in m, above 0 and at most {most:g}")
 
 
 main = executable(_parser, _run)

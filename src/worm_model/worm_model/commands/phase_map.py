@@ -26,8 +26,8 @@ from worm_model.text_table import text_table
 def _parser() -> Parser:
     parser = Parser(
         prog="phase_map",
-        description="Grooves per cycle over stroke and groove phase, and the margin's cliff over "
-        "the phase: what trimming the initial length would bring.",
+        description="Compute grooves per cycle over stroke and groove phase, and the margin's cliff over the phase. "
+        "They show the effect of trimming the initial length.",
     )
     parser.add_number("--frequency", "HZ", "frequency in Hz", 0.15)
     parser.add_number("--lowest", "M", "least stroke in m", STROKE_RANGE[0])
@@ -78,7 +78,7 @@ def _map(options: argparse.Namespace) -> None:
     parameters = under(conditions_of(options), load_parameters(options.parameters))
     figure = figure_file(options)
     pitch = parameters.pitch
-    # (−d/2, d/2]: the lower end is the upper end of the next groove
+    # (−d/2, d/2]: the lower end is the upper end of the next groove.
     phase = np.linspace(-0.5 * pitch, 0.5 * pitch, options.points + 1)[1:]
     stroke = np.linspace(options.lowest, options.highest, options.points)
     content = compute_phase_map(

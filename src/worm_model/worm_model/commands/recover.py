@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Command line: makes a whole bag of one that was not closed or is damaged."""
+"""Command line: recovery of a bag that was not closed or is damaged."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from worm_model.commands.command_line import Parser, executable, new_file, print
 def _parser() -> Parser:
     parser = Parser(
         prog="recover",
-        description="Writes every message of a bag that can still be read to a new bag. The old bag is not changed.",
+        description="Write all readable messages of a bag to a new bag. The old bag is not changed.",
     )
     parser.add_argument(
         "bag", type=Path, metavar="BAG", help="bag directory, or a file *.mcap or *.db3"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Command line: run of the twin over a bag, faster than real time."""
+"""Command line: replay of a bag with the twin, faster than real time."""
 
 from __future__ import annotations
 
@@ -193,7 +193,7 @@ def _cycle_json(cycle: CycleReport) -> dict[str, Any]:
 def describe(
     report: ReplayReport, dropped: Mapping[str, int], duration: float, elapsed: float
 ) -> str:
-    """The report for people; ``dropped`` samples by why."""
+    """Return the report as text; ``dropped`` samples by reason."""
     lines = _total_lines(report)
     for number, run in enumerate(report.runs, 1):
         gait = run.played.gait
@@ -207,13 +207,13 @@ def describe(
         lines += [f"  {time:.2f} s  {event.text}" for time, event in run.events]
     if dropped:
         why = ", ".join(f"{count} {name}" for name, count in dropped.items())
-        lines.append(f"samples not taken: {why}")
+        lines.append(f"samples not used: {why}")
     lines.append(f"{duration:.1f} s in {elapsed:.3f} s: {duration / elapsed:.0f} times real time")
     return "\n".join(lines)
 
 
 def _total_lines(report: ReplayReport) -> list[str]:
-    """Residuals of the whole recording, or why there are none."""
+    """Return the residuals of the whole recording, or the reasons why they are missing."""
     total = report.residuals
     energy = 100 * report.energy_error
     rows = (
@@ -226,7 +226,7 @@ def _total_lines(report: ReplayReport) -> list[str]:
             total.length_residual,
         ),
         ("power", total.power_rmse, "{:8.3f} W  rms, {:+.3f} W  mean", 1.0, total.power_residual),
-        ("energy", energy, "{:+8.2f} % of what was measured", 1.0, math.nan),
+        ("energy", energy, "{:+8.2f} % of the measured energy", 1.0, math.nan),
     )
     return [
         f"{name:6}  "
@@ -266,13 +266,15 @@ def _cycle_line(cycle: CycleReport, events: Sequence[Event]) -> str:
 def _parser() -> Parser:
     parser = Parser(
         prog="replay",
-        description="Lets the twin follow a bag and reports how far it is from what was measured.",
+        description="Let the twin follow a bag, and report its residuals.",
     )
     parser.add_argument("bag", type=Path, metavar="BAG")
     parser.add_argument(
-        "--output", metavar="BAG2", help="a new bag with the twin's topics beside the original ones"
+        "--output", metavar="BAG2", help="new bag with the original topics and the twin's"
     )
-    parser.add_argument("--namespace", default="", help="of the robot; default: the one in the bag")
+    parser.add_argument(
+        "--namespace", default="", help="namespace of the robot; default: the one in the bag"
+    )
     parser.add_definitions()
     parser.add_json()
     parser.add_parameters()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Command line: a gait over time, as a table, a figure, an animation or a bag."""
+"""Command line: simulation of a gait, as a table, a figure, an animation or a bag."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ MOST_CYCLES = 1000
 FIGURES = (".png", ".pdf", ".svg")
 ANIMATIONS = (".gif", ".mp4")
 RATE_HZ = 100.0
-FRAME_RATE_HZ = 12.5  # of an animation
+FRAME_RATE_HZ = 12.5  # frame rate of an animation
 
 
 def _parser() -> Parser:
@@ -39,22 +39,20 @@ def _parser() -> Parser:
         prog="simulate",
         description="Simulate a gait from rest. The ending of --output selects the form: a table of positions, "
         "anchors, length, cable force, power and energy (.csv), a figure of them (.png, .pdf, .svg), an animation "
-        "of the robot in its pipe in real time (.gif, or .mp4 where ffmpeg is installed), or a recording (.mcap) as "
-        "perfect instruments would make it, after two seconds of rest.",
+        "of the robot in its pipe in real time (.gif, or .mp4 if ffmpeg is installed), or a recording of ideal "
+        "instruments (.mcap) after two seconds of rest.",
     )
     parser.add_gait(required=True)
     parser.add_conditions()
     parser.add_argument(
-        "--cycles", type=int, default=CYCLES, metavar="N", help=f"from rest (default: {CYCLES})"
+        "--cycles", type=int, default=CYCLES, metavar="N", help=f"cycles (default: {CYCLES})"
     )
     parser.add_number(
         "--rate",
         "HZ",
         f"samples a second (default: {RATE_HZ:g}), or frames a second of an animation (default: {FRAME_RATE_HZ:g})",
     )
-    parser.add_argument(
-        "--output", required=True, metavar="FILE", help="a file that does not exist"
-    )
+    parser.add_argument("--output", required=True, metavar="FILE", help="new file; must not exist")
     parser.add_json()
     parser.add_parameters()
     return parser

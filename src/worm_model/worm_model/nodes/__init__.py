@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The twin, the recorder, the player and the view as ROS nodes: convert, one call, publish."""
+"""ROS nodes of the twin, the recorder, the player and the live view. They convert, make one call and publish."""

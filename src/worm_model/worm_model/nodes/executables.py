@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The executables that are nodes."""
+"""Executables that are nodes."""
 
 from worm_msgs.executable import deferred
 

@@ -14,7 +14,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def keys_of_terminal() -> Iterator[None]:
-    """While this lasts, keys are heard at once; does nothing where the input is no terminal."""
+    """Deliver keys without waiting for Enter within the context. Without a terminal as input, do nothing."""
     if not sys.stdin.isatty():
         yield
         return
@@ -27,7 +27,7 @@ def keys_of_terminal() -> Iterator[None]:
 
 
 def pressed() -> str:
-    """The keys pressed since the last call; empty where the input is no terminal."""
+    """Return the keys pressed since the last call; empty if the input is not a terminal."""
     if not sys.stdin.isatty() or not select.select([sys.stdin], [], [], 0.0)[0]:
         return ""
     return os.read(sys.stdin.fileno(), 64).decode(errors="ignore")

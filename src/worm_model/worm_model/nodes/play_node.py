@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``worm_model play``: publishes a bag with its timing, and the bag's time on /clock."""
+"""``worm_model play``: playback of a bag with its timing, and of the bag's time on /clock."""
 
 from __future__ import annotations
 
@@ -37,24 +37,24 @@ from worm_model.nodes.raw_subscriptions import message_class
 from worm_msgs.node_command import declare_none
 from worm_msgs.ros_process import own_arguments, ros_process
 
-LONGEST_WAIT_S = 0.005  # between two looks at services and keys
-REMINDER_S = 10.0  # between two lines that say who is waited for
-MATCHING_S = 3.0  # that a subscriber which cannot be connected is waited for
-ACKNOWLEDGED_S = 2.0  # that the last messages have to reach their subscribers
-VOLATILE_DEPTH = 1000  # of samples that may wait for a slow subscriber
+LONGEST_WAIT_S = 0.005  # between two polls of services and keys
+REMINDER_S = 10.0  # between two log lines that name the awaited nodes
+MATCHING_S = 3.0  # timeout for a subscriber that cannot be connected
+ACKNOWLEDGED_S = 2.0  # timeout for the last messages to reach their subscribers
+VOLATILE_DEPTH = 1000  # samples that may wait for a slow subscriber
 HELP = "space: pause and resume, s or right arrow: one message, q: quit"
 
 
 def _latched_depth(topic: Topic) -> int:
-    """Samples that somebody who comes late gets: what the publisher kept, the last state if that is not known."""
+    """Return the number of samples for late subscribers: the depth of the recorded publisher, or 1 if unknown."""
     depth = first_qos_profile(topic).get("depth")
     return depth if isinstance(depth, int) and 0 < depth <= VOLATILE_DEPTH else 1
 
 
 def play_qos(topic: Topic) -> QoSProfile:
-    """Quality of service to play a topic with: as its first publisher offered it.
+    """Return the quality of service with which a topic is played: that of its first recorded publisher.
 
-    Where the bag does not tell, it is reliable and latched, which serves every subscriber.
+    If the bag lacks it, the topic is reliable and latched, which is compatible with every subscriber.
     """
     offered = first_qos_profile(topic)
     latched = is_latched(topic) or not offered
@@ -67,11 +67,11 @@ def play_qos(topic: Topic) -> QoSProfile:
 
 
 class PlayNode(Node):
-    """Plays a bag.
+    """Node that plays a bag.
 
     Args:
         bag: an open bag.
-        options: of the command line.
+        options: options of the command line.
     """
 
     def __init__(self, bag: Bag, options: argparse.Namespace) -> None:
@@ -99,7 +99,7 @@ class PlayNode(Node):
         for act in (self.pause, self.resume, self.step):
             self.create_service(Trigger, f"~/{act.__name__}", partial(self._serve, act))
 
-    # --- what is published ------------------------------------------------------------------------
+    # --- publishing -------------------------------------------------------------------------------
 
     def _advertise(self) -> dict[str, Publisher]:
         publishers = {}
@@ -115,16 +115,18 @@ class PlayNode(Node):
             try:
                 publisher = self.create_publisher(kind, topic.name, play_qos(topic))
             except InvalidTopicNameException:
-                self.get_logger().warning(f"{topic.name!r} is not played: ROS has no such names")
+                self.get_logger().warning(
+                    f"{topic.name!r} is not played: it is not a valid name of a topic in ROS"
+                )
                 continue
             publishers[topic.name] = publisher
         if not publishers:
-            raise InputError(f"{self._bag.path} has none of the topics that were asked for")
+            raise InputError(f"{self._bag.path} has none of the selected topics that can be played")
         return publishers
 
     def _converter(self, channel: Topic, type_name: str) -> Converter:
-        """What makes the bag's messages those that are installed; fields that these have besides are told."""
-        message_class(type_name)  # which must be installed
+        """Return a converter from the bag's message type to the installed one, and log fields that it adds."""
+        message_class(type_name)  # Raises an error if the type is not installed.
         converter = Converter(with_definition(channel), topic_of(channel.name, type_name))
         if converter.added:
             added = ", ".join(converter.added)
@@ -140,12 +142,12 @@ class PlayNode(Node):
             raise InputError(f"{self._bag.path} has no topic {unknown[0]}")
         for topic in self._bag.topics.values():
             chosen = topic.name in wanted if wanted else True
-            left_out = bool(exclude) and re.search(exclude, topic.name)
-            if chosen and not left_out and topic.name != "/clock":
+            excluded = bool(exclude) and re.search(exclude, topic.name)
+            if chosen and not excluded and topic.name != "/clock":
                 yield topic
 
     def begin(self) -> None:
-        """Go to the start: latched messages from before it are published, the clock stands there."""
+        """Go to the start time, set the clock to it, and publish the latched messages from before it."""
         self._begun = True
         self._messages = self._bag.messages(self._publishers_by_topic)
         self._pending = None
@@ -162,28 +164,28 @@ class PlayNode(Node):
         self._publish_clock(self._first_ns)
 
     def advance(self) -> float:
-        """Publish what is due; returns the wall time (monotonic, s) of what comes next."""
+        """Publish the messages that are due, and return the wall time (monotonic, s) of the next one."""
         if not self._begun:
             self.begin()
         wall = time.monotonic()
         begins = self._timeline.paused and self._wanted
-        if begins and not self._is_awaiting(wall) and self._is_heard(wall):
+        if begins and not self._is_awaiting(wall) and self._is_connected(wall):
             self._timeline = self._timeline.resume(wall)
         now_ns = self._timeline.at(wall)
         while not self._timeline.paused and self._pending and self._pending.log_time <= now_ns:
             self._publish_next()
         if self._pending is None and not self._timeline.paused:
             self._end()
-        self._tell_time(wall)
+        self._publish_due_clock(wall)
         due = min(wall + LONGEST_WAIT_S, self._clock_due if self._options.clock else wall + 1.0)
         if self._pending is not None:
             due = min(due, self._timeline.wall_at(self._pending.log_time))
         return due
 
-    def _is_heard(self, wall: float) -> bool:
-        """Whether all subscribers that there are get what is published, and none has come for a while.
+    def _is_connected(self, wall: float) -> bool:
+        """Return True if all known subscribers are connected, and none has appeared for the delay.
 
-        Both sides of a connection learn of it at different times, and discovery tells of subscribers one by one.
+        Both sides of a connection discover it at different times, and subscribers are discovered one by one.
         """
         publishers = [self._clock_publisher, *self._publishers_by_topic.values()]
         counts = {
@@ -193,20 +195,20 @@ class PlayNode(Node):
         if counts != self._subscribers:
             self._subscribers, self._changed = counts, wall
         connected = all(reached >= known for reached, known in counts.values())
-        patience = self._options.delay + (0.0 if connected else MATCHING_S)
-        return wall >= self._changed + patience
+        delay = self._options.delay + (0.0 if connected else MATCHING_S)
+        return wall >= self._changed + delay
 
     def _is_awaiting(self, wall: float) -> bool:
-        """Return whether a node of --wait-for does not subscribe yet; log it now and then."""
+        """Return True while a node of --wait-for does not subscribe yet, and log it every REMINDER_S."""
         if not self._awaited:
             return False
-        listeners = {
+        subscribers = {
             (info.node_name, info.node_namespace)
             for topic in self._publishers_by_topic
             for info in self.get_subscriptions_info_by_topic(topic)
         }
         own = self.get_namespace()
-        self._awaited = [name for name in self._awaited if (name, own) not in listeners]
+        self._awaited = [name for name in self._awaited if (name, own) not in subscribers]
         if self._awaited and wall >= self._reminder:
             self._reminder = wall + REMINDER_S
             self.get_logger().info(f"waiting for {', '.join(self._awaited)} to subscribe")
@@ -223,12 +225,14 @@ class PlayNode(Node):
         except BagError as error:
             self._skipped[message.topic] += 1
             if self._skipped[message.topic] == 1:
-                self.get_logger().warning(f"{message.topic} is not played in whole: {error}")
+                self.get_logger().warning(
+                    f"{message.topic} is played without the messages that cannot be converted: {error}"
+                )
             return
         self._publishers_by_topic[message.topic].publish(data)
         self.published += 1
 
-    def _tell_time(self, wall: float) -> None:
+    def _publish_due_clock(self, wall: float) -> None:
         if self._options.clock and wall >= self._clock_due:
             self._clock_due = wall + 1.0 / self._options.clock
             self._publish_clock(self._timeline.at(wall))
@@ -245,7 +249,7 @@ class PlayNode(Node):
             self.finished = True
 
     def drain(self) -> None:
-        """Wait until reliable subscribers have all that was published."""
+        """Wait until reliable subscribers have received all messages."""
         deadline = Duration(seconds=ACKNOWLEDGED_S)
         for publisher in self._publishers_by_topic.values():
             publisher.wait_for_all_acked(deadline)
@@ -253,22 +257,25 @@ class PlayNode(Node):
     # --- pause and step ---------------------------------------------------------------------------
 
     def pause(self) -> str:
-        """The bag's time stands; says so."""
+        """Stop the bag's time, and return the new state."""
         self._wanted = False
         self._timeline = self._timeline.pause(time.monotonic())
         return "paused"
 
     def resume(self) -> str:
-        """The bag's time goes on as soon as all subscribers are connected; says so."""
+        """Let the bag's time continue as soon as all subscribers are connected, and return the new state."""
         self._wanted = True
         return "playing"
 
     def step(self) -> str:
-        """Pause, and publish the next message once it is heard; returns its topic, empty at the end."""
+        """Pause, publish the next message once its subscribers are connected, and return its topic.
+
+        The result is empty at the end of the bag.
+        """
         if not self._begun:
             self.begin()
         self.pause()
-        while not self._is_heard(time.monotonic()):
+        while not self._is_connected(time.monotonic()):
             time.sleep(LONGEST_WAIT_S)
         if self._pending is None:
             return ""
@@ -279,7 +286,7 @@ class PlayNode(Node):
         return topic
 
     def press(self, keys: str) -> None:
-        """Act on keys: see HELP."""
+        """React to keys as described in HELP."""
         if " " in keys:
             if self._wanted:
                 self.pause()
@@ -293,8 +300,8 @@ class PlayNode(Node):
     def _serve(
         self, act: Callable[[], str], _: Trigger.Request, response: Trigger.Response
     ) -> Trigger.Response:
-        said = act()
-        response.success, response.message = bool(said), said or "the bag is at its end"
+        result = act()
+        response.success, response.message = bool(result), result or "the bag is at its end"
         return response
 
 
@@ -308,29 +315,29 @@ def _positive(text: str) -> float:
 def _parser() -> Parser:
     parser = Parser(
         prog="play",
-        description="Publishes a bag with its timing and its time on /clock, for nodes with use_sim_time. "
+        description="Publish a bag with its timing, and its time on /clock for nodes with use_sim_time. "
         f"Services ~/pause, ~/resume, ~/step; on a terminal {HELP}.",
     )
     parser.add_argument("bag", type=Path, metavar="BAG")
     parser.add_argument("-r", "--rate", type=_positive, default=1.0, help="default 1")
-    parser.add_argument("-l", "--loop", action="store_true", help="begin anew at the end")
+    parser.add_argument("-l", "--loop", action="store_true", help="start again at the end")
     parser.add_argument(
-        "--start", type=not_negative, default=0.0, metavar="S", help="from this time on, in s"
+        "--start", type=not_negative, default=0.0, metavar="S", help="play from this time on, in s"
     )
-    parser.add_argument("--paused", action="store_true", help="begin paused")
+    parser.add_argument("--paused", action="store_true", help="start paused")
     parser.add_argument(
         "--delay",
         type=not_negative,
         default=1.0,
         metavar="S",
-        help="without a new subscriber, before the first message (default 1 s)",
+        help="publish the first message when no subscriber has appeared for this time (default 1 s)",
     )
     parser.add_argument(
         "--wait-for",
         action="append",
         default=[],
         metavar="NODE",
-        help="before the first message, wait until this node of the namespace subscribes to a topic that is played; "
+        help="publish the first message when this node of the namespace subscribes to a played topic; "
         "may be repeated",
     )
     parser.add_argument(
@@ -341,9 +348,9 @@ def _parser() -> Parser:
         help="rate of /clock, 0: none (default 100)",
     )
     parser.add_argument(
-        "--topic", action="append", default=[], help="only this one; may be repeated"
+        "--topic", action="append", default=[], help="play only this topic; may be repeated"
     )
-    parser.add_argument("-x", "--exclude", default="", metavar="REGEX", help="topics left out")
+    parser.add_argument("-x", "--exclude", default="", metavar="REGEX", help="topics to exclude")
     parser.add_definitions()
     return parser
 
@@ -358,10 +365,10 @@ def _play(ended: Callable[[], bool], options: argparse.Namespace) -> None:
     with open_bag(options.bag, _notify, options.definitions) as bag:
         length = (bag.end - bag.start) * 1e-9
         if not bag.message_count:
-            raise InputError(f"{options.bag} holds no messages")
+            raise InputError(f"{options.bag} contains no messages")
         if options.start > length:
             raise InputError(
-                f"--start {options.start:g} is behind the end: the bag is {length:.2f} s long"
+                f"--start {options.start:g} is after the end: the bag is {length:.2f} s long"
             )
         node = PlayNode(bag, options)
         node.get_logger().info(f"playing {bag.path}: {bag.message_count} messages, {length:.1f} s")

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Raw subscriptions to any topics, for recording.
 
-The subscriptions and the recorder's services, those of its parameters included, are polled, not spun: an executor
-spends some 0.2 ms of Python a message, a look at a subscription that takes all that is waiting a hundredth of it, and
-the stamps come from the middleware, so that polling costs no accuracy.
+The node polls its subscriptions and services, including those of its parameters, instead of spinning. An executor
+spends some 0.2 ms of Python per message, a poll that takes all waiting messages a hundredth of it. Polling costs no
+accuracy, because the stamps come from the middleware.
 """
 
 from __future__ import annotations
@@ -32,19 +32,20 @@ from worm_model.nodes.recording_qos import describe, subscription_qos
 from worm_model.run import INACTIVE
 from worm_msgs.node_command import declare_none
 
-# with both subscriptions: publishers learn of the second one later than it does of them
-OVERLAP_LOOKS = 50
+# Polls of both subscriptions: publishers discover the second one later than it discovers them.
+OVERLAP_POLLS = 50
 
-SETTLING_S = 3.0  # after which a publisher that appears was not there before the recorder
+SETTLING_S = 3.0  # A publisher that appears later than this started after the recorder.
 
 _Identity = tuple[int, int]
 
 
 class _RawSubscription:
-    """A subscription that is looked at instead of called back.
+    """Subscription that is polled.
 
-    When a publisher comes that offers less, a second subscription that it can serve is made beside the first, which
-    stays until the second is connected to all: nothing is lost in between, and what both receive is taken once.
+    If a new publisher is not compatible with it, a second, compatible subscription is created. The first one stays
+    until the second is connected to all publishers, so that nothing is lost in between. Messages that both receive are
+    returned once.
     """
 
     def __init__(self, node: Node, topic: Topic, message: type, depth: int) -> None:
@@ -55,7 +56,7 @@ class _RawSubscription:
         self._depth = depth
         self._recent: deque[_Identity] = deque(maxlen=depth)
         self._old: Subscription | None = None
-        self._connected_looks = 0
+        self._connected_polls = 0
         self.qos, self._subscription = self._subscribe()
 
     def _subscribe(self) -> tuple[QoSProfile, Subscription]:
@@ -67,7 +68,7 @@ class _RawSubscription:
         return qos, subscription
 
     def take(self) -> list[Message]:
-        """All that is waiting."""
+        """Return all waiting messages."""
         if self._old is None:
             return [self._sample(*taken) for taken in self._waiting(self._subscription)]
         known = set(self._recent)
@@ -77,10 +78,10 @@ class _RawSubscription:
                 if _identity(info) not in known:
                     known.add(_identity(info))
                     samples.append(self._sample(data, info))
-        self._connected_looks += self._is_connected()
-        if self._connected_looks > OVERLAP_LOOKS:
+        self._connected_polls += self._is_connected()
+        if self._connected_polls > OVERLAP_POLLS:
             self._node.destroy_subscription(self._old)
-            self._node.get_logger().info(f"{self.topic.name}: the old subscription is given up")
+            self._node.get_logger().info(f"{self.topic.name}: the old subscription is closed")
             self._old = None
         return samples
 
@@ -100,34 +101,34 @@ class _RawSubscription:
         publishers = self._node.count_publishers(self.topic.name)
         return self._subscription.get_publisher_count() >= publishers
 
-    def hears_all(self) -> bool:
-        """Whether every publisher that there is now can serve this subscription."""
+    def is_compatible(self) -> bool:
+        """Return True if all present publishers are compatible with this subscription."""
         return all(
             qos_check_compatible(info.qos_profile, self.qos)[0] != QoSCompatibility.ERROR
             for info in self._node.get_publishers_info_by_topic(self.topic.name)
         )
 
     def resubscribe(self) -> None:
-        """Adapt to the publishers that there are now."""
+        """Adapt to the present publishers."""
         if self._old is not None:
-            self._node.destroy_subscription(self._subscription)  # the old one has what was received
+            self._node.destroy_subscription(self._subscription)  # The old one receives the same.
         else:
             self._old = self._subscription
-        self._connected_looks = 0
+        self._connected_polls = 0
         self.qos, self._subscription = self._subscribe()
 
 
 def _identity(info: dict[str, int]) -> _Identity:
-    """What tells a message of a topic from another: the publisher's number and time of sending."""
+    """Return the publisher's number and time of sending, which identify a message of a topic."""
     return info["publication_sequence_number"], info["source_timestamp"]
 
 
 class RecordNode(Node):
-    """Subscribes to the selected topics as they appear.
+    """Node that subscribes to the selected topics as they appear.
 
     Args:
-        selection: which ones; names relative to the node's namespace are resolved.
-        depth: messages of a topic that may wait between two looks.
+        selection: the topics; names relative to the node's namespace are resolved.
+        depth: messages of a topic that may wait between two polls.
     """
 
     def __init__(self, selection: TopicSelection, depth: int) -> None:
@@ -137,9 +138,9 @@ class RecordNode(Node):
         self._selection = replace(selection, names=names)
         self._depth = depth
         self._subscriptions_by_name: dict[str, _RawSubscription] = {}
-        self._refused: set[str] = set()
-        self._run, self._onset = 0, 0  # of the gait that was noted last
-        self._noted = False
+        self._rejected: set[str] = set()
+        self._run, self._onset = 0, 0  # of the last reported gait
+        self._reported = False
         self._drivers: dict[str, int] = {}  # the last state, by topic
         self._settled = time.monotonic() + SETTLING_S
 
@@ -151,7 +152,7 @@ class RecordNode(Node):
             raise BagError(f"{name!r} is not a name of a topic: {reason}") from None
 
     def offer_service(self, name: str, act: Callable[[], str]) -> None:
-        """A service ``~/name`` that does something and answers in words; a BagError is its refusal."""
+        """Create a service ``~/name`` that runs ``act`` and responds with its text, or with the text of its error."""
 
         def serve(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
             try:
@@ -164,7 +165,7 @@ class RecordNode(Node):
         self.create_service(Trigger, f"~/{name}", serve)
 
     def serve(self) -> None:
-        """Answer the requests to all services of the node, its parameters' included, since the last call."""
+        """Handle the requests to all services of the node, including those of its parameters, since the last call."""
         for service in self.services:
             kind = service.srv_type
             while True:
@@ -176,35 +177,35 @@ class RecordNode(Node):
 
     @property
     def missed(self) -> dict[str, int]:
-        """Messages, by topic, that publishers which came later had sent before the recorder heard them."""
+        """Messages, by topic, that later publishers had sent before the recorder was connected to them."""
         by_name = self._subscriptions_by_name.items()
         return {name: s.loss.missed for name, s in by_name if s.loss.missed}
 
     @property
     def lost(self) -> int:
-        """Messages that publishers sent and that did not arrive."""
+        """Number of messages that publishers sent and that did not arrive."""
         return sum(subscription.loss.lost for subscription in self._subscriptions_by_name.values())
 
     @property
     def missing(self) -> list[str]:
-        """Topics that were named and have not been seen."""
+        """Named topics that have not appeared."""
         return sorted(self._selection.names - self._subscriptions_by_name.keys())
 
     @property
     def topics(self) -> list[Topic]:
-        """Topics subscribed to."""
+        """Subscribed topics."""
         return [subscription.topic for subscription in self._subscriptions_by_name.values()]
 
     def discover(self) -> None:
-        """Subscribe to what is new, adapt to new publishers of what is not."""
+        """Subscribe to new topics, and adapt existing subscriptions to new publishers."""
         for subscription in self._subscriptions_by_name.values():
-            if not subscription.hears_all():
+            if not subscription.is_compatible():
                 subscription.resubscribe()
                 self.get_logger().warning(
-                    f"{subscription.topic.name}: a new publisher offers less; adapted to it"
+                    f"{subscription.topic.name}: adapted the quality of service to a new publisher that offers less"
                 )
         for name, types in self.get_topic_names_and_types():
-            new = name not in self._subscriptions_by_name and name not in self._refused
+            new = name not in self._subscriptions_by_name and name not in self._rejected
             if new and self._selection.takes(name) and self.count_publishers(name):
                 self._subscribe(name, types)
         if time.monotonic() < self._settled:
@@ -218,7 +219,7 @@ class RecordNode(Node):
             definition = installed_definition(types[0])
             message = message_class(types[0])
         except BagError as error:
-            self._refused.add(name)
+            self._rejected.add(name)
             self.get_logger().error(f"{name} is not recorded: {error}")
             return
         publishers = self.get_publishers_info_by_topic(name)
@@ -233,7 +234,7 @@ class RecordNode(Node):
         self.get_logger().info(f"recording {name} ({types[0]})")
 
     def take(self) -> list[Message]:
-        """All messages that are waiting, of all topics."""
+        """Return all waiting messages of all topics."""
         return [
             sample
             for subscription in self._subscriptions_by_name.values()
@@ -241,7 +242,7 @@ class RecordNode(Node):
         ]
 
     def new_gaits(self, samples: Sequence[Message]) -> Iterator[dict[str, str]]:
-        """The gaits that have begun according to the messages, each once for its run."""
+        """Return the gaits that have begun according to the messages, each once per run."""
         for sample in samples:
             if sample.channel.type_name == GAIT_STATE:
                 state: Any = deserialize_message(sample.data, message_class(GAIT_STATE))
@@ -252,14 +253,14 @@ class RecordNode(Node):
 
     @property
     def awaits_rest(self) -> bool:
-        """Whether a driver that was heard is there and has not let go of its robot."""
+        """True while a driver that has published its state is present and has not released its robot."""
         return any(
             state != INACTIVE and self.count_publishers(topic) > 0
             for topic, state in self._drivers.items()
         )
 
     def alarm(self, samples: Sequence[Message]) -> str:
-        """What the twin raises an alarm about in the messages, the last one; empty without one."""
+        """Return the text of the twin's last alarm in the messages; empty without an alarm."""
         events: list[Any] = [
             deserialize_message(sample.data, message_class(TWIN_EVENT))
             for sample in samples
@@ -268,32 +269,38 @@ class RecordNode(Node):
         return next((e.message or e.code for e in reversed(events) if e.code), "")
 
     def _is_known(self, state: Any) -> bool:
-        """Whether a gait's state is of the run that was noted last; a driver that restarts counts anew."""
+        """Return True if a gait's state is of the last reported run. A driver that restarts counts runs from 1."""
         onset = state.onset.sec * 10**9 + state.onset.nanosec
-        known = self._noted and state.run == self._run and (onset == self._onset or not self._onset)
-        self._noted, self._run, self._onset = True, state.run, onset
+        same_onset = onset == self._onset or not self._onset
+        known = self._reported and state.run == self._run and same_onset
+        self._reported, self._run, self._onset = True, state.run, onset
         return known
 
 
 def message_class(type_name: str) -> type:
-    """Python class of ``package/msg/Type``.
+    """Return the Python class of ``package/msg/Type``.
 
     Raises:
-        DefinitionError: its package is not installed.
+        DefinitionError: Its package is not installed.
     """
     package, _, kind = type_name.partition("/msg/")
     try:
         kind_class: type = getattr(importlib.import_module(f"{package}.msg"), kind)
-    except (ImportError, AttributeError, ValueError, TypeError):  # the latter two of odd names
-        name = type_name or "a type that is not told"
+    except (
+        ImportError,
+        AttributeError,
+        ValueError,
+        TypeError,
+    ):  # the latter two for malformed names
+        name = type_name or "a type without a name"
         raise DefinitionError(
-            f"{name} is not installed; source the workspace that has it"
+            f"{name} is not installed; source the workspace that contains it"
         ) from None
     return kind_class
 
 
 def _describe_gait(state: Any) -> dict[str, str]:
-    """A running gait as text; empty when none runs."""
+    """Return the fields of a running gait as text; empty if none runs."""
     if state.state != state.RUNNING or state.gait.stroke <= 0.0:
         return {}
     gait = {key: repr(getattr(state.gait, key)) for key in state.gait.get_fields_and_field_types()}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``worm_model record``: subscribes raw to any topics and writes them to a bag."""
+"""``worm_model record``: recording of any topics to a bag, through raw subscriptions."""
 
 from __future__ import annotations
 
@@ -55,14 +55,14 @@ def _whole(text: str) -> int:
 
 def _positive(text: str) -> int:
     if _whole(text) == 0:
-        raise argparse.ArgumentTypeError("0 keeps nothing")
+        raise argparse.ArgumentTypeError("0 is not positive")
     return int(text)
 
 
 def _parser() -> Parser:
     parser = Parser(
         prog="record",
-        description="Records topics to a rosbag2 bag (MCAP). Services of the node: ~/start, ~/stop, ~/pause, "
+        description="Record topics to a rosbag2 bag (MCAP). Services of the node: ~/start, ~/stop, ~/pause, "
         "~/resume, ~/split, ~/snapshot (std_srvs/Trigger).",
     )
     parser.add_argument("topics", nargs="*", metavar="TOPIC", help="topics to record")
@@ -77,17 +77,19 @@ def _parser() -> Parser:
     parser.add_argument("-a", "--all", action="store_true", help="all topics that are not hidden")
     parser.add_argument("-e", "--regex", default="", help="topics whose full name matches")
     parser.add_argument(
-        "-x", "--exclude", default="", metavar="REGEX", help="what --all and --regex leave out"
+        "-x", "--exclude", default="", metavar="REGEX", help="topics that --all and --regex exclude"
     )
     parser.add_argument(
-        "--include-hidden-topics", action="store_true", help="also such as an action's feedback"
+        "--include-hidden-topics",
+        action="store_true",
+        help="record hidden topics too, such as an action's feedback",
     )
     parser.add_argument(
         "-p",
         "--parameters",
         type=Path,
         metavar="FILE",
-        help="parameter file of the run, kept inside",
+        help="parameter file of the run, stored in the bag",
     )
     parser.add_conditions()
     parser.add_argument("--seed", type=int, help="seed of the run")
@@ -95,7 +97,10 @@ def _parser() -> Parser:
         "--note", action="append", default=[], metavar="KEY=VALUE", help="a line for the manifest"
     )
     parser.add_argument(
-        "--compression", choices=COMPRESSIONS, default="zstd", help="of chunks (default: zstd)"
+        "--compression",
+        choices=COMPRESSIONS,
+        default="zstd",
+        help="compression of the chunks (default: zstd)",
     )
     parser.add_argument(
         "-b", "--max-bag-size", type=_whole, default=0, metavar="BYTES", help="split at this size"
@@ -113,45 +118,44 @@ def _parser() -> Parser:
         type=not_negative,
         default=0.0,
         metavar="S",
-        help="stop by itself after this time",
+        help="stop after this time",
     )
     parser.add_argument(
         "--depth",
         type=_positive,
         default=1000,
-        help="messages of a topic that may wait (default: 1000)",
+        help="longest queue of a topic, in messages (default: 1000)",
     )
     parser.add_argument(
         "--snapshot",
         type=not_negative,
         default=0.0,
         metavar="S",
-        help="keep the last S seconds in memory and write them when the twin raises an alarm (an event with a code on "
-        "twin/events, which must be among the topics) or ~/snapshot is called, into OUTPUT_snapshot_1 and so on; "
-        "nothing else is written",
+        help="store the last S seconds in memory, and write only them, to OUTPUT_snapshot_1 and so on, when the twin "
+        "raises an alarm (an event with a code on twin/events, which must be among the topics) or ~/snapshot is called",
     )
     parser.add_argument(
         "--anonymous",
         action="store_true",
-        help="leave out the host's name and absolute paths, also in texts of messages",
+        help="remove the host's name and absolute paths, also from texts of messages",
     )
     parser.add_argument(
         "--to-rest",
         action="store_true",
-        help="after Ctrl-C, go on until the driver has let go of the robot or is gone; Ctrl-C once more ends at once",
+        help="after Ctrl-C, continue until the driver has released the robot or has ended; a second Ctrl-C ends it",
     )
     parser.add_argument(
         "--after-crash",
         action="store_true",
-        help="where OUTPUT is a bag that its recorder has not closed, record into OUTPUT_2, OUTPUT_3 and so on: for a "
-        "recorder that is started again after a crash",
+        help="if OUTPUT is a bag that its recorder has not closed, record to OUTPUT_2, OUTPUT_3 and so on: for a "
+        "recorder that is restarted after a crash",
     )
     parser.add_argument("--json", action="store_true", help="print the outcome as one JSON object")
     return parser
 
 
 class _Recording:
-    """A node and a session, and their totals with a live line on standard error."""
+    """Recorder node and session, with their totals as a live line on standard error."""
 
     def __init__(
         self, node: RecordNode, session: RecordingSession, cleaner: Cleaner | None
@@ -161,26 +165,26 @@ class _Recording:
         self._cleaner = cleaner
         self._start = time.monotonic()
         self._uncleaned = 0
-        self._impatient = False
+        self._end_at_once = False
 
     @property
     def elapsed(self) -> float:
         """Seconds since the start."""
         return time.monotonic() - self._start
 
-    def hurry(self) -> None:
-        """Wait for nobody. Safe in a signal handler."""
-        self._impatient = True
+    def request_immediate_end(self) -> None:
+        """Do not wait for the driver. Safe in a signal handler."""
+        self._end_at_once = True
 
     def to_rest(self, ended: Callable[[], bool]) -> bool:
-        """In the place of ``ended``: whether told to stop, and the driver has let go of the robot."""
+        """Return True if the end is requested and the driver has released the robot. Replaces ``ended``."""
         if not ended():
             return False
-        self.take()  # the driver may have said something since the last look
-        return self._impatient or not self._node.awaits_rest
+        self.take()  # The driver may have published its state since the last poll.
+        return self._end_at_once or not self._node.awaits_rest
 
     def run(self, ended: Callable[[], bool], duration: float) -> None:
-        """Take messages until told to stop, the time is over or the disk fails."""
+        """Record messages until the end is requested, the time is over or writing fails."""
         live = sys.stderr.isatty()
         discovery = report = time.monotonic()
         while not (ended() or self._session.error or 0.0 < duration <= self.elapsed):
@@ -198,7 +202,7 @@ class _Recording:
         self.take()
 
     def take(self) -> None:
-        """Hand over what has been received."""
+        """Pass received messages on to the session."""
         messages = self._node.take()
         if not messages:
             return
@@ -209,7 +213,7 @@ class _Recording:
         if alarm:
             try:
                 outcome = self._session.snapshot()
-            except (BagError, OSError) as error:  # the next alarm may fare better
+            except (BagError, OSError) as error:  # The next snapshot may succeed.
                 outcome = f"no snapshot: {error}"
             self._node.get_logger().warning(f"the twin raises an alarm ({alarm}): {outcome}")
 
@@ -223,11 +227,13 @@ class _Recording:
                 cleaned.append(self._cleaner.message(message))
             except BagError as error:
                 self._uncleaned += 1
-                self._node.get_logger().error(f"left out, as it cannot be cleaned: {error}")
+                self._node.get_logger().error(
+                    f"a message is not recorded, as it cannot be cleaned: {error}"
+                )
         return cleaned
 
     def totals(self) -> dict[str, int | float]:
-        """The outcome so far: dropped are those lost on the way and those that the disk could not take."""
+        """Return the totals so far; ``dropped`` counts messages lost in transit and messages not written."""
         offered, dropped = self._session.offered, self._session.dropped
         return {
             "messages": offered.messages - dropped.messages,
@@ -261,7 +267,7 @@ def _session_options(
         )
         return cleaner.manifest(content) if cleaner else content
 
-    manifest()  # what is wrong with it is told before anything is made
+    manifest()  # Raises its errors before anything is created.
     return SessionOptions(
         output=after_crash(output) if arguments.after_crash else output,
         manifest=manifest,
@@ -289,15 +295,15 @@ def _run(arguments: argparse.Namespace, command: Sequence[str], ended: ShutdownR
     session = RecordingSession(options)
     for name in SERVICES:
         node.offer_service(name, getattr(session, name))
-    kept = f"the last {options.ring_s:g} s for snapshots" if options.ring_s else "to"
+    what = f"the last {options.ring_s:g} s for snapshots" if options.ring_s else "to"
     if options.output != output:
         node.get_logger().warning(
-            f"{output} was not closed by its recorder, and goes on in {options.output}"
+            f"{output} was not closed by its recorder; the recording continues in {options.output}"
         )
-    node.get_logger().info(f"recording {kept} {options.output}")
+    node.get_logger().info(f"recording {what} {options.output}")
     readiness.announce()
     recording = _Recording(node, session, cleaner)
-    ended.again = recording.hurry
+    ended.again = recording.request_immediate_end
     end = partial(recording.to_rest, ended) if arguments.to_rest else ended
     try:
         recording.run(end, arguments.duration)
@@ -317,7 +323,7 @@ def _report(
     for name in node.missing:
         notify(f"{name} was never published")
     for name, count in node.missed.items():
-        notify(f"{name}: the first {count} messages of a publisher that came later are missing")
+        notify(f"{name}: the first {count} messages of a publisher that started later are missing")
     if arguments.json:
         outcome = {
             "bag": str(session.options.output),
@@ -333,7 +339,7 @@ def _report(
         notify(f"{session.failed} was removed while it was recorded: {lost} messages are lost")
     elif error is not None:
         notify(
-            f"{session.failed} could not be written: {error}; what was written is kept, see recover"
+            f"{session.failed} could not be written: {error}. Recover the part that was written with recover"
         )
     return DONE if error is None else FAILED
 
@@ -349,8 +355,8 @@ def _record(options: argparse.Namespace) -> int:
 
 def main() -> int:
     """Entry point of ``ros2 run worm_model record``."""
-    strange = next((a for a in sys.argv if not is_text(a)), None)
-    if strange is not None:  # which ROS could not take apart
-        notifier("record")(f"an argument is not UTF-8 text: {strange!r}")
+    invalid = next((a for a in sys.argv if not is_text(a)), None)
+    if invalid is not None:  # ROS could not parse it.
+        notifier("record")(f"an argument is not UTF-8 text: {invalid!r}")
         return BAD_INPUT
     return run_command(_parser(), _record, own_arguments(sys.argv)[1:])

@@ -13,14 +13,14 @@ from worm_model.bags.formats.bag_metadata import qos_profile
 
 
 def subscription_qos(offered: Sequence[QoSProfile], depth: int) -> QoSProfile:
-    """The strictest quality of service that every publisher can serve.
+    """Return the strictest quality of service that is compatible with every publisher.
 
     A best-effort publisher does not connect to a reliable subscription, nor a volatile one to a transient-local
-    subscription; without latching asked for, a latched message would be missed.
+    subscription. A volatile subscription would miss latched messages.
 
     Args:
-        offered: of the publishers there are.
-        depth: messages kept between two looks at the subscription.
+        offered: profiles of the present publishers.
+        depth: messages stored between two polls of the subscription.
     """
     reliable = all(qos.reliability == ReliabilityPolicy.RELIABLE for qos in offered)
     latched = all(qos.durability == DurabilityPolicy.TRANSIENT_LOCAL for qos in offered)
@@ -33,7 +33,7 @@ def subscription_qos(offered: Sequence[QoSProfile], depth: int) -> QoSProfile:
 
 
 def describe(publishers: Sequence[TopicEndpointInfo]) -> tuple[Mapping[str, Any], ...]:
-    """The offered profiles of a topic's publishers, each different one once, for metadata.yaml."""
+    """Return the different profiles that a topic's publishers offer, for metadata.yaml."""
     profiles: list[Mapping[str, Any]] = []
     for publisher in publishers:
         qos = publisher.qos_profile

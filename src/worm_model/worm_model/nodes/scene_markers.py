@@ -16,7 +16,7 @@ from worm_model.twin.scene import FRAME, Kind, Shape
 _TYPES = {Kind.BOX: Marker.CUBE, Kind.BOXES: Marker.CUBE_LIST, Kind.CYLINDER: Marker.CYLINDER}
 _UPRIGHT = Quaternion(x=0.0, y=0.0, z=0.0, w=1.0)
 _ALONG_X = Quaternion(x=0.0, y=math.sqrt(0.5), z=0.0, w=math.sqrt(0.5))
-_LIFETIME_S = 1  # a robot that the tracker lost disappears
+_LIFETIME_S = 1  # so that a robot that the tracker has lost disappears
 
 
 def marker_array(shapes: Sequence[Shape], stamp: Time) -> MarkerArray:

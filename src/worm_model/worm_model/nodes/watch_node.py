@@ -33,10 +33,10 @@ from worm_msgs.qos import LATCHED
 from worm_msgs.ros_process import own_arguments, ros_process, spin
 
 PERIOD_S = 0.2
-REMEMBERED = 200  # samples of an instrument: 2 s at 100 Hz
+STORED = 200  # samples of an instrument: 2 s at 100 Hz
 NAMESPACE = "/worm"
 LEAST_WIDTH, MOST_WIDTH = 40, 120
-KEYS = "q: quit   space: freeze and go on"
+KEYS = "q: quit   space: freeze or continue"
 NO_KEYS = "Ctrl-C: quit"
 NEWEST = QoSProfile(depth=1)
 
@@ -45,8 +45,8 @@ class WatchNode(Node):
     """Node that stores the newest message of each topic and draws the view several times a second.
 
     Attributes:
-        view: the newest of everything.
-        closed: whether somebody has pressed the key for it.
+        view: newest values.
+        closed: True after the key q.
     """
 
     def __init__(self, pitch: float, namespace: str) -> None:
@@ -59,10 +59,10 @@ class WatchNode(Node):
         self._differences: deque[float] = deque(maxlen=MOST_WIDTH)
         self._powers: deque[float] = deque(maxlen=MOST_WIDTH)
         self._second = 0
-        self._heard: dict[str, float] = {}
-        # What the instruments said of late: the twin is behind by its delay, and is shown beside what was seen then.
-        self._seen: deque[tuple[int, tuple[float, float]]] = deque(maxlen=REMEMBERED)
-        self._measured: deque[tuple[int, float]] = deque(maxlen=REMEMBERED)
+        self._received: dict[str, float] = {}
+        # The twin lags by its delay, so the view compares it with measurements of the same time.
+        self._seen: deque[tuple[int, tuple[float, float]]] = deque(maxlen=STORED)
+        self._measured: deque[tuple[int, float]] = deque(maxlen=STORED)
         self.create_subscription(TwinState, "twin/state", self._on_state, NEWEST)
         self.create_subscription(TwinResiduals, "twin/residuals", self._on_residuals, 100)
         self.create_subscription(Tracker, "tracker", self._on_tracker, NEWEST)
@@ -74,10 +74,10 @@ class WatchNode(Node):
     def seen(self) -> View:
         """Return the present view without stale values."""
         now = time.monotonic()
-        return self.view.aged({name: now - heard for name, heard in self._heard.items()})
+        return self.view.aged({name: now - last for name, last in self._received.items()})
 
     def _note(self, source: str) -> None:
-        self._heard[source] = time.monotonic()
+        self._received[source] = time.monotonic()
 
     def _on_command(self, _: Any) -> None:
         self._note("driver")
@@ -118,7 +118,7 @@ class WatchNode(Node):
 
     def _on_gait(self, message: Any) -> None:
         text = ""
-        with suppress(GaitError):  # none
+        with suppress(GaitError):  # no gait
             gait = gait_of(message.gait)
             way = "forward" if gait.direction > 0 else "reverse"
             text = f"{1e3 * gait.stroke:.1f} mm at {gait.frequency:.3f} Hz {way}"
@@ -165,10 +165,10 @@ def main() -> int:
     """Draw until Ctrl-C or q; return the exit status."""
     parser = Parser(
         prog="watch",
-        description="Robot and twin, live, as text. Keys: q quits, space freezes the picture and lets it go on.",
+        description="Show robot and twin live as text. Keys: q quits, space freezes the view and continues it.",
     )
     parser.add_argument(
-        "--namespace", default=NAMESPACE, help=f"of the robot (default: {NAMESPACE})"
+        "--namespace", default=NAMESPACE, help=f"namespace of the robot (default: {NAMESPACE})"
     )
     parser.add_parameters()
     return run_command(parser, _watch, own_arguments(sys.argv)[1:])

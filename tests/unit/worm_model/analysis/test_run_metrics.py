@@ -72,7 +72,7 @@ def test_a_short_run_is_averaged_as_a_whole():
 
 
 def test_a_recording_without_a_gait_is_refused():
-    with pytest.raises(RecordingError, match="no gait that was run"):
+    with pytest.raises(RecordingError, match="no run of a gait"):
         last_played_gait(gait_states([INACTIVE, RESTING], [0, 0], 5))
 
 
