@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Starts the nodes of config/system.yaml: ros2 launch worm_optimizer worm.launch.py mode:=virtual.
+"""Launch of the nodes of config/system.yaml: ros2 launch worm_optimizer worm.launch.py mode:=virtual.
 
-Every setting of system.yaml is a launch argument. Can be included in another launch file, also under
-a PushRosNamespace, which then stands before ``namespace``.
+Every setting of system.yaml is a launch argument. Other launch files can include this one, also under a
+PushRosNamespace, which is then a prefix of ``namespace``.
 
-Launch calls no service and publishes nothing. It starts nothing in a namespace in which a node graph or a driver runs;
-the driver configures and activates itself, once it has made sure that it is the only one.
+Launch calls no service and publishes nothing. It starts nothing in a namespace in which a node graph or a driver runs.
+The driver configures and activates itself after it has verified that it is the only one.
 """
 
 from __future__ import annotations
@@ -48,9 +48,9 @@ from worm_optimizer.operation.system import (
 )
 
 RESTART_DELAY_S = 2.0
-OWN_TIME = ("virtual_robot", "driver", "player")  # they make the time that the others go by
+OWN_TIME = ("virtual_robot", "driver", "player")  # nodes that never use /clock
 LEVELS = ("debug", "info", "warn", "error", "fatal")
-LAUNCH_ARGUMENTS = (  # of launch itself, which every launch file accepts
+LAUNCH_ARGUMENTS = (  # arguments of launch itself, which every launch file accepts
     *("launch-prefix", "launch-prefix-filter", "emulate_tty"),
     *("sigterm_timeout", "sigkill_timeout", "ros_params", "ros_remaps", "ros_namespace"),
 )
@@ -64,16 +64,19 @@ def generate_launch_description() -> LaunchDescription:
     arguments = [
         DeclareLaunchArgument("mode", default_value="virtual", choices=list(MODES)),
         DeclareLaunchArgument(
-            "namespace", default_value=content.namespace, description="of all nodes"
+            "namespace", default_value=content.namespace, description="namespace of all nodes"
         ),
         DeclareLaunchArgument(
-            "log_level", default_value="info", choices=list(LEVELS), description="of all nodes"
+            "log_level",
+            default_value="info",
+            choices=list(LEVELS),
+            description="log level of all nodes",
         ),
         DeclareLaunchArgument(
             "use_sim_time",
             default_value="",
             choices=["", "true", "false"],
-            description="of the nodes that can go by /clock; empty: true in the mode replay alone",
+            description="use_sim_time of the nodes that can use /clock; empty: true in the mode replay only",
         ),
     ]
     arguments += [
@@ -87,14 +90,14 @@ def generate_launch_description() -> LaunchDescription:
 
 
 def _reject_unknown(context: LaunchContext, known: list[str]) -> None:
-    """Raise SystemFileError on an argument of the command line that is none of this file's.
+    """Raise SystemFileError if an argument of the command line is unknown.
 
-    Included in another launch file, this one cannot tell what is for which file: they share all arguments.
+    If another launch file includes this one, nothing is rejected, because both files share all arguments.
     """
-    if not any(Path(word).name == Path(__file__).name for word in sys.argv):
+    if not any(Path(argument).name == Path(__file__).name for argument in sys.argv):
         return
-    for word in context.argv:
-        name = word.partition(":=")[0]
+    for argument in context.argv:
+        name = argument.partition(":=")[0]
         if name not in (*known, *LAUNCH_ARGUMENTS):
             raise SystemFileError(unknown_name("launch argument", name, known))
 
@@ -104,7 +107,7 @@ def _start(context: LaunchContext, content: SystemFile) -> list[LaunchDescriptio
         return LaunchConfiguration(name).perform(context)
 
     mode, namespace = value("mode"), _full_namespace(context, value("namespace"))
-    # A default is filled in with the namespace by the system file, not here.
+    # The system file inserts the namespace in default values.
     settings = {
         name: value(name) for name, row in content.settings.items() if value(name) != row.default
     }
@@ -118,30 +121,30 @@ def _start(context: LaunchContext, content: SystemFile) -> list[LaunchDescriptio
 
 
 def _full_namespace(context: LaunchContext, namespace: str) -> str:
-    """The namespace under those that the including launch files have pushed, without the first slash."""
+    """Return the namespace below those that including launch files have pushed, without the first slash."""
     pushed = context.launch_configurations.get("ros_namespace", "")
     return prefix_namespace(pushed, namespace).strip("/")
 
 
-def _sim_time(mode: str, asked: str) -> dict[str, bool]:
-    """The parameter that all nodes get; a robot's clock is the real one, also a virtual robot's."""
-    if asked == "true" and mode != "replay":
+def _sim_time(mode: str, requested: str) -> dict[str, bool]:
+    """Return the parameter use_sim_time of all nodes. Robots, also virtual ones, run in real time."""
+    if requested == "true" and mode != "replay":
         raise SystemFileError(
-            f"use_sim_time:=true with mode:={mode}: a robot runs in real time; leave use_sim_time out"
+            f"use_sim_time:=true with mode:={mode}: a robot runs in real time; remove use_sim_time"
         )
-    return {"use_sim_time": asked == "true"} if asked else {}
+    return {"use_sim_time": requested == "true"} if requested else {}
 
 
 class _Ready(Event):
-    """A node has reported that it is ready."""
+    """Event: a node has reported that it is ready."""
 
     name = "worm.Ready"
 
 
 class _Graph:
-    """The nodes of one robot.
+    """Nodes of one robot.
 
-    The claim of the namespace is held as long as this exists, which is as long as launch runs.
+    The claim of the namespace lasts as long as this object exists, which is as long as launch runs.
     """
 
     def __init__(
@@ -155,7 +158,7 @@ class _Graph:
         self._failure = ""
 
     def start(self, nodes: Iterable[NodeDescription]) -> list[LaunchDescriptionEntity]:
-        """Start nodes up to the first awaited one, and the others once it is ready."""
+        """Start nodes up to the first awaited one, and the others when it is ready."""
         entities: list[LaunchDescriptionEntity] = []
         waiting = list(nodes)
         while waiting:
@@ -182,12 +185,12 @@ class _Graph:
 
             loop.add_reader(readiness.fileno(), on_report)
 
-        def go_on(context: LaunchContext) -> list[LaunchDescriptionEntity]:
+        def start_following(context: LaunchContext) -> list[LaunchDescriptionEntity]:
             self._ready.add(description.name)
             return [] if context.is_shutdown else self.start(following)
 
         handler = EventHandler(
-            matcher=lambda other: other is event, entities=OpaqueFunction(function=go_on)
+            matcher=lambda other: other is event, entities=OpaqueFunction(function=start_following)
         )
         return [
             OpaqueFunction(function=listen),
@@ -200,7 +203,7 @@ class _Graph:
     ) -> list[LaunchDescriptionEntity]:
         sim_time = {} if description.name in OWN_TIME else self._sim_time
         own = {"autostart": True, "stay_on_failure": True} if description.lifecycle else {}
-        # a typed value, or launch would take the text "1" for a number
+        # Without a type, launch would convert the text "1" to a number.
         parameters = {
             name: ParameterValue(value, value_type=type(value)) if isinstance(value, str) else value
             for name, value in {**description.parameters, **sim_time, **own}.items()
@@ -240,9 +243,9 @@ class _Graph:
     def _on_exit(
         self, description: NodeDescription, event: ProcessExited, context: LaunchContext
     ) -> list[LaunchDescriptionEntity]:
-        """A required node ends all, and any other starts again.
+        """End all nodes after a required node, or restart any other node.
 
-        What failed is raised when all nodes have ended: it is then launch's last line, and its exit status is 1.
+        A failure is raised when all nodes have ended, so that it is the last line of launch, whose exit status is 1.
         """
         name, status = description.name, event.returncode
         self._running.discard(name)
@@ -262,14 +265,14 @@ class _Graph:
     def _what_follows(self, name: str) -> str:
         left = self._restarts[name] = self._restarts.get(name, RESTARTS) - 1
         if left < 0:
-            return "the others run on without it"
+            return "the other nodes continue without it"
         return f"it starts again in {RESTART_DELAY_S:g} s"
 
 
 def _end_with_launch() -> list[Substitution | str]:
-    """What stands before a command so that its process is asked to end when launch dies.
+    """Return a prefix of commands with which Linux terminates the process when launch dies.
 
-    On SIGTERM, launch itself leaves its processes behind (ros2/launch#666): a gait would run on.
+    On SIGTERM, launch does not end its processes (ros2/launch#666), so that a gait would continue.
     """
     tool = shutil.which("setpriv")  # util-linux
     own = [f"{tool} --pdeathsig TERM "] if tool else []

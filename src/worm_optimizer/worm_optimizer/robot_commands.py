@@ -38,7 +38,7 @@ class GaitCommand:
         if not 0 <= self.grooves <= MOST_CYCLES:
             raise InputError(f"grooves: {self.grooves} is not between 1 and {MOST_CYCLES}")
         if not 0.0 <= self.distance < math.inf:
-            raise InputError(f"distance: {self.distance} m is no positive length")
+            raise InputError(f"distance: {self.distance} m is not a positive length")
         if not (self.cycles or self.grooves or self.distance):
             raise InputError("a run needs an end: cycles, grooves or a distance")
 
@@ -57,9 +57,9 @@ class GaitCommand:
             (gait.contraction_share != 0.5, f"contraction share {gait.contraction_share:g}"),
             (trapezoid, f"trapezoid with ramp share {gait.ramp_share:g}"),
             (True, "forward" if gait.direction > 0 else "reverse"),
-            (True, " or ".join(words for wanted, words in ends if wanted)),
+            (True, " or ".join(text for given, text in ends if given)),
         )
-        return ", ".join(words for shown, words in parts if shown)
+        return ", ".join(text for shown, text in parts if shown)
 
 
 @dataclass(frozen=True)
@@ -83,12 +83,12 @@ class RunProgress:
     def __str__(self) -> str:
         if self.cycle == 0:
             return "resting"
-        words = [f"cycle {self.cycle}"]
+        texts = [f"cycle {self.cycle}"]
         if math.isfinite(self.distance):
-            words.append(f"{1e3 * self.distance:+.1f} mm, {self.grooves:+.1f} grooves")
+            texts.append(f"{1e3 * self.distance:+.1f} mm, {self.grooves:+.1f} grooves")
         if math.isfinite(self.power):
-            words.append(f"{self.power:.2f} W")
-        return ", ".join(words)
+            texts.append(f"{self.power:.2f} W")
+        return ", ".join(texts)
 
 
 Progress = Callable[[RunProgress], None]

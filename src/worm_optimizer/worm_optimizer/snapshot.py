@@ -48,7 +48,7 @@ class DriverState:
 
 
 class Wish(enum.IntEnum):
-    """What a client wants of the control of the robot, with the values of the message ControlRequest."""
+    """Kinds of requests for control of the robot, with the values of the message ControlRequest."""
 
     CONTROL = 0
     HAND_OVER = 1

@@ -19,8 +19,8 @@ GAIT = Gait(0.07, 0.2, -1)
         ({"cycles": -1}, "cycles: -1"),
         ({"cycles": 1001}, "between 1 and 1000"),
         ({"grooves": -2}, "grooves: -2"),
-        ({"distance": math.nan}, "no positive length"),
-        ({"distance": -0.1}, "no positive length"),
+        ({"distance": math.nan}, "not a positive length"),
+        ({"distance": -0.1}, "not a positive length"),
     ],
 )
 def test_an_impossible_end_is_refused(ends, complaint):

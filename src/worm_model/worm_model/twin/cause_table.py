@@ -122,7 +122,7 @@ AMBIGUOUS = EventCode(
 
 
 class Effect(enum.Enum):
-    """How a lasting cause changes the model."""
+    """Kind of change that a lasting cause makes to the model."""
 
     RELATIVE = enum.auto()  # the parameter of the row's name changes by a share of its value
     ABSOLUTE = enum.auto()  # the parameter of the row's name changes by an amount in its SI unit

@@ -58,7 +58,7 @@ class Consumer(Protocol):
     """Reader of a replay, part by part."""
 
     def add(self, rows: Rows, output: Output) -> None:
-        """Process some samples and what the twin put out meanwhile."""
+        """Process samples and the output of the twin over them."""
 
 
 Result = TypeVar("Result", bound=Consumer)

@@ -43,7 +43,7 @@ def _quiet_message(state: TwinState, health: Health) -> str:
     if health is Health.HEALTHY:
         return "the robot does as expected"
     if not state.record["start_known"]:
-        return "nothing to compare with before the first cycle: it tells how the fins stood at its beginning"
+        return "nothing to compare with before the first cycle has ended, as the start of the fins is unknown"
     return "nothing to compare with"
 
 

@@ -59,10 +59,10 @@ from worm_optimizer.report.recordings import read_recorded_gaits
 from worm_optimizer.report.report_page import PAGE, Report, build_report
 from worm_optimizer.robot_commands import GaitCommand
 
-_GAITS = 3  # of a campaign without repeats and nominal gaits: nothing spreads
+_GAITS = 3  # gaits of a campaign without repeats and nominal gaits, which has no spread
 SPREAD_FIGURE = "spread.png"
 _MODES = ("virtual", "robot")
-_GO_ON = "campaign: go on with --resume {}"
+_CONTINUE = "campaign: continue with --resume {}"
 SAME_PLACE = "Put the robot where the first run began, its fins straight in the same grooves"
 
 
@@ -74,27 +74,27 @@ def main() -> int:
 def _parser() -> Parser:
     parser = Parser(
         prog="campaign",
-        description="Runs the minimum-power, cruising and maximum-speed gaits of the robust front, five cycles each, "
-        "on the virtual robot or on a real one, records each, and compares what was measured with what was predicted. "
-        "Under conditions, the gaits for level ground follow; after shaped gaits, those of the paper's waveform.",
+        description="Run the minimum-power, cruising and maximum-speed gaits of the robust front, five cycles each, "
+        "on the virtual robot or on a real one, record them, and compare measurements with predictions. "
+        "With conditions, the gaits for level ground follow; after shaped gaits, those of the paper's waveform.",
     )
     add = parser.add_argument
     parser.add_argument(
-        "--mode", choices=_MODES, default=_MODES[0], help="which robot (default: virtual)"
+        "--mode", choices=_MODES, default=_MODES[0], help="kind of robot (default: virtual)"
     )
     add_robot(parser)
     add(
         "--output",
         type=Path,
         metavar="FOLDER",
-        help="a new folder for bags and report (default: bags/campaign_TIME)",
+        help="new folder for bags and report (default: bags/campaign_TIME)",
     )
     parser.add_argument(
         "--resume",
         type=Path,
         metavar="FOLDER",
-        help="go on with an interrupted campaign: its folder, with the other options as at its start; "
-        "gaits that are recorded are kept",
+        help="folder of an interrupted campaign to continue, with the other options as at its start; "
+        "recorded gaits are not repeated",
     )
     add_campaign_options(parser)
     parser.add_direction()
@@ -103,19 +103,19 @@ def _parser() -> Parser:
         type=int,
         default=1,
         metavar="N",
-        help="run each gait so many times, and tell how the repeats spread (default: 1)",
+        help="runs of each gait; with several, the report includes their spread (default: 1)",
     )
     add(
         "--with-nominal",
         action="store_true",
-        help="also run the gaits that are best without a margin, beside the robust ones",
+        help="also run the gaits that are best without a margin",
     )
     add(
         "--identify",
         action="store_true",
-        help="first run the gaits that identify a robot, each past five ridges, write its parameters and report, and "
-        "validate with the front of these parameters, nominal beside robust; on a real robot it asks before each "
-        "run; --bellows and --fin are its bench tests",
+        help="first run the gaits of the identification, each past five ridges, write the parameters and a report, and "
+        "validate with the robust and nominal gaits of these parameters; on a real robot it asks before each run; "
+        "--bellows and --fin are bench tests",
     )
     add_identification(parser)
     parser.add_json()
@@ -128,7 +128,7 @@ def _campaign(options: argparse.Namespace) -> int:
     if options.repeats < 1:
         raise InputError(f"--repeats {options.repeats}: give 1 or more")
     if options.identify and options.identification:
-        raise InputError("--identify makes the identification: leave --identification out")
+        raise InputError("--identify creates the identification: remove --identification")
     identification = None if options.identify else identification_of(options)
     robot = robot_of(options, options.mode)
     folder = _folder(options)
@@ -150,13 +150,13 @@ def _campaign(options: argparse.Namespace) -> int:
                 run: GaitCommand(plan.gaits[name].gait, CYCLES) for run, name in names.items()
             }
             (work / "logs" / "validation").mkdir()
-            ask = _asked("Put the robot where it has room") if _asks(options) else _at_once
+            ask = _prompt("Put the robot where it has room") if _prompts(options) else _at_once
             run_gaits(robot, orders, folder, work / "logs" / "validation", say, ask)
     except FAILURES as error:
-        sys.stderr.write(f"campaign: {error}\n{_GO_ON.format(folder)}\n")
+        sys.stderr.write(f"campaign: {error}\n{_CONTINUE.format(folder)}\n")
         return FAILED
     except KeyboardInterrupt:
-        sys.stderr.write(f"{_GO_ON.format(folder)}\n")
+        sys.stderr.write(f"{_CONTINUE.format(folder)}\n")
         raise
     say("comparing")
     bags = [folder / run for run in names]
@@ -178,7 +178,7 @@ def _campaign(options: argparse.Namespace) -> int:
 
 
 def _plan(options: argparse.Namespace, conditions: Conditions) -> Plan:
-    """The gaits of the exact front."""
+    """Return the gaits of the exact front."""
     content = load_parameter_file(options.parameters)
     settings = replace(chosen_settings(options), conditions=conditions)
     plan = make_plan(content, settings, options.direction)
@@ -189,17 +189,17 @@ def _plan(options: argparse.Namespace, conditions: Conditions) -> Plan:
 def _identify(
     options: argparse.Namespace, robot: Robot, folder: Path, work: Path, say: ProgressLog
 ) -> dict[str, Any]:
-    """Runs, identifies and writes what is not there yet; returns what `identify` prints."""
+    """Record, identify and write all that is missing; return the output of `identify`."""
     known = load_parameter_file(options.parameters)
     folder.mkdir(parents=True, exist_ok=True)
     orders = identification_orders(options.direction, known.parameters.pitch)
     (work / "logs" / "identification").mkdir()
     logs = work / "logs" / "identification"
-    ask = _asked(SAME_PLACE) if _asks(options) else put_back
+    ask = _prompt(SAME_PLACE) if _prompts(options) else put_back
     bags = record_identification(robot, orders, folder, logs, say, ask)
     summary_file = folder / SUMMARY
     if not summary_file.exists():
-        for left in (folder / REPORT, folder / PARAMETERS):  # of one that was broken off
+        for left in (folder / REPORT, folder / PARAMETERS):  # of an interrupted identification
             put_aside(left, say)
         say("identifying")
         source = options.parameters or "the paper"
@@ -212,57 +212,57 @@ def _identify(
     return content | {"parameter_file": str(folder / PARAMETERS), "bags": [str(b) for b in bags]}
 
 
-def _asks(options: argparse.Namespace) -> bool:
-    """Whether a hand is asked for before each run: a real robot's that is identified; a virtual one needs none."""
+def _prompts(options: argparse.Namespace) -> bool:
+    """Return True if the operator is prompted before each run: during the identification of a real robot."""
     return bool(options.identify) and options.mode == "robot"
 
 
 def _at_once(_running: Session, _text: str) -> None:
-    """Nothing is to be done before a run."""
+    """Do nothing before a run."""
 
 
-def _asked(hand: str) -> Prepare:
-    """Tells before each run what a hand is to do, and waits until it is done."""
+def _prompt(instruction: str) -> Prepare:
+    """Return a function that prompts the operator before each run, and waits for Enter."""
 
     def ask(_running: Session, text: str) -> None:
-        sys.stderr.write(f"{text}\n{hand}; Enter runs it, Ctrl-C ends: ")
+        sys.stderr.write(f"{text}\n{instruction}; Enter runs it, Ctrl-C ends: ")
         sys.stderr.flush()
         if not sys.stdin.readline():
             raise OperatorError(
-                "nobody answers on standard input: a real robot moves only when asked to"
+                "standard input has ended: a real robot moves only after Enter on a terminal"
             )
 
     return ask
 
 
 def _folder(options: argparse.Namespace) -> Path:
-    """Where bags and report go. Raises InputError."""
+    """Return the folder for bags and report. Raises InputError."""
     if options.resume is not None:
         if options.output is not None:
-            raise InputError("--resume names the folder: leave --output out")
+            raise InputError("--resume names the folder: remove --output")
         resumed: Path = options.resume.resolve()
         if not ((resumed / PROMISES).is_file() or (options.identify and (resumed / RUNS).is_dir())):
-            raise InputError(f"{resumed}: no campaign was begun there ({PROMISES} is missing)")
+            raise InputError(f"{resumed}: contains no campaign ({PROMISES} is missing)")
         if (resumed / "report" / PAGE).exists():
-            raise InputError(f"{resumed}: this campaign is complete, its report is there")
+            raise InputError(f"{resumed}: this campaign is complete, it contains its report")
         return resumed
     default = Path("bags") / time.strftime("campaign_%Y_%m_%d-%H_%M_%S")
     folder: Path = (options.output or default).resolve()
     if folder.exists():
         raise InputError(
-            f"{folder}: exists already; give another name with --output, or go on with --resume"
+            f"{folder}: exists already; give another name with --output, or continue it with --resume"
         )
     return folder
 
 
 def _promise(plan: Plan, folder: Path) -> None:
-    """Writes the promises of a new campaign down; those of one that goes on must be the same."""
+    """Write the promises of a new campaign. Raise `InputError` if those of a continued campaign differ."""
     folder.mkdir(parents=True, exist_ok=True)
     if not (folder / PROMISES).exists():
         write_promises(plan, folder)
     elif not is_promised(plan, folder):
         raise InputError(
-            f"{folder} was begun with other gaits than these options make: give those it was begun with"
+            f"{folder} was started with other gaits than those of these options: use the options of its start"
         )
 
 

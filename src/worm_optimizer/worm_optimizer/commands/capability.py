@@ -34,11 +34,11 @@ from worm_optimizer.search.front import make_front, task_of
 def _parser() -> Parser:
     parser = Parser(
         prog="capability",
-        description="The largest load on the rear module and the largest slope up to which gaits still move: of your "
-        "own gait, of the three gaits of the front, and of the strongest gait; cost of transport "
-        "and speed over the load; with --tether-per-metre and without --tether-length, how far a tether is dragged.",
+        description="Compute the largest load on the rear module and the largest slope up to which gaits move: a given "
+        "gait, the three gaits of the front, and the strongest gait. Also compute cost of transport and speed over the "
+        "load and, with --tether-per-metre and without --tether-length, how far a tether can be dragged.",
     )
-    parser.add_number("--stroke", "M", "stroke of a gait of your own in m")
+    parser.add_number("--stroke", "M", "stroke of a given gait in m")
     parser.add_number("--frequency", "HZ", "its frequency in Hz")
     add_front_options(parser)
     return parser
@@ -47,7 +47,7 @@ def _parser() -> Parser:
 def capability_json(
     found: dict[str, Capability], points: tuple[LoadPoint, ...], per_metre: float
 ) -> dict[str, Any]:
-    """Return capabilities as the machine-readable output has them."""
+    """Return capabilities for the machine-readable output."""
     gaits = [{"name": name, **_row(each, per_metre)} for name, each in found.items()]
     best = gaits.pop()
     return {

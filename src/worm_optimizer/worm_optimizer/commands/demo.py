@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``worm_optimizer demo``: the main job, end to end, on a virtual robot.
+"""``worm_optimizer demo``: the main task, end to end, on a virtual robot.
 
-Brings the node graph of system.yaml up, each node a process; requests a gait, runs five cycles of
-it, records them, stops the robot, replays the recording into the twin, and compares what was
-measured with what was predicted.
+The command starts the node graph of system.yaml, each node as a process. It requests a gait, runs and records five
+cycles, stops the robot, replays the recording with the twin, and compares measurements with predictions.
 """
 
 from __future__ import annotations
@@ -39,35 +38,38 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _parser() -> Parser:
-    parser = Parser(prog="demo", description="The main job, end to end, on a virtual robot.")
+    parser = Parser(
+        prog="demo",
+        description="Request, run, record and replay a gait on a virtual robot, and compare it with its predictions.",
+    )
     parser.add_parameters()
     parser.add_argument(
         "--bags",
         type=Path,
         default=Path("bags"),
         metavar="FOLDER",
-        help="where the recording and its figure go (default: bags)",
+        help="folder for the recording and its figure (default: bags)",
     )
     parser.add_argument(
         "--plant",
         default="",
         metavar="FILE",
-        help="what is true of the virtual robot (default: its own file)",
+        help="true parameters of the virtual robot (default: its own file)",
     )
     add_tracker(parser)
-    parser.add_argument("--seed", type=int, default=1, help="of the robot's scatter and noise")
+    parser.add_argument("--seed", type=int, default=1, help="seed of the robot's scatter and noise")
     parser.add_json()
     return parser
 
 
 def _demo(options: argparse.Namespace) -> int:
-    load_parameter_file(options.parameters)  # raises on what is none, before anything moves
+    load_parameter_file(options.parameters)  # Raises its errors before anything moves.
     new = new_bag(options.bags, "demo")
     say = ProgressLog("demo")
     try:
         with termination_as_interrupt():
             prediction, bag = _drive(options, new, say)
-            say("replaying the recording into the twin")
+            say("replaying the recording with the twin")
             comparison, figure = _look_back(bag, prediction, options.parameters)
     except FAILURES as error:
         print(f"demo: {error}", file=sys.stderr)  # noqa: T201
@@ -95,7 +97,7 @@ def _absolute(path: str) -> str:
 
 
 def _look_back(bag: Path, prediction: Prediction, parameter_file: str) -> tuple[Comparison, Path]:
-    """Replay a recording into the twin, compare, and draw the figure beside the bag."""
+    """Replay a recording with the twin, compare, and draw the figure next to the bag."""
     gait = read_recorded_gaits([bag], parameter_file, notifier("demo"))[-1]
     comparison, figure = compare(gait, prediction), bag.with_suffix(".png")
     title, parameters = _title(prediction), gait.content.parameters

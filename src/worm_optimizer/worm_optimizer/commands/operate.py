@@ -64,7 +64,9 @@ def _parser() -> Parser:
     def add(name: str, action: Action, text: str) -> Parser:
         added: Parser = actions.add_parser(name, help=text, description=text)
         added.set_defaults(action=action)
-        added.add_argument("--namespace", default="worm", help="of the robot (default: worm)")
+        added.add_argument(
+            "--namespace", default="worm", help="namespace of the robot (default: worm)"
+        )
         added.add_argument(
             "--timeout",
             type=number,
@@ -118,7 +120,7 @@ def _parser() -> Parser:
 
 def _add_fault(parser: Parser) -> None:
     parser.add_argument(
-        "name", help="as `worm_driver virtual_robot --help` lists them; clear ends all"
+        "name", help="one of those that `worm_driver virtual_robot --help` lists; clear ends all"
     )
     parser.add_argument("--target", type=int, default=0, help="id of the servo; default: any")
     parser.add_argument("--count", type=int, default=0, help="number of affected packets")

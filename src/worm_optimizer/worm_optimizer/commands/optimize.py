@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Command line: the exact robust front or that of NSGA-II, its three gaits, and what nominal ones would be worth."""
+"""Command line: the exact robust front or that of NSGA-II, with its three gaits and the nominal ones."""
 
 from __future__ import annotations
 
@@ -46,23 +46,23 @@ _POPULATION, _GENERATIONS = 100, 100
 def _parser() -> Parser:
     parser = Parser(
         prog="optimize",
-        description="The front of speed and power over stroke and frequency at a robustness margin, from the lower "
-        "edges of the branches; prints the minimum-power, cruising and maximum-speed gaits and those without a margin. "
-        "With --method nsga2 the paper's search finds the front, and is compared with the exact one.",
+        description="Compute the front of speed and power over stroke and frequency at a robustness margin, from the "
+        "lower edges of the branches. Print the minimum-power, cruising and maximum-speed gaits with and without the "
+        "margin. With --method nsga2, search the front with the paper's method and compare it with the exact one.",
     )
     add_front_options(parser)
     parser.add_argument(
-        "--method", choices=(EXACT, NSGA2), default=EXACT, help="of the search (default exact)"
+        "--method", choices=(EXACT, NSGA2), default=EXACT, help="search method (default exact)"
     )
     for option, default in (("population", _POPULATION), ("generations", _GENERATIONS)):
         parser.add_argument(
-            f"--{option}", type=int, metavar="N", help=f"with nsga2 (default {default})"
+            f"--{option}", type=int, metavar="N", help=f"{option} of nsga2 (default {default})"
         )
     return parser
 
 
 def front_json(front: RobustFront, nominal: dict[str, Prediction]) -> dict[str, Any]:
-    """A front as the machine-readable output has it; ``nominal`` are the gaits without a margin."""
+    """Return a front for the machine-readable output; ``nominal`` are the gaits without a margin."""
     return {
         "front": [_predicted(gait) for gait in front.gaits],
         "direction": front.direction,
@@ -75,12 +75,12 @@ def front_json(front: RobustFront, nominal: dict[str, Prediction]) -> dict[str, 
 
 
 def _predicted(gait: Prediction) -> dict[str, Any]:
-    """A gait of the front without the fields that only the three gaits have."""
+    """Return a gait of the front without the fields that only the three gaits have."""
     return {name: value for name, value in asdict(gait).items() if name not in _FULL}
 
 
 def comparison_json(comparison: Comparison) -> dict[str, Any]:
-    """The comparison with the exact front as the machine-readable output has it."""
+    """Return the comparison with the exact front for the machine-readable output."""
     return {
         "hypervolume_share": comparison.hypervolume_share,
         "missed_branches": list(comparison.missed_branches),
@@ -89,7 +89,7 @@ def comparison_json(comparison: Comparison) -> dict[str, Any]:
 
 
 def describe(front: RobustFront, nominal: dict[str, Prediction], uncertainty: str) -> str:
-    """A front for people."""
+    """Return a front as text."""
     checks = front.exact.verification
     strokes = f"{checks['strokes']} strokes at each of " if "strokes" in checks else ""
     rises = "rises" if checks["power_rises"] else "does not rise everywhere"
@@ -112,7 +112,7 @@ def describe(front: RobustFront, nominal: dict[str, Prediction], uncertainty: st
 
 
 def describe_comparison(comparison: Comparison) -> str:
-    """A comparison with the exact front for people."""
+    """Return a comparison with the exact front as text."""
     missed = ", ".join(f"{branch:g}" for branch in comparison.missed_branches) or "none"
     return (
         f"NSGA-II            {100.0 * comparison.hypervolume_share:.2f} % of the exact front's hypervolume; its gaits "
@@ -143,8 +143,8 @@ def _optimize(options: argparse.Namespace) -> None:
         name: value for name, value in asdict(settings.limits).items() if math.isfinite(value)
     }
     uncertainty = description(content)
-    words = [describe(front, nominal, uncertainty)]
-    words += [describe_comparison(comparison)] if comparison else []
+    texts = [describe(front, nominal, uncertainty)]
+    texts += [describe_comparison(comparison)] if comparison else []
     print_result(
         options,
         {
@@ -156,13 +156,13 @@ def _optimize(options: argparse.Namespace) -> None:
             "waveform": settings.waveform.value,
             "conditions": asdict(settings.conditions),
         },
-        "\n".join(reversed(words)),
+        "\n".join(reversed(texts)),
     )
 
 
 def _searched(front: RobustFront, given: tuple[int | None, int | None]) -> Comparison:
-    """NSGA-II's front of the same task, compared."""
-    from worm_optimizer.search import nsga2  # takes its time, and the exact front does without
+    """Search the front with NSGA-II, and compare it with the exact one."""
+    from worm_optimizer.search import nsga2  # Slow to import, and not needed for the exact front.
 
     population, generations = given
     search = nsga2.SearchSettings(

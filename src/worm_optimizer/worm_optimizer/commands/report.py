@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Command line: a report of recorded gaits, one HTML page with its figures beside it."""
+"""Command line: report on recorded gaits, as an HTML page with figures."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ def main() -> int:
 def _parser() -> Parser:
     parser = Parser(
         prog="report",
-        description="What ran, measured against predicted, events, residuals and provenance of recorded gaits, with "
-        "the robust front and the price of robustness: one HTML page that needs nothing else, and each figure as PNG "
-        "and PDF.",
+        description="Write a report on recorded gaits: measurements and predictions, events, residuals, provenance, "
+        "the robust front and the price of robustness. It is one self-contained HTML page; the figures are also "
+        "written as PNG and PDF.",
     )
     add = parser.add_argument
     add(
@@ -36,16 +36,16 @@ def _parser() -> Parser:
         nargs="*",
         type=Path,
         metavar="BAG",
-        help="or a folder of bags, such as a campaign's; default: what was recorded last in bags/",
+        help="bag, or a folder of bags such as a campaign's; default: the newest recording in bags/",
     )
     add(
         "--output",
         type=Path,
         metavar="FOLDER",
-        help="a new folder (default: BAG_report, or BAG_with_BAG_report)",
+        help="new folder (default: BAG_report, or BAG_with_BAG_report)",
     )
-    add("--title", default="", help="of the page")
-    add("--without-front", action="store_true", help="leave the optimizer's part out")
+    add("--title", default="", help="title of the page")
+    add("--without-front", action="store_true", help="omit the optimizer's part")
     add_identification(parser)
     parser.add_json()
     parser.add_parameters()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Command line: a gait for a purpose, exactly on the edges of the branches; needs no node."""
+"""Command line: gait for an objective, exactly on the edges of the branches, without a node."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ from worm_optimizer.search.gait_request import RequestStatus, select
 def _parser() -> Parser:
     parser = Parser(
         prog="request",
-        description="One gait of the exact robust front: for the lowest power, the lowest cost of transport, "
-        "the highest speed, the lowest power at a speed or the highest speed at a power. Where no gait is fast or "
-        "frugal enough, it names the nearest one and ends with status 2.",
+        description="Print one gait of the exact robust front: with the lowest power, the lowest cost of transport, "
+        "the highest speed, the lowest power at a speed or the highest speed at a power. If no gait is fast enough or "
+        "needs as little power, print the nearest one and exit with status 2.",
     )
     add_objective(parser)
     add_front_options(parser)
@@ -42,7 +42,7 @@ def _parser() -> Parser:
 
 
 def describe(gait: Prediction) -> str:
-    """A gait for people; the groove phase always stands beside the speed, which holds for it alone."""
+    """Return a gait as text, with the groove phase for which its speed holds."""
     phase = f"groove phase {1e3 * gait.groove_phase:+.2f} mm; the speed holds for it"
     return "\n".join([gait_table({"gait": gait}, {}), *shape_lines({"gait": gait}), phase])
 
@@ -59,8 +59,8 @@ def _request(options: argparse.Namespace) -> None:
     if figure is not None:
         save_figure(front_figure(front, {"nearest" if unreachable else "gait": gait}), figure)
     if unreachable:
-        refusal = {"error": answer.message, "nearest": asdict(gait)}
-        print_result(options, refusal, f"the nearest one:\n{describe(gait)}")
+        rejection = {"error": answer.message, "nearest": asdict(gait)}
+        print_result(options, rejection, f"the nearest one:\n{describe(gait)}")
         raise InputError(answer.message)
     print_result(options, asdict(gait), describe(gait))
 

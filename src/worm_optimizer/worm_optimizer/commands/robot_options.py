@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the commands that bring a robot up share: settings of system.yaml."""
+"""Options of the commands that start a node graph: settings of system.yaml."""
 
 from __future__ import annotations
 
@@ -18,31 +18,31 @@ _VIRTUAL_RIG = {"camera": "virtual", "tracker_setup": "virtual"}
 
 
 def add_tracker(parser: Parser) -> None:
-    """Adds --tracker; see `with_tracker`."""
+    """Add --tracker; see `with_tracker`."""
     parser.add_argument(
         "--tracker",
         choices=(POSITIONS, CAMERA),
         default=POSITIONS,
-        help="positions: as the virtual robot tells them, or whoever measures them; camera: as tracker_node finds "
-        "both modules in images, those of the virtual robot or of the rig of --set tracker_setup=FILE",
+        help="positions: published by the virtual robot or another instrument; camera: measured by tracker_node in "
+        "images of the virtual robot or of the camera setup of --set tracker_setup=FILE",
     )
 
 
 def with_tracker(settings: Mapping[str, str], choice: str, mode: str) -> dict[str, str]:
-    """Settings of system.yaml with those of a camera, if asked for; raises InputError where its rig is missing."""
+    """Return the settings of system.yaml with those of a camera if selected. Raises InputError without its setup."""
     if choice == POSITIONS:
         return dict(settings)
     if mode == "virtual":
         return {**_VIRTUAL_RIG, **settings}
     if not settings.get("tracker_setup"):
         raise InputError(
-            "--tracker camera: give the rig, --set tracker_setup=FILE (docs/tracker.md)"
+            "--tracker camera: give the camera setup, --set tracker_setup=FILE (docs/tracker.md)"
         )
     return dict(settings)
 
 
 def add_robot(parser: Parser) -> None:
-    """Adds --set, --tracker and the conditions in the pipe; see `robot_of`."""
+    """Add --set, --tracker and the conditions in the pipe; see `robot_of`."""
     add_tracker(parser)
     parser.add_conditions(None)
     parser.add_argument(
@@ -50,12 +50,12 @@ def add_robot(parser: Parser) -> None:
         action="append",
         default=[],
         metavar="NAME=VALUE",
-        help="a setting of system.yaml, such as port=/dev/ttyUSB0 or seed=2; may be repeated",
+        help="setting of system.yaml, such as port=/dev/ttyUSB0 or seed=2; may be repeated",
     )
 
 
 def robot_of(options: argparse.Namespace, mode: str) -> Robot:
-    """The robot of a mode with the settings that are asked for; raises InputError if there is no such setting."""
+    """Return the robot of a mode with the settings of the options. Raises InputError if a setting is unknown."""
     settings = (
         {"parameter_file": str(Path(options.parameters).resolve())} if options.parameters else {}
     )

@@ -19,15 +19,15 @@ from worm_optimizer.search.price_of_robustness import CLIFF_RULE, PriceOfRobustn
 def _parser() -> Parser:
     parser = Parser(
         prog="scan_margin",
-        description="The lowest cost of transport over the robustness margin, minimised over the gaits of the box, "
-        f"and its cliff. {CLIFF_RULE.capitalize()}.",
+        description="Compute the lowest cost of transport over the robustness margin, minimised over the gaits of the "
+        f"box, and its cliff. {CLIFF_RULE.capitalize()}.",
     )
     add_scan_options(parser)
     return parser
 
 
 def price_json(price: PriceOfRobustness) -> dict[str, Any]:
-    """A scan as the machine-readable output has it."""
+    """Return a scan for the machine-readable output."""
     cliff = price.cliff
     return {
         "margins": [point.margin for point in price.points],
@@ -45,7 +45,7 @@ def price_json(price: PriceOfRobustness) -> dict[str, Any]:
 
 
 def describe(price: PriceOfRobustness) -> str:
-    """A scan for people."""
+    """Return a scan as text."""
     rows = [("margin (mm)", "lowest COT", "at S (mm)", "f (Hz)", "branches")]
     for point in price.points[:: max(1, len(price.points) // 16)]:
         branches = ", ".join(f"{branch:g}" for branch in point.branches) or "none moves"

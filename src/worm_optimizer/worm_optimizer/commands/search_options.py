@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Shared parts of the commands that search gaits: options made of the settings' rows, a table of gaits."""
+"""Shared parts of the commands that search gaits: options generated from the settings' rows, a table of gaits."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from worm_optimizer.search.search_settings import (
 )
 
 _OBJECTIVES = (Objective.MIN_POWER, Objective.CRUISE, Objective.MAX_SPEED)
-# By what a parameter's name ends with; the longest first.
+# Placeholder of the value by the end of a parameter's name; the longest end first.
 _VALUES = {
     "_m_per_s": "MPS",
     "_n_per_m": "N_PER_M",
@@ -61,13 +61,13 @@ def add_campaign_options(parser: Parser) -> None:
 
 
 def add_front_options(parser: Parser) -> None:
-    """Adds those of `add_scan_options` and what decides about a front."""
+    """Add the options of `add_scan_options` and of a front."""
     add_scan_options(parser)
     _add_settings(parser, FRONT_SETTINGS)
 
 
 def chosen_settings(options: argparse.Namespace) -> Settings:
-    """The settings that the options make; raises `InputError` if they are not admissible."""
+    """Return the settings of the options. Raises `InputError` if they are not admissible."""
     values: dict[str, Any] = {}
     for option, rows in _by_option(SETTINGS):
         value = getattr(options, option.replace("-", "_"), None)
@@ -83,7 +83,7 @@ def chosen_settings(options: argparse.Namespace) -> Settings:
     if settings.margin is not None and settings.robustness is not Robustness.MARGIN:
         raise InputError(
             f"--margin {settings.margin:g} m has no effect with --robustness {settings.robustness.value}: "
-            "leave one of them out"
+            "remove one of them"
         )
     return settings
 
@@ -105,13 +105,13 @@ def _add_settings(parser: Parser, chosen: tuple[SettingRow, ...]) -> None:
 
 
 def _value(row: SettingRow) -> str:
-    """What the help calls a setting's value."""
+    """Return the placeholder of a setting's value in the help."""
     endings = (ending for ending in _VALUES if row.parameter.endswith(ending))
     return _VALUES[next(endings, "")]
 
 
 def _by_option(rows: tuple[SettingRow, ...]) -> list[tuple[str, list[SettingRow]]]:
-    """The rows of each option, in order; neighbours share one."""
+    """Return the rows of each option, in order. Neighbouring rows may share an option."""
     grouped = groupby((row for row in rows if row.option), key=lambda row: row.option)
     return [(option, list(group)) for option, group in grouped]
 
@@ -123,25 +123,25 @@ def _as_text(default: object) -> str:
 
 
 def add_objective(parser: Parser) -> None:
-    """Adds the options of a gait for a purpose; see `request_of_options`."""
-    wanted = parser.add_mutually_exclusive_group()
-    wanted.add_argument("--objective", choices=tuple(_NAMED), help="default cruise")
-    wanted.add_argument(
+    """Add the options of a requested gait; see `request_of_options`."""
+    group = parser.add_mutually_exclusive_group()
+    group.add_argument("--objective", choices=tuple(_NAMED), help="default cruise")
+    group.add_argument(
         "--speed",
         type=number,
         metavar="MPS",
-        help="of the gaits at this speed (m/s) or faster, the one with the lowest power",
+        help="request the gait with the lowest power at this speed (m/s) or faster",
     )
-    wanted.add_argument(
+    group.add_argument(
         "--power",
         type=number,
         metavar="W",
-        help="of the gaits at this power (W) or less, the fastest",
+        help="request the fastest gait at this power (W) or less",
     )
 
 
 def request_of_options(options: argparse.Namespace) -> GaitRequest:
-    """The request that the options of `add_objective` make; raises `OptimizerError` on an impossible value."""
+    """Return the request of the options of `add_objective`. Raises `OptimizerError` if a value is impossible."""
     if options.speed is not None:
         return GaitRequest(Objective.MIN_POWER_AT_SPEED, options.speed)
     if options.power is not None:
@@ -167,7 +167,7 @@ _HEADS = (
 
 
 def gait_table(robust: Mapping[str, Prediction], nominal: Mapping[str, Prediction]) -> str:
-    """Robust and nominal gaits, one line each: nominal optima are fragile, robust ones are not."""
+    """Return a table of robust and nominal gaits, one line each."""
     rows: list[Sequence[str]] = [_HEADS]
     for kind, gaits in (("robust", robust), ("nominal", nominal)):
         rows += [_row(f"{kind} {name.replace('_', ' ')}", gait) for name, gait in gaits.items()]

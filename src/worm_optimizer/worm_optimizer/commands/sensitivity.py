@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Command line: which parameters decide a gait's speed and power, and the cliff."""
+"""Command line: sensitivity of a gait's speed and power, and of the cliff, to the parameters."""
 
 from __future__ import annotations
 
@@ -29,17 +29,21 @@ MOST_SAMPLES = 1 << 16
 def _parser() -> Parser:
     parser = Parser(
         prog="sensitivity",
-        description="What decides speed, power and the cliff: Sobol indices over the uncertainty of the parameters, "
-        "that of the parameter file's intervals, else the stated defaults.",
+        description="Compute Sobol indices of speed, power and the cliff over the uncertainty of the parameters: the "
+        "intervals of the parameter file, else the default widths.",
     )
     parser.add_number("--stroke", "M", "contraction stroke in m", required=True)
     parser.add_number("--frequency", "HZ", "frequency in Hz", required=True)
     parser.add_direction()
     parser.add_argument(
-        "--samples", type=int, default=1024, metavar="N", help="a power of two (default 1024)"
+        "--samples",
+        type=int,
+        default=1024,
+        metavar="N",
+        help="number, a power of two (default 1024)",
     )
     parser.add_argument(
-        "--seed", type=int, default=0, metavar="N", help="of the samples (default 0)"
+        "--seed", type=int, default=0, metavar="N", help="seed of the samples (default 0)"
     )
     parser.add_conditions()
     parser.add_figure()
@@ -49,7 +53,7 @@ def _parser() -> Parser:
 
 
 def sensitivity_json(content: Sensitivity) -> dict[str, Any]:
-    """Indices by figure and parameter, with 95 % bounds."""
+    """Return the indices by quantity and parameter, with 95 % bounds."""
     result: dict[str, Any] = {"parameters": list(content.parameters)}
     for name, indices in content.indices.items():
         result[name] = {

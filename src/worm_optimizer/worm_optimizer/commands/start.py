@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Command line: the whole node graph of system.yaml, until Ctrl-C; what the launch file does with a ROS installed."""
+"""Command line: the node graph of system.yaml until Ctrl-C, as an alternative to the launch file."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ def main() -> int:
 def _parser() -> Parser:
     parser = Parser(
         prog="start",
-        description="Brings the node graph up, activates the driver and keeps all of it until Ctrl-C, which brings "
-        "the robot to rest first. Where the driver cannot be activated, as a robot that is not homed, it says why "
-        "and leaves it to operate.",
+        description="Start the node graph, activate the driver and run until Ctrl-C, which brings the robot to rest "
+        "first. If the driver cannot be activated, for example because it is not homed, print the reason and continue; "
+        "use operate to activate it.",
     )
     parser.add_argument(
-        "--virtual", action="store_true", help="a virtual robot in the place of the real one"
+        "--virtual", action="store_true", help="start a virtual robot instead of the real one"
     )
-    parser.add_argument("--namespace", default="", help="of all nodes (default: worm)")
+    parser.add_argument("--namespace", default="", help="namespace of all nodes (default: worm)")
     add_robot(parser)
     parser.add_parameters()
     return parser
@@ -54,15 +54,15 @@ def _start(options: argparse.Namespace) -> int:
 
 
 def _activate(running: Session) -> None:
-    """A robot that cannot be activated is its operator's."""
+    """Activate the driver, or print why this is impossible, so that the operator can do it later."""
     try:
         running.activate()
     except OperatorError as error:
-        running.say(f"{error}. Mend it, then: ./worm operate home, ./worm operate activate")
+        running.say(f"{error}. Correct it, then: ./worm operate home, ./worm operate activate")
 
 
 def _keep(running: Session) -> None:
-    """Until a signal comes. Raises `ProcessError` when a node ends that the others need."""
+    """Run until a signal arrives. Raises `ProcessError` when a node ends that the others need."""
     running.say(
         "ready: ./worm operate state, ./worm operate run --objective cruise; Ctrl-C ends all"
     )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Command line: many robots, or many bags, on the cores of this machine or on a cluster."""
+"""Command line: computations for many parameter sets, or over many bags, on this machine or on a cluster."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ try:
         run_study,
         verify_store,
     )
-except ModuleNotFoundError as error:  # the optional set, which a robot goes without
+except ModuleNotFoundError as error:  # optional packages, which a robot does not need
     notifier("study")(
         f"{error.name} is not installed: start it as ./worm study, or "
         "pip install -r requirements-study.txt -c constraints.txt"
@@ -56,14 +56,12 @@ _say = notifier("study")
 def _parser() -> Parser:
     parser = Parser(
         prog="study",
-        description="Computes fronts, gaits, cliffs and success probabilities for many parameter sets, or reads "
-        "many bags, on all cores of this machine or on a Dask cluster. Finished blocks remain: the same command "
+        description="Compute fronts, gaits, cliffs and success probabilities for many parameter sets, or read many "
+        "bags, on all cores of this machine or on a Dask cluster. Finished blocks are stored: the same command "
         "verifies them and continues.",
     )
     add = parser.add_argument
-    add(
-        "study", nargs="?", type=Path, metavar="STUDY.yaml", help="what varies and what is computed"
-    )
+    add("study", nargs="?", type=Path, metavar="STUDY.yaml", help="study file")
     add("--bags", type=Path, metavar="FOLDER", help="read all bags below a folder instead")
     add(
         "--from",
@@ -85,9 +83,9 @@ def _parser() -> Parser:
         "--scheduler",
         default="",
         metavar="ADDRESS",
-        help="of a Dask cluster; default: this machine",
+        help="address of a Dask cluster; default: this machine",
     )
-    add("--workers", type=int, metavar="N", help="on this machine (default: one per core)")
+    add("--workers", type=int, metavar="N", help="workers on this machine (default: one per core)")
     add("--retry-failed", action="store_true", help="compute failed points or bags again")
     add(
         "--accept-failures",
@@ -161,7 +159,7 @@ def _described(options: argparse.Namespace) -> tuple[Study, Path | None]:
     if options.source is None:
         return load_study(options.study, options.parameters), options.output
     if options.parameters:
-        raise InputError("--parameters: the store contains the parameters; leave the option out")
+        raise InputError("--parameters: the store contains the parameters; remove the option")
     study, output = stored_study(options.source), options.output or options.source
     if output != options.source and not is_of_this_code(options.source):
         _say(f"{options.source} was computed by another version of the code, {output} by this one")
@@ -173,7 +171,7 @@ def _fleet(options: argparse.Namespace, page: Path | None) -> int:
     if options.output is None or options.output.suffix != ".parquet":
         raise InputError("--output: name the fleet's table, e.g. FLEET.parquet")
     if options.export or options.dry_run:
-        raise InputError("--export and --dry-run are for studies: leave them out with --bags")
+        raise InputError("--export and --dry-run are for studies; remove them, or --bags")
     where = options.bags, options.parameters, options.output
     if options.retry_failed:
         reopen_fleet(*where)

@@ -72,7 +72,7 @@ class ConsoleState:
         return self._drawn[1]
 
     def cancellation(self) -> str:
-        """Return why the present run must end; empty: it goes on."""
+        """Return the reason why the present run must end; empty if it may continue."""
         return self.worker.cancellation or self.control.run_loss
 
     def status_text(self) -> str:

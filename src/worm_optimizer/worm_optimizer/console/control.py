@@ -76,7 +76,7 @@ class ConsoleControl:
         self._send(name, Wish.CONTROL)
 
     def hand_over(self, name: str) -> None:
-        """Give control to the client that requests it. A run goes on under that client."""
+        """Give control to the client that requests it. A run continues under that client."""
         if self.is_held_by(name) and self._state.requester:
             self._runner = self._state.requester
             self._send(name, Wish.HAND_OVER)

@@ -58,15 +58,15 @@ def run(
     cancellation: Callable[[], str],
     report: Say,
 ) -> str:
-    """Run a gait, record it into a new bag, and return its result in words.
+    """Run a gait, record it into a new bag, and return its result as text.
 
     Args:
         node: the operator.
         command: the gait and its end.
         folder: folder of the new bag.
         parameter_file: parameters to store in the bag; empty: the paper's values.
-        cancellation: returns why the run must end, empty: it goes on. While it must end, no heartbeats are sent, and
-            the robot comes to rest.
+        cancellation: returns the reason why the run must end; empty if it may continue. While it must end, no
+            heartbeats are sent, and the robot comes to rest.
         report: called with each line of progress.
 
     Raises:

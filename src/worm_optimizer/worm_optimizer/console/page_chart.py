@@ -15,9 +15,9 @@ _LINES = {"lineStyle": {"color": "#88888855"}}
 def chart(
     x: dict[str, Any], y: str, series: list[dict[str, Any]], *, height: str = "15rem", **events: Any
 ) -> ui.echart:
-    """A chart of the ``series``, with a legend of those that have a name; ``events`` are echart's.
+    """Return a chart of the ``series``, with a legend of those that have a name; ``events`` are echart's.
 
-    ``x`` is the axis below, ``y`` the name of the other one, which stands above.
+    ``x`` is the horizontal axis, ``y`` the name of the vertical one, which is above it.
     """
     legend = any("name" in row for row in series)
     options = {

@@ -20,7 +20,7 @@ def picture(
     parameters: Parameters,
     direction: int = FORWARD,
 ) -> str:
-    """An SVG element, its user unit 1 mm; without a twin, the empty pipe and a note.
+    """Return an SVG element, its user unit 1 mm; without a twin, the empty pipe and a note.
 
     The direction of the gait determines which fins hold.
     """

@@ -27,17 +27,17 @@ class TrackerWatch:
 
     def __init__(self, node: Node, now: Callable[[], float], say: Callable[[str], None]) -> None:
         self._now, self._say = now, say
-        self._heard_at = self._seen_at = now()
+        self._received_at = self._seen_at = now()
         self._lost = False
-        node.create_subscription(Tracker, "tracker", self._hear, 10)
+        node.create_subscription(Tracker, "tracker", self._receive, 10)
         node.create_timer(LOOK_S, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    def _hear(self, message: Tracker) -> None:
-        self._heard_at = self._now()
+    def _receive(self, message: Tracker) -> None:
+        self._received_at = self._now()
         if math.isfinite(message.rear_position) and math.isfinite(message.front_position):
             if self._lost:
-                self._say(f"the tracker is back after {self._heard_at - self._seen_at:.1f} s")
-            self._seen_at, self._lost = self._heard_at, False
+                self._say(f"the tracker is back after {self._received_at - self._seen_at:.1f} s")
+            self._seen_at, self._lost = self._received_at, False
 
     def _look(self) -> None:
         now = self._now()
@@ -45,8 +45,8 @@ class TrackerWatch:
             return
         self._lost = True
         what = (
-            "nothing is heard of the tracker"
-            if now - self._heard_at >= SILENCE_S
+            "no message of the tracker"
+            if now - self._received_at >= SILENCE_S
             else "the tracker does not see both modules"
         )
         self._say(f"{what} for {SILENCE_S:g} s: no speed can be measured meanwhile")

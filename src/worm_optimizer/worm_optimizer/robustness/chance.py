@@ -185,7 +185,7 @@ class _Brackets:
         self.high = np.where(suffices, middle, self.high)
 
 
-def margins_stood(task: MarginTask, front: Points) -> Array:
+def tolerated_margins(task: MarginTask, front: Points) -> Array:
     """The largest margin in m, up to 20 mm, at which each gait of a front still gains what it promises.
 
     0 for a gait whose promise the nominal robot does not keep. Shape (n,).

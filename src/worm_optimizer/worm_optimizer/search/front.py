@@ -18,7 +18,7 @@ from worm_optimizer.evaluation.actuator_limits import NO_LIMITS, describe_limit
 from worm_optimizer.evaluation.command_shape import SHAPE_ROW, shapes_of
 from worm_optimizer.evaluation.task import Array, Index, MarginTask, Points, Task
 from worm_optimizer.optimizer_errors import OptimizerError
-from worm_optimizer.robustness.chance import PromiseTask, margins_stood
+from worm_optimizer.robustness.chance import PromiseTask, tolerated_margins
 from worm_optimizer.robustness.prediction import Prediction, outline, predict
 from worm_optimizer.robustness.uncertainty import every_phase, phase_guard, phase_known
 from worm_optimizer.search.exact import ExactFront, Resolution, Zoom, exact_front
@@ -162,7 +162,7 @@ def _margins(nominal: MarginTask, settings: Settings, margin: float, points: Poi
     """The margin in m of each gait: that of the front, or the largest at which it keeps what it promises."""
     if settings.robustness is Robustness.MARGIN:
         return np.full(len(points), margin)
-    return margins_stood(nominal, points)
+    return tolerated_margins(nominal, points)
 
 
 def _predicted(

@@ -97,15 +97,15 @@ def _gaits_table(read: Sequence[Row]) -> Table:
 
 
 def _cells(row: Row) -> list[str]:
-    def told(value: Any, scale: float = 1.0, digits: int = 3) -> str:
+    def text(value: Any, scale: float = 1.0, digits: int = 3) -> str:
         return f"{scale * value:.{digits}f}" if math.isfinite(value) else "–"
 
     return [
         *(str(row["gait"]), str(row["start"])[:19]),
-        *(told(row["stroke_m"], 1e3, 1), told(row["frequency_Hz"], digits=4)),
-        *(told(row["speed_m_s"], 1e3), told(row["expected_speed_m_s"], 1e3)),
-        *(told(row["power_W"]), told(row["expected_power_W"])),
-        *(told(row["cost_of_transport"], digits=1), told(row["events"], digits=0)),
+        *(text(row["stroke_m"], 1e3, 1), text(row["frequency_Hz"], digits=4)),
+        *(text(row["speed_m_s"], 1e3), text(row["expected_speed_m_s"], 1e3)),
+        *(text(row["power_W"]), text(row["expected_power_W"])),
+        *(text(row["cost_of_transport"], digits=1), text(row["events"], digits=0)),
     ]
 
 

@@ -33,7 +33,7 @@ _COUPLED = {
 _ALWAYS = (
     "Every number is the model's, for the groove phase of the point; a robot that starts elsewhere in a groove gains "
     "other grooves.",
-    "Designs that differ by less than the parameters' own uncertainty (success_probability) are not told apart by it.",
+    "Designs that differ by less than the parameters' own uncertainty (success_probability) cannot be distinguished.",
 )
 
 

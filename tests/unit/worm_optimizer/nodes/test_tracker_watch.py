@@ -35,7 +35,7 @@ class Desk:
 
 @pytest.mark.parametrize(
     ("seen", "words"),
-    [(None, "nothing is heard of the tracker"), (math.nan, "does not see both modules")],
+    [(None, "no message of the tracker"), (math.nan, "does not see both modules")],
 )
 def test_a_loss_and_its_end_are_told_once(seen, words):
     desk = Desk()

@@ -130,7 +130,10 @@ def test_a_calibrated_driver_gets_its_file():
     ("arguments", "complaint"),
     [
         (("--set", "port"), "write NAME=VALUE"),
-        (("--mode", "robot", "--tracker", "camera"), "give the rig, --set tracker_setup=FILE"),
+        (
+            ("--mode", "robot", "--tracker", "camera"),
+            "give the camera setup, --set tracker_setup=FILE",
+        ),
         (("--set", "prot=/dev/ttyUSB0"), "no setting 'prot'"),
         (("--margin", "-1"), "margin: -1"),
         (("--slope", "91"), "slope_deg: 91"),
@@ -223,8 +226,8 @@ def test_a_folder_goes_on_only_with_the_gaits_it_was_begun_with(plan, tmp_path: 
 @pytest.mark.parametrize(
     ("make", "arguments", "complaint"),
     [
-        ([], [], "no campaign was begun there"),
-        (["promised.json"], ["--output", "x"], "leave --output out"),
+        ([], [], "contains no campaign"),
+        (["promised.json"], ["--output", "x"], "remove --output"),
         (["promised.json", "report/report.html"], [], "is complete"),
     ],
 )

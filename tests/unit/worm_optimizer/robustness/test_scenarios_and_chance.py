@@ -11,7 +11,7 @@ from worm_model.parameters import PAPER, ParameterFile
 from worm_model.simulation.closed_form import groove_phase
 from worm_optimizer.evaluation.task import MarginTask
 from worm_optimizer.optimizer_errors import OptimizerError
-from worm_optimizer.robustness.chance import PromiseTask, margins_stood
+from worm_optimizer.robustness.chance import PromiseTask, tolerated_margins
 from worm_optimizer.robustness.success_probability import stroke_to_edges, success_probability
 from worm_optimizer.robustness.uncertainty import (
     MOTION_HALF_WIDTHS,
@@ -240,7 +240,7 @@ def test_a_chance_constrained_front_keeps_its_probability_on_other_draws():
 def test_a_higher_probability_amounts_to_a_larger_margin():
     task, scenarios = MarginTask(), phase_known(FILE, 60, seed=7)
     least = [
-        margins_stood(task, coarse_front(PromiseTask(task, scenarios, p), FEW).front).min()
+        tolerated_margins(task, coarse_front(PromiseTask(task, scenarios, p), FEW).front).min()
         for p in (0.6, 0.95)
     ]
     assert 0.0 < least[0] < least[1] < 3.4e-3
@@ -263,7 +263,7 @@ def test_the_edge_of_a_promise_is_the_shortest_stroke_that_keeps_it():
 def test_a_gait_stands_the_told_margin_and_no_more():
     task = MarginTask()
     front = task.points([0.0754, 0.0754, 0.0550], [0.147, 0.2, 0.08])
-    margins = margins_stood(task, front)
+    margins = tolerated_margins(task, front)
     assert np.all(margins > 3e-3)
     assert np.all(task.grooves(front.stroke, front.frequency, margins) >= front.count // 3)
     assert np.all(task.grooves(front.stroke, front.frequency, margins + 1e-6) < front.count // 3)
@@ -274,7 +274,7 @@ def test_a_promise_that_the_nominal_robot_breaks_stands_no_margin():
     front = task.points([0.06], [0.2])
     too_much = type(front)(*vars(front).values())
     too_much.count[:] = 15
-    assert margins_stood(task, too_much).tolist() == [0.0]
+    assert tolerated_margins(task, too_much).tolist() == [0.0]
 
 
 @pytest.mark.parametrize("probability", [0.0, 1.1, -1.0])

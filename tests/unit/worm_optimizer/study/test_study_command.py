@@ -74,7 +74,7 @@ def test_a_dry_run_prints_points_blocks_and_time_and_leaves_nothing(tmp_path, mo
         (("s.yaml", "--verify", "s.zarr"), "give one of STUDY.yaml"),
         (("--verify", "absent.zarr"), "absent.zarr: does not exist"),
         (("--from", "."), "is no study"),
-        (("--from", ".", "--parameters", "p.yaml"), "leave the option out"),
+        (("--from", ".", "--parameters", "p.yaml"), "remove the option"),
         (("s.yaml", "--output", "s.zarr", "--export", "s.xlsx"), "none of .nc, .csv"),
         (("absent.yaml",), "absent.yaml: cannot be read"),
         (("s.yaml",), "--output is missing"),
