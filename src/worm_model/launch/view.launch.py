@@ -83,7 +83,7 @@ def _frames(namespace: str, robot: str, name: str, topic: str) -> Node:
 
 
 def _camera(namespace: str, pose: str) -> list[Node]:
-    """Frames of the camera's body, x where it looks, and of its images, z there and x to their right (REP 103)."""
+    """Return the frames of the camera's body (x in viewing direction) and of its images (z there, x right; REP 103)."""
     values = pose.split()
     if len(values) != len(_POSE):
         raise ValueError(

@@ -7,4 +7,4 @@ from worm_model.errors import InputError
 
 
 class OptimizerError(InputError):
-    """A setting or a request is not admissible; the message says which, why and what to do."""
+    """A setting or a request is not admissible. The message names it, the reason and what to do."""

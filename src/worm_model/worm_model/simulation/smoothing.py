@@ -24,7 +24,7 @@ _CHUNK = 4096  # times that are fitted at once
 
 @dataclass(frozen=True)
 class Smoothed:
-    """A smoothed signal: ``time`` s, ``value`` and its derivative ``rate`` per s, each of shape (n,)."""
+    """Smoothed signal: ``time`` s, ``value`` and its derivative ``rate`` per s, each of shape (n,)."""
 
     time: Array
     value: Array

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A closer look at one or two recorded runs: charts with zoom and cursor, and the robot at the time of a slider."""
+"""Closer look at one or two recorded runs: charts with zoom and cursor, and the robot at the time of a slider."""
 
 from __future__ import annotations
 

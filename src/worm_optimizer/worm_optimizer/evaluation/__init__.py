@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Gaits of a search: what is evaluated, what each gait achieves, and the limits of its actuators."""
+"""Evaluation of the gaits of a search: tasks, their results, and limits of the actuators."""

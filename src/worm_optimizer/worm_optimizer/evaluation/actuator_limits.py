@@ -23,19 +23,18 @@ from worm_optimizer.optimizer_errors import OptimizerError
 
 Array = NDArray[np.float64]
 
-_CYCLE = 2  # counted from 0: the third is periodic, up to the groove it is in
+_CYCLE = 2  # number of the sampled cycle, from 0: the third one is periodic, except for the groove
 _SAMPLES = 400  # moments of that cycle at which force and power are sampled
 
 
 @dataclass(frozen=True)
 class ActuatorLimits:
-    """Greatest values that a gait may ask of the hardware; infinite means no limit.
+    """Largest values that a gait may require of the hardware; infinity means no limit.
 
     ``cable_speed`` in m/s bounds the largest commanded cable speed, π·f·S of the sinusoid; ``cable_force`` in N
-    bounds F_c (eq:Fc) and ``electrical_power`` in W the source power P (eq:power_model), such as the
-    range of its sensor, both as the nominal model predicts them over a cycle. ``stall_force`` in N and
-    ``no_load_speed`` in m/s are the ends of the motors' line of speed over torque: while the cable is
-    pulled, F_c/stall_force + speed/no_load_speed stays below 1.
+    bounds F_c (eq:Fc) and ``electrical_power`` in W the source power P (eq:power_model), such as the range of its
+    sensor. The nominal model predicts both over a cycle. ``stall_force`` in N and ``no_load_speed`` in m/s are the ends
+    of the motors' speed-torque line: while the cable is wound up, F_c/stall_force + speed/no_load_speed stays below 1.
     """
 
     cable_speed: float = math.inf
@@ -51,19 +50,19 @@ class ActuatorLimits:
 
     @property
     def need_simulation(self) -> bool:
-        """Whether a limit is set that only a simulated cycle can tell."""
+        """True if a limit is set that needs a simulated cycle."""
         simulated = self.cable_force, self.electrical_power, self.stall_force
         return any(math.isfinite(limit) for limit in simulated)
 
     def tightened(self, other: ActuatorLimits) -> ActuatorLimits:
-        """The smaller of both limits each."""
+        """Return the smaller of both limits for each quantity."""
         pairs = zip(dataclasses.astuple(self), dataclasses.astuple(other), strict=True)
         return ActuatorLimits(*(min(pair) for pair in pairs))
 
     def ratios(
         self, speed: Array, force: Array, power: Array, motor_load: Array
     ) -> dict[str, Array]:
-        """Each figure over its limit, by name of the limit; arrays as in `Peaks`."""
+        """Return each quantity over its limit, by name of the limit; arrays as in `Peaks`."""
         return {
             "cable_speed": speed / self.cable_speed,
             "cable_force": force / self.cable_force,
@@ -72,13 +71,13 @@ class ActuatorLimits:
         }
 
     def excess(self, speed: Array, force: Array, power: Array, motor_load: Array) -> Array:
-        """Largest relative excess over the limits, 0 where all are kept; arrays as in `Peaks`."""
+        """Return the largest relative excess over the limits, 0 if all are satisfied; arrays as in `Peaks`."""
         ratios = self.ratios(speed, force, power, motor_load)
         return np.maximum(np.max(list(ratios.values()), axis=0) - 1.0, 0.0)
 
     def description(self) -> str:
-        """The limits that are set, in words; empty if there are none."""
-        words = {
+        """Return the limits that are set as text; empty without limits."""
+        texts = {
             "cable_speed": "cable speed {:.3g} m/s",
             "cable_force": "cable force {:.3g} N",
             "electrical_power": "power {:.3g} W",
@@ -87,7 +86,7 @@ class ActuatorLimits:
         }
         values = dataclasses.asdict(self)
         return ", ".join(
-            text.format(values[name]) for name, text in words.items() if math.isfinite(values[name])
+            text.format(values[name]) for name, text in texts.items() if math.isfinite(values[name])
         )
 
 
@@ -96,7 +95,7 @@ NO_LIMITS = ActuatorLimits()
 
 @dataclass(frozen=True)
 class Peaks:
-    """Largest cable force in N, electrical power in W and share (1) of the motors' line in a cycle, each (n,).
+    """Largest cable force in N, power in W and load (1) relative to the motors' line in a cycle, each of shape (n,).
 
     ``mean_force`` is the mean pull of the cable in N.
     """
@@ -117,7 +116,7 @@ def peaks(
 ) -> Peaks:
     """Return the peaks over a periodic cycle of gaits, ``stroke`` in m and ``frequency`` in Hz of shape (n,).
 
-    ``limits`` hold the ends of the motors' line. NaN where the simulator gave up on a gait.
+    ``limits`` contain the ends of the motors' line. The peaks are NaN for gaits that the simulator cannot evaluate.
     """
     phases = np.arange(_SAMPLES) / _SAMPLES
     shapes = np.broadcast_to(shape, np.shape(stroke))
@@ -138,18 +137,18 @@ def describe_limit(
     parameters: Parameters,
     shape: Shapes = SINUSOID,
 ) -> str:
-    """Name the limit that excludes all of some gaits, with what they would need at least.
+    """Return a text that names the limit that excludes all of some gaits, and the least value that they need.
 
     ``stroke`` in m and ``frequency`` in Hz of shape (n,), at least one gait, of which none satisfies all limits.
     """
     peak = peaks(stroke, frequency, direction, parameters, limits, shape)
     speed = peak_rate(shape) * stroke * frequency
-    figures = speed, peak.force, peak.power, peak.motor_load
-    least = {name: float(np.nanmin(each)) for name, each in limits.ratios(*figures).items()}
+    needed = speed, peak.force, peak.power, peak.motor_load
+    least = {name: float(np.nanmin(each)) for name, each in limits.ratios(*needed).items()}
     name, ratio = max(least.items(), key=lambda item: item[1])
     if ratio > 1.0:
         return (
-            f"limits: {name} excludes every gait that moves: the least demanding one needs {ratio:.3g} times what it "
-            f"allows ({limits.description()}): raise it"
+            f"limits: {name} excludes every gait that moves: the least demanding one needs {ratio:.3g} times the limit "
+            f"({limits.description()}): raise it"
         )
     return f"limits: no gait that moves satisfies all of {limits.description()}: raise one of them"

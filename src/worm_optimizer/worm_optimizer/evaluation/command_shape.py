@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Shapes of the commanded contraction: all fields of a gait that shape it, other than stroke and frequency."""
+"""Shapes of the commanded contraction: all fields of the waveform except stroke and frequency."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs of a step function of the stroke: a scan finds its steps, bisection locates each one."""
+"""Runs of a step function of the stroke. A scan finds its steps, and bisection locates them."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-# Labels of strokes in m, each in a column (say, a frequency), both of shape (n,).
+# Returns the labels of strokes in m, each in a column (such as a frequency), both of shape (n,).
 Label = Callable[[Array, Index], Index]
 
-_PARTS = 8  # into which an interval with a step is first divided, so that a thin run next to the step shows
+_PARTS = 8  # first division of an interval with a step, which finds thin runs next to the step
 
 
 @dataclass(frozen=True)
 class Runs:
     """Maximal intervals of the stroke with one label, by column and rising stroke; every field has shape (n,).
 
-    ``low`` and ``high`` in m are the shortest and the longest stroke that was seen with the ``label``. ``stepped`` is
-    whether a shorter stroke with another label precedes ``low`` by the tolerance at most; else ``low`` is the first
-    stroke of the scan.
+    ``low`` and ``high`` in m are the shortest and the longest evaluated stroke with the ``label``. ``stepped`` is True
+    if a stroke with another label precedes ``low`` by at most the tolerance; otherwise ``low`` is the first stroke of
+    the scan.
     """
 
     column: Index

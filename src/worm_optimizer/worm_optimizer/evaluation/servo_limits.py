@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Limits on gaits from the driver's parameter file and its servo models.
 
-The file is data, in the format of ROS 2 parameters; the motors' data are those of `worm_msgs.servo_models`.
+The file has the format of ROS 2 parameters. The motors' data are those of `worm_msgs.servo_models`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from worm_optimizer.optimizer_errors import OptimizerError
 
 _SHUNT_RANGE = 0.32  # V over the shunt of an INA219 at its widest (TI SBOS448, PGA = /8)
 
-# The driver's defaults for what its file leaves out.
+# Defaults of the driver for parameters that its file lacks.
 DRIVER_DEFAULTS: Mapping[str, Any] = {
     "i2c_bus": "1",
     "ina219.shunt_resistance_ohm": 0.1,
@@ -34,7 +34,7 @@ DRIVER_DEFAULTS: Mapping[str, Any] = {
     "limits.max_servo_current_a": 2.0,
     "limits.max_servo_load": 0.9,
 }
-# Former names in the driver's file, as worm_msgs.parameter_rows has them for the driver itself.
+# Former names in the driver's file, the same as in worm_msgs.parameter_rows for the driver itself.
 DRIVER_RENAMED: Mapping[str, str] = {
     "ina219.max_current_A": "ina219.max_current_a",
     "limits.max_frequency_Hz": "limits.max_frequency_hz",
@@ -45,7 +45,7 @@ DRIVER_RENAMED: Mapping[str, str] = {
 
 @dataclass(frozen=True)
 class ServoModel:
-    """A servo's motor: speeds in rad/s, torque in N·m and current in A, at ``voltage`` V."""
+    """Motor of a servo: speeds in rad/s, torque in N·m and current in A, at ``voltage`` V."""
 
     voltage: float
     no_load_speed: float
@@ -55,9 +55,9 @@ class ServoModel:
     measures_current: bool
 
     def torque(self, max_current: float, max_load: float, voltage: float) -> float:
-        """The greatest torque in N·m at a supply voltage in V, with a current of ``max_current`` A at most.
+        """Return the largest torque in N·m at a supply voltage in V, with a current of at most ``max_current`` A.
 
-        A model that measures no current has at most the share ``max_load`` of its stall torque instead.
+        For a model that does not measure its current, it is the share ``max_load`` of the stall torque.
         """
         stall = self.stall_torque * voltage / self.voltage
         if not self.measures_current:
@@ -67,7 +67,7 @@ class ServoModel:
 
 @dataclass(frozen=True)
 class DrivenBy:
-    """What the driver's file says of the limits of a robot; SI.
+    """Limits of a robot in the driver's parameter file, SI units.
 
     ``spool_radii`` of the cable servos, which pull side by side; ``sensor_current`` in A is the range of
     the power sensor, infinite without one.
@@ -102,21 +102,21 @@ def _initial(value: Initial) -> int:
 
 
 def servo_model(name: str) -> ServoModel | None:
-    """The model of a name, None for an empty one; raises `OptimizerError` naming those that there are."""
+    """Return the model of a name, None for an empty one; raise `OptimizerError` naming the known models."""
     if not name:
         return None
     models = servo_models()
-    plain = name.removesuffix("-T").removesuffix("-R")  # the bus that it is made for
+    plain = name.removesuffix("-T").removesuffix("-R")  # the suffix of its bus
     if plain not in models:
         raise OptimizerError(f"servo model: {name!r} is none of {', '.join(models)}")
     return models[plain]
 
 
 def load_driver_file(path: str | Path) -> DrivenBy:
-    """Reads the driver's parameter file; raises `OptimizerError` whose message starts with the path."""
+    """Return the content of the driver's parameter file; raises `OptimizerError` whose message starts with the path."""
     from_file = _parameters_of_driver(read_yaml(Path(path), OptimizerError))
     if not from_file:
-        raise OptimizerError(f"{path}: holds no ros__parameters of a node named driver")
+        raise OptimizerError(f"{path}: contains no ros__parameters of a node named driver")
     for former, name in DRIVER_RENAMED.items():
         if former in from_file and name in from_file:
             raise OptimizerError(
@@ -154,10 +154,10 @@ def load_driver_file(path: str | Path) -> DrivenBy:
 
 
 def limits_of(driver: DrivenBy, model: ServoModel | None, voltage: float | None) -> ActuatorLimits:
-    """The limits that a driver and its cable servos set.
+    """Return the limits of a driver and its cable servos.
 
-    Without a model only the driver's own limit of the cable speed, and of the power if the supply
-    ``voltage`` in V is given; None: the model's nominal one. Cables side by side share the force equally.
+    Without a model, these are the driver's limit of the cable speed and, if the supply ``voltage`` in V is given, of
+    the power. A ``voltage`` of None is the model's nominal one. Parallel cables share the force equally.
     """
     volts = voltage or (model.voltage if model else math.inf)
     power = driver.sensor_current * volts
@@ -181,10 +181,10 @@ def limits_of(driver: DrivenBy, model: ServoModel | None, voltage: float | None)
 def within(
     bounds: Bounds, limits: ActuatorLimits, file: str, model: str, voltage: float | None
 ) -> tuple[Bounds, ActuatorLimits]:
-    """A box and limits, tightened to what the driver of ``file`` and its servo model take.
+    """Return a box and limits, tightened to those of the driver of ``file`` and its servo model.
 
-    An empty ``file`` changes nothing. Raises `OptimizerError` if the file or the model is none, if
-    nothing is left of the box, or on a model or a supply ``voltage`` in V without a file.
+    An empty ``file`` changes nothing. Raises `OptimizerError` if the file or the model is invalid, if the box becomes
+    empty, or for a model or a supply ``voltage`` in V without a file.
     """
     known = servo_model(model)
     if voltage is not None and not 0.0 < voltage < math.inf:
@@ -192,8 +192,8 @@ def within(
     if not file:
         if model or voltage is not None:
             raise OptimizerError(
-                "servo model and supply voltage say nothing without the driver's parameter file, "
-                "which holds the spool radii: give that too"
+                "servo model and supply voltage have no effect without the driver's parameter file, "
+                "which contains the spool radii: give that too"
             )
         return bounds, limits
     driver = load_driver_file(file)
@@ -206,7 +206,7 @@ def within(
 
 
 def _parameters_of_driver(content: Any) -> dict[str, Any]:
-    """Parameters of the nodes that a ROS 2 parameter file calls driver, or of all; dotted names."""
+    """Return the parameters of nodes named driver or ** in a ROS 2 parameter file, by dotted name."""
     parameters: dict[str, Any] = {}
     for name, node in content.items() if isinstance(content, Mapping) else ():
         if str(name).split("/")[-1] in ("driver", "**") and isinstance(node, Mapping):

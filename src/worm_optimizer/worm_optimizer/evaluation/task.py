@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Optimisation tasks: the box of gaits, the actuator limits, and the batch evaluation of gaits and of branch edges.
 
-Every search (the exact front, NSGA-II) sees a `Task`. The task defines which grooves a gait gains: those with an
+Every search (the exact front, NSGA-II) uses a `Task`. The task defines which grooves a gait gains: those with an
 enlarged threshold (`MarginTask`), or those that it keeps with a probability (`chance.PromiseTask`).
 """
 
@@ -34,19 +34,18 @@ from worm_optimizer.optimizer_errors import OptimizerError
 
 Mask = NDArray[np.bool_]
 
-_TRANSIENT = 0.05  # pitches by which the advance of a cycle may fall short of the grooves gained
+_TRANSIENT = 0.05  # pitches by which the advance of a cycle may be below the grooves gained
 EDGE_TOLERANCE = 1e-8  # m, width of the bracket to which the edge of a branch is bisected
-# m, beyond that bracket: a gait exactly on its edge would lose a groove by another processor's rounding. It costs less
-# than a millionth of the power.
+# m, beyond that bracket: rounding on another processor could cost a gait on its exact edge a groove. The allowance
+# costs less than a millionth of the power.
 EDGE_ALLOWANCE = 1e-8
 
 
 @dataclass(frozen=True)
 class Bounds:
-    """The box of gaits, p_min ≤ [S, f] ≤ p_max below eq:moo_formulation; strokes in m, frequencies in Hz.
+    """Box of gaits, p_min ≤ [S, f] ≤ p_max below eq:moo_formulation; strokes in m, frequencies in Hz.
 
-    The defaults are the paper's. Equal ends hold a value fixed. Raises `OptimizerError` unless
-    0 < low ≤ high on both axes.
+    The defaults are the paper's. Equal ends fix a value. Raises `OptimizerError` unless 0 < low ≤ high on both axes.
     """
 
     stroke_low: float = STROKE_RANGE[0]
@@ -71,9 +70,9 @@ def _check_range(name: str, low: float, high: float, most: float, unit: str) -> 
 class Points:
     """Evaluated gaits, one row each; every field is an array of shape (n,).
 
-    ``speed`` counts along the gait's direction. ``count`` names the branch: the grooves gained in the averaged cycles
+    ``speed`` is along the gait's direction. ``count`` identifies the branch: the grooves gained in all averaged cycles
     together, 0 unless each of them gains one. ``violation`` is 0 for a gait that gains a groove in every averaged cycle
-    and satisfies the actuator limits, and grows with what is missing. ``shape`` is the paper's unless it is given.
+    and satisfies the actuator limits, and grows with the excess. ``shape`` is by default the paper's.
     """
 
     stroke: Array  # m
@@ -94,29 +93,29 @@ class Points:
 
     @property
     def admissible(self) -> Mask:
-        """Which gaits violate nothing."""
+        """True for gaits without a violation."""
         return self.violation <= 0.0
 
     def __len__(self) -> int:
         return len(self.stroke)
 
     def take(self, rows: ArrayLike) -> Points:
-        """The rows at ``rows`` (integers or a mask)."""
+        """Return the rows at ``rows`` (integers or a mask)."""
         index = np.asarray(rows)
         return Points(*(getattr(self, row.name)[index] for row in dataclasses.fields(self)))
 
     @staticmethod
     def join(*parts: Points) -> Points:
-        """The rows of all parts, in order."""
+        """Return the rows of all parts, in order."""
         names = [row.name for row in dataclasses.fields(Points)]
         return Points(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 
 def branch_of(table: GaitTable) -> Index:
-    """Whole grooves gained in the poorest averaged cycle of each gait of a table, at least 0.
+    """Return the whole grooves gained in the averaged cycle with the least advance of each gait of a table, at least 0.
 
-    The table tells the advance of the rear module in pitches, which misses a whole number by what is left
-    of the transient. Gaits that the simulator gave up on (NaN) gain nothing.
+    The table contains the advance of the rear module in pitches, which differs from a whole number by the rest of the
+    transient. Gaits that the simulator cannot evaluate (NaN) gain nothing.
     """
     advance = np.nan_to_num(table.min_grooves, nan=0.0)
     return np.floor(np.maximum(advance, 0.0) + _TRANSIENT).astype(np.int64)
@@ -130,18 +129,18 @@ def gained_of(table: GaitTable) -> Index:
 
 @dataclass(frozen=True)
 class Edges:
-    """The lower edges of the branches in some columns: ``points`` with the ``column`` of each, shape (n,)."""
+    """Lower edges of the branches in some columns: ``points`` with the ``column`` of each, shape (n,)."""
 
     column: Index
     points: Points
 
 
 class Task(Protocol):
-    """Batch evaluation of gaits and of branch edges, which is all that a search needs."""
+    """Batch evaluation of gaits and of branch edges, as a search needs it."""
 
     @property
     def bounds(self) -> Bounds:
-        """The box of gaits."""
+        """Box of gaits."""
 
     def points(self, stroke: ArrayLike, frequency: ArrayLike, shape: Shapes = SINUSOID) -> Points:
         """Evaluate gaits; ``stroke`` in m, ``frequency`` in Hz and ``shape`` of shape (n,)."""
@@ -149,17 +148,17 @@ class Task(Protocol):
     def edges(self, frequency: Array, strokes: Array, count: Index | None = None) -> Edges:
         """Find the shortest admissible stroke of each branch at each ``frequency`` in Hz of shape (m,).
 
-        ``strokes`` in m of shape (m, scan), rising along each row, span those in which to look, as far as they are in
-        the box. If ``count`` (m,) is given, only the edges with that count are needed.
+        ``strokes`` in m of shape (m, scan), rising along each row, span the searched range within the box. If ``count``
+        (m,) is given, only the edges with that count are needed.
         """
 
 
 @dataclass(frozen=True)
 class MarginTask:
-    """The problem of eq:moo_formulation with thresholds enlarged by ``margin`` m (eq:A1_switch_robust).
+    """Task of eq:moo_formulation with thresholds enlarged by ``margin`` m (eq:A1_switch_robust).
 
-    ``bounds.stroke_high`` bounds the largest contraction, pretension included. ``holding_power`` in W/N is added to the
-    power for each newton of the mean cable force, as servos draw current for a torque that they only hold.
+    ``bounds.stroke_high`` limits the largest contraction, including the pretension. ``holding_power`` in W/N is added
+    to the power for each newton of the mean cable force, as servos draw current for a torque at standstill.
 
     Raises `OptimizerError` if the margin, the direction, a stroke of the box or a limit is not admissible.
     """
@@ -187,11 +186,11 @@ class MarginTask:
         if self.limits.electrical_power <= idle:
             raise OptimizerError(
                 f"limits: electrical_power = {self.limits.electrical_power:g} W is not above the idle power of "
-                f"{idle:g} W, so that no gait keeps it: raise it"
+                f"{idle:g} W, so that no gait satisfies it: raise it"
             )
 
     def with_margin(self, margin: float) -> MarginTask:
-        """The same task with another margin in m."""
+        """Return the same task with another margin in m."""
         return dataclasses.replace(self, margin=margin)
 
     def table(
@@ -204,7 +203,7 @@ class MarginTask:
     ) -> GaitTable:
         """Return the simulator's table of gaits; all arguments are broadcast together.
 
-        ``margin`` in m replaces the task's; ``overrides`` holds arrays of parameter values by key.
+        ``margin`` in m replaces the task's; ``overrides`` contains arrays of parameter values by key.
         """
         return evaluate_gaits(
             stroke,
@@ -262,7 +261,7 @@ class MarginTask:
             return self.points(stroke, frequency[column], margin=margins[column])
 
         def label(stroke: Array, column: Index) -> Index:
-            # Even within the limits, odd beyond: the strip between an edge and a limit may be thinner than the scan.
+            # Even within the limits, odd beyond them, because the strip between an edge and a limit may be thin.
             found = points(stroke, column)
             return np.where(found.count > 0, 2 * found.count + ~found.admissible, 0)
 
@@ -283,7 +282,7 @@ class MarginTask:
         return self.holding_power * peak.mean_force
 
     def _excess(self, stroke: Array, frequency: Array, shape: Shapes) -> Array:
-        """Return the relative excess of gaits that move over the limits, 1 where the simulator gives up."""
+        """Return the relative excess of moving gaits over the limits, 1 if the simulator cannot evaluate a gait."""
         loads = np.zeros((3, stroke.size))
         if self.limits.need_simulation:
             peak = peaks(stroke, frequency, self.direction, self.parameters, self.limits, shape)

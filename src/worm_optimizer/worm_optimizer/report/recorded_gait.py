@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recorded gait with all values that a report contains: measured, expected and estimated by the twin."""
+"""Recorded gait with all values that a report contains: measured, expected and estimated by the twin."""
 
 from __future__ import annotations
 

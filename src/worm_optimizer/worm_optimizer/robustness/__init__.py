@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a gait is worth when the parameters are uncertain: scenarios and success probabilities."""
+"""Robustness of gaits under uncertain parameters: scenarios and success probabilities."""

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Gaits that keep their grooves with a probability, and the margin that such a promise amounts to.
+"""Gaits that keep their grooves with a given probability, and the margin equivalent to such a promise.
 
-The paper enlarges a threshold to stay away from the edges of a branch. Here the edges come from the uncertainty
-itself. The edge of a promise is the stroke from which on enough scenarios gain the grooves, judged on the same draws at
-every stroke (common random numbers). With every groove phase as a scenario and probability 1, the gaits are any-phase
-gaits: they need no knowledge of φ.
+The paper enlarges a threshold to stay away from the edges of a branch. Here the edges follow from the uncertainty
+itself. The edge of a promise is the shortest stroke at which enough scenarios gain the grooves. The draws are the same
+at every stroke (common random numbers). With every groove phase as a scenario and probability 1, the result are
+any-phase gaits, which do not depend on φ.
 """
 
 from __future__ import annotations
@@ -34,23 +34,22 @@ from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.robustness.success_probability import grooves_in
 from worm_optimizer.robustness.uncertainty import Scenarios
 
-_MARGIN_STEP = 2.5e-4  # m, of the first look for the margin that a gait stands
-_MOST_MARGIN = 2e-2  # m, where that look ends
+_MARGIN_STEP = 2.5e-4  # m, step of the scan for the margin that a gait tolerates
+_MOST_MARGIN = 2e-2  # m, end of this scan
 _MARGIN_PASSES = 10
 
-# Least grooves gained by strokes in m, for rows and scenarios, all of shape (n,).
+# Returns the least grooves gained by strokes in m, for rows and scenarios, all of shape (n,).
 _Gained = Callable[[Array, Index, Index], Index]
 
 
 @dataclass(frozen=True)
 class PromiseTask:
-    """eq:moo_formulation with P(n ≥ promised) ≥ ``probability`` over ``scenarios``.
+    """Task of eq:moo_formulation with P(n ≥ promised) ≥ ``probability`` over ``scenarios``.
 
-    The task's margin holds in the scenarios too; it is usually 0.
+    The task's margin applies in the scenarios, too; it is usually 0.
 
-    A gait's promise is the greatest number of grooves per cycle that it keeps with that probability; its
-    speed is promise · d · f and its power that of the nominal robot. Raises `OptimizerError` unless
-    0 < probability ≤ 1.
+    A gait's promise is the largest number of grooves per cycle that it keeps with that probability. Its speed is
+    promise · d · f, and its power is that of the nominal robot. Raises `OptimizerError` unless 0 < probability ≤ 1.
     """
 
     task: MarginTask
@@ -63,7 +62,7 @@ class PromiseTask:
 
     @property
     def bounds(self) -> Bounds:
-        """The box of gaits."""
+        """Box of gaits."""
         return self.task.bounds
 
     def points(self, stroke: ArrayLike, frequency: ArrayLike, shape: Shapes = SINUSOID) -> Points:
@@ -87,8 +86,8 @@ class PromiseTask:
     def edges(self, frequency: Array, strokes: Array, count: Index | None = None) -> Edges:
         """Find the shortest strokes that keep each promise, see `Task`.
 
-        Within a scenario, more stroke is taken to gain no fewer grooves; the gaits that are returned are judged on all
-        scenarios.
+        The search assumes that within a scenario a longer stroke gains no fewer grooves. The returned gaits are
+        evaluated in all scenarios.
         """
         low, high = (
             np.clip(strokes[:, end], self.bounds.stroke_low, self.bounds.stroke_high)
@@ -123,7 +122,7 @@ class PromiseTask:
         return min(spared, len(self.scenarios) - 1)
 
     def _gained_at(self, frequency: Array) -> _Gained:
-        """Least grooves of strokes (n,) in m in scenarios (n,), for rows (n,) of ``frequency`` in Hz."""
+        """Return a function for the least grooves at rows of ``frequency`` in Hz, see `_Gained`."""
 
         def gained(stroke: Array, row: Index, scenario: Index) -> Index:
             overrides = {key: values[scenario] for key, values in self.scenarios.overrides.items()}
@@ -132,16 +131,16 @@ class PromiseTask:
         return gained
 
     def _promise(self, gained: Index) -> Index:
-        """Greatest count kept in the required share of the scenarios, from counts of shape (n, scenarios)."""
+        """Return the largest count kept in the required share of the scenarios, from counts (n, scenarios)."""
         return np.maximum(np.sort(gained, axis=1)[:, self._spared], 0)
 
 
 @dataclass
 class _Brackets:
-    """Brackets of the strokes at which promises begin to be kept, each of shape (n,), in m.
+    """Brackets of the shortest strokes that keep promises, each of shape (n,), in m.
 
-    ``fails`` and ``keeps`` of shape (n, scenarios) are the longest stroke at which a scenario is known to fail the
-    promise and the shortest at which it is known to keep it: only scenarios for which a stroke lies between are
+    ``fails`` and ``keeps`` of shape (n, scenarios) are the longest stroke with which a scenario is known to fail the
+    promise, and the shortest with which it is known to keep it. Only scenarios for which the stroke lies in between are
     evaluated, fewer with each halving.
     """
 
@@ -157,7 +156,7 @@ class _Brackets:
     def between(
         low: Array, high: Array, promise: Index, at_low: Index, at_high: Index, required: int
     ) -> _Brackets:
-        """Brackets from the grooves (n, scenarios) that are gained at both ends."""
+        """Return brackets from the grooves (n, scenarios) that are gained at both ends."""
         keeps_low, keeps_high = (gained >= promise[:, np.newaxis] for gained in (at_low, at_high))
         columns = low[:, np.newaxis], high[:, np.newaxis]
         keeps = np.where(keeps_low, columns[0], np.where(keeps_high, columns[1], np.inf))
@@ -186,19 +185,19 @@ class _Brackets:
 
 
 def tolerated_margins(task: MarginTask, front: Points) -> Array:
-    """The largest margin in m, up to 20 mm, at which each gait of a front still gains what it promises.
+    """Return the largest margin in m, up to 20 mm, at which each gait of a front still gains what it promises.
 
-    0 for a gait whose promise the nominal robot does not keep. Shape (n,).
+    The result of shape (n,) is 0 for a gait whose promise the nominal robot does not keep.
     """
-    looked = np.arange(0.0, min(_MOST_MARGIN, MAX_MARGIN), _MARGIN_STEP)
-    strokes = np.repeat(front.stroke[:, np.newaxis], looked.size, axis=1)
-    frequencies = np.repeat(front.frequency[:, np.newaxis], looked.size, axis=1)
+    scanned = np.arange(0.0, min(_MOST_MARGIN, MAX_MARGIN), _MARGIN_STEP)
+    strokes = np.repeat(front.stroke[:, np.newaxis], scanned.size, axis=1)
+    frequencies = np.repeat(front.frequency[:, np.newaxis], scanned.size, axis=1)
     promised = front.count // AVERAGED
     kept = _kept(
-        task, strokes, frequencies, looked, promised[:, np.newaxis], front.shape[:, np.newaxis]
+        task, strokes, frequencies, scanned, promised[:, np.newaxis], front.shape[:, np.newaxis]
     )
     lost = np.argmin(np.column_stack([kept, np.zeros(len(front), dtype=bool)]), axis=1)
-    low = looked[np.maximum(lost - 1, 0)]
+    low = scanned[np.maximum(lost - 1, 0)]
     high = low + np.where(lost > 0, _MARGIN_STEP, 0.0)
     for _ in range(_MARGIN_PASSES):
         middle = 0.5 * (low + high)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""All that is predicted of a gait: robust and nominal prediction, distances to the edges, probabilities."""
+"""Predictions for a gait: robust and nominal, distances to the edges, probabilities."""
 
 from __future__ import annotations
 
@@ -21,12 +21,11 @@ from worm_optimizer.robustness.uncertainty import phase_known, phase_unknown
 
 @dataclass(frozen=True, kw_only=True)
 class Prediction(Gait):
-    """A gait and what the model predicts for the last three of five cycles; SI units.
+    """Gait with the model's predictions for the last three of five cycles; SI units.
 
-    ``speed`` (along the gait's direction), ``power``, ``cost_of_transport`` and ``grooves_per_cycle`` are
-    with the gait's margin, the nominal ones without; ``groove_phase`` is the one that they hold for. The
-    distances to the edges of the nominal branch in m and the probabilities that the robot gains the predicted grooves
-    are NaN in an `outline`.
+    ``speed`` (along the gait's direction), ``power``, ``cost_of_transport`` and ``grooves_per_cycle`` are predicted
+    with the gait's margin, the nominal ones without. All hold for the ``groove_phase``. The distances to the edges of
+    the nominal branch in m and the probabilities that the robot gains the predicted grooves are NaN in an `outline`.
     """
 
     speed: float
@@ -58,7 +57,7 @@ def outline(
 ) -> tuple[Prediction, ...]:
     """Predict gaits with and without their margins, without distances to edges and probabilities.
 
-    ``stroke`` in m, ``frequency`` in Hz, ``margin`` in m and ``shape`` of shape (n,) make the gaits, the task their
+    ``stroke`` in m, ``frequency`` in Hz, ``margin`` in m and ``shape`` of shape (n,) define the gaits, the task their
     direction and model.
     """
     robust = task.table(stroke, frequency, margin, shape=shape)
@@ -67,9 +66,9 @@ def outline(
     columns = {
         **robust.gait,
         "direction": np.full(stroke.shape, task.direction),
-        **_figures(task, robust, held),
+        **_results(task, robust, held),
         "groove_phase": np.full_like(stroke, groove_phase(task.parameters)),
-        **{f"nominal_{name}": values for name, values in _figures(task, nominal, held).items()},
+        **{f"nominal_{name}": values for name, values in _results(task, nominal, held).items()},
     }
     rows = zip(*(np.asarray(values).tolist() for values in columns.values()), strict=True)
     return tuple(Prediction(**dict(zip(columns, row, strict=True))) for row in rows)
@@ -85,9 +84,9 @@ def predict(
     seed: int,
     shape: Shapes = SINUSOID,
 ) -> tuple[Prediction, ...]:
-    """Predict gaits with all that `Prediction` holds; see `outline`.
+    """Predict gaits with all fields of `Prediction`; see `outline`.
 
-    ``content`` has the uncertainty, of which ``samples`` are drawn with ``seed``.
+    ``content`` contains the uncertainty, from which ``samples`` are drawn with ``seed``.
     """
     promised = branch_of(task.table(stroke, frequency, margin, shape=shape))
     lower, upper = stroke_to_edges(task, stroke, frequency, shape)
@@ -110,8 +109,8 @@ def predict(
     )
 
 
-def _figures(task: MarginTask, table: GaitTable, held: Array) -> dict[str, Array]:
-    """Return speed, power with the ``held`` one in W, cost of transport and grooves per cycle of a table of gaits."""
+def _results(task: MarginTask, table: GaitTable, held: Array) -> dict[str, Array]:
+    """Return speed, power with holding power in W, cost of transport and grooves per cycle of a table of gaits."""
     power = table.power + held
     return {
         "speed": table.speed,

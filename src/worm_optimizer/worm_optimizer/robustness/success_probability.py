@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How robust a gait is: its success probability and its distance to the edges of its branch."""
+"""Success probability of gaits, and their distances to the edges of their branches."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def grooves_in(
     scenarios: Scenarios,
     shape: Shapes = SINUSOID,
 ) -> Index:
-    """Least grooves gained in an averaged cycle by each gait in each scenario, with the task's margin.
+    """Return the least grooves gained in an averaged cycle by each gait in each scenario, with the task's margin.
 
     ``stroke`` in m and ``frequency`` in Hz of shape (n,); the result has shape (n, scenarios).
     """
@@ -49,10 +49,10 @@ def success_probability(
     scenarios: Scenarios,
     shape: Shapes = SINUSOID,
 ) -> Array:
-    """Share of the scenarios in which the robot gains the promised grooves in every averaged cycle.
+    """Return the share of the scenarios in which the robot gains the promised grooves in every averaged cycle.
 
-    The robot has no margin: thresholds are nominal, whatever the task's margin. ``promised`` grooves per
-    cycle and the result have the shape (n,) of ``stroke`` in m and ``frequency`` in Hz.
+    The thresholds are nominal; the task's margin is not used. ``promised`` grooves per cycle and the result have the
+    shape (n,) of ``stroke`` in m and ``frequency`` in Hz.
     """
     gained = grooves_in(task.with_margin(0.0), stroke, frequency, scenarios, shape)
     return np.mean(gained >= np.asarray(promised)[:, np.newaxis], axis=1)
@@ -61,10 +61,10 @@ def success_probability(
 def stroke_to_edges(
     task: MarginTask, stroke: Array, frequency: Array, shape: Shapes = SINUSOID
 ) -> tuple[Array, Array]:
-    """Distances in m by which each stroke may shrink and grow before the robot's grooves per cycle change.
+    """Return the distances in m by which each stroke may shrink and grow before the grooves per cycle change.
 
-    The robot is nominal: no margin, no limits. Where the branch reaches a bound of the box, the distance to the
-    bound. ``stroke`` in m and ``frequency`` in Hz of shape (n,).
+    The robot is nominal, without margin and limits. If the branch reaches a bound of the box, the result is the
+    distance to the bound. ``stroke`` in m and ``frequency`` in Hz of shape (n,).
     """
     nominal = dataclasses.replace(task, margin=0.0, limits=NO_LIMITS)
     box, shapes = task.bounds, np.broadcast_to(shape, stroke.shape)
@@ -77,7 +77,7 @@ def stroke_to_edges(
     strokes = np.column_stack([scan, stroke])
     runs = find_runs(label, np.sort(strokes, axis=1), EDGE_TOLERANCE)
     own = (runs.low <= stroke[runs.column]) & (stroke[runs.column] <= runs.high)
-    # A stroke is a stroke of its own scan, so that one run of its column holds it: the first of those found.
+    # Each stroke is part of its own scan, so that a run of its column contains it; use the first one found.
     place = np.flatnonzero(own)[np.unique(runs.column[own], return_index=True)[1]]
     lower = np.where(runs.stepped[place], runs.low[place], box.stroke_low)
     following = np.minimum(place + 1, len(runs.column) - 1)

@@ -14,9 +14,8 @@ from worm_model.simulation.closed_form import front_groove, groove_phase
 from worm_msgs.robot_parameters import ROWS
 from worm_optimizer.evaluation.task import Array
 
-# 95 % half-widths relative to the value, of the parameters that decide the motion, for those without an
-# interval in the parameter file. They are this project's judgement, not the paper's: what careful
-# weighing, a caliper, a force gauge and a camera give.
+# 95 % half-widths relative to the value, for parameters of the motion without an interval in the parameter file. They
+# are this project's estimates, not the paper's: the accuracy of careful weighing, a caliper, a force gauge, a camera.
 MOTION_HALF_WIDTHS: Mapping[str, float] = {
     "rear_mass": 0.01,
     "front_mass": 0.01,
@@ -30,27 +29,27 @@ MOTION_HALF_WIDTHS: Mapping[str, float] = {
     "gain": 0.02,
     "slack": 0.05,
 }
-# The same of those that touch the power only. A fit knows the product of damping and power factor better than
-# either: what the file says of their correlation decides the band of power.
+# The same for parameters that affect only the power. A fit determines the product of damping and power factor better
+# than either, so that their correlation in the file determines the band of the power.
 POWER_HALF_WIDTHS: Mapping[str, float] = {
     "bellows_stiffness": 0.03,
     "bellows_damping": 0.10,
     "idle_power": 0.05,
     "power_factor": 0.05,
 }
-LENGTH = "initial_length"  # is drawn as the groove phase
-# All parameters that are drawn, those without a stated width within their interval in the file.
+LENGTH = "initial_length"  # drawn as the groove phase
+# All parameters that are drawn. Those without a width above are drawn within their interval in the file.
 MOTION_KEYS = (
     *MOTION_HALF_WIDTHS,
     *(k for k in KEYS if k not in {*MOTION_HALF_WIDTHS, *POWER_ONLY, LENGTH}),
 )
 POWER_KEYS = (*POWER_HALF_WIDTHS, *(k for k in KEYS if k in POWER_ONLY - {*POWER_HALF_WIDTHS}))
 
-_PHASES = 64  # of every_phase
+_PHASES = 64  # number of phases of every_phase
 # Streams of the random numbers of the first parameter of either kind
 _MOTION_STREAM, _POWER_STREAM = 10, 1000
 _NORMAL_95 = 1.959963984540054  # standard deviations within which a normal variable lies in 95 %
-_MOST_DEVIATIONS = 4.0  # draws are cut there, so that none leaves the admissible range
+_MOST_DEVIATIONS = 4.0  # draws are limited to this, so that they stay in the admissible range
 
 
 @dataclass(frozen=True)
@@ -64,9 +63,9 @@ class Scenarios:
 
 
 def reach_of(content: ParameterFile, key: str) -> tuple[float, float]:
-    """95 % reach below and above a value: the file's interval, else the stated default (of others 0).
+    """Return the 95 % reach below and above a value: the file's interval, else the default width (of others 0).
 
-    What differs from run to run is added to either.
+    The scatter from run to run is added to both.
     """
     width = MOTION_HALF_WIDTHS.get(key, POWER_HALF_WIDTHS.get(key, 0.0))
     value = content.parameters.as_dict()[key]
@@ -76,7 +75,7 @@ def reach_of(content: ParameterFile, key: str) -> tuple[float, float]:
 
 
 def description(content: ParameterFile) -> str:
-    """Where the uncertainty of a parameter file comes from, in words."""
+    """Return the source of the uncertainty of a parameter file as text."""
     reach = max(reach_of(content, LENGTH))
     phase = f"; φ known to ±{1e3 * reach:.2f} mm in the next run" if reach > 0.0 else ""
     return _parameters_described(content) + phase
@@ -96,11 +95,11 @@ def _parameters_described(content: ParameterFile) -> str:
 
 
 def phase_known(content: ParameterFile, samples: int, seed: int) -> Scenarios:
-    """Draws of the parameters at the file's groove phase φ, to within its initial_length's reach.
+    """Return draws of the parameters at the file's groove phase φ, within the reach of its initial_length.
 
-    The reach is that of the next run: the interval of the mean, and what differs from run to run.
-    The phase is held and not the length: φ = L0 − n·d, so that seventeen times a pitch's error would
-    otherwise pass for a phase. Deviations are normal, with a width of its own on either side.
+    The reach is that of the next run: the interval of the mean, and the scatter from run to run. The phase is drawn and
+    not the length, because with φ = L0 − n·d the error of the pitch would otherwise enter the phase seventeen-fold.
+    Deviations are normal, with a separate width on each side.
     """
     overrides = _draws(content, MOTION_KEYS, samples, seed, _MOTION_STREAM)
     trim = _offset(_deviates(samples, seed, stream=1), reach_of(content, LENGTH))
@@ -109,7 +108,7 @@ def phase_known(content: ParameterFile, samples: int, seed: int) -> Scenarios:
 
 
 def phase_unknown(content: ParameterFile, samples: int, seed: int) -> Scenarios:
-    """The same draws with the groove phase uniform over a pitch."""
+    """Return the draws of `phase_known`, but with the groove phase uniform over a pitch."""
     overrides = _draws(content, MOTION_KEYS, samples, seed, _MOTION_STREAM)
     turn = np.random.default_rng([seed, 2]).uniform(-0.5, 0.5, samples)
     phase = turn * overrides["pitch"]
@@ -117,22 +116,22 @@ def phase_unknown(content: ParameterFile, samples: int, seed: int) -> Scenarios:
 
 
 def power_draws(content: ParameterFile, samples: int, seed: int) -> dict[str, Array]:
-    """Draws of the parameters that touch the power only, by key."""
+    """Return draws of the parameters that affect only the power, by key."""
     return _draws(content, POWER_KEYS, samples, seed, _POWER_STREAM)
 
 
 def every_phase(parameters: Parameters) -> Scenarios:
-    """The parameters as they are at groove phases evenly over a pitch; see `phase_guard`."""
+    """Return the parameters at groove phases evenly spaced over a pitch; see `phase_guard`."""
     turn = (np.arange(_PHASES) + 0.5) / _PHASES - 0.5
     pitch = np.full(_PHASES, parameters.pitch)
     return Scenarios(_at_phase(parameters, pitch, turn * parameters.pitch))
 
 
 def phase_guard(parameters: Parameters) -> float:
-    """The margin in m with which what holds at the phases of `every_phase` holds at those between.
+    """Return the margin in m with which a promise at the phases of `every_phase` is kept between them, too.
 
-    In the slow limit a gait gains what its travel from threshold to threshold c allows, and a phase
-    between two of them costs as much as a c that is longer by their spacing (see
+    In the slow limit, the travel c from threshold to threshold determines the grooves of a gait. A phase between two of
+    them has the same effect as a c that is longer by their spacing (see
     `worm_model.simulation.closed_form.switching_travel`).
     """
     spacing = parameters.pitch / _PHASES
@@ -140,13 +139,13 @@ def phase_guard(parameters: Parameters) -> float:
 
 
 def _at_phase(parameters: Parameters, pitch: Array, phase: Array) -> dict[str, Array]:
-    """The initial length at a phase; one a pitch on is the same, so the nearest groove serves all."""
+    """Return the initial length at a phase, with the nearest groove, because the phase is periodic in the pitch."""
     wrapped = phase - pitch * np.round(phase / pitch)
     return {"initial_length": front_groove(parameters) * pitch + wrapped}
 
 
 def _deviates(samples: int, seed: int, stream: int) -> Array:
-    """Standard normal deviates, cut at `_MOST_DEVIATIONS`."""
+    """Return standard normal deviates, limited to `_MOST_DEVIATIONS`."""
     return _cut(np.random.default_rng([seed, stream]).standard_normal(samples))
 
 
@@ -157,10 +156,10 @@ def _cut(deviate: Array) -> Array:
 def correlated(
     deviates: Mapping[str, Array], correlations: Mapping[tuple[str, str], float]
 ) -> dict[str, Array]:
-    """Independent standard normal deviates by key, of shape (n,), mixed such that pairs correlate.
+    """Return independent standard normal deviates by key, of shape (n,), mixed such that pairs correlate.
 
-    Correlations of other keys are passed over. Those that exclude each other, as rounded ones may, are
-    replaced by nearby ones that do not.
+    Correlations of other keys are ignored. Inconsistent correlations, which rounding can cause, are replaced by
+    consistent ones near them.
     """
     keys = list(deviates)
     matrix = np.eye(len(keys))
@@ -175,7 +174,7 @@ def correlated(
 
 
 def _offset(deviate: Array, reach: tuple[float, float]) -> Array:
-    """How far standard normal deviates (n,) lie from the value, in its unit, at a 95 % reach below and above."""
+    """Return the offsets of standard normal deviates (n,) from the value, in its unit, at a 95 % reach on each side."""
     below, above = reach
     share = _cut(deviate) / _NORMAL_95
     return np.where(share > 0.0, share * above, share * below)
@@ -186,7 +185,7 @@ def values_at(
     reach: Mapping[str, tuple[float, float]],
     deviates: Mapping[str, Array],
 ) -> dict[str, Array]:
-    """Values by key at standard normal deviates (n,), as far as `Parameters` admits them."""
+    """Return values by key at standard normal deviates (n,), limited to those that `Parameters` admits."""
     values = parameters.as_dict()
     drawn = {
         key: np.maximum(values[key] + _offset(deviates[key], reach[key]), _least(key, values[key]))
@@ -196,7 +195,7 @@ def values_at(
         threshold, pitch, clearance = (
             drawn.get(key, values[key]) for key in ("switching_threshold", "pitch", "clearance")
         )
-        # What `Parameters` demands of every set: a fin that switches must stay where it lands.
+        # `Parameters` requires it, because a fin that switches must not switch back.
         least = np.maximum(0.5 * pitch, 0.5 * clearance) * 1.001
         drawn["switching_threshold"] = np.maximum(threshold, least)
     return drawn
@@ -211,7 +210,7 @@ def _least(key: str, value: float) -> float:
 def _draws(
     content: ParameterFile, keys: Iterable[str], samples: int, seed: int, stream: int
 ) -> dict[str, Array]:
-    """Draws within the reach of each key, those that the file correlates together."""
+    """Return draws within the reach of each key, with the file's correlations."""
     reach = {key: reach_of(content, key) for key in keys}
     independent = {
         key: _deviates(samples, seed, number) for number, key in enumerate(reach, stream)

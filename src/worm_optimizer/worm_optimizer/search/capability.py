@@ -20,9 +20,9 @@ from worm_optimizer.search.exact import Resolution, Zoom, exact_front
 # Parameters by key under loads or slopes, arrays that are broadcast against gaits.
 Overrides = Callable[[Array], Mapping[str, Array]]
 
-_SCAN = 65  # loads at which a gait is first evaluated
-_TOLERANCE = 1e-4  # of the range
-_STROKES, _FREQUENCIES = 41, 17  # of the box, among which the best gait is searched
+_SCAN = 65  # loads of the first scan of a gait
+_TOLERANCE = 1e-4  # relative to the range
+_STROKES, _FREQUENCIES = 41, 17  # first grid over the box in the search for the strongest gait
 _ZOOMS = 4
 _CURVE = 13  # loads of the curves
 _RESOLUTION, _ZOOM = Resolution(strokes=21, frequencies=17), Zoom(points=9, rounds=5)
@@ -31,12 +31,12 @@ _STEEPEST = 90.0  # degrees
 
 @dataclass(frozen=True)
 class Capability:
-    """What a gait moves against.
+    """Largest loads and slopes of a gait.
 
-    ``largest_load`` in N on the rear module and ``largest_slope_deg`` for the robot's weight are those up to which the
-    gait gains a groove in every averaged cycle; 0 for a gait that does not move at all. ``full_load`` in N: up to
-    which it gains as many grooves as without load. ``closed_form_largest_load`` in N is the largest load in the slow
-    limit, NaN for a gait that does not move then. All are in addition to the loads of the robot.
+    Up to ``largest_load`` in N on the rear module, and up to ``largest_slope_deg``, the gait gains a groove in every
+    averaged cycle; both are 0 for a gait that does not move. Up to ``full_load`` in N it gains as many grooves as
+    without load. ``closed_form_largest_load`` in N is the largest load in the slow limit, NaN for a gait that does not
+    move there. All loads are in addition to those of the robot.
     """
 
     gait: Gait
@@ -48,7 +48,7 @@ class Capability:
 
 @dataclass(frozen=True)
 class LoadPoint:
-    """Best figures of all gaits at a ``load`` in N; NaN where no gait moves. ``speed`` in m/s."""
+    """Lowest cost of transport and highest ``speed`` in m/s at a ``load`` in N; NaN if no gait moves."""
 
     load: float
     cost_of_transport: float
@@ -76,7 +76,7 @@ def slopes(task: MarginTask) -> Overrides:
 
 
 def most_load(task: MarginTask) -> float:
-    """Return a load in N that no gait moves: beyond it both engaged fins pass their thresholds at rest."""
+    """Return a load in N that no gait moves, because both engaged fins pass their thresholds at rest beyond it."""
     p = task.parameters
     carried = 2.0 * p.engaged_stiffness * p.switching_threshold
     return (
@@ -94,11 +94,11 @@ def largest(
     """Return the largest value up to which gaits gain the least grooves (n,) in each averaged cycle.
 
     Args:
-        task: the robot; its margin is that of the gaits.
+        task: robot and margin.
         gaits: stroke in m, frequency in Hz, and shape, (n,) each.
-        overrides: parameters under the values.
-        most: end of the range, whose begin is 0; it is returned for gaits that never fail.
-        least_grooves: of each gait, (n,).
+        overrides: returns the parameters for values.
+        most: end of the range, which begins at 0. It is the result for gaits that never fail.
+        least_grooves: least grooves of each gait, (n,).
     """
     stroke, frequency = (column[:, np.newaxis] for column in gaits[:2])
     shape = gaits[2][:, np.newaxis]
@@ -120,7 +120,7 @@ def largest(
 
 
 def capabilities(task: MarginTask, gaits: Sequence[Gait]) -> tuple[Capability, ...]:
-    """Return what gaits, without their margins, move against; the loads of the task's robot are there, too."""
+    """Return the capabilities of gaits without their margins. The loads of the task's robot are present, too."""
     robot = task.with_margin(0.0)
     shape = shapes_of(len(gaits))
     for name in shape.dtype.names or ():
@@ -147,7 +147,7 @@ def capabilities(task: MarginTask, gaits: Sequence[Gait]) -> tuple[Capability, .
 
 
 def strongest(task: MarginTask) -> Gait | None:
-    """Return the sinusoid of the task's box that moves against the largest load; None if none moves."""
+    """Return the sinusoid of the task's box with the largest load; None if no gait moves."""
     robot, box = task.with_margin(0.0), task.bounds
     low = np.array([box.stroke_low, box.frequency_low])
     high = np.array([box.stroke_high, box.frequency_high])

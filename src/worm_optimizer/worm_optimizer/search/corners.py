@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Corners: at a frequency and for the shares of a shape, the gait of a branch with the shortest stroke.
 
-The command swings between the pretension o and the reach o + S. To gain its grooves a gait needs a reach that is long
-enough and a pretension that is small enough. Both borders are steps of the groove count. Along either border the stroke
-becomes shorter and the power falls towards the corner in which they meet. `corners` locates it by bisection along both
+The command swings between the pretension o and the reach o + S. To gain its grooves, a gait needs a reach above one
+border and a pretension below another. Both borders are steps of the groove count. Along each border the stroke and the
+power decrease towards the corner in which the borders meet. `corners` locates the corner by bisection along both
 borders in turn. `improve` searches the contraction share and the ramp share whose corner needs the lowest power.
 """
 
@@ -29,13 +29,13 @@ from worm_optimizer.evaluation.task import (
 )
 from worm_optimizer.optimizer_errors import OptimizerError
 
-# Widths in m to which both borders are located in turn: one moves a little while the other is located.
+# Widths in m to which both borders are located in turn, because each border depends on the position on the other one.
 COARSE = (2e-5, 1e-6)
 FINE = (*COARSE, EDGE_TOLERANCE)
-_WINDOW = 50.0  # of the last width, in which a border is located again: it moves while the other one is located
-_REACHES = 8  # steps of an eighth of the pitch below the longest reach, at which a gait may still gain its grooves
-_FIRST_STEPS = (0.08, 0.1)  # of contraction share and ramp share
-_LEAST_STEP = 0.015  # of the first step, at which the search ends
+_WINDOW = 50.0  # size of the window in which a border is located again, relative to the last width
+_REACHES = 8  # tried reaches below the longest one, an eighth of the pitch apart
+_FIRST_STEPS = (0.08, 0.1)  # first steps of contraction share and ramp share
+_LEAST_STEP = 0.015  # step at which the search ends, relative to the first one
 _SHRINK = 0.4
 _MOST_ROUNDS = 30
 FORBIDDEN = 1e6  # W, cost of a gait that violates a limit; it grows with the violation
@@ -45,7 +45,7 @@ FORBIDDEN = 1e6  # W, cost of a gait that violates a limit; it grows with the vi
 class ShapeBounds:
     """Box of the shapes: pretension in m, contraction share and ramp share, each (low, high).
 
-    Raises `OptimizerError` unless low ≤ high within what a gait may have.
+    Raises `OptimizerError` unless low ≤ high within the limits of a gait.
     """
 
     pretension: tuple[float, float] = (0.0, MAX_PRETENSION)
@@ -66,22 +66,22 @@ class ShapeBounds:
 
     @property
     def include_sinusoid(self) -> bool:
-        """True if the paper's gait is within the box; a cosine has no ramps."""
+        """True if the paper's gait is within the box. The ramps do not matter, because a cosine has none."""
         low, high = self.contraction_share
         return self.pretension[0] == 0.0 and low <= 0.5 <= high
 
     @property
     def shares(self) -> Array:
-        """Bounds of contraction share and ramp share, shape (2, 2): a row each, (low, high)."""
+        """Bounds of contraction share and ramp share, shape (2, 2), one row (low, high) each."""
         return np.array([self.contraction_share, self.ramp_share])
 
 
 @dataclass(frozen=True)
 class Columns:
-    """Problems that are solved side by side; every field has shape (n,).
+    """Problems that are solved at the same time; every field has shape (n,).
 
-    ``frequency`` in Hz, ``margin`` in m, ``count``: the grooves to be gained in the averaged cycles together,
-    ``profile``: number of the profile.
+    ``frequency`` in Hz, ``margin`` in m, ``count``: grooves to be gained in all averaged cycles together, ``profile``:
+    number of the profile.
     """
 
     frequency: Array
@@ -107,10 +107,12 @@ def corners(
     shares: Array,
     widths: tuple[float, ...],
 ) -> tuple[Points, Mask]:
-    """Locate the corners of shapes with ``shares`` (n, 2) by both borders, to each of the ``widths`` in m in turn.
+    """Locate the corners of shapes with ``shares`` (n, 2), to each of the ``widths`` in m in turn.
 
-    Returns the gaits, a little to the safe side of both borders, and which of them gain the grooves. The limits of the
-    task are not considered.
+    The limits of the task are not considered.
+
+    Returns:
+        The gaits, slightly on the safe side of both borders, and a mask of those that gain the grooves.
     """
     least, most = task.bounds.stroke_low, task.bounds.stroke_high
     low, high = bounds.pretension
@@ -153,9 +155,9 @@ def corners(
 
 
 def reaches_of(task: MarginTask, bounds: ShapeBounds) -> Array:
-    """Return reaches in m, falling, at which a gait of the least pretension is tried.
+    """Return the reaches in m, falling, at which a gait with the least pretension is tried.
 
-    Near the highest frequency of a branch, a reach that is too long loses the grooves, too.
+    Shorter reaches are needed because near the highest frequency of a branch, a long reach loses the grooves.
     """
     longest = task.bounds.stroke_high
     reaches = longest - np.arange(_REACHES + 1) * task.parameters.pitch / _REACHES
@@ -186,7 +188,7 @@ def _bisected(
 
 
 def costs_of(points: Points, found: Mask) -> Array:
-    """Return the power of gaits in W; gaits beyond a limit cost more than all others, missing ones infinitely much."""
+    """Return the power of gaits in W. Gaits beyond a limit cost more than all others; missing gaits cost infinity."""
     costs = np.where(points.violation > 0.0, FORBIDDEN * (1.0 + points.violation), points.power)
     return np.where(found, costs, np.inf)
 
@@ -200,15 +202,15 @@ def improve(
 ) -> tuple[Array, Array]:
     """Search the shares (n, 2) with the lowest costs, all problems at once.
 
-    A pattern of eight neighbours moves to the best of them or to the minimum of the quadratic through all of them, and
-    shrinks otherwise.
+    A pattern of eight neighbours moves to the best of them, or to the minimum of the quadratic through all of them.
+    If neither is better, it shrinks.
 
     Args:
-        cost_of: costs of shares (m, 2) of the problems with the numbers (m,).
+        cost_of: returns the costs of shares (m, 2) of the problems with the numbers (m,).
         profile: number of the profile of each problem, shape (n,); a cosine has no ramps.
-        bounds: of contraction share and ramp share, shape (2, 2).
-        shares: where to begin, shape (n, 2).
-        first_step: relative to the usual first step.
+        bounds: bounds of contraction share and ramp share, shape (2, 2).
+        shares: start of the search, shape (n, 2).
+        first_step: first step, relative to the usual one.
 
     Returns:
         The shares (n, 2) and their costs (n,).
@@ -243,7 +245,7 @@ def improve(
 
 
 def _minimum_of_quadratic(centre: Array, table: Array) -> Array:
-    """Return the minimum (n, 2) of the quadratic through each pattern in steps, at most 1.5; 0 where there is none."""
+    """Return the minimum (n, 2) of the quadratic through each pattern, in steps, at most 1.5; 0 without a minimum."""
     low_low, low, low_high, down, up, high_low, high, high_high = table.T
     with np.errstate(invalid="ignore", divide="ignore"):
         slope = 0.5 * np.stack([high - low, up - down])
@@ -252,7 +254,7 @@ def _minimum_of_quadratic(centre: Array, table: Array) -> Array:
         determinant = xx * yy - xy * xy
         usable = (table.max(axis=1) < FORBIDDEN) & (xx > 0.0) & (determinant > 1e-9 * xx * xx)
         both = np.stack([xy * slope[1] - yy * slope[0], xy * slope[0] - xx * slope[1]])
-        # At a bound of the ramp share, and of a cosine, the contraction share counts alone.
+        # At a bound of the ramp share, and for a cosine, only the contraction share can change.
         single = (np.maximum(high, low) < FORBIDDEN) & (xx > 0.0)
         alone = np.stack([-slope[0] / xx, np.zeros_like(xx)])
         minimum = np.where(usable, both / determinant, np.where(single, alone, 0.0))

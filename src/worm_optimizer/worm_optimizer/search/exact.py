@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The exact front: the lower edges of all branches over the frequency, and minima along them.
+"""Exact front: the lower edges of all branches over the frequency, and minima along them.
 
-At a fixed frequency the grooves gained are a step function of the stroke, and within a step the power rises with the
-stroke. The Pareto set therefore consists of lower edges: for each number of grooves and each frequency the shortest
-stroke that gains them. `survey` finds the edges in columns of the frequency; `minimise` follows them between the
+At a fixed frequency, the number of grooves gained is a step function of the stroke, and within a step the power rises
+with the stroke. The Pareto set therefore consists of lower edges. An edge is the shortest stroke that gains a number of
+grooves at a frequency. `survey` finds the edges in columns of the frequency; `minimise` follows them between the
 columns.
 """
 
@@ -29,16 +29,15 @@ from worm_optimizer.evaluation.task import (
 from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.search.pareto import front_of
 
-# A figure of gaits to be minimised, infinite for a gait that does not qualify; shape (n,).
+# Returns the cost of gaits that is minimised, infinite for a gait that does not qualify; shape (n,).
 Cost = Callable[[Points], Array]
-# Edges of a task with counts (n,) at frequencies (n,) in Hz within strokes (n, scan) in m, for the candidates (n,) that
-# they belong to. Edges with other counts may be among them.
+# Returns the edges of a task with counts (n,) at frequencies (n,) in Hz within strokes (n, scan) in m, for candidates
+# (n,). Edges with other counts may be among them.
 FindEdges = Callable[[Index, Index, Array, Array], Edges]
 
-_NEAR_BEST = (
-    0.02  # of the lowest cost: local minima within it may turn out lowest between the columns
-)
-_FASTER = 1e-12  # relative, by which a gait of another branch is faster than the one that it is compared with
+# Local minima within this share of the lowest cost may be the lowest between the columns.
+_NEAR_BEST = 0.02
+_FASTER = 1e-12  # relative excess of the speed at which a gait of another branch is compared
 _WINDOW_SCAN = 5  # strokes of a scan in the window around an edge that is followed
 _LEAST_WINDOW = 1e-6  # m
 _LONGER = 4  # longer strokes at which the rise of the power is verified
@@ -46,7 +45,7 @@ _LONGER = 4  # longer strokes at which the rise of the power is verified
 
 @dataclass(frozen=True)
 class Resolution:
-    """Scan of the box: ``strokes`` at each of ``frequencies``, evenly over it."""
+    """Scan of the box with ``strokes`` at each of ``frequencies``, evenly spaced."""
 
     strokes: int = 41
     frequencies: int = 161
@@ -58,13 +57,13 @@ class Resolution:
             )
 
     def columns(self, bounds: Bounds) -> Array:
-        """Frequencies of the columns in Hz."""
+        """Return the frequencies of the columns in Hz."""
         return np.unique(np.linspace(bounds.frequency_low, bounds.frequency_high, self.frequencies))
 
 
 @dataclass(frozen=True)
 class Zoom:
-    """Refinement of a minimum: ``points`` over the bracket in each of ``rounds``, which narrows to both neighbours."""
+    """Refinement of a minimum: ``points`` over the bracket in each of ``rounds``, then narrowed around the best."""
 
     points: int = 17
     rounds: int = 6
@@ -78,16 +77,16 @@ class Survey:
     points: Points
 
     def joined(self, more: Points) -> Survey:
-        """The survey with further edges."""
+        """Return the survey with more edges."""
         columns = np.union1d(self.columns, more.frequency)
         return Survey(columns, Points.join(self.points, more))
 
 
 @dataclass(frozen=True)
 class Bracket:
-    """A ``count`` of grooves whose ``cost`` is lowest between frequencies in Hz, on an edge within strokes in m.
+    """Bracket of a minimum of the ``cost`` along the edge of a ``count``, between frequencies in Hz and strokes in m.
 
-    ``owner`` tells the caller what the bracket was made for.
+    ``owner`` is a number of the caller.
     """
 
     count: int
@@ -98,7 +97,7 @@ class Bracket:
 
 
 def survey(task: Task, resolution: Resolution, zoom: Zoom) -> Survey:
-    """Find the edges of all branches of a task's box, among them the ends of those that lie on the front."""
+    """Find the edges of all branches of a task's box, including the ends of branches on the front."""
     columns = resolution.columns(task.bounds)
     scan = np.linspace(task.bounds.stroke_low, task.bounds.stroke_high, resolution.strokes)
     edges = task.edges(columns, np.tile(scan, (columns.size, 1)))
@@ -108,10 +107,10 @@ def survey(task: Task, resolution: Resolution, zoom: Zoom) -> Survey:
 
 
 def _completed(task: Task, surveyed: Survey, step: float) -> Survey:
-    """The survey with the thin parts of branches, which lie between the strokes of the scan, ``step`` m apart.
+    """Return the survey with the thin parts of branches, which lie between the strokes of the scan, ``step`` m apart.
 
-    Where a branch lacks a column, or begins there at a longer stroke, its edge is looked for near that of the
-    neighbouring column, and from there on in the next one.
+    If a branch lacks a column, or begins there at a longer stroke, its edge is searched near that of the neighbouring
+    column. The search then continues in the next column.
     """
     tried: set[tuple[int, int, int]] = set()
     while True:
@@ -129,13 +128,13 @@ def _completed(task: Task, surveyed: Survey, step: float) -> Survey:
 
 
 def _seeds(surveyed: Survey, step: float) -> list[tuple[int, int, int, tuple[float, float]]]:
-    """(count, place of a column, side, strokes in m near which the edge may pass there) for `_completed`."""
+    """Return (count, index of a column, side, strokes in m near which the edge may pass there) for `_completed`."""
     seeds = []
     for count in np.unique(surveyed.points.count):
         _, strokes = _by_column(surveyed, surveyed.points.stroke, int(count))
         for side in (-1, 1):
             near, beyond = (np.roll(strokes, by * side) for by in (1, 2))
-            near[0 if side > 0 else -1] = np.nan  # a box has no neighbour around its corner
+            near[0 if side > 0 else -1] = np.nan  # The outermost column has one neighbour only.
             missed = np.isfinite(near) & ~(strokes <= near + 0.5 * step)
             for place in np.flatnonzero(missed):
                 pair = near[place], beyond[place] if np.isfinite(beyond[place]) else near[place]
@@ -146,36 +145,36 @@ def _seeds(surveyed: Survey, step: float) -> list[tuple[int, int, int, tuple[flo
 
 
 def finder(task: Task) -> FindEdges:
-    """Return the edges of a task, whatever the candidate."""
+    """Return a function that finds the edges of a task, independent of the candidate."""
     return lambda _, count, frequency, strokes: task.edges(frequency, strokes, count)
 
 
 def speed_cost(points: Points) -> Array:
-    """Negative speed."""
+    """Return the negative speed in m/s."""
     return -points.speed
 
 
 def power_cost(points: Points) -> Array:
-    """Power."""
+    """Return the power in W."""
     return points.power
 
 
 def transport_cost(points: Points) -> Array:
-    """Cost of transport but for the weight."""
+    """Return the cost of transport times the weight, in N."""
     return points.power / points.speed
 
 
 def lowest(task: Task, surveyed: Survey, costs: Sequence[Cost], zoom: Zoom) -> Points:
     """Minimise each cost along the edges, continuously in the frequency.
 
-    Returns the local minima that come near the lowest one, of all costs; none of a cost that no gait qualifies for.
+    Returns the local minima near the lowest one of each cost. A cost for which no gait qualifies has none.
     """
     brackets = [bracket for cost in costs for bracket in brackets_of(surveyed, cost)]
     return minimise(finder(task), brackets, zoom)
 
 
 def brackets_of(surveyed: Survey, cost: Cost, owner: int = 0) -> list[Bracket]:
-    """Brackets around the local minima of a cost over the columns that come near the lowest one."""
+    """Return brackets around the local minima of a cost over the columns that are near the lowest one."""
     points, columns = surveyed.points, surveyed.columns
     costs = cost(points)
     least = costs.min(initial=np.inf)
@@ -196,10 +195,10 @@ def brackets_of(surveyed: Survey, cost: Cost, owner: int = 0) -> list[Bracket]:
 
 
 def _by_column(surveyed: Survey, costs: Array, count: int) -> tuple[Array, Array]:
-    """Lowest cost of a count in each column and the stroke of it; infinite and NaN where there is none."""
+    """Return the lowest cost of a count in each column and its stroke; infinity and NaN without one."""
     columns, points = surveyed.columns, surveyed.points
     rows = np.flatnonzero(points.count == count)
-    rows = rows[np.argsort(-costs[rows], kind="stable")]  # the last to be written is the lowest
+    rows = rows[np.argsort(-costs[rows], kind="stable")]  # The lowest cost is written last.
     place = np.searchsorted(columns, points.frequency[rows])
     lowest_cost, strokes = np.full(columns.size, np.inf), np.full(columns.size, np.nan)
     lowest_cost[place], strokes[place] = costs[rows], points.stroke[rows]
@@ -207,14 +206,14 @@ def _by_column(surveyed: Survey, costs: Array, count: int) -> tuple[Array, Array
 
 
 def _window(strokes: Array, least: float = _LEAST_WINDOW) -> tuple[float, float]:
-    """Strokes between which an edge lies that passes through these; NaN are passed over."""
+    """Return the strokes between which an edge through these strokes lies; NaN are ignored."""
     low, high = float(np.nanmin(strokes)), float(np.nanmax(strokes))
     reach = max(high - low, least)
     return low - reach, high + reach
 
 
 def _ends(surveyed: Survey) -> list[Bracket]:
-    """Brackets around the highest frequency of each branch of the front that ends between two columns."""
+    """Return brackets around the highest frequency of each branch of the front that ends between two columns."""
     columns, front = surveyed.columns, front_of(surveyed.points)
     brackets = []
     for count in np.unique(front.count):
@@ -228,13 +227,13 @@ def _ends(surveyed: Survey) -> list[Bracket]:
 
 
 def minimise(find: FindEdges, brackets: Sequence[Bracket], zoom: Zoom) -> Points:
-    """Minimise the cost of each bracket, all at once; the best gait of each that has one, in order."""
+    """Minimise the cost of each bracket, all at once. Return the best gaits, in order; a bracket may have none."""
     best, known = followed(find, brackets, zoom)
     return best.take(known)
 
 
 def followed(find: FindEdges, brackets: Sequence[Bracket], zoom: Zoom) -> tuple[Points, Mask]:
-    """Like `minimise`: (one row for each bracket, which of them hold a gait)."""
+    """Minimise like `minimise`. Return (one row for each bracket, mask of those with a gait)."""
     frequency = np.array([bracket.frequency for bracket in brackets]).reshape(-1, 2)
     stroke = np.array([bracket.stroke for bracket in brackets]).reshape(-1, 2)
     rows = np.arange(len(brackets))
@@ -258,9 +257,9 @@ def followed(find: FindEdges, brackets: Sequence[Bracket], zoom: Zoom) -> tuple[
 def _costs(
     find: FindEdges, brackets: Sequence[Bracket], at: Array, window: Array
 ) -> tuple[Points, Array]:
-    """(points, costs (brackets, n)) on the edges of the brackets' counts at frequencies (brackets, n) in Hz.
+    """Return (points, costs (brackets, n)) on the edges of the brackets' counts at frequencies (brackets, n) in Hz.
 
-    Of several edges the cheapest; NaN and infinite where there is none.
+    Of several edges, the cheapest one is returned. Without an edge, the values are NaN and infinity.
     """
     owner = np.repeat(np.arange(len(brackets)), at.shape[1])
     scan = np.linspace(window[owner, 0], window[owner, 1], _WINDOW_SCAN, axis=1)
@@ -272,7 +271,7 @@ def _costs(
     for cost in {bracket.cost for bracket in brackets}:
         rows = np.array([bracket.cost is cost for bracket in brackets])[owner[column]]
         costs[rows] = cost(points.take(rows))
-    order = np.argsort(-costs, kind="stable")  # the last to be written is the lowest
+    order = np.argsort(-costs, kind="stable")  # The lowest cost is written last.
     place = np.full(at.size, -1)
     place[column[order]] = order
     table = np.full(at.size, np.inf)
@@ -286,7 +285,7 @@ def _nothing(count: int) -> Points:
 
 
 def _where(condition: Mask, first: Points, second: Points) -> Points:
-    """Rows of the first where the condition holds, else of the second."""
+    """Return the rows of the first where the condition is True, else those of the second."""
     count = len(second)
     return Points.join(first, second).take(
         np.where(condition, np.arange(count), np.arange(count) + count)
@@ -295,11 +294,11 @@ def _where(condition: Mask, first: Points, second: Points) -> Points:
 
 @dataclass(frozen=True)
 class ExactFront:
-    """The non-dominated edges of a task, by rising speed, with all that answers further questions about them.
+    """Non-dominated edges of a task, by rising speed, with the survey for further requests.
 
-    ``front`` holds the gaits of lowest power, lowest cost of transport and highest speed, minimised continuously.
+    ``front`` contains the gaits of lowest power, lowest cost of transport and highest speed, minimised continuously.
     ``power_rises``: none of the verified longer strokes of a front's branches needs less power than its edge. A longer
-    stroke that does is in the front instead.
+    stroke that needs less replaces the edge in the front.
     """
 
     task: Task
@@ -319,7 +318,7 @@ class ExactFront:
 
     @property
     def verification(self) -> dict[str, float | int | bool]:
-        """Statement of what was verified, in SI units."""
+        """Extent and result of the verification, in SI units."""
         box, scan = self.task.bounds, self.resolution
         strokes: dict[str, float | int] = {}
         if isinstance(self.task, MarginTask):
@@ -350,7 +349,7 @@ def exact_front(task: Task, resolution: Resolution, zoom: Zoom) -> ExactFront:
 
 
 def _rivals(task: Task, surveyed: Survey, front: Points, reach: float) -> Points:
-    """Edges of other branches at the speeds of a front's gaits, between the columns, where they may be cheaper.
+    """Return edges of other branches at the speeds of a front's gaits, between the columns, if they are cheaper.
 
     They are searched at least ``reach`` m around the edges in the neighbouring columns.
     """
@@ -363,7 +362,7 @@ def _rivals(task: Task, surveyed: Survey, front: Points, reach: float) -> Points
         at = front.count * front.frequency / count * (1.0 + _FASTER)
         place = np.clip(np.searchsorted(columns, at), 1, columns.size - 1)
         near = (front.count != count) & (at >= columns[0]) & (at <= columns[-1])
-        cheapest = np.minimum(power[place - 1], power[place])  # infinite where there is no edge
+        cheapest = np.minimum(power[place - 1], power[place])  # Infinite without an edge.
         for row in np.flatnonzero(near & (cheapest < front.power * (1.0 + _NEAR_BEST))):
             rows.append(row)
             counts.append(int(count))
@@ -379,7 +378,7 @@ def _rivals(task: Task, surveyed: Survey, front: Points, reach: float) -> Points
 
 
 def _cheaper(task: Task, front: Points) -> Points:
-    """Longer strokes on the branches of a front's gaits that need less power than these."""
+    """Return longer strokes on the branches of a front's gaits that need less power than these."""
     shares = np.arange(1, _LONGER + 1)[:, np.newaxis] / _LONGER
     spare = task.bounds.stroke_high - front.shape["pretension"] - front.stroke
     strokes = front.stroke + shares**2 * np.maximum(spare, 0.0)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From parameters to a robust front: the margin, the exact front, predictions of its gaits."""
+"""Robust front of parameters: the margin, the exact front, predictions of its gaits."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ from worm_optimizer.search.price_of_robustness import PriceOfRobustness, price_o
 from worm_optimizer.search.search_settings import Robustness, Settings, Waveform
 from worm_optimizer.search.shaped import ShapedTask
 
-# Draws over which a promise is optimised; its gaits are then judged on others.
+# Draws for the optimisation of a promise. The probabilities of its gaits are then computed with other draws.
 _CHANCE_SCENARIOS = 200
-_PROMISE_COLUMNS = 41  # frequencies of a survey whose gaits are each judged in every scenario
+_PROMISE_COLUMNS = 41  # frequencies of a survey whose gaits are evaluated in every scenario
 _PROMISE_ZOOM = Zoom(points=9, rounds=6)
 _SHAPED_COLUMNS = 81  # frequencies of a survey whose edges are corners
 _SHAPED_ZOOM = Zoom(points=9, rounds=6)
@@ -36,9 +36,9 @@ _SHAPED_ZOOM = Zoom(points=9, rounds=6)
 
 @dataclass(frozen=True)
 class RobustFront:
-    """A front with all that is predicted of its gaits, and what answers requests from it.
+    """Front with the predictions of its gaits and the data for requests.
 
-    ``margin`` in m with the ``reason`` for it. ``gaits`` are the exact front by rising speed, in outline; the paper's
+    ``margin`` in m with the ``reason`` for it. ``gaits`` are the exact front by rising speed, in outline. The paper's
     ``min_power``, ``cruise`` and ``max_speed`` are predicted in full. ``nominal`` is the task without a margin, of the
     robot in ``content``.
     """
@@ -132,7 +132,7 @@ def make_front(content: ParameterFile, settings: Settings, direction: int) -> Ro
 
 
 def front_of_task(task: Task, resolution: Resolution) -> ExactFront:
-    """Compute the exact front of a task; one whose edges cost much has fewer columns."""
+    """Compute the exact front of a task, with fewer columns if its edges take long to compute."""
     if isinstance(task, PromiseTask):
         frequencies = min(resolution.frequencies, _PROMISE_COLUMNS)
         fewer = dataclasses.replace(resolution, frequencies=frequencies)
@@ -145,7 +145,7 @@ def front_of_task(task: Task, resolution: Resolution) -> ExactFront:
 
 
 def replaced(front: RobustFront, gaits: Points) -> RobustFront:
-    """A front with other gaits of the same task, by rising speed and at least one, in the place of the exact ones."""
+    """Return a front with other gaits of the same task, at least one and by rising speed, instead of the exact ones."""
     margins = _margins(front.nominal, front.settings, front.margin, gaits)
     chosen = gaits.take(three_rows(gaits, front.content.parameters))
     min_power, cruise, max_speed = front.predicted(chosen)
@@ -159,7 +159,7 @@ def replaced(front: RobustFront, gaits: Points) -> RobustFront:
 
 
 def _margins(nominal: MarginTask, settings: Settings, margin: float, points: Points) -> Array:
-    """The margin in m of each gait: that of the front, or the largest at which it keeps what it promises."""
+    """Return the margin in m of each gait: that of the front, or the largest at which the gait keeps its promise."""
     if settings.robustness is Robustness.MARGIN:
         return np.full(len(points), margin)
     return tolerated_margins(nominal, points)
@@ -173,7 +173,7 @@ def _predicted(
 
 
 def three_rows(front: Points, parameters: Parameters) -> Index:
-    """Rows of a front's gaits of lowest power, lowest cost of transport and highest speed."""
+    """Return the rows of a front's gaits of lowest power, lowest cost of transport and highest speed."""
     cost = cost_of_transport(front.speed, front.power, parameters.mass)
     return np.array([np.argmin(front.power), np.argmin(cost), len(front) - 1])
 
@@ -181,10 +181,10 @@ def three_rows(front: Points, parameters: Parameters) -> Index:
 def _robust_task(
     nominal: MarginTask, content: ParameterFile, settings: Settings
 ) -> tuple[MarginTask | ShapedTask | PromiseTask, float, str]:
-    """The task to search, its margin in m and the reason for it in words."""
+    """Return the task to search, its margin in m and the reason for it as text."""
     match settings.robustness:
         case Robustness.CHANCE:
-            # A seed of its own: the probabilities of the chosen gaits must not come from these draws.
+            # Another seed, so that the probabilities of the chosen gaits come from other draws.
             scenarios = phase_known(content, _CHANCE_SCENARIOS, settings.seed + 1)
             promise = PromiseTask(nominal, scenarios, settings.probability)
             return promise, 0.0, f"its grooves are kept with probability {settings.probability:g}"
@@ -208,19 +208,19 @@ def given_margin(parameters: Parameters, settings: Settings) -> tuple[float, str
         return settings.margin, "given"
     if settings.margin_force is None:
         return None
-    # In the slow limit a load Q deflects the engaged fin so that a switch needs Q/(k_eng + k_dis) more of margin.
+    # In the slow limit a load Q deflects the engaged fin, so that a switch needs Q/(k_eng + k_dis) more margin.
     stiffness = parameters.engaged_stiffness + parameters.disengaged_stiffness
     return settings.margin_force / stiffness, f"it allows for a load of {settings.margin_force:g} N"
 
 
 def any_phase_task(nominal: MarginTask) -> PromiseTask:
-    """The task whose gaits keep their grooves at every groove phase."""
+    """Return the task whose gaits keep their grooves at every groove phase."""
     guarded = nominal.with_margin(phase_guard(nominal.parameters))
     return PromiseTask(guarded, every_phase(nominal.parameters), 1.0)
 
 
 def _why_nothing_moves(task: MarginTask | ShapedTask | PromiseTask, resolution: Resolution) -> str:
-    """The reason why the front of a task is empty: the limit that excludes all gaits, or that none moves."""
+    """Return the reason why the front of a task is empty: the limit that excludes all gaits, or that none moves."""
     robot = task if isinstance(task, MarginTask) else task.task
     free = dataclasses.replace(robot, limits=NO_LIMITS)
     unlimited = free if isinstance(task, MarginTask) else dataclasses.replace(task, task=free)
@@ -246,9 +246,9 @@ def _why_nothing_moves(task: MarginTask | ShapedTask | PromiseTask, resolution: 
 
 
 def reason_for(price: PriceOfRobustness) -> str:
-    """The reason why a scan's margin was chosen, in words."""
+    """Return the reason why a scan's margin was chosen, as text."""
     if price.cliff is None:
-        return "the greatest margin of the scan at which a gait moves: the scan has no cliff"
+        return "the largest margin of the scan at which a gait moves: the scan has no cliff"
     cliff = price.cliff
     rise = (
         "no gait moves"
@@ -263,7 +263,7 @@ def reason_for(price: PriceOfRobustness) -> str:
 
 
 def thinned(front: Points, parameters: Parameters, count: int) -> Index:
-    """Rows of at most ``count`` gaits of a front, evenly over its speeds, its three gaits among them."""
+    """Return the rows of at most ``count`` gaits of a front, evenly over its speeds, including its three gaits."""
     if len(front) <= count:
         return np.arange(len(front))
     wanted = np.linspace(front.speed[0], front.speed[-1], count - 1)
@@ -274,7 +274,7 @@ def thinned(front: Points, parameters: Parameters, count: int) -> Index:
 def nominal_gaits(
     content: ParameterFile, settings: Settings, direction: int
 ) -> dict[str, Prediction]:
-    """The three gaits of the exact front without any margin, by name; none if no gait moves."""
+    """Return the three gaits of the exact front without a margin, by name; empty if no gait moves."""
     content = content_under(settings.conditions, content)
     task = task_of(content, settings, direction)
     front = front_of_task(waveform_task(task, settings), settings.resolution).front

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Requests for gaits and their exact answers: a front's three gaits, and the best at a speed or a power."""
+"""Requests for gaits and their exact answers: a front's three gaits, and the best gait at a speed or a power."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from worm_optimizer.robustness.prediction import Prediction
 from worm_optimizer.search.exact import Cost
 from worm_optimizer.search.front import RobustFront
 
-_TOLERANCE = 1e-9  # relative; a wanted value that was read off a front must be reachable
+_TOLERANCE = 1e-9  # relative; a value of a front, rounded, must be reachable
 
 
 class Objective(enum.IntEnum):
-    """What a gait is wanted for; the values are those of worm_msgs/RequestGait."""
+    """Objective of a requested gait; the values are those of worm_msgs/RequestGait."""
 
     MIN_POWER = 0
     CRUISE = 1
@@ -39,7 +39,7 @@ class RequestStatus(enum.IntEnum):
 
 @dataclass(frozen=True)
 class GaitRequest:
-    """A requested gait; ``value`` is the speed in m/s or the power in W of the last two objectives.
+    """Requested gait; ``value`` is the speed in m/s or the power in W for the last two objectives.
 
     Raises `OptimizerError` on a value that no gait can have.
     """
@@ -58,7 +58,7 @@ class GaitRequest:
 
 @dataclass(frozen=True)
 class GaitAnswer:
-    """The answer to a request: a gait, or why there is none and the nearest reachable one, if any."""
+    """Answer to a request: a gait, or the reason why there is none and the nearest reachable one, if any."""
 
     status: RequestStatus
     message: str = ""
@@ -66,7 +66,7 @@ class GaitAnswer:
 
 
 def request_of(objective: int, speed: float, power: float) -> GaitRequest:
-    """The request of plain numbers; speed in m/s and power in W, each looked at where it matters.
+    """Return the request for an objective, with speed in m/s or power in W if the objective needs it.
 
     Raises `OptimizerError` on an unknown objective or a value that no gait can have.
     """
@@ -107,13 +107,13 @@ def select(front: RobustFront, request: GaitRequest) -> GaitAnswer:
 
 
 def at_speed(speed: float) -> Cost:
-    """Power of the gaits at a speed in m/s or faster."""
+    """Return the cost for requests at a speed in m/s: the power of gaits at least as fast."""
     least = speed * (1.0 - _TOLERANCE)
     return lambda points: np.where(points.speed >= least, points.power, np.inf)
 
 
 def at_power(power: float) -> Cost:
-    """Negative speed of the gaits that need a power in W or less."""
+    """Return the cost for requests at a power in W: the negative speed of gaits that need at most this power."""
     most = power * (1.0 + _TOLERANCE)
     return lambda points: np.where(points.power <= most, -points.speed, np.inf)
 

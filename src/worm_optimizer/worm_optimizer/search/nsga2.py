@@ -21,7 +21,7 @@ from worm_optimizer.search.pareto import front_of, hypervolume
 
 @dataclass(frozen=True)
 class SearchSettings:
-    """NSGA-II's population and generations, and the seed of all its randomness."""
+    """Settings of NSGA-II: population, generations and the seed of its random numbers."""
 
     population: int = 100
     generations: int = 100
@@ -39,10 +39,10 @@ class SearchSettings:
 
 @dataclass(frozen=True)
 class Generation:
-    """Where the search stands after a generation.
+    """State of the search after a generation.
 
-    ``front`` holds the best of all gaits evaluated so far, not only of the living population, by rising
-    speed; ``hypervolume`` is its area in m/s·W (`pareto.hypervolume`).
+    ``front`` contains the best of all gaits evaluated so far, not only of the present population, by rising speed.
+    ``hypervolume`` is its area in m/s·W (`pareto.hypervolume`).
     """
 
     number: int
@@ -55,7 +55,7 @@ class Generation:
 def generations(
     task: Task, settings: SearchSettings, reference_power: float
 ) -> Iterator[Generation]:
-    """Runs NSGA-II on a task, one item a generation; the same seed gives the same fronts.
+    """Run NSGA-II on a task, and yield each generation. The same seed gives the same fronts.
 
     ``reference_power`` in W is the corner of the reported hypervolume.
     """
@@ -67,11 +67,11 @@ def generations(
     evaluations = 0
     while algorithm.has_next():
         population = algorithm.ask()
-        born = task.points(*population.get("X").T)
-        _assign(problem, population, born)
+        offspring = task.points(*population.get("X").T)
+        _assign(problem, population, offspring)
         algorithm.tell(infills=population)
-        evaluations += len(born)
-        front = front_of(Points.join(*best, born))
+        evaluations += len(offspring)
+        front = front_of(Points.join(*best, offspring))
         best = [front]
         yield Generation(
             number=algorithm.n_gen - 1,
@@ -83,10 +83,10 @@ def generations(
 
 
 def _gait_problem(bounds: Bounds) -> Problem:
-    """Decision vector [S, f] in its box, objectives [−v̄, P̄], one constraint (at most 0).
+    """Return the problem: decision vector [S, f] in its box, objectives [−v̄, P̄], one constraint (at most 0).
 
-    The constraint keeps gaits that stand still out: they need the least power, so they would be
-    Pareto-optimal in the problem as printed.
+    The constraint excludes gaits that do not move. They need the least power, so they would be Pareto-optimal in the
+    problem as printed in the paper.
     """
     return Problem(
         n_var=2,
@@ -98,7 +98,7 @@ def _gait_problem(bounds: Bounds) -> Problem:
 
 
 def _assign(problem: Problem, population: Population, points: Points) -> None:
-    """Gives the individuals of a population the objectives and the violation of their gaits."""
+    """Assign the objectives and the violation of their gaits to the individuals of a population."""
     static = StaticProblem(
         problem,
         F=np.column_stack([-points.speed, points.power]),
@@ -107,14 +107,14 @@ def _assign(problem: Problem, population: Population, points: Points) -> None:
     Evaluator().eval(static, population)
 
 
-# The hypervolume's corner is standing still at a tenth more than the highest power of the exact front:
-# with the highest power itself, the fastest gait would count nothing.
+# The corner of the hypervolume is speed 0 at 1.1 times the highest power of the exact front. At the highest power
+# itself, the fastest gait would not contribute.
 _CORNER = 1.1
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """A front of NSGA-II compared with the exact one.
+    """Comparison of a front of NSGA-II with the exact one.
 
     ``hypervolume_share`` is its hypervolume over that of the exact front, both from the corner (0 m/s, 1.1 times the
     highest power of the exact front). ``missed_branches`` are the grooves per cycle on the exact front that it lacks.
@@ -128,14 +128,14 @@ class Comparison:
 
 
 def reference_power_of(exact: ExactFront) -> float:
-    """Power of the hypervolume's corner in W."""
+    """Return the power of the hypervolume's corner in W."""
     return _CORNER * float(exact.front.power.max())
 
 
 def compared(exact: ExactFront, front: Points) -> Comparison:
-    """Compare a front of the same task, of at least one gait, with the exact one.
+    """Compare a front of the same task with at least one gait with the exact front.
 
-    The exact front is computed at the frequencies of the compared gaits, too, so that its steps cost it nothing.
+    The exact front is also computed at the frequencies of the compared gaits, so that its steps are no disadvantage.
     """
     frequency = np.unique(front.frequency)
     box, strokes = exact.task.bounds, exact.resolution.strokes
@@ -153,7 +153,10 @@ def compared(exact: ExactFront, front: Points) -> Comparison:
 
 
 def _lowest_power(best: Points, front: Points) -> Array:
-    """The lowest power in W of ``best`` at the speed of each gait of ``front`` or faster, by grooves and frequency."""
+    """Return the lowest power in W in ``best`` at the speed of each gait of ``front`` or faster.
+
+    Speeds are compared by grooves and frequency.
+    """
     reached, wanted = (points.count * points.frequency for points in (best, front))
     place: Index = np.searchsorted(reached, wanted * (1.0 - 1e-9))
     return best.power[np.minimum(place, len(best) - 1)]

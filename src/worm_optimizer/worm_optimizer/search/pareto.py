@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pareto order in the plane of speed (to be high) and power (to be low) of eq:moo_formulation."""
+"""Pareto order of gaits by speed (higher is better) and power (lower is better) of eq:moo_formulation."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from worm_optimizer.evaluation.task import Index, Points
 
 
 def non_dominated(speed: ArrayLike, power: ArrayLike) -> Index:
-    """Indices of the rows that no other row betters, by rising speed; equal rows are kept once.
+    """Return the indices of the non-dominated rows, by rising speed. Of equal rows, one is returned.
 
     ``speed`` in m/s and ``power`` in W of shape (n,); none may be NaN.
     """
@@ -21,18 +21,18 @@ def non_dominated(speed: ArrayLike, power: ArrayLike) -> Index:
 
 
 def front_of(points: Points) -> Points:
-    """The admissible gaits that no other betters, by rising speed.
+    """Return the admissible non-dominated gaits, by rising speed.
 
-    They are compared by the grooves that they gain: what is left of the transient makes no gait faster than another.
+    They are compared by the grooves that they gain, so that a remaining transient does not affect the comparison.
     """
     admissible = points.take(points.admissible)
     return admissible.take(non_dominated(admissible.count * admissible.frequency, admissible.power))
 
 
 def hypervolume(front: Points, reference_power: float) -> float:
-    """Area in m/s·W that a front dominates between it and (0 m/s, ``reference_power`` W).
+    """Return the area in m/s·W between a front and the corner (0 m/s, ``reference_power`` W).
 
-    ``front`` as `front_of` returns it; what lies above the reference power counts nothing.
+    ``front`` is a result of `front_of`. Gaits above the reference power do not contribute.
     """
     height = np.maximum(reference_power - front.power, 0.0)
     width = np.diff(front.speed, prepend=0.0)

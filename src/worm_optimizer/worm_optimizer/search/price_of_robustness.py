@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The price of robustness: the lowest cost of transport over the margin δ_m, and its cliff.
+"""Price of robustness: the lowest cost of transport over the margin δ_m, and its cliff.
 
 All margins are scanned at once, on the branches' lower edges (`exact`).
 """
@@ -36,17 +36,17 @@ CLIFF_RULE = (
     f"lowest cost of transport rises by a factor of {CLIFF_RISE} or more within a step of the scan, bisected to "
     f"{1e6 * CLIFF_TOLERANCE:g} µm; a step after which no gait moves counts as one"
 )
-# Coarse in stroke and frequency: the minimum between the columns is followed, and 81 margins take two seconds.
+# Coarse in stroke and frequency, because the minimum is followed between the columns. 81 margins take two seconds.
 _RESOLUTION = Resolution(strokes=21, frequencies=17)
 _ZOOM = Zoom(points=5, rounds=6)
 
 
 @dataclass(frozen=True)
 class MarginPoint:
-    """The optimum at one margin; NaN and 0 where no gait moves.
+    """Optimum at one margin; NaN and 0 if no gait moves.
 
     ``margin`` in m; ``cost_of_transport`` is the lowest, at ``stroke`` m and ``frequency`` Hz on ``branch`` (grooves
-    per cycle); ``branches`` are those that were found at this margin.
+    per cycle). ``branches`` are all branches found at this margin.
     """
 
     margin: float
@@ -59,7 +59,7 @@ class MarginPoint:
 
 @dataclass(frozen=True)
 class Cliff:
-    """Place where robustness begins to cost, ``margin`` in m, between the scan's margins ``before`` and ``after``.
+    """Cliff of the price of robustness: ``margin`` in m, between the scan's margins ``before`` and ``after``.
 
     ``rise`` is the factor of the lowest cost of transport over that step (infinite: no gait moves after it) and
     ``lost_branch`` the grooves per cycle of the branch that is lost.
@@ -74,7 +74,7 @@ class Cliff:
 
 @dataclass(frozen=True)
 class PriceOfRobustness:
-    """The whole scan. ``cliff`` is None where the scanned margins hold none."""
+    """Result of a scan. ``cliff`` is None if the scanned margins contain none."""
 
     points: tuple[MarginPoint, ...]
     cliff: Cliff | None
@@ -83,12 +83,12 @@ class PriceOfRobustness:
 
     @property
     def moves(self) -> bool:
-        """Whether a gait moves at any margin."""
+        """True if a gait moves at any margin."""
         return any(point.branch for point in self.points)
 
     @property
     def margin(self) -> float:
-        """The margin to choose in m: the scan's last before the cliff, else the greatest at which a gait moves.
+        """Chosen margin in m: the scan's last before the cliff, else the largest at which a gait moves.
 
         Raises `OptimizerError` if no gait moves at any margin.
         """
@@ -157,7 +157,7 @@ def scan(task: ScannedTask, margins: Array) -> tuple[MarginPoint, ...]:
 
 
 def _followed(task: ScannedTask, brackets: Sequence[Bracket], margins: Array) -> list[Points]:
-    """Optima between the columns, by margin."""
+    """Return the optima between the columns, by margin."""
     owner = np.array([bracket.owner for bracket in brackets], dtype=np.int64)
 
     def find(bracket: Index, count: Index, frequency: Array, strokes: Array) -> Edges:
@@ -193,7 +193,7 @@ def find_cliff(task: ScannedTask, points: Sequence[MarginPoint]) -> Cliff | None
 
 
 def _is_lost(before: MarginPoint, after: MarginPoint) -> bool:
-    """Whether the rule's fall lies between two margins."""
+    """Return True if the cliff lies between two margins according to the rule."""
     if not before.branch or before.branch in after.branches:
         return False
     return not after.branch or after.cost_of_transport >= CLIFF_RISE * before.cost_of_transport

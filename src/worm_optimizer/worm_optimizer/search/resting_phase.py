@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The robot where it rests now: its groove phase decides how many grooves a stroke gains (`docs/model.md`)."""
+"""Parameters with the present groove phase, which determines how many grooves a stroke gains (`docs/model.md`)."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ import dataclasses
 from worm_model.parameters import ParameterFile
 from worm_optimizer.optimizer_errors import OptimizerError
 
-SAME_LENGTH = 1e-4  # m; initial lengths that differ by less are one: a camera measures no better
+SAME_LENGTH = 1e-4  # m; lengths that differ by less are equal, as a camera is not more accurate
 
 
 def resting_content(content: ParameterFile, initial_length: float) -> ParameterFile:
-    """The parameters with the initial length in m with which a robot rests; 0 or the same one changes nothing.
+    """Return the parameters with the initial length in m of a robot at rest. 0 or the same length changes nothing.
 
-    Raises `OptimizerError` on a length that no robot of these parameters has.
+    Raises `OptimizerError` if the length differs from the parameters' by half of it or more.
     """
     known = content.parameters.initial_length
     if not initial_length or abs(initial_length - known) < SAME_LENGTH:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""All settings of an optimisation: one frozen value, and the rows that options and node parameters are made of."""
+"""Settings of an optimisation, and the table from which command-line options and node parameters are generated."""
 
 from __future__ import annotations
 
@@ -50,14 +50,14 @@ class ScanSettings:
             )
 
     def margins(self) -> Array:
-        """The margins in m; the last is the highest or less than a step below it."""
+        """Return the margins in m. The last one is the highest, or less than a step below it."""
         count = int(np.floor((self.highest - self.lowest) / self.step + 1e-9)) + 1
         # Rounded to picometres, so that 3.4 mm is 0.0034 and not 0.0034000000000000002.
         return np.round(self.lowest + self.step * np.arange(count), 12)
 
 
 class Robustness(str, enum.Enum):
-    """What keeps gaits away from the edges of their branch."""
+    """Criterion that keeps gaits away from the edges of their branch."""
 
     MARGIN = "margin"  # the paper's enlarged threshold
     CHANCE = "chance"  # the promised grooves are kept with a probability, groove phase known
@@ -81,7 +81,7 @@ def waveform_of(name: str) -> Waveform:
 
 
 def robustness_of(name: str) -> Robustness:
-    """The kind of robustness of that name; raises `OptimizerError` naming those that there are."""
+    """Return the robustness of a name. Raises `OptimizerError` naming the known ones."""
     try:
         return Robustness(name)
     except ValueError:
@@ -93,9 +93,10 @@ def robustness_of(name: str) -> Robustness:
 class Settings:
     """Settings of an optimisation.
 
-    ``margin`` in m, or ``margin_force``, the load in N that it allows for; both None: chosen at the cliff of the scan.
-    ``probability`` is that of `Robustness.CHANCE`. ``samples`` are the Monte Carlo draws of a success probability,
-    ``seed`` is that of all draws. ``shapes`` bound shaped gaits. ``holding_power`` in W/N, see `task.MarginTask`.
+    ``margin`` in m, or ``margin_force``, the load in N that it allows for. If both are None, the margin at the cliff of
+    the scan is used. ``probability`` is for `Robustness.CHANCE`. ``samples`` is the number of Monte Carlo draws of a
+    success probability, ``seed`` is for all draws. ``shapes`` bound shaped gaits. ``holding_power`` in W/N, see
+    `task.MarginTask`.
     """
 
     bounds: Bounds = field(default_factory=Bounds)
@@ -119,19 +120,19 @@ class Settings:
                 f"margin_force: {self.margin_force} N: give a finite number that is not negative"
             )
         if self.margin is not None and self.margin_force is not None:
-            raise OptimizerError("margin: it is given in m and as a force in N; give one of them")
+            raise OptimizerError("margin: it is given in m and as a load in N; give one of them")
         if not 0.0 <= self.holding_power < math.inf:
             raise OptimizerError(
                 f"holding_power: {self.holding_power} W/N: give a finite number that is not negative"
             )
         if self.waveform is Waveform.SHAPED and self.robustness is not Robustness.MARGIN:
             raise OptimizerError(
-                f"robustness: {self.robustness.value} is known for the sinusoid alone. Use margin, or waveform sinusoid"
+                f"robustness: {self.robustness.value} needs waveform sinusoid. Use it, or robustness margin"
             )
         if self.margin is not None and not 0.0 <= self.margin <= MAX_MARGIN:
             raise OptimizerError(
                 f"margin: {self.margin} m is not between 0 and {MAX_MARGIN:g} m; "
-                "leave it out to have it chosen at the cliff"
+                "without it, the margin at the cliff is used"
             )
         if not (1 <= self.samples <= 1_000_000 and 0 <= self.seed < 2**32):
             raise OptimizerError(
@@ -142,9 +143,9 @@ class Settings:
 
 @dataclass(frozen=True)
 class SettingRow:
-    """One setting, of which come the node's ``parameter``, the commands' ``option`` and the row of the docs.
+    """Setting, from which the node's ``parameter``, the commands' ``option`` and the row of the docs are generated.
 
-    Two rows with the same option are its two values. ``low`` and ``high`` bound a number.
+    Two rows with the same option are the two values of this option. ``low`` and ``high`` bound a number.
     """
 
     parameter: str
@@ -171,7 +172,7 @@ _CONDITIONS = tuple(
     for row in (CONDITION_ROWS[name],)
 )
 
-# What decides about a margin scan, and so about a front, too.
+# Settings of a margin scan, and thus also of a front.
 SCAN_SETTINGS: tuple[SettingRow, ...] = (
     _Row("stroke_low_m", "strokes", _BOX.stroke_low, "least stroke, m", 1e-4, MAX_STROKE),
     _Row("stroke_high_m", "strokes", _BOX.stroke_high, "greatest stroke, m", 1e-4, MAX_STROKE),
@@ -181,11 +182,11 @@ SCAN_SETTINGS: tuple[SettingRow, ...] = (
          100.0),
     _Row("limits.max_cable_force_n", "max-cable-force", 0.0, "greatest cable force, N; 0: no limit", 0.0, 1e5),
     _Row("limits.max_power_w", "max-power", 0.0, "greatest source power, W; 0: no limit", 0.0, 1e5),
-    _Row("limits.driver_file", "limits-from", "", "the driver's parameter file, whose limits hold, too; empty: none"),
+    _Row("limits.driver_file", "limits-from", "", "the driver's parameter file, whose limits apply too; empty: none"),
     _Row("limits.servo_model", "servo-model", "", "with the driver's file, the model of the cable servos: "
-         f"{', '.join(servo_models())}; empty: not known"),
+         f"{', '.join(servo_models())}; empty: unknown"),
     _Row("limits.supply_voltage_v", "supply-voltage", 0.0, "with the driver's file, the supply voltage of the servos, "
-         "V; 0: what their manual recommends", 0.0, 100.0),
+         "V; 0: the voltage that their manual recommends", 0.0, 100.0),
     *_CONDITIONS,
     _Row("waveform", "waveform", Waveform.SINUSOID.value, "gaits that are searched: the paper's (sinusoid), or with "
          "pretension, contraction share, profile and ramp share within bounds (shaped)",
@@ -207,11 +208,12 @@ SCAN_SETTINGS: tuple[SettingRow, ...] = (
 )  # fmt: skip
 FRONT_SETTINGS: tuple[SettingRow, ...] = (
     _Row("margin_m", "margin", math.nan, "robustness margin, m; NaN or not given: at the cliff of the scan"),
-    _Row("margin_n", "margin-n", math.nan, "the same as the load that it allows for, N"),
-    _Row("robustness", "robustness", Robustness.MARGIN.value, "what keeps gaits robust: an enlarged threshold "
+    _Row("margin_n", "margin-n", math.nan, "robustness margin, as the load that it allows for, N"),
+    _Row("robustness", "robustness", Robustness.MARGIN.value, "criterion of robustness: an enlarged threshold "
          "(margin), a probability of keeping the promised grooves (chance), or keeping them at every groove phase "
          "(any_phase)", choices=tuple(kind.value for kind in Robustness)),
-    _Row("probability", "probability", _PLAIN.probability, "for chance: of keeping the grooves, 1", 0.0, 1.0),
+    _Row("probability", "probability", _PLAIN.probability, "for chance: probability of keeping the grooves, 1", 0.0,
+         1.0),
     _Row("seed", "seed", _PLAIN.seed, "seed of the Monte Carlo draws, and of NSGA-II", 0, 2**32 - 1),
     _Row("samples", "samples", _PLAIN.samples, "draws of the success probability", 1, 1_000_000),
 )  # fmt: skip
@@ -219,9 +221,9 @@ SETTINGS = (*SCAN_SETTINGS, *FRONT_SETTINGS)
 
 
 def settings_of(values: Mapping[str, Any]) -> Settings:
-    """The settings of values by `SettingRow.parameter`; what is missing has its default.
+    """Return the settings for values by `SettingRow.parameter`. Missing values have their defaults.
 
-    Raises `OptimizerError` if they do not fit together.
+    Raises `OptimizerError` if they are inconsistent.
     """
     value = {row.parameter: row.default for row in SETTINGS} | dict(values)
     speed, force, power = (

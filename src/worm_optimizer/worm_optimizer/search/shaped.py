@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Shaped gaits: the edge of each branch, minimised over pretension, contraction share, profile and ramp share.
+"""Edges of shaped gaits, minimised over pretension, contraction share, profile and ramp share.
 
 At some frequencies the shares of the cheapest corner of each branch (`corners`) are searched from several starts.
-Between two of these frequencies the shares are interpolated and the corner is located again: near a minimum the power
-hardly depends on the shares.
+Between two of these frequencies the shares are interpolated and the corner is located again. This is accurate, because
+near a minimum the power hardly depends on the shares.
 """
 
 from __future__ import annotations
@@ -44,11 +44,11 @@ from worm_optimizer.search.corners import (
     reaches_of,
 )
 
-_FREQUENCIES = 17  # at which shares are searched
-_FREQUENCIES_OF_NODES = 9  # the same for several margins
+_FREQUENCIES = 17  # frequencies at which shares are searched
+_FREQUENCIES_OF_NODES = 9  # the same if there are several margins
 _NODES = 5  # margins of a scan at which shares are searched
-_START_SHARES = (0.35, 0.5, 0.65, 0.8)  # contraction shares
-_START_RAMPS = (0.1, 0.25, 0.5)  # ramp shares of a trapezoid
+_START_SHARES = (0.35, 0.5, 0.65, 0.8)  # contraction shares from which the search starts
+_START_RAMPS = (0.1, 0.25, 0.5)  # ramp shares of a trapezoid from which it starts
 _SMALL_STEP = 0.25  # first step of the search from a neighbouring frequency
 _ENDING = 12  # bisections of the highest frequency of a branch
 _MARGIN_HALVINGS = 12
@@ -78,9 +78,9 @@ class Track:
 
 @dataclass(frozen=True)
 class ShapedTask:
-    """The problem of a `MarginTask` over shaped gaits: every edge is that of the cheapest shape.
+    """Task of a `MarginTask` over shaped gaits. Every edge is that of the cheapest shape.
 
-    The largest stroke of its bounds bounds the reach, pretension included. Shares are searched at the margins
+    The largest stroke of its bounds limits the reach, including the pretension. Shares are searched at the margins
     ``nodes`` in m, rising, and interpolated between them; without nodes, at the margin of the task.
     """
 
@@ -90,12 +90,12 @@ class ShapedTask:
 
     @property
     def bounds(self) -> Bounds:
-        """The box of gaits."""
+        """Box of gaits."""
         return self.task.bounds
 
     @property
     def parameters(self) -> Parameters:
-        """The robot."""
+        """Parameters of the robot."""
         return self.task.parameters
 
     @property
@@ -120,10 +120,9 @@ class ShapedTask:
         count: Index | None = None,
         margin: Array | None = None,
     ) -> Edges:
-        """Find the corners of all branches at each frequency, and the edges of the sinusoid if it is within the box.
+        """Find the corners of all branches at each frequency, and the edges of the sinusoid if it is in the box.
 
-        See `Task`; the strokes span those of the sinusoid alone. ``margin`` in m, of shape (m,), must be within the
-        nodes.
+        See `Task`. The strokes apply only to the sinusoid. ``margin`` in m, of shape (m,), must be within the nodes.
         """
         margins = np.full(frequency.shape, self.task.margin) if margin is None else margin
         found = [Edges(np.empty(0, dtype=np.int64), self.points(np.empty(0), np.empty(0)))]
@@ -152,7 +151,7 @@ class ShapedTask:
         return tuple(tracks_of(self.task, self.shapes, margins, frequencies))
 
     def _shares(self, count: int, profile: float, frequency: Array, margin: Array) -> Array:
-        """Shares (m, 2) of a branch, between the nodes of the margin; NaN where it has none."""
+        """Return the shares (m, 2) of a branch, interpolated over the margin; NaN beyond its tracks."""
         nodes = np.array(self.nodes or (self.task.margin,))
         table = np.full((nodes.size, frequency.size, 2), np.nan)
         for track in self.tracks:

@@ -144,7 +144,7 @@ def test_a_driver_that_takes_less_narrows_the_box_and_a_stricter_limit_stays(dri
     ("content", "says"),
     [
         ("{", "YAML"),
-        ("a: 1", "holds no ros__parameters of a node named driver"),
+        ("a: 1", "contains no ros__parameters of a node named driver"),
         ("driver: {ros__parameters: {cable_servos.spool_radius_m: 0.02}}", "expected a list"),
         ("driver: {ros__parameters: {limits.max_stroke_m: true}}", "max_stroke_m: True is not"),
         ("driver: {ros__parameters: {cable_servos.spool_radius_m: [-1]}}", "-1 is not a positive"),
