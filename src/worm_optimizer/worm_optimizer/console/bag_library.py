@@ -89,8 +89,8 @@ class BagLibrary:
             report_name([*(b.name for b in bags[:-1]), f"{bags[-1].name}_{digest}"])
         )
         if not (folder / PAGE).is_file():
-            words = [*map(str, bags), "--output", str(folder), "--without-front"]
-            await _run(_report_command(), *words, *_options(parameter_file))
+            arguments = [*map(str, bags), "--output", str(folder), "--without-front"]
+            await _run(_report_command(), *arguments, *_options(parameter_file))
         return str(folder.relative_to(self.folder))
 
     async def traces(self, name: str, parameter_file: str) -> RunTraces:
@@ -118,14 +118,14 @@ class BagLibrary:
         made = self.folder / time.strftime(f"{_IDENTIFIED}%Y_%m_%d-%H_%M_%S.yaml")
         with tempfile.TemporaryDirectory(prefix="worm_console_") as work:
             report = Path(work) / "identification"
-            words = [*bags, *_options(parameter_file), "--output", str(made)]
+            arguments = [*bags, *_options(parameter_file), "--output", str(made)]
             command = executable_command("worm_model", "identify")
-            await _run(command, *words, "--report", str(report), progress=progress)
+            await _run(command, *arguments, "--report", str(report), progress=progress)
             progress("report")
             parts = ["--identification", str(made), "--identification", str(report)]
-            words = [*bags, *_options(parameter_file), "--without-front", *parts]
-            words += ["--output", str(self.folder / report_of(made.name))]
-            await _run(_report_command(), *words, progress=progress)
+            arguments = [*bags, *_options(parameter_file), "--without-front", *parts]
+            arguments += ["--output", str(self.folder / report_of(made.name))]
+            await _run(_report_command(), *arguments, progress=progress)
         return made.name
 
     def identified(self) -> list[str]:
@@ -182,13 +182,13 @@ def _code_digest() -> bytes:
 
 
 async def _run(
-    command: Sequence[str], *words: str, progress: Callable[[str], None] = lambda _: None
+    command: Sequence[str], *arguments: str, progress: Callable[[str], None] = lambda _: None
 ) -> str:
     """Return the output of a process with low priority, so that the robot does not wait for it.
 
     Args:
         command: the command.
-        words: its arguments.
+        arguments: its arguments.
         progress: called with each line of its error output.
 
     Raises:
@@ -197,7 +197,7 @@ async def _run(
     process = await asyncio.create_subprocess_exec(
         "nice",
         *command,
-        *words,
+        *arguments,
         stdout=asyncio.subprocess.PIPE,
         stderr=asyncio.subprocess.PIPE,
     )

@@ -31,11 +31,11 @@ def picture(
     width = parameters.initial_length + BEHIND + BEFORE
     shapes = scene(twin, robot, parameters, direction)
     shown = "".join(_drawn(shape) for shape in shapes)
-    words = (
+    text = (
         f"Twin from {1e3 * twin.rear_position:.0f} to {1e3 * twin.front_position:.0f} mm, "
         f"robot {'seen' if robot.seen_at(twin.stamp_ns) else 'not seen by the tracker'}"
     )
-    return _svg(left, width, shown, words)
+    return _svg(left, width, shown, text)
 
 
 def _svg(left: float, width: float, content: str, words: str) -> str:
