@@ -71,7 +71,7 @@ def _start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
 
 
 def _frames(namespace: str, robot: str, name: str, topic: str) -> Node:
-    """Publisher of the frames of the joints on a topic."""
+    """Return the publisher of the frames of the joints on a topic."""
     return Node(
         package="robot_state_publisher",
         executable="robot_state_publisher",
