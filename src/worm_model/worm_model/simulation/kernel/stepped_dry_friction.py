@@ -36,8 +36,8 @@ class Worm(NamedTuple):
     """Parameters in SI units; ``direction`` is that of the fins, ±1, ``rear_dry`` and ``front_dry`` are in N.
 
     ``onset`` selects the velocities after ΔL has begun with a step of its rate. 0: the centre of mass stays at rest,
-    as the modules share the rate by their masses. 1: the rear module stays at rest, as in the paper's initial values. ``load`` of
-    both modules, N, is positive towards −x. ``start`` is the deflection of the rear fin at rest, m.
+    as the modules share the rate by their masses. 1: the rear module stays at rest, as in the paper's initial values.
+    ``load`` of both modules, N, is positive towards −x. ``start`` is the deflection of the rear fin at rest, m.
     """
 
     direction: float
