@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command ``calibrate``: finds the servos, and asks a person with a ruler for what they cannot tell.
+"""Command ``calibrate``: find the servos, and measure signs, spool radii and fin angles with an operator.
 
-Ids and models come from the bus, signs and spool radii from ruler readings at a few positions, fin angles from fins
-turned by hand. The servos move only after a question was answered, slowly, and are let go on every way out. One that
-has its torque has its bus watchdog armed, which is fed while a question waits for its answer.
+Ids and models are read from the bus. Signs and spool radii follow from ruler readings at a few positions, and fin
+angles from fins that the operator turns. The servos move slowly, and only after the operator has answered a question.
+Their torque is off at the end. While it is on, the bus watchdog is armed, and reset while a question waits for its
+answer.
 """
 
 import argparse
@@ -35,19 +36,19 @@ from worm_driver.servos.servo_bus import ServoBus
 from worm_driver.servos.servo_setup import Servo
 from worm_driver.servos.transmission import Fin, Spool
 
-#: rad/s, of the spool while the cable is calibrated
+#: rad/s, speed of the spool during the calibration
 _SPEED = 0.5
-#: ticks, of the first small motion, which shows the direction
+#: ticks, first small motion, which shows the direction
 _PROBE = 256
-#: ticks, that a position may be off its goal
+#: ticks, tolerance of a position
 _ARRIVED = 20
-#: s, in which a motion must arrive
-_PATIENCE = 20.0
-#: s without packets after which a servo stops by itself, should this command be killed
+#: s, longest duration of a motion
+_MOTION_TIMEOUT = 20.0
+#: s without packets after which a servo stops by itself, in case this command is killed
 _WATCHDOG = 1.0
-#: s, from one packet to the next while a question waits for its answer
+#: s, period of packets while a question waits for its answer
 _FEEDING = 0.2
-#: of an exchange that fails, before a person is asked
+#: repetitions of a failed exchange before the operator must decide
 _RETRIES = 3
 
 Ask = Callable[[str, Callable[[], object]], str]
@@ -55,18 +56,18 @@ Say = Callable[[str], None]
 
 
 class Calibration:
-    """One conversation.
+    """Dialogue with the operator.
 
     Args:
-        bus: an open bus.
-        ask: puts a question and returns the answer; calls what it is given several times a second meanwhile.
-        say: tells something.
-        wait: lets seconds pass.
+        bus: open servo bus.
+        ask: prints a question and returns the answer. Meanwhile it calls its second argument several times a second.
+        say: prints a line.
+        wait: waits for a time (s).
     """
 
     def __init__(self, bus: ServoBus, ask: Ask, say: Say, wait: Callable[[float], None]):
         self._bus = bus
-        self._ask_person = ask
+        self._ask_operator = ask
         self._meanwhile: Callable[[], object] = lambda: None
         self._say = say
         self._wait = wait
@@ -74,7 +75,7 @@ class Calibration:
         self._goals = GoalGate(bus, self._track)
 
     def find_servos(self) -> list[Servo]:
-        """Every servo with a control table that answers; one that has none is named and left out."""
+        """Return all servos of known models that answer. Print the others."""
         answering = []
         for number in range(253):
             try:
@@ -84,16 +85,16 @@ class Calibration:
             if model in MODELS:
                 answering.append(servos.identify(self._bus, number))
             else:
-                self._say(f"servo {number}: model number {model} is unknown here, left out")
+                self._say(f"servo {number}: unknown model number {model}; the servo is excluded")
         return answering
 
     def role(self, servo: Servo) -> str:
-        """What a person says that a servo is for: c, f or n. Its LED is lit meanwhile.
+        """Ask the operator for the use of a servo (c, f or n), while its LED is lit.
 
-        A lit LED marks a cable servo's home. Position mode is set first: whatever ends this conversation, a
-        driver that finds it takes the turns for folded, and puts the mark out.
+        A lit LED also marks that a cable servo is homed. In position mode a driver ignores this mark, so the mode is
+        set first, in case the dialogue is interrupted.
         """
-        with self._bus.patient():
+        with self._bus.retrying():
             servos.prepare(self._bus, servo, POSITION_MODE)
         self._bus.write(servo.number, servo["led"], 1)
         try:
@@ -103,12 +104,12 @@ class Calibration:
             self._bus.write(servo.number, servo["led"], 0)
 
     def cable(self, servo: Servo, turns: float, points: int) -> Spool:
-        """A cable servo's spool, from ruler readings while it winds the cable up. Raises DriverError."""
+        """Return a cable servo's spool, from ruler readings while it winds the cable up. Raises DriverError."""
         self._say(
-            f"cable servo {servo.number}: turn the spool by hand until the cable is just taut"
+            f"cable servo {servo.number}: turn the spool manually until the cable is just taut"
         )
-        self._ask("Enter when it is, hands off the robot ")
-        with self._bus.patient():
+        self._ask("then do not touch the robot, and press Enter ")
+        with self._bus.retrying():
             servos.prepare_cable(self._bus, servo, own_limit(servo, Limits()))
             start = servos.registers(self._bus, servo, "present_position")["present_position"]
         span = round(turns * TICKS_PER_TURN) + _PROBE
@@ -116,7 +117,7 @@ class Calibration:
         self._torque_on(servo)
         self._reach(servo, start + _PROBE)
         shorter = self._choice(
-            "the spool has turned a little: is the cable [t]auter or [s]lack? ", "ts"
+            "the spool has turned a little. Is the cable [t]ighter or [s]lack? ", "ts"
         )
         direction = 1 if shorter == "t" else -1
         step = round(turns * TICKS_PER_TURN / (points - 1))
@@ -136,59 +137,61 @@ class Calibration:
         return spool
 
     def fin(self, servo: Servo) -> Fin:
-        """A fin servo's two angles, read where a person has turned it. Raises DriverError."""
-        with self._bus.patient():
+        """Return a fin servo's two angles, to which the operator turns the fins. Raises DriverError."""
+        with self._bus.retrying():
             servos.prepare_fin(self._bus, servo)
         register = servo["present_position"]
         angles = []
         for way in ("forward", "reverse"):
-            self._ask(f"fin servo {servo.number}: turn the fins by hand to {way}, then Enter ")
+            self._ask(
+                f"fin servo {servo.number}: turn the fins manually to {way}, then press Enter "
+            )
             angles.append(from_raw(register, self._bus.read(servo.number, register)))
             self._say(f"  {way}: {angles[-1]:.4f} rad")
         return Fin(servo.number, *angles)
 
     def _ask(self, question: str) -> str:
-        return self._ask_person(question, self._meanwhile)
+        return self._ask_operator(question, self._meanwhile)
 
     def _torque_on(self, servo: Servo) -> None:
-        """Holds the servo where it is, with its bus watchdog armed before and fed from now on."""
-        with self._bus.patient():
+        """Hold the servo at its position. Arm its bus watchdog first, and reset it from now on."""
+        with self._bus.retrying():
             servos.limit_motion(self._bus, servo, _SPEED, _WATCHDOG)
             position = servos.standing_position(self._bus, servo)
             self._track.accepts(servo.number, position, self._bus.now())
             self._goals.write(servo.number, position)
             servos.switch_on(self._bus, servo)
-        self._meanwhile = functools.partial(self._feed, servo)
+        self._meanwhile = functools.partial(self._reset_watchdog, servo)
 
-    def _feed(self, servo: Servo) -> None:
-        """Keeps the bus watchdog from firing; a lost answer does not matter, a servo that is not fed stops."""
+    def _reset_watchdog(self, servo: Servo) -> None:
+        """Reset the bus watchdog. A lost answer does not matter, as the servo then stops."""
         with contextlib.suppress(NoReplyError, CorruptReplyError):
             self._bus.read(servo.number, servo["torque_enable"])
 
     def _reach(self, servo: Servo, ticks: int) -> None:
-        """`_move`, repeated at a person's word when an answer is lost: the readings so far stay. Raises DriverError."""
+        """Move a servo. If an answer is lost, the operator may repeat the motion. Raises DriverError."""
         interrupted = False
         while True:
             try:
                 if interrupted:
-                    self._take_over(servo)
+                    self._resume(servo)
                 self._move(servo, ticks)
                 return
             except (NoReplyError, CorruptReplyError) as error:
                 interrupted = True
-                self._say(f"{error}; the readings so far are kept")
+                self._say(f"{error}; the readings so far are preserved")
                 if self._choice("[r]epeat this step or [g]ive up? ", "rg") == "g":
                     raise
 
-    def _take_over(self, servo: Servo) -> None:
-        """Goes on with a servo whose bus watchdog may have fired. Raises DriverError if it has lost its torque."""
-        with self._bus.patient():
+    def _resume(self, servo: Servo) -> None:
+        """Hold a servo again if its bus watchdog has fired. Raises DriverError if the servo has lost its torque."""
+        with self._bus.retrying():
             torque = self._bus.read(servo.number, servo["torque_enable"])
             watchdog = self._bus.read(servo.number, servo["bus_watchdog"])
         if not torque:
             raise DriverError(
                 f"servo {servo.number} has lost its torque, by a restart or an overload, and may have turned: "
-                "its readings do not belong together any more; begin anew"
+                "its readings are inconsistent; run calibrate again"
             )
         if watchdog == WATCHDOG_EXPIRED:
             self._torque_on(servo)
@@ -198,20 +201,20 @@ class Calibration:
         servos.disable(self._bus, servo)
 
     def _move(self, servo: Servo, ticks: int) -> None:
-        """Goes there, and waits until it is there. Raises DriverError when it does not arrive."""
+        """Move a servo and wait until it arrives. Raises DriverError if it does not."""
         self._goals.write(servo.number, ticks)
-        for _ in range(round(_PATIENCE / 0.05)):
+        for _ in range(round(_MOTION_TIMEOUT / 0.05)):
             position = self._bus.read(servo.number, servo["present_position"])
             if abs(position - ticks) <= _ARRIVED:
                 return
             self._wait(0.05)
         raise DriverError(
-            f"servo {servo.number} stands at {position} and does not reach {ticks}: the cable is blocked"
+            f"servo {servo.number} stopped at {position} ticks and does not reach {ticks}: the cable is blocked"
         )
 
     def _choice(self, question: str, letters: str) -> str:
         while (answer := self._ask(question).strip().lower()[:1]) not in tuple(letters):
-            self._say(f"one of {', '.join(letters)}, please")
+            self._say(f"answer with one of {', '.join(letters)}")
         return answer
 
     def _number(self, question: str) -> float:
@@ -220,18 +223,18 @@ class Calibration:
             try:
                 return float(answer.replace(",", "."))
             except ValueError:
-                self._say(f"{answer!r} is no number")
+                self._say(f"{answer!r} is not a number")
 
 
 def calibrate(calibration: Calibration, turns: float, points: int) -> tuple[list[Spool], list[Fin]]:
-    """The whole conversation. Raises DriverError."""
+    """Run the dialogue. Return the spools and the fins. Raises DriverError."""
     answering = calibration.find_servos()
     if not answering:
         raise ConfigurationError("no servo answers: check the power, the cable and --baud-rate")
     roles = {servo.number: calibration.role(servo) for servo in answering}
     cables = [servo for servo in answering if roles[servo.number] == "c"]
     if not cables:
-        raise ConfigurationError("a robot needs a cable servo: none was named")
+        raise ConfigurationError("no cable servo was selected: a robot needs at least one")
     spools = [calibration.cable(servo, turns, points) for servo in cables]
     fins = [calibration.fin(servo) for servo in answering if roles[servo.number] == "f"]
     return spools, fins
@@ -240,23 +243,26 @@ def calibrate(calibration: Calibration, turns: float, points: int) -> tuple[list
 def _arguments(arguments: list[str] | None) -> argparse.Namespace:
     parser = Parser(
         prog="calibrate",
-        description="Finds the servos, and asks a person with a ruler for what they cannot tell.",
+        description="Find the servos, and measure signs, spool radii and fin angles with an operator and a ruler. The "
+        "servos move slowly, and only after an answer.",
     )
     parser.add_argument("output", type=new_file, help="parameter file to write; must not exist")
-    parser.add_argument("--port", default="/dev/worm_bus", help="default: %(default)s")
-    parser.add_argument("--baud-rate", type=int, default=1_000_000, help="default: %(default)s")
+    parser.add_argument("--port", default="/dev/worm_bus", help="serial port; default: %(default)s")
+    parser.add_argument(
+        "--baud-rate", type=int, default=1_000_000, help="bit/s; default: %(default)s"
+    )
     parser.add_argument(
         "--turns",
         type=float,
         default=0.5,
-        help="of the spool, that are measured; default: %(default)s",
+        help="turns of the spool to measure; default: %(default)s",
     )
     parser.add_argument(
-        "--points", type=int, default=4, help="ruler readings; default: %(default)s"
+        "--points", type=int, default=4, help="number of ruler readings; default: %(default)s"
     )
     options = parser.parse_args(arguments)
     if options.points < 3:
-        parser.error("--points must be 3 at least")
+        parser.error("--points must be at least 3")
     if not 0.05 <= options.turns <= 5.0:
         parser.error("--turns must be 0.05 to 5")
     return options
@@ -278,7 +284,7 @@ def _interrupt(_: int, __: FrameType | None) -> None:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """The command; returns the exit status."""
+    """Run the command and return the exit status."""
     options = _arguments(arguments)
     signal.signal(signal.SIGTERM, _interrupt)
     signal.signal(signal.SIGHUP, _interrupt)
@@ -294,14 +300,14 @@ def main(arguments: list[str] | None = None) -> int:
     except (DriverError, OSError) as error:
         return _fail(error, 1)
     except (KeyboardInterrupt, EOFError):
-        return _fail("given up; the servos are let go, nothing was written", 1)
+        return _fail("cancelled: the torque is off, and no file was written", 1)
     _say(f"written: {options.output}")
     return 0
 
 
 def _ask(question: str, meanwhile: Callable[[], object]) -> str:
-    """A line of standard input. Raises EOFError at its end."""
-    print(question, end="", flush=True)  # noqa: T201 (a conversation)
+    """Return a line of standard input, and call ``meanwhile`` until it arrives. Raises EOFError at its end."""
+    print(question, end="", flush=True)  # noqa: T201 (a dialogue)
     while not select.select([sys.stdin], [], [], _FEEDING)[0]:
         meanwhile()
     line = sys.stdin.readline()
@@ -311,7 +317,7 @@ def _ask(question: str, meanwhile: Callable[[], object]) -> str:
 
 
 def _say(text: str) -> None:
-    print(text)  # noqa: T201 (a conversation)
+    print(text)  # noqa: T201 (a dialogue)
 
 
 def _fail(error: object, status: int) -> int:

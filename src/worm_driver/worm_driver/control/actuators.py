@@ -54,7 +54,7 @@ class Actuators:
         self._bus = bus
         self._held: dict[int, int] = {}
         self._longest_stroke = settings.max_stroke
-        with bus.patient():
+        with bus.retrying():
             self.cables = tuple(servos.identify(bus, spool.servo) for spool in settings.spools)
             self.fins = tuple(servos.identify(bus, fin.servo) for fin in settings.fins)
             self.track = PositionTrack({s.number: s.velocity_limit for s in self.servos})
@@ -71,7 +71,7 @@ class Actuators:
             self.homed = True
             self.left_on = (
                 f"the torque is on, as an earlier driver left it, with the robot contracted by "
-                f"{contraction * 1e3:.1f} mm: it would spring back if it were let go; activate to take it over, "
+                f"{contraction * 1e3:.1f} mm: it would spring back if it were released; activate to control it, "
                 "then deactivate to bring it to rest"
             )
             return
@@ -117,7 +117,7 @@ class Actuators:
         if self.left_on:
             raise HomingError(f"homing needs the torque off, and {self.left_on}")
         self.homed = False
-        with self._bus.patient():
+        with self._bus.retrying():
             servos.home(self._bus, self.cables)
         self.homed = True
 
@@ -128,7 +128,7 @@ class Actuators:
             DriverError: An exchange failed.
         """
         register = COMMON["hardware_error_status"]
-        with self._bus.patient():
+        with self._bus.retrying():
             failed = tuple(s for s in self.servos if self._bus.read(s.number, register))
         for servo in failed:
             self._bus.reboot(servo.number)
@@ -143,12 +143,12 @@ class Actuators:
             BusError: A servo does not answer.
             ConfigurationError: A servo reports a fault, or its supply is out of range.
         """
-        with self._bus.patient():
+        with self._bus.retrying():
             self.homed = all(servos.is_homed(self._bus, servo) for servo in self.cables)
             if not self.homed:
                 raise HomingError(
                     "the turn count of the cable servo is not known (first start, reboot or power cut): bring "
-                    "the robot to its initial length by hand, then call the service home"
+                    "the robot to its initial length manually, then call the service home"
                 )
             for servo in self.servos:
                 servos.check(self._bus, servo)
@@ -167,7 +167,7 @@ class Actuators:
         settings = self.settings
         self._longest_stroke = settings.max_stroke
         self._bound_goals()
-        with self._bus.patient():
+        with self._bus.retrying():
             for spool, servo in zip(settings.spools, self.cables, strict=True):
                 limit = own_limit(servo, settings.limits)
                 speed = settings.max_cable_speed / spool.radius
@@ -210,7 +210,7 @@ class Actuators:
     def release(self) -> list[str]:
         """Release the torque of every servo and return the failures, one sentence each.
 
-        An error of one servo does not keep the others from being released. A robot with a torque that was left on is
+        After an error of one servo, the others are still released. A robot with a torque that was left on is
         not released, as it was never activated and would spring back.
         """
         if self.left_on:
@@ -223,7 +223,7 @@ class Actuators:
         """Leave the torque of a contracted robot on, as it would spring back, and return the message about it."""
         self.left_on = (
             f"the torque stays on, as the robot is contracted by {self.contraction * 1e3:.1f} mm and would spring "
-            "back: start the driver, activate it to take the robot over, then deactivate it to bring it to rest; or "
+            "back: start the driver, activate it, then deactivate it to bring the robot to rest; or "
             "secure the body and switch the supply off"
         )
         return [self.left_on]

@@ -128,16 +128,18 @@ def timing_report(timing: TimingReport, period: float, scheduling: Scheduling) -
             ("p99_cycle_s", f"{timing.p99_cycle:.6f}"),
             ("missed_deadlines", str(timing.missed)),
             ("cycles", str(timing.cycles)),
-            ("real_time_priority", scheduling.words),
+            ("real_time_priority", scheduling.description),
         ),
     )
 
 
 def _cause_of_lateness(timing: TimingReport, period: float, scheduling: Scheduling) -> str:
-    """Return whether the thread wakes late or its cycles take too long, and what to do about it."""
+    """Return the cause of late cycles (late wake-ups or long cycles), and what to do about it."""
     if timing.p99_cycle < period:
         remedy = (
-            "free the machine" if scheduling.granted else f"free the machine; {scheduling.words}"
+            "free the machine"
+            if scheduling.granted
+            else f"free the machine; {scheduling.description}"
         )
         return f"the computer wakes the thread {timing.p99_wake * 1e3:.2f} ms late (p99): {remedy}"
     return (
@@ -166,9 +168,7 @@ def power_report(counts: dict[SampleStatus, int], where: str) -> Report:
         )
     elif counts.get(SampleStatus.VALID, 0) < counts.get(SampleStatus.NOT_READY, 0):
         level = Level.WARN
-        message = (
-            "it hardly measures anew, or gives the same bits all the time: check its supply and bus"
-        )
+        message = "the sensor makes few new conversions, or returns identical bits: check its supply and bus"
     else:
         level, message = Level.OK, "ok"
     values = tuple((status.name.lower(), str(counts.get(status, 0))) for status in SampleStatus)
@@ -208,9 +208,9 @@ def gait_report(player: PlayerState, *, active: bool, homed: bool, left_on: str 
     )
 
 
-def network_report(words: str, *, is_local: bool) -> Report:
+def network_report(text: str, *, is_local: bool) -> Report:
     """Return the report on which computers can receive the driver's topics."""
-    return Report("driver: network", Level.OK if is_local else Level.WARN, words)
+    return Report("driver: network", Level.OK if is_local else Level.WARN, text)
 
 
 def offline_report(failure: Exception | None) -> Report:

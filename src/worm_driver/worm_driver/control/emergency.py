@@ -111,7 +111,7 @@ class EmergencyLatch:
                 if not path.exists():  # the file may belong to another user
                     path.touch()
         except OSError as error:
-            return f"the emergency stop is on, but the next driver will not know: {error}"
+            return f"the emergency stop is on, but cannot be stored for the next driver: {error}"
         return ""
 
     def reset(self) -> str:

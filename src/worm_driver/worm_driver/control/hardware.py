@@ -31,7 +31,7 @@ _LATENESS = 2.0
 _LISTENING_TIMEOUT = 3.0
 #: Number of unread snapshots beyond which a virtual robot's time waits for their reader, and the longest wait (s).
 _BACKLOG = 250
-_BACKLOG_PATIENCE = 10.0
+_BACKLOG_TIMEOUT = 10.0
 
 
 @dataclass
@@ -128,8 +128,8 @@ class Hardware:
         return self.loop.run(lambda now: self.robot.apply_settings(now, settings))
 
     def rest_line(self) -> str:
-        """Return the sentence about how long the return to rest takes."""
-        return f"asked to end, it is at rest within {self.release_time:.1f} s"
+        """Return a sentence with the longest duration of a return to rest."""
+        return f"a return to rest takes at most {self.release_time:.1f} s"
 
     def description(self) -> list[str]:
         """Return the sentences that describe the devices found."""
@@ -235,7 +235,7 @@ class Hardware:
 
     def _wait_for_listener(self) -> None:
         """Wait for the reader of the snapshots, so that a virtual robot's time does not run ahead of it."""
-        end = time.monotonic() + _BACKLOG_PATIENCE
+        end = time.monotonic() + _BACKLOG_TIMEOUT
         while len(self.snapshots) > _BACKLOG and time.monotonic() < end:
             time.sleep(0.002)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Real-time scheduling and locked memory, so that the servo thread keeps its deadlines: sched(7), mlockall(2)."""
+"""Real-time scheduling and locked memory, so that the servo thread meets its deadlines: sched(7), mlockall(2)."""
 
 import contextlib
 import ctypes
@@ -22,15 +22,15 @@ class Scheduling:
 
     Attributes:
         granted: True if Linux granted all that was requested.
-        words: description of the scheduling, or what is missing and what to do.
+        description: description of the scheduling, or what is missing and what to do.
     """
 
     granted: bool
-    words: str
+    description: str
 
 
-NOT_REQUESTED = Scheduling(granted=True, words="not asked for")
-VIRTUAL = Scheduling(granted=True, words="not needed: the virtual robot's time waits")
+NOT_REQUESTED = Scheduling(granted=True, description="not requested")
+VIRTUAL = Scheduling(granted=True, description="not needed: the virtual robot's time waits")
 
 
 def _set_priority(priority: int) -> None:
@@ -94,7 +94,7 @@ def request_scheduling(
     """
     if priority == 0:
         return NOT_REQUESTED
-    refused = []
+    missing = []
     for what, act in (
         (f"SCHED_FIFO {priority}", lambda: set_priority(priority)),
         ("locked memory", lock_memory),
@@ -102,7 +102,7 @@ def request_scheduling(
         try:
             act()
         except OSError as error:
-            refused.append(f"no {what} ({error.strerror})")
-    if refused:
-        return Scheduling(granted=False, words=f"{', '.join(refused)}: {_REMEDY}")
-    return Scheduling(granted=True, words=f"SCHED_FIFO {priority}, memory locked")
+            missing.append(f"no {what} ({error.strerror})")
+    if missing:
+        return Scheduling(granted=False, description=f"{', '.join(missing)}: {_REMEDY}")
+    return Scheduling(granted=True, description=f"SCHED_FIFO {priority}, memory locked")

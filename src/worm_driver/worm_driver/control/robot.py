@@ -150,7 +150,7 @@ class Robot:
         if not -self.settings.max_stroke - PAYOUT_TOLERANCE <= cable <= PAYOUT_TOLERANCE:
             raise HomingError(
                 f"the cable is {cable * 1e3:.1f} mm from its initial length, out of its range: bring the "
-                "robot to its initial length by hand, then call the service home"
+                "robot to its initial length manually, then call the service home"
             )
         try:
             held = self.actuators.enable()

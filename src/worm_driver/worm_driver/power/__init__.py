@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The power sensor and the I2C bus that it is on."""
+"""Power sensor and its I2C bus."""

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The I2C bus: 16-bit registers of one device, through smbus2. The only module that imports it.
+"""16-bit registers of a device on the I2C bus, through smbus2. Only this module imports it.
 
-SMBus words travel low byte first, and the chips of this robot send the high byte first: the swap is done here, once,
-in both directions. A bus belongs to one thread, as smbus2 has no lock.
+SMBus transmits the low byte of a word first; the chips of this robot send the high byte first. This module swaps the
+bytes in both directions. A bus belongs to one thread, as smbus2 has no lock.
 """
 
 import contextlib
@@ -19,16 +19,16 @@ from worm_driver.virtual_robot.wire.virtual_smbus import SocketSMBus
 
 
 class WordBus(Protocol):
-    """What is used of smbus2.SMBus."""
+    """Used methods of smbus2.SMBus."""
 
     def read_word_data(self, i2c_addr: int, register: int) -> int:
-        """One word, low byte first."""
+        """Read a word, low byte first."""
 
     def write_word_data(self, i2c_addr: int, register: int, value: int) -> None:
-        """Writes one word, low byte first."""
+        """Write a word, low byte first."""
 
     def close(self) -> None:
-        """Gives the bus back."""
+        """Close the bus."""
 
 
 @dataclass
@@ -36,9 +36,9 @@ class I2CDevice:
     """A device of big-endian 16-bit registers at an address of a bus.
 
     Attributes:
-        bus: open.
-        bus_name: under which it was opened.
-        address: 7-bit.
+        bus: open bus.
+        bus_name: name under which the bus was opened.
+        address: 7-bit address.
     """
 
     bus: WordBus
@@ -46,26 +46,26 @@ class I2CDevice:
     address: int
 
     def reopen(self) -> None:
-        """Opens the bus anew: an adapter that was unplugged leaves a dead handle. Raises PowerSensorError."""
+        """Open the bus again, as an unplugged adapter leaves an invalid handle. Raises PowerSensorError."""
         self.close()
         self.bus = open_device(self.bus_name, self.address).bus
 
     def read(self, register: int) -> int:
-        """A register, unsigned. Raises PowerSensorError."""
+        """Return a register, unsigned. Raises PowerSensorError."""
         try:
             return swap(self.bus.read_word_data(self.address, register))
         except OSError as error:
             raise PowerSensorError(self._explain(error)) from error
 
     def write(self, register: int, value: int) -> None:
-        """Sets a register. Raises PowerSensorError."""
+        """Set a register. Raises PowerSensorError."""
         try:
             self.bus.write_word_data(self.address, register, swap(value))
         except OSError as error:
             raise PowerSensorError(self._explain(error)) from error
 
     def close(self) -> None:
-        """Gives the bus back; harmless when it is gone."""
+        """Close the bus. Errors, as of an unplugged adapter, are ignored."""
         with contextlib.suppress(OSError):
             self.bus.close()
 
@@ -75,26 +75,26 @@ class I2CDevice:
             errno.EREMOTEIO: "does not acknowledge: check its power, wiring and address "
             f"(i2cdetect -y {self.bus_name})",
             errno.ENXIO: "does not acknowledge: check its power, wiring and address",
-            errno.ETIMEDOUT: "timed out: a device holds the bus, switch its power off and on",
-            errno.EBUSY: "belongs to a kernel driver: unbind ina2xx (hwmon)",
+            errno.ETIMEDOUT: "timed out, as a device blocks the bus: switch its power off and on",
+            errno.EBUSY: "is in use by a kernel driver: unbind ina2xx (hwmon)",
         }.get(error.errno or 0, f"failed: {error}")
         return f"{where} {remedy}"
 
 
 def swap(word: int) -> int:
-    """Exchanges the two bytes of a word."""
+    """Return a word with its two bytes swapped."""
     return (word & 0xFF) << 8 | word >> 8
 
 
 def open_device(bus: str, address: int) -> I2CDevice:
-    """Opens the device at an address.
+    """Open the device at an address.
 
     Args:
-        bus: number ("1"), device ("/dev/i2c-1"), or the unix socket of a virtual robot.
+        bus: number ("1"), device ("/dev/i2c-1"), or Unix socket of a virtual robot.
         address: 7-bit address.
 
     Raises:
-        PowerSensorError: the bus is missing or forbidden; the message says what to do.
+        PowerSensorError: The bus is missing or not permitted. The message contains the remedy.
     """
     try:
         return I2CDevice(_open_bus(bus), bus, address)

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""INA219 power sensor (TI SBOS448G), read so that no wrong number gets through.
+"""INA219 power sensor (TI SBOS448G), with checks of every sample.
 
-Current is the shunt voltage over the shunt's resistance, which needs no calibration register. That register is
-written all the same, for two things that only it gives: the chip's overflow bit works with it, and it reads back 0
-after a brown-out. Both settings are read back with every sample: a stray write to the configuration changes the range
-of the shunt, and with it the number, without any other sign.
+The current is the shunt voltage divided by the shunt's resistance, which does not need the calibration register. The
+driver still writes this register, as the chip's overflow bit depends on it and it reads 0 after a brown-out. Every
+sample includes a check of both settings, as a corrupted configuration changes the range of the shunt without any other
+sign.
 """
 
 import enum
@@ -14,11 +14,11 @@ from dataclasses import dataclass, field
 from worm_driver.errors import ConfigurationError, PowerSensorError
 from worm_driver.power.i2c import I2CDevice, swap
 
-CONFIGURATION, SHUNT, BUS, POWER, CALIBRATION = 0, 1, 2, 3, 5  # register addresses; 4 is Current
+CONFIGURATION, SHUNT, BUS, POWER, CALIBRATION = 0, 1, 2, 3, 5  # register addresses
 
 RESET = 0x8000
 POWER_ON_CONFIGURATION = 0x399F
-#: 32 V range, shunt +-320 mV, 8 samples each (8.5 ms a conversion pair), continuous
+#: 32 V range, shunt +-320 mV, 8 samples each (8.5 ms per pair of conversions), continuous
 RUNNING_CONFIGURATION = 0b0011_1101_1101_1111
 
 SHUNT_LSB_V = 10e-6
@@ -26,8 +26,8 @@ BUS_LSB_V = 4e-3
 #: full scale of the shunt voltage at +-320 mV
 SHUNT_FULL_SCALE = 32_000
 
-#: samples with the same bits in a row from which on the chip is taken to have stopped measuring: a quiet supply
-#: repeats a few, and seldom so many at 0.1 mA and 4 mV a step
+#: consecutive samples with identical bits after which the chip counts as frozen. A quiet supply repeats a few samples,
+#: but seldom so many at steps of 0.1 mA and 4 mV.
 FROZEN = 100
 
 _OVERFLOW_BIT = 0b01
@@ -35,24 +35,24 @@ _READY_BIT = 0b10
 
 
 class SampleStatus(enum.Enum):
-    """Whether a sample is a measurement, or why it is none."""
+    """Status of a sample: valid, or the reason for missing values."""
 
     VALID = "valid"
     OVERFLOW = "overflow"
     NOT_READY = "not ready"
     BUS_ERROR = "bus error"
-    SENSOR_RESET = "sensor reset"  # the chip had lost its settings, and has got them back
+    SENSOR_RESET = "sensor reset"  # the chip had lost its settings, and was set up again
 
 
 @dataclass(frozen=True)
 class PowerSample:
-    """One look at the sensor; the values are NaN unless the status is VALID.
+    """Sample of the sensor. The values are NaN unless the status is VALID.
 
     Attributes:
-        time: s, monotonic.
-        status: VALID, or why there is no value.
-        bus_voltage: V.
-        current: A.
+        time: time of the sample, s, monotonic.
+        status: VALID, or the reason for missing values.
+        bus_voltage: bus voltage, V.
+        current: current, A.
     """
 
     time: float
@@ -68,12 +68,12 @@ class PowerSample:
 
 @dataclass
 class INA219:
-    """The sensor on its shunt.
+    """INA219 sensor and its shunt.
 
     Attributes:
-        device: where it is.
-        shunt_resistance: ohm.
-        calibration: the calibration register's value, see calibration_for.
+        device: I2C device of the chip.
+        shunt_resistance: resistance of the shunt, ohm.
+        calibration: value of the calibration register, see `calibration_for`.
     """
 
     device: I2CDevice
@@ -83,19 +83,22 @@ class INA219:
     _repeats: int = field(default=0, init=False)
 
     def start(self) -> None:
-        """Resets the chip, checks that it is one and how its bytes travel, and sets it up.
+        """Reset the chip, check its type and byte order, and set it up.
 
-        Raises PowerSensorError: no answer, another chip, or swapped bytes.
+        Raises:
+            PowerSensorError: The chip does not answer, it is another chip, or the bytes are swapped.
         """
         where = f"the device 0x{self.device.address:02X} on I2C bus {self.device.bus_name}"
-        swapped = f"{where} sends its bytes swapped: an SMBus adapter swaps words already"
+        swapped = (
+            f"{where} sends its bytes swapped: an SMBus adapter that swaps words is not supported"
+        )
         if swap(self.device.read(CONFIGURATION)) in (POWER_ON_CONFIGURATION, RUNNING_CONFIGURATION):
             raise PowerSensorError(swapped)
         configuration = self._reset(RESET)
         if configuration == POWER_ON_CONFIGURATION:
             self.set_up()
             return
-        # Over an adapter that swaps, that was no reset but a setting: the swapped word is the reset.
+        # With an adapter that swaps, the word above was a setting, and only the swapped word resets the chip.
         if POWER_ON_CONFIGURATION in (swap(configuration), swap(self._reset(swap(RESET)))):
             raise PowerSensorError(swapped)
         raise PowerSensorError(
@@ -104,26 +107,26 @@ class INA219:
         )
 
     def _reset(self, word: int) -> int:
-        """The configuration after a word that should reset the chip."""
+        """Write a word that should reset the chip, and return the configuration."""
         self.device.write(CONFIGURATION, word)
         return self.device.read(CONFIGURATION)
 
     def set_up(self) -> None:
-        """Writes the settings and reads them back. Raises PowerSensorError."""
+        """Write the settings and check them. Raises PowerSensorError."""
         self.device.write(CONFIGURATION, RUNNING_CONFIGURATION)
         self.device.write(CALIBRATION, self.calibration)
         if not self.is_set_up():
-            raise PowerSensorError("the INA219 does not keep its settings: check its supply")
+            raise PowerSensorError("the INA219 loses its settings: check its supply")
 
     def is_set_up(self) -> bool:
-        """Whether the chip holds its settings. Raises PowerSensorError."""
+        """Return True if the chip has its settings. Raises PowerSensorError."""
         return (
             self.device.read(CALIBRATION) == self.calibration
             and self.device.read(CONFIGURATION) == RUNNING_CONFIGURATION
         )
 
     def sample(self, time: float) -> PowerSample:
-        """One sample, taken at ``time`` (s, monotonic). A chip that lost its settings gets them back."""
+        """Return a sample with the stamp ``time`` (s, monotonic). Set the chip up again if it lost its settings."""
         try:
             return self._sample(time)
         except PowerSensorError:
@@ -132,7 +135,7 @@ class INA219:
     def _sample(self, time: float) -> PowerSample:
         bus = self.device.read(BUS)
         shunt = _signed(self.device.read(SHUNT))
-        if not self.is_set_up():  # after the measured values, which it vouches for
+        if not self.is_set_up():  # Checked after the measured values, so that it also covers them.
             self.set_up()
             return PowerSample(time, SampleStatus.SENSOR_RESET)
         if not bus & _READY_BIT:
@@ -146,24 +149,26 @@ class INA219:
         return PowerSample(time, SampleStatus.VALID, (bus >> 3) * BUS_LSB_V, current)
 
     def _is_frozen(self, bits: tuple[int, int]) -> bool:
-        """Whether the chip has given the same bits for so long that they are no new measurements."""
+        """Return True if the bits have been identical for so long that the chip must be frozen."""
         self._repeats = self._repeats + 1 if bits == self._bits else 1
         self._bits = bits
         return self._repeats >= FROZEN
 
 
 def calibration_for(shunt_resistance: float, max_current: float) -> int:
-    """The calibration register for a shunt (ohm) and the largest current (A) to be told from an overflow.
+    """Return the calibration register for a shunt (ohm) and the largest current (A) without overflow.
 
-    Cal = trunc(0.04096 / (Current_LSB R)) with Current_LSB = max_current / 32768; bit 0 is always 0. Raises
-    ConfigurationError: the current does not fit the shunt's +-320 mV, or the register.
+    Cal = trunc(0.04096 / (Current_LSB R)) with Current_LSB = max_current / 32768; bit 0 is always 0.
+
+    Raises:
+        ConfigurationError: The current is too large for the shunt's +-320 mV or too small for the register.
     """
     if not (shunt_resistance > 0.0 and max_current > 0.0):
         raise ConfigurationError("shunt_resistance_ohm and max_current_a must be positive")
     if max_current * shunt_resistance > 0.32 * (1.0 + 1e-9):
         raise ConfigurationError(
-            f"{max_current:g} A through {shunt_resistance:g} ohm is over the INA219's 320 mV: "
-            f"at most {0.32 / shunt_resistance:g} A, or a smaller shunt"
+            f"{max_current:g} A through {shunt_resistance:g} ohm exceeds the INA219's 320 mV: "
+            f"use at most {0.32 / shunt_resistance:g} A, or a smaller shunt"
         )
     value = int(0.04096 / (max_current / 32768 * shunt_resistance)) & 0xFFFE
     if not 0 < value <= 0xFFFE:

@@ -5,12 +5,12 @@ from dataclasses import dataclass
 
 _ERROR_TEXT = {
     1: "could not carry the instruction out",
-    2: "does not know the instruction",
+    2: "does not support the instruction",
     3: "received a garbled question (wrong CRC): check its cable",
-    4: "refuses the value: out of range, or its bus watchdog has expired",
-    5: "refuses the length of the data",
-    6: "refuses the value: beyond its limit register",
-    7: "refuses the access (read-only, undefined, or EEPROM while torque is on)",
+    4: "rejects the value: out of range, or its bus watchdog has expired",
+    5: "rejects the length of the data",
+    6: "rejects the value: beyond its limit register",
+    7: "rejects the access (read-only, undefined, or EEPROM while torque is on)",
 }
 
 

@@ -53,7 +53,7 @@ SILENCE_REMEDY = (
 #: Timeout of a write, s. pyserial would wait forever for an adapter that accepts no bytes.
 _WRITE_TIMEOUT = 0.05
 #: Repetitions of an exchange during setup.
-_PATIENT_RETRIES = 8
+_SETUP_RETRIES = 8
 #: Largest delay of an answer during setup, s. It is shorter than the servos' bus watchdog.
 _LATEST = 0.06
 #: Largest number of bytes read after the timeout of a request. More bytes cannot be answers that waited to be read.
@@ -138,7 +138,7 @@ class BusPort(PortHandler):
         device = self.ser.fileno()
         while left:
             if not select.select([], [device], [], _WRITE_TIMEOUT)[1]:
-                raise OSError(errno.ETIMEDOUT, "it takes no bytes")
+                raise OSError(errno.ETIMEDOUT, "it accepts no bytes")
             count = os.write(device, left)
             self._clock.traffic.written += count
             left = left[count:]
@@ -240,7 +240,7 @@ class ServoBus:
 
         Raises:
             PortError: The port is missing, forbidden or in use. The message contains the remedy.
-            ConfigurationError: The SDK does not know the baud rate, or the path is not a serial device.
+            ConfigurationError: The SDK does not support the baud rate, or the path is not a serial device.
         """
         if reason := serial_port.why_no_port(path):
             raise ConfigurationError(reason)
@@ -264,7 +264,7 @@ class ServoBus:
             self.port.closePort()
 
     @contextlib.contextmanager
-    def patient(self, retries: int = _PATIENT_RETRIES) -> Iterator[None]:
+    def retrying(self, retries: int = _SETUP_RETRIES) -> Iterator[None]:
         """Enter a context for setup, in which an answer matters more than its duration.
 
         Failed exchanges are repeated more often. The first request, and each one after a failure, waits until no older
@@ -373,7 +373,7 @@ class ServoBus:
         if not servos:
             return self.now(), replies
         with self._question() as handler:
-            asked = self.now()
+            requested_at = self.now()
             self._check_sent(
                 handler.syncReadTx(self.port, start, size, list(servos), len(servos), False)
             )
@@ -399,7 +399,7 @@ class ServoBus:
         if len(replies) < len(servos):
             self._count(timeouts=1)
             self._settled = False
-        return asked, replies
+        return requested_at, replies
 
     def now(self) -> float:
         """Return the time (s, monotonic) of the port's clock."""
@@ -475,7 +475,7 @@ class ServoBus:
         if len(reply.data) != size:
             self._count(corrupt=1)
             raise CorruptReplyError(
-                f"servo {servo} answered {len(reply.data)} bytes where {size} were asked for"
+                f"servo {servo} answered {len(reply.data)} bytes instead of {size}"
             )
         return reply.data
 

@@ -3,7 +3,7 @@
 
 Values that decide something are read twice on a quiet line. Registers that change a meaning (mode, limits, home) are
 read back in the same way. A late answer must not pass for the answer to the present request. The callers use
-`ServoBus.patient` meanwhile.
+`ServoBus.retrying` meanwhile.
 
 The led register of a cable servo marks its home. It is lit while the turn count is valid. It is in RAM, so a reboot or
 a power cut, which fold the turn count, always clear it.
@@ -112,9 +112,7 @@ def _registers(
         first, second = read(), read()
         if all(abs(first[n] - second[n]) <= _UNSTEADY.get(n, 0) for n in names):
             return second
-    raise CorruptReplyError(
-        f"servo {number} gives another {', '.join(names)} each time it is asked"
-    )
+    raise CorruptReplyError(f"servo {number} returns a different {', '.join(names)} in each answer")
 
 
 def store(bus: ServoBus, servo: Servo, name: str, raw: int) -> None:
@@ -142,7 +140,7 @@ def check(bus: ServoBus, servo: Servo) -> None:
     status = values["hardware_error_status"]
     if status:
         raise ConfigurationError(
-            f"servo {servo.number} reports {hardware_error_text(status)}: mend the cause, then call the "
+            f"servo {servo.number} reports {hardware_error_text(status)}: remove the cause, then call the "
             "service reboot"
         )
     voltage = from_raw(servo["present_input_voltage"], values["present_input_voltage"])
@@ -346,12 +344,12 @@ def release_all(bus: ServoBus, servos: Sequence[Servo]) -> list[str]:
         bus.torque_off_all()  # immediate, but not acknowledged: each servo is checked below
     except BusError as error:
         return [str(error)]
-    with bus.patient(retries=2):
+    with bus.retrying(retries=2):
         for servo in servos:
             try:
                 disable(bus, servo)
                 if registers(bus, servo, "torque_enable")["torque_enable"]:
-                    problems.append(f"servo {servo.number} says that its torque is on")
+                    problems.append(f"servo {servo.number} reports that its torque is on")
             except BusError as error:
                 problems.append(str(error))
     return problems

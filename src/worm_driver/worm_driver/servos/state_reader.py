@@ -53,20 +53,20 @@ class StateReader:
         """Return the time of the request (s, monotonic) and the states of the servos; SILENT without a fresh answer.
 
         A servo whose position is lost gets no request. Without packets its bus watchdog stops it at its position,
-        whatever its goal now stands for.
+        whatever its goal.
 
         Raises:
             BusError: The port is gone.
         """
-        asked, states = self._ask()
+        requested_at, states = self._request()
         if len(states) < len(self._ids):
             self._bus.unsettle()
-            asked, states = self._ask()
+            requested_at, states = self._request()
             for servo, ticks in self._implausible.items():
                 self._track.lose(servo, ticks)
         if len(states) == len(self._ids):
             self._read_health()
-        return asked, tuple(states.get(servo.number, SILENT) for servo in self._servos)
+        return requested_at, tuple(states.get(servo.number, SILENT) for servo in self._servos)
 
     @property
     def _ids(self) -> list[int]:
@@ -97,10 +97,10 @@ class StateReader:
             BusError: The port is gone.
         """
         self._clocks.clear()
-        with self._bus.patient():
+        with self._bus.retrying():
             for _ in range(_FIRST_ANSWERS):
                 self._bus.unsettle()
-                self._ask()
+                self._request()
         self.forget_suspects()
 
     def look(self, servo: Servo, names: Sequence[str]) -> Mapping[str, int] | None:
@@ -113,7 +113,7 @@ class StateReader:
         """
         self._bus.unsettle()
         size = _HEALTH_END - _HEALTH_START
-        asked, replies = self._bus.sync_read(_HEALTH_START, size, [servo.number])
+        requested_at, replies = self._bus.sync_read(_HEALTH_START, size, [servo.number])
         reply = replies.get(servo.number)
         if reply is None or reply.error:
             return None
@@ -122,11 +122,11 @@ class StateReader:
             for name in ("realtime_tick", *names)
         }
         tick = from_raw(servo["realtime_tick"], values["realtime_tick"])
-        return values if self._is_fresh(servo.number, asked, reply.received, tick) else None
+        return values if self._is_fresh(servo.number, requested_at, reply.received, tick) else None
 
-    def _ask(self) -> tuple[float, Mapping[int, ServoState]]:
+    def _request(self) -> tuple[float, Mapping[int, ServoState]]:
         ids = self._ids
-        asked, replies = self._bus.sync_read(STATE_START, STATE_SIZE, ids)
+        requested_at, replies = self._bus.sync_read(STATE_START, STATE_SIZE, ids)
         self._note_alerts(replies)
         states = {}
         self.problems.clear()
@@ -141,20 +141,20 @@ class StateReader:
                 self.problems[servo.number] = error_text(reply.error)
             else:
                 state = decode(servo.model, reply.data)
-                if not self._is_fresh(servo.number, asked, reply.received, state.tick):
+                if not self._is_fresh(servo.number, requested_at, reply.received, state.tick):
                     self.problems[servo.number] = "answers late"
                 elif not self._track.accepts(servo.number, state.ticks, reply.received):
                     self._note_implausible(servo.number, state.ticks)
                 else:
                     states[servo.number] = state
-        return asked, states
+        return requested_at, states
 
     def _note_implausible(self, servo: int, ticks: int) -> None:
         self._bus.count_implausible()
         self._implausible[servo] = ticks
         self.problems[servo] = f"gives a position that it cannot have reached ({ticks} ticks)"
 
-    def _is_fresh(self, servo: int, asked: float, received: float, tick: float) -> bool:
+    def _is_fresh(self, servo: int, requested_at: float, received: float, tick: float) -> bool:
         """Return True if the servo's clock shows that an answer belongs to the present request.
 
         A clock that jumped belongs to a servo that has restarted. Its answers are accepted from the next one on.
@@ -165,7 +165,7 @@ class StateReader:
             self._suspects.add(servo)
             return False
         self._clocks[servo] = clock = tick_clock.update(clock, tick, received)
-        if tick_clock.age(clock, tick, asked) > tick_clock.RESOLUTION:
+        if tick_clock.age(clock, tick, requested_at) > tick_clock.RESOLUTION:
             self._bus.count_stale()
             return False
         return True
@@ -181,12 +181,12 @@ class StateReader:
     def _read_health(self) -> None:
         register = _HEALTH[self._turn]
         self._turn = (self._turn + 1) % len(_HEALTH)
-        odd = {"torque_enable": (0,), "bus_watchdog": (0, WATCHDOG_EXPIRED)}
+        suspicious = {"torque_enable": (0,), "bus_watchdog": (0, WATCHDOG_EXPIRED)}
         _, replies = self._bus.sync_read(register.address, register.size, self._ids)
         self._note_alerts(replies)
         for servo, reply in replies.items():
             if reply.error:
                 continue
             value = unpack_from(register, reply.data, register.address)
-            if value in odd.get(register.name, (value,) if value else ()):
+            if value in suspicious.get(register.name, (value,) if value else ()):
                 self._suspects.add(servo)

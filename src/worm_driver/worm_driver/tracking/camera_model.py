@@ -132,7 +132,7 @@ def make_camera_model(
         )
     if len(distortion) not in COEFFICIENTS[model]:
         counts = " or ".join(map(str, COEFFICIENTS[model]))
-        raise SetupError(f"{model} takes {counts} coefficients, not {len(distortion)}")
+        raise SetupError(f"{model} has {counts} coefficients, not {len(distortion)}")
     focal, centre = (matrix[0], matrix[4]), (matrix[2], matrix[5])
     return CameraModel(width, height, focal, centre, model, tuple(distortion))
 

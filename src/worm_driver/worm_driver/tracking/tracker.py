@@ -47,7 +47,7 @@ class Tracker:
 
     Args:
         setup: the rig.
-        camera: its calibration; required if the setup takes it from the camera_info topic.
+        camera: its calibration; required if the setup reads it from the camera_info topic.
 
     Raises:
         SetupError: Neither contains a calibration.

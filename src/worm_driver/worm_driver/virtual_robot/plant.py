@@ -28,7 +28,7 @@ _GROOVES = 512  # number of different grooves; the pattern repeats after them
 _SLOW = 1e-3  # m/s; dry friction is regularised below this speed, so that the robot can rest
 _STANDARD_GRAVITY = 9.80665  # m/s^2
 _WATER_DENSITY = 998.2  # kg/m^3 at 20 degrees Celsius
-# A robot that is still faster, or has moved further, after a time under its load slides.
+# Limits of a robot that holds its position under a load: settling time, speed and motion.
 _SETTLING = 600.0  # s
 _SETTLING_STEP = 0.01  # s; the fin forces, which are explicit, are stable up to about 50 ms
 _SETTLED = 1e-7  # m/s

@@ -19,7 +19,7 @@ from worm_msgs.yaml_file import SettingsFileError, read_yaml
 
 DEFAULT_FILE = Path(str(files("worm_driver").joinpath("config/virtual_robot.yaml")))
 
-# Parameters that a ruler or a scale measures are not perturbed by the seed.
+# Parameters that are measured with a ruler or a scale; the seed does not perturb them.
 _MEASURED = ("rear_mass", "front_mass", "unstressed_length", "initial_length", "pitch")
 
 ServoNumber = Annotated[int, key(ge=0, le=HIGHEST_ID)]
@@ -37,7 +37,7 @@ class LineSettings:
 
 @dataclass(frozen=True)
 class CableServoSettings:
-    """A servo that winds the cable. sign: 1 if a growing position shortens; m, rad."""
+    """Servo of the cable. sign: 1 if an increasing position shortens the body; spool radius in m, angle in rad."""
 
     id: ServoNumber
     model: Model
@@ -60,7 +60,7 @@ class FinServoSettings:
 
 @dataclass(frozen=True)
 class SupplySettings:
-    """The electrical source: V, ohm, W."""
+    """Electrical source: V, ohm, W."""
 
     voltage: Annotated[float, key("voltage_V", gt=0.0)]
     resistance: Annotated[float, key("resistance_ohm", ge=0.0)]
@@ -69,7 +69,7 @@ class SupplySettings:
 
 @dataclass(frozen=True)
 class SensorSettings:
-    """The INA219: 7-bit address, ohm, V, V."""
+    """INA219: 7-bit address, ohm, V, V."""
 
     address: Annotated[int, key(ge=0, le=127)]
     shunt: Annotated[float, key("shunt_ohm", gt=0.0)]
@@ -79,7 +79,7 @@ class SensorSettings:
 
 @dataclass(frozen=True)
 class TrackerSettings:
-    """The camera: Hz, m, Hz, s, s."""
+    """Camera: Hz, m, Hz, s, s."""
 
     rate: Annotated[float, key("rate_Hz", ge=0.0)]
     noise: Annotated[float, key("noise_m", ge=0.0)]
@@ -108,17 +108,17 @@ class RobotSettings:
     recording: int = 0
 
     def with_seed(self, seed: int) -> "RobotSettings":
-        """The same robot with another seed."""
+        """Return the settings of the same robot with another seed."""
         return replace(self, seed=seed)
 
 
 def perturbed(body: RobotParameters, spread: float, random: Random) -> RobotParameters:
-    """The parameters that only an identification tells, moved by a relative spread (log-normal)."""
+    """Return parameters of which those from an identification are perturbed by a relative spread (log-normal)."""
     moved = {
         field.name: getattr(body, field.name) * math.exp(random.gauss(0.0, spread))
         for field in fields(body)
         if field.default
-        and field.name not in _MEASURED  # without effects that the paper's model lacks
+        and field.name not in _MEASURED  # Effects with default 0 are not perturbed.
     }
     return replace(body, **moved)
 

@@ -196,7 +196,7 @@ def test_a_garbled_answer_costs_one_reading_and_not_the_session(monkeypatch):
     assert spools[0].radius == pytest.approx(0.025, rel=0.02)
     readings = [question for question, _ in bench.questions if "ruler" in question]
     assert [q.split(":")[0] for q in readings] == [f"reading {n} of 4" for n in (1, 2, 3, 4)]
-    assert sum("readings so far are kept" in line for line in bench.said) == 2
+    assert sum("readings so far are preserved" in line for line in bench.said) == 2
     assert all(armed for _, armed in bench.questions)
 
 
@@ -219,7 +219,7 @@ def test_a_servo_that_lost_its_torque_meanwhile_is_not_read_on(monkeypatch):
             bench.robot.servos[0].memory["torque_enable"] = 0
 
     monkeypatch.setattr(bench.calibration, "_say", restart)
-    with pytest.raises(DriverError, match="begin anew"):
+    with pytest.raises(DriverError, match="run calibrate again"):
         calibrate(bench.calibration, turns=0.3, points=4)
 
 

@@ -107,7 +107,7 @@ def test_a_stop_that_cannot_be_stored_holds_all_the_same_and_that_is_reported(tm
     (tmp_path / "file").touch()
     made = EmergencyLatch(tmp_path / "file" / "state")
     made.adopt(["one"])
-    assert "the next driver will not know" in made.latch()
+    assert "cannot be stored for the next driver" in made.latch()
     assert made.on
 
 

@@ -31,19 +31,19 @@ def test_the_calling_thread_gets_what_was_asked_for():
     asked: list[int] = []
     scheduling = request_scheduling(40, asked.append, lambda: asked.append(-1))
     assert asked == [40, -1]
-    assert scheduling == Scheduling(granted=True, words="SCHED_FIFO 40, memory locked")
+    assert scheduling == Scheduling(granted=True, description="SCHED_FIFO 40, memory locked")
 
 
 def test_what_is_refused_is_named_with_a_remedy_and_the_rest_is_kept():
     scheduling = request_scheduling(40, refused, lambda: None)
     assert not scheduling.granted
-    assert scheduling.words.startswith("no SCHED_FIFO 40 (Operation not permitted): grant it")
-    assert "locked memory" not in scheduling.words
+    assert scheduling.description.startswith("no SCHED_FIFO 40 (Operation not permitted): grant it")
+    assert "locked memory" not in scheduling.description
     both = request_scheduling(40, refused, refused)
-    assert "no SCHED_FIFO 40" in both.words
-    assert "no locked memory" in both.words
+    assert "no SCHED_FIFO 40" in both.description
+    assert "no locked memory" in both.description
     memory = request_scheduling(7, granted, refused)
-    assert memory.words.startswith("no locked memory")
+    assert memory.description.startswith("no locked memory")
 
 
 def test_it_may_be_turned_off():
@@ -67,7 +67,7 @@ def test_who_shares_the_interpreter_gets_half_until_it_is_given_back():
     thread.start()
     thread.join()
     if not urgencies[0].granted:
-        pytest.skip(urgencies[0].words)
+        pytest.skip(urgencies[0].description)
     assert found == [(10, 5), (0, 0)]
 
 
@@ -96,6 +96,8 @@ def test_the_diagnostics_tell_it_and_blame_it_only_for_a_late_loop():
     fine = TimingReport(0.01, 0.0005, 0.001, 0.0005, 0.004, 0, 1000)
     late = TimingReport(0.01, 0.004, 0.02, 0.003, 0.006, 7, 1000)
     assert timing_report(fine, 0.01, missing).level is Level.OK
-    assert ("real_time_priority", missing.words) in timing_report(fine, 0.01, missing).values
-    assert missing.words in timing_report(late, 0.01, missing).message
-    assert "grant" not in timing_report(late, 0.01, Scheduling(granted=True, words="x")).message
+    assert ("real_time_priority", missing.description) in timing_report(fine, 0.01, missing).values
+    assert missing.description in timing_report(late, 0.01, missing).message
+    assert (
+        "grant" not in timing_report(late, 0.01, Scheduling(granted=True, description="x")).message
+    )

@@ -246,7 +246,7 @@ def test_stop_stops_at_once():
         ("late", {"duration": 5.0, "value": 0.012}, "answers late"),
         ("late", {"count": 1, "value": 0.045}, "does not answer intact"),
         ("error", {"target": 1, "duration": 5.0, "value": 4}, "out of range"),
-        ("error", {"target": 12, "duration": 5.0, "value": 7}, "servo 12 .* refuses the access"),
+        ("error", {"target": 12, "duration": 5.0, "value": 7}, "servo 12 .* rejects the access"),
         ("vanished", {"target": 12, "duration": 5.0}, "servo 12 gives no state"),
         ("stalled", {"target": 1, "duration": 5.0}, "blocked"),
         ("overload", {"target": 12}, "servo 12 reports overload"),

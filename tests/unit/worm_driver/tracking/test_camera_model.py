@@ -68,7 +68,7 @@ def test_where_the_lens_model_folds_over_there_is_no_direction():
             {"distortion_model": "thin_prism"},
             "thin_prism.*plumb_bob, rational_polynomial, equidistant",
         ),
-        ({"distortion_coefficients": {"data": [0.1, 0.2]}}, "takes 4 or 5 coefficients, not 2"),
+        ({"distortion_coefficients": {"data": [0.1, 0.2]}}, "4 or 5 coefficients, not 2"),
         ({"distortion_coefficients": {"data": ["a"] * 5}}, "distortion_coefficients"),
         ({"distortion_model": None}, "distortion_model None"),
     ],

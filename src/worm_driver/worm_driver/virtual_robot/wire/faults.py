@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Faults that the virtual robot shows on request, each with a start, a length and a target."""
+"""Faults that can be injected into the virtual robot, each with a start, a duration and a target."""
 
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Final
 
-# Faults of status packets: each spoils `count` packets.
+# Faults of status packets: each affects `count` packets.
 NO_ANSWER: Final = "no_answer"
 CORRUPTED_CRC: Final = "corrupted_crc"
 TRUNCATED: Final = "truncated"
@@ -16,7 +16,7 @@ FUZZED: Final = "fuzzed"
 ERROR_NUMBER: Final = "error"
 WRONG_ID: Final = "wrong_id"
 WRONG_POSITION: Final = "wrong_position"
-# What happens to the whole robot at once.
+# Events of the whole robot.
 PUT_BACK: Final = "put_back"
 OCCLUDED: Final = "occluded"
 # Changes of the plant's conditions: each lasts `duration`.
@@ -38,7 +38,7 @@ INA219_RESET: Final = "ina219_reset"
 
 @dataclass(frozen=True)
 class FaultKind:
-    """What a fault does, and its count, duration (s) and value when nobody says."""
+    """Kind of fault: description, and default count, duration (s) and value."""
 
     text: str
     count: int = 0
@@ -52,51 +52,59 @@ class FaultKind:
 
 KINDS: dict[str, FaultKind] = {
     NO_ANSWER: FaultKind("status packets are lost", count=1),
-    CORRUPTED_CRC: FaultKind("status packets come with a wrong checksum", count=1),
+    CORRUPTED_CRC: FaultKind("status packets have a wrong checksum", count=1),
     TRUNCATED: FaultKind("status packets end early", count=1),
-    DUPLICATED: FaultKind("status packets come twice", count=1),
-    LATE: FaultKind("status packets come value seconds late", count=1, value=0.045),
-    FUZZED: FaultKind("status packets have bytes changed, lost and added at random", count=1),
-    ERROR_NUMBER: FaultKind("status packets carry error number value (1 to 7)", count=1, value=1),
-    WRONG_ID: FaultKind("status packets carry value as their servo's id", count=1, value=1),
+    DUPLICATED: FaultKind("status packets are sent twice", count=1),
+    LATE: FaultKind("status packets are value seconds late", count=1, value=0.045),
+    FUZZED: FaultKind("bytes of status packets are changed, lost and added at random", count=1),
+    ERROR_NUMBER: FaultKind("status packets contain error number value (1 to 7)", count=1, value=1),
+    WRONG_ID: FaultKind("status packets contain value as the id of the servo", count=1, value=1),
     WRONG_POSITION: FaultKind(
-        "status packets give a position that is value ticks off", count=1, value=600
+        "positions in status packets are wrong by value ticks", count=1, value=600
     ),
-    PUT_BACK: FaultKind("somebody puts the robot back to its first place, fins straight", count=1),
+    PUT_BACK: FaultKind("the robot is moved back to its start, with straight fins", count=1),
     OCCLUDED: FaultKind("both markers are hidden from the camera", duration=1.0),
     SLOPE: FaultKind("the pipe is value degrees steeper uphill", duration=10.0, value=10.0),
     TETHER: FaultKind("the tether pulls value newtons more towards -x", duration=10.0, value=2.0),
-    VANISHED: FaultKind("a servo loses its supply, and boots when it has it again", duration=1.0),
-    STALLED: FaultKind("a servo's shaft is blocked, which overloads it in the end", duration=1.0),
+    VANISHED: FaultKind(
+        "a servo loses its supply, and boots when the supply returns", duration=1.0
+    ),
+    STALLED: FaultKind("a servo's shaft is blocked, until the servo is overloaded", duration=1.0),
     OVERLOAD: FaultKind("a servo reports overload until it is rebooted", duration=0.1),
     OVERHEATING: FaultKind("a servo is 100 degrees too hot", duration=1.0),
     INPUT_VOLTAGE: FaultKind("a servo's supply is at value volts", duration=1.0, value=4.0),
-    UNPLUGGED: FaultKind("the serial port disappears, and comes back", duration=1.0),
+    UNPLUGGED: FaultKind("the serial port disappears, and returns", duration=1.0),
     I2C_NACK: FaultKind("the power sensor does not acknowledge", count=1),
     I2C_TIMEOUT: FaultKind("the I2C bus hangs for value seconds, then fails", count=1, value=0.1),
     INA219_OVERFLOW: FaultKind(
-        "value amperes more, beyond the sensor's range, its overflow bit set",
+        "value amperes more, beyond the sensor's range, with its overflow bit",
         duration=0.2,
         value=6.0,
     ),
     INA219_SATURATION: FaultKind(
-        "value amperes more, beyond the sensor's range, no overflow bit", duration=0.2, value=6.0
+        "value amperes more, beyond the sensor's range, without its overflow bit",
+        duration=0.2,
+        value=6.0,
     ),
-    INA219_RESET: FaultKind("the sensor browns out and forgets its settings", count=1),
+    INA219_RESET: FaultKind("the sensor loses its settings in a brown-out", count=1),
 }
 
 
 class FaultError(ValueError):
-    """A fault that cannot be; the message says what to write instead."""
+    """Invalid fault; the message contains the remedy."""
 
 
 @dataclass(frozen=True)
 class Fault:
-    """One request.
+    """Fault to inject.
 
-    name: a key of KINDS. target: servo id, None for any. start: s of the virtual robot's clock.
-    duration: s, inf for as long as the count lasts. count: packets or transactions, 0 for as many
-    as the duration holds. value: see KINDS.
+    Attributes:
+        name: key of KINDS.
+        target: id of the servo; None: any.
+        start: time of the virtual robot's clock, s.
+        duration: duration, s; inf: until the count is used up.
+        count: number of packets or transactions; 0: all within the duration.
+        value: see KINDS.
     """
 
     name: str
@@ -119,11 +127,11 @@ class Fault:
             raise FaultError(f"fault {self.name}: value must be a servo id from 0 to 252")
 
     def delayed(self, time: float) -> "Fault":
-        """The same fault, later by a time (s)."""
+        """Return the same fault, later by a time (s)."""
         return replace(self, start=self.start + time)
 
     def hits(self, target: int | None) -> bool:
-        """Whether a servo is meant."""
+        """Return True if the fault affects a servo."""
         return self.target is None or self.target == target
 
 
@@ -136,10 +144,10 @@ def make_fault(
     count: int | None = None,
     value: float | None = None,
 ) -> Fault:
-    """A fault whose missing arguments take the kind's defaults. Raises FaultError."""
+    """Return a fault. Missing arguments have the defaults of its kind. Raises FaultError."""
     kind = KINDS.get(name)
     if kind is None:
-        return Fault(name)  # says which names there are
+        return Fault(name)  # Raises an error that lists the names.
     if count is None:
         count = kind.count if duration is None else 0
     if duration is None:
@@ -148,9 +156,10 @@ def make_fault(
 
 
 def parse_fault(text: str) -> Fault:
-    """A fault from ``NAME[:KEY=VALUE,…][@SECONDS]`` with keys target, duration, count, value.
+    """Return the fault of a text ``NAME[:KEY=VALUE,…][@SECONDS]`` with keys target, duration, count, value.
 
-    Raises FaultError.
+    Raises:
+        FaultError: The text is invalid.
     """
     head, _, start = text.partition("@")
     name, _, options = head.partition(":")
@@ -173,7 +182,7 @@ def parse_fault(text: str) -> Fault:
 
 
 class FaultBoard:
-    """The faults asked for, and which of them strike at a time."""
+    """Faults that have been injected and have not ended."""
 
     def __init__(self, faults: Iterable[Fault] = ()) -> None:
         self._left: list[tuple[Fault, int]] = []
@@ -181,24 +190,24 @@ class FaultBoard:
             self.add(fault)
 
     def add(self, fault: Fault) -> None:
-        """Asks for one more fault."""
+        """Add a fault."""
         self._left.append((fault, fault.count))
 
     def clear(self) -> None:
-        """Ends all faults."""
+        """End all faults."""
         self._left.clear()
 
     def active(self, name: str, time: float, target: int | None = None) -> Fault | None:
-        """The fault of a name that strikes a target at a time (s), None if none does."""
+        """Return the fault of a name that is active for a target at a time (s); None if there is none."""
         if not self._left:
             return None
         for fault, _ in self._left:
-            if fault.name == name and fault.hits(target) and _strikes(fault, time):
+            if fault.name == name and fault.hits(target) and _is_active(fault, time):
                 return fault
         return None
 
     def consume(self, name: str, time: float, target: int | None = None) -> Fault | None:
-        """Like active(), and uses one of the fault's count up."""
+        """Like active(), and reduce the fault's count by one."""
         fault = self.active(name, time, target)
         if fault is not None:
             index = next(i for i, (other, _) in enumerate(self._left) if other is fault)
@@ -210,9 +219,9 @@ class FaultBoard:
         return fault
 
     def forget_past(self, time: float) -> None:
-        """Drops faults that are over."""
+        """Remove the faults that have ended."""
         self._left = [(f, left) for f, left in self._left if time <= f.start + f.duration]
 
 
-def _strikes(fault: Fault, time: float) -> bool:
+def _is_active(fault: Fault, time: float) -> bool:
     return fault.start <= time <= fault.start + fault.duration

@@ -111,15 +111,15 @@ def status_packet(servo_id: int, error: int, parameters: bytes = b"") -> bytes:
     return frame(servo_id, stuff(bytes([STATUS, error]) + parameters))
 
 
-def fast_status_packet(answers: list[tuple[int, int, bytes]], asked: list[int]) -> bytes:
+def fast_status_packet(answers: list[tuple[int, int, bytes]], lengths: list[int]) -> bytes:
     """Return the single status packet of a Fast Sync Read or Fast Bulk Read, which is not stuffed.
 
     Args:
         answers: (error byte, servo id, data) of each servo in the order of the request.
-        asked: requested number of data bytes of each servo. With fewer answers the packet ends early, as on a bus
+        lengths: requested number of data bytes of each servo. With fewer answers the packet ends early, as on a bus
             with a silent servo.
     """
-    length = 1 + sum(size + 4 for size in asked)
+    length = 1 + sum(size + 4 for size in lengths)
     packet = _PREFIX + bytes([BROADCAST_ID]) + length.to_bytes(2, "little") + bytes([STATUS])
     crc = crc16(packet)
     for error, servo_id, data in answers:

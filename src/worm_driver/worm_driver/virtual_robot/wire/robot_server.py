@@ -44,7 +44,7 @@ I2C_NAME = "i2c.sock"
 
 _LOCK_NAME = ".virtual_robot.lock"
 _WAKE_UP = 0.004  # s; longest time between two updates
-_LOOK = 0.1  # s of machine time between two updates while a client computes
+_COMPUTING_PERIOD = 0.1  # s of machine time between two updates while a client computes
 _CHUNK = 4096  # bytes
 
 # pyserial stores the baud rate in the terminal's settings, where the other end can read it.
@@ -133,7 +133,7 @@ class RobotServer:
         self.time.begin(self._clock())
         self._page: Page | None = None
         self._clients: dict[socket.socket, ClockClient] = {}  # clients of the clock
-        # over the serial line since a client connected; infinite when the counts no longer matter
+        # Over the serial line since a client connected; infinite if the counts are no longer used.
         self._bytes_sent = self._bytes_received = 0.0
         self._selector = selectors.SelectSelector()  # epoll would round timeouts up to 1 ms
         self._serial: PtyPort | None = None
@@ -261,7 +261,7 @@ class RobotServer:
             return max(wait, 0.0)
         if all(p.waits(self._bytes_sent, self._bytes_received) for p in clients):
             return max(self.time.machine_time(self._next_event()) - machine, 0.0)
-        return _LOOK
+        return _COMPUTING_PERIOD
 
     def _wake_due(self) -> None:
         """End the waits that are due."""

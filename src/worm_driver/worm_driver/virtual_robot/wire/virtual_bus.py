@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The servo bus: instruction packets in, status packets out, with the faults of the wire."""
+"""Servo bus: receives instruction packets and returns status packets, with faults of the serial line."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -21,14 +21,16 @@ from worm_driver.virtual_robot.wire.packet import (
     status_packet,
 )
 
-#: at the same address in every model
+#: The address is the same in every model.
 _POSITION = XM430_W350.registers["present_position"]
-_ALLOWED_GAP = 0.050  # s; 1.5 ms on the wire, but the scheduler decides when a pty is read
+_ALLOWED_GAP = (
+    0.050  # s; 1.5 ms on a real line, but a pseudo-terminal is read only when the scheduler permits
+)
 
 
 @dataclass(frozen=True)
 class Transmission:
-    """Bytes to put on the wire at a time (s)."""
+    """Bytes to send at a time (s)."""
 
     time: float
     data: bytes
@@ -36,7 +38,7 @@ class Transmission:
 
 @dataclass(frozen=True)
 class _Answer:
-    """What a servo has to say: its id when it was asked, the whole error byte, data, delay (s)."""
+    """Answer of a servo: its id at the request, delay (s), complete error byte, data."""
 
     servo_id: int
     delay: float
@@ -49,10 +51,15 @@ def _answer_of(servo: Servo, number: int = Error.NONE, data: bytes = b"") -> _An
 
 
 class ServoBus:
-    """Servos on one line. Not one byte more or less than real ones would send."""
+    """Servos on one serial line, which send exactly the bytes of real servos.
+
+    Args:
+        servos: the servos.
+        board: injected faults.
+        random: source of fuzzed bytes.
+    """
 
     def __init__(self, servos: Sequence[Servo], board: FaultBoard, random: Random) -> None:
-        """random: what a fuzzed packet looks like."""
         self._servos = servos
         self._board = board
         self._random = random
@@ -60,11 +67,11 @@ class ServoBus:
         self._last_sent = 0.0
 
     def feed(self, data: bytes, time: float, baud_rate: int | None = None) -> list[Transmission]:
-        """The answers to bytes received at a time (s) with a rate (bit/s), None: the right one."""
+        """Return the answers to bytes received at a time (s) with a baud rate (bit/s; None: the correct one)."""
         answers: list[Transmission] = []
         for packet in self._reader.feed(data, time):
             for answer in self._answer(packet, time, baud_rate):
-                # Bytes do not overtake each other: what follows a late packet is late too.
+                # Bytes cannot overtake each other, so packets after a late one are late, too.
                 self._last_sent = max(answer.time, self._last_sent)
                 answers.append(Transmission(self._last_sent, answer.data))
         return answers
@@ -99,7 +106,7 @@ class ServoBus:
     def _misread(
         self, packet: Packet, answers: Sequence[_Answer], time: float
     ) -> Sequence[_Answer]:
-        """Answers to a read or sync read whose position may be off by a fault."""
+        """Return the answers to a read or sync read, with wrong positions if such a fault is active."""
         is_read = packet.instruction in (Instruction.READ, Instruction.SYNC_READ)
         if not is_read or len(packet.parameters) < 4:
             return answers
@@ -125,7 +132,7 @@ class ServoBus:
         return sent
 
     def _send_fast(
-        self, answers: Sequence[_Answer], asked: list[int], time: float
+        self, answers: Sequence[_Answer], lengths: list[int], time: float
     ) -> list[Transmission]:
         parts = []
         for answer in answers:
@@ -134,10 +141,10 @@ class ServoBus:
             parts.append((answer.error, answer.servo_id, answer.data))
         if not parts:
             return []
-        return [Transmission(time + answers[0].delay, fast_status_packet(parts, asked))]
+        return [Transmission(time + answers[0].delay, fast_status_packet(parts, lengths))]
 
     def _spoil(self, answer: _Answer, due: float) -> list[Transmission]:
-        """A status packet, or what the faults of the wire leave of it."""
+        """Return the status packet of an answer, after the faults of the line."""
 
         def take(name: str) -> faults.Fault | None:
             return self._board.consume(name, due, answer.servo_id)
@@ -163,13 +170,13 @@ class ServoBus:
 
 
 def _offset(data: bytes, begin: int, end: int, ticks: int) -> bytes:
-    """The data with a number of ticks added to the position in it."""
+    """Return data with a number of ticks added to the position in it."""
     wrong = int.from_bytes(data[begin:end], "little", signed=True) + ticks
     return data[:begin] + wrong.to_bytes(end - begin, "little", signed=True) + data[end:]
 
 
 def _fuzz(data: bytes, random: Random) -> bytes:
-    """The data with up to three bytes changed, some lost and some added."""
+    """Return data with up to three bytes changed, some lost and some added."""
     fuzzed = bytearray(data)
     for _ in range(random.randint(0, 3)):
         fuzzed[random.randrange(len(fuzzed))] = random.randrange(256)
@@ -182,7 +189,7 @@ def _fuzz(data: bytes, random: Random) -> bytes:
 
 
 def _obey(packet: Packet, listening: Sequence[Servo], time: float) -> list[_Answer]:
-    """Does an instruction for one servo or for all; the answers in the order of ids."""
+    """Execute an instruction for one servo or for all. Return the answers in the order of ids."""
     broadcast = packet.servo_id == BROADCAST_ID
     meant = [servo for servo in listening if broadcast or servo.servo_id == packet.servo_id]
     answers = []
@@ -198,7 +205,7 @@ def _obey(packet: Packet, listening: Sequence[Servo], time: float) -> list[_Answ
 
 def _do(servo: Servo, packet: Packet, time: float) -> _Answer:
     servo.feed_watchdog(time)
-    before = _answer_of(servo)  # the answer carries the id and the delay from before the change
+    before = _answer_of(servo)  # The answer contains the id and the delay from before the change.
     try:
         data = _execute(servo, packet, time)
     except RegisterError as error:
@@ -239,7 +246,7 @@ def _address(parameters: bytes) -> int:
 
 
 def _range(parameters: bytes, *, exactly: bool) -> tuple[int, int]:
-    """Address and length at the start of the parameters."""
+    """Return address and length at the start of the parameters."""
     if len(parameters) < 4 or (exactly and len(parameters) != 4):
         raise RegisterError(Error.DATA_LENGTH)
     return int.from_bytes(parameters[:2], "little"), int.from_bytes(parameters[2:4], "little")
@@ -248,11 +255,11 @@ def _range(parameters: bytes, *, exactly: bool) -> tuple[int, int]:
 def _group_read(
     packet: Packet, listening: Sequence[Servo], time: float
 ) -> tuple[list[_Answer], list[int]]:
-    """The answers of the servos that listen, and the data lengths asked of all."""
+    """Return the answers of the servos that listen, and the data lengths requested from all servos."""
     by_id = {servo.servo_id: servo for servo in listening}
-    answers, asked = [], []
+    answers, lengths = [], []
     for servo_id, address, length in _requests(packet):
-        asked.append(length)
+        lengths.append(length)
         servo = by_id.get(servo_id)
         if servo is None or servo.memory["status_return_level"] == 0:
             continue
@@ -261,11 +268,11 @@ def _group_read(
             answers.append(_answer_of(servo, data=servo.read(address, length)))
         except RegisterError as error:
             answers.append(_answer_of(servo, error.number))
-    return answers, asked
+    return answers, lengths
 
 
 def _requests(packet: Packet) -> list[tuple[int, int, int]]:
-    """(id, address, length) of a sync or bulk read; nothing if it is malformed."""
+    """Return (id, address, length) of each part of a sync or bulk read; an empty list if it is malformed."""
     parameters = packet.parameters
     if packet.instruction in (Instruction.SYNC_READ, Instruction.FAST_SYNC_READ):
         if len(parameters) < 5:
@@ -279,7 +286,7 @@ def _requests(packet: Packet) -> list[tuple[int, int, int]]:
 
 
 def _group_write(packet: Packet, listening: Sequence[Servo], time: float) -> None:
-    """Writes to each servo named; nobody answers, so that a refused write stays unseen."""
+    """Execute a group write. There is no answer, so a rejected write is not reported."""
     by_id = {servo.servo_id: servo for servo in listening}
     for servo_id, address, data in _writes(packet):
         servo = by_id.get(servo_id)
@@ -293,7 +300,7 @@ def _group_write(packet: Packet, listening: Sequence[Servo], time: float) -> Non
 
 
 def _writes(packet: Packet) -> list[tuple[int, int, bytes]]:
-    """(id, address, data) of a sync or bulk write; nothing if it is malformed."""
+    """Return (id, address, data) of each part of a sync or bulk write; an empty list if it is malformed."""
     parameters = packet.parameters
     if packet.instruction == Instruction.SYNC_WRITE:
         if len(parameters) < 4:

@@ -32,7 +32,7 @@ _WAIT = struct.Struct("<Qd?QQ")
 WAKE = struct.Struct("<Q")  # number of a wait that has ended
 _PAGE_SIZE = 16
 _SHORTEST = 1e-6  # shortest wait, s; shorter ones would not end because of rounding
-_PATIENCE = 60.0  # s
+_LEAST_TIMEOUT = 60.0  # s
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ class VirtualClock:
         OSError: The directory has no clock.
     """
 
-    least_timeout = _PATIENCE
+    least_timeout = _LEAST_TIMEOUT
 
     def __init__(self, directory: Path, port: bytes) -> None:
         self.traffic = Traffic()
