@@ -6,7 +6,7 @@ from glob import glob
 from setuptools import find_packages, setup
 
 NAME = "worm_driver"
-EXECUTABLES: list[str] = [  # "executable = module:function", each lands in lib/NAME
+EXECUTABLES: list[str] = [  # "executable = module:function", each installed in lib/NAME
     "virtual_robot = worm_driver.nodes.executables:virtual_robot",
     "driver_node = worm_driver.nodes.executables:driver_node",
     "tracker_node = worm_driver.nodes.executables:tracker_node",
@@ -36,6 +36,6 @@ setup(
         (f"share/{NAME}/security/policies", sorted(glob("security/policies/*"))),
         (f"share/{NAME}/launch", sorted(glob("launch/*.launch.py"))),
     ],
-    extras_require={"test": ["pytest"]},  # colcon test takes pytest for it
+    extras_require={"test": ["pytest"]},  # makes colcon test use pytest
     entry_points={"console_scripts": EXECUTABLES},
 )

@@ -224,11 +224,9 @@ class Hardware:
     def _on_snapshot(self, snapshot: Snapshot) -> None:
         """Queue a snapshot, in the loop's thread. Hold the robot if the node no longer reads the queue."""
         self.snapshots.append(snapshot)
-        unheard = snapshot.command_time - self._oldest(snapshot).command_time
-        if snapshot.active and unheard > _LISTENING_TIMEOUT:
-            reason = (
-                f"the node has not listened for {unheard:.0f} s: the service stop would not work"
-            )
+        unread = snapshot.command_time - self._oldest(snapshot).command_time
+        if snapshot.active and unread > _LISTENING_TIMEOUT:
+            reason = f"the driver's ROS thread has not read the robot's state for {unread:.0f} s"
             self.robot.fail(snapshot.command_time, reason)
         if self.clock.least_timeout:
             self._wait_for_listener()

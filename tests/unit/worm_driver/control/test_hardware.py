@@ -79,7 +79,7 @@ def test_a_robot_that_nobody_listens_to_is_held(hardware, monkeypatch):
     hardware.loop.run(hardware.robot.activate)
     hardware.loop.run(lambda now: hardware.robot.start(now, Gait(0.05, 0.2), 5))
     wait_for(lambda: hardware.robot.player.phase is Phase.FAULT)
-    assert "has not listened" in hardware.robot.player.message
+    assert "has not read" in hardware.robot.player.message
 
 
 class Emptied(deque):

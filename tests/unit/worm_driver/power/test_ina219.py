@@ -254,7 +254,7 @@ def test_a_file_that_is_no_bus_is_refused(tmp_path):
     ("number", "words"),
     [
         (errno.EREMOTEIO, "does not acknowledge"),
-        (errno.ETIMEDOUT, "holds the bus"),
+        (errno.ETIMEDOUT, "blocks the bus"),
         (errno.EBUSY, "ina2xx"),
         (errno.EIO, "failed"),
     ],
