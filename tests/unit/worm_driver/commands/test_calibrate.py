@@ -75,7 +75,7 @@ class Bench:
         self.port = SimulatedPort(wire, self.clock)
         self.bus = ServoBus(self.port, retries=0)
         self.start = self.robot.servos[0].motor.position
-        self.patience = "r"
+        self.decision = "r"
         self.said: list[str] = []
         self.questions: list[tuple[str, bool]] = []
         self.calibration = Calibration(self.bus, self.answer, self.said.append, self.wait)
@@ -100,10 +100,10 @@ class Bench:
         self.questions.append((question, self.armed()))
         if "LED is lit" in question:
             return "c" if "servo 1 " in question else "f"
-        if "auter" in question:
+        if "ighter" in question:
             return "t"
         if "epeat" in question:
-            return self.patience
+            return self.decision
         if "ruler" in question:
             self.robot.advance(self.clock.now)
             turned = (self.robot.servos[0].motor.position - self.start) * 2 * math.pi / 4096
@@ -202,7 +202,7 @@ def test_a_garbled_answer_costs_one_reading_and_not_the_session(monkeypatch):
 
 def test_a_person_may_give_up_after_a_garbled_answer(monkeypatch):
     bench = Bench()
-    bench.patience = "g"
+    bench.decision = "g"
     lose_answers(bench, monkeypatch, 9)
     with pytest.raises(CorruptReplyError):
         calibrate(bench.calibration, turns=0.3, points=4)
@@ -215,7 +215,7 @@ def test_a_servo_that_lost_its_torque_meanwhile_is_not_read_on(monkeypatch):
 
     def restart(line: str) -> None:
         say(line)
-        if "kept" in line:
+        if "preserved" in line:
             bench.robot.servos[0].memory["torque_enable"] = 0
 
     monkeypatch.setattr(bench.calibration, "_say", restart)
@@ -226,9 +226,9 @@ def test_a_servo_that_lost_its_torque_meanwhile_is_not_read_on(monkeypatch):
 def test_nonsense_is_asked_again():
     bench = Bench()
     answers = iter(["x", "", "n"])
-    bench.calibration._ask_person = lambda *_: next(answers)
+    bench.calibration._ask_operator = lambda *_: next(answers)
     assert bench.calibration.role(bench.calibration.find_servos()[0]) == "n"
-    assert bench.said == ["one of c, f, n, please"] * 2
+    assert bench.said == ["answer with one of c, f, n"] * 2
 
 
 def test_without_servos_it_says_what_to_check():

@@ -83,7 +83,7 @@ def test_timing_warns_from_two_milliseconds_on():
     [
         ({SampleStatus.VALID: 100}, Level.OK, "ok"),
         ({SampleStatus.VALID: 90, SampleStatus.NOT_READY: 10}, Level.OK, "ok"),
-        ({SampleStatus.VALID: 1, SampleStatus.NOT_READY: 99}, Level.WARN, "same bits"),
+        ({SampleStatus.VALID: 1, SampleStatus.NOT_READY: 99}, Level.WARN, "identical bits"),
         ({SampleStatus.VALID: 90, SampleStatus.OVERFLOW: 10}, Level.WARN, "10 x overflow"),
         ({SampleStatus.VALID: 99, SampleStatus.SENSOR_RESET: 1}, Level.WARN, "1 x sensor reset"),
         ({SampleStatus.BUS_ERROR: 100}, Level.ERROR, "100 x bus error"),
