@@ -192,7 +192,7 @@ def cancel(state: PlayerState, now: float, reason: str) -> PlayerState:
     run = replace(run, reason=reason)
     if state.phase is Phase.RETURNING or run.onset is not None:
         return replace(state, phase=Phase.STOPPING, run=run)
-    return _come_to_rest(replace(state, run=run), now, Ending.CANCELLED)
+    return _come_to_rest(replace(state, run=run), now, Ending.CANCELLED, now)
 
 
 def stop(state: PlayerState, now: float, length_change: float, reason: str) -> PlayerState:
@@ -326,7 +326,8 @@ def _running(
     end = run.onset + run.stop_cycle / run.gait.frequency
     if now >= end:
         ending = Ending.CANCELLED if state.phase is Phase.STOPPING else Ending.COMPLETED
-        return _come_to_rest(replace(state, length_change=run.gait.point_of_rest), end, ending)
+        state = replace(state, length_change=run.gait.point_of_rest)
+        return _come_to_rest(state, now, ending, end)
     return replace(state, length_change=run.gait.length_change(now - run.onset))
 
 
@@ -354,9 +355,9 @@ def _end(
     return replace(state, phase=phase, phase_start=now)
 
 
-def _come_to_rest(state: PlayerState, now: float, ending: Ending) -> PlayerState:
-    """End a run, and pay out its pretension."""
-    state = _end(state, now, ending, Phase.IDLE)
+def _come_to_rest(state: PlayerState, now: float, ending: Ending, end: float) -> PlayerState:
+    """End a run that ended at a time ``end`` (s), and pay out its pretension from now on."""
+    state = _end(state, end, ending, Phase.IDLE)
     return _enter(state, Phase.RETURNING, now) if state.length_change else state
 
 

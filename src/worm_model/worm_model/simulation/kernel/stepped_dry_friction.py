@@ -241,9 +241,9 @@ def slide(
 
     ``length_changes`` (n,) in m at every ``step`` s, the first at rest, straight lines between them. The grooves
     that a module passes, (m, GROOVE_COLUMNS), each differ from the worm's values by a threshold in m and a relative
-    stiffness; it starts in the row FIRST_GROOVE. ``samples`` (n, SAMPLE_COLUMNS) receives x1 from its rest in m, v1 in m/s and
-    M1·v̇1 + friction + F_1 in N (eq:Fc) over the step that ends there. The result is −1 if the anchors switch to and
-    fro without end.
+    stiffness; it starts in the row FIRST_GROOVE. ``samples`` (n, SAMPLE_COLUMNS) receives x1 from its rest in m, v1 in
+    m/s and M1·v̇1 + friction + F_1 in N (eq:Fc) over the step that ends there. The result is −1 if the anchors switch
+    to and fro without end.
     """
     mu = worm.front_mass / (worm.rear_mass + worm.front_mass)
     lattice = worm.pitch * nearest_groove_of(worm.initial_length, worm.pitch)
