@@ -14,8 +14,8 @@ from worm_driver.virtual_robot.offline_run import Run as Rehearsal
 from worm_driver.virtual_robot.offline_run import run_offline
 from worm_driver.virtual_robot.virtual_settings import RobotSettings, load_settings
 from worm_model.gait import Gait
+from worm_model.identification.data.observed_run import recording_of
 from worm_model.identification.inputs import BenchTest, Inputs
-from worm_model.identification.observed_run import recording_of
 from worm_model.identification.reference_values import READING, ReferenceValues
 from worm_model.parameters import PAPER, Parameters
 from worm_model.run import GaitStates, LengthSamples, PowerSamples, Run, TrackerSamples

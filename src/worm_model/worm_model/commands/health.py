@@ -21,7 +21,7 @@ from worm_model.commands.command_line import (
 )
 from worm_model.identification.drift import ADVICE, FEWEST_BAGS, Chart, State, chart_of
 from worm_model.identification.drift_estimates import BagEstimates, ExcludedBag, estimate_bags
-from worm_model.identification.drift_figure import draw_health
+from worm_model.identification.report.drift_figure import draw_health
 from worm_model.parameters import UNITS, load_parameter_file
 
 

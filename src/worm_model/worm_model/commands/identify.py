@@ -16,22 +16,22 @@ from worm_model.commands.command_line import (
     print_result,
 )
 from worm_model.identification import pull_test
-from worm_model.identification.advice import advise
-from worm_model.identification.identification_report import (
-    delay_text,
-    error_table,
-    parameter_table,
-    write_report,
-)
+from worm_model.identification.data.lab_logs import LabSettings
 from worm_model.identification.inputs import EPOCH, Inputs, read_inputs, read_recordings
-from worm_model.identification.lab_logs import LabSettings
-from worm_model.identification.literal import literal
+from worm_model.identification.paper_procedure import literal
 from worm_model.identification.reference_values import (
     ReferenceValues,
     reference_by_file,
     reference_by_folder,
 )
-from worm_model.identification.results import parameter_file, summary
+from worm_model.identification.report.advice import advise
+from worm_model.identification.report.identification_report import (
+    delay_text,
+    error_table,
+    parameter_table,
+    write_report,
+)
+from worm_model.identification.report.results import parameter_file, summary
 from worm_model.identification.stages import Identification, identify
 from worm_model.parameters import (
     FORM,
@@ -133,7 +133,7 @@ def _given(options: argparse.Namespace, inputs: Inputs) -> ReferenceValues:
 
 
 def _literal(options: argparse.Namespace, inputs: Inputs, output: Path | None) -> None:
-    """Run the paper's procedure; see `worm_model.identification.literal`."""
+    """Run the paper's procedure; see `worm_model.identification.paper_procedure`."""
     if options.report or options.validation:
         raise InputError(
             "--literal has no report and no validation; remove --report and --validation"

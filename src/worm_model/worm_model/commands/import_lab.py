@@ -20,7 +20,7 @@ from worm_model.commands.command_line import (
     number,
     print_result,
 )
-from worm_model.identification.lab_logs import LabRun, LabSettings, read_lab_run
+from worm_model.identification.data.lab_logs import LabRun, LabSettings, read_lab_run
 from worm_model.parameters import Parameters, load_parameters
 
 _notify = notifier("import_lab")

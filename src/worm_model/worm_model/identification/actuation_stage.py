@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from worm_model.arrays import Array
-from worm_model.identification.actuation_fit import (
+from worm_model.identification.data.observed_run import Recording
+from worm_model.identification.fits.actuation_fit import (
     CLOCK_SPREAD,
     SHARED,
     ActuationFit,
@@ -18,14 +19,18 @@ from worm_model.identification.actuation_fit import (
     fit_actuation,
     fitted_samples,
 )
-from worm_model.identification.block_least_squares import (
+from worm_model.identification.fits.block_least_squares import (
     clock_deviations,
     informative,
     normal_equations,
 )
-from worm_model.identification.estimate import Estimate, if_identifiable, not_identifiable, quantile
-from worm_model.identification.observed_run import Recording
-from worm_model.identification.resampling import correlation, estimates, refitted, unit_weights
+from worm_model.identification.fits.estimate import (
+    Estimate,
+    if_identifiable,
+    not_identifiable,
+    quantile,
+)
+from worm_model.identification.fits.resampling import correlation, estimates, refitted, unit_weights
 from worm_model.parameters import PAPER
 
 USUAL = (PAPER.slack, PAPER.gain, PAPER.time_constant)

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from worm_model.arrays import Array
-from worm_model.identification.estimate import Estimate, quantile
+from worm_model.identification.fits.estimate import Estimate, quantile
+from worm_model.identification.fits.robust import OUTLIER, dependence, scale_of
 from worm_model.identification.identification_errors import IdentificationError
-from worm_model.identification.robust import OUTLIER, dependence, scale_of
 
 COLUMNS = ("compression_m", "force_N")
 FEWEST_POINTS = 5

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from worm_model.arrays import Array
-from worm_model.identification.estimate import Estimate, quantile
+from worm_model.identification.fits.estimate import Estimate, quantile
 from worm_model.parameters import ParameterFile
 
 FEWEST_BAGS = 5  # smallest number of bags for limits from moving ranges

@@ -14,8 +14,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from worm_model.arrays import Array
-from worm_model.identification.block_least_squares import clock_deviations, evaluate, informative
-from worm_model.identification.energy import (
+from worm_model.identification.fits.block_least_squares import (
+    clock_deviations,
+    evaluate,
+    informative,
+)
+from worm_model.identification.fits.energy import (
     CLOCK_SPREAD,
     INDEPENDENT,
     EnergyFit,
@@ -25,8 +29,8 @@ from worm_model.identification.energy import (
     predicted_energy,
     unseen_energy,
 )
-from worm_model.identification.estimate import VAGUE, Estimate, not_identifiable
-from worm_model.identification.resampling import correlation, estimates, refitted, unit_weights
+from worm_model.identification.fits.estimate import VAGUE, Estimate, not_identifiable
+from worm_model.identification.fits.resampling import correlation, estimates, refitted, unit_weights
 from worm_model.parameters import Parameters
 
 LEAST_FREQUENCY_RATIO = 1.4  # smallest ratio of highest to lowest gait frequency

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from worm_model.identification.estimate import Estimate, half_of_mean, quantile
-from worm_model.identification.observed_run import Recording
+from worm_model.identification.data.observed_run import Recording
+from worm_model.identification.fits.estimate import Estimate, half_of_mean, quantile
 
 SAMPLES = 10
 FEWEST_SAMPLES = 3

@@ -12,9 +12,14 @@ from worm_model.arrays import Array
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import read_run
 from worm_model.identification import bellows, fin
+from worm_model.identification.data.lab_logs import (
+    LabError,
+    LabSettings,
+    read_columns,
+    read_lab_run,
+)
+from worm_model.identification.data.observed_run import Recording, recordings_of
 from worm_model.identification.identification_errors import IdentificationError
-from worm_model.identification.lab_logs import LabError, LabSettings, read_columns, read_lab_run
-from worm_model.identification.observed_run import Recording, recordings_of
 from worm_model.run import utc_of
 
 RUN_FILE = "camera.csv"  # file that marks a run of a lab

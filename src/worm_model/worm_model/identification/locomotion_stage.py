@@ -16,15 +16,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from worm_model.arrays import Array
-from worm_model.identification.block_least_squares import (
+from worm_model.identification.fits.block_least_squares import (
     Solution,
     inverse,
     normal_equations,
     solve,
     with_fixed,
 )
-from worm_model.identification.estimate import Estimate, follow_profile, if_identifiable, quantile
-from worm_model.identification.grooves import (
+from worm_model.identification.fits.estimate import (
+    Estimate,
+    follow_profile,
+    if_identifiable,
+    quantile,
+)
+from worm_model.identification.fits.grooves import (
     MEANS,
     GrooveFit,
     fit_grooves,
@@ -32,8 +37,7 @@ from worm_model.identification.grooves import (
     held,
     tables_of,
 )
-from worm_model.identification.identification_errors import IdentificationError
-from worm_model.identification.locomotion import (
+from worm_model.identification.fits.locomotion import (
     Known,
     Landscape,
     Traverse,
@@ -45,6 +49,7 @@ from worm_model.identification.locomotion import (
     with_values,
     worm_of,
 )
+from worm_model.identification.identification_errors import IdentificationError
 from worm_model.parameters import PAPER, Parameters
 from worm_model.simulation.kernel.stepped_dry_friction import (
     HOLDING_FORCE,

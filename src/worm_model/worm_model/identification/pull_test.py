@@ -17,10 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from worm_model.arrays import Array
-from worm_model.identification.block_least_squares import Problem, Quantity, Solution, solve
-from worm_model.identification.estimate import Estimate, follow_profile
+from worm_model.identification.data.run_selection import Run, fitted_runs
+from worm_model.identification.data.strides import check_pitch
 from worm_model.identification.fingerprint import code_version
-from worm_model.identification.grooves import (
+from worm_model.identification.fits.block_least_squares import Problem, Quantity, Solution, solve
+from worm_model.identification.fits.estimate import Estimate, follow_profile
+from worm_model.identification.fits.grooves import (
     GrooveFit,
     Scatter,
     deviation_quantities,
@@ -28,9 +30,7 @@ from worm_model.identification.grooves import (
     fixed_at,
     tables_of,
 )
-from worm_model.identification.identification_errors import IdentificationError
-from worm_model.identification.inputs import Inputs
-from worm_model.identification.locomotion import (
+from worm_model.identification.fits.locomotion import (
     LOST,
     Traverse,
     own_quantities,
@@ -38,6 +38,8 @@ from worm_model.identification.locomotion import (
     worm_of,
     x1_residuals,
 )
+from worm_model.identification.identification_errors import IdentificationError
+from worm_model.identification.inputs import Inputs
 from worm_model.identification.locomotion_stage import (
     BETTER,
     NORMAL,
@@ -45,8 +47,6 @@ from worm_model.identification.locomotion_stage import (
     variance_inflation,
 )
 from worm_model.identification.reference_values import ReferenceValues
-from worm_model.identification.run_selection import Run, fitted_runs
-from worm_model.identification.strides import check_pitch
 from worm_model.parameters import ParameterFile, Parameters
 from worm_model.simulation.kernel.stepped_dry_friction import Worm
 from worm_msgs.robot_parameters import ROWS

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from worm_model.identification.estimate import Estimate, not_identifiable
+from worm_model.identification.fits.estimate import Estimate, not_identifiable
 from worm_model.parameters import KEYS, PAPER, ParameterFile, Parameters
 
 LOADS = ("rear_load", "front_load")  # conditions of the runs, which count as exact

@@ -7,7 +7,7 @@ The script prints the folder of the cache.
 import numpy as np
 
 from worm_model.gait import FORWARD, Gait
-from worm_model.identification.locomotion import ALIKE, worm_of
+from worm_model.identification.fits.locomotion import ALIKE, worm_of
 from worm_model.parameters import PAPER
 from worm_model.run import (
     RUNNING,

@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import Any
 
 from worm_model.gait import Gait
-from worm_model.identification.advice import advise
-from worm_model.identification.identification_report import write_report
+from worm_model.identification.fits.locomotion import RIDGES
 from worm_model.identification.inputs import read_inputs
-from worm_model.identification.locomotion import RIDGES
 from worm_model.identification.reference_values import reference_by_file
-from worm_model.identification.results import parameter_file, summary
+from worm_model.identification.report.advice import advise
+from worm_model.identification.report.identification_report import write_report
+from worm_model.identification.report.results import parameter_file, summary
 from worm_model.identification.stages import identify
 from worm_model.parameters import ParameterFile, write_parameter_file
 from worm_optimizer.operation.bring_up import Say, Session

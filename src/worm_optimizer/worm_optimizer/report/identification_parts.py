@@ -20,13 +20,13 @@ from worm_model.identification import bellows, fin
 from worm_model.identification.bellows import Array, BellowsFit, fit_bellows
 from worm_model.identification.fin import FinFit, fit_fin
 from worm_model.identification.identification_errors import IdentificationError
-from worm_model.identification.identification_report import (
+from worm_model.identification.inputs import read_bench_test
+from worm_model.identification.report.identification_report import (
     FIGURE_TITLES,
     FIGURES,
     FIGURES_HEADING,
     PAGE,
 )
-from worm_model.identification.inputs import read_bench_test
 from worm_model.parameters import (
     FITTED_WITH_FORM,
     KEYS,

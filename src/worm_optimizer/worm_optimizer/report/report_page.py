@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 
 from worm_model.analysis.plot_style import save_figure
 from worm_model.conditions import LEVEL
-from worm_model.identification.identification_figures import bellows_figure, fin_figure
+from worm_model.identification.report.identification_figures import bellows_figure, fin_figure
 from worm_model.parameters import KEYS, PAPER, SYMBOLS, UNITS
 from worm_optimizer.report.agreement import (
     LEAST_DISAGREEMENT,

@@ -12,8 +12,8 @@ from typing import Any
 import pyarrow.parquet as parquet
 
 from worm_model.identification.drift import ADVICE, Chart, State, chart_of
-from worm_model.identification.drift_figure import draw_health
-from worm_model.identification.estimate import Estimate
+from worm_model.identification.fits.estimate import Estimate
+from worm_model.identification.report.drift_figure import draw_health
 from worm_model.parameters import ParameterFile, load_parameter_file
 from worm_optimizer.study.fleet import FAILED, Row
 from worm_optimizer.study.study_page import Table, render

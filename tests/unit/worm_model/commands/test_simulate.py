@@ -12,7 +12,7 @@ from worm_model.analysis.gait_animation import animated_figure, write_animation
 from worm_model.analysis.simulated_run import simulated_run
 from worm_model.commands import simulate as command
 from worm_model.gait import Gait
-from worm_model.identification.observed_run import recording_of
+from worm_model.identification.data.observed_run import recording_of
 from worm_model.parameters import PAPER
 from worm_model.simulation.simulator import evaluate_gait
 from worm_model.twin.offline_replay import replay_run

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from worm_model.gait import FORWARD, REVERSE, Gait
-from worm_model.identification.locomotion import worm_of
+from worm_model.identification.fits.locomotion import worm_of
 from worm_model.parameters import PAPER
 from worm_model.simulation.kernel import stepped_dry_friction as kernel
 from worm_model.simulation.simulator import Locomotion, simulate

@@ -17,6 +17,7 @@ from worm_driver.virtual_robot.offline_run import run_offline
 from worm_driver.virtual_robot.virtual_settings import load_settings
 from worm_model.commands import health as health_command
 from worm_model.gait import Gait
+from worm_model.identification.data.observed_run import recording_of
 from worm_model.identification.drift import (
     ADVICE,
     Rule,
@@ -27,9 +28,8 @@ from worm_model.identification.drift import (
     limits_of_file,
 )
 from worm_model.identification.drift_estimates import estimate_bag, estimate_bags
-from worm_model.identification.drift_figure import draw_health
-from worm_model.identification.estimate import Estimate
-from worm_model.identification.observed_run import recording_of
+from worm_model.identification.fits.estimate import Estimate
+from worm_model.identification.report.drift_figure import draw_health
 from worm_model.parameters import PAPER, ParameterFile
 from worm_model.run import GaitStates, LengthSamples, PowerSamples, Run, TrackerSamples
 

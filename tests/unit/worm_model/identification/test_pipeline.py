@@ -8,23 +8,23 @@ import pytest
 from virtual_campaign import SHORT, bench_tests, virtual_campaign
 
 from worm_model.analysis.simulated_run import simulated_run
-from worm_model.identification.advice import advise
-from worm_model.identification.estimate import Estimate
+from worm_model.identification.data.observed_run import recording_of
+from worm_model.identification.data.run_selection import prepared, prepared_validation
 from worm_model.identification.fin import fit_fin
-from worm_model.identification.held_out import run_errors
+from worm_model.identification.fits.estimate import Estimate
+from worm_model.identification.fits.held_out import run_errors
+from worm_model.identification.fits.run_prediction import predict
 from worm_model.identification.identification_errors import IdentificationError
-from worm_model.identification.identification_figures import energy_of_run
-from worm_model.identification.identification_report import text_of
 from worm_model.identification.inputs import Inputs
-from worm_model.identification.observed_run import recording_of
 from worm_model.identification.reference_values import (
     MEASURED,
     ReferenceValues,
     reference_by_file,
 )
-from worm_model.identification.results import correlations, parameter_file, summary
-from worm_model.identification.run_prediction import predict
-from worm_model.identification.run_selection import prepared, prepared_validation
+from worm_model.identification.report.advice import advise
+from worm_model.identification.report.identification_figures import energy_of_run
+from worm_model.identification.report.identification_report import text_of
+from worm_model.identification.report.results import correlations, parameter_file, summary
 from worm_model.identification.stages import FIN, bench_warnings, identify
 from worm_model.parameters import (
     FITTED_WITH_FORM,
@@ -303,7 +303,7 @@ def test_a_slack_of_nothing_and_no_gait_that_goes_far_stop_no_advice(results, mo
     advice = advise(replace(result, estimates={**result.estimates, "slack": open_end}))
     assert advice == "slack: why"
     wide = Estimate(95.0, 60.0, 130.0)
-    monkeypatch.setattr("worm_model.identification.advice.recorded", lambda *_: None)
+    monkeypatch.setattr("worm_model.identification.report.advice.recorded", lambda *_: None)
     advice = advise(replace(result, estimates={**result.estimates, "viscous_friction": wide}))
     assert "5 ridges" in advice
 

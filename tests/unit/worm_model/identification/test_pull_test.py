@@ -15,8 +15,8 @@ from worm_driver.virtual_robot.virtual_settings import load_settings
 from worm_model.commands.command_line import run_command
 from worm_model.commands.identify import _parser, _run
 from worm_model.gait import Gait
+from worm_model.identification.data.observed_run import recording_of
 from worm_model.identification.inputs import Inputs
-from worm_model.identification.observed_run import recording_of
 from worm_model.identification.pull_test import PullTest, estimate_rear_load, loaded_file
 from worm_model.identification.reference_values import ReferenceValues
 from worm_model.parameters import ParameterFile, Parameters

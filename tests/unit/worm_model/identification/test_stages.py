@@ -9,14 +9,15 @@ from virtual_campaign import Instruments, exact_run
 
 from worm_model.gait import Gait
 from worm_model.identification import locomotion_stage
-from worm_model.identification.actuation_fit import fit_actuation
 from worm_model.identification.actuation_stage import identify_actuation
-from worm_model.identification.block_least_squares import solve
-from worm_model.identification.energy import fit_energy, power_run
+from worm_model.identification.data.measured_length import measured_length
+from worm_model.identification.data.observed_run import recording_of
 from worm_model.identification.energy_stage import identify_energy
-from worm_model.identification.grooves import MEANS, fit_grooves
-from worm_model.identification.identification_errors import IdentificationError
-from worm_model.identification.locomotion import (
+from worm_model.identification.fits.actuation_fit import fit_actuation
+from worm_model.identification.fits.block_least_squares import solve
+from worm_model.identification.fits.energy import fit_energy, power_run
+from worm_model.identification.fits.grooves import MEANS, fit_grooves
+from worm_model.identification.fits.locomotion import (
     Known,
     find_locomotion,
     locomotion_problem,
@@ -27,8 +28,7 @@ from worm_model.identification.locomotion import (
     with_values,
     worm_of,
 )
-from worm_model.identification.measured_length import measured_length
-from worm_model.identification.observed_run import recording_of
+from worm_model.identification.identification_errors import IdentificationError
 from worm_model.parameters import PAPER
 from worm_model.simulation.kernel import stepped_dry_friction as dry_friction
 from worm_model.simulation.simulator import simulate

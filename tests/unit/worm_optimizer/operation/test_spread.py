@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from worm_model.identification.locomotion import RIDGES
+from worm_model.identification.fits.locomotion import RIDGES
 from worm_model.parameters import PAPER
 from worm_model.simulation.simulator import evaluate_gait
 from worm_optimizer.operation.identification_runs import identification_orders

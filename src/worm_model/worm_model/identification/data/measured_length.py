@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from worm_model.arrays import Array
-from worm_model.identification.actuation_fit import (
+from worm_model.identification.data.observed_run import Recording
+from worm_model.identification.fits.actuation_fit import (
     fit_actuation,
     predicted_length_change,
 )
-from worm_model.identification.observed_run import Recording
-from worm_model.identification.robust import OUTLIER, scale_of
+from worm_model.identification.fits.robust import OUTLIER, scale_of
 from worm_model.simulation.smoothing import smooth
 
 HALF_WINDOW = 2.0  # s

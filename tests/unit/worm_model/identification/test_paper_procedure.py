@@ -5,9 +5,9 @@ import pytest
 
 from worm_model.analysis.simulated_run import simulated_run
 from worm_model.gait import Gait
+from worm_model.identification.data.observed_run import recording_of
 from worm_model.identification.inputs import Inputs
-from worm_model.identification.literal import literal
-from worm_model.identification.observed_run import recording_of
+from worm_model.identification.paper_procedure import literal
 from worm_model.parameters import PAPER
 
 GAITS = (Gait(0.07, 0.3), Gait(0.08, 0.15), Gait(0.08, 0.25))

@@ -14,7 +14,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from worm_model.arrays import Array
-from worm_model.identification.estimate import Estimate, quantile
+from worm_model.identification.fits.estimate import Estimate, quantile
 
 REFITS = 120
 

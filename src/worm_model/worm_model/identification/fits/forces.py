@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from worm_model.arrays import Array
-from worm_model.identification.estimate import Estimate, quantile
-from worm_model.identification.locomotion import Traverse
+from worm_model.identification.fits.estimate import Estimate, quantile
+from worm_model.identification.fits.locomotion import Traverse
 from worm_model.identification.locomotion_stage import LocomotionResult, holding_forces
 from worm_model.identification.reference_values import ReferenceValues
 from worm_model.parameters import Parameters

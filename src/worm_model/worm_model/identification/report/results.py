@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from worm_model.identification.actuation_fit import KEYS as ACTUATION
-from worm_model.identification.energy import KEYS as ENERGY
-from worm_model.identification.estimate import quantile
 from worm_model.identification.fingerprint import code_version
+from worm_model.identification.fits.actuation_fit import KEYS as ACTUATION
+from worm_model.identification.fits.energy import KEYS as ENERGY
+from worm_model.identification.fits.estimate import quantile
+from worm_model.identification.fits.locomotion import SHARED as LOCOMOTION
+from worm_model.identification.fits.run_prediction import Errors
 from worm_model.identification.inputs import Inputs
-from worm_model.identification.locomotion import SHARED as LOCOMOTION
-from worm_model.identification.run_prediction import Errors
 from worm_model.identification.stages import Identification
 from worm_model.parameters import FORM, KEYS, MADE_BY, ParameterFile
 

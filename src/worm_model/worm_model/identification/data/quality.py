@@ -7,11 +7,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from worm_model.identification.data.measured_length import MeasuredLength
+from worm_model.identification.data.observed_run import SAME_PLACE, Recording
+from worm_model.identification.fits.locomotion import RIDGES, Traverse
+from worm_model.identification.fits.robust import noise_of
 from worm_model.identification.identification_errors import IdentificationError
-from worm_model.identification.locomotion import RIDGES, Traverse
-from worm_model.identification.measured_length import MeasuredLength
-from worm_model.identification.observed_run import SAME_PLACE, Recording
-from worm_model.identification.robust import noise_of
 
 LONGEST_GAP = 1.0  # s without a length; longer gaps are reported
 FOLLOWS = 0.4  # smallest ratio of realised to commanded range of a body that follows its command

@@ -14,8 +14,13 @@ from scipy.optimize import least_squares
 
 from worm_model.arrays import Array
 from worm_model.identification.actuation_stage import ActuationResult
-from worm_model.identification.estimate import Estimate, half_of_mean, not_identifiable, quantile
-from worm_model.identification.observed_run import Recording
+from worm_model.identification.data.observed_run import Recording
+from worm_model.identification.fits.estimate import (
+    Estimate,
+    half_of_mean,
+    not_identifiable,
+    quantile,
+)
 
 LONGEST_LAG = 0.2  # s, upper bound of a servo's lag
 STAMPED = 3e-3  # s, assumed accuracy of the driver's stamps of goals and encoders

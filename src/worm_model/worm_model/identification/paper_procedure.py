@@ -15,21 +15,21 @@ import numpy as np
 from scipy.optimize import least_squares, minimize
 
 from worm_model.arrays import Array
-from worm_model.identification.actuation_fit import KEYS as ACTUATION
-from worm_model.identification.actuation_fit import START, predicted_length_change
 from worm_model.identification.bellows import fit_bellows
+from worm_model.identification.data.observed_run import Recording
 from worm_model.identification.fin import KEYS as FIN
 from worm_model.identification.fin import fit_fin
-from worm_model.identification.identification_errors import IdentificationError
-from worm_model.identification.idle import SAMPLES
-from worm_model.identification.inputs import Inputs
-from worm_model.identification.locomotion import (
+from worm_model.identification.fits.actuation_fit import KEYS as ACTUATION
+from worm_model.identification.fits.actuation_fit import START, predicted_length_change
+from worm_model.identification.fits.locomotion import (
     MOST_THRESHOLD,
     RIDGES,
     SEARCHED_FRICTION,
     least_threshold,
 )
-from worm_model.identification.observed_run import Recording
+from worm_model.identification.identification_errors import IdentificationError
+from worm_model.identification.idle import SAMPLES
+from worm_model.identification.inputs import Inputs
 from worm_model.parameters import NOT_OF_PAPER, Parameters
 from worm_model.simulation.kernel.work import cable_power
 from worm_model.simulation.quadrature import accumulated

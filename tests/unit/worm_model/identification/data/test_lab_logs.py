@@ -14,7 +14,7 @@ from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import namespace_of, read_run
 from worm_model.commands import import_lab
 from worm_model.gait import Gait
-from worm_model.identification.lab_logs import LabError, LabSettings, read_lab_run
+from worm_model.identification.data.lab_logs import LabError, LabSettings, read_lab_run
 from worm_model.run import POWER_VALID, RUNNING
 
 EPOCH = 1_767_225_600 * 10**9

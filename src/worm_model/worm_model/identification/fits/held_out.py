@@ -6,16 +6,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 
-from worm_model.identification.actuation_fit import KEYS as ACTUATION
-from worm_model.identification.actuation_fit import ActuationFit, fit_actuation
-from worm_model.identification.energy import PowerRun, fit_energy
+from worm_model.identification.data.run_selection import Run
 from worm_model.identification.energy_stage import EnergyResult
+from worm_model.identification.fits.actuation_fit import KEYS as ACTUATION
+from worm_model.identification.fits.actuation_fit import ActuationFit, fit_actuation
+from worm_model.identification.fits.energy import PowerRun, fit_energy
+from worm_model.identification.fits.locomotion import SHARED as LOCOMOTION
+from worm_model.identification.fits.locomotion import Known
+from worm_model.identification.fits.run_prediction import Errors, errors, predict
 from worm_model.identification.idle import idle_power
-from worm_model.identification.locomotion import SHARED as LOCOMOTION
-from worm_model.identification.locomotion import Known
 from worm_model.identification.locomotion_stage import ONSET, LocomotionResult, refit
-from worm_model.identification.run_prediction import Errors, errors, predict
-from worm_model.identification.run_selection import Run
 from worm_model.parameters import PAPER, Parameters
 
 ITERATIONS = 4

@@ -15,14 +15,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from worm_model.arrays import Array
-from worm_model.identification.block_least_squares import (
+from worm_model.identification.data.observed_run import Recording
+from worm_model.identification.fits.block_least_squares import (
     Problem,
     Quantity,
     Solution,
     solve,
     with_fixed,
 )
-from worm_model.identification.observed_run import Recording
 from worm_model.simulation.kernel.work import cable_power
 from worm_model.simulation.quadrature import accumulated
 

@@ -4,10 +4,10 @@
 import numpy as np
 import pytest
 
-from worm_model.identification.estimate import Estimate, follow_profile, if_identifiable
+from worm_model.identification.fits.estimate import Estimate, follow_profile, if_identifiable
+from worm_model.identification.fits.resampling import correlation, estimates
+from worm_model.identification.fits.robust import dependence
 from worm_model.identification.locomotion_stage import deviations_of
-from worm_model.identification.resampling import correlation, estimates
-from worm_model.identification.robust import dependence
 
 
 @pytest.mark.parametrize("guess", [0.01, 1.0, 50.0, -0.3])

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from worm_model.arrays import Array
-from worm_model.identification.block_least_squares import Problem, Quantity, Solution, solve
-from worm_model.identification.observed_run import Recording
-from worm_model.identification.robust import noise_of
+from worm_model.identification.data.observed_run import Recording
+from worm_model.identification.fits.block_least_squares import Problem, Quantity, Solution, solve
+from worm_model.identification.fits.robust import noise_of
 from worm_model.simulation.kernel.actuation_law import Actuator, respond_at
 
 CLOCK_SPREAD = 0.02  # s, prior standard deviation of the offset: clocks, and the servo's delay

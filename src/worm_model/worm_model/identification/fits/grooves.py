@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from worm_model.arrays import Array
-from worm_model.identification.block_least_squares import (
+from worm_model.identification.fits.block_least_squares import (
     Problem,
     Quantity,
     Solution,
@@ -27,7 +27,7 @@ from worm_model.identification.block_least_squares import (
     solve,
     with_fixed,
 )
-from worm_model.identification.locomotion import (
+from worm_model.identification.fits.locomotion import (
     Known,
     Traverse,
     own_quantities,

@@ -13,8 +13,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from worm_model.identification.data.observed_run import Recording
 from worm_model.identification.identification_errors import IdentificationError
-from worm_model.identification.observed_run import Recording
 
 # Largest deviation from whole grooves, in pitches; beyond it a fin was moving at one of the two times.
 SLIPPING = 0.15

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from worm_model.identification.block_least_squares import (
+from worm_model.identification.fits.block_least_squares import (
     Problem,
     Quantity,
     normal_equations,

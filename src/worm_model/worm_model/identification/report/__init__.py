@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Report of an identification: parameter file, page, figures, and the recommended next run."""
