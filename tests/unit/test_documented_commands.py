@@ -268,7 +268,7 @@ def test_the_reference_of_the_packages_is_built(tmp_path: Path):
     page = (tmp_path / "docs" / "worm_model" / "simulation" / "simulator.html").read_text(
         encoding="utf-8"
     )
-    assert "The hybrid simulator" in page
+    assert "Hybrid simulator" in page
     assert 'id="evaluate_gait"' in page
     assert "NDArray" in page
     assert "numpy.dtype" not in re.sub(r"<[^>]*>", "", page)

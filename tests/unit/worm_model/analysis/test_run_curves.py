@@ -26,5 +26,5 @@ def test_an_overview_has_position_residual_length_and_power():
 
 def test_without_a_gait_there_is_no_overview():
     run = simulated_run(3)
-    with pytest.raises(RecordingError, match="no gait"):
+    with pytest.raises(RecordingError, match="gait_state"):
         plot_run(Run(), replay_run(run, PAPER), PAPER)
