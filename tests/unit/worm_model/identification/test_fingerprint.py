@@ -13,8 +13,8 @@ def test_what_identification_imports_is_in_it_and_nothing_else():
     files = {str(file.relative_to(PACKAGE)) for file in imported_files(PACKAGE, ENTRY)}
     assert {
         "commands/identify.py",
-        "identification/grooves.py",
-        "identification/lab_logs.py",
+        "identification/fits/grooves.py",
+        "identification/data/lab_logs.py",
     } <= files
     assert {"simulation/simulator.py", "simulation/smoothing.py", "bags/run_reader.py"} <= files
     assert not {"twin/core.py", "nodes/twin_node.py", "commands/health.py"} & files

@@ -165,7 +165,7 @@ def test_without_a_tracker_power_is_told_and_the_reason_of_the_rest(tmp_path: Pa
 
 def test_a_recording_without_a_gait_is_refused(tmp_path: Path):
     run = dataclasses.replace(simulated_run(2), gait_state=GaitStates())
-    with pytest.raises(InputError, match="idle: .*gait_state"):
+    with pytest.raises(InputError, match=r"idle: .*gait_state"):
         read(tmp_path / "idle", run)
 
 
