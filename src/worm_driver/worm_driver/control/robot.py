@@ -29,7 +29,7 @@ from worm_driver.servos.servo_bus import ServoBus
 from worm_driver.servos.servo_state import SILENT, ServoState
 from worm_driver.servos.state_reader import StateReader
 
-#: Readings of the state before an activation, of which two in a row must agree.
+#: Largest number of readings of the state before an activation. Two consecutive ones must agree.
 _ATTEMPTS = 5
 #: Phases in which nothing moves before a new command.
 _HOLDS = (Phase.HOLDING, Phase.FAULT)
@@ -37,7 +37,8 @@ _HOLDS = (Phase.HOLDING, Phase.FAULT)
 _LAG = 0.05
 #: Time after which a stopped robot stands still, s.
 _STANDS = 0.5
-#: Largest difference between two consecutive readings of the cable length, as a body that springs back moves, m.
+#: Largest difference between two agreeing readings of the cable length, m. It is not 0, because the body may be
+#: springing back.
 _AGREE = 3e-3
 
 
@@ -239,7 +240,7 @@ class Robot:
         self._adopt(gait_player.fault(self.player, now, self._here(), reason))
 
     def _adopt(self, player: PlayerState) -> None:
-        """Store a new state of the player. If it begins to hold, keep the goals of the servos, but stop a flip."""
+        """Store a new state of the player. If a hold begins, keep the goals of the servos, but stop fins that flip."""
         if player.phase in _HOLDS and self.player.phase is not player.phase:
             self.actuators.hold()
             if self.player.direction not in (0, self._fins_set_for):
@@ -249,11 +250,11 @@ class Robot:
     def ramp_to_rest(self, now: float, reason: str) -> None:
         """Begin the return to rest. ``released`` is True once the torque may be switched off.
 
-        No return to rest begins in two cases. In FAULT none can be trusted, and the torque may be switched off
+        No return to rest begins in two cases. In FAULT a return cannot be relied on, and the torque may be switched off
         immediately. During an emergency stop nothing may move, and only a robot that would not spring back is released.
 
         Raises:
-            StoppedError: The robot holds, would spring back, and nothing may start.
+            StoppedError: The robot holds and would spring back, and no motion may start, as in an emergency stop.
         """
         blocked = self._why_not_start() if self.player.phase is Phase.HOLDING else ""
         if self.active and blocked and self.actuators.springs_back:
@@ -266,8 +267,8 @@ class Robot:
     def released(self) -> bool:
         """True if the torque may be switched off.
 
-        The robot is at rest, or it holds and would not spring back. If it would, `ramp_to_rest` must have been called
-        in FAULT.
+        The robot is at rest, or it holds and would not spring back. A holding robot that would spring back may be
+        released only if `ramp_to_rest` was called in FAULT.
         """
         if not self.active or gait_player.at_rest(self.player):
             return True
@@ -280,7 +281,7 @@ class Robot:
         return self.active and self.player.phase in _HOLDS
 
     def close(self, now: float, reason: str) -> None:
-        """Begin the end of the driver: return to rest, or hold while nothing may start, as in an emergency stop."""
+        """Begin to shut down. Return to rest, or hold if no motion may start, for example in an emergency stop."""
         why_not = self._why_not_start()
         if why_not and not gait_player.at_rest(self.player):
             self.stop(now, why_not)
@@ -371,10 +372,11 @@ class Robot:
     def _here(self) -> float:
         """Return the length change at which a hold begins, m.
 
-        It is the measured one if that is supported, else the last command.
+        It is the measured length change if this is supported, else the last command.
 
-        A measurement is supported if it lies within the cable's lag of the command, or if a blocked cable explains it:
-        a cable servo strains towards the command. A missing or implausible sample is not supported.
+        A measurement is supported if it differs from the command by at most the cable's lag. It is also supported if
+        a cable servo strains towards the command, as with a blocked cable. A missing or implausible sample is not
+        supported.
         """
         commanded = self.player.length_change
         cable = self.actuators.length_change(self._states)

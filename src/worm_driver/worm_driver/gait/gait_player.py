@@ -91,7 +91,7 @@ class PlayerState:
         phase_start: start of the phase, s.
         length_change: commanded length change, m.
         ramp_from: length change at the start of a return to rest or of the tensioning, m.
-        direction: commanded direction of the fins; 0 before the first run and after a hold, which stops the fins.
+        direction: commanded direction of the fins; 0 before the first run, and after a hold that stopped the fins.
         stepped: time of the last step, s.
         still_start: time of the last commanded motion, or of the last observation of fins that are not set, s.
         run: present run, or the last one if its ending is set.
@@ -229,7 +229,7 @@ def moving(state: PlayerState) -> bool:
 def step(
     state: PlayerState, now: float, observation: Observation, settings: PlayerSettings
 ) -> PlayerState:
-    """Return the state at a time (s). While the cable moves, steps must follow each other closely."""
+    """Return the state at a time (s). Call it in every control cycle while the cable moves."""
     handler = _STEPS.get(state.phase)
     if handler is None:
         return state
@@ -356,7 +356,7 @@ def _end(
 
 
 def _come_to_rest(state: PlayerState, now: float, ending: Ending, end: float) -> PlayerState:
-    """End a run that ended at a time ``end`` (s), and pay out its pretension from now on."""
+    """End a run as of the time ``end`` (s), and begin to pay out its pretension."""
     state = _end(state, end, ending, Phase.IDLE)
     return _enter(state, Phase.RETURNING, now) if state.length_change else state
 

@@ -36,7 +36,7 @@ from worm_msgs.msg import Heartbeat
 
 #: s between two feedback messages
 _FEEDBACK_PERIOD = 0.2
-#: s after a run's end: time of the last tracker sample that the metrics need, and timeout of waiting for it
+#: s after a run's end. The metrics need tracker samples up to the first time, and wait for them up to the second.
 _TRACKER_AFTERWARDS = 0.3
 _TRACKER_TIMEOUT = 1.0
 
@@ -55,7 +55,7 @@ class _Current:
     goal: ServerGoalHandle | None = None
     next_feedback: float = -math.inf
     ended: Run | None = None
-    #: Latest state of the run, last cycle whose end the tracker saw, and True if the end was requested early.
+    #: Latest state of the run, last cycle at whose end the tracker saw the robot, True if an early end was requested.
     run: Run | None = None
     judged: int = 0
     end_requested: bool = False
@@ -74,7 +74,7 @@ class RunGaitAction:
         self._node = node
         self._hardware = hardware
         self._sees_robot = sees_robot
-        # The last one runs; those before it have ended and wait for the tracker.
+        # Only the last run is in progress. The earlier ones have ended and wait for tracker samples.
         self._runs: list[_Current] = []
         self._rejections = GoalRejections(node, "run_gait", stamps.now)
         self._log = ThrottledLog(node.get_logger())
@@ -192,7 +192,7 @@ class RunGaitAction:
         current = next(each for each in self._runs if each.goal_id == _id(goal))
         current.goal = goal
         hardware = self._hardware()
-        if goal.is_cancel_requested and hardware is not None:  # before this callback
+        if goal.is_cancel_requested and hardware is not None:  # before this callback ran
             hardware.loop.submit(hardware.robot.cancel)
         outcome = await current.done
         self._runs.remove(current)

@@ -7,8 +7,10 @@ This module corrects the following defects of version 4.1.0 of the SDK:
 - It measures timeouts by the wall clock, spins while it waits, and never stops reading while bytes arrive. See
   ``BusPort``.
 - It mistakes a late answer for the answer to the next request. After a failed exchange the next request waits for a
-  quiet line, and an answer must have the requested length. ``tick_clock`` checks the servo's own time in a block.
-- Its timeout expires without a look at received bytes. A process that was suspended reads those first.
+  quiet line, and an answer must have the requested length. ``tick_clock`` checks the servo's
+  time, which a block contains.
+- Its timeout expires even if unread bytes have been received. This module reads such bytes first, for example
+  after the process was suspended. See ``BusPort.expects``.
 - Its GroupSyncRead drops error and alert bytes, and loses good answers together with a missing one. It also accepts
   an answer with another servo's id. See ``sync_read`` and ``_attempt``.
 - Its busy flag stays set after an exception, and is not a lock. See ``_exchange``.
@@ -56,7 +58,7 @@ _WRITE_TIMEOUT = 0.05
 _SETUP_RETRIES = 8
 #: Largest delay of an answer during setup, s. It is shorter than the servos' bus watchdog.
 _LATEST = 0.06
-#: Largest number of bytes read after the timeout of a request. More bytes cannot be answers that waited to be read.
+#: Largest number of bytes read after the timeout of a request. Unread answers to the request are never longer.
 _LEFT_OVER = 4096
 # Indices of a packet's fields. Stuffing covers everything from the instruction on.
 _ID, _LENGTH, _INSTRUCTION, _ERROR, _PARAMETERS = 4, 5, 7, 8, 9
@@ -186,7 +188,7 @@ class _PacketHandler(Protocol2PacketHandler):
     """The SDK's packet handler with byte stuffing in the packets that are sent."""
 
     def addStuffing(self, packet: list[int]) -> list[int]:  # noqa: N802
-        """Stuff a packet in place, because the SDK ignores the return value and sends the list that it passed."""
+        """Stuff a packet in place. The SDK ignores the return value and sends the list that it passed as argument."""
         end = _INSTRUCTION + (packet[_LENGTH] | packet[_LENGTH + 1] << 8) - 2
         body = stuff(bytes(packet[_INSTRUCTION:end]))
         packet[_INSTRUCTION:] = [*body, 0, 0]
@@ -233,9 +235,8 @@ class ServoBus:
         Args:
             path: path of the port.
             baud_rate: bit/s.
-            latency: longest time that the adapter delays an answer, s. None: its latency timer, read after the port
-                was
-                opened, because opening it requests a low latency.
+            latency: longest time that the adapter delays an answer, s. None: the adapter's latency timer. It is read
+                after the port was opened, because opening the port requests a low latency.
             retries: number of repetitions of a failed exchange.
 
         Raises:
@@ -265,7 +266,7 @@ class ServoBus:
 
     @contextlib.contextmanager
     def retrying(self, retries: int = _SETUP_RETRIES) -> Iterator[None]:
-        """Enter a context for setup, in which an answer matters more than its duration.
+        """Enter a context for setup, in which exchanges may take longer but fail less often.
 
         Failed exchanges are repeated more often. The first request, and each one after a failure, waits until no older
         answer can arrive.
@@ -353,7 +354,7 @@ class ServoBus:
         """Return a block of the control table of several servos. Servos without an intact answer are omitted.
 
         There is one attempt without retries, as only the caller can decide about a repetition. A reply with an error
-        has no data. An id is accepted once, and only in the order of the request, in which servos answer. If two
+        has no data. Servos answer in the order of the request. An id is accepted once, and only in this order. If two
         answers with the same id differ, neither is accepted.
 
         Args:

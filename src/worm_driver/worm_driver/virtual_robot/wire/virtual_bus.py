@@ -38,7 +38,7 @@ class Transmission:
 
 @dataclass(frozen=True)
 class _Answer:
-    """Answer of a servo: its id at the request, delay (s), complete error byte, data."""
+    """Answer of a servo: id at the time of the request, delay (s), complete error byte, data."""
 
     servo_id: int
     delay: float
@@ -144,7 +144,7 @@ class ServoBus:
         return [Transmission(time + answers[0].delay, fast_status_packet(parts, lengths))]
 
     def _spoil(self, answer: _Answer, due: float) -> list[Transmission]:
-        """Return the status packet of an answer, after the faults of the line."""
+        """Return the status packet of an answer, changed by the active faults of the serial line."""
 
         def take(name: str) -> faults.Fault | None:
             return self._board.consume(name, due, answer.servo_id)
@@ -205,7 +205,7 @@ def _obey(packet: Packet, listening: Sequence[Servo], time: float) -> list[_Answ
 
 def _do(servo: Servo, packet: Packet, time: float) -> _Answer:
     servo.feed_watchdog(time)
-    before = _answer_of(servo)  # The answer contains the id and the delay from before the change.
+    before = _answer_of(servo)  # A write may change id and delay. The answer has the old ones.
     try:
         data = _execute(servo, packet, time)
     except RegisterError as error:
