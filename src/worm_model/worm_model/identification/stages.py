@@ -66,7 +66,7 @@ class Identification:
     Attributes:
         estimates: estimates of all keys.
         parameters: the resulting parameters.
-        reference: given values.
+        reference: values given to `identify`.
         runs: runs that were used.
         bellows, fin: bench tests, None if missing.
         locomotion, actuation, energy: results of the stages.
@@ -97,7 +97,7 @@ class Identification:
     seed: int
 
     def power_clock(self, name: str) -> tuple[float, float]:
-        """Return offset and standard deviation (s) of a run's power sensor behind the camera; NaN if unknown."""
+        """Return delay and standard deviation (s) of a run's power sensor relative to the camera; NaN if unknown."""
         for run, offset, deviation in zip(
             self.power_runs,
             self.energy.fit.clock_offset,
@@ -183,7 +183,7 @@ def _locomotion(
     fin: FinFit | None,
     progress: Progress,
 ) -> LocomotionResult:
-    """Run stage 4; its error message includes possible causes in bench tests and starts of runs."""
+    """Run stage 4. An error message also lists possible causes in the bench tests and in the starts of the runs."""
     traverses = [run.traverse for run in runs]
     try:
         return identify_locomotion(

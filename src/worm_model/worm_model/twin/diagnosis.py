@@ -2,9 +2,10 @@
 """Diagnosis at the end of each cycle, from the sums that the core collects.
 
 `worm_model.twin.causes` weighs the causes. This module decides which of them are reported, and how the twin adapts. If
-a tracker saw the end of the cycle, it determines by how many grooves the robot is off; timing and power determine the
-fin. A report is due when a healthy robot has at most the probability ``HEALTHY_AT_MOST``. It names the cause if one has
-at least the probability ``SURE``. If none has after another cycle, it lists the causes that remain possible.
+a tracker saw the end of the cycle, its samples determine by how many grooves the robot is off. The timing of the step
+and the power determine the fin. A report is due when a healthy robot has at most the probability ``HEALTHY_AT_MOST``.
+The report names a cause that has at least the probability ``SURE``. If there is none, the twin waits for another cycle.
+If there is still none, the report lists the causes that remain possible.
 """
 
 from __future__ import annotations
@@ -122,7 +123,7 @@ class History:
         reported: causes already reported; later cycles account for them.
         unplaced: True if the robot's position is unknown, because the twin was late or L0 was wrong.
         blind_s: time without data about the robot, s; 0 once a tracker has seen the end of a cycle.
-        slight: True if the last cycle had a small step that may be none.
+        slight: True if the last cycle had a step so small that it may be noise.
         doubt: True if several causes remained possible.
         doubted: True if that was reported.
         missed: grooves missed, by the tracker.
@@ -145,7 +146,7 @@ class History:
 def judge_cycle(history: History, cycle: CycleSeen) -> tuple[History, list[Finding]]:
     """Return the updated history and the findings at the end of a cycle."""
     driven = bool(np.mean(cycle.sums[:, LENGTH_COUNT] > 0) > 0.25)
-    # L0 as measured differs from run to run by less than matters here.
+    # A measured L0 varies from run to run, but too little to matter here.
     length = round(cycle.parameters.initial_length, 4)
     signs = signatures(cycle.gait, cycle.parameters.replace(initial_length=length), driven=driven)
     data = cycle_data(
@@ -238,7 +239,7 @@ def _place(
     size, variance = data.step.size, data.variance.copy()
     variance[POSITION] = np.inf
     data = replace(data, step=Step(0.0), variance=variance)
-    # A cycle that the twin came to in the middle does not end where whole ones do.
+    # If the twin joined in the middle of a cycle, the end of that cycle does not show the position.
     unknown = replace(history, unplaced=cycle.joined, blind_s=0.0)
     if history.unplaced:
         if not cycle.joined and abs(size) <= STEP_M:
@@ -391,7 +392,7 @@ def _normal(value: float, spread: float) -> float:
 def _length(
     history: History, cycle_seen: CycleSeen, weighed: Sequence[Candidate]
 ) -> tuple[History, Finding | None]:
-    """Return a new L0 as a finding if all cycles since the beginning support it, and not missed grooves."""
+    """Return a new L0 as a finding if all cycles since the beginning support it better than missed grooves."""
     lengths = [c for c in weighed if c.code == INITIAL_LENGTH]
     share = sum(c.weight for c in lengths) / (1.0 + sum(c.weight for c in weighed))
     settled = sum(cycle.step is not None for cycle in history.cycles)
@@ -424,7 +425,10 @@ def _length(
 def judge_causes(
     history: History, number: int, weighed: Sequence[Candidate]
 ) -> tuple[History, list[Finding]]:
-    """Return the updated history and the findings that a healthy robot does not explain, except the tracker's steps."""
+    """Return the updated history and the findings that a healthy robot does not explain.
+
+    Steps of the position that the tracker saw are not among them.
+    """
     total = 1.0 + sum(c.weight for c in weighed)
     if 1.0 / total > HEALTHY_AT_MOST:
         return replace(history, doubt=False), []

@@ -48,12 +48,13 @@ class DamagedFile:
 
     Attributes:
         file: its name.
-        unit: unit of the places: bytes, or rows of its table.
-        parts: first and last place (exclusive) of each damaged part, and the span of log time (s since the start of
-            the bag, None: open) in which messages may be missing.
+        unit: unit in which ``parts`` counts: bytes, or rows of the file's table.
+        parts: for each damaged part, its first and last place (exclusive), and the span of log time in which messages
+            may be missing (s since the start of the bag; None: open).
         is_closed: True if it ends like a closed file.
         cut_off: bytes at its end that are not part of a complete record.
-        missing: number of missing messages by topic; None if neither summary nor indexes contain it.
+        missing: number of missing messages by topic; None if neither the summary nor an index
+            of the file contains the number.
         contradictions: inconsistencies within the file.
     """
 
@@ -213,7 +214,7 @@ def _silent_topics(path: Path, bag: Bag) -> Iterable[Topic]:
 
 
 def named(path: Path) -> Path:
-    """Return the path with a name as its last part, also for ``.`` and ``..``."""
+    """Return a path whose last part is a name, also for ``.`` and ``..``."""
     return path.resolve() if path.name in ("", "..") else path
 
 
@@ -274,7 +275,7 @@ def _absent(path: Path) -> tuple[str, ...]:
     matches = [match for name in there if (match := _NUMBERED.fullmatch(name))]
     for match in matches:
         others = (int(m["number"]) for m in matches if m["stem"] == match["stem"])
-        if int(match["number"]) == max(others) < 10_000:  # no recorder splits more often
+        if int(match["number"]) == max(others) < 10_000:  # more parts are implausible
             expected |= {
                 f"{match['stem']}{n}{match['ending']}": None for n in range(int(match["number"]))
             }
