@@ -103,7 +103,7 @@ def operator(
             network.bind(os.environ, rclpy.get_rmw_implementation_identifier())
             context.init(args=[])
             node = OperatorNode(namespace, check, context, name)
-        except (network.NetworkError, RuntimeError) as error:  # rcl's own have no public name
+        except (network.NetworkError, RuntimeError) as error:  # rcl's errors are not public
             raise OperatorError(f"ROS: {one_line_of(error)}") from None
         stack.callback(node.destroy_node)
         yield node
@@ -206,12 +206,12 @@ class OperatorNode(ServiceCaller):
 
     @property
     def has_lost_driver(self) -> bool:
-        """True if a driver has disappeared and was not inactive according to its latest message."""
+        """True if a driver has disappeared, and its latest message did not report it as inactive."""
         driver = self._telemetry.driver
         return driver is not None and driver.state is not Activity.INACTIVE and not self.has_driver
 
     def rest(self, duration_s: float) -> None:
-        """Wait for a duration (s) of the robot's time; `check` is called meanwhile."""
+        """Wait for a duration (s) of the robot's time, and call `check` during the wait."""
         end = self.robot_time_s + duration_s
         self.wait(lambda: self.robot_time_s >= end, 10.0 * duration_s + SILENCE_S)
 
@@ -298,7 +298,7 @@ class OperatorNode(ServiceCaller):
         return "holding; nothing starts before the emergency stop is reset"
 
     def request_control(self, client: str, wish: Wish, lease_s: float) -> None:
-        """Publish what a client wants of the control of the robot; the answer is `Snapshot.control`."""
+        """Publish a client's request about the control of the robot. `Snapshot.control` has the answer."""
         self._control.publish(ControlRequest(client=client, wish=wish, lease_s=lease_s))
 
     def reset_emergency_stop(self) -> str:
@@ -362,8 +362,8 @@ class OperatorNode(ServiceCaller):
     def begin(self, order: GaitCommand, wanted: Callable[[], bool] = lambda: True) -> GaitRun:
         """Start a gait. The caller must close the returned handle.
 
-        The robot comes to rest when the heartbeats of this operator stop, or when ``wanted`` returns False. It is
-        called four times a second.
+        The robot comes to rest when the heartbeats of this operator stop, or when ``wanted`` returns False.
+        ``wanted`` is called four times a second.
 
         Raises:
             OperatorError: There is no driver, more than one, or no answer.

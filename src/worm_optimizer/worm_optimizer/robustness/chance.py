@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Gaits that keep their grooves with a given probability, and the margin equivalent to such a promise.
+"""Gaits that keep their grooves with a given probability, and the margin equivalent to that probability.
 
-The paper enlarges a threshold to stay away from the edges of a branch. Here the edges follow from the uncertainty
-itself. The edge of a promise is the shortest stroke at which enough scenarios gain the grooves. The draws are the same
-at every stroke (common random numbers). With every groove phase as a scenario and probability 1, the result are
-any-phase gaits, which do not depend on φ.
+A gait's promise is the largest number of grooves per cycle that it keeps with the given probability. The paper enlarges
+a threshold to stay away from the edges of a branch. Here the edges follow from the uncertainty itself. The edge of a
+promise is the shortest stroke at which enough scenarios gain the grooves. The draws are the same at every stroke
+(common random numbers). With every groove phase as a scenario and probability 1, the result is a set of any-phase
+gaits, which do not depend on φ.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ _MARGIN_STEP = 2.5e-4  # m, step of the scan for the margin that a gait tolerate
 _MOST_MARGIN = 2e-2  # m, end of this scan
 _MARGIN_PASSES = 10
 
-# Returns the least grooves gained by strokes in m, for rows and scenarios, all of shape (n,).
+# Returns the least grooves per cycle for strokes in m, rows and scenarios, all of shape (n,).
 _Gained = Callable[[Array, Index, Index], Index]
 
 
@@ -139,9 +140,9 @@ class PromiseTask:
 class _Brackets:
     """Brackets of the shortest strokes that keep promises, each of shape (n,), in m.
 
-    ``fails`` and ``keeps`` of shape (n, scenarios) are the longest stroke with which a scenario is known to fail the
-    promise, and the shortest with which it is known to keep it. Only scenarios for which the stroke lies in between are
-    evaluated, fewer with each halving.
+    ``fails`` of shape (n, scenarios) is the longest stroke that is known to fail the promise in a scenario. ``keeps``,
+    of the same shape, is the shortest stroke that is known to keep it. A stroke is evaluated only in the scenarios for
+    which it lies in between. Their number falls with each halving.
     """
 
     low: Array

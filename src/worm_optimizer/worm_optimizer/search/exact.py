@@ -29,15 +29,15 @@ from worm_optimizer.evaluation.task import (
 from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.search.pareto import front_of
 
-# Returns the cost of gaits that is minimised, infinite for a gait that does not qualify; shape (n,).
+# Returns the cost to be minimised for each gait, shape (n,). The cost of a gait that does not qualify is infinite.
 Cost = Callable[[Points], Array]
 # Returns the edges of a task with counts (n,) at frequencies (n,) in Hz within strokes (n, scan) in m, for candidates
-# (n,). Edges with other counts may be among them.
+# (n,). The result may also contain edges with other counts.
 FindEdges = Callable[[Index, Index, Array, Array], Edges]
 
 # Local minima within this share of the lowest cost may be the lowest between the columns.
 _NEAR_BEST = 0.02
-_FASTER = 1e-12  # relative excess of the speed at which a gait of another branch is compared
+_FASTER = 1e-12  # relative increase of a gait's speed, at which gaits of other branches are compared with it
 _WINDOW_SCAN = 5  # strokes of a scan in the window around an edge that is followed
 _LEAST_WINDOW = 1e-6  # m
 _LONGER = 4  # longer strokes at which the rise of the power is verified
@@ -63,7 +63,7 @@ class Resolution:
 
 @dataclass(frozen=True)
 class Zoom:
-    """Refinement of a minimum: ``points`` over the bracket in each of ``rounds``, then narrowed around the best."""
+    """Refinement of a minimum. Each of ``rounds`` evaluates ``points`` in the bracket and narrows it to the best."""
 
     points: int = 17
     rounds: int = 6
@@ -86,7 +86,7 @@ class Survey:
 class Bracket:
     """Bracket of a minimum of the ``cost`` along the edge of a ``count``, between frequencies in Hz and strokes in m.
 
-    ``owner`` is a number of the caller.
+    ``owner`` is a number that the caller chooses to recognise the bracket.
     """
 
     count: int
@@ -109,8 +109,8 @@ def survey(task: Task, resolution: Resolution, zoom: Zoom) -> Survey:
 def _completed(task: Task, surveyed: Survey, step: float) -> Survey:
     """Return the survey with the thin parts of branches, which lie between the strokes of the scan, ``step`` m apart.
 
-    If a branch lacks a column, or begins there at a longer stroke, its edge is searched near that of the neighbouring
-    column. The search then continues in the next column.
+    A branch may have no edge in a column, or an edge at a longer stroke than in the neighbouring column. Its edge is
+    then searched near that of the neighbouring column. The search then continues in the next column.
     """
     tried: set[tuple[int, int, int]] = set()
     while True:
@@ -128,7 +128,7 @@ def _completed(task: Task, surveyed: Survey, step: float) -> Survey:
 
 
 def _seeds(surveyed: Survey, step: float) -> list[tuple[int, int, int, tuple[float, float]]]:
-    """Return (count, index of a column, side, strokes in m near which the edge may pass there) for `_completed`."""
+    """Return (count, index of a column, side, strokes in m near which the edge may be in it) for `_completed`."""
     seeds = []
     for count in np.unique(surveyed.points.count):
         _, strokes = _by_column(surveyed, surveyed.points.stroke, int(count))
@@ -145,7 +145,7 @@ def _seeds(surveyed: Survey, step: float) -> list[tuple[int, int, int, tuple[flo
 
 
 def finder(task: Task) -> FindEdges:
-    """Return a function that finds the edges of a task, independent of the candidate."""
+    """Return a function that finds the edges of a task. It is the same for all candidates."""
     return lambda _, count, frequency, strokes: task.edges(frequency, strokes, count)
 
 
@@ -167,7 +167,7 @@ def transport_cost(points: Points) -> Array:
 def lowest(task: Task, surveyed: Survey, costs: Sequence[Cost], zoom: Zoom) -> Points:
     """Minimise each cost along the edges, continuously in the frequency.
 
-    Returns the local minima near the lowest one of each cost. A cost for which no gait qualifies has none.
+    Returns the local minima near the lowest one of each cost. There is none for a cost for which no gait qualifies.
     """
     brackets = [bracket for cost in costs for bracket in brackets_of(surveyed, cost)]
     return minimise(finder(task), brackets, zoom)
@@ -297,8 +297,8 @@ class ExactFront:
     """Non-dominated edges of a task, by rising speed, with the survey for further requests.
 
     ``front`` contains the gaits of lowest power, lowest cost of transport and highest speed, minimised continuously.
-    ``power_rises``: none of the verified longer strokes of a front's branches needs less power than its edge. A longer
-    stroke that needs less replaces the edge in the front.
+    ``power_rises`` is True if, in every branch of the front, no verified longer stroke needs less power than the edge.
+    A longer stroke that needs less replaces the edge in the front.
     """
 
     task: Task

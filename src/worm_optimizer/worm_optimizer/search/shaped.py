@@ -80,8 +80,9 @@ class Track:
 class ShapedTask:
     """Task of a `MarginTask` over shaped gaits. Every edge is that of the cheapest shape.
 
-    The largest stroke of its bounds limits the reach, including the pretension. Shares are searched at the margins
-    ``nodes`` in m, rising, and interpolated between them; without nodes, at the margin of the task.
+    The largest stroke of its bounds limits the reach, which is the sum of stroke and pretension. Shares are searched at
+    the margins ``nodes`` in m, rising, and interpolated between them. Without nodes they are searched at the margin of
+    the task.
     """
 
     task: MarginTask
@@ -168,7 +169,7 @@ class ShapedTask:
         part = part[:, np.newaxis]
         mixed = (1.0 - part) * low + part * high
         shares = np.where(np.isnan(mixed), np.where(np.isnan(high), low, high), mixed)
-        # Between two nodes at a bound, rounding may lead beyond it.
+        # If both nodes are at a bound, rounding may place the interpolated share beyond it.
         return np.clip(shares, *self.shapes.shares.T)
 
 
@@ -239,7 +240,7 @@ class _Search:
         return Solved(columns, *found)
 
     def begun(self, margins: Array, frequencies: Array) -> Solved:
-        """Search from several shares, for each branch that one of these gains."""
+        """Search from several shares, for each branch that is reached with one of them."""
         starts = np.array(
             [
                 (profile, share, ramp)
@@ -335,7 +336,7 @@ class _Search:
         return self.task.table(stroke, columns.frequency, margin, shape=shape)
 
     def _widest_margin(self, columns: Columns, shares: Array) -> Array:
-        """Search the shares with which the widest swing keeps the grooves at the largest margin."""
+        """Search the shares that keep the grooves at the largest margin, with the longest reach."""
         longest = self.task.bounds.stroke_high
 
         def cost_of(rows: Index, tried: Array) -> Array:

@@ -37,7 +37,7 @@ from worm_optimizer.study.quantities import QUANTITIES
 from worm_optimizer.study.study_file import extends, format_study, identity_of, parse_study
 from worm_optimizer.study.version import identity, versions
 
-# Errors of codecs. A damaged length may exceed the memory.
+# Errors of codecs. MemoryError: a damaged length field may exceed the memory.
 _UNDECODABLE = (RuntimeError, ValueError, MemoryError, OverflowError)
 
 Region = tuple[slice, ...]  # part of the dimensions of the points
@@ -62,7 +62,7 @@ class StoreError(InputError):
 
 @dataclass
 class Audit:
-    """Blocks of a store: those not ``finished``, those with ``failed`` points, and those ``damaged``.
+    """Result of an audit: blocks that are ``unfinished``, contain ``failed`` points, or are ``damaged``.
 
     ``unreadable`` are the files of chunks that cannot be decoded, and ``damaged`` includes their blocks.
     """
@@ -434,7 +434,7 @@ def _empty(study: Study, block: tuple[int, ...]) -> xarray.Dataset:
         empty = dask.array.full((*shape, *further), np.nan, chunks=(*chunk, *further))
         attributes = {"units": variable.unit, "long_name": variable.long_name}
         data[name] = ((*along, *variable.dimensions), empty, attributes)
-    # Written immediately, because no value could mark unwritten chunks.
+    # These chunks are written immediately, because no value of them could stand for an unwritten chunk.
     flags = {"flag_values": [0, 1, 2], "flag_meanings": "not_computed computed failed"}
     data[STATE] = (along, np.zeros(shape, np.int8), {"long_name": "state of the point", **flags})
     data[REASON] = (along, np.full(shape, "", object), {"long_name": "why the point failed"})
