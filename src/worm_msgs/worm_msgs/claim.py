@@ -60,7 +60,7 @@ def claim_graph(namespace: str, domain: int) -> socket.socket:
 
 
 def domain_of(environment: Mapping[str, str]) -> int:
-    """Return the ROS domain that an environment selects. ROS itself rejects a value that is no number; here it is 0."""
+    """Return the ROS domain that an environment selects. A value that is no number gives 0; ROS rejects it later."""
     text = environment.get("ROS_DOMAIN_ID", "")
     return int(text) if text.isdecimal() else 0
 
@@ -72,7 +72,7 @@ def _address(role: str, namespace: str, domain: int) -> bytes:
 
 
 def _holder(role: str, namespace: str, domain: int) -> str:
-    """Return the name of the process that has a claim, without blocking: it does not accept connections."""
+    """Return the name of the process that has a claim. Do not block, although that process accepts no connections."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as client:
         client.setblocking(False)
         try:

@@ -30,13 +30,13 @@ _BINDINGS: Mapping[str, Mapping[str, str]] = {
     "rmw_fastrtps": {
         "FASTRTPS_DEFAULT_PROFILES_FILE": str(_FAST_DDS),
         "FASTDDS_DEFAULT_PROFILES_FILE": str(_FAST_DDS),
-        "SKIP_DEFAULT_XML": "1",  # A file of the working folder could open the network again.
+        "SKIP_DEFAULT_XML": "1",  # Otherwise a file in the working folder could open the network again.
         # The profile is complete. For LOCALHOST the rmw adds a transport of its own, with sockets on every address.
         _RANGE: "SYSTEM_DEFAULT",
     },
     "rmw_cyclonedds": {"CYCLONEDDS_URI": _CYCLONE_DDS, _RANGE: "LOCALHOST"},
 }
-#: Bindings that open the network when their value is another one.
+#: Variables of the bindings that open the network if the environment sets them to another value.
 _PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE", "CYCLONEDDS_URI")
 
 

@@ -34,7 +34,7 @@ class ShutdownRequest:
     """Request to end the process, made by a signal.
 
     Attributes:
-        first: called in the handler of the first signal, so its effects precede all later ones.
+        first: called in the handler of the first signal, so that its effects come before those of all later reactions.
         again: called in the handler of every later SIGINT, from an impatient operator. Later SIGTERMs do not count:
             launch and systemd send them to escalate.
     """
