@@ -221,7 +221,7 @@ def test_the_live_twin_yields_what_the_offline_replay_yields(
     )
     twin = processes.start_node("worm_model", "twin_node", use_sim_time=True)
     probe.meet("twin/get_parameters")  # the twin has found the subscription of its states, too
-    assert probe.call(Trigger, "/player/resume", Trigger.Request()).success
+    assert probe.call(Trigger, "player/resume", Trigger.Request()).success
     probe.wait_for(lambda: player.exit_code is not None, "end of the bag", TIMEOUT_S)
     offline = replay_run(RUN, PAPER).states
     last = int(offline["stamp_ns"][-1])
