@@ -111,14 +111,14 @@ class Outcome:
     @property
     def right(self) -> bool:
         """Whether the cause was named, and in time."""
-        if self.kind == "sound":
+        if self.kind == "healthy":
             return not self.told
         return self.told == KINDS[self.kind].code and self.late <= IN_TIME
 
 
 def faults() -> list[tuple[str, int, Fault]]:
     """(kind, place of the size, fault) of all runs with a gait; a fin's fault is that of a whole cycle."""
-    found = [("sound", 0, Fault()) for _ in range(SOUND)]
+    found = [("healthy", 0, Fault()) for _ in range(SOUND)]
     for kind, about in KINDS.items():
         for place, size in enumerate(about.sizes):
             for k in range(REPEATS):
@@ -200,7 +200,7 @@ def _cycle(number: int, signs: Signatures) -> CycleData:
 
 def _cause(fault: Fault, signs: Signatures) -> tuple[Candidate | None, float] | None:
     """(cause, its size in usual ones) of a fault; None where the gait has no such groove."""
-    if fault.kind == "sound":
+    if fault.kind == "healthy":
         return None, 0.0
     if fault.kind in MISSED_BY_FIN:
         known = fault.kind in signs.missed
@@ -246,7 +246,7 @@ def rows(found: Sequence[Outcome]) -> list[Row]:
     table = []
     for seen_by in (TRACKER, ALONE, BOUND):
         mine = [o for o in found if o.seen_by == seen_by]
-        sound = [o for o in mine if o.kind == "sound"]
+        sound = [o for o in mine if o.kind == "healthy"]
         false = sum(bool(o.told) for o in sound)
         table.append(Row(f"{seen_by}: sound", f"{false} of {len(sound)}", "< 1 %", "false alarms"))
         for kind in KINDS if seen_by == TRACKER else (k for k in KINDS if k not in UNSEEN):
@@ -302,12 +302,12 @@ def run() -> list[Row]:
 
 def draw_confusion(found: Sequence[Outcome], path: Path) -> None:
     """What was told of each cause of the middle size, with a tracker and from power alone."""
-    kinds = ["sound", *KINDS]
+    kinds = ["healthy", *KINDS]
     figure, axes = plt.subplots(1, 2, figsize=(13, 6), sharey=True, layout="constrained")
     for axis, seen_by in zip(axes, (TRACKER, ALONE), strict=True):
         counts = np.zeros((len(kinds), len(CODES)))
         for o in found:
-            if o.seen_by == seen_by and (o.size == MIDDLE or o.kind == "sound"):
+            if o.seen_by == seen_by and (o.size == MIDDLE or o.kind == "healthy"):
                 counts[kinds.index(o.kind), CODES.index(o.told)] += 1
         shares = 100.0 * counts / counts.sum(axis=1, keepdims=True)
         axis.imshow(shares, cmap="Blues", vmin=0.0, vmax=130.0, aspect="auto")
@@ -317,10 +317,10 @@ def draw_confusion(found: Sequence[Outcome], path: Path) -> None:
             axis.text(column, row, text, ha="center", va="center", color=colour)
         names = [code.replace("_", " ") or "nothing" for code in CODES]
         axis.set_xticks(range(len(CODES)), names, rotation=45, ha="right")
-        axis.set_xlabel("first that the twin told")
+        axis.set_xlabel("first cause reported by the twin")
         axis.set_title(f"with a {seen_by}" if seen_by == TRACKER else seen_by)
-    axes[0].set_yticks(range(len(kinds)), ["sound", *map(_with_size, KINDS)])
-    axes[0].set_ylabel("what was wrong, at the middle size")
+    axes[0].set_yticks(range(len(kinds)), ["healthy", *map(_with_size, KINDS)])
+    axes[0].set_ylabel("simulated cause, at the middle size")
     figure.savefig(path, dpi=110)
     plt.close(figure)
 

@@ -38,7 +38,7 @@ class Fault:
     fin misses its last groove).
     """
 
-    kind: str = "sound"
+    kind: str = "healthy"
     size: float = 0.0
     cycle: int = 3
     phase: float = 0.0
