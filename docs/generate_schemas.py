@@ -12,7 +12,9 @@ from typing import Any
 from worm_driver.tracking.tracker_setup import SetupFile
 from worm_driver.virtual_robot.camera_images import CameraSettings
 from worm_driver.virtual_robot.virtual_settings import RobotSettings
+from worm_msgs.robot_parameters import ParameterFileContent
 from worm_msgs.settings_file import json_schema
+from worm_optimizer.operation.system import SystemFile
 from worm_optimizer.study.study_file import StudyFile
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -22,7 +24,9 @@ SETTINGS: dict[Path, type[Any]] = {
     _DRIVER / "tracker.schema.json": SetupFile,
     _DRIVER / "virtual_camera.schema.json": CameraSettings,
     _DRIVER / "virtual_robot.schema.json": RobotSettings,
+    ROOT / "src/worm_model/config/parameters.schema.json": ParameterFileContent,
     ROOT / "src/worm_optimizer/config/study.schema.json": StudyFile,
+    ROOT / "src/worm_optimizer/config/system.schema.json": SystemFile,
 }
 
 

@@ -20,8 +20,9 @@ from typing import Any
 import yaml
 
 from worm_model.errors import InputError
-from worm_msgs.robot_parameters import RobotParameters, rows_of
-from worm_msgs.yaml_file import read_yaml
+from worm_msgs.robot_parameters import ParameterFileContent, RobotParameters, rows_of
+from worm_msgs.settings_file import settings_of
+from worm_msgs.yaml_file import SettingsFileError, read_yaml
 
 STANDARD_GRAVITY = 9.80665  # m/s², exact by definition (CGPM 1901)
 
@@ -75,11 +76,6 @@ class Parameters(RobotParameters):
         own = ", ".join(f"{name}={value!r}" for name, value, default in values if value != default)
         return f"Parameters({own})"
 
-    @property
-    def mass(self) -> float:
-        """Total mass of both modules, kg."""
-        return self.rear_mass + self.front_mass
-
     def replace(self, **changes: Any) -> Parameters:
         """Return a copy with some values changed; raise `ParameterError` as the constructor does."""
         unknown = set(changes) - {*KEYS, FORM}
@@ -121,10 +117,7 @@ PAPER = Parameters()
 class ParameterFile:
     """Content of a parameter file: the values, their 95 % intervals and their provenance.
 
-    ``intervals`` maps a key to (low, high) in the key's unit. ``provenance`` is free (bags and their hashes, code
-    version, seed). ``correlations`` maps pairs of keys to the correlation of their errors. ``run_to_run`` maps a key to
-    the standard deviation, in its unit, of the robot itself from run to run, which an interval of the mean does not
-    contain. All may be empty.
+    See `worm_msgs.robot_parameters.ParameterFileContent`; ``correlations`` are by pairs of keys. All may be empty.
     """
 
     parameters: Parameters = PAPER
@@ -139,62 +132,6 @@ def _unknown_key(key: str) -> str:
     close = difflib.get_close_matches(key, known, n=1)
     hint = f"did you mean {close[0]}?" if close else f"known keys: {', '.join(known)}"
     return f"{key}: no such parameter; {hint}"
-
-
-def _parse_intervals(content: Any) -> dict[str, tuple[float, float]]:
-    if not isinstance(content, Mapping):
-        raise ParameterError("intervals: expected a mapping from parameter keys to [low, high]")
-    intervals = {}
-    for key, bounds in content.items():
-        if key not in KEYS:
-            raise ParameterError(f"intervals: {_unknown_key(str(key))}")
-        try:
-            low, high = (float(bound) for bound in bounds)
-        except (TypeError, ValueError):
-            raise ParameterError(
-                f"intervals: {key}: expected [low, high] in {UNITS[key]}"
-            ) from None
-        if not low <= high:
-            raise ParameterError(f"intervals: {key}: low {low:g} is not below high {high:g}")
-        intervals[key] = (low, high)
-    return intervals
-
-
-def _parse_correlations(content: Any) -> dict[tuple[str, str], float]:
-    if not isinstance(content, list):
-        raise ParameterError("correlations: expected a list of [key, key, correlation]")
-    correlations = {}
-    for row in content:
-        try:
-            first, second, value = row
-            correlation = float(value)
-        except (TypeError, ValueError):
-            raise ParameterError(
-                f"correlations: {row!r}: expected [key, key, correlation]"
-            ) from None
-        for key in (first, second):
-            if key not in KEYS:
-                raise ParameterError(f"correlations: {_unknown_key(str(key))}")
-        if first == second or not -1.0 <= correlation <= 1.0:
-            raise ParameterError(
-                f"correlations: {first}, {second}: {correlation:g}: expected two keys and -1 to 1"
-            )
-        correlations[first, second] = correlation
-    return correlations
-
-
-def _parse_run_to_run(content: Any) -> dict[str, float]:
-    if not isinstance(content, Mapping):
-        raise ParameterError("run_to_run: expected a mapping from keys to standard deviations")
-    deviations = {}
-    for key, value in content.items():
-        if key not in KEYS:
-            raise ParameterError(f"run_to_run: {_unknown_key(str(key))}")
-        known = isinstance(value, int | float) and not isinstance(value, bool)
-        if not (known and 0.0 <= value < math.inf):
-            raise ParameterError(f"run_to_run: {key}: {value!r}: expected {UNITS[key]}, at least 0")
-        deviations[key] = float(value)
-    return deviations
 
 
 def _check_form(
@@ -222,20 +159,15 @@ def parse_parameter_file(content: Any) -> ParameterFile:
     Raises `ParameterError` on an unknown key, a value that is not admissible, a malformed section, or c_b and α_P that
     were fitted with another form of the power than the file's ``one_sided_cable``.
     """
-    if content is None:
-        content = {}
-    if not isinstance(content, Mapping):
-        raise ParameterError("expected a mapping such as 'rear_mass: 0.429'")
-    values = dict(content)
-    intervals = _parse_intervals(values.pop("intervals", None) or {})
-    correlations = _parse_correlations(values.pop("correlations", None) or [])
-    run_to_run = _parse_run_to_run(values.pop("run_to_run", None) or {})
-    provenance = values.pop("provenance", None) or {}
-    if not isinstance(provenance, Mapping):
-        raise ParameterError("provenance: expected a mapping")
-    parameters = PAPER.replace(**{str(k): v for k, v in values.items()})
-    _check_form(parameters, values, provenance)
-    return ParameterFile(parameters, intervals, dict(provenance), correlations, run_to_run)
+    content = {} if content is None else content
+    try:
+        file = settings_of(content, ParameterFileContent)
+    except SettingsFileError as error:
+        raise ParameterError(str(error)) from None
+    parameters = Parameters(**{name: getattr(file, name) for name in (*KEYS, FORM)})
+    _check_form(parameters, content, file.provenance)
+    correlations = {(first, second): value for first, second, value in file.correlations}
+    return ParameterFile(parameters, file.intervals, file.provenance, correlations, file.run_to_run)
 
 
 def load_parameter_file(path: str | Path) -> ParameterFile:

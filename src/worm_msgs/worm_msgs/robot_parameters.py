@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Table of the robot's parameters: key, default, unit, range and symbol. No other module declares them.
+"""Table of the robot's parameters: key, default, unit, range and symbol, and the content of the parameter file.
 
-The model, identification, the optimizer and the virtual robot read the parameters from here by key. To add a parameter,
+No other module declares them. The model, identification, the optimizer, the driver and the virtual robot read the
+parameters from here by key. To add a parameter,
 add a row and, if it acts on the robot, a term in the equations of the simulator's kernel and of the plant.
 """
 
@@ -9,7 +10,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import Field, dataclass, field, fields
-from typing import Any
+from typing import Annotated, Any
+
+from worm_msgs.settings_file import OneOf, key
 
 
 def _row(
@@ -26,12 +29,13 @@ def _row(
     Args:
         default: the paper's value, 0 for an effect that the paper's model does not have.
         unit: of the value, SI.
-        low, high: admissible range, a range of orders of magnitude that detects wrong units.
+        low, high: admissible range, a range of orders of magnitude that detects wrong units; `settings_file` checks it.
         paper: symbol.
         power_only: the value decides about power and not about motion.
     """
     metadata = {"unit": unit, "low": low, "high": high, "paper": paper, "power_only": power_only}
-    return field(default=default, metadata=metadata)
+    of_file = {"ge": low, "le": high, "description": f"{paper}, {unit}"}  # names of pydantic
+    return field(default=default, metadata={**metadata, **of_file})
 
 
 @dataclass(frozen=True)
@@ -60,6 +64,11 @@ class RobotParameters:
     rear_load: float = _row(0.0, "N", -1e3, 1e3, "Q1")  # positive towards -x
     front_load: float = _row(0.0, "N", -1e3, 1e3, "Q2")
 
+    @property
+    def mass(self) -> float:
+        """Total mass of both modules, kg."""
+        return self.rear_mass + self.front_mass
+
 
 def rows_of(table: type[RobotParameters]) -> list[Field[float]]:
     """Return the rows of the table that are numbers."""
@@ -67,3 +76,33 @@ def rows_of(table: type[RobotParameters]) -> list[Field[float]]:
 
 
 ROWS: Mapping[str, Mapping[str, Any]] = {row.name: row.metadata for row in rows_of(RobotParameters)}
+_Name = Annotated[str, OneOf(tuple(ROWS))]
+
+
+@dataclass(frozen=True)
+class ParameterFileContent(RobotParameters):
+    """Content of a parameter file. A missing key means the paper's value.
+
+    Attributes:
+        one_sided_cable: form of the power for which c_b and α_P were fitted, see `worm_model.parameters`.
+        intervals: 95 % intervals (low, high) by key, in the key's unit.
+        correlations: (key, key, correlation) of the errors of two keys.
+        run_to_run: standard deviations of the robot itself from run to run by key, in the key's unit, which an interval
+            of the mean does not contain.
+        provenance: free (bags and their hashes, code version, seed).
+    """
+
+    one_sided_cable: bool = False
+    intervals: Mapping[_Name, tuple[float, float]] = field(default_factory=dict)
+    correlations: tuple[tuple[_Name, _Name, Annotated[float, key(ge=-1.0, le=1.0)]], ...] = ()
+    run_to_run: Mapping[_Name, Annotated[float, key(ge=0.0)]] = field(default_factory=dict)
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Raise ValueError if two values exclude each other."""
+        for name, (low, high) in self.intervals.items():
+            if not low <= high:
+                raise ValueError(f"intervals: {name}: low {low:g} is not below high {high:g}")
+        for first, second, _ in self.correlations:
+            if first == second:
+                raise ValueError(f"correlations: {first}, {second}: give two keys")

@@ -130,7 +130,7 @@ def _message(errors: list[ErrorDetails], kind: type[Any]) -> str:
     for term, ours in _YAML_TERMS.items():
         words = words.replace(term, ours)
     must = words.partition(" should ")[2].partition(", not ")[0]
-    return f"{_place(path)} must {must}, not {reprlib.repr(value)}{_hint(first)}"
+    return f"{_place(path)} must {must}, not {reprlib.repr(value)}{_hint(first, kind)}"
 
 
 def _place(path: Iterable[str | int]) -> str:
@@ -139,17 +139,23 @@ def _place(path: Iterable[str | int]) -> str:
     return ": ".join(parts) or "the file"
 
 
-def _hint(error: ErrorDetails) -> str:
+def _hint(error: ErrorDetails, kind: type[Any]) -> str:
     """Return a likely reason for a wrong value."""
     if error["type"] in _BOUNDS and any(error["ctx"].values()):
-        return "; is it in another unit?"
+        unit = _schema_at(kind, error["loc"][1:]).get("description")
+        return f"; is it in another unit?{f' ({unit})' if unit else ''}"
     if error["type"] == "float_type" and isinstance(error["input"], str) and "e" in error["input"]:
         return " (YAML reads 1e-3 as text: write 1.0e-3)"
     return ""
 
 
 def _known_keys(kind: type[Any], path: Iterable[str | int]) -> list[str]:
-    """Return the keys of the mapping at a path, from the JSON Schema."""
+    """Return the keys of the mapping at a path."""
+    return list(_schema_at(kind, path)["properties"])
+
+
+def _schema_at(kind: type[Any], path: Iterable[str | int]) -> dict[str, Any]:
+    """Return the part of the JSON Schema that describes the value at a path."""
     top = json_schema(kind)
     part: dict[str, Any] = top
     for step in path:
@@ -157,8 +163,8 @@ def _known_keys(kind: type[Any], path: Iterable[str | int]) -> list[str]:
         if isinstance(step, int):
             part = items[step] if step < len(items) else part["items"]
         else:
-            part = part["properties"].get(step) or part["additionalProperties"]
+            part = part.get("properties", {}).get(step) or part["additionalProperties"]
         part = part.get("anyOf", [part])[0]
         if "$ref" in part:
             part = top["$defs"][part["$ref"].split("/")[-1]]
-    return list(part["properties"])
+    return part

@@ -2,12 +2,14 @@
 """Validated driver configuration."""
 
 from dataclasses import dataclass, field
+from pathlib import Path
 
-from worm_driver.body import Body
 from worm_driver.control.supervision import Limits
 from worm_driver.errors import ConfigurationError
 from worm_driver.gait.gait_player import PlayerSettings
 from worm_driver.servos.transmission import Fin, Spool
+from worm_msgs.robot_parameters import ParameterFileContent, RobotParameters
+from worm_msgs.settings_file import read_settings
 
 
 @dataclass(frozen=True)
@@ -46,7 +48,7 @@ class DriverSettings:
     power: PowerSettings = field(default_factory=PowerSettings)
     player: PlayerSettings = field(default_factory=PlayerSettings)
     limits: Limits = field(default_factory=Limits)
-    body: Body = field(default_factory=Body)
+    body: RobotParameters = field(default_factory=RobotParameters)
 
     def __post_init__(self) -> None:
         if not self.spools:
@@ -62,3 +64,10 @@ class DriverSettings:
     def period(self) -> float:
         """Period of a cycle, s."""
         return 1.0 / self.rate
+
+
+def load_body(path: str) -> RobotParameters:
+    """Return the values of a parameter file, the paper's for an empty path. Raises ConfigurationError."""
+    if not path:
+        return RobotParameters()
+    return read_settings(Path(path), ParameterFileContent, ConfigurationError)

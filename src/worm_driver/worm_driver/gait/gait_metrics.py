@@ -13,9 +13,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from worm_driver.body import Body
 from worm_driver.gait.gait_player import Run
 from worm_driver.power.ina219 import PowerSample, SampleStatus
+from worm_msgs.robot_parameters import RobotParameters
 
 STANDARD_GRAVITY = 9.80665
 AVERAGED_CYCLES = 3
@@ -99,7 +99,7 @@ class RunMetrics:
     reasons: tuple[str, ...]
 
 
-def run_metrics(run: Run, record: RunRecord, body: Body) -> RunMetrics:
+def run_metrics(run: Run, record: RunRecord, body: RobotParameters) -> RunMetrics:
     """Return the metrics of a run that has ended."""
     assert run.end is not None
     completed = run.cycles_completed(run.end)
@@ -165,7 +165,7 @@ def _mean_power(samples: Sequence[PowerSample], start: float, end: float) -> tup
     return energy / (end - start), ""
 
 
-def _cost_of_transport(power: float, speed: float, body: Body) -> tuple[float, str]:
+def _cost_of_transport(power: float, speed: float, body: RobotParameters) -> tuple[float, str]:
     """Return COT = P / (m g |v|), and a reason if only the speed prevents it."""
     if math.isnan(power) or math.isnan(speed):
         return math.nan, ""

@@ -8,8 +8,7 @@ from typing import Any
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from worm_driver.body import load_body
-from worm_driver.control.driver_settings import DriverSettings, PowerSettings
+from worm_driver.control.driver_settings import DriverSettings, PowerSettings, load_body
 from worm_driver.control.emergency import latch_names
 from worm_driver.control.supervision import Limits
 from worm_driver.errors import ConfigurationError

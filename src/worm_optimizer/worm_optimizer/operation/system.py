@@ -5,20 +5,21 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from worm_model.conditions import CONDITION_PARAMETERS, Conditions
-from worm_msgs.yaml_file import read_yaml, unknown_name
+from worm_msgs.settings_file import OneOf, key, read_settings
+from worm_msgs.yaml_file import unknown_name
 
 Value = bool | int | float | str | list[bool] | list[int] | list[float] | list[str]
 
 MODES = ("robot", "virtual", "replay")
 RESTARTS = 3  # restarts of an optional node while a graph stays up
 ALSO_REQUIRED = "also_required"  # setting with the names of further required nodes
-_SYSTEM_KEYS = {"namespace", "settings", "nodes"}
 
 
 class SystemFileError(ValueError):
@@ -58,9 +59,9 @@ class NodeDescription:
         result += ["-r", f"__ns:=/{namespace}", "-r", f"__node:={self.name}"]
         for source, target in self.remappings.items():
             result += ["-r", f"{source}:={target}"]
-        for key, value in self.parameters.items():
+        for name, value in self.parameters.items():
             # JSON is valid YAML and keeps the types: "1" stays a string and 1.0 a float.
-            result += ["-p", f"{key}:={json.dumps(value)}"]
+            result += ["-p", f"{name}:={json.dumps(value)}"]
         return result
 
     def end_report(self, status: int, *, was_ready: bool) -> str:
@@ -73,14 +74,6 @@ class NodeDescription:
         if self.lifecycle and was_ready and status:
             return f"the {self.name} ended (exit status {status}); torque may be on"
         return f"{self.name} has ended with exit status {status}"
-
-
-# Keys of a node in a system file. The plain ones are copied to its description without conversion.
-_PLAIN_KEYS = ("awaited", "lifecycle", "end_timeout_s")
-_NODE_KEYS = (
-    *("package", "executable", "modes", "needs", "required", *_PLAIN_KEYS),
-    *("arguments", "parameters", "remappings"),
-)
 
 
 @dataclass(frozen=True)
@@ -110,14 +103,51 @@ class Setting:
     number: bool = False
 
 
+_Mode = Annotated[str, OneOf(MODES)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class NodeRow:
+    """Node in a system file. Values that contain ``{name}`` are filled with the setting of that name.
+
+    Attributes:
+        modes: the modes that the node runs in.
+        needs: setting without whose value the node does not run.
+        required: modes in which all nodes end with this one.
+        arguments: groups of command-line arguments; a group without a value is left out.
+        parameters, remappings: those under the name of a mode hold in that mode alone.
+
+    The other attributes are those of `NodeDescription`.
+    """
+
+    package: str
+    executable: str
+    modes: tuple[_Mode, ...] = MODES
+    needs: str | None = None
+    required: tuple[_Mode, ...] = ()
+    awaited: bool = False
+    lifecycle: bool = False
+    end_timeout_s: Annotated[float, key(gt=0.0)] = 30.0
+    arguments: tuple[tuple[str | int | float, ...], ...] = ()
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    remappings: Mapping[str, Any] = field(default_factory=dict)
+
+
 @dataclass(frozen=True)
 class SystemFile:
-    """Parsed system file: settings, and nodes that refer to the settings as {name}."""
+    """System file: settings, and nodes that refer to the settings as {name}."""
 
-    path: Path
     namespace: str
     settings: Mapping[str, Setting]
-    nodes: Mapping[str, Mapping[str, Any]]
+    nodes: Mapping[str, NodeRow]
+
+    def __post_init__(self) -> None:
+        """Raise `SystemFileError` if a node refers to a setting that the file does not have."""
+        known = ("namespace", *self.settings)
+        for name, row in self.nodes.items():
+            for used in (*re.findall(r"\{(\w+)\}", repr(row)), row.needs):
+                if used not in (None, *known):
+                    raise SystemFileError(f"nodes: {name}: {unknown_name('setting', used, known)}")
 
     def system(self, mode: str, namespace: str = "", **settings: str) -> System:
         """Return the system of a mode.
@@ -145,7 +175,7 @@ class SystemFile:
         nodes = tuple(
             self._node(name, content, mode, values)
             for name, content in self.nodes.items()
-            if mode in content.get("modes", MODES) and _is_wanted(content, values)
+            if mode in content.modes and (content.needs is None or values[content.needs])
         )
         return System(namespace, self._with_required(nodes, str(values.get(ALSO_REQUIRED, ""))))
 
@@ -160,41 +190,25 @@ class SystemFile:
         return tuple(replace(n, required=n.required or n.name in also) for n in nodes)
 
     def _node(
-        self, name: str, content: Mapping[str, Any], mode: str, values: Mapping[str, str | float]
+        self, name: str, row: NodeRow, mode: str, values: Mapping[str, str | float]
     ) -> NodeDescription:
-        parameters = _of_mode(content.get("parameters", {}), mode)
-        try:
-            return NodeDescription(
-                name,
-                package=content["package"],
-                executable=content["executable"],
-                required=mode in content.get("required", ()),
-                **{key: content[key] for key in _PLAIN_KEYS if key in content},
-                arguments=_arguments(content.get("arguments", ()), values),
-                parameters=_parameters(parameters, values),
-                remappings=_of_mode(content.get("remappings", {}), mode),
-            )
-        except KeyError as error:
-            raise SystemFileError(f"{self.path}: node {name}: no setting or key {error}") from None
+        return NodeDescription(
+            name,
+            row.package,
+            row.executable,
+            awaited=row.awaited,
+            lifecycle=row.lifecycle,
+            required=mode in row.required,
+            end_timeout_s=row.end_timeout_s,
+            arguments=_arguments(row.arguments, values),
+            parameters=_parameters(_of_mode(row.parameters, mode), values),
+            remappings=_of_mode(row.remappings, mode),
+        )
 
 
 def load_system_file(path: str | Path) -> SystemFile:
     """Read a system file. Raises `SystemFileError`, whose message names the path and the key."""
-    path = Path(path)
-    content = read_yaml(path, SystemFileError)
-    if not isinstance(content, Mapping) or set(content) != _SYSTEM_KEYS:
-        raise SystemFileError(f"{path}: expected the keys {', '.join(sorted(_SYSTEM_KEYS))}")
-    for name, node in content["nodes"].items():
-        unknown = sorted(set(node) - set(_NODE_KEYS))
-        if unknown:
-            raise SystemFileError(
-                f"{path}: node {name}: {unknown_name('key', unknown[0], _NODE_KEYS)}"
-            )
-    try:
-        settings = {name: Setting(**value) for name, value in content["settings"].items()}
-    except TypeError:
-        raise SystemFileError(f"{path}: a setting has a default and a description") from None
-    return SystemFile(path, content["namespace"], settings, content["nodes"])
+    return read_settings(Path(path), SystemFile, SystemFileError)
 
 
 def _number(name: str, text: str) -> float:
@@ -236,13 +250,8 @@ def _of_mode(rows: Mapping[str, Any], mode: str) -> dict[str, Any]:
     return {**common, **rows.get(mode, {})}
 
 
-def _is_wanted(content: Mapping[str, Any], values: Mapping[str, str | float]) -> bool:
-    """Return True unless a node needs a setting that is empty."""
-    return "needs" not in content or bool(values[content["needs"]])
-
-
 def _arguments(
-    groups: Sequence[Sequence[str]], values: Mapping[str, str | float]
+    groups: Sequence[Sequence[str | int | float]], values: Mapping[str, str | float]
 ) -> tuple[str, ...]:
     """Return the arguments of all groups with values filled in; a group with an empty argument is left out."""
     filled = [[str(_fill(word, values)) for word in group] for group in groups]

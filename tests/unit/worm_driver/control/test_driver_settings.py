@@ -2,20 +2,22 @@
 import pytest
 from driver_rig import settings
 
-from worm_driver.body import Body, load_body
+from worm_driver.control.driver_settings import load_body
 from worm_driver.errors import ConfigurationError
 from worm_driver.servos.transmission import Fin, Spool
+from worm_msgs.robot_parameters import RobotParameters
 
 
 def test_without_a_file_the_body_is_the_papers():
-    assert load_body("") == Body(0.429, 0.429, 0.2952)
+    assert load_body("") == RobotParameters()
 
 
 def test_a_parameter_file_gives_its_keys_and_the_rest_is_the_papers(tmp_path):
     file = tmp_path / "parameters.yaml"
     file.write_text("rear_mass: 0.5\npitch: 0.0173\nintervals: {pitch: [0.017, 0.018]}\n")
-    assert load_body(str(file)) == Body(rear_mass=0.5)
-    assert load_body(str(file)).mass == pytest.approx(0.929)
+    body = load_body(str(file))
+    assert (body.rear_mass, body.front_mass, body.pitch) == (0.5, 0.429, 0.0173)
+    assert body.mass == pytest.approx(0.929)
 
 
 @pytest.mark.parametrize(

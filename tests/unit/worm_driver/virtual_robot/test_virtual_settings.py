@@ -36,7 +36,7 @@ def test_its_truth_is_not_the_papers_table(settings):
         (lambda c: c["body"].update(pitch="wide"), ["body: pitch", "number", "'wide'"]),
         (lambda c: c["body"].update(pitch=float("nan")), ["body: pitch", "finite", "nan"]),
         (lambda c: c["body"].update(pitch=-0.01), ["body: pitch", "-0.01"]),
-        (lambda c: c["body"].update(pitch=17.3), ["body: pitch", "17.3 m", "0.2 m"]),
+        (lambda c: c["body"].update(pitch=17.3), ["body: pitch", "17.3", "0.2", "d, m"]),
         (lambda c: c.update(seed=1.5), ["seed", "integer", "1.5"]),
         (lambda c: c.update(step_s=0.01), ["step_s", "0.001", "0.01"]),
         (lambda c: c.update(step_m=0.001), ["'step_m'", "step_s"]),

@@ -10,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from recorded_run import GAIT, simulated_run
 
-from worm_driver.body import Body
 from worm_driver.gait import gait_limits, gait_metrics, gait_player
 from worm_driver.power.ina219 import PowerSample, SampleStatus
 from worm_model.analysis.run_metrics import (
@@ -28,6 +27,7 @@ from worm_model.analysis.run_metrics import (
 from worm_model.parameters import PAPER, STANDARD_GRAVITY
 from worm_model.run import FAULT, IDLE, INACTIVE, RESTING, RUNNING, STOPPING, GaitStates, Run
 from worm_model.simulation.simulator import cost_of_transport
+from worm_msgs.robot_parameters import RobotParameters
 
 EPOCH = 1_700_000_000_000_000_000  # ns
 MASS = PAPER.mass
@@ -230,7 +230,7 @@ def driver_figures(run: Run, cycles: int) -> gait_metrics.RunMetrics:
     ended = gait_player.Run(
         1, gait, cycles, cycles, rest_start=0.0, onset=onset, end=onset + cycles * GAIT.period
     )
-    return gait_metrics.run_metrics(ended, record, Body())
+    return gait_metrics.run_metrics(ended, record, RobotParameters())
 
 
 @pytest.mark.parametrize("cycles", [2, 5])

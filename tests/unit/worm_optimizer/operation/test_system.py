@@ -18,6 +18,7 @@ from worm_optimizer.operation.system import (
 )
 
 SHIPPED = Path(__file__).resolve().parents[4] / "src/worm_optimizer/config/system.yaml"
+TWIN = {"package": "p", "executable": "t"}
 MINIMAL = {
     "namespace": "worm",
     "settings": {"port": {"default": "/dev/bus", "description": "a bus"}},
@@ -32,7 +33,7 @@ MINIMAL = {
                 "virtual": {"port": "x/{port}"},
             },
         },
-        "twin": {"package": "p", "executable": "t"},
+        "twin": TWIN,
     },
 }
 
@@ -117,19 +118,22 @@ def test_an_argument_without_a_value_is_left_out(tmp_path):
     ("change", "message"),
     [
         (
-            {"nodes": {"twin": {"package": "p", "executable": "t", "topics": 1}}},
-            "no key 'topics'",
+            {"nodes": {"twin": {"package": "p", "executable": "t", "argument": 1}}},
+            "twin: no key 'argument': did you mean arguments",
         ),
-        ({"nodes": {"twin": {"package": "p"}}}, "twin: no setting or key 'executable'"),
-        ({"settings": {}}, "driver: no setting or key 'port'"),
-        ({"settings": {"port": {"default": "x"}}}, "a setting has a default and a description"),
-        ({"more": 1}, "expected the keys"),
+        ({"nodes": {"twin": {"package": "p"}}}, "twin: executable is missing"),
+        ({"nodes": {"twin": {**TWIN, "modes": ["robto"]}}}, "'robto': did you mean robot"),
+        ({"nodes": {"twin": {**TWIN, "needs": "prot"}}}, "'prot': did you mean port"),
+        ({"nodes": {"twin": {**TWIN, "end_timeout_s": 0}}}, "end_timeout_s must be greater than 0"),
+        ({"settings": {}}, "driver: no setting 'port'"),
+        ({"settings": {"port": {"default": "x"}}}, "port: description is missing"),
+        ({"more": 1}, "no key 'more'"),
     ],
 )
 def test_a_malformed_file_is_refused_with_its_path(tmp_path, change, message):
     path = written(tmp_path, {**MINIMAL, **change})
     with pytest.raises(SystemFileError, match=message) as error:
-        load_system_file(path).system("robot")
+        load_system_file(path)
     assert str(path) in str(error.value)
 
 
