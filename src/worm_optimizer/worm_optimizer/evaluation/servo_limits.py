@@ -12,28 +12,36 @@ import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from worm_msgs.servo_models import RPM, SERVO_MODELS, VELOCITY_UNIT, Initial
-from worm_msgs.yaml_file import read_yaml
+from worm_msgs.settings_file import json_schema, key, settings_of
+from worm_msgs.yaml_file import SettingsFileError, read_yaml
 from worm_optimizer.evaluation.actuator_limits import ActuatorLimits
 from worm_optimizer.evaluation.task import Bounds
 from worm_optimizer.optimizer_errors import OptimizerError
 
 _SHUNT_RANGE = 0.32  # V over the shunt of an INA219 at its widest (TI SBOS448, PGA = /8)
 
-# Defaults of the driver for parameters that its file lacks.
-DRIVER_DEFAULTS: Mapping[str, Any] = {
-    "i2c_bus": "1",
-    "ina219.shunt_resistance_ohm": 0.1,
-    "ina219.max_current_a": 3.2,
-    "cable_servos.spool_radius_m": [0.025],
-    "limits.max_stroke_m": 0.09,
-    "limits.max_frequency_hz": 0.4,
-    "limits.max_cable_speed_m_per_s": 0.12,
-    "limits.max_servo_current_a": 2.0,
-    "limits.max_servo_load": 0.9,
-}
+
+@dataclass(frozen=True)
+class DriverFile:
+    """Parameters in the driver's file that limit gaits, SI units. The defaults are the driver's."""
+
+    i2c_bus: str = "1"
+    shunt: Annotated[float, key("ina219.shunt_resistance_ohm", gt=0.0)] = 0.1
+    max_current: Annotated[float, key("ina219.max_current_a", gt=0.0)] = 3.2
+    spool_radii: Annotated[
+        tuple[Annotated[float, key(gt=0.0)], ...],
+        key("cable_servos.spool_radius_m", min_length=1),
+    ] = (0.025,)
+    max_stroke: Annotated[float, key("limits.max_stroke_m", gt=0.0)] = 0.09
+    max_frequency: Annotated[float, key("limits.max_frequency_hz", gt=0.0)] = 0.4
+    max_cable_speed: Annotated[float, key("limits.max_cable_speed_m_per_s", gt=0.0)] = 0.12
+    max_servo_current: Annotated[float, key("limits.max_servo_current_a", gt=0.0)] = 2.0
+    max_servo_load: Annotated[float, key("limits.max_servo_load", gt=0.0)] = 0.9
+
+
 # Former names in the driver's file, the same as in worm_msgs.parameter_rows for the driver itself.
 DRIVER_RENAMED: Mapping[str, str] = {
     "ina219.max_current_A": "ina219.max_current_a",
@@ -126,30 +134,20 @@ def load_driver_file(path: str | Path) -> DrivenBy:
             text = f"{path}: {former} is now named {name}: rename it, as the next version ignores {former}"
             warnings.warn(text, FutureWarning, stacklevel=2)
             from_file[name] = from_file[former]
-    values = {**DRIVER_DEFAULTS, **from_file}
-    radii = values["cable_servos.spool_radius_m"]
-    if not isinstance(radii, list) or not radii:
-        raise OptimizerError(
-            f"{path}: cable_servos.spool_radius_m: expected a list such as [0.025]"
-        )
-
-    def positive(name: str, value: Any = None) -> float:
-        number = values[name] if value is None else value
-        if isinstance(number, bool) or not isinstance(number, int | float) or not number > 0.0:
-            raise OptimizerError(f"{path}: {name}: {number!r} is not a positive number")
-        return float(number)
-
-    sensor = min(
-        positive("ina219.max_current_a"), _SHUNT_RANGE / positive("ina219.shunt_resistance_ohm")
-    )
+    known = json_schema(DriverFile)["properties"]
+    try:
+        row = settings_of({n: v for n, v in from_file.items() if n in known}, DriverFile)
+    except SettingsFileError as error:
+        raise OptimizerError(f"{path}: {error}") from None
+    sensor = min(row.max_current, _SHUNT_RANGE / row.shunt)
     return DrivenBy(
-        spool_radii=tuple(positive("cable_servos.spool_radius_m", radius) for radius in radii),
-        max_stroke=positive("limits.max_stroke_m"),
-        max_frequency=positive("limits.max_frequency_hz"),
-        max_cable_speed=positive("limits.max_cable_speed_m_per_s"),
-        max_servo_current=positive("limits.max_servo_current_a"),
-        max_servo_load=positive("limits.max_servo_load"),
-        sensor_current=sensor if values["i2c_bus"] else math.inf,
+        spool_radii=row.spool_radii,
+        max_stroke=row.max_stroke,
+        max_frequency=row.max_frequency,
+        max_cable_speed=row.max_cable_speed,
+        max_servo_current=row.max_servo_current,
+        max_servo_load=row.max_servo_load,
+        sensor_current=sensor if row.i2c_bus else math.inf,
     )
 
 
@@ -215,8 +213,8 @@ def _parameters_of_driver(content: Any) -> dict[str, Any]:
 
 
 def _flat(content: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    for key, value in content.items():
+    for name, value in content.items():
         if isinstance(value, Mapping):
-            yield from _flat(value, f"{prefix}{key}.")
+            yield from _flat(value, f"{prefix}{name}.")
         else:
-            yield f"{prefix}{key}", value
+            yield f"{prefix}{name}", value

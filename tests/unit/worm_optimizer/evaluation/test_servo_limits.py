@@ -13,10 +13,11 @@ from worm_driver.servos import registers
 from worm_driver.virtual_robot.servo import control_table
 from worm_model.gait import FORWARD, Gait
 from worm_model.parameters import PAPER
+from worm_msgs.settings_file import json_schema
 from worm_optimizer.evaluation.actuator_limits import NO_LIMITS, ActuatorLimits, peaks
 from worm_optimizer.evaluation.servo_limits import (
-    DRIVER_DEFAULTS,
     DRIVER_RENAMED,
+    DriverFile,
     limits_of,
     load_driver_file,
     servo_model,
@@ -43,11 +44,11 @@ def driver_file(tmp_path):
 def test_the_defaults_are_those_of_the_driver(driver_file):
     assert load_driver_file(DRIVER_FILE) == load_driver_file(driver_file(port="/dev/x"))
     driver = yaml.safe_load(DRIVER_FILE.read_text())["/**/driver"]["ros__parameters"]
-    for name, default in DRIVER_DEFAULTS.items():
+    for name, row in json_schema(DriverFile)["properties"].items():
         value = driver
         for part in name.split("."):
             value = value[part]
-        assert value == default, name
+        assert value == row["default"], name
 
 
 def test_former_names_of_the_drivers_parameters_hold_with_a_warning(driver_file):
@@ -66,7 +67,9 @@ def test_former_names_of_the_drivers_parameters_hold_with_a_warning(driver_file)
 
 def test_the_former_names_are_those_of_the_driver():
     renamed = pytest.importorskip("worm_msgs.parameter_rows", reason="no ROS").RENAMED
-    assert {k: v for k, v in renamed.items() if v in DRIVER_DEFAULTS} == DRIVER_RENAMED
+    assert {
+        k: v for k, v in renamed.items() if v in json_schema(DriverFile)["properties"]
+    } == DRIVER_RENAMED
 
 
 def test_the_models_are_those_that_the_driver_knows():
@@ -145,9 +148,15 @@ def test_a_driver_that_takes_less_narrows_the_box_and_a_stricter_limit_stays(dri
     [
         ("{", "YAML"),
         ("a: 1", "contains no ros__parameters of a node named driver"),
-        ("driver: {ros__parameters: {cable_servos.spool_radius_m: 0.02}}", "expected a list"),
-        ("driver: {ros__parameters: {limits.max_stroke_m: true}}", "max_stroke_m: True is not"),
-        ("driver: {ros__parameters: {cable_servos.spool_radius_m: [-1]}}", "-1 is not a positive"),
+        ("driver: {ros__parameters: {cable_servos.spool_radius_m: 0.02}}", "must be a list"),
+        (
+            "driver: {ros__parameters: {limits.max_stroke_m: true}}",
+            "max_stroke_m must be a valid number",
+        ),
+        (
+            "driver: {ros__parameters: {cable_servos.spool_radius_m: [-1]}}",
+            "must be greater than 0, not -1",
+        ),
     ],
 )
 def test_a_file_that_is_none_is_refused_with_its_path(tmp_path, content, says):
