@@ -106,15 +106,15 @@ def _lead(summary: Summary) -> list[str]:
     ]
     if summary.best is None:
         return [*lines, f"No point has {summary.goal}."]
-    lines.append(f"Best is {summary.goal}: {_told(summary, summary.best)}")
+    lines.append(f"Best is {summary.goal}: {_sentence(summary, summary.best)}")
     if summary.own is not None and summary.own != summary.best:
         lines.append(
-            f"The robot of the parameter file, for comparison: {_told(summary, summary.own)}"
+            f"The robot of the parameter file, for comparison: {_sentence(summary, summary.own)}"
         )
     return lines
 
 
-def _told(summary: Summary, row: int) -> str:
+def _sentence(summary: Summary, row: int) -> str:
     """Return a design and its results as text."""
     design, figures = (
         ", ".join(f"{label(column)} {shown(column)[row]:.4g}" for column in columns)
