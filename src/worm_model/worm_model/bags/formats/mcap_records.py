@@ -213,25 +213,21 @@ def joined(pieces: Iterable[Buffer]) -> Buffer:
 def chunk_pieces(head: ChunkHead, body: Buffer) -> Iterator[Buffer]:
     """Yield the records of a chunk while they are decompressed.
 
-    Decompression ends one byte after the declared size. For a chunk with a checksum, the limit is LARGEST_CHUNK
-    instead.
+    Decompression ends after LARGEST_CHUNK, because of decompression bombs. The declared size may be damaged.
 
     Raises:
-        one of DAMAGE: The compressed bytes are damaged, or the declared size is above LARGEST_CHUNK. The pieces
-            before contain the data up to the damage.
+        one of DAMAGE: The compressed bytes are damaged. The pieces before contain the data up to the damage.
     """
     data, size = body[head.first : head.last], 0
     if not head.compression:
         yield data
         return
-    most = LARGEST_CHUNK if head.checksum else head.size
-    if most > LARGEST_CHUNK:
-        raise ValueError(f"a chunk declares {most} bytes, more than the {LARGEST_CHUNK} accepted")
     read = _READ[head.compression](data)
-    while size <= most:
+    while size <= LARGEST_CHUNK:
+        declared = head.size - size
         try:
             # Other bytes may follow the declared ones, and a read across them would lose these.
-            piece = read(min(max(most - size, 1), _PIECE))
+            piece = read(min(declared, _PIECE) if declared > 0 else _PIECE)
         except DAMAGE:
             if size < head.size:
                 raise

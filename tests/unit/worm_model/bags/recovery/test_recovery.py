@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from contextlib import closing, suppress
 from functools import cache
 from io import BytesIO
+from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -167,6 +168,16 @@ def test_it_saves_what_the_stream_reader_returns_and_every_intact_chunk(layout: 
                     Counter(by_stream_reader(inside)) - Counter(2 * [*saved.elements()])
                     == Counter()
                 )
+
+
+@pytest.mark.parametrize("layout", ["lz4", "plain", "rosbag2", "rosbag2 zstd", "zstd"])
+@pytest.mark.parametrize("bit", [0, 2, 7, 20, 28, 40, 63])
+def test_a_damaged_size_of_a_chunk_costs_nothing(layout: str, bit: int):
+    data = file_of(layout)
+    _, (first, _) = islice(chunks(data), 2)
+    size = slice(first + 9 + 16, first + 9 + 24)
+    damaged = data[: size.start] + with_flip(data[size], bit) + data[size.stop :]
+    assert Counter(recovered(damaged)) == Counter(by_stream_reader(data))
 
 
 @pytest.mark.parametrize("sample", ["forward/forward_0.mcap", "killed/killed_0.mcap"])
