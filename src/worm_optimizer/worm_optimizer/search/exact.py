@@ -110,7 +110,8 @@ def _completed(task: Task, surveyed: Survey, step: float) -> Survey:
     """Return the survey with the thin parts of branches, which lie between the strokes of the scan, ``step`` m apart.
 
     A branch may have no edge in a column, or an edge at a longer stroke than in the neighbouring column. Its edge is
-    then searched near that of the neighbouring column. The search then continues in the next column.
+    then searched near the straight line through the edges of the next two columns. The search then continues in the
+    next column.
     """
     tried: set[tuple[int, int, int]] = set()
     while True:
@@ -119,8 +120,10 @@ def _completed(task: Task, surveyed: Survey, step: float) -> Survey:
         if not seeds:
             return surveyed
         columns = surveyed.columns[[place for _, place, _, _ in seeds]]
-        windows = np.array([_window(np.array(near), step / 16.0) for *_, near in seeds])
-        scan = np.linspace(windows[:, 0], windows[:, 1], 2 * _WINDOW_SCAN, axis=1)
+        near, beyond = np.array([strokes for *_, strokes in seeds]).T
+        reach = np.maximum(2.0 * np.abs(near - beyond), step / 16.0)
+        ahead = 2.0 * near - beyond  # The edge goes on about straight.
+        scan = np.linspace(ahead - reach, ahead + reach, 2 * _WINDOW_SCAN, axis=1)
         counts = np.array([count for count, *_ in seeds])
         edges = task.edges(columns, scan, counts)
         found = edges.points.take(edges.points.count == counts[edges.column])
