@@ -14,6 +14,7 @@ eq:x2_ddot_full leaves no second derivative of the length in its equation of mot
 
 import math
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from random import Random
 from typing import Annotated, NamedTuple
 
@@ -81,6 +82,8 @@ class Conditions:
 
         velocity: of the module, m/s.
         """
+        if self.drag_area_m2 == 0.0:
+            return 0.0
         relative = abs(self.flow_m_per_s + velocity)
         return 0.5 * _WATER_DENSITY * self.drag_area_m2 * relative
 
@@ -89,11 +92,16 @@ class Conditions:
 
         A tether does not push, and behind the start none is paid out.
         """
-        along = _STANDARD_GRAVITY * math.sin(math.radians(self.slope_deg))
+        along = self._gravity
         tether = max(
             self.tether_n + self.tether_n_per_m * (self.distance_m + max(rear_position, 0.0)), 0.0
         )
         return parameters.rear_mass * along + tether, parameters.front_mass * along
+
+    @cached_property
+    def _gravity(self) -> float:
+        """Component along the pipe, m/s^2."""
+        return _STANDARD_GRAVITY * math.sin(math.radians(self.slope_deg))
 
 
 class Grooves(NamedTuple):
@@ -152,6 +160,22 @@ class Plant:
     step_s: float
     conditions: Conditions = field(default_factory=Conditions)
 
+    @cached_property
+    def _share(self) -> float:
+        """Share of the front module in the mass."""
+        return self.parameters.front_mass / (self.parameters.rear_mass + self.parameters.front_mass)
+
+    @cached_property
+    def _decay(self) -> float:
+        """Decay of the length's lag in one step."""
+        return math.exp(-self.step_s / self.parameters.time_constant)
+
+    @cached_property
+    def _unloaded(self) -> bool:
+        """True if nothing loads the robot, wherever it is."""
+        p = self.parameters
+        return self.conditions == Conditions() and p.rear_load == p.front_load == 0.0
+
     def at_rest(self, laws: tuple[int, int] = (FORWARD, FORWARD)) -> PlantState:
         """Return the initial state: x1 = 0, both anchors in the grooves nearest to their fins.
 
@@ -180,8 +204,7 @@ class Plant:
 
     def put_back(self, state: PlantState) -> PlantState:
         """Return the state after the robot was put back to its start, with straight fins and unchanged length."""
-        p = self.parameters
-        share = p.front_mass / (p.rear_mass + p.front_mass)
+        p, share = self.parameters, self._share
         return state._replace(
             centre=share * state.length_change,
             centre_velocity=share * state.length_rate,
@@ -191,10 +214,8 @@ class Plant:
 
     def positions(self, state: PlantState) -> tuple[float, float]:
         """Return x1 and x2 (m)."""
-        p = self.parameters
-        share = p.front_mass / (p.rear_mass + p.front_mass)
-        rear = state.centre - share * state.length_change
-        return rear, rear + p.initial_length + state.length_change
+        rear = state.centre - self._share * state.length_change
+        return rear, rear + self.parameters.initial_length + state.length_change
 
     def step(self, state: PlantState, cable: float, laws: tuple[int, int]) -> PlantState:
         """Return the state one step later.
@@ -212,7 +233,7 @@ class Plant:
         x1, x2 = self.positions(state)
         rear_groove, rear_force = self._fin(x1, state.rear_groove, laws[0], self.rear_grooves)
         front_groove, front_force = self._fin(x2, state.front_groove, laws[1], self.front_grooves)
-        share = p.front_mass / (p.rear_mass + p.front_mass)
+        share = self._share
         v1_before = state.centre_velocity - share * state.length_rate
         rear_load, front_load = self._loads(x1, v1_before, v1_before + state.length_rate)
         rear_force, front_force = rear_force + rear_load, front_force + front_load
@@ -253,7 +274,7 @@ class Plant:
         x1, x2 = self.positions(state)
         rear_groove, rear_force = self._fin(x1, state.rear_groove, laws[0], self.rear_grooves)
         front_groove, front_force = self._fin(x2, state.front_groove, laws[1], self.front_grooves)
-        share = p.front_mass / (p.rear_mass + p.front_mass)
+        share = self._share
         v1 = state.centre_velocity - share * state.length_rate
         v2 = v1 + state.length_rate
         rear_load, front_load = self._loads(x1, v1, v2)
@@ -294,6 +315,8 @@ class Plant:
 
         They contain the drag's share of the water's velocity; `_drags` contains that of the modules' velocities.
         """
+        if self._unloaded:
+            return 0.0, 0.0
         p, around = self.parameters, self.conditions
         rear, front = around.loads(p, x1)
         flow = around.flow_m_per_s
@@ -321,7 +344,7 @@ class Plant:
         p = self.parameters
         effective = min(cable, -p.slack if taken else 0.0)
         goal = p.gain * effective
-        new = goal + (length_change - goal) * math.exp(-self.step_s / p.time_constant)
+        new = goal + (length_change - goal) * self._decay
         return new, (goal - new) / p.time_constant
 
     def _push(self, state: PlantState, length_rate: float, forces: float) -> tuple[float, float]:
@@ -332,13 +355,12 @@ class Plant:
         Viscous and dry friction are integrated implicitly, which is stable for any step.
         """
         p = self.parameters
-        mass = p.rear_mass + p.front_mass
-        share = p.front_mass / mass
+        share = self._share
         v1 = state.centre_velocity - share * length_rate
         v2 = v1 + length_rate
         drag1, drag2 = self._drags(v1, v2)
         pull = (drag1 * share - drag2 * (1.0 - share)) * length_rate - forces
-        inertia = mass / self.step_s
+        inertia = (p.rear_mass + p.front_mass) / self.step_s
         velocity = (inertia * state.centre_velocity + pull) / (inertia + drag1 + drag2)
         return velocity, drag1
 

@@ -197,13 +197,12 @@ class VirtualRobot:
     def _load(self, time: float) -> None:
         steeper = self.board.active(faults.SLOPE, time)
         pulled = self.board.active(faults.TETHER, time)
-        normal = self.settings.conditions
-        conditions = replace(
-            normal,
-            slope_deg=normal.slope_deg + (0.0 if steeper is None else steeper.value),
-            tether_n=normal.tether_n + (0.0 if pulled is None else pulled.value),
-        )
-        if conditions != self.plant.conditions:
+        conditions = self.settings.conditions
+        if steeper is not None:
+            conditions = replace(conditions, slope_deg=conditions.slope_deg + steeper.value)
+        if pulled is not None:
+            conditions = replace(conditions, tether_n=conditions.tether_n + pulled.value)
+        if conditions is not self.plant.conditions and conditions != self.plant.conditions:
             self.plant = replace(self.plant, conditions=conditions)
 
     def _surround(self, servo: Servo, time: float) -> None:

@@ -1,10 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the optional set of studies is not installed, the tests of what needs it are skipped."""
+"""Workers that the tests of studies share; without the optional set of studies, the tests that need it are skipped."""
 
+from __future__ import annotations
+
+from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
+
+if TYPE_CHECKING:
+    from distributed import LocalCluster
 
 NEEDS_IT = {"test_engine.py", "test_results.py", "test_store.py", "test_study_command.py"}
 
@@ -20,3 +27,18 @@ def pytest_pycollect_makemodule(module_path: Path, parent: pytest.Collector):
     if module_path.name in NEEDS_IT and find_spec("distributed") is None:
         return Absent.from_parent(parent, path=module_path)
     return None
+
+
+@pytest.fixture(scope="package")
+def cluster() -> Iterator[LocalCluster]:
+    """Two workers in processes of their own, for the tests that start none themselves."""
+    from distributed import LocalCluster
+
+    with LocalCluster(
+        n_workers=2,
+        threads_per_worker=1,
+        processes=True,
+        dashboard_address="127.0.0.1:0",
+        memory_limit=0,
+    ) as running:
+        yield running

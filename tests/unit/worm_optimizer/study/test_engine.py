@@ -33,18 +33,6 @@ pytestmark = pytest.mark.timeout(300)
 
 
 @pytest.fixture(scope="module")
-def cluster() -> Iterator[LocalCluster]:
-    with LocalCluster(
-        n_workers=2,
-        threads_per_worker=1,
-        processes=True,
-        dashboard_address="127.0.0.1:0",
-        memory_limit=0,
-    ) as running:
-        yield running
-
-
-@pytest.fixture(scope="module")
 def whole(tmp_path_factory, cluster) -> Path:
     """The small study, computed without trouble."""
     path = tmp_path_factory.mktemp("whole") / "study.zarr"

@@ -123,10 +123,11 @@ def test_a_fleet_is_a_table_with_a_row_for_the_broken_bag(tmp_path, monkeypatch,
     assert "nothing is overwritten" in err
 
 
-def test_verify_retry_and_repeat(tmp_path, monkeypatch, capsys):
+def test_verify_retry_and_repeat(tmp_path, monkeypatch, capsys, cluster):
+    workers = ("--scheduler", cluster.scheduler_address)
     file, output, copy = tmp_path / "s.yaml", tmp_path / "s.zarr", tmp_path / "copy.zarr"
     file.write_text(SMALL)
-    command = (str(file), "--output", str(output), "--workers", "1", "--json")
+    command = (str(file), "--output", str(output), *workers, "--json")
     assert run(monkeypatch, capsys, *command)[0] == 0
     before = contents(output)
     status, out, _ = run(monkeypatch, capsys, "--verify", str(output), "--json")
@@ -142,7 +143,7 @@ def test_verify_retry_and_repeat(tmp_path, monkeypatch, capsys):
     assert json.loads(out)["damaged"] == 3  # the other three failed, and are NaN
     assert "values of 3 points are missing or damaged" in err
     damaged = contents(output)
-    status, _, err = run(monkeypatch, capsys, "--from", str(output), "--workers", "1")
+    status, _, err = run(monkeypatch, capsys, "--from", str(output), *workers)
     assert status == 0
     assert "computed again" in err
     assert contents(output) == before != damaged
@@ -153,15 +154,16 @@ def test_verify_retry_and_repeat(tmp_path, monkeypatch, capsys):
     assert str(speed) in err
     assert contents(output) == before
 
-    repeat = ("--from", str(output), "--output", str(copy), "--workers", "1")
+    repeat = ("--from", str(output), "--output", str(copy), *workers)
     assert run(monkeypatch, capsys, *repeat)[0] == 0
     assert contents(copy) == before
 
 
-def test_a_study_that_fails_everywhere_has_status_1(tmp_path, monkeypatch, capsys):
+def test_a_study_that_fails_everywhere_has_status_1(tmp_path, monkeypatch, capsys, cluster):
+    workers = ("--scheduler", cluster.scheduler_address)
     file = tmp_path / "s.yaml"
     file.write_text(SMALL.replace("[0.008, 0.0175]", "[0.008]"))
-    words = (str(file), "--output", str(tmp_path / "s.zarr"), "--workers", "1", "--json")
+    words = (str(file), "--output", str(tmp_path / "s.zarr"), *workers, "--json")
     status, out, err = run(monkeypatch, capsys, *words)
     assert status == 1
     assert json.loads(out)["failed"] == 3
@@ -169,7 +171,8 @@ def test_a_study_that_fails_everywhere_has_status_1(tmp_path, monkeypatch, capsy
     assert run(monkeypatch, capsys, *words, "--accept-failures")[0] == 0
 
 
-def test_a_saltelli_study_has_sobol_indices(tmp_path, monkeypatch, capsys):
+def test_a_saltelli_study_has_sobol_indices(tmp_path, monkeypatch, capsys, cluster):
+    workers = ("--scheduler", cluster.scheduler_address)
     file, page = tmp_path / "s.yaml", tmp_path / "s.html"
     file.write_text(
         "vary: {idle_power: {range: [0.5, 1.5]}, rear_mass: {range: [0.4, 0.5]}}\n"
@@ -177,7 +180,7 @@ def test_a_saltelli_study_has_sobol_indices(tmp_path, monkeypatch, capsys):
         "fixed: {margin_m: 0.002}\ncompute: [gaits]\n"
         "resolution: {strokes: 9, frequencies: 5}\n"
     )
-    words = (str(file), "--output", str(tmp_path / "s.zarr"), "--workers", "1")
+    words = (str(file), "--output", str(tmp_path / "s.zarr"), *workers)
     status, out, _ = run(monkeypatch, capsys, *words, "--json", "--page", str(page))
     assert status == 0
     cost = json.loads(out)["indices"]["cost of transport"]

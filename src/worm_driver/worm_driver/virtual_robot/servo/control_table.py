@@ -7,6 +7,7 @@ Indirect addressing (168 and above) is not implemented and returns an access err
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 from worm_msgs.servo_models import RPM, SERVO_MODELS, Initial, ServoRow
 
@@ -38,7 +39,7 @@ class Register:
     high: int = 0
     writable: bool = True
 
-    @property
+    @cached_property
     def signed(self) -> bool:
         """True if the raw value is in two's complement."""
         return self.low < 0

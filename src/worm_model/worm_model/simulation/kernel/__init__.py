@@ -12,6 +12,7 @@ from __future__ import annotations
 import hashlib
 import importlib
 import os
+import sys
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -49,10 +50,16 @@ def cache_directory(more: Sequence[Path] = ()) -> Path:
 
 
 def load_compiled(package: str, folder: Path) -> None:
-    """Import the modules of a package in a folder, whose compiled code depends on the kernel and is cached with it."""
+    """Import the modules of a package in a folder, whose compiled code depends on the kernel and is cached with it.
+
+    The compiler caches the code of a file under its path. A build folder links to the checkout: without the links,
+    both have the same path, and the code is compiled once.
+    """
+    own = folder == Path(__file__).parent
+    folder = folder.resolve()
+    sys.modules[package].__path__ = [str(folder)]
     sources = sorted(folder.glob("[!_]*.py"))
     before = numba.config.CACHE_DIR
-    own = folder == Path(__file__).parent
     numba.config.CACHE_DIR = str(cache_directory(() if own else sources))
     try:
         for source in sources:
