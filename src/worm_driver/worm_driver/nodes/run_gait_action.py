@@ -43,7 +43,14 @@ _TRACKER_TIMEOUT = 1.0
 
 @dataclass
 class _Current:
-    """Run in progress, and its goal."""
+    """Run in progress, and its goal.
+
+    Attributes:
+        goal: the goal, once rclpy has accepted it.
+        run: latest state of the run.
+        judged: last cycle at whose end the tracker saw the robot.
+        end_requested: True if an early end was requested.
+    """
 
     goal_id: bytes
     number: int
@@ -51,11 +58,9 @@ class _Current:
     record: RunRecord
     end: RunEnd
     owner: HeartbeatMonitor
-    #: Set once rclpy has accepted the goal.
     goal: ServerGoalHandle | None = None
     next_feedback: float = -math.inf
     ended: Run | None = None
-    #: Latest state of the run, last cycle at whose end the tracker saw the robot, True if an early end was requested.
     run: Run | None = None
     judged: int = 0
     end_requested: bool = False
