@@ -35,6 +35,10 @@ CAMPAIGN = (
 SHORT = (CAMPAIGN[4], CAMPAIGN[5], CAMPAIGN[6], CAMPAIGN[7])
 SPREAD = 0.05  # relative, of the true parameters around the virtual robot's
 FORCE_NOISE = 0.12, 0.35  # N, of the fin and of the bellows test
+REST, REST_UNDER_PRETENSION = (
+    2.0,
+    3.0,
+)  # s before a gait, in the first half of which the cable is tensioned
 EPOCH = 10**18  # ns
 RESTING, RUNNING = 2, 3
 TICK = 2.0 * np.pi / 4096  # rad
@@ -58,8 +62,9 @@ def virtual_campaign(
     for index, (gait, duration) in enumerate(plan):
         run = run_offline(
             dataclasses.replace(settings, recording=index + 1),
-            DriverGait(gait.stroke, gait.frequency).length_change,
+            DriverGait(**dataclasses.asdict(gait)).length_change,
             duration,
+            REST_UNDER_PRETENSION if gait.pretension else REST,
         )
         truth = Parameters(**dataclasses.asdict(run.truth))
         recordings.append(recording_of(run_of(run, gait, settings), f"run_{index + 1}"))
@@ -131,13 +136,10 @@ def make_run(
             np.asarray(power[1]) / 12.0,
             np.asarray(power[1]),
         ),
-        gait_state=GaitStates(
-            stamp=stamp(np.array([0.0, onset])),
+        gait_state=GaitStates.of(
+            gait,
+            stamp(np.array([0.0, onset])),
             state=states,
-            stroke=np.full(2, gait.stroke),
-            frequency=np.full(2, gait.frequency),
-            direction=np.full(2, gait.direction),
-            margin=np.zeros(2),
             onset=np.array([0, onset_stamp]),
             cycle=np.array([0, 1]),
             cycles=np.full(2, 5),

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from worm_model.arrays import Array
 from worm_model.identification.data.observed_run import Recording
 from worm_model.identification.fits.actuation_fit import (
+    CLOCK,
     CLOCK_SPREAD,
     SHARED,
     ActuationFit,
@@ -20,9 +21,9 @@ from worm_model.identification.fits.actuation_fit import (
     fitted_samples,
 )
 from worm_model.identification.fits.block_least_squares import (
-    clock_deviations,
     informative,
     normal_equations,
+    own_deviations,
 )
 from worm_model.identification.fits.estimate import (
     Estimate,
@@ -34,7 +35,6 @@ from worm_model.identification.fits.resampling import correlation, estimates, re
 from worm_model.parameters import PAPER
 
 USUAL = (PAPER.slack, PAPER.gain, PAPER.time_constant)
-CLOCK = 1  # index of the clock offset in a run's nuisance parameters
 LEAST_INFORMATION = 1e-9  # information on a parameter's step, in units of the squared camera noise
 NO_BEARING = "it has no effect on these runs"
 AT_BOUND = "the fit is at a bound, where no interval is valid"
@@ -79,7 +79,13 @@ def identify_actuation(
         return fit_actuation(recordings, fit, drawn).values
 
     refits = refitted(refit)
-    slack, gain, time_constant = estimates(fit.values, refits, units)
+    # A run whose pretension takes the slack up does not inform it.
+    slack_units = sum(
+        np.unique(label).size
+        for recording, label in zip(recordings, labels, strict=True)
+        if recording.gait.pretension < fit.slack
+    )
+    slack, gain, time_constant = estimates(fit.values, refits, (slack_units, units, units))
     rounding = max(command_resolution(recording) for recording in recordings)
     slack = _widened(slack, quantile(np.inf) * rounding / np.sqrt(12.0))
     problem = actuation_problem(recordings)
@@ -88,7 +94,7 @@ def identify_actuation(
         _checked(estimate, entry, float(matrix[entry, entry]))
         for entry, estimate in enumerate((slack, gain, time_constant))
     )
-    clocks = informative(clock_deviations(problem, fit.solution, CLOCK), CLOCK_SPREAD)
+    clocks = informative(own_deviations(problem, fit.solution, CLOCK), CLOCK_SPREAD)
     return ActuationResult(slack, gain, time_constant, correlation(refits), fit, clocks)
 
 

@@ -15,9 +15,9 @@ import numpy as np
 
 from worm_model.arrays import Array
 from worm_model.identification.fits.block_least_squares import (
-    clock_deviations,
     evaluate,
     informative,
+    own_deviations,
 )
 from worm_model.identification.fits.energy import (
     CLOCK_SPREAD,
@@ -157,9 +157,7 @@ def _clocks(runs: Sequence[PowerRun], fit: EnergyFit) -> Array:
         _shift_by_idle(run, fit, offset) for run, offset in zip(runs, fit.clock_offset, strict=True)
     ]
     return informative(
-        np.hypot(
-            clock_deviations(problem, solution, 0, weights), idle_deviation * np.array(by_idle)
-        ),
+        np.hypot(own_deviations(problem, solution, 0, weights), idle_deviation * np.array(by_idle)),
         CLOCK_SPREAD,
     )
 

@@ -3,6 +3,8 @@
 
 The rule requires that the robot rests during these samples. With a slow sensor, or one that starts with the gait, some
 of them contain motion; then only the samples before the onset are used. A run without such samples gives no estimate.
+
+The servo may need power to hold a pretension. The idle power of such a run is used for this run alone.
 """
 
 from __future__ import annotations
@@ -19,16 +21,21 @@ SAMPLES = 10
 FEWEST_SAMPLES = 3
 SETTLED = 5.0  # largest difference of the ten from all samples at rest, standard errors
 LEAST_DIFFERENCE = 0.02  # smallest relative difference for a warning
-NO_IDLE = "no run has power samples at rest: record at least 2 s before the gait starts"
+NO_IDLE = "no run has power samples at rest without pretension: record at least 2 s before the gait starts"
+HOLDING = "the idle power includes that for holding the pretension and is used for this run alone"
 
 
 @dataclass(frozen=True)
 class IdlePower:
-    """Idle power of a run: ``value`` (W, NaN if unknown) and standard ``deviation`` of the mean (W)."""
+    """Idle power of a run: ``value`` (W, NaN if unknown) and standard ``deviation`` of the mean (W).
+
+    ``holding`` is True if the cable held a pretension.
+    """
 
     value: float
     deviation: float
     warning: str = ""
+    holding: bool = False
 
 
 def idle_power_of(recording: Recording) -> IdlePower:
@@ -45,28 +52,30 @@ def idle_power_of(recording: Recording) -> IdlePower:
         )
     value = float(first[resting].mean())
     deviation = float(first[resting].std(ddof=1) / np.sqrt(count))
+    holding = recording.gait.pretension > 0.0
+    remarks = [HOLDING] if holding else []
+    later = float(np.median(recording.power[recording.power_time < 0.0]))
+    off = abs(value - later)
     if count < SAMPLES:
-        warning = (
-            f"{recording.name}: the robot was not at rest in {SAMPLES - count} of the first ten power samples: "
+        remarks.append(
+            f"the robot was not at rest in {SAMPLES - count} of the first ten power samples: "
             f"only the other {count} are used"
         )
-        return IdlePower(value, deviation, warning)
-    rest = recording.power[recording.power_time < 0.0]
-    later = float(np.median(rest))
-    off = abs(value - later)
-    if off > SETTLED * max(deviation, 1e-6) and off > LEAST_DIFFERENCE * later:
-        return IdlePower(
-            value,
-            deviation,
-            f"{recording.name}: the first ten power samples ({value:.3f} W) differ from the rest at rest "
-            f"({later:.3f} W): the power was still settling",
+    elif off > SETTLED * max(deviation, 1e-6) and off > LEAST_DIFFERENCE * later:
+        remarks.append(
+            f"the first ten power samples ({value:.3f} W) differ from the rest at rest "
+            f"({later:.3f} W): the power was still settling"
         )
-    return IdlePower(value, deviation)
+    warning = f"{recording.name}: {'; '.join(remarks)}" if remarks else ""
+    return IdlePower(value, deviation, warning, holding)
 
 
 def idle_power(runs: Sequence[IdlePower]) -> Estimate | None:
-    """Return the mean over runs, None if no run rested; for a single run the interval is that of its samples."""
-    known = [run for run in runs if np.isfinite(run.value)]
+    """Return the mean over runs without pretension, None if none of them rested.
+
+    For a single run the interval is that of its samples.
+    """
+    known = [run for run in runs if np.isfinite(run.value) and not run.holding]
     if not known:
         return None
     values = np.array([run.value for run in known])

@@ -38,6 +38,10 @@ from worm_model.simulation.smoothing import smooth
 
 THRESHOLD_STEP = 2.5e-4  # m, step of the grid
 REFINED = 3  # number of best grid points that are refined by a simplex search
+PRETENSION = (
+    "{}: the gait has a pretension, but the paper's procedure assumes a slack cable at rest; "
+    "omit --literal, or this run"
+)
 LOST = 1.0  # m², cost of a run whose anchors switch infinitely often
 
 
@@ -63,8 +67,11 @@ def literal(
         The parameters, and the minimal costs: J_loc and J_act in m², J_E in J².
 
     Raises:
-        IdentificationError: No run has power samples.
+        IdentificationError: No run has power samples, or a run has a pretension.
     """
+    for recording in inputs.recordings:
+        if recording.gait.pretension > 0.0:
+            raise IdentificationError(PRETENSION.format(recording.name))
     paper = known.replace(**dict.fromkeys(NOT_OF_PAPER, 0.0), one_sided_cable=False)
     p = _with_bench(inputs, paper)
     runs = [_traverse(recording, p.pitch) for recording in inputs.recordings]

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from worm_model.gait import Gait
 from worm_model.parameters import Parameters
-from worm_model.simulation.kernel.actuation_law import Actuator, respond_at, value_at
+from worm_model.simulation.kernel.actuation_law import Actuator, respond_at, rest_of, value_at
 from worm_model.simulation.kernel.linear import Coefficients
 from worm_model.simulation.kernel.waveform import answer_to_part, borders_of
 from worm_model.simulation.rows import gait_rows
@@ -65,6 +65,11 @@ def length_change_of_command(
 def actuator(parameters: Parameters) -> Actuator:
     """Return the actuation parameters as the kernel reads them."""
     return Actuator(parameters.gain, parameters.slack, parameters.time_constant)
+
+
+def resting_change(gait: Gait, parameters: Parameters) -> float:
+    """Return ΔL in m at which a run of a gait begins: −K·max(o, δ_s) with a pretension o, otherwise 0."""
+    return float(rest_of(gait.pretension, actuator(parameters)))
 
 
 def length_change_range(gait: Gait, parameters: Parameters) -> tuple[float, float]:

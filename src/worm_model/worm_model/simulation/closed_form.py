@@ -12,10 +12,9 @@ import math
 
 from worm_model.gait import FORWARD, Gait
 from worm_model.parameters import Parameters
-from worm_model.simulation.actuation import actuator, length_change_range
+from worm_model.simulation.actuation import actuator, length_change_range, resting_change
+from worm_model.simulation.kernel.actuation_law import effective
 from worm_model.simulation.kernel.mode import nearest_groove
-from worm_model.simulation.kernel.waveform import rest_of
-from worm_model.simulation.rows import gait_rows
 
 
 def front_groove(parameters: Parameters) -> int:
@@ -99,7 +98,7 @@ def largest_static_load(parameters: Parameters, side: int, gait: Gait) -> float:
     if side != gait.direction:
         stiff, soft = soft, stiff
     half, threshold = 0.5 * parameters.clearance, parameters.switching_threshold + gait.margin
-    rest = rest_of(gait_rows(gait)[0], actuator(parameters))
+    rest = resting_change(gait, parameters)
     phase = (groove_phase(parameters) + rest) % parameters.pitch
 
     def held(deflection: float) -> float:
@@ -118,6 +117,6 @@ def cliff_margin(
     lost even without a margin. A load Q against the direction reduces the margin by Q/(k_eng + k_dis).
     """
     yielding = 1.0 + parameters.disengaged_stiffness / parameters.engaged_stiffness
-    rest = parameters.gain * max(pretension, parameters.slack)
-    spare = groove_phase(parameters) - rest + 2.0 * parameters.pitch
+    highest = effective(-pretension, actuator(parameters))
+    spare = groove_phase(parameters) + highest + 2.0 * parameters.pitch
     return (spare - switching_travel(parameters, 0.0, direction)) / yielding

@@ -29,6 +29,7 @@ Array = NDArray[np.float64]
 
 CYCLES = 5  # cycles of a run, from the start
 AVERAGED = 3  # the last cycles of the run
+SETTLING_TIME = 1.0  # s in which the body reaches another length, and again to come to rest
 
 _NO_ROWS = np.empty((0, march.SAMPLE_COLUMNS))
 
@@ -352,6 +353,21 @@ class Locomotion:
             rear_region=region_of(x1, c.half_clearance),
             front_region=region_of(x2 - groove * c.pitch, c.half_clearance),
         )
+
+    def at_rest(self, time: float = 0.0, length_change: float = 0.0) -> LocomotionState:
+        """Return the state of a robot that rests since its fins were set straight at ΔL = 0.
+
+        A pretension, which has moved ΔL to ``length_change`` in m since then, and a load have bent the fins. ``time``
+        in s is that of the state. Raises `SimulationError` if a fin chatters.
+        """
+        if length_change == 0.0 and not (self.parameters.rear_load or self.parameters.front_load):
+            return self.start(time)
+        return self.settled(self.start(time - 2.0 * SETTLING_TIME), length_change)
+
+    def settled(self, state: LocomotionState, length_change: float) -> LocomotionState:
+        """Return the state after the body has moved to a ΔL in m and come to rest, 2·`SETTLING_TIME` later."""
+        times = [state.time + SETTLING_TIME, state.time + 2.0 * SETTLING_TIME]
+        return self.follow(state, times, [length_change, length_change])[0]
 
     def x1(self, state: LocomotionState) -> float:
         """Return the position of the rear module in m."""

@@ -33,7 +33,7 @@ from worm_model.gait import (
 )
 from worm_model.parameters import Parameters
 from worm_model.run import SAME_ONSET_NS, is_another_run
-from worm_model.simulation.actuation import length_change_of_command
+from worm_model.simulation.actuation import length_change_of_command, resting_change
 from worm_model.simulation.closed_form import front_groove
 from worm_model.simulation.simulator import Locomotion, LocomotionState, SimulationError
 from worm_model.twin.core.memory import NANOSECONDS, Memory
@@ -55,7 +55,6 @@ STILL_M, STILL_NOISE = 0.0005, 5.0
 GUARD_NS = 100_000_000
 TURNED_NS = 2_500_000_000  # longest time from the turning of the fins to the onset
 SLACK_NS = 2_000_000_000  # after a pull, in which the slack returns
-RELAX_S = 1.0  # time in which the body returns to its initial length, and again to come to rest
 TOLERANCE = 0.3  # tolerance, in pitches, for a robot that was not moved since the last run
 SURE_M = 0.002  # deviation up to which it is certainly where the previous run left it
 JOIN_STEP_S = 0.01  # step of the commands that a late twin did not receive
@@ -178,7 +177,7 @@ def _stand(
     """Set L0, pose and origin from the data of the robot at rest before a run; return a message and ΔL (m)."""
     m = memory.record[0]
     rest = _at_rest(memory, driver.onset_ns, settings)
-    pulled = _pretension_change(driver.gait, parameters)
+    pulled = 0.0 if driver.gait is None else resting_change(driver.gait, parameters)
     length, position = rest.length - pulled, rest.position
     direction = FORWARD if driver.gait is None else driver.gait.direction
     before = parameters.replace(initial_length=float(m["initial_length"]))
@@ -227,23 +226,13 @@ def _stand(
     return text, tightened
 
 
-def _pretension_change(gait: Gait | None, parameters: Parameters) -> float:
-    """Return ΔL (m) of a body at rest under the pretension of a gait, 0 without one."""
-    if gait is None or not gait.pretension:
-        return 0.0
-    return -parameters.gain * max(gait.pretension, parameters.slack)
-
-
 def _unstressed(parameters: Parameters, direction: int, pulled: float) -> Start:
     """Return the pose of a robot whose fins are straight, or bent by its load and the pretension (ΔL, m) alone."""
-    straight = Start(0.0, front_groove(parameters))
-    if not (parameters.rear_load or parameters.front_load or pulled):
-        return straight
     model = Locomotion(parameters, direction)
     try:
-        motion = _rested(model, model.start(), parameters.initial_length + pulled)
+        motion = model.at_rest(length_change=pulled)
     except SimulationError:
-        return straight
+        return Start(0.0, front_groove(parameters))
     x1 = model.x1(motion) - motion.rear_groove * parameters.pitch
     return Start(x1, motion.front_groove - motion.rear_groove)
 
@@ -355,7 +344,7 @@ def _left_behind(
     model = Locomotion(parameters, before)
     standing = length if direction == before else turned_at
     try:
-        motion = _rested(model, motion_of(m), standing)
+        motion = model.settled(motion_of(m), standing - parameters.initial_length)
         grooves = int(m["moved"]) + motion.rear_groove
         x1 = model.x1(motion) - motion.rear_groove * parameters.pitch
         front = motion.front_groove - motion.rear_groove
@@ -365,7 +354,8 @@ def _left_behind(
             front = round((x1 + standing) / parameters.pitch) - over
             grooves, x1 = grooves + over, x1 - over * parameters.pitch
             change = standing - parameters.initial_length
-            x1 = model.x1(_rested(model, model.start(0.0, change, x1, front), length))
+            turned = model.start(0.0, change, x1, front)
+            x1 = model.x1(model.settled(turned, length - parameters.initial_length))
     except SimulationError:
         return None
     return Place(x1, front, float(m["origin"]) + grooves * parameters.pitch)
@@ -378,10 +368,3 @@ def motion_of(m: Any) -> LocomotionState:
     return LocomotionState(
         0.0, float(m["length_change"]), float(m["y"]), float(m["y_rate"]), *grooves, *regions
     )
-
-
-def _rested(model: Locomotion, motion: LocomotionState, length: float) -> LocomotionState:
-    """Return the motion after the body has reached a length (m) and come to rest."""
-    change = length - model.parameters.initial_length
-    times = [motion.time + RELAX_S, motion.time + 2.0 * RELAX_S]
-    return model.follow(motion, times, [change, change])[0]

@@ -307,9 +307,17 @@ def test_gaits_of_other_shapes_determine_the_actuation(gait):
     assert found.slack.low - 2e-4 <= truth.slack <= found.slack.high + 2e-4
 
 
-def test_a_gait_with_pretension_is_rejected():
+def test_a_gait_with_pretension_begins_once_the_driver_has_tensioned_the_cable():
     session = Session()
-    session.run(Gait(0.065, 0.2, pretension=0.015), 1)
-    with pytest.raises(IdentificationError, match="pretension") as error:
-        recordings_of(run_of_rows(session.rows), "tight")
-    assert "15 mm" in str(error.value)
+    gait = Gait(0.065, 0.2, pretension=0.015)
+    session.run(gait, 3)
+    truth = session.rig.virtual.plant.parameters
+    recording = recordings_of(run_of_rows(session.rows), "tight")[0]
+    assert recording.command[0] == -gait.pretension
+    assert np.ptp(recording.length[recording.at_rest]) < 2e-3  # noise
+    assert abs(recording.start) < 1e-3
+    found = identify_actuation([recording], np.random.default_rng(0))
+    assert found.gain.low - 0.005 <= truth.gain <= found.gain.high + 0.005
+    assert measured_length(recording).initial_length == pytest.approx(
+        truth.initial_length, abs=2e-4
+    )

@@ -2,9 +2,10 @@
 """Import of a lab's raw logs, one CSV file per instrument, as a run.
 
 A run's folder contains ``camera.csv`` (time_s, x1_m, x2_m; an empty position is an occluded marker), ``power.csv``
-(time_s, bus_voltage_V, current_A) and ``servo.csv`` (time_s, goal_ticks; positive ticks shorten the body). At least
-one of them is required. Times are s since the start of the recording. ``runs.json`` next to the folder or in it
-contains each run's gait (stroke_m, frequency_Hz; direction and margin_m if they differ from 1 and 0).
+(time_s, bus_voltage_V, current_A) and ``servo.csv`` (time_s, goal_ticks; positive ticks shorten the body, and the
+pretension of a gait counts from 0). At least one of them is required. Times are s since the start of the recording.
+``runs.json`` next to the folder or in it contains each run's gait (stroke_m, frequency_Hz; the other fields of a gait,
+such as direction, margin_m and pretension_m, if they differ from their defaults).
 """
 
 from __future__ import annotations
@@ -21,8 +22,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from worm_model.arrays import Array
 from worm_model.errors import InputError
 from worm_model.gait import GAIT_COLUMNS, GAIT_DEFAULTS, Gait, GaitError, gait_of
+from worm_model.parameters import PAPER
 from worm_model.run import (
     RESTING,
     RUNNING,
@@ -33,6 +36,7 @@ from worm_model.run import (
     Stamps,
     TrackerSamples,
 )
+from worm_model.simulation.actuation import resting_change
 
 TICKS_PER_TURN = 4096  # Dynamixel X series, ROBOTIS e-manual
 FILES = {
@@ -42,6 +46,7 @@ FILES = {
 }
 GAITS_FILE = "runs.json"
 USUAL_ONSET = 2.0  # s, used if the logs do not show the onset
+CONTRACTION_STEPS = 2000  # in which the onset is looked up
 USUAL_SPOOL = 0.012  # m, used if the logs do not show the spool radius
 SPOOL_TOLERANCE = 2e-3  # relative; beyond it a radius and a stroke contradict each other
 FEWEST_MOVED = 10  # samples that are necessary to estimate the onset
@@ -60,7 +65,8 @@ class LabSettings:
         epoch: stamp of t = 0, ns since the epoch.
         onset: start of the gait, s; None: the time at which the servo's goal leaves its first value.
         spool_radius: spool radius of the cable servo, m; None: the radius for which its goals give the gait's stroke.
-        initial_length: L0, m; None: the camera's median before the onset, else `fallback_length`.
+        initial_length: L0, m; None: the camera's median before the onset, without the effect that the pretension of a
+            gait has on the paper's robot, else `fallback_length`.
         fallback_length: L0 if no camera measured the body at rest, m.
     """
 
@@ -116,7 +122,7 @@ def read_lab_run(folder: Path, settings: LabSettings) -> LabRun:
         raise LabError(f"{folder} holds none of {', '.join(FILES)}")
     gait = read_gait(folder)
     transmission = _transmission(tables.get("servo.csv"), gait, settings)
-    length = _initial_length(tables.get("camera.csv"), settings, transmission.onset)
+    length = _initial_length(tables.get("camera.csv"), settings, transmission.onset, gait)
     end = max(table["time_s"][-1] for table in tables.values())
     series: dict[str, Any] = {}
     if (servo := tables.get("servo.csv")) is not None:
@@ -161,34 +167,45 @@ def _transmission(table: Table | None, gait: Gait | None, settings: LabSettings)
 
 
 def _onset_of(table: Table, gait: Gait | None) -> float | None:
-    """Return the time at which the goal begins to move, s; None if it never does.
+    """Return the time at which the goal begins to move from its rest before the gait, s; None if it never does.
 
-    With a known gait, the first samples are extrapolated back along the cosine of the command, which begins as a
-    parabola.
+    With a known gait, the first samples are extrapolated back along its contraction, which begins as a parabola.
     """
-    moved = np.abs(table["goal_ticks"] - table["goal_ticks"][0])
+    moved = _contraction(table["goal_ticks"], gait)
     rows = np.flatnonzero(moved > 0.5)[:FEWEST_MOVED]
     if rows.size < FEWEST_MOVED:
         return None
     if gait is None:
         return float(table["time_s"][rows[0]])
     share = np.minimum(moved[rows] / np.nanmax(moved), 1.0)
-    since = np.arccos(1.0 - 2.0 * share) / (2.0 * math.pi * gait.frequency)
+    times = np.linspace(0.0, gait.contraction_share * gait.period, CONTRACTION_STEPS)
+    shares = -(gait.command(times) + gait.pretension) / gait.stroke
+    since = np.interp(share, shares, times)
     return float(np.median(table["time_s"][rows] - since))
 
 
+def _contraction(goal_ticks: Array, gait: Gait | None) -> Array:
+    """Return the ticks by which goals exceed the rest before the gait; negative before its pretension is reached."""
+    if gait is None or gait.pretension == 0.0:
+        return np.abs(goal_ticks - goal_ticks[0])
+    ticks = np.abs(goal_ticks)
+    # The rounding of the greatest goal makes the rest uncertain by less than a tick.
+    return ticks - math.ceil(float(np.nanmax(ticks)) * gait.pretension / gait.reach)
+
+
 def _spool_of(table: Table, gait: Gait) -> float | None:
-    """Return the radius (m) for which the goals give a stroke, or None if the log is too short.
+    """Return the radius (m) for which the goals give a gait's stroke, or None if the log is too short.
 
     The radius is rounded to a tenth of a millimetre if the rounding of the goals permits this value.
     """
-    ticks = float(np.ptp(table["goal_ticks"][np.isfinite(table["goal_ticks"])]))
+    goals = table["goal_ticks"][np.isfinite(table["goal_ticks"])]
+    ticks = float(np.ptp(np.append(goals, 0.0) if gait.pretension else goals))
     time = table["time_s"]
     enough = time.size >= FEWEST_MOVED and ticks >= FEWEST_TICKS
     if not enough or time[-1] - time[0] < gait.period:
         return None
     low, middle, high = (
-        gait.stroke / (2.0 * math.pi * (ticks + rounding) / TICKS_PER_TURN)
+        gait.reach / (2.0 * math.pi * (ticks + rounding) / TICKS_PER_TURN)
         for rounding in (1.0, 0.0, -1.0)
     )
     whole = round(middle, 4)
@@ -282,7 +299,9 @@ def read_gait(folder: Path) -> Gait | None:
         raise LabError(f"{path} is not a list of gaits by run: {error}") from None
 
 
-def _initial_length(camera: Table | None, settings: LabSettings, onset: float) -> float:
+def _initial_length(
+    camera: Table | None, settings: LabSettings, onset: float, gait: Gait | None
+) -> float:
     if settings.initial_length is not None:
         return settings.initial_length
     if camera is not None:
@@ -290,7 +309,8 @@ def _initial_length(camera: Table | None, settings: LabSettings, onset: float) -
         lengths = (camera["x2_m"] - camera["x1_m"])[at_rest]
         known = lengths[np.isfinite(lengths)]
         if len(known):
-            return float(np.median(known))
+            tensioned = 0.0 if gait is None else resting_change(gait, PAPER)
+            return float(np.median(known)) - tensioned
     return settings.fallback_length
 
 

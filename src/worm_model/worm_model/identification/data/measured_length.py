@@ -18,9 +18,13 @@ from numpy.typing import NDArray
 from worm_model.arrays import Array
 from worm_model.identification.data.observed_run import Recording
 from worm_model.identification.fits.actuation_fit import (
+    INITIAL_LENGTH,
+    ActuationFit,
+    actuation_problem,
     fit_actuation,
     predicted_length_change,
 )
+from worm_model.identification.fits.block_least_squares import own_deviations
 from worm_model.identification.fits.robust import OUTLIER, scale_of
 from worm_model.simulation.smoothing import smooth
 
@@ -37,7 +41,7 @@ class MeasuredLength:
         step: time step, s.
         time, length_change, rate: s, m, m/s, shape (n,); at rest at the first step.
         initial_length: L0, m.
-        initial_spread: standard deviation of the mean length at rest, m.
+        initial_spread: standard deviation of L0, m: of the mean length at rest and of the effect of a pretension.
         misfit: measured length minus the run's actuation fit, m, shape (samples,).
         outliers: mask of the excluded lengths, shape (samples,).
     """
@@ -71,6 +75,7 @@ def measured_length(recording: Recording) -> MeasuredLength:
     value, rate = _bridged(smoothed.value), _bridged(smoothed.rate)
     fade = np.minimum((time - start) / HALF_WINDOW, 1.0)  # L0 is the length at rest
     rest = recording.length[recording.at_rest & ~outliers]
+    spread = float(max(rest.std(ddof=1), 1e-6) / np.sqrt(rest.size))
     half = 0.5 * FINE_STEP
     steepness = (modelled(time + half) - modelled(np.maximum(time - half, start))) / np.where(
         time - half < start, time + half - start, FINE_STEP
@@ -81,10 +86,17 @@ def measured_length(recording: Recording) -> MeasuredLength:
         length_change=modelled(time) + fade * value,
         rate=steepness + fade * rate,
         initial_length=float(fit.initial_length[0]),
-        initial_spread=float(max(rest.std(ddof=1), 1e-6) / np.sqrt(rest.size)),
+        initial_spread=float(np.hypot(spread, _spread_by_pretension(recording, fit))),
         misfit=misfit,
         outliers=outliers,
     )
+
+
+def _spread_by_pretension(recording: Recording, fit: ActuationFit) -> float:
+    """Return the standard deviation (m) that L0 has because a fit of this run subtracts the effect of a pretension."""
+    if recording.gait.pretension == 0.0:
+        return 0.0
+    return float(own_deviations(actuation_problem([recording]), fit.solution, INITIAL_LENGTH)[0])
 
 
 def _bridged(values: Array) -> Array:

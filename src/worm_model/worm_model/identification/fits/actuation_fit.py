@@ -2,7 +2,8 @@
 """Stage 5: slack δ_s, gain K and time constant τ to commanded and measured ΔL (eq:actuation_identification_cost).
 
 Each run also has nuisance parameters: its initial length L0, the offset between the clocks of camera and servo, and the
-time at which the slack is taken up (at the first pull in the model, a little later on a robot).
+time at which the slack is taken up (at the first pull in the model, a little later on a robot). A pretension has taken
+it up before the onset.
 """
 
 from __future__ import annotations
@@ -17,14 +18,17 @@ from worm_model.arrays import Array
 from worm_model.identification.data.observed_run import Recording
 from worm_model.identification.fits.block_least_squares import Problem, Quantity, Solution, solve
 from worm_model.identification.fits.robust import noise_of
-from worm_model.simulation.kernel.actuation_law import Actuator, respond_at
+from worm_model.parameters import PAPER
+from worm_model.simulation.actuation import resting_change
+from worm_model.simulation.kernel.actuation_law import Actuator, respond_at, rest_of
 
+INITIAL_LENGTH, CLOCK, ENGAGEMENT = range(3)  # nuisance parameters of a run
 CLOCK_SPREAD = 0.02  # s, prior standard deviation of the offset: clocks, and the servo's delay
 LATEST_ENGAGEMENT = 0.25  # s after the onset, upper bound
 ENGAGEMENT_SPREAD = 0.05  # s, prior standard deviation
 LEAST_NOISE = 2e-5  # m, lower bound of the noise of a measured length
 KEYS = ("slack", "gain", "time_constant")
-START = (0.008, 0.86, 0.155)  # values of the paper
+START = (PAPER.slack, PAPER.gain, PAPER.time_constant)
 SHARED = (
     Quantity(1e-5, 0.0, 0.05),  # slack, m
     Quantity(1e-3, 0.05, 5.0),  # gain
@@ -41,7 +45,7 @@ class ActuationFit:
         initial_length: L0 of each run, m, shape (runs,).
         clock_offset: offset of the camera's clock in each run, s, shape (runs,). Positive offsets mean early stamps: a
             sample with stamp t was measured at t + offset.
-        engagement: time at which the slack is taken up in each run, s, shape (runs,).
+        engagement: time at which the slack is taken up in each run, s, shape (runs,); 0 with a pretension.
         residuals: residuals of each run, m.
         solution: solution of the least-squares problem.
     """
@@ -68,15 +72,20 @@ def predicted_length_change(
     clock_offset: float = 0.0,
     engagement: float = 0.0,
 ) -> Array:
-    """Return ΔL (m) at the camera's ascending ``times`` (n,) in s for (δ_s, K, τ); 0 before the engagement (s)."""
+    """Return ΔL (m) at the camera's ascending ``times`` (n,) in s for (δ_s, K, τ).
+
+    Before the engagement (s), ΔL is that of the rest. A gait with pretension has no engagement.
+    """
     slack, gain, time_constant = map(float, values)
+    actuator = Actuator(gain, slack, time_constant)
+    pretension = recording.gait.pretension
     length_change = np.empty(len(times))
     respond_at(
         recording.command_time,
         recording.command,
-        engagement,
-        0.0,
-        Actuator(gain, slack, time_constant),
+        0.0 if pretension > 0.0 else engagement,
+        rest_of(pretension, actuator),
+        actuator,
         times + clock_offset,
         length_change,
     )
@@ -99,9 +108,9 @@ def actuation_problem(recordings: Sequence[Recording], known_noise: float = 0.0)
     def residuals(run: int, shared: Array, own: Array) -> Array:
         recording, kept = recordings[run], samples[run]
         predicted = predicted_length_change(
-            recording, shared, recording.camera_time[kept], own[1], own[2]
+            recording, shared, recording.camera_time[kept], own[CLOCK], own[ENGAGEMENT]
         )
-        return (recording.length[kept] - own[0] - predicted) / noise[run]
+        return (recording.length[kept] - own[INITIAL_LENGTH] - predicted) / noise[run]
 
     own = (
         Quantity(1e-4),  # initial length, m
@@ -109,6 +118,13 @@ def actuation_problem(recordings: Sequence[Recording], known_noise: float = 0.0)
         Quantity(2e-3, 0.0, LATEST_ENGAGEMENT, 0.0, ENGAGEMENT_SPREAD),
     )
     return Problem(residuals, SHARED, [own for _ in recordings])
+
+
+def _slack_length(recording: Recording) -> float:
+    """Return L0 (m) from the length at rest, with the paper's effect of a pretension."""
+    return float(np.median(recording.length[recording.at_rest])) - resting_change(
+        recording.gait, PAPER
+    )
 
 
 def fit_actuation(
@@ -125,7 +141,7 @@ def fit_actuation(
     """
     if start is None:
         shared = np.array(START)
-        own = np.array([[float(np.median(r.length[r.at_rest])), 0.0, 0.0] for r in recordings])
+        own = np.array([[_slack_length(r), 0.0, 0.0] for r in recordings])
     else:
         shared, own = start.solution.shared, start.solution.own
     solution = solve(actuation_problem(recordings), shared, own, weights)
@@ -135,9 +151,9 @@ def fit_actuation(
         slack,
         gain,
         time_constant,
-        initial_length=solution.own[:, 0],
-        clock_offset=solution.own[:, 1],
-        engagement=solution.own[:, 2],
+        initial_length=solution.own[:, INITIAL_LENGTH],
+        clock_offset=solution.own[:, CLOCK],
+        engagement=solution.own[:, ENGAGEMENT],
         residuals=tuple(r * n for r, n in zip(solution.residuals, noise, strict=True)),
         solution=solution,
     )

@@ -229,12 +229,12 @@ def _jacobian(problem: Problem, state: Solution, run: int, width: float) -> Arra
     return columns
 
 
-def clock_deviations(
+def own_deviations(
     problem: Problem, solution: Solution, entry: int, weights: Sequence[Array] | None = None
 ) -> Array:
-    """Return the standard deviations (s), shape (runs,), of the nuisance parameter ``entry`` of each run.
+    """Return the standard deviations, shape (runs,), of the nuisance parameter ``entry`` of each run, in its unit.
 
-    They follow from the curvature of the cost, which is continuous in a clock offset, with all other parameters free.
+    They follow from the curvature of the cost, which must be continuous in it, with all other parameters free.
     """
     matrix, _ = normal_equations(problem, solution, weights)
     own = solution.own.shape[1]

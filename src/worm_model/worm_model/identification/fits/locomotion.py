@@ -32,6 +32,7 @@ from worm_model.identification.fits.robust import noise_of
 from worm_model.identification.identification_errors import IdentificationError
 from worm_model.parameters import ParameterError, Parameters
 from worm_model.simulation.kernel import stepped_dry_friction as dry_friction
+from worm_model.simulation.simulator import SETTLING_TIME
 
 RIDGES = 5  # number of ridges of a traverse
 LEAST_NOISE = 2e-5  # m, noise of a position from a perfect camera
@@ -151,14 +152,33 @@ def slide(
     front_grooves: Array = ALIKE,
     stride: int = 1,
 ) -> Array | None:
-    """Return samples of the stepped kernel at every ``stride``-th time of the length; None on chatter."""
-    length_changes = traverse.length.length_change
-    if stride > 1:
-        length_changes = np.ascontiguousarray(length_changes[::stride])
-    samples = np.empty((length_changes.size, dry_friction.SAMPLE_COLUMNS))
+    """Return samples of the stepped kernel at every ``stride``-th time of the length; None on chatter.
+
+    A run under pretension begins with straight fins, before the cable is tensioned. x1 counts from the rest after that.
+    """
     step = traverse.length.step * stride
+    length_changes = traverse.length.length_change
+    tensioning = _tensioning(length_changes[0], step)
+    if stride > 1 or tensioning.size:
+        length_changes = np.concatenate([tensioning, length_changes[::stride]])
+    samples = np.empty((length_changes.size, dry_friction.SAMPLE_COLUMNS))
     switches = dry_friction.slide(step, length_changes, worm, rear_grooves, front_grooves, samples)
-    return None if switches < 0 else samples
+    if switches < 0:
+        return None
+    samples = samples[tensioning.size :]
+    samples[:, dry_friction.X1] -= samples[0, dry_friction.X1]
+    return samples
+
+
+def _tensioning(length_change: float, step: float) -> Array:
+    """Return the ΔL (m) at every ``step`` (s) of a body that is shortened to its rest under pretension and settles.
+
+    It has no samples if that rest is ΔL = 0.
+    """
+    if length_change == 0.0:
+        return np.empty(0)
+    share = np.arange(round(2.0 * SETTLING_TIME / step)) * step / SETTLING_TIME
+    return length_change * np.minimum(share, 1.0)
 
 
 def shared_quantities(known: Known) -> list[Quantity]:

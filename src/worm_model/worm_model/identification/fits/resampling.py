@@ -8,7 +8,7 @@ that many normal values.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -38,9 +38,13 @@ def spread_factor(units: int) -> float:
     return float(np.sqrt((units + 1) / (units - 1))) * quantile(units - 1)
 
 
-def estimates(values: Array, refits: Array, units: int) -> list[Estimate]:
-    """Return an estimate for each entry of ``values`` (k,) from its ``refits`` (REFITS, k)."""
-    half = spread_factor(units) * np.maximum(refits.std(axis=0), np.finfo(float).tiny)
+def estimates(values: Array, refits: Array, units: int | Sequence[int]) -> list[Estimate]:
+    """Return an estimate for each entry of ``values`` (k,) from its ``refits`` (REFITS, k).
+
+    ``units`` are the numbers of runs or cycles that inform each entry, or one number.
+    """
+    factors = [spread_factor(number) for number in np.broadcast_to(units, values.shape)]
+    half = factors * np.maximum(refits.std(axis=0), np.finfo(float).tiny)
     return [
         Estimate(float(v), float(v - h), float(v + h)) for v, h in zip(values, half, strict=True)
     ]

@@ -59,11 +59,12 @@ def predict(
     time, change, rate = length.time, length.length_change, length.rate
     model = Locomotion(values, traverse.direction)
     breaks, coefficients = Smoothed(time, change, rate).cubic()
-    _, motions = model.follow_polynomial(model.start(float(time[0])), breaks, coefficients, breaks)
+    start = model.at_rest(float(time[0]), float(change[0]))
+    _, motions = model.follow_polynomial(start, breaks, coefficients, breaks)
     actuation = np.array([values.slack, values.gain, values.time_constant])
     return RunPrediction(
         time=time,
-        x1=motions.x1,
+        x1=motions.x1 - model.x1(start),
         power=motions.power,
         energy=accumulated(time, motions.power),
         length_change=predicted_length_change(

@@ -33,6 +33,12 @@ def effective(command: float, a: Actuator) -> float:
 
 
 @inlined
+def rest_of(pretension: float, a: Actuator) -> float:
+    """Return ΔL in m at which a run under a pretension in m begins. Without pretension, the cable is still slack."""
+    return 0.0 if pretension == 0.0 else effective(-pretension, a)
+
+
+@inlined
 def answer_to_parabola(
     length_change: float, target: float, slope: float, bend: float, a: Actuator
 ) -> Coefficients:

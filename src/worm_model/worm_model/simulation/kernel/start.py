@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from worm_model.simulation.kernel.actuation_law import Actuator
+from worm_model.simulation.kernel.actuation_law import Actuator, rest_of
 from worm_model.simulation.kernel.compiled import compiled
 from worm_model.simulation.kernel.guard import NEVER
 from worm_model.simulation.kernel.mode import (
@@ -17,7 +17,6 @@ from worm_model.simulation.kernel.mode import (
     nearest_groove_of,
     region_of,
 )
-from worm_model.simulation.kernel.waveform import rest_of
 
 REGIONS = 3
 
@@ -62,7 +61,7 @@ def start_of(g: Any, c: Constants, a: Actuator) -> tuple[bool, float, Motion]:
     to the front module at ΔL = 0. A fin beyond its threshold slips into the next groove at once, the rear one first.
     The load is not held if both fins slip. v1 = 0, and ẏ = v1 + μ·L̇.
     """
-    length_change = rest_of(g, a)
+    length_change = rest_of(g.pretension, a)
     length_rate = 0.0 if g.pretension > 0.0 else -a.gain * a.slack / a.time_constant
     rear_groove, front_groove = 0, int(nearest_groove_of(c.initial_length, c.pitch))
     slips = int(abs(length_change) / c.pitch) + 4

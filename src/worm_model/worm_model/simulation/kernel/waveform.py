@@ -26,12 +26,6 @@ Borders = tuple[float, float, float, float, float, float, float, float]
 
 
 @inlined
-def rest_of(g: Any, a: Actuator) -> float:
-    """Return ΔL in m at which a run begins; ``g`` is a gait's row. Without pretension, the cable is still slack."""
-    return 0.0 if g.pretension == 0.0 else -a.gain * max(g.pretension, a.slack)
-
-
-@inlined
 def _slack_time(share: float, g: Any, a: Actuator) -> float:
     """Return the time in s at the outer end of a half cycle, of a ``share`` of the cycle, spent in the slack."""
     taken_up = (a.slack - g.pretension) / g.stroke

@@ -13,15 +13,18 @@ import pytest
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import namespace_of, read_run
 from worm_model.commands import import_lab
-from worm_model.gait import Gait
+from worm_model.gait import GAIT_COLUMNS, Gait, Profile, named_values
 from worm_model.identification.data.lab_logs import LabError, LabSettings, read_lab_run
+from worm_model.parameters import PAPER
 from worm_model.run import POWER_VALID, RUNNING
+from worm_model.simulation.actuation import resting_change
 
 EPOCH = 1_767_225_600 * 10**9
 SETTINGS = LabSettings(epoch=EPOCH)
 CAMERA = "time_s,x1_m,x2_m\n0.1,0.0,0.295\n1.0,,0.296\n1.5,0.0,0.297\n2.5,0.001,0.280\n3.0,0.002,\n"
 POWER = "time_s,bus_voltage_V,current_A\n0.0,12.0,0.1\n0.5,11.5,\n1.0,11.0,0.2\n"
 SERVO = "time_s,goal_ticks\n0.0,0\n2.5,1024\n4.5,-2048\n"
+PLAIN = Gait(0.07, 0.5)
 GAITS = {"run_07": {"stroke_m": 0.07, "frequency_Hz": 0.5}}
 
 
@@ -187,11 +190,13 @@ def test_every_run_of_the_campaign_is_imported(
     shutil.rmtree(tmp_path / "bag")
 
 
-def played(folder: Path, radius: float, onset: float) -> Path:
-    """The servo's log of the gait with a spool and an onset, two cycles of it."""
-    gait = Gait(0.07, 0.5)
+def played(
+    folder: Path, radius: float, onset: float, gait: Gait = PLAIN, tensioned: float = 0.0
+) -> Path:
+    """The servo's log of the gait with a spool and an onset, two cycles of it; tensioned up to a time (s)."""
     time = np.arange(0.0, onset + 2 * gait.period, 0.02)
     command = np.array([gait.command(max(t - onset, 0.0)) for t in time])
+    command *= np.minimum(time / tensioned, 1.0) if tensioned else 1.0
     ticks = np.rint(-command / (2 * math.pi * radius) * 4096)
     np.savetxt(
         folder / "servo.csv",
@@ -212,6 +217,25 @@ def test_spool_and_onset_are_found_and_told(folder: Path, radius: float, onset: 
         " where the servo's goal begins to move",
         " with which the servo's goals play the stroke",
     ]
+
+
+SHAPED = (
+    Gait(0.07, 0.5, contraction_share=0.7, profile=Profile.TRAPEZOID, ramp_share=0.1),
+    Gait(0.06, 0.5, pretension=0.01),
+    Gait(0.05, 0.4, pretension=0.015, contraction_share=0.3, profile=Profile.TRAPEZOID),
+)
+
+
+@pytest.mark.parametrize("tensioned", [0.0, 0.8])
+@pytest.mark.parametrize("gait", SHAPED)
+def test_spool_and_onset_of_shaped_gaits_are_found(folder: Path, gait: Gait, tensioned: float):
+    columns = {GAIT_COLUMNS[name]: value for name, value in named_values(gait).items()}
+    (folder.parent / "runs.json").write_text(json.dumps({"run_07": columns}))
+    lab = read_lab_run(played(folder, 0.0125, 1.5, gait, tensioned), SETTINGS)
+    assert lab.gait == gait
+    assert lab.transmission.spool_radius == pytest.approx(0.0125, rel=1e-12)
+    assert lab.transmission.onset == pytest.approx(1.5, abs=0.01)
+    assert lab.initial_length == pytest.approx(0.296 - resting_change(gait, PAPER), abs=2e-3)
 
 
 def test_a_given_spool_that_contradicts_the_stroke_is_told(folder: Path):
