@@ -354,7 +354,7 @@ def price_picture() -> Figure:
 def phase_map_picture() -> Figure:
     """Plot the map of groove phases at the gait's frequency."""
     phase = np.linspace(-0.5 * p.pitch, 0.5 * p.pitch, 122)[1:]
-    content = compute_phase_map(p, GAIT.frequency, np.linspace(*STROKE_RANGE, 121), phase)
+    content = compute_phase_map(p, GAIT, np.linspace(*STROKE_RANGE, 121), phase)
     return phase_map_figure(content)
 
 

@@ -180,6 +180,8 @@ GAIT_COLUMNS: Mapping[str, str] = {
 }
 #: fields that determine u_cmd
 WAVEFORM = tuple(name for name in GAIT_UNITS if name not in ("direction", "margin"))
+#: fields of the waveform except stroke and frequency
+SHAPE = tuple(name for name in WAVEFORM if name in GAIT_DEFAULTS)
 
 
 def gait_of(source: Any) -> Gait:

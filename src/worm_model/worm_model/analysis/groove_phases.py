@@ -8,7 +8,7 @@ gain one more groove and the largest margin.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -24,6 +24,7 @@ from worm_model.analysis.plot_style import (
     new_figure,
 )
 from worm_model.arrays import Array
+from worm_model.gait import Gait
 from worm_model.parameters import Parameters
 from worm_model.simulation.batch import evaluate_gaits
 from worm_model.simulation.closed_form import cliff_margin, front_groove, groove_phase
@@ -48,30 +49,30 @@ class PhaseMap:
 
 def compute_phase_map(
     parameters: Parameters,
-    frequency: float,
+    gait: Gait,
     stroke: Array,
     phase: Array,
     progress: Callable[[float], None] | None = None,
 ) -> PhaseMap:
-    """Simulate all strokes (n,) in m at all groove phases (m,) in m; L0 alone determines φ."""
+    """Simulate a gait with all strokes (n,) in m at all groove phases (m,) in m; L0 alone determines φ."""
     groove = front_groove(parameters)
     lengths = groove * parameters.pitch + phase
     table = evaluate_gaits(
-        stroke[np.newaxis, :],
-        frequency,
+        **{**asdict(gait), "stroke": stroke[np.newaxis, :]},
         parameters=parameters,
         overrides={"initial_length": lengths[:, np.newaxis]},
         progress=progress,
     )
-    cliff = [cliff_margin(parameters.replace(initial_length=length)) for length in lengths]
+    further = gait.direction, gait.pretension
+    cliff = [cliff_margin(parameters.replace(initial_length=each), *further) for each in lengths]
     return PhaseMap(
-        frequency,
+        gait.frequency,
         stroke,
         phase,
         np.round(table.grooves_per_cycle),
         np.array(cliff),
         groove_phase(parameters),
-        cliff_margin(parameters),
+        cliff_margin(parameters, *further),
     )
 
 

@@ -12,7 +12,7 @@ import json
 import math
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -57,9 +57,12 @@ class Parser(argparse.ArgumentParser):
             name, type=number, default=default, metavar=unit, help=f"{meaning}{suffix}", **more
         )
 
-    def add_gait(self, *, required: bool = False) -> None:
-        """Add an option for each field of a gait; ``required``: those without a default must be given."""
-        for name, unit in GAIT_UNITS.items():
+    def add_gait(
+        self, fields: Iterable[str] = tuple(GAIT_UNITS), *, required: bool = False
+    ) -> None:
+        """Add an option for each of some fields of a gait; ``required``: those without a default must be given."""
+        for name in fields:
+            unit = GAIT_UNITS[name]
             if name == "direction":
                 self.add_direction()
                 continue

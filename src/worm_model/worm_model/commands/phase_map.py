@@ -18,7 +18,7 @@ from worm_model.commands.command_line import (
     print_result,
 )
 from worm_model.conditions import conditions_of, under
-from worm_model.gait import STROKE_RANGE
+from worm_model.gait import SHAPE, STROKE_RANGE, Gait
 from worm_model.parameters import load_parameters
 from worm_model.text_table import text_table
 
@@ -32,6 +32,7 @@ def _parser() -> Parser:
     parser.add_number("--frequency", "HZ", "frequency in Hz", 0.15)
     parser.add_number("--lowest", "M", "least stroke in m", STROKE_RANGE[0])
     parser.add_number("--highest", "M", "largest stroke in m", STROKE_RANGE[1])
+    parser.add_gait(SHAPE)
     parser.add_argument(
         "--points", type=int, default=161, metavar="N", help="per axis (default 161)"
     )
@@ -75,15 +76,15 @@ def _map(options: argparse.Namespace) -> None:
         raise InputError("--points: give between 2 and 2000 points per axis")
     if not 0.0 < options.lowest < options.highest:
         raise InputError("--lowest must be above 0 and below --highest, both in metres")
+    shape = {name: getattr(options, name) for name in SHAPE}
+    gait = Gait(options.highest, options.frequency, **shape)
     parameters = under(conditions_of(options), load_parameters(options.parameters))
     figure = figure_file(options)
     pitch = parameters.pitch
     # (−d/2, d/2]: the lower end is the upper end of the next groove.
     phase = np.linspace(-0.5 * pitch, 0.5 * pitch, options.points + 1)[1:]
     stroke = np.linspace(options.lowest, options.highest, options.points)
-    content = compute_phase_map(
-        parameters, options.frequency, stroke, phase, ProgressLine("phase map")
-    )
+    content = compute_phase_map(parameters, gait, stroke, phase, ProgressLine("phase map"))
     if figure is not None:
         save_figure(phase_map_figure(content), figure)
     result = {

@@ -194,18 +194,20 @@ def sample_cycle(
 ) -> tuple[Array, Array]:
     """Return (cable force F_c in N, source power in W) within a cycle of gaits from the start.
 
-    ``stroke`` m and ``frequency`` Hz of shape (n,); ``cycle`` counts from 0; ``phases`` (m,) in [0, 1], ascending, are
-    shares of the cycle; ``further`` as in `evaluate_gaits`. Both results have the shape (n, m) and equal those of
+    ``stroke`` m and ``frequency`` Hz of shape (n,); ``cycle`` counts from 0; ``phases`` in [0, 1], ascending, are
+    shares of the cycle, (m,) or (n, m); ``further`` as in `evaluate_gaits`.
+    Both results have the shape (n, m) and equal those of
     `simulator.simulate`. They are NaN for a gait whose fins chatter.
     """
     gaits = {"stroke": stroke, "frequency": frequency, "direction": direction}
     columns = _columns({**GAIT_DEFAULTS, **gaits, **further})
     rows = _gait_rows(columns, np.broadcast_shapes((1,), *map(np.shape, columns.values())))
-    shares, row = np.asarray(phases, dtype=float), parameter_rows(parameters)[0]
-    force, length_rate = np.empty((2, len(rows), shares.size))
+    row, given = parameter_rows(parameters)[0], np.asarray(phases, dtype=float)
+    shares = np.broadcast_to(given, (len(rows), given.shape[-1])).copy()
+    force, length_rate = np.empty((2, *shares.shape))
 
     def work(part: slice) -> None:
-        run.sample_many(rows[part], row, cycle, shares, force[part], length_rate[part])
+        run.sample_many(rows[part], row, cycle, shares[part], force[part], length_rate[part])
 
     _on_all_cores(work, len(rows))
     mechanical = cable_power(force, length_rate, parameters.one_sided_cable)

@@ -17,7 +17,7 @@ from worm_model.commands.command_line import (
     run_command,
 )
 from worm_model.conditions import conditions_of, content_under
-from worm_model.gait import Gait
+from worm_model.gait import WAVEFORM, gait_of
 from worm_model.parameters import SYMBOLS, UNITS, load_parameter_file
 from worm_optimizer.study.sensitivity import Sensitivity, sensitivity
 from worm_optimizer.study.sensitivity_figure import sensitivity_figure
@@ -32,9 +32,7 @@ def _parser() -> Parser:
         description="Compute Sobol indices of speed, power and the cliff over the uncertainty of the parameters: the "
         "intervals of the parameter file, else the default widths.",
     )
-    parser.add_number("--stroke", "M", "contraction stroke in m", required=True)
-    parser.add_number("--frequency", "HZ", "frequency in Hz", required=True)
-    parser.add_direction()
+    parser.add_gait((*WAVEFORM, "direction"), required=True)
     parser.add_argument(
         "--samples",
         type=int,
@@ -110,7 +108,7 @@ def _run(options: argparse.Namespace) -> None:
         raise InputError(f"--samples {options.samples}: give a power of two, 2 to {MOST_SAMPLES}")
     if options.seed < 0:
         raise InputError("--seed must not be negative")
-    gait = Gait(options.stroke, options.frequency, options.direction)
+    gait = gait_of(options)
     content = content_under(conditions_of(options), load_parameter_file(options.parameters))
     figure = figure_file(options)
     result = sensitivity(gait, content, options.samples, options.seed)

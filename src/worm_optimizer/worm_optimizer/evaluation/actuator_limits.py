@@ -18,6 +18,7 @@ from worm_optimizer.evaluation.command_shape import (
     fields_of,
     peak_rate,
     pull_rate,
+    sample_phases,
 )
 from worm_optimizer.optimizer_errors import OptimizerError
 
@@ -35,6 +36,7 @@ class ActuatorLimits:
     bounds F_c (eq:Fc) and ``electrical_power`` in W the source power P (eq:power_model), such as the range of its
     sensor. The nominal model predicts both over a cycle. ``stall_force`` in N and ``no_load_speed`` in m/s are the ends
     of the motors' speed-torque line: while the cable is wound up, F_c/stall_force + speed/no_load_speed stays below 1.
+    ``pushing_force`` in N bounds -F_c: the model's length follows a cable that pushes, which a real one cannot do.
     """
 
     cable_speed: float = math.inf
@@ -42,6 +44,7 @@ class ActuatorLimits:
     electrical_power: float = math.inf
     stall_force: float = math.inf
     no_load_speed: float = math.inf
+    pushing_force: float = math.inf
 
     def __post_init__(self) -> None:
         for name, value in dataclasses.asdict(self).items():
@@ -51,7 +54,7 @@ class ActuatorLimits:
     @property
     def need_simulation(self) -> bool:
         """True if a limit is set that needs a simulated cycle."""
-        simulated = self.cable_force, self.electrical_power, self.stall_force
+        simulated = self.cable_force, self.electrical_power, self.stall_force, self.pushing_force
         return any(math.isfinite(limit) for limit in simulated)
 
     def tightened(self, other: ActuatorLimits) -> ActuatorLimits:
@@ -59,21 +62,19 @@ class ActuatorLimits:
         pairs = zip(dataclasses.astuple(self), dataclasses.astuple(other), strict=True)
         return ActuatorLimits(*(min(pair) for pair in pairs))
 
-    def ratios(
-        self, speed: Array, force: Array, power: Array, motor_load: Array
-    ) -> dict[str, Array]:
-        """Return each quantity over its limit, by name of the limit; arrays as in `Peaks`."""
+    def ratios(self, speed: Array, peak: Peaks) -> dict[str, Array]:
+        """Return each quantity over its limit, by name of the limit; ``speed`` of the cable in m/s of shape (n,)."""
         return {
             "cable_speed": speed / self.cable_speed,
-            "cable_force": force / self.cable_force,
-            "electrical_power": power / self.electrical_power,
-            "stall_force and no_load_speed": motor_load,
+            "cable_force": peak.force / self.cable_force,
+            "electrical_power": peak.power / self.electrical_power,
+            "stall_force and no_load_speed": peak.motor_load,
+            "pushing_force": peak.push / self.pushing_force,
         }
 
-    def excess(self, speed: Array, force: Array, power: Array, motor_load: Array) -> Array:
-        """Return the largest relative excess over the limits, 0 if all are satisfied; arrays as in `Peaks`."""
-        ratios = self.ratios(speed, force, power, motor_load)
-        return np.maximum(np.max(list(ratios.values()), axis=0) - 1.0, 0.0)
+    def excess(self, speed: Array, peak: Peaks) -> Array:
+        """Return the largest relative excess over the limits, at most 0 if all are satisfied; see `ratios`."""
+        return np.max(list(self.ratios(speed, peak).values()), axis=0) - 1.0
 
     def description(self) -> str:
         """Return the limits that are set as text; empty without limits."""
@@ -83,6 +84,7 @@ class ActuatorLimits:
             "electrical_power": "power {:.3g} W",
             "stall_force": "stall at {:.3g} N",
             "no_load_speed": "no load at {:.3g} m/s",
+            "pushing_force": "pushing force {:.3g} N",
         }
         values = dataclasses.asdict(self)
         return ", ".join(
@@ -97,13 +99,20 @@ NO_LIMITS = ActuatorLimits()
 class Peaks:
     """Largest cable force in N, power in W and load (1) relative to the motors' line in a cycle, each of shape (n,).
 
-    ``mean_force`` is the mean pull of the cable in N.
+    ``push`` is the largest force in N with which the cable would have to push, 0 if it always pulls. ``mean_force`` is
+    the mean pull of the cable in N.
     """
 
     force: Array
     power: Array
     motor_load: Array
+    push: Array
     mean_force: Array
+
+    @staticmethod
+    def none(count: int) -> Peaks:
+        """Return peaks of zero, for limits that need no simulation."""
+        return Peaks(*np.zeros((len(dataclasses.fields(Peaks)), count)))
 
 
 def peaks(
@@ -118,15 +127,23 @@ def peaks(
 
     ``limits`` contain the ends of the motors' line. The peaks are NaN for gaits that the simulator cannot evaluate.
     """
-    phases = np.arange(_SAMPLES) / _SAMPLES
     shapes = np.broadcast_to(shape, np.shape(stroke))
+    phases = sample_phases(shapes, _SAMPLES)
     force, power = sample_cycle(
         stroke, frequency, direction, parameters, _CYCLE, phases, **fields_of(shapes)
     )
     pulled = pull_rate(shapes, phases) * np.multiply(frequency, stroke)[:, np.newaxis]
     pull = np.maximum(force, 0.0)
+    around = np.column_stack([phases[:, -1] - 1.0, phases, phases[:, 0] + 1.0])
+    shares = 0.5 * (around[:, 2:] - around[:, :-2])  # of the cycle, which each sample represents
     load = np.where(pulled > 0.0, pull / limits.stall_force + pulled / limits.no_load_speed, 0.0)
-    return Peaks(force.max(axis=1), power.max(axis=1), load.max(axis=1), pull.mean(axis=1))
+    return Peaks(
+        force=force.max(axis=1),
+        power=power.max(axis=1),
+        motor_load=load.max(axis=1),
+        push=np.maximum(-force, 0.0).max(axis=1),
+        mean_force=np.sum(shares * pull, axis=1),
+    )
 
 
 def describe_limit(
@@ -143,8 +160,7 @@ def describe_limit(
     """
     peak = peaks(stroke, frequency, direction, parameters, limits, shape)
     speed = peak_rate(shape) * stroke * frequency
-    needed = speed, peak.force, peak.power, peak.motor_load
-    least = {name: float(np.nanmin(each)) for name, each in limits.ratios(*needed).items()}
+    least = {name: float(np.nanmin(each)) for name, each in limits.ratios(speed, peak).items()}
     name, ratio = max(least.items(), key=lambda item: item[1])
     if ratio > 1.0:
         return (

@@ -8,20 +8,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from worm_model.gait import GAIT_DEFAULTS, WAVEFORM, Profile
+from worm_model.gait import GAIT_DEFAULTS, SHAPE, Profile
 
 Array = NDArray[np.float64]
 # Rows of SHAPE_ROW, shape (n,).
 Shapes = NDArray[np.void]
 
-SHAPE_ROW = np.dtype([(name, np.float64) for name in WAVEFORM if name in GAIT_DEFAULTS])
+SHAPE_ROW = np.dtype([(name, np.float64) for name in SHAPE])
 #: the paper's gait, shape ()
-SINUSOID: Shapes = np.array(tuple(GAIT_DEFAULTS[name] for name in SHAPE_ROW.names or ()), SHAPE_ROW)
+SINUSOID: Shapes = np.array(tuple(GAIT_DEFAULTS[name] for name in SHAPE), SHAPE_ROW)
 
 
 def fields_of(shape: Shapes) -> dict[str, Any]:
     """Return the fields of shapes by name, each with the dimensions of ``shape``."""
-    return {name: shape[name] for name in SHAPE_ROW.names or ()}
+    return {name: shape[name] for name in SHAPE}
 
 
 def shapes_of(count: int, **fields: ArrayLike) -> Shapes:
@@ -42,7 +42,7 @@ def peak_rate(shape: Shapes) -> Array:
 def pull_rate(shape: Shapes, phases: Array) -> Array:
     """Return the speed at which shapes (n,) wind the cable, relative to stroke times frequency.
 
-    ``phases`` of shape (m,) are shares of a cycle. The result, of shape (n, m), is 0 while the body extends.
+    ``phases`` of shape (n, m) are shares of a cycle. The result, of shape (n, m), is 0 while the body extends.
     """
     share, ramp = shape["contraction_share"][:, np.newaxis], shape["ramp_share"][:, np.newaxis]
     part = np.minimum(phases / share, 1.0)
@@ -50,3 +50,21 @@ def pull_rate(shape: Shapes, phases: Array) -> Array:
     trapezoid = np.minimum(1.0, np.minimum(part, 1.0 - part) / ramp) / (1.0 - ramp)
     is_cosine = shape["profile"][:, np.newaxis] == Profile.COSINE
     return np.where(is_cosine, cosine, trapezoid) / share
+
+
+def sample_phases(shape: Shapes, count: int) -> Array:
+    """Return phases of shapes (n,) for ``count`` samples of a cycle, an even number, ascending, of shape (n, count).
+
+    Both halves have as many, and so have the two ramps and the steady part of a trapezoid. The ends of the ramps, where
+    force and power are often extreme, are among them, so that the extremes are continuous in the shape.
+    """
+    share, ramp = shape["contraction_share"][:, np.newaxis], shape["ramp_share"][:, np.newaxis]
+    part = np.arange(count // 2) / (count // 2)
+    ramped = np.select(
+        [part < 0.25, part < 0.75],
+        [4.0 * part * ramp, ramp + (2.0 * part - 0.5) * (1.0 - 2.0 * ramp)],
+        1.0 - 4.0 * (1.0 - part) * ramp,
+    )
+    is_cosine = shape["profile"][:, np.newaxis] == Profile.COSINE
+    half = np.where(is_cosine, part, ramped)
+    return np.hstack([half * share, share + half * (1.0 - share)])

@@ -27,7 +27,7 @@ from worm_model.gait import (
 from worm_model.parameters import PAPER, Parameters
 from worm_model.simulation.batch import GaitTable, evaluate_gaits
 from worm_model.simulation.simulator import AVERAGED
-from worm_optimizer.evaluation.actuator_limits import ActuatorLimits, peaks
+from worm_optimizer.evaluation.actuator_limits import ActuatorLimits, Peaks, peaks
 from worm_optimizer.evaluation.command_shape import SINUSOID, Shapes, fields_of, peak_rate
 from worm_optimizer.evaluation.runs import Array, Index, find_runs
 from worm_optimizer.optimizer_errors import OptimizerError
@@ -71,8 +71,9 @@ class Points:
     """Evaluated gaits, one row each; every field is an array of shape (n,).
 
     ``speed`` is along the gait's direction. ``count`` identifies the branch: the grooves gained in all averaged cycles
-    together, 0 unless each of them gains one. ``violation`` is 0 for a gait that gains a groove in every averaged cycle
-    and satisfies the actuator limits, and grows with the excess. ``shape`` is by default the paper's.
+    together, 0 unless each of them gains one. ``violation`` is at most 0 for a gait that gains a groove in every
+    averaged cycle and satisfies the actuator limits: the largest ratio to a limit minus 1. ``shape`` is by default the
+    paper's.
     """
 
     stroke: Array  # m
@@ -283,9 +284,8 @@ class MarginTask:
 
     def _excess(self, stroke: Array, frequency: Array, shape: Shapes) -> Array:
         """Return the relative excess of moving gaits over the limits, 1 if the simulator cannot evaluate a gait."""
-        loads = np.zeros((3, stroke.size))
+        peak = Peaks.none(stroke.size)
         if self.limits.need_simulation:
             peak = peaks(stroke, frequency, self.direction, self.parameters, self.limits, shape)
-            loads[:] = peak.force, peak.power, peak.motor_load
-        excess = self.limits.excess(peak_rate(shape) * stroke * frequency, *loads)
+        excess = self.limits.excess(peak_rate(shape) * stroke * frequency, peak)
         return np.nan_to_num(excess, nan=1.0)

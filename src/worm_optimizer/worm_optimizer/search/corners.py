@@ -4,7 +4,7 @@
 The command swings between the pretension o and the reach o + S. To gain its grooves, a gait needs a reach above one
 border and a pretension below another. Both borders are steps of the groove count. Along each border the stroke and the
 power decrease towards the corner in which the borders meet. `corners` locates the corner by bisection along both
-borders in turn. `improve` searches the contraction share and the ramp share whose corner needs the lowest power.
+borders in turn.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from worm_model.gait import CONTRACTION_SHARE_RANGE, MAX_PRETENSION, RAMP_SHARE_RANGE, Profile
+from worm_model.gait import CONTRACTION_SHARE_RANGE, MAX_PRETENSION, RAMP_SHARE_RANGE
 from worm_optimizer.evaluation.command_shape import Shapes, shapes_of
 from worm_optimizer.evaluation.task import (
     EDGE_ALLOWANCE,
@@ -34,11 +34,6 @@ COARSE = (2e-5, 1e-6)
 FINE = (*COARSE, EDGE_TOLERANCE)
 _WINDOW = 50.0  # size of the window in which a border is located again, relative to the last width
 _REACHES = 8  # tried reaches below the longest one, an eighth of the pitch apart
-_FIRST_STEPS = (0.08, 0.1)  # first steps of contraction share and ramp share
-_LEAST_STEP = 0.015  # step at which the search ends, relative to the first one
-_SHRINK = 0.4
-_MOST_ROUNDS = 30
-FORBIDDEN = 1e6  # W, cost of a gait that violates a limit; it grows with the violation
 
 
 @dataclass(frozen=True)
@@ -185,77 +180,3 @@ def _bisected(
         kept = keeps(open_, middle)
         good[open_[kept]], bad[open_[~kept]] = middle[kept], middle[~kept]
     return good
-
-
-def costs_of(points: Points, found: Mask) -> Array:
-    """Return the power of gaits in W. Gaits beyond a limit cost more than all others; missing gaits cost infinity."""
-    costs = np.where(points.violation > 0.0, FORBIDDEN * (1.0 + points.violation), points.power)
-    return np.where(found, costs, np.inf)
-
-
-def improve(
-    cost_of: Callable[[Index, Array], Array],
-    profile: Array,
-    bounds: Array,
-    shares: Array,
-    first_step: float,
-) -> tuple[Array, Array]:
-    """Search the shares (n, 2) with the lowest costs, all problems at once.
-
-    A pattern of eight neighbours moves to the best of them, or to the minimum of the quadratic through all of them.
-    If neither is better, it shrinks.
-
-    Args:
-        cost_of: returns the costs of shares (m, 2) of the problems with the numbers (m,).
-        profile: number of the profile of each problem, shape (n,); a cosine has no ramps.
-        bounds: bounds of contraction share and ramp share, shape (2, 2).
-        shares: start of the search, shape (n, 2).
-        first_step: first step, relative to the usual one.
-
-    Returns:
-        The shares (n, 2) and their costs (n,).
-    """
-    best, cost = shares.copy(), cost_of(np.arange(len(shares)), shares)
-    step = np.where(np.isfinite(cost), first_step, 0.0)
-    pattern = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j], dtype=float)
-    for _ in range(_MOST_ROUNDS):
-        active = np.flatnonzero(step >= _LEAST_STEP)
-        if not active.size:
-            break
-        own, size = best[active], step[active, np.newaxis] * _FIRST_STEPS
-
-        def at(moves: Array, own: Array = own, size: Array = size) -> Array:
-            return np.clip(own + size * moves, bounds[:, 0], bounds[:, 1])
-
-        tried = at(pattern[:, np.newaxis]).swapaxes(0, 1)  # (active, pattern, 2)
-        useful = (profile[active] != Profile.COSINE)[:, np.newaxis] | (pattern[:, 1] == 0.0)
-        useful &= np.any(tried != own[:, np.newaxis], axis=2)
-        table = np.full(useful.shape, np.inf)
-        which = np.nonzero(useful)
-        table[which] = cost_of(active[which[0]], tried[which])
-        candidate = at(_minimum_of_quadratic(cost[active], table))
-        costs = np.column_stack([cost[active], table, cost_of(active, candidate)])
-        options = np.concatenate([own[:, np.newaxis], tried, candidate[:, np.newaxis]], axis=1)
-        choice = np.argmin(costs, axis=1)
-        rows = np.arange(active.size)
-        best[active], cost[active] = options[rows, choice], costs[rows, choice]
-        moved = (choice > 0) & (choice <= len(pattern))
-        step[active] *= np.where(moved, 1.0, _SHRINK)
-    return best, cost
-
-
-def _minimum_of_quadratic(centre: Array, table: Array) -> Array:
-    """Return the minimum (n, 2) of the quadratic through each pattern, in steps, at most 1.5; 0 without a minimum."""
-    low_low, low, low_high, down, up, high_low, high, high_high = table.T
-    with np.errstate(invalid="ignore", divide="ignore"):
-        slope = 0.5 * np.stack([high - low, up - down])
-        xx, yy = high + low - 2.0 * centre, up + down - 2.0 * centre
-        xy = 0.25 * (high_high - high_low - low_high + low_low)
-        determinant = xx * yy - xy * xy
-        usable = (table.max(axis=1) < FORBIDDEN) & (xx > 0.0) & (determinant > 1e-9 * xx * xx)
-        both = np.stack([xy * slope[1] - yy * slope[0], xy * slope[0] - xx * slope[1]])
-        # At a bound of the ramp share, and for a cosine, only the contraction share can change.
-        single = (np.maximum(high, low) < FORBIDDEN) & (xx > 0.0)
-        alone = np.stack([-slope[0] / xx, np.zeros_like(xx)])
-        minimum = np.where(usable, both / determinant, np.where(single, alone, 0.0))
-    return np.clip(np.nan_to_num(minimum), -1.5, 1.5).T

@@ -90,12 +90,13 @@ def waveform_task(task: MarginTask, settings: Settings) -> MarginTask | ShapedTa
 
 def scanned_price(content: ParameterFile, settings: Settings, direction: int) -> PriceOfRobustness:
     """Return the margin scan of these settings."""
-    return _price(
+    return price_of(
         task_of(content_under(settings.conditions, content), settings, direction), settings
     )
 
 
-def _price(task: MarginTask, settings: Settings) -> PriceOfRobustness:
+def price_of(task: MarginTask, settings: Settings) -> PriceOfRobustness:
+    """Return the margin scan of a task over the gaits of the chosen waveform."""
     margins = settings.scan.margins()
     if settings.waveform is Waveform.SHAPED:
         over = ShapedTask.over_margins(task, settings.shapes, margins)
@@ -194,7 +195,7 @@ def _robust_task(
     if given is not None:
         margin, reason = given
         return waveform_task(nominal.with_margin(margin), settings), margin, reason
-    price = _price(nominal, settings)
+    price = price_of(nominal, settings)
     if not price.moves:
         least = waveform_task(nominal.with_margin(settings.scan.lowest), settings)
         raise OptimizerError(_why_nothing_moves(least, settings.resolution))

@@ -182,6 +182,8 @@ SCAN_SETTINGS: tuple[SettingRow, ...] = (
          100.0),
     _Row("limits.max_cable_force_n", "max-cable-force", 0.0, "greatest cable force, N; 0: no limit", 0.0, 1e5),
     _Row("limits.max_power_w", "max-power", 0.0, "greatest source power, W; 0: no limit", 0.0, 1e5),
+    _Row("limits.max_push_force_n", "max-push-force", 0.0, "greatest force with which the model may push in the cable, "
+         "N; 0: no limit", 0.0, 1e5),
     _Row("limits.driver_file", "limits-from", "", "the driver's parameter file, whose limits apply too; empty: none"),
     _Row("limits.servo_model", "servo-model", "", "with the driver's file, the model of the cable servos: "
          f"{', '.join(servo_models())}; empty: unknown"),
@@ -226,14 +228,14 @@ def settings_of(values: Mapping[str, Any]) -> Settings:
     Raises `OptimizerError` if they are inconsistent.
     """
     value = {row.parameter: row.default for row in SETTINGS} | dict(values)
-    speed, force, power = (
+    speed, force, power, push = (
         value[f"limits.max_{name}"] or math.inf
-        for name in ("cable_speed_m_per_s", "cable_force_n", "power_w")
+        for name in ("cable_speed_m_per_s", "cable_force_n", "power_w", "push_force_n")
     )
     names = ("stroke_low_m", "stroke_high_m", "frequency_low_hz", "frequency_high_hz")
     bounds, limits = within(
         Bounds(*(value[name] for name in names)),
-        ActuatorLimits(speed, force, power),
+        ActuatorLimits(speed, force, power, pushing_force=push),
         value["limits.driver_file"],
         value["limits.servo_model"],
         value["limits.supply_voltage_v"] or None,

@@ -3,7 +3,8 @@
 
 At some frequencies the shares of the cheapest corner of each branch (`corners`) are searched from several starts.
 Between two of these frequencies the shares are interpolated and the corner is located again. This is accurate, because
-near a minimum the power hardly depends on the shares.
+near a minimum the power hardly depends on the shares. Near a limit of the hardware it does, so that the contraction
+share at the limit is searched again.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from worm_model.gait import Profile
 from worm_model.parameters import Parameters
 from worm_model.simulation.batch import GaitTable
 from worm_model.simulation.simulator import AVERAGED
+from worm_optimizer.evaluation.actuator_limits import NO_LIMITS
 from worm_optimizer.evaluation.command_shape import SINUSOID, Shapes, shapes_of
 from worm_optimizer.evaluation.task import (
     Array,
@@ -35,13 +37,17 @@ from worm_optimizer.evaluation.task import (
 from worm_optimizer.search.corners import (
     COARSE,
     FINE,
-    FORBIDDEN,
     Columns,
     ShapeBounds,
     corners,
+    reaches_of,
+)
+from worm_optimizer.search.pattern_search import (
+    FORBIDDEN,
+    LEAST_STEP,
+    Costs,
     costs_of,
     improve,
-    reaches_of,
 )
 
 _FREQUENCIES = 17  # frequencies at which shares are searched
@@ -50,6 +56,8 @@ _NODES = 5  # margins of a scan at which shares are searched
 _START_SHARES = (0.35, 0.5, 0.65, 0.8)  # contraction shares from which the search starts
 _START_RAMPS = (0.1, 0.25, 0.5)  # ramp shares of a trapezoid from which it starts
 _SMALL_STEP = 0.25  # first step of the search from a neighbouring frequency
+_LIMIT_STEPS = (0.1, 0.02)  # steps of the search for the contraction share at a limit
+_NEAR_LIMIT, _AT_LIMIT = 0.1, 3e-4  # violations below 0 between which the search continues
 _ENDING = 12  # bisections of the highest frequency of a branch
 _MARGIN_HALVINGS = 12
 
@@ -134,7 +142,8 @@ class ShapedTask:
             rows = np.flatnonzero(wanted)
             key = np.full(rows.size, own), np.full(rows.size, profile)
             columns = Columns(frequency[rows], margins[rows], *key)
-            points, gains = corners(self.task, self.shapes, columns, shares[rows], FINE)
+            limited = _Search(self.task, self.shapes).within_limits(columns, shares[rows])
+            points, gains = corners(self.task, self.shapes, columns, limited, FINE)
             kept = gains & points.admissible
             found.append(Edges(rows[kept], points.take(kept)))
         if self.shapes.include_sinusoid:
@@ -175,7 +184,7 @@ class ShapedTask:
 
 @dataclass(frozen=True)
 class Solved:
-    """Problems with the shares (n, 2) of their cheapest corners and the costs in W, (n,), see `costs_of`."""
+    """Problems with the shares (n, 2) of their cheapest corners and the costs in W, (n,), see `Costs.total`."""
 
     columns: Columns
     shares: Array
@@ -226,18 +235,38 @@ class _Search:
     task: MarginTask
     shapes: ShapeBounds
 
-    def costs(self, columns: Columns, shares: Array) -> Array:
-        """Return the power at the corners in W, see `costs_of`."""
+    def costs(self, columns: Columns, shares: Array) -> Costs:
+        """Return the costs of the corners."""
         return costs_of(*corners(self.task, self.shapes, columns, shares, COARSE))
 
-    def improved(self, columns: Columns, shares: Array, step: float) -> Solved:
+    def improved(
+        self, columns: Columns, shares: Array, step: float, least: float = LEAST_STEP
+    ) -> Solved:
         """Search for cheaper shares, from given ones."""
+        has_ramps = columns.profile != Profile.COSINE
+        found, costs = self._improved(columns, has_ramps, shares, (step, least))
+        return Solved(columns, found, costs.total)
 
-        def cost_of(rows: Index, tried: Array) -> Array:
+    def within_limits(self, columns: Columns, shares: Array) -> Array:
+        """Return the shares with contraction shares that are searched again, if the hardware has limits."""
+        if self.task.limits == NO_LIMITS:
+            return shares
+        moved, rows = shares.copy(), np.arange(len(shares))
+        for step in _LIMIT_STEPS:
+            fixed = np.zeros(rows.size, dtype=bool)
+            own = columns.take(rows)
+            moved[rows], costs = self._improved(own, fixed, moved[rows], (step, step))
+            spare = -costs.violation
+            rows = rows[(spare < 0.0) | ((spare > _AT_LIMIT) & (spare < _NEAR_LIMIT))]
+        return moved
+
+    def _improved(
+        self, columns: Columns, has_ramps: Mask, shares: Array, steps: tuple[float, float]
+    ) -> tuple[Array, Costs]:
+        def cost_of(rows: Index, tried: Array) -> Costs:
             return self.costs(columns.take(rows), tried)
 
-        found = improve(cost_of, columns.profile, self.shapes.shares, shares, step)
-        return Solved(columns, *found)
+        return improve(cost_of, has_ramps, self.shapes.shares, shares, steps)
 
     def begun(self, margins: Array, frequencies: Array) -> Solved:
         """Search from several shares, for each branch that is reached with one of them."""
@@ -270,7 +299,7 @@ class _Search:
         rows = np.concatenate([np.empty(0, dtype=np.int64), *wanted])
         columns = dataclasses.replace(columns.take(rows), count=count)
         shares = starts[start[rows], 1:]
-        best = Solved(columns, shares, self.costs(columns, shares)).best()
+        best = Solved(columns, shares, self.costs(columns, shares).total).best()
         best = best.take(np.isfinite(best.cost))
         return self.improved(best.columns, best.shares, 1.0)
 
@@ -283,7 +312,7 @@ class _Search:
                 own = group.take(at)
                 parts.append(Solved(own.columns, group.shares[near], own.cost))
         tried = Solved.join(*parts) if parts else known
-        costs = self.costs(tried.columns, tried.shares)
+        costs = self.costs(tried.columns, tried.shares).total
         better = costs < tried.cost * (1.0 - 1e-6)
         return self.improved(tried.columns.take(better), tried.shares[better], _SMALL_STEP)
 
@@ -300,7 +329,10 @@ class _Search:
             middle = 0.5 * (good.columns.frequency + bad)
             columns = dataclasses.replace(good.columns, frequency=middle)
             shares = self._widest_margin(columns, shares)
-            tried = Solved(columns, shares, self.costs(columns, shares))
+            tried = Solved(columns, shares, self.costs(columns, shares).total)
+            if self.task.limits != NO_LIMITS:
+                near = self.improved(columns, good.shares, _SMALL_STEP, _SMALL_STEP)
+                tried = Solved.join(tried, near).best()
             keeps = tried.cost < FORBIDDEN
             rows = np.arange(keeps.size)
             good = Solved.join(good, tried).take(np.where(keeps, rows + keeps.size, rows))
@@ -339,16 +371,17 @@ class _Search:
         """Search the shares that keep the grooves at the largest margin, with the longest reach."""
         longest = self.task.bounds.stroke_high
 
-        def cost_of(rows: Index, tried: Array) -> Array:
+        def cost_of(rows: Index, tried: Array) -> Costs:
             own, size = columns.take(rows), rows.size
             good, bad = np.full(size, -1.0), np.full(size, 2.0 * self.task.parameters.pitch)
             for _ in range(_MARGIN_HALVINGS if size else 0):
                 middle = 0.5 * (np.maximum(good, 0.0) + bad)
                 keeps = gained_of(self._swing(own, tried, middle, longest)) >= own.count
                 good, bad = np.where(keeps, middle, good), np.where(keeps, bad, middle)
-            return -good
+            return Costs(-good, np.full(size, -1.0))
 
-        return improve(cost_of, columns.profile, self.shapes.shares, shares, 0.5)[0]
+        has_ramps = columns.profile != Profile.COSINE
+        return improve(cost_of, has_ramps, self.shapes.shares, shares, (0.5, LEAST_STEP))[0]
 
 
 def tracks_of(

@@ -16,7 +16,7 @@ from worm_model.parameters import ParameterFile
 from worm_msgs.settings_file import OneOf, key
 from worm_optimizer.evaluation.servo_limits import DrivenBy
 from worm_optimizer.search.exact import Resolution as ScanResolution
-from worm_optimizer.search.search_settings import ScanSettings
+from worm_optimizer.search.search_settings import ScanSettings, Waveform
 
 Array = NDArray[np.float64]
 
@@ -33,6 +33,7 @@ _BLOCK_SECONDS = (
 _FEWEST_BLOCKS = 20  # so that the progress bar of a small study advances
 # Nominal seconds of one core, as block sizes must not depend on the machine; measured with the default resolution.
 _FRONT_SECONDS, _ANY_PHASE_SECONDS, _MARGIN_SECONDS = 0.5, 2.8, 0.03
+_SHAPED = 15.0  # duration of a front or a scan of shaped gaits, relative to that of sinusoids
 _DRAW_SECONDS = 2.5e-4  # of one draw of a success probability
 
 
@@ -125,6 +126,7 @@ class Study:
         resolution: resolution of the computation.
         scan: margins of the scan.
         block_points: largest number of points in a block.
+        waveform: gaits that are searched.
     """
 
     title: str
@@ -139,6 +141,7 @@ class Study:
     resolution: Resolution
     scan: ScanSettings
     block_points: int
+    waveform: Waveform
 
     @property
     def varied(self) -> tuple[str, ...]:
@@ -191,10 +194,11 @@ class Study:
         scan = self.resolution.scan
         share = scan.strokes * scan.frequencies / (41 * 161)
         seconds = 1e-3
+        slower = _SHAPED if self.waveform is Waveform.SHAPED else 1.0
         if {"front", "gaits", "success"} & set(self.compute):
-            seconds += _FRONT_SECONDS * share
+            seconds += slower * _FRONT_SECONDS * share
         if "cliff" in self.compute or self.margin_at_cliff:
-            seconds += _MARGIN_SECONDS * len(self.scan.margins())
+            seconds += slower * _MARGIN_SECONDS * len(self.scan.margins())
         if "success" in self.compute:
             seconds += _DRAW_SECONDS * self.resolution.samples
         if "any_phase" in self.compute:

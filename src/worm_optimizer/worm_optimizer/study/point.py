@@ -13,15 +13,17 @@ import numpy as np
 
 from worm_model.conditions import CONDITION_ROWS, Conditions, under
 from worm_model.errors import InputError
-from worm_model.gait import FORWARD
+from worm_model.gait import FORWARD, GAIT_MEANINGS, GAIT_UNITS
 from worm_model.parameters import KEYS, ParameterFile, Parameters
 from worm_model.simulation.closed_form import cliff_margin, front_groove, groove_phase
 from worm_model.simulation.simulator import SimulationError, cost_of_transport
 from worm_optimizer.evaluation.actuator_limits import ActuatorLimits
+from worm_optimizer.evaluation.command_shape import SHAPE_ROW, Shapes, shapes_of
 from worm_optimizer.evaluation.servo_limits import DrivenBy, limits_of, servo_model
 from worm_optimizer.evaluation.task import Bounds, MarginTask, Points
 from worm_optimizer.robustness.success_probability import success_probability
 from worm_optimizer.robustness.uncertainty import phase_known, phase_unknown
+from worm_optimizer.search.corners import ShapeBounds
 from worm_optimizer.search.exact import (
     Cost,
     ExactFront,
@@ -29,12 +31,19 @@ from worm_optimizer.search.exact import (
     speed_cost,
     transport_cost,
 )
-from worm_optimizer.search.front import any_phase_task, front_of_task, thinned
+from worm_optimizer.search.front import (
+    any_phase_task,
+    front_of_task,
+    price_of,
+    thinned,
+    waveform_task,
+)
 from worm_optimizer.search.gait_request import Objective, at_power, at_speed
 from worm_optimizer.search.pareto import hypervolume
-from worm_optimizer.search.price_of_robustness import PriceOfRobustness, price_of_robustness
+from worm_optimizer.search.price_of_robustness import PriceOfRobustness
+from worm_optimizer.search.search_settings import Settings, Waveform
 from worm_optimizer.study.plan import PARAMETER_FILE, Array, Study
-from worm_optimizer.study.quantities import LIMITS
+from worm_optimizer.study.quantities import LIMITS, SHAPE_BOUNDS
 
 FRONT, GAIT, SCAN = "front_gait", "gait", "scan_margin"  # further dimensions
 OPEN, DONE, FAILED = 0, 1, 2  # values of the variable "state"
@@ -75,14 +84,21 @@ _OF_GAIT = {
     "cost_of_transport": ("1", "cost of transport, with the margin"),
     "grooves_per_cycle": ("1", "mean grooves gained in an averaged cycle, with the margin"),
 }
+_OF_SHAPE = {name: (GAIT_UNITS[name], GAIT_MEANINGS[name]) for name in SHAPE_ROW.names or ()}
 _NOMINAL = {
     "nominal_speed": ("m/s", "speed along the direction, without a margin"),
     "nominal_power": ("W", "mean source power, without a margin"),
 }
 
 
+def _of_gait(study: Study) -> dict[str, tuple[str, str]]:
+    """Return the unit and the description of each result of a gait, by name."""
+    return {**_OF_GAIT, **(_OF_SHAPE if study.waveform is Waveform.SHAPED else {})}
+
+
 def variables(study: Study) -> dict[str, Variable]:
     """Return the results of a study, by name."""
+    of_gait = _of_gait(study)
     variables_of = {
         "margin": Variable((), "m", "margin that front and gaits keep"),
         "groove_phase": Variable((), "m", "groove phase that every speed holds for"),
@@ -95,11 +111,11 @@ def variables(study: Study) -> dict[str, Variable]:
         )
         variables_of |= {
             f"front_{name}": Variable((FRONT,), unit, f"of the front: {words}")
-            for name, (unit, words) in _OF_GAIT.items()
+            for name, (unit, words) in of_gait.items()
             if name != "cost_of_transport"
         }
     if "gaits" in study.compute or "success" in study.compute:
-        rows = {**_OF_GAIT, **_NOMINAL}
+        rows = {**of_gait, **_NOMINAL}
         variables_of |= {name: Variable((GAIT,), *row) for name, row in rows.items()}
     if "cliff" in study.compute or study.margin_at_cliff:
         variables_of["cliff_margin"] = Variable((), "m", "last margin before the cliff of the scan")
@@ -119,7 +135,7 @@ def variables(study: Study) -> dict[str, Variable]:
     if "any_phase" in study.compute:
         variables_of |= {
             f"any_phase_{name}": Variable((GAIT,), unit, f"of any-phase gaits: {words}")
-            for name, (unit, words) in _OF_GAIT.items()
+            for name, (unit, words) in of_gait.items()
         }
     return variables_of
 
@@ -185,16 +201,20 @@ def compute_point(study: Study, values: Mapping[str, float]) -> dict[str, Any]:
         "groove_phase": groove_phase(content.parameters),
         "closed_form_cliff_margin": cliff_margin(content.parameters),
     }
+    settings = settings_of(study, asked)
     margin: float | None = asked.get("margin_m")
     if "cliff" in study.compute or study.margin_at_cliff:
-        price = price_of_robustness(task, study.scan.margins())
+        price = price_of(task, settings)
         results |= _cliff(price)
         if study.margin_at_cliff:
             margin = price.margin
     if margin is not None:
         results["margin"] = margin
         if {"front", "gaits", "success"} & set(study.compute):
-            results |= _robust(study, asked, content, task.with_margin(margin))
+            exact = front_of_task(
+                waveform_task(task.with_margin(margin), settings), study.resolution.scan
+            )
+            results |= _robust(study, asked, content, task, exact)
     if "any_phase" in study.compute:
         front = front_of_task(any_phase_task(task), study.resolution.scan)
         chosen = _chosen(study, asked, front, content.parameters)
@@ -241,6 +261,16 @@ def content_of(study: Study, asked: Mapping[str, float]) -> ParameterFile:
     )
 
 
+def settings_of(study: Study, asked: Mapping[str, float]) -> Settings:
+    """Return the settings of the search at a point that are not in its task."""
+    plain = dataclasses.astuple(ShapeBounds())
+    ends = (
+        tuple(asked.get(name, end) for name, end in zip(names, row, strict=True))
+        for names, row in zip(SHAPE_BOUNDS, plain, strict=True)
+    )
+    return Settings(scan=study.scan, waveform=study.waveform, shapes=ShapeBounds(*ends))
+
+
 def task_of(study: Study, asked: Mapping[str, float], parameters: Parameters) -> MarginTask:
     """Return the optimisation task of a point, without a margin."""
     plain = Bounds()
@@ -258,7 +288,13 @@ def task_of(study: Study, asked: Mapping[str, float], parameters: Parameters) ->
         model = servo_model(study.hardware.model)
         limits = limits.tightened(limits_of(driver, model, study.hardware.voltage))
     direction = int(asked.get("direction", FORWARD))
-    return MarginTask(parameters, direction, bounds=Bounds(**box), limits=limits)
+    return MarginTask(
+        parameters,
+        direction,
+        bounds=Bounds(**box),
+        limits=limits,
+        holding_power=asked.get("holding_power_W_per_N", 0.0),
+    )
 
 
 def _driver(plain: DrivenBy, asked: Mapping[str, float]) -> DrivenBy:
@@ -281,10 +317,13 @@ def _cliff(price: PriceOfRobustness) -> dict[str, Any]:
 
 
 def _robust(
-    study: Study, asked: Mapping[str, float], content: ParameterFile, task: MarginTask
+    study: Study,
+    asked: Mapping[str, float],
+    content: ParameterFile,
+    task: MarginTask,
+    exact: ExactFront,
 ) -> dict[str, Any]:
-    """Return front, gaits and success probabilities with the margin of the task."""
-    exact = front_of_task(task, study.resolution.scan)
+    """Return front, gaits and success probabilities of an exact front; ``task`` is without a margin."""
     front = exact.front
     results: dict[str, Any] = {}
     if "front" in study.compute:
@@ -299,16 +338,24 @@ def _robust(
     results |= chosen
     known = np.isfinite(chosen["stroke"])
     gaits = chosen["stroke"][known], chosen["frequency"][known]
-    nominal = task.with_margin(0.0).table(*gaits)
+    shape = _shapes(chosen, known)
+    nominal = task.table(*gaits, shape=shape)
     results["nominal_speed"] = _spread(nominal.speed, known)
-    results["nominal_power"] = _spread(nominal.power, known)
+    results["nominal_power"] = _spread(nominal.power + task.held_power(*gaits, shape), known)
     if "success" in study.compute:
         promised = chosen["grooves_per_cycle"][known]
         samples, seed = study.resolution.samples, study.resolution.seed
         for name, draw in (("", phase_known), ("_any_phase", phase_unknown)):
-            share = success_probability(task, *gaits, promised, draw(content, samples, seed))
+            draws = draw(content, samples, seed)
+            share = success_probability(task, *gaits, promised, draws, shape)
             results[f"success_probability{name}"] = _spread(share, known)
     return results
+
+
+def _shapes(chosen: Mapping[str, Array], known: np.ndarray) -> Shapes:
+    """Return the shapes of the chosen gaits of a mask; those of a study of sinusoids are the paper's."""
+    given = {name: chosen[name][known] for name in SHAPE_ROW.names or () if name in chosen}
+    return shapes_of(int(np.count_nonzero(known)), **given)
 
 
 def _spread(values: Array, known: np.ndarray) -> Array:
@@ -322,10 +369,8 @@ def _kept_front(study: Study, front: Points, parameters: Parameters) -> dict[str
     """Return the stored gaits of a front, padded with NaN."""
     count = study.resolution.front_gaits
     kept = front.take(thinned(front, parameters, count))
-    columns = {
-        **{name: getattr(kept, name) for name in ("stroke", "frequency", "speed", "power")},
-        "grooves_per_cycle": kept.grooves,
-    }
+    columns = _figures(study, kept, parameters)
+    del columns["cost_of_transport"]
     return {
         f"front_{name}": np.pad(
             column.astype(float), (0, count - len(kept)), constant_values=np.nan
@@ -339,14 +384,14 @@ def _chosen(
 ) -> dict[str, Array]:
     """Return the columns of the gaits of `gait_names`; NaN if no gait qualifies."""
     names = gait_names(study)
-    columns = {name: np.full(len(names), np.nan) for name in _OF_GAIT}
+    columns = {name: np.full(len(names), np.nan) for name in _of_gait(study)}
     if not len(exact.front):
         return columns
     costs: list[Cost] = [power_cost, transport_cost, speed_cost]
     costs += [_COSTS[objective](asked[key]) for key, objective in REQUESTS.items() if key in asked]
     for place, cost in enumerate(costs):
         gait = exact.cheapest(cost)
-        for name, value in _figures(gait, parameters).items():
+        for name, value in _figures(study, gait, parameters).items():
             columns[name][place : place + 1] = value if len(gait) else np.nan
     return columns
 
@@ -354,9 +399,11 @@ def _chosen(
 _COSTS = {Objective.MAX_SPEED_AT_POWER: at_power, Objective.MIN_POWER_AT_SPEED: at_speed}
 
 
-def _figures(points: Points, parameters: Parameters) -> dict[str, Array]:
-    """Return the quantities of gaits, by the names of `_OF_GAIT`."""
+def _figures(study: Study, points: Points, parameters: Parameters) -> dict[str, Array]:
+    """Return the quantities of gaits, by the names of `_of_gait`."""
+    shaped = study.waveform is Waveform.SHAPED
     return {
+        **({name: points.shape[name] for name in _OF_SHAPE} if shaped else {}),
         **{name: getattr(points, name) for name in ("stroke", "frequency", "speed", "power")},
         "cost_of_transport": cost_of_transport(points.speed, points.power, parameters.mass),
         "grooves_per_cycle": points.grooves,

@@ -7,7 +7,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from worm_model.conditions import CONDITION_ROWS
-from worm_model.gait import MAX_FREQUENCY, MAX_MARGIN, MAX_STROKE
+from worm_model.gait import (
+    CONTRACTION_SHARE_RANGE,
+    MAX_FREQUENCY,
+    MAX_MARGIN,
+    MAX_PRETENSION,
+    MAX_STROKE,
+    RAMP_SHARE_RANGE,
+)
 from worm_msgs.robot_parameters import ROWS
 
 _SMALL, _LARGE = 1e-6, 1e6  # bounds of positive quantities
@@ -37,13 +44,26 @@ _OTHERS: Mapping[str, Quantity] = {
     "max_power_W": Quantity("W", "highest source power", _SMALL, _LARGE),
     "stall_force_N": Quantity("N", "cable force at which the motors stall", _SMALL, _LARGE),
     "no_load_speed_m_s": Quantity("m/s", "cable speed of the motors without load", _SMALL, _LARGE),
+    "max_push_force_N": Quantity("N", "highest pushing force in the model's cable", _SMALL, _LARGE),
+    "holding_power_W_per_N": Quantity("W/N", "power for each N of the mean pull", 0.0, _LARGE),
+    "min_pretension_m": Quantity("m", "least pretension", 0.0, MAX_PRETENSION),
+    "max_pretension_m": Quantity("m", "greatest pretension", 0.0, MAX_PRETENSION),
+    "min_contraction_share": Quantity("1", "least contraction share", *CONTRACTION_SHARE_RANGE),
+    "max_contraction_share": Quantity("1", "greatest contraction share", *CONTRACTION_SHARE_RANGE),
+    "min_ramp_share": Quantity("1", "least ramp share", *RAMP_SHARE_RANGE),
+    "max_ramp_share": Quantity("1", "greatest ramp share", *RAMP_SHARE_RANGE),
     "at_power_W": Quantity("W", "power of the gait max_speed_at_power", _SMALL, _LARGE),
     "at_speed_m_s": Quantity("m/s", "speed of the gait min_power_at_speed", _SMALL, _LARGE),
     "reference_power_W": Quantity("W", "power up to which hypervolumes count", _SMALL, _LARGE),
 }
 LIMITS = (  # in the order of the fields of ActuatorLimits
     *("max_cable_speed_m_per_s", "max_cable_force_N", "max_power_W"),
-    *("stall_force_N", "no_load_speed_m_s"),
+    *("stall_force_N", "no_load_speed_m_s", "max_push_force_N"),
+)
+SHAPE_BOUNDS = (  # ends of the fields of ShapeBounds, in their order
+    ("min_pretension_m", "max_pretension_m"),
+    ("min_contraction_share", "max_contraction_share"),
+    ("min_ramp_share", "max_ramp_share"),
 )
 _CF_UNITS = {"°": "degree", "m²": "m2", "N·s/m": "N s/m"}  # as the CF conventions write them
 QUANTITIES: Mapping[str, Quantity] = {

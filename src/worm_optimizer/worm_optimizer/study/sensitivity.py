@@ -91,5 +91,5 @@ def _figures(
     table = evaluate_gaits(**asdict(replace(gait, margin=0.0)), parameters=p, overrides=drawn)
     sets = (dict(zip(drawn, row, strict=True)) for row in np.stack(list(drawn.values()), axis=1))
     robots = (p.replace(**{k: float(v) for k, v in row.items()}) for row in sets)
-    cliffs = [cliff_margin(robot, gait.direction) for robot in robots]
+    cliffs = [cliff_margin(robot, gait.direction, gait.pretension) for robot in robots]
     return np.stack([table.speed, table.power, np.array(cliffs)])

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import itertools
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -29,7 +30,7 @@ from worm_msgs.settings_file import OneOf, key, settings_of
 from worm_msgs.yaml_file import SettingsFileError, parse_yaml
 from worm_optimizer.evaluation.servo_limits import DrivenBy, load_driver_file, servo_model
 from worm_optimizer.search.exact import Resolution as ScanResolution
-from worm_optimizer.search.search_settings import ScanSettings
+from worm_optimizer.search.search_settings import ScanSettings, Waveform
 from worm_optimizer.study.plan import (
     COMPUTABLE,
     EXTENDABLE,
@@ -41,7 +42,7 @@ from worm_optimizer.study.plan import (
     Sample,
     Study,
 )
-from worm_optimizer.study.quantities import QUANTITIES
+from worm_optimizer.study.quantities import QUANTITIES, SHAPE_BOUNDS
 
 CLIFF = "cliff"  # written instead of a margin: the margin at the cliff of the point's own scan
 _FINEST = 10_000  # values of a resolution
@@ -89,6 +90,9 @@ class StudyFile:
     resolution: _ResolutionFile = _ResolutionFile()
     scan: _ScanFile = _ScanFile()
     block_points: Annotated[int | None, key(ge=1, le=MOST_POINTS)] = None
+    waveform: Annotated[str, OneOf(tuple(kind.value for kind in Waveform))] = (
+        Waveform.SINUSOID.value
+    )
 
 
 class StudyError(InputError):
@@ -147,6 +151,7 @@ def parse_study(text: str, folder: Path, parameters: str = "") -> Study:
         resolution=Resolution(scan, **fine),
         scan=ScanSettings(**dataclasses.asdict(file.scan)),
         block_points=1,
+        waveform=Waveform(file.waveform),
     )
     _check(study)
     points = file.block_points or study.default_block_points()
@@ -177,6 +182,8 @@ def format_study(study: Study) -> str:
     }
     if study.ranges:
         content["sample"] = dataclasses.asdict(study.sample)
+    if study.waveform is not Waveform.SINUSOID:  # stored studies of sinusoids lack the key
+        content["waveform"] = study.waveform.value
     if driver is not None:
         values = {**dataclasses.asdict(driver), "spool_radii": list(driver.spool_radii)}
         content["hardware"] = {"driver": values, "servo_model": study.hardware.model}
@@ -218,6 +225,7 @@ def _check(study: Study) -> None:
             f"compute: {min(needs_margin)} needs a margin: "
             "write fixed: {margin_m: 0.002}, vary it, or write margin_m: cliff"
         )
+    _check_waveform(study, named)
     if "groove_phase_m" in named and "initial_length" in named:
         raise StudyError(
             "groove_phase_m: it sets initial_length, which is given as well; keep one of them"
@@ -238,6 +246,15 @@ def _check(study: Study) -> None:
             raise StudyError(
                 f"sample: points: {study.sample.points} is not a power of two, which saltelli needs"
             )
+
+
+def _check_waveform(study: Study, named: set[str]) -> None:
+    shaped = study.waveform is Waveform.SHAPED
+    bounds = named & set(itertools.chain(*SHAPE_BOUNDS))
+    if bounds and not shaped:
+        raise StudyError(f"{min(bounds)}: has an effect only with waveform: shaped")
+    if shaped and "any_phase" in study.compute:
+        raise StudyError("compute: any_phase needs waveform: sinusoid; remove one of them")
 
 
 def _number(where: str, value: Any) -> float:

@@ -24,6 +24,7 @@ _SOURCES: Mapping[Path, tuple[str, ...]] = {
         "simulation/**/*.py",
     ),
     Path(__file__).parents[1]: (
+        "evaluation/*.py",
         "search/*.py",
         "robustness/*.py",
         "study/plan.py",

@@ -14,6 +14,7 @@ from worm_model.commands import phase_map
 from worm_model.conditions import Conditions, under
 from worm_model.gait import Gait, Profile
 from worm_model.parameters import PAPER
+from worm_model.simulation.closed_form import cliff_margin
 from worm_model.simulation.simulator import evaluate_gait
 
 KEYS = (
@@ -151,6 +152,20 @@ def test_phase_map_counts_grooves_and_draws(run, tmp_path: Path) -> None:
     gait = Gait(content["stroke"][10], 0.15)
     expected = evaluate_gait(gait, PAPER.replace(initial_length=length)).grooves_per_cycle
     assert grooves[7][10] == round(expected)
+
+
+def test_a_phase_map_of_a_shaped_gait_is_that_of_the_gait(run) -> None:
+    shape = {"pretension": 0.012, "contraction_share": 0.7, "profile": "trapezoid"}
+    options = [f"--{name.replace('_', '-')}={value}" for name, value in shape.items()]
+    words = ("--points", "8", "--lowest", "0.06", "--highest", "0.07", "--json")
+    content = json.loads(run(phase_map.main, *words, *options)[1])
+    grooves, phases = content["grooves_per_cycle"], content["groove_phases"]
+    for row, phase in enumerate(phases):
+        robot = PAPER.replace(initial_length=17 * PAPER.pitch + phase)
+        result = evaluate_gait(Gait(content["stroke"][4], 0.15, **shape), robot)
+        assert grooves[row][4] == round(result.grooves_per_cycle)
+        cliff = content["closed_form_cliff_margin"][row]
+        assert cliff == pytest.approx(cliff_margin(robot, 1, 0.012))
 
 
 def test_phase_map_refuses_nonsense(run, tmp_path: Path) -> None:

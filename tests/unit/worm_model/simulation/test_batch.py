@@ -52,6 +52,10 @@ def test_a_cycle_of_many_gaits_is_that_of_each() -> None:
         alone = simulate(gait).at((2 + phases) * gait.period)
         assert force[k] == pytest.approx(alone.cable_force, rel=1e-9)
         assert power[k] == pytest.approx(alone.power, rel=1e-9)
+    both = sample_cycle(stroke, frequency, -1, PAPER, 2, np.stack([phases, phases**2]))[0]
+    assert np.array_equal(both[0], force[0])
+    squared = sample_cycle(stroke[1:], frequency[1:], -1, PAPER, 2, phases**2)[0]
+    assert np.array_equal(both[1], squared[0])
 
 
 def test_shapes_broadcast_and_progress_reaches_one() -> None:

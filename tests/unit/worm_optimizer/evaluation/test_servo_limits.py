@@ -186,11 +186,17 @@ def front_under(limits: ActuatorLimits):
         (ActuatorLimits(cable_force=90.0), "force"),
         (ActuatorLimits(electrical_power=12.0), "power"),
         (ActuatorLimits(stall_force=164.0, no_load_speed=0.12), "motor_load"),
+        (ActuatorLimits(pushing_force=15.0), "push"),
     ],
 )
 def test_a_front_keeps_a_limit_that_only_a_simulation_can_tell(limits, peak):
     free, limited = front_under(NO_LIMITS), front_under(limits)
-    bound = {"force": limits.cable_force, "power": limits.electrical_power, "motor_load": 1.0}[peak]
+    bound = {
+        "force": limits.cable_force,
+        "power": limits.electrical_power,
+        "motor_load": 1.0,
+        "push": limits.pushing_force,
+    }[peak]
 
     def worst(front) -> float:
         found = peaks(front.stroke, front.frequency, FORWARD, PAPER, limits)

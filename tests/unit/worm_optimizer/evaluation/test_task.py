@@ -6,9 +6,10 @@ import math
 import numpy as np
 import pytest
 
-from worm_model.gait import FORWARD, REVERSE
+from worm_model.gait import FORWARD, REVERSE, Gait
 from worm_model.parameters import PAPER
 from worm_model.simulation.batch import evaluate_gaits
+from worm_model.simulation.simulator import simulate
 from worm_optimizer.evaluation.actuator_limits import ActuatorLimits, peaks
 from worm_optimizer.evaluation.task import Bounds, MarginTask, branch_of
 from worm_optimizer.optimizer_errors import OptimizerError
@@ -94,3 +95,13 @@ def test_peaks_at_the_fast_corner_are_those_of_the_notes():
 def test_a_limit_must_be_positive():
     with pytest.raises(OptimizerError, match="cable_force = -1"):
         ActuatorLimits(cable_force=-1.0)
+
+
+def test_the_push_of_a_cycle_is_the_least_cable_force_of_the_simulation():
+    fast, slow = Gait(0.09, 0.4), Gait(0.07, 0.02)
+    both = [fast.stroke, slow.stroke], [fast.frequency, slow.frequency]
+    push = peaks(*both, FORWARD, PAPER).push
+    times = fast.period * (2.0 + np.arange(20_000) / 20_000)
+    least = simulate(fast).at(times).cable_force.min()
+    assert least < -40.0
+    assert push == pytest.approx([-least, 0.0], rel=0.01)

@@ -70,7 +70,7 @@ def test_no_gait_of_a_dense_grid_within_the_limits_is_cheaper(seed, force, power
     limits = ActuatorLimits(speed, force, power, stall_force=1.5 * force, no_load_speed=3.0 * speed)
     task = MarginTask(random_robot(seed), limits=limits)
     exact = exact_front(task, Resolution(41, 9), Zoom())
-    assert np.all(exact.front.violation == 0.0)
+    assert np.all(exact.front.violation <= 0.0)
     assert excess(exact.front, dense_grid(task, np.linspace(0.08, 0.4, 9), 201)) < ACCEPTED
 
 

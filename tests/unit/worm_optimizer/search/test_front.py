@@ -107,6 +107,13 @@ def test_the_limit_that_excludes_all_gaits_is_named(margin, limits, name):
         make_front(FILE, dataclasses.replace(QUICK, margin=margin, limits=limits), 1)
 
 
+def test_where_every_fast_gait_pushes_the_pushing_force_is_named():
+    limits, bounds = ActuatorLimits(pushing_force=0.1), Bounds(frequency_low=0.2)
+    fast = dataclasses.replace(QUICK, margin=2e-3, limits=limits, bounds=bounds)
+    with pytest.raises(OptimizerError, match="limits: pushing_force excludes"):
+        make_front(FILE, fast, 1)
+
+
 @pytest.mark.parametrize("kind", list(Robustness))
 def test_a_box_without_a_moving_gait_is_rejected(kind):
     settings = dataclasses.replace(QUICK, bounds=Bounds(0.01, 0.03), robustness=kind)

@@ -10,9 +10,16 @@ from gaits_for_tests import COARSE, coarse_front
 
 from worm_model.gait import Gait, Profile
 from worm_model.parameters import PAPER
-from worm_model.simulation.simulator import cost_of_transport, evaluate_gait
+from worm_model.simulation.simulator import cost_of_transport, evaluate_gait, simulate
 from worm_optimizer.evaluation.actuator_limits import ActuatorLimits, peaks
-from worm_optimizer.evaluation.command_shape import SHAPE_ROW, peak_rate, pull_rate, shapes_of
+from worm_optimizer.evaluation.command_shape import (
+    SHAPE_ROW,
+    SINUSOID,
+    peak_rate,
+    pull_rate,
+    sample_phases,
+    shapes_of,
+)
 from worm_optimizer.evaluation.task import Bounds, MarginTask, Points
 from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.search.corners import FINE, Columns, ShapeBounds, corners
@@ -129,6 +136,41 @@ def test_limits_hold_for_every_gait_of_the_front():
     assert largest_excess(front, within) < 5e-3
 
 
+def test_a_limit_of_the_pushing_force_bounds_the_contraction_share_at_every_frequency():
+    """Shares beyond the limit between two searched frequencies would leave gaps in the front."""
+    robot, limits = PAPER.replace(one_sided_cable=True), ActuatorLimits(pushing_force=20.0)
+    task = MarginTask(robot, limits=limits)
+    shaped = ShapedTask(task, ShapeBounds())
+    front = exact_front(shaped, COARSE, Zoom(5, 4)).front
+    push = peaks(front.stroke, front.frequency, 1, robot, limits, front.shape).push
+    assert np.all(push <= 20.0)
+    assert np.count_nonzero(push > 19.99) > 0.5 * len(front)
+    frequency = np.linspace(0.1, 0.2, 41)  # columns of the survey and between them
+    edges = shaped.edges(frequency, np.tile(np.linspace(0.01, 0.09, 21), (41, 1)))
+    two = edges.points.take((edges.points.count == 6) & (edges.points.shape["pretension"] > 0.0))
+    assert np.unique(two.frequency).tolist() == frequency.tolist()
+    within = random_gaits(task, 20_000, 3)
+    assert largest_excess(front, within) < ACCEPTED
+
+
+def test_samples_of_a_cycle_contain_the_ends_of_the_ramps():
+    shape = shapes_of(2, profile=[0, 1], contraction_share=[0.5, 0.8], ramp_share=[0.25, 0.1])
+    sinusoid, trapezoid = sample_phases(shape, 400)
+    assert sinusoid == pytest.approx(np.arange(400) / 400, abs=1e-15)
+    assert np.all(np.diff(trapezoid) > 0.0)
+    for end in (0.0, 0.08, 0.72, 0.8, 0.82, 0.98):
+        assert np.abs(trapezoid - end).min() < 1e-12
+
+
+def test_the_mean_force_does_not_depend_on_the_samples():
+    shape = np.broadcast_to(SINUSOID, 1).copy()
+    shape["profile"], shape["contraction_share"] = Profile.TRAPEZOID, 0.8
+    mean = peaks(np.array([0.06]), np.array([0.1]), 1, PAPER, shape=shape).mean_force
+    gait = Gait(0.06, 0.1, contraction_share=0.8, profile=Profile.TRAPEZOID)
+    pull = simulate(gait).at(gait.period * (2.0 + np.arange(20_000) / 20_000)).cable_force
+    assert mean == pytest.approx(np.maximum(pull, 0.0).mean(), rel=2e-3)
+
+
 def test_the_corner_of_the_papers_shape_is_the_papers_edge():
     task, frequency = MarginTask(margin=3.4e-3), np.array([0.1, 0.15, 0.2])
     paper = task.edges(frequency, np.tile(np.linspace(0.01, 0.09, 41), (3, 1)))
@@ -185,7 +227,7 @@ def test_the_rate_of_the_waveform_is_that_of_the_command():
         shape = shapes_of(1, **fields)
         steps = -np.diff(gait.command(np.append(phases - 0.5 / 4000, 1.0 - 1e-12))) * 4000
         pulls = np.maximum(steps, 0.0)
-        assert pull_rate(shape, phases)[0] * 0.05 == pytest.approx(pulls, abs=2e-3)
+        assert pull_rate(shape, phases[np.newaxis])[0] * 0.05 == pytest.approx(pulls, abs=2e-3)
         assert peak_rate(shape)[0] * 0.05 == pytest.approx(gait.peak_speed)
 
 

@@ -175,6 +175,9 @@ WRONG: list[tuple[list[str], dict[str, object]]] = [
     (["fixed: margin_m", "-0.001 m", "0 to 0.1 m"], {"fixed": {"margin_m": -0.001}}),
     (["fixed: pitch", "17.3 m", "0.001 to 0.2 m"], {"fixed": {"pitch": 17.3, "margin_m": 0.0}}),
     (["fixed: direction", "0.5"], {"fixed": {"direction": 0.5, "margin_m": 0.0}}),
+    (["max_ramp_share", "waveform: shaped"], {"vary": {"max_ramp_share": [0.1, 0.2]}}),
+    (["any_phase", "waveform"], {"compute": ["any_phase"], "waveform": "shaped"}),
+    (["waveform", "'square'", "shaped"], {"waveform": "square"}),
     (["fixed: max_power_W", "0 W"], {"fixed": {"max_power_W": 0.0, "margin_m": 0.0}}),
     (
         ["sample: points", "6", "power of two"],

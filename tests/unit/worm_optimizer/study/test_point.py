@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from study_cases import SMALL
 
-from worm_model.gait import Gait
+from worm_model.gait import SHAPE, Gait
 from worm_model.parameters import PAPER, ParameterFile
 from worm_model.simulation.closed_form import groove_phase
 from worm_model.simulation.simulator import evaluate_gait
@@ -24,7 +24,8 @@ from worm_optimizer.study.point import (
     task_of,
     variables,
 )
-from worm_optimizer.study.study_file import parse_study
+from worm_optimizer.study.quantities import LIMITS
+from worm_optimizer.study.study_file import format_study, parse_study
 
 STUDY = parse_study(SMALL, Path())
 POINTS = STUDY.points().reshape(STUDY.size, -1)
@@ -131,6 +132,35 @@ def test_a_larger_spool_pulls_faster_and_weaker(tmp_path):
     )
     assert large.no_load_speed == pytest.approx(2.0 * small.no_load_speed)
     assert large.stall_force == pytest.approx(0.5 * small.stall_force)
+
+
+def test_a_fixed_limit_is_that_of_the_task():
+    limits = {name: 1.0 + place for place, name in enumerate(LIMITS)}
+    task = task_of(STUDY, limits, PAPER)
+    assert dataclasses.astuple(task.limits) == tuple(limits.values())
+    assert task.limits.pushing_force == limits["max_push_force_N"]
+
+
+def test_the_gaits_of_a_shaped_study_have_shapes_and_need_less_power():
+    text = SMALL.replace("title: small", "waveform: shaped").replace(
+        "margin_m: 0.002", "margin_m: 0.002, max_contraction_share: 0.7, max_push_force_N: 20"
+    )
+    study = parse_study(text.replace("[front, gaits]", "[front, gaits, success]"), Path())
+    assert parse_study(format_study(study), Path()).waveform is study.waveform
+    point = {"parameter_file": 0, "slack": 0.008, "switching_threshold": 0.0175}
+    found, plain = compute_point(study, point), compute_point(STUDY, point)
+    assert {name for name in found if name in variables(study)} == set(found)
+    assert found["cost_of_transport"][1] < 0.97 * plain["cost_of_transport"][1]
+    assert np.all(found["contraction_share"] <= 0.7)
+    for k in range(4):
+        shape = {name: found[name][k] for name in SHAPE}
+        shape["profile"] = int(shape["profile"])
+        gait = Gait(found["stroke"][k], found["frequency"][k], margin=0.002, **shape)
+        result = evaluate_gait(gait, PAPER)
+        assert found["power"][k] == pytest.approx(result.power, rel=1e-12)
+        bare = evaluate_gait(dataclasses.replace(gait, margin=0.0))
+        assert found["nominal_power"][k] == pytest.approx(bare.power, rel=1e-12)
+        assert found["front_pretension"].shape == (4,)
 
 
 def test_cliff_success_and_any_phase():

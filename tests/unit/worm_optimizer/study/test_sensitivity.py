@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 
-from worm_model.gait import Gait
+from worm_model.gait import Gait, Profile
 from worm_model.parameters import PAPER, ParameterFile
 from worm_model.simulation.simulator import evaluate_gait
 from worm_optimizer.commands import sensitivity as command
@@ -68,5 +68,9 @@ def test_the_command(monkeypatch, capsys, tmp_path):
     text = run(*gait, "16")[1]
     assert "-0.0 %" not in text
     assert text.count(" to ") >= 2  # bounds of each index
+    shape = ("--pretension", "0.003", "--profile", "trapezoid", "--contraction-share", "0.8")
+    shaped = json.loads(run(*gait, "16", *shape, "--json")[1])
+    own = Gait(0.0755, 0.15, 1, 0.0, 0.003, 0.8, Profile.TRAPEZOID)
+    assert shaped["power"]["mean"] == pytest.approx(evaluate_gait(own).power, rel=0.05)
     assert run(*gait, "10")[0] == 2
     assert "power of two" in run(*gait, "10")[2]

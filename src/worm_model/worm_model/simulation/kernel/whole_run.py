@@ -245,13 +245,13 @@ def sample_many(
 ) -> None:
     """Sample a cycle, counted from 0, of gaits (n,) of GAIT_ROW, without the interpreter's lock.
 
-    ``phases`` (m,), ascending, are shares of the cycle; ``force`` and ``length_rate`` (n, m) receive F_c in N and L̇ in
-    m/s there, NaN where the run gave up.
+    ``phases`` (n, m), ascending, are shares of the cycle; ``force`` and ``length_rate`` (n, m) receive F_c in N and L̇
+    in m/s there, NaN where the run gave up.
     """
-    samples = np.empty((phases.size, SAMPLE_COLUMNS))
+    samples = np.empty((phases.shape[1], SAMPLE_COLUMNS))
     for k in range(gaits.shape[0]):
         totals = np.zeros(TOTALS_SIZE)
-        samples[:, TIME] = (cycle + phases) / gaits[k].frequency
+        samples[:, TIME] = (cycle + phases[k]) / gaits[k].frequency
         run_gait(gaits[k], p, cycle + 1, totals, samples, samples[:0])
         if totals[FAILURE] != 0.0:
             samples[:] = math.nan

@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pattern search for the shares of a shape with the lowest power within the limits of the hardware."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from worm_optimizer.evaluation.task import Array, Index, Mask, Points
+
+FORBIDDEN = 1e6  # W, cost of a gait that violates a limit; it grows with the violation
+_FIRST_STEPS = (0.08, 0.1)  # first steps of contraction share and ramp share
+LEAST_STEP = 0.015  # step at which a search usually ends, relative to the first one
+_SHRINK = 0.4
+_MOST_ROUNDS = 30
+_PATTERN = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j], dtype=float)
+_FARTHEST = 1.5  # steps to the minimum of a quadratic
+_SPARE = 3e-5  # by which the predicted violation stays below 0
+_GRIDS = 3  # grids, each around the best point of the one before, on which limited quadratics are minimised
+_GRID = np.linspace(-1.0, 1.0, 13)
+
+
+@dataclass(frozen=True)
+class Costs:
+    """Costs of gaits: ``power`` in W, infinite for a missing gait, and ``violation`` as in `Points`; of one shape."""
+
+    power: Array
+    violation: Array
+
+    @property
+    def total(self) -> Array:
+        """Power in W. Gaits beyond a limit cost more than all others; missing gaits cost infinity."""
+        return np.where(self.violation > 0.0, FORBIDDEN * (1.0 + self.violation), self.power)
+
+
+def costs_of(points: Points, found: Mask) -> Costs:
+    """Return the costs of gaits, of which those outside of the mask ``found`` are missing."""
+    return Costs(np.where(found, points.power, np.inf), np.where(found, points.violation, -1.0))
+
+
+def improve(
+    cost_of: Callable[[Index, Array], Costs],
+    has_ramps: Mask,
+    bounds: Array,
+    shares: Array,
+    steps: tuple[float, float],
+) -> tuple[Array, Costs]:
+    """Search the shares (n, 2) with the lowest costs, all problems at once.
+
+    A pattern of eight neighbours moves to the best of them, or to the minimum of the quadratic through all of them. If
+    one of them violates a limit, the violation is a quadratic as well, and bounds the minimum. If neither is better,
+    the pattern shrinks.
+
+    Args:
+        cost_of: returns the costs of shares (m, 2) of the problems with the numbers (m,).
+        has_ramps: True for the problems whose ramp share is searched, shape (n,).
+        bounds: bounds of contraction share and ramp share, shape (2, 2).
+        shares: start of the search, shape (n, 2).
+        steps: first and least step, relative to the usual first one.
+
+    Returns:
+        The shares (n, 2) and their costs (n,).
+    """
+    best, known = shares.copy(), cost_of(np.arange(len(shares)), shares)
+    power, violation = known.power.copy(), known.violation.copy()
+    step = np.where(np.isfinite(power), steps[0], 0.0)
+    for _ in range(_MOST_ROUNDS):
+        active = np.flatnonzero(step >= steps[1])
+        if not active.size:
+            break
+        own, size = best[active], step[active, np.newaxis] * _FIRST_STEPS
+
+        def at(moves: Array, own: Array = own, size: Array = size) -> Array:
+            return np.clip(own + size * moves, bounds[:, 0], bounds[:, 1])
+
+        tried = at(_PATTERN[:, np.newaxis]).swapaxes(0, 1)  # (active, pattern, 2)
+        useful = has_ramps[active][:, np.newaxis] | (_PATTERN[:, 1] == 0.0)
+        useful &= np.any(tried != own[:, np.newaxis], axis=2)
+        around = Costs(np.full(useful.shape, np.inf), np.full(useful.shape, -1.0))
+        which = np.nonzero(useful)
+        found = cost_of(active[which[0]], tried[which])
+        around.power[which], around.violation[which] = found.power, found.violation
+        candidate = at(_minimum(Costs(power[active], violation[active]), around))
+        last = cost_of(active, candidate)
+        options = np.concatenate([own[:, np.newaxis], tried, candidate[:, np.newaxis]], axis=1)
+        costs = Costs(
+            np.column_stack([power[active], around.power, last.power]),
+            np.column_stack([violation[active], around.violation, last.violation]),
+        )
+        choice = np.argmin(costs.total, axis=1)
+        rows = np.arange(active.size)
+        best[active] = options[rows, choice]
+        power[active], violation[active] = costs.power[rows, choice], costs.violation[rows, choice]
+        moved = (choice > 0) & (choice <= len(_PATTERN))
+        step[active] *= np.where(moved, 1.0, _SHRINK)
+    return best, Costs(power, violation)
+
+
+def _minimum(centre: Costs, around: Costs) -> Array:
+    """Return the predicted minimum (n, 2) of each pattern, in steps; 0 without a prediction."""
+    minimum = _minimum_of_quadratic(centre.total, around.total)
+    limited = np.isfinite(centre.power)
+    limited &= np.maximum(centre.violation, around.violation.max(axis=1)) > 0.0
+    rows = np.flatnonzero(limited)
+    if rows.size:
+        minimum[rows] = _minimum_within_limits(
+            Costs(centre.power[rows], centre.violation[rows]),
+            Costs(around.power[rows], around.violation[rows]),
+        )
+    return minimum
+
+
+def _minimum_of_quadratic(centre: Array, table: Array) -> Array:
+    """Return the minimum (n, 2) of the quadratic through each pattern, in steps; 0 without a minimum."""
+    low_low, low, low_high, down, up, high_low, high, high_high = table.T
+    with np.errstate(invalid="ignore", divide="ignore"):
+        slope = 0.5 * np.stack([high - low, up - down])
+        xx, yy = high + low - 2.0 * centre, up + down - 2.0 * centre
+        xy = 0.25 * (high_high - high_low - low_high + low_low)
+        determinant = xx * yy - xy * xy
+        usable = (table.max(axis=1) < FORBIDDEN) & (xx > 0.0) & (determinant > 1e-9 * xx * xx)
+        both = np.stack([xy * slope[1] - yy * slope[0], xy * slope[0] - xx * slope[1]])
+        # At a bound of the ramp share, and for a cosine, only the contraction share can change.
+        single = (np.maximum(high, low) < FORBIDDEN) & (xx > 0.0)
+        alone = np.stack([-slope[0] / xx, np.zeros_like(xx)])
+        minimum = np.where(usable, both / determinant, np.where(single, alone, 0.0))
+    return np.clip(np.nan_to_num(minimum), -_FARTHEST, _FARTHEST).T
+
+
+def _minimum_within_limits(centre: Costs, around: Costs) -> Array:
+    """Return the minimum (n, 2) of the quadratic of the power at which that of the violation is below 0, in steps."""
+    known = np.isfinite(around.power)
+    _, low, _, down, up, _, high, _ = known.T
+    free = np.stack([low & high, down & up], axis=1)  # shares that have neighbours on both sides
+    mixed = np.all(known, axis=1)
+    power = _quadratic(centre.power, around.power, free, mixed)
+    violation = _quadratic(centre.violation, around.violation, free, mixed)
+    rows, size = np.arange(len(free)), _FARTHEST
+    place = np.zeros(free.shape)
+    offsets = np.stack(np.meshgrid(_GRID, _GRID), axis=-1).reshape(-1, 2)
+    for _ in range(_GRIDS):
+        at = np.clip(place[:, np.newaxis] + size * offsets, -_FARTHEST, _FARTHEST)
+        at *= free[:, np.newaxis]
+        predicted = Costs(_value(power, at), _value(violation, at) + _SPARE)
+        place = at[rows, np.argmin(predicted.total, axis=1)]
+        size *= _GRID[1] - _GRID[0]
+    return place
+
+
+def _quadratic(centre: Array, table: Array, free: Mask, mixed: Mask) -> Array:
+    """Return the coefficients (6, n) of 1, x, y, x², y² and x·y of the quadratic through each pattern.
+
+    Those of a share that is not ``free`` (n, 2) are 0, and that of x·y without the mask ``mixed`` (n,).
+    """
+    low_low, low, low_high, down, up, high_low, high, high_high = table.T
+    with np.errstate(invalid="ignore"):
+        x, y = 0.5 * (high - low), 0.5 * (up - down)
+        xx, yy = 0.5 * (high + low) - centre, 0.5 * (up + down) - centre
+        xy = 0.25 * (high_high - high_low - low_high + low_low)
+    along, across = free.T
+    return np.stack(
+        [
+            centre,
+            np.where(along, x, 0.0),
+            np.where(across, y, 0.0),
+            np.where(along, xx, 0.0),
+            np.where(across, yy, 0.0),
+            np.where(mixed, xy, 0.0),
+        ]
+    )
+
+
+def _value(coefficients: Array, at: Array) -> Array:
+    """Return quadratics (n,) at points (n, m, 2), shape (n, m)."""
+    one, x, y, xx, yy, xy = coefficients[:, :, np.newaxis]
+    u, v = at[:, :, 0], at[:, :, 1]
+    return one + u * (x + xx * u + xy * v) + v * (y + yy * v)
