@@ -35,7 +35,8 @@ from worm_model.bags.recording.run_manifest import (
 from worm_model.bags.recovery.recovery import storage_files
 from worm_model.bags.run_reader import clock_offset, read_run
 from worm_model.bags.worm_topics import REPLAY_INPUTS
-from worm_model.commands.bag_table import CLOSED, COLUMNS, DAMAGED, OPEN
+from worm_model.commands import bag_columns
+from worm_model.commands.bag_columns import CLOSED, DAMAGED, OPEN
 from worm_model.conditions import Conditions
 from worm_model.parameters import Parameters
 from worm_model.run import Run, utc_of
@@ -79,12 +80,12 @@ def rows_of_bag(path: Path, parameters: str) -> list[dict[str, Any]]:
         return [{"start": utc_of(start), "duration_s": span, "notes": text}]
     remarks = [*notes, *remarks]
     figures = [RunMetrics(run, replay, r, values, conditions, offset_ns, remarks) for r in reports]
-    return [{column.key: column.value(f) for column in COLUMNS} for f in figures]
+    return [{column.key: column.value(f) for column in bag_columns.COLUMNS} for f in figures]
 
 
 @dataclass(frozen=True)
 class RunMetrics:
-    """Metrics of a run for `bag_table.COLUMNS`. Metrics that cannot be computed are NaN."""
+    """Metrics of a run for `bag_columns.COLUMNS`. Metrics that cannot be computed are NaN."""
 
     run: Run
     replay: Replay

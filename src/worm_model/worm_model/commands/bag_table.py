@@ -5,82 +5,23 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from worm_model.bags.finding import bags_below, mark_of, name_below
-from worm_model.conditions import LEVEL, Conditions
+from worm_model.bags.recording.run_manifest import ManifestError
+from worm_model.commands import bag_columns
+from worm_model.commands.bag_columns import CLOSED, DAMAGED, MISSING, STATE
+from worm_model.commands.bag_runs import rows_of_bag, state_of_bag
 from worm_model.errors import InputError
-from worm_model.gait import named_values
 from worm_model.text_table import text_table
 
 Row = dict[str, Any]
 
-CLOSED, OPEN, DAMAGED = "closed", "not closed", "damaged"
-MISSING = "–"
 METRICS_VERSION = 5  # Increase it when the computation of a metric changes.
-
-
-@dataclass(frozen=True)
-class Column:
-    """Column of the table. To add a column, add a row to COLUMNS.
-
-    Attributes:
-        key: key of the value in a row and in `--json`.
-        title: title in the printed table; empty: the column is not printed.
-        value: returns the value from the `bag_runs.RunMetrics` of a run.
-        text: returns the printed text of a value that is not None.
-    """
-
-    key: str
-    title: str
-    value: Callable[[Any], Any]
-    text: Callable[[Any], str] = str
-
-
-def _number(scale: float, decimals: int) -> Callable[[float], str]:
-    return lambda value: MISSING if math.isnan(value) else f"{scale * value:.{decimals}f}"
-
-
-def gait_text(gait: Mapping[str, Any] | None) -> str:
-    """Return the gait of a row as text; empty without a gait."""
-    if gait is None:
-        return ""
-    way = "" if gait["direction"] > 0 else " reverse"
-    return f"{1e3 * gait['stroke']:.1f} mm {gait['frequency']:.3f} Hz{way}"
-
-
-def local_time(start: str) -> str:
-    """Return the ``start`` of a row (ISO 8601) in local time to the second, like the names of bags."""
-    return datetime.fromisoformat(start).astimezone().strftime("%Y-%m-%d %H:%M:%S")
-
-
-COLUMNS = (
-    Column("start", "start", lambda run: run.start, local_time),
-    Column("duration_s", "s", lambda run: run.duration_s, _number(1.0, 1)),
-    Column("gait", "gait", lambda run: named_values(run.played.gait), gait_text),
-    Column(
-        "conditions",
-        "conditions",
-        lambda run: asdict(run.conditions),
-        lambda values: "" if (stated := Conditions(**values)) == LEVEL else str(stated),
-    ),
-    Column("cycles", "cycles", lambda run: run.cycles, _number(1.0, 0)),
-    Column("groove_phase", "φ mm", lambda run: run.groove_phase, _number(1e3, 2)),
-    Column("grooves_per_cycle", "grooves", lambda run: run.grooves_per_cycle, _number(1.0, 2)),
-    Column("speed", "mm/s", lambda run: run.speed, _number(1e3, 2)),
-    Column("power", "W", lambda run: run.power, _number(1.0, 2)),
-    Column("cost_of_transport", "COT", lambda run: run.cost_of_transport, _number(1.0, 1)),
-    Column("health", "health", lambda run: run.report.health.name.lower()),
-    Column("notes", "", lambda run: run.notes),
-)
-STATE = "state"  # key of the state of the files, which belongs to a bag, not to a run
 
 
 def bag_rows(
@@ -107,7 +48,7 @@ def bag_rows(
 
 def _index_file(folder: Path, parameters: str) -> Path:
     content = Path(parameters).read_bytes() if parameters else b""
-    keys = [column.key for column in COLUMNS]
+    keys = [column.key for column in bag_columns.COLUMNS]
     name = f"{METRICS_VERSION} {keys}\n".encode() + os.fsencode(folder.resolve()) + b"\n" + content
     home = Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser())
     return home / "worm_model" / f"bags-{hashlib.sha256(name).hexdigest()[:16]}.json"
@@ -133,10 +74,7 @@ def _store(index: Path, content: dict[str, Any]) -> None:
 
 def _read(bag: Path, parameters: str) -> list[Row]:
     """Return the rows of a bag, or one row with the reason why it cannot be read. The bag is not changed."""
-    from worm_model.bags.recording.run_manifest import ManifestError
-    from worm_model.commands.bag_runs import rows_of_bag, state_of_bag
-
-    empty: Row = {column.key: None for column in COLUMNS}
+    empty: Row = {column.key: None for column in bag_columns.COLUMNS}
     try:
         state, reason = state_of_bag(bag)
         if state != CLOSED:
@@ -156,7 +94,7 @@ def _without_empty(lines: Sequence[Sequence[str]]) -> list[list[str]]:
 
 def describe(rows: Sequence[Row], folder: Path) -> str:
     """Return the table as text."""
-    shown = [column for column in COLUMNS if column.title]
+    shown = [column for column in bag_columns.COLUMNS if column.title]
     lines = [["bag", *(column.title for column in shown)]]
     notes = []
     for row in rows:

@@ -10,7 +10,6 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from worm_model.commands.bag_table import bag_rows, describe
 from worm_model.commands.command_line import (
     InputError,
     Parser,
@@ -89,6 +88,8 @@ def _parser() -> Parser:
 
 
 def _table(options: argparse.Namespace) -> None:
+    from worm_model.commands.bag_table import bag_rows, describe
+
     rows, _ = bag_rows(options.folder, options.parameters, ProgressLine("bags"))
     print_result(options, {"runs": rows}, describe(rows, options.folder))
 

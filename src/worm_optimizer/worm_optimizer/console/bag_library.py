@@ -17,7 +17,7 @@ from typing import Any
 
 import worm_model
 from worm_model.bags.finding import METADATA_FILE
-from worm_model.commands.bag_table import gait_text, local_time
+from worm_model.commands.bag_columns import gait_text, local_time
 from worm_model.errors import InputError
 from worm_optimizer.console.run_traces import RunTraces, traces_of
 from worm_optimizer.operation.processes import executable_command

@@ -8,7 +8,7 @@ from urllib.parse import quote
 
 from nicegui import ui
 
-from worm_model.commands.bag_table import gait_text, local_time
+from worm_model.commands.bag_columns import gait_text, local_time
 from worm_model.errors import InputError
 from worm_optimizer.console.bag_library import Row, matches
 from worm_optimizer.console.closer_page import CloserLook

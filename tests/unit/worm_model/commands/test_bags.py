@@ -10,7 +10,7 @@ import pytest
 
 from worm_model.bags.formats.bag_writer import new_bag
 from worm_model.bags.opening import open_bag
-from worm_model.commands import bag_runs, bag_table, bags
+from worm_model.commands import bag_columns, bag_table, bags
 from worm_model.gait import Gait, named_values
 
 SAMPLES = Path(__file__).resolve().parents[4] / "bags"
@@ -64,7 +64,7 @@ def test_the_table_names_the_conditions_of_runs_that_have_some(run, tmp_path):
 
 def test_what_was_read_once_is_not_read_again(run, monkeypatch):
     first = run("table", SAMPLES, "--json")[1]
-    monkeypatch.setattr(bag_runs, "rows_of_bag", None)
+    monkeypatch.setattr(bag_table, "rows_of_bag", None)
     status, again, error = run("table", SAMPLES, "--json")
     assert (status, again, error) == (0, first, "")
 
@@ -135,9 +135,8 @@ def test_what_is_split_and_merged_again_is_the_same(run, tmp_path):
 def test_a_column_is_a_row_of_the_table_of_columns(run, monkeypatch):
     """An index from before it is not used."""
     run("table", SAMPLES / "forward")
-    column = bag_table.Column("strokes", "strokes mm", lambda figures: figures.played.gait.stroke)
-    monkeypatch.setattr(bag_table, "COLUMNS", (*bag_table.COLUMNS, column))
-    monkeypatch.setattr(bag_runs, "COLUMNS", bag_table.COLUMNS)
+    column = bag_columns.Column("strokes", "strokes mm", lambda figures: figures.played.gait.stroke)
+    monkeypatch.setattr(bag_columns, "COLUMNS", (*bag_columns.COLUMNS, column))
     (row,) = json.loads(run("table", SAMPLES / "forward", "--json")[1])["runs"]
     assert row["strokes"] == row["gait"]["stroke"]
     status, told, _ = run("table", SAMPLES / "forward")
