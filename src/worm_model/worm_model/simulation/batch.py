@@ -167,10 +167,15 @@ def _on_all_cores(
     count: int,
     progress: Callable[[float], None] | None = None,
 ) -> None:
-    """Process all chunks in a pool of threads. The kernel releases the interpreter's lock."""
+    """Process all chunks in a pool of threads; a single one in this thread. The kernel releases the interpreter's lock."""
+    parts = [slice(start, min(start + CHUNK, count)) for start in range(0, count, CHUNK)]
+    if len(parts) == 1:  # starting a thread takes longer than many a search's rows
+        work(parts[0])
+        if progress is not None:
+            progress(1.0)
+        return
     done = 0
     with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
-        parts = [slice(start, min(start + CHUNK, count)) for start in range(0, count, CHUNK)]
         futures = {pool.submit(work, part): part for part in parts}
         try:
             for future in as_completed(futures):
