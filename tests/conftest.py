@@ -41,7 +41,7 @@ def shared() -> Path:
 
 _WORKER = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
 # No test has its predecessor's domain, whose killed processes are still announced, nor one of another worker's.
-DOMAINS = itertools.cycle(sorted(range(1, 101), key=lambda domain: (domain - 33 * _WORKER) % 100))
+DOMAINS = itertools.cycle(sorted(range(1, 101), key=lambda domain: (domain - 25 * _WORKER) % 100))
 
 
 def _free_domain(environment: pytest.MonkeyPatch) -> Iterator[int]:

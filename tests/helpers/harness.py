@@ -175,12 +175,14 @@ class Probe:
 class VirtualWorm:
     """The nodes of system.yaml in virtual mode, as the demo starts them."""
 
-    def __init__(self, processes: Processes, probe: Probe, directory: Path) -> None:
+    def __init__(
+        self, processes: Processes, probe: Probe, directory: Path, **settings: str
+    ) -> None:
         self.processes = processes
         self.probe = probe
         self.directory = directory
         self.system = system_file().system(
-            "virtual", directory=str(directory / "robot"), bag=str(directory / "bag")
+            "virtual", directory=str(directory / "robot"), bag=str(directory / "bag"), **settings
         )
 
     def start(self) -> None:

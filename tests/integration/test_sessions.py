@@ -55,14 +55,14 @@ SESSION = (
 
 
 class Lab:
-    """The graph without its optimizer, and a person who operates it by commands."""
+    """The graph, and a person who operates it by commands."""
 
     def __init__(self, processes: Processes, probe: Probe, folder: Path) -> None:
         self.processes, self.probe, self.folder = processes, probe, folder
-        worm = VirtualWorm(processes, probe, folder)
-        wanted = ("virtual_robot", "twin", "driver")
-        nodes = [node for node in worm.system.nodes if node.name in wanted]
-        worm.system = replace(worm.system, nodes=tuple(nodes))
+        worm = VirtualWorm(processes, probe, folder, rate="2")
+        # `operate run` would look for a missing optimizer for seconds; it records by itself
+        nodes = tuple(node for node in worm.system.nodes if node.name != "recorder")
+        worm.system = replace(worm.system, nodes=nodes)
         worm.start()
         processes.processes["twin"].wait_for_line("twin ready", 4 * TIMEOUT_S)
         worm.activate()
