@@ -167,7 +167,7 @@ def _on_all_cores(
     count: int,
     progress: Callable[[float], None] | None = None,
 ) -> None:
-    """Process all chunks in a pool of threads; a single one in this thread. The kernel releases the interpreter's lock."""
+    """Process all chunks in a pool of threads, a single one in this thread. The kernel releases the lock of Python."""
     parts = [slice(start, min(start + CHUNK, count)) for start in range(0, count, CHUNK)]
     if len(parts) == 1:  # starting a thread takes longer than many a search's rows
         work(parts[0])
