@@ -21,7 +21,6 @@ from worm_model.twin.signatures import signatures
 from worm_model.twin.twin import Twin
 
 GAIT = Gait(0.08, 0.2)
-AFTER_NS = 2 * 10**9  # of rest after each gait
 SLOPES = ((20.0, 2.0), (-20.0, 0.0))  # deg, N of the tether
 FAULTS = (
     ("load_up", Fault("rear_load", 1.0, 2, 0.0)),
@@ -53,10 +52,8 @@ def test_a_twin_that_knows_its_load_follows_the_robot_live_and_in_replay(slope, 
     loaded = under(Conditions(slope_deg=slope, tether_N=tether), PAPER)
     live = live_twin(session.rows, Twin(loaded))
     assert {event.code for event in live.events} <= {"", "clock_jump"}  # the first sample
-    stamps = live.residuals["stamp_ns"]
-    for played in session.played:  # between them the robot slides while its fins turn
-        inside = (stamps > played.onset_ns) & (stamps < played.end_ns - AFTER_NS)
-        assert live.residuals["health"][inside].max() == Health.HEALTHY
+    assert live.residuals["health"].max() == Health.HEALTHY  # also while the fins turn
+    for played in session.played:
         run = recording(session.rows, live.memories, played.begin_ns, played.end_ns)
         (report,) = report_replay(run, replay_run(run, loaded), loaded.pitch).runs
         assert (report.health, list(report.events)) == (Health.HEALTHY, [])
