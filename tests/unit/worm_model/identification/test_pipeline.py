@@ -165,9 +165,10 @@ def test_a_cable_that_cannot_push_is_identified_as_such_and_said_to_be(tmp_path)
         path.write_text(edited)
         with pytest.raises(ParameterError, match="identify again without --one-sided-cable"):
             load_parameters(path)
+    without = replace(inputs, recordings=recordings[::2], bellows=None)
     with pytest.raises(IdentificationError, match="--one-sided-cable"):
-        identify(replace(inputs, bellows=None), given)
-    again = identify(replace(inputs, bellows=None), reference_by_file(ParameterFile(truth), "it"))
+        identify(without, given)
+    again = identify(without, reference_by_file(ParameterFile(truth), "it"))
     assert again.parameters.one_sided_cable
     assert again.parameters.bellows_damping == 950.0
 
