@@ -24,6 +24,9 @@ PACKAGES: dict[str, set[str]] = {
     "worm_optimizer": {"worm_model", "worm_msgs"},
 }
 
+# Names imported from one of our modules; beyond, the module itself is imported, but for so many exceptions.
+MOST_NAMES, LONG_IMPORTS = 6, 49
+
 # Libraries that only the files named here may import; the rest of the code does not know them.
 NODES = ["*/nodes/*.py"]
 # Plain tables and readers that several packages share; they know no ROS, although they lie beside the messages.
@@ -192,6 +195,20 @@ def test_folders_import_only_what_the_seams_allow():
         if folder not in SEAMS[package][own] | {own}
     ]
     assert wrong == []
+
+
+def test_a_module_of_which_many_names_are_needed_is_imported_itself():
+    """The number of exceptions may only fall. Messages are imported by name."""
+    long = [
+        f"{name_of(path)}:{node.lineno}"
+        for path in SOURCES
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.ImportFrom)
+        and len(node.names) > MOST_NAMES
+        and (node.module or "").startswith("worm_")
+        and not (node.module or "").endswith(".msg")
+    ]
+    assert len(long) <= LONG_IMPORTS, long
 
 
 def test_libraries_are_imported_only_where_they_belong():

@@ -13,16 +13,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from matplotlib.figure import Figure
 
-from worm_model.analysis.plot_style import (
-    BLUE,
-    GREY,
-    MARGIN_SYMBOL,
-    MM,
-    VERMILION,
-    draw_groove_map,
-    letter,
-    new_figure,
-)
+from worm_model.analysis import plot_style
 from worm_model.arrays import Array
 from worm_model.gait import Gait
 from worm_model.parameters import Parameters
@@ -78,25 +69,27 @@ def compute_phase_map(
 
 def phase_map_figure(content: PhaseMap) -> Figure:
     """Return a figure with the map and, next to it, the cliff."""
-    figure = new_figure(10.5, 4.5)
+    figure = plot_style.new_figure(10.5, 4.5)
     left, right = figure.subplots(1, 2, sharey=True, width_ratios=(3, 2))
-    draw_groove_map(left, MM * content.stroke, MM * content.phase, content.grooves)
+    plot_style.draw_groove_map(
+        left, plot_style.MM * content.stroke, plot_style.MM * content.phase, content.grooves
+    )
     left.set(xlabel="stroke S (mm)", ylabel="groove phase φ (mm)")
     left.set_title(f"grooves per cycle at {content.frequency:g} Hz", loc="left", fontsize="small")
-    now = MM * content.phase_now
-    right.plot(MM * content.cliff, MM * content.phase, color=BLUE)
-    right.axvline(0.0, color=GREY, linewidth=0.8)
+    now = plot_style.MM * content.phase_now
+    right.plot(plot_style.MM * content.cliff, plot_style.MM * content.phase, color=plot_style.BLUE)
+    right.axvline(0.0, color=plot_style.GREY, linewidth=0.8)
     right.plot(
-        MM * content.cliff_now,
+        plot_style.MM * content.cliff_now,
         now,
         "o",
-        color=VERMILION,
-        label=f"now: φ = {now:.2f} mm, {MARGIN_SYMBOL}* = {MM * content.cliff_now:.2f} mm",
+        color=plot_style.VERMILION,
+        label=f"now: φ = {now:.2f} mm, {plot_style.MARGIN_SYMBOL}* = {plot_style.MM * content.cliff_now:.2f} mm",
     )
-    right.set(xlabel=f"cliff of the margin {MARGIN_SYMBOL}* (mm), closed form")
+    right.set(xlabel=f"cliff of the margin {plot_style.MARGIN_SYMBOL}* (mm), closed form")
     for axes in (left, right):
-        axes.axhline(now, color=VERMILION, linestyle="--", linewidth=1.2)
+        axes.axhline(now, color=plot_style.VERMILION, linestyle="--", linewidth=1.2)
     right.margins(x=0.08)
     right.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), fontsize="small", frameon=False)
-    letter((left, right))
+    plot_style.letter((left, right))
     return figure

@@ -6,16 +6,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from worm_model.analysis.plot_style import (
-    CABLE,
-    COMMANDED,
-    COMMANDED_INPUT,
-    EFFECTIVE,
-    EFFECTIVE_INPUT,
-    MEASURED,
-    PREDICTED,
-    Style,
-)
+from worm_model.analysis import plot_style
 from worm_model.analysis.run_metrics import (
     Samples,
     accumulated_energy,
@@ -52,8 +43,8 @@ def position_curves(run: Run, replay: Replay, onset: int) -> tuple[Curves, Curve
     """Return x1 relative to its value at rest before the onset (ns), measured and of the twin; and their difference."""
     time = seconds(run.tracker.stamp, onset)
     rest = value_at_onset(time, run.tracker.rear_position)
-    measured = Curve("measured", time, run.tracker.rear_position - rest, MEASURED)
-    twin = _of_twin(replay.states, "rear_position", onset, TWIN, PREDICTED)
+    measured = Curve("measured", time, run.tracker.rear_position - rest, plot_style.MEASURED)
+    twin = _of_twin(replay.states, "rear_position", onset, TWIN, plot_style.PREDICTED)
     twin = Curve(twin.label, twin.time, twin.values - rest, twin.style)
     return [measured, twin], [_residual(replay, "rear_position", onset)]
 
@@ -67,17 +58,17 @@ def length_curves(run: Run, onset: int, parameters: Parameters) -> tuple[Curves,
     time, command = time[time >= 0.0], command[time >= 0.0]
     predicted = length_change_of_command(time, command, parameters)
     lengths = [
-        _change(run.cable, onset, "cable, from the encoder", CABLE),
-        _change(run.measured, onset, "body, measured", MEASURED),
-        Curve("body, predicted", time, predicted, PREDICTED),
+        _change(run.cable, onset, "cable, from the encoder", plot_style.CABLE),
+        _change(run.measured, onset, "body, measured", plot_style.MEASURED),
+        Curve("body, predicted", time, predicted, plot_style.PREDICTED),
     ]
     inputs = [
-        Curve(COMMANDED_INPUT, time, command, COMMANDED),
+        Curve(plot_style.COMMANDED_INPUT, time, command, plot_style.COMMANDED),
         Curve(
-            EFFECTIVE_INPUT,
+            plot_style.EFFECTIVE_INPUT,
             time,
             effective_command(command, parameters.slack),
-            EFFECTIVE,
+            plot_style.EFFECTIVE,
         ),
     ]
     return [curve for curve in lengths if curve.time.size], inputs
@@ -90,8 +81,8 @@ def power_curves(run: Run, replay: Replay, onset: int) -> Curves:
     stamp, power = settled_power(run, replay)
     time = seconds(stamp, onset)
     return [
-        Curve("measured", measured, run.power.valid_power[known], MEASURED),
-        Curve(TWIN, time[time >= 0.0], power[time >= 0.0], PREDICTED),
+        Curve("measured", measured, run.power.valid_power[known], plot_style.MEASURED),
+        Curve(TWIN, time[time >= 0.0], power[time >= 0.0], plot_style.PREDICTED),
     ]
 
 
@@ -99,8 +90,8 @@ def energy_curves(run: Run, replay: Replay, onset: int) -> tuple[Curves, Curves]
     """Return the energy since the onset, measured and of the twin; and their difference."""
     stamp, energy = accumulated_energy((run.power.stamp, run.power.valid_power))
     time = seconds(stamp, onset)
-    measured = Curve("measured", time, energy - value_at_onset(time, energy), MEASURED)
-    twin = _of_twin(replay.states, "energy", onset, TWIN, PREDICTED)
+    measured = Curve("measured", time, energy - value_at_onset(time, energy), plot_style.MEASURED)
+    twin = _of_twin(replay.states, "energy", onset, TWIN, plot_style.PREDICTED)
     return [measured, twin], [_residual(replay, "energy", onset)]
 
 
@@ -127,7 +118,7 @@ def value_at_onset(time: Array, values: Array) -> float:
     return float(values[row[0]]) if row.size else float("nan")
 
 
-def _of_twin(series: Series, name: str, onset: int, label: str, style: Style) -> Curve:
+def _of_twin(series: Series, name: str, onset: int, label: str, style: plot_style.Style) -> Curve:
     """Return the known values of one of the twin's columns within the run that began at the onset."""
     time, values = seconds(series["stamp_ns"], onset), series[name]
     shown = np.isfinite(values) & (time >= 0.0)
@@ -135,9 +126,9 @@ def _of_twin(series: Series, name: str, onset: int, label: str, style: Style) ->
 
 
 def _residual(replay: Replay, name: str, onset: int) -> Curve:
-    return _of_twin(replay.residuals, name, onset, "measured − twin", MEASURED)
+    return _of_twin(replay.residuals, name, onset, "measured − twin", plot_style.MEASURED)
 
 
-def _change(samples: LengthSamples, onset: int, label: str, style: Style) -> Curve:
+def _change(samples: LengthSamples, onset: int, label: str, style: plot_style.Style) -> Curve:
     time = seconds(samples.stamp, onset)
     return Curve(label, time, samples.length - value_at_onset(time, samples.length), style)

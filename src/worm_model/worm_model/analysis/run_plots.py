@@ -15,15 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MultipleLocator
 
-from worm_model.analysis.plot_style import (
-    CYCLE,
-    MM,
-    Style,
-    finish,
-    letter,
-    new_figure,
-    shade,
-)
+from worm_model.analysis import plot_style
 from worm_model.arrays import Array
 
 WIDTH, _HEIGHT = 8.5, 1.75  # inches; the height is that of a panel of weight 1
@@ -37,7 +29,7 @@ class Curve:
     label: str
     time: Array
     values: Array
-    style: Style
+    style: plot_style.Style
 
 
 Curves = Sequence[Curve]
@@ -65,14 +57,19 @@ class _Panel:
 
 def motion_figure(frame: Frame, positions: Curves, residuals: Curves, pitch: float) -> Figure:
     """Draw x1 over the pipe's ridges, ``pitch`` (m) apart, and measured minus predicted."""
-    return _figure(frame, [_positions(positions, pitch), _residuals(residuals, "mm", MM)])
+    return _figure(
+        frame, [_positions(positions, pitch), _residuals(residuals, "mm", plot_style.MM)]
+    )
 
 
 def length_figure(frame: Frame, lengths: Curves, inputs: Curves) -> Figure:
     """Draw the length change, measured and predicted, over the commanded and the effective input (eq:slack_clip)."""
     return _figure(
         frame,
-        [_Panel("length change ΔL (mm)", lengths, MM), _Panel("input (mm)", inputs, MM)],
+        [
+            _Panel("length change ΔL (mm)", lengths, plot_style.MM),
+            _Panel("input (mm)", inputs, plot_style.MM),
+        ],
     )
 
 
@@ -101,8 +98,8 @@ def overview_figure(
         frame,
         [
             _positions(positions, pitch),
-            _residuals(residuals, "mm", MM),
-            _Panel("length change ΔL (mm)", lengths, MM),
+            _residuals(residuals, "mm", plot_style.MM),
+            _Panel("length change ΔL (mm)", lengths, plot_style.MM),
             _Panel("source power (W)", powers),
         ],
     )
@@ -113,7 +110,7 @@ def comparison_figure(frame: Frame, advances: Curves, energies: Curves) -> Figur
     return _figure(
         frame,
         [
-            _Panel("advance of x1 (mm)", advances, MM, 3.0),
+            _Panel("advance of x1 (mm)", advances, plot_style.MM, 3.0),
             _Panel("energy (J)", energies),
         ],
     )
@@ -127,9 +124,14 @@ def simulation_figure(
         frame,
         [
             _Panel(
-                "advance (mm)", positions, MM, 3.0, "horizontal lines: the pipe's ridges", pitch
+                "advance (mm)",
+                positions,
+                plot_style.MM,
+                3.0,
+                "horizontal lines: the pipe's ridges",
+                pitch,
             ),
-            _Panel("length change ΔL (mm)", lengths, MM),
+            _Panel("length change ΔL (mm)", lengths, plot_style.MM),
             _Panel("force (N)", forces),
             _Panel("source power (W)", powers),
         ],
@@ -138,12 +140,12 @@ def simulation_figure(
 
 def run_style(number: int) -> dict[str, Any]:
     """Return the style of one of several runs, counted from 0."""
-    return {"color": CYCLE[number % len(CYCLE)], "linewidth": 1.2}
+    return {"color": plot_style.CYCLE[number % len(plot_style.CYCLE)], "linewidth": 1.2}
 
 
 def _positions(curves: Curves, pitch: float) -> _Panel:
     note = "horizontal lines: the pipe's ridges"
-    return _Panel("rear module x1 (mm)", curves, MM, 3.0, note, pitch)
+    return _Panel("rear module x1 (mm)", curves, plot_style.MM, 3.0, note, pitch)
 
 
 def _residuals(curves: Curves, unit: str, scale: float) -> _Panel:
@@ -152,7 +154,7 @@ def _residuals(curves: Curves, unit: str, scale: float) -> _Panel:
 
 def _figure(frame: Frame, contents: Sequence[_Panel]) -> Figure:
     weights = [content.weight for content in contents]
-    figure = new_figure(WIDTH, 0.8 + 0.5 * _HEIGHT * sum(weights))
+    figure = plot_style.new_figure(WIDTH, 0.8 + 0.5 * _HEIGHT * sum(weights))
     if frame.title:
         figure.suptitle(frame.title, fontsize="medium")
     panels = list(
@@ -163,10 +165,10 @@ def _figure(frame: Frame, contents: Sequence[_Panel]) -> Figure:
     panels[-1].set_xlabel(_TIME)
     _shade_averaged(panels, frame)
     for axes, content in zip(panels, contents, strict=True):
-        finish(axes, content.label, content.note)
+        plot_style.finish(axes, content.label, content.note)
         if content.pitch is not None:
-            _rule_ridges(axes, MM * content.pitch)
-    letter(panels)
+            _rule_ridges(axes, plot_style.MM * content.pitch)
+    plot_style.letter(panels)
     figure.align_ylabels()
     return figure
 
@@ -188,7 +190,9 @@ def _shade_averaged(panels: Sequence[Axes], frame: Frame) -> None:
     if frame.averaged is None or frame.averaged[0] >= frame.end:
         return
     for axes in panels:
-        shade(axes, *frame.averaged, label="averaged cycles" if axes is panels[0] else "")
+        plot_style.shade(
+            axes, *frame.averaged, label="averaged cycles" if axes is panels[0] else ""
+        )
 
 
 def _rule_ridges(axes: Axes, pitch: float) -> None:

@@ -9,20 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from worm_model import run
 from worm_model.arrays import Array
 from worm_model.gait import Gait
 from worm_model.parameters import Parameters
-from worm_model.run import (
-    IDLE,
-    POWER_VALID,
-    RESTING,
-    RUNNING,
-    GaitStates,
-    LengthSamples,
-    PowerSamples,
-    Run,
-    TrackerSamples,
-)
 from worm_model.simulation.closed_form import front_groove, groove_phase
 from worm_model.simulation.simulator import Motions, simulate
 from worm_model.twin.records import LengthSource
@@ -94,7 +84,7 @@ class SimulatedRun:
             "energy": motions.energy,
         }
 
-    def as_recorded(self) -> Run:
+    def as_recorded(self) -> run.Run:
         """Return the recording of an ideal driver, camera and power sensor, with a rest before the gait."""
         length = self.parameters.initial_length
         step = self.time[1] - self.time[0]
@@ -110,28 +100,28 @@ class SimulatedRun:
         change = after_rest(self.motions.length - length)
         power = np.concatenate([np.full(count, self.parameters.idle_power), self.motions.power])
         x1 = after_rest(self.motions.x1)
-        commanded = LengthSamples(stamp, length + command, command)
-        body = LengthSamples(stamp, length + change, change)
+        commanded = run.LengthSamples(stamp, length + command, command)
+        body = run.LengthSamples(stamp, length + change, change)
         current = power / BUS_VOLTAGE
-        status = np.full(stamp.size, POWER_VALID)
-        return Run(
+        status = np.full(stamp.size, run.POWER_VALID)
+        return run.Run(
             origin=EPOCH_NS,
             commanded=commanded,
             measured=body,
-            tracker=TrackerSamples(stamp, x1, x1 + body.length),
-            power=PowerSamples(stamp, status, np.full(stamp.size, BUS_VOLTAGE), current, power),
+            tracker=run.TrackerSamples(stamp, x1, x1 + body.length),
+            power=run.PowerSamples(stamp, status, np.full(stamp.size, BUS_VOLTAGE), current, power),
             gait_state=self._states(onset),
         )
 
-    def _states(self, onset: int) -> GaitStates:
+    def _states(self, onset: int) -> run.GaitStates:
         """Return the driver's states: the rest, each cycle, the end."""
         period = 1e9 * self.gait.period
         cycle = np.array([0, *range(1, self.cycles + 1), self.cycles])
         begins = [onset + round(k * period) for k in range(self.cycles + 1)]
-        return GaitStates.of(
+        return run.GaitStates.of(
             self.gait,
             np.array([EPOCH_NS, *begins]),
-            state=np.array([RESTING, *[RUNNING] * self.cycles, IDLE]),
+            state=np.array([run.RESTING, *[run.RUNNING] * self.cycles, run.IDLE]),
             onset=np.full(cycle.size, onset),
             cycle=cycle,
             cycles=np.full(cycle.size, self.cycles),

@@ -12,18 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from worm_model.analysis import run_metrics
 from worm_model.analysis.replay_metrics import RunReport, report_replay
-from worm_model.analysis.run_metrics import (
-    END_TOLERANCE_NS,
-    PlayedGait,
-    RecordingError,
-    Window,
-    accumulated_energy,
-    averaged_cycles,
-    completed_cycles,
-    early_end,
-    mean_rate,
-)
 from worm_model.bags.finding import METADATA_FILE
 from worm_model.bags.formats.bag_metadata import read_metadata
 from worm_model.bags.opening import are_sound, is_unfinished, open_bag
@@ -96,7 +86,7 @@ class RunMetrics:
     remarks: Sequence[str]
 
     @property
-    def played(self) -> PlayedGait:
+    def played(self) -> run_metrics.PlayedGait:
         """Gait, from its onset to its end."""
         return self.report.played
 
@@ -133,7 +123,9 @@ class RunMetrics:
     def power(self) -> float:
         """Mean power, W."""
         power = self.run.power
-        return _rate(self._window, accumulated_energy((power.stamp, power.valid_power)), "power")
+        return _rate(
+            self._window, run_metrics.accumulated_energy((power.stamp, power.valid_power)), "power"
+        )
 
     @property
     def grooves_per_cycle(self) -> float:
@@ -150,14 +142,14 @@ class RunMetrics:
     @property
     def notes(self) -> str:
         """Reasons of an early end and of missing verdicts, the operator's notes, and remarks on the bag."""
-        early = early_end(self.run, self.played)
+        early = run_metrics.early_end(self.run, self.played)
         return "; ".join(filter(None, [early, *_not_judged(self.report), *self.remarks]))
 
     @cached_property
-    def _window(self) -> Window | None:
+    def _window(self) -> run_metrics.Window | None:
         """Averaged cycles; None without a completed cycle."""
-        first, last = averaged_cycles(self.run, self.played)
-        completed = completed_cycles(self.run, self.played)
+        first, last = run_metrics.averaged_cycles(self.run, self.played)
+        completed = run_metrics.completed_cycles(self.run, self.played)
         return self.played.cycle_window(first, last) if completed else None
 
 
@@ -172,17 +164,17 @@ def _not_judged(report: RunReport) -> list[str]:
     ]
 
 
-def _last(run: Run, played: PlayedGait) -> int:
+def _last(run: Run, played: run_metrics.PlayedGait) -> int:
     if played.end is not None:
-        return played.end + END_TOLERANCE_NS
+        return played.end + run_metrics.END_TOLERANCE_NS
     return int(np.max(run.commanded.stamp, initial=0))
 
 
-def _rate(window: Window | None, samples: Any, name: str) -> float:
+def _rate(window: run_metrics.Window | None, samples: Any, name: str) -> float:
     """Return the mean rate, or NaN without a completed cycle or without samples over the averaged cycles."""
     if window is None:
         return math.nan
     try:
-        return mean_rate(samples, window, name)
-    except RecordingError:
+        return run_metrics.mean_rate(samples, window, name)
+    except run_metrics.RecordingError:
         return math.nan

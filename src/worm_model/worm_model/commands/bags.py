@@ -10,15 +10,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from worm_model.commands.command_line import (
-    InputError,
-    Parser,
-    ProgressLine,
-    new_file,
-    notifier,
-    print_result,
-    run_command,
-)
+from worm_model.commands import command_line
 
 if TYPE_CHECKING:
     from worm_model.bags.bag import Bag
@@ -27,25 +19,29 @@ TABLE = "table"
 FOLDER = Path("bags")  # where ./worm records
 
 
-def _parser() -> Parser:
-    parser = Parser(
+def _parser() -> command_line.Parser:
+    parser = command_line.Parser(
         prog="bags",
         description="Print a table of the recorded runs below a folder, or process bags with a VERB. `bags FOLDER` "
         "means `bags table FOLDER`.",
     )
-    verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB", parser_class=Parser)
+    verbs = parser.add_subparsers(
+        dest="verb", required=True, metavar="VERB", parser_class=command_line.Parser
+    )
 
     def add_verb(
         name: str, act: Callable[[argparse.Namespace], None], bags: str | None = None, **texts: Any
-    ) -> Parser:
-        verb: Parser = verbs.add_parser(name, **texts)
+    ) -> command_line.Parser:
+        verb: command_line.Parser = verbs.add_parser(name, **texts)
         verb.set_defaults(act=act)
         verb.add_json()
         if name != TABLE:
             verb.add_argument("bag", type=Path, nargs=bags, metavar="BAG")
         return verb
 
-    def add_output(verb: Parser, metavar: str = "BAG2", meaning: str = "must not exist") -> None:
+    def add_output(
+        verb: command_line.Parser, metavar: str = "BAG2", meaning: str = "must not exist"
+    ) -> None:
         verb.add_argument("--output", required=True, metavar=metavar, help=meaning)
 
     table = add_verb(
@@ -90,15 +86,15 @@ def _parser() -> Parser:
 def _table(options: argparse.Namespace) -> None:
     from worm_model.commands.bag_table import bag_rows, describe
 
-    rows, _ = bag_rows(options.folder, options.parameters, ProgressLine("bags"))
-    print_result(options, {"runs": rows}, describe(rows, options.folder))
+    rows, _ = bag_rows(options.folder, options.parameters, command_line.ProgressLine("bags"))
+    command_line.print_result(options, {"runs": rows}, describe(rows, options.folder))
 
 
 def _opened(options: argparse.Namespace, path: Path | None = None) -> Bag:
     """Open a bag, by default that of the options."""
     from worm_model.bags.opening import open_bag
 
-    notify = notifier(f"bags {options.verb}")
+    notify = command_line.notifier(f"bags {options.verb}")
     return open_bag(path or options.bag, notify, getattr(options, "definitions", None))
 
 
@@ -123,21 +119,23 @@ def _info(options: argparse.Namespace) -> None:
     for name, record in content["metadata"].items():
         lines += [f"  {name}.{key}: {value}" for key, value in record.items() if value]
     lines += [f"  attached: {name}" for name in content["attachments"]]
-    print_result(options, content, "\n".join(lines))
+    command_line.print_result(options, content, "\n".join(lines))
 
 
 def _trim(options: argparse.Namespace) -> None:
     from worm_model.bags.operations.cutting import trim
 
     if (options.run is None) == (options.start is None and options.end is None):
-        raise InputError("give --start, --end or both, or --run")
-    output = new_file(options.output)
+        raise command_line.InputError("give --start, --end or both, or --run")
+    output = command_line.new_file(options.output)
     with _opened(options) as bag:
         first, last = bag.start, bag.end
         if options.run is not None:
             spans = _spans(bag)
             if not 1 <= options.run <= len(spans):
-                raise InputError(f"--run {options.run}: {bag.path} contains {len(spans)} runs")
+                raise command_line.InputError(
+                    f"--run {options.run}: {bag.path} contains {len(spans)} runs"
+                )
             first, last = spans[options.run - 1]
         elif options.start is not None:
             first = bag.start + round(options.start * 1e9)
@@ -163,11 +161,13 @@ def _spans(bag: Bag) -> list[tuple[int, int]]:
 def _split(options: argparse.Namespace) -> None:
     from worm_model.bags.operations.cutting import trim
 
-    output = new_file(options.output)
+    output = command_line.new_file(options.output)
     with _opened(options) as bag:
         spans = _spans(bag)
         if not spans:
-            raise InputError(f"{bag.path}: contains no run. Use `bags trim` to cut by time")
+            raise command_line.InputError(
+                f"{bag.path}: contains no run. Use `bags trim` to cut by time"
+            )
         output.mkdir()
         made = [output / f"run_{number}" for number in range(1, len(spans) + 1)]
         counts = [trim(bag, path, *span) for path, span in zip(made, spans, strict=True)]
@@ -177,7 +177,7 @@ def _split(options: argparse.Namespace) -> None:
 def _merge(options: argparse.Namespace) -> None:
     from worm_model.bags.operations.cutting import merge
 
-    output = new_file(options.output)
+    output = command_line.new_file(options.output)
     with ExitStack() as stack:
         count = merge([stack.enter_context(_opened(options, path)) for path in options.bag], output)
     _written(options, {"bag": str(output), "messages": count})
@@ -185,19 +185,19 @@ def _merge(options: argparse.Namespace) -> None:
 
 def _written(options: argparse.Namespace, content: dict[str, Any]) -> None:
     where = content.get("bag") or ", ".join(content["bags"])
-    print_result(options, content, f"{where}: {content['messages']} messages")
+    command_line.print_result(options, content, f"{where}: {content['messages']} messages")
 
 
 def _clean(options: argparse.Namespace) -> None:
     from worm_model.bags.operations.cleaning import clean_bag
 
-    output = new_file(options.output)
+    output = command_line.new_file(options.output)
     with _opened(options) as bag:
         count = bag.message_count
         cleaner = clean_bag(bag, output)
     content = {"bag": str(output), "messages": count, "changed": cleaner.changed}
     text = f"{output}: {count} messages, {cleaner.changed} of them with changed texts"
-    print_result(options, content, text)
+    command_line.print_result(options, content, text)
 
 
 VERBS = (TABLE, "info", "trim", "split", "merge", "clean")
@@ -211,4 +211,6 @@ def _arguments(given: list[str]) -> list[str]:
 
 def main() -> int:
     """Entry point of the executable bags."""
-    return run_command(_parser(), lambda options: options.act(options), _arguments(sys.argv[1:]))
+    return command_line.run_command(
+        _parser(), lambda options: options.act(options), _arguments(sys.argv[1:])
+    )

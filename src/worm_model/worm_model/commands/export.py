@@ -27,20 +27,11 @@ from worm_model.bags.operations.tables import (
 )
 from worm_model.bags.run_reader import RUN_TOPICS, read_run
 from worm_model.bags.worm_topics import TYPES
-from worm_model.commands.command_line import (
-    DONE,
-    FAILED,
-    InputError,
-    Parser,
-    executable,
-    new_file,
-    notifier,
-    print_result,
-)
+from worm_model.commands import command_line
 
 STEM_BYTES = 200
 MERGED = "run"  # name of the table with all measurements and commands
-_NOTIFY = notifier("export")
+_NOTIFY = command_line.notifier("export")
 
 Kinds = Mapping[str, Kind]
 _RUN_TYPES = {TYPES[name] for name in RUN_TOPICS if name != "joint_states"}
@@ -85,7 +76,7 @@ class ParquetWriter:
             import pyarrow as arrow
             from pyarrow import parquet
         except ImportError:
-            raise InputError(
+            raise command_line.InputError(
                 "Parquet needs pyarrow: pip install pyarrow, or use --format csv"
             ) from None
         types = {
@@ -182,8 +173,8 @@ def _file_stem(topic: str) -> str:
     return plain.encode(errors="replace")[:STEM_BYTES].decode(errors="ignore") or "_"
 
 
-def _parser() -> Parser:
-    parser = Parser(
+def _parser() -> command_line.Parser:
+    parser = command_line.Parser(
         prog="export",
         description="Write a table for each topic of a bag (a row per message, a column per field, times in ns), and "
         f"{MERGED}.csv or {MERGED}.parquet with all measurements and commands, in seconds since the gait's onset. "
@@ -206,15 +197,15 @@ def _parser() -> Parser:
 
 
 def _export(options: argparse.Namespace) -> int:
-    output = new_file(options.output)
+    output = command_line.new_file(options.output)
     with open_bag(options.bag, _NOTIFY, options.definitions) as bag:
         exported = export(bag, output, options.format, options.topic, options.namespace)
     for name, reason in exported.left_out.items():
         _NOTIFY(f"{name} is left out: {reason}")
     text = "\n".join(f"{output / name}: {count} rows" for name, count in exported.rows.items())
     content = {"output": str(output), "rows": exported.rows, "left_out": exported.left_out}
-    print_result(options, content, text)
-    return FAILED if exported.left_out else DONE
+    command_line.print_result(options, content, text)
+    return command_line.FAILED if exported.left_out else command_line.DONE
 
 
-main = executable(_parser, _export)
+main = command_line.executable(_parser, _export)

@@ -11,19 +11,11 @@ import numpy as np
 
 from worm_model.bags.formats.bag_writer import new_bag
 from worm_model.bags.run_writer import write_run
-from worm_model.commands.command_line import (
-    InputError,
-    Parser,
-    executable,
-    new_file,
-    notifier,
-    number,
-    print_result,
-)
+from worm_model.commands import command_line
 from worm_model.identification.data.lab_logs import LabRun, LabSettings, read_lab_run
 from worm_model.parameters import Parameters, load_parameters
 
-_notify = notifier("import_lab")
+_notify = command_line.notifier("import_lab")
 EPOCH_S = 1767225600  # 2026-01-01 00:00 UTC: the logs carry no date, and a stamp of 0 means "unknown" in ROS
 
 _LARGEST_SPOOL = 0.2  # m
@@ -62,8 +54,8 @@ def _gait(lab: LabRun, settings: LabSettings) -> dict[str, str]:
     return {key: str(value) for key, value in asdict(gait).items()} | {"onset_ns": str(onset)}
 
 
-def _parser() -> Parser:
-    parser = Parser(
+def _parser() -> command_line.Parser:
+    parser = command_line.Parser(
         prog="import_lab",
         description="Convert a lab's run to a bag: camera.csv, power.csv and servo.csv in FOLDER, the gait in "
         "runs.json in it or in its parent folder.",
@@ -76,7 +68,7 @@ def _parser() -> Parser:
     )
     parser.add_argument(
         "--epoch",
-        type=number,
+        type=command_line.number,
         default=EPOCH_S,
         metavar="S",
         help="UTC of t = 0 in s (default: 2026-01-01)",
@@ -92,7 +84,7 @@ def _parser() -> Parser:
 def _run(options: argparse.Namespace) -> None:
     parameters = load_parameters(options.parameters) if options.parameters else Parameters()
     if options.epoch < 0:
-        raise InputError("--epoch must not be negative")
+        raise command_line.InputError("--epoch must not be negative")
     if options.spool_radius is not None:
         _check_length("--spool-radius", options.spool_radius, _LARGEST_SPOOL)
     if options.initial_length is not None:
@@ -104,7 +96,7 @@ def _run(options: argparse.Namespace) -> None:
         initial_length=options.initial_length,
         fallback_length=parameters.initial_length,
     )
-    output = new_file(options.output)
+    output = command_line.new_file(options.output)
     lab = import_lab(options.folder, output, settings, options.namespace)
     for remark in lab.transmission.remarks:
         _notify(remark)
@@ -117,14 +109,16 @@ def _run(options: argparse.Namespace) -> None:
     }
     content = {"bag": str(output), "initial_length": lab.initial_length, **counts}
     summary = ", ".join(f"{count} {name}" for name, count in counts.items())
-    print_result(
+    command_line.print_result(
         options, content, f"{output}: {summary}; initial length {lab.initial_length:.4f} m"
     )
 
 
 def _check_length(option: str, value: float, most: float) -> None:
     if not 0.0 < value <= most:
-        raise InputError(f"{option} {value:g}: give a length in m, above 0 and at most {most:g}")
+        raise command_line.InputError(
+            f"{option} {value:g}: give a length in m, above 0 and at most {most:g}"
+        )
 
 
-main = executable(_parser, _run)
+main = command_line.executable(_parser, _run)

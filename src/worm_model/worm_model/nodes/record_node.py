@@ -25,16 +25,7 @@ from worm_model.bags.recording.recording_session import (
 )
 from worm_model.bags.recording.run_manifest import GAIT_RECORD, is_text, run_manifest
 from worm_model.bags.recording.topic_selection import TopicSelection
-from worm_model.commands.command_line import (
-    BAD_INPUT,
-    DONE,
-    FAILED,
-    Parser,
-    not_negative,
-    notifier,
-    print_json,
-    run_command,
-)
+from worm_model.commands import command_line
 from worm_model.conditions import conditions_of
 from worm_model.nodes.raw_subscriptions import RecordNode
 from worm_msgs import readiness
@@ -49,7 +40,7 @@ SERVICES = ("start", "stop", "pause", "resume", "split", "snapshot")
 
 
 def _whole(text: str) -> int:
-    not_negative(text)
+    command_line.not_negative(text)
     return int(text)
 
 
@@ -59,8 +50,8 @@ def _positive(text: str) -> int:
     return int(text)
 
 
-def _parser() -> Parser:
-    parser = Parser(
+def _parser() -> command_line.Parser:
+    parser = command_line.Parser(
         prog="record",
         description="Record topics to a rosbag2 bag (MCAP). Services of the node: ~/start, ~/stop, ~/pause, "
         "~/resume, ~/split, ~/snapshot (std_srvs/Trigger).",
@@ -108,14 +99,14 @@ def _parser() -> Parser:
     parser.add_argument(
         "-d",
         "--max-bag-duration",
-        type=not_negative,
+        type=command_line.not_negative,
         default=0.0,
         metavar="S",
         help="split after this time",
     )
     parser.add_argument(
         "--duration",
-        type=not_negative,
+        type=command_line.not_negative,
         default=0.0,
         metavar="S",
         help="stop after this time",
@@ -128,7 +119,7 @@ def _parser() -> Parser:
     )
     parser.add_argument(
         "--snapshot",
-        type=not_negative,
+        type=command_line.not_negative,
         default=0.0,
         metavar="S",
         help="store the last S seconds in memory, and write only them, to OUTPUT_snapshot_1 and so on, when the twin "
@@ -319,7 +310,7 @@ def _report(
     arguments: argparse.Namespace,
 ) -> int:
     recording.show("\n")
-    notify = notifier("record")
+    notify = command_line.notifier("record")
     for name in node.missing:
         notify(f"{name} was never published")
     for name, count in node.missed.items():
@@ -332,7 +323,7 @@ def _report(
             "missing": node.missing,
             "missed": node.missed,
         }
-        print_json(outcome)
+        command_line.print_json(outcome)
     error = session.error
     if isinstance(error, FileNotFoundError):
         lost = session.dropped.messages
@@ -341,7 +332,7 @@ def _report(
         notify(
             f"{session.failed} could not be written: {error}. Recover the part that was written with recover"
         )
-    return DONE if error is None else FAILED
+    return command_line.DONE if error is None else command_line.FAILED
 
 
 def _record(options: argparse.Namespace) -> int:
@@ -357,6 +348,6 @@ def main() -> int:
     """Entry point of ``ros2 run worm_model record``."""
     invalid = next((a for a in sys.argv if not is_text(a)), None)
     if invalid is not None:  # ROS could not parse it.
-        notifier("record")(f"an argument is not UTF-8 text: {invalid!r}")
-        return BAD_INPUT
-    return run_command(_parser(), _record, own_arguments(sys.argv)[1:])
+        command_line.notifier("record")(f"an argument is not UTF-8 text: {invalid!r}")
+        return command_line.BAD_INPUT
+    return command_line.run_command(_parser(), _record, own_arguments(sys.argv)[1:])

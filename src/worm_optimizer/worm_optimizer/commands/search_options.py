@@ -14,16 +14,8 @@ from worm_model.conditions import CONDITION_PARAMETERS
 from worm_model.gait import Profile
 from worm_model.text_table import text_table
 from worm_optimizer.robustness.prediction import Prediction
+from worm_optimizer.search import search_settings
 from worm_optimizer.search.gait_request import GaitRequest, Objective
-from worm_optimizer.search.search_settings import (
-    FRONT_SETTINGS,
-    SCAN_SETTINGS,
-    SETTINGS,
-    Robustness,
-    SettingRow,
-    Settings,
-    settings_of,
-)
 
 _OBJECTIVES = (Objective.MIN_POWER, Objective.CRUISE, Objective.MAX_SPEED)
 # Placeholder of the value by the end of a parameter's name; the longest end first.
@@ -48,7 +40,7 @@ _NAMED = {objective.name.lower(): objective for objective in _OBJECTIVES}
 def add_scan_options(parser: Parser) -> None:
     """Add the options of every search: model, direction, box, limits, scan, output."""
     parser.add_direction()
-    _add_settings(parser, SCAN_SETTINGS)
+    _add_settings(parser, search_settings.SCAN_SETTINGS)
     parser.add_figure()
     parser.add_json()
     parser.add_parameters()
@@ -56,20 +48,20 @@ def add_scan_options(parser: Parser) -> None:
 
 def add_campaign_options(parser: Parser) -> None:
     """Add the options of a front, except for the conditions, which are options of the robot (`robot_options`)."""
-    rows = (*SCAN_SETTINGS, *FRONT_SETTINGS)
+    rows = (*search_settings.SCAN_SETTINGS, *search_settings.FRONT_SETTINGS)
     _add_settings(parser, tuple(r for r in rows if r.parameter not in CONDITION_PARAMETERS))
 
 
 def add_front_options(parser: Parser) -> None:
     """Add the options of `add_scan_options` and of a front."""
     add_scan_options(parser)
-    _add_settings(parser, FRONT_SETTINGS)
+    _add_settings(parser, search_settings.FRONT_SETTINGS)
 
 
-def chosen_settings(options: argparse.Namespace) -> Settings:
+def chosen_settings(options: argparse.Namespace) -> search_settings.Settings:
     """Return the settings of the options. Raises `InputError` if they are not admissible."""
     values: dict[str, Any] = {}
-    for option, rows in _by_option(SETTINGS):
+    for option, rows in _by_option(search_settings.SETTINGS):
         value = getattr(options, option.replace("-", "_"), None)
         if value is not None:
             values |= dict(
@@ -79,8 +71,8 @@ def chosen_settings(options: argparse.Namespace) -> Settings:
                     strict=True,
                 )
             )
-    settings = settings_of(values)
-    if settings.margin is not None and settings.robustness is not Robustness.MARGIN:
+    settings = search_settings.settings_of(values)
+    if settings.margin is not None and settings.robustness is not search_settings.Robustness.MARGIN:
         raise InputError(
             f"--margin {settings.margin:g} m has no effect with --robustness {settings.robustness.value}: "
             "remove one of them"
@@ -88,7 +80,7 @@ def chosen_settings(options: argparse.Namespace) -> Settings:
     return settings
 
 
-def _add_settings(parser: Parser, chosen: tuple[SettingRow, ...]) -> None:
+def _add_settings(parser: Parser, chosen: tuple[search_settings.SettingRow, ...]) -> None:
     for option, rows in _by_option(chosen):
         first = rows[0]
         meaning = "; ".join(row.meaning for row in rows)
@@ -104,13 +96,15 @@ def _add_settings(parser: Parser, chosen: tuple[SettingRow, ...]) -> None:
         )
 
 
-def _value(row: SettingRow) -> str:
+def _value(row: search_settings.SettingRow) -> str:
     """Return the placeholder of a setting's value in the help."""
     endings = (ending for ending in _VALUES if row.parameter.endswith(ending))
     return _VALUES[next(endings, "")]
 
 
-def _by_option(rows: tuple[SettingRow, ...]) -> list[tuple[str, list[SettingRow]]]:
+def _by_option(
+    rows: tuple[search_settings.SettingRow, ...],
+) -> list[tuple[str, list[search_settings.SettingRow]]]:
     """Return the rows of each option, in order. Neighbouring rows may share an option."""
     grouped = groupby((row for row in rows if row.option), key=lambda row: row.option)
     return [(option, list(group)) for option, group in grouped]

@@ -10,19 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from worm_model.commands.command_line import (
-    BAD_INPUT,
-    DONE,
-    FAILED,
-    InputError,
-    Parser,
-    ProgressLine,
-    duration,
-    new_file,
-    notifier,
-    print_result,
-    run_command,
-)
+from worm_model.commands import command_line
 from worm_optimizer.study.plan import Study
 from worm_optimizer.study.study_file import load_study
 
@@ -44,17 +32,17 @@ try:
         verify_store,
     )
 except ModuleNotFoundError as error:  # optional packages, which a robot does not need
-    notifier("study")(
+    command_line.notifier("study")(
         f"{error.name} is not installed: start it as ./worm study, or "
         "pip install -r requirements-study.txt -c constraints.txt"
     )
-    sys.exit(BAD_INPUT)
+    sys.exit(command_line.BAD_INPUT)
 
-_say = notifier("study")
+_say = command_line.notifier("study")
 
 
-def _parser() -> Parser:
-    parser = Parser(
+def _parser() -> command_line.Parser:
+    parser = command_line.Parser(
         prog="study",
         description="Compute fronts, gaits, cliffs and success probabilities for many parameter sets, or read many "
         "bags, on all cores of this machine or on a Dask cluster. Finished blocks are stored: the same command "
@@ -101,12 +89,16 @@ def _parser() -> Parser:
 def _study(options: argparse.Namespace) -> int:
     sources = options.study, options.bags, options.source, options.verify
     if sum(source is not None for source in sources) != 1:
-        raise InputError("give one of STUDY.yaml, --bags FOLDER, --from STORE and --verify STORE")
+        raise command_line.InputError(
+            "give one of STUDY.yaml, --bags FOLDER, --from STORE and --verify STORE"
+        )
     if options.workers is not None and not (options.workers >= 1 and not options.scheduler):
-        raise InputError("--workers: give at least 1, and not together with --scheduler")
+        raise command_line.InputError(
+            "--workers: give at least 1, and not together with --scheduler"
+        )
     if options.verify is not None:
         return _verify(options)
-    page = new_file(options.page) if options.page else None
+    page = command_line.new_file(options.page) if options.page else None
     if options.bags is not None:
         return _fleet(options, page)
     return _points(options, page)
@@ -119,8 +111,8 @@ def _verify(options: argparse.Namespace) -> int:
     text = f"{counts.done} of {counts.points} points in {options.verify}; {damaged} of them are damaged"
     if damaged:
         text += f": ./worm study --from {options.verify} computes them again"
-    print_result(options, content, text)
-    return FAILED if damaged else DONE
+    command_line.print_result(options, content, text)
+    return command_line.FAILED if damaged else command_line.DONE
 
 
 def _points(options: argparse.Namespace, page: Path | None) -> int:
@@ -129,20 +121,22 @@ def _points(options: argparse.Namespace, page: Path | None) -> int:
     workers = Workers(options.scheduler, options.workers)
     if options.dry_run:
         cost = estimate(study, workers, _say)
-        print_result(
+        command_line.print_result(
             options,
             {"points": study.size, "block_points": study.block_points, **dataclasses.asdict(cost)},
             f"{study.size} points in {cost.blocks} blocks of up to {study.block_points}: about "
-            f"{duration(cost.seconds)} with {cost.workers} workers as fast as this machine",
+            f"{command_line.duration(cost.seconds)} with {cost.workers} workers as fast as this machine",
         )
-        return DONE
+        return command_line.DONE
     if output is None:
-        raise InputError("--output is missing: name the study's output, e.g. STUDY.zarr")
-    file = new_file(options.export) if options.export else None
+        raise command_line.InputError(
+            "--output is missing: name the study's output, e.g. STUDY.zarr"
+        )
+    file = command_line.new_file(options.export) if options.export else None
     if file is not None:
         check_export(file)
     compute = retry_study if options.retry_failed else run_study
-    counts = compute(study, output, workers, _say, ProgressLine("study"))
+    counts = compute(study, output, workers, _say, command_line.ProgressLine("study"))
     if page is not None:
         write_page(output, study, page)
     if file is not None:
@@ -159,7 +153,9 @@ def _described(options: argparse.Namespace) -> tuple[Study, Path | None]:
     if options.source is None:
         return load_study(options.study, options.parameters), options.output
     if options.parameters:
-        raise InputError("--parameters: the store contains the parameters; remove the option")
+        raise command_line.InputError(
+            "--parameters: the store contains the parameters; remove the option"
+        )
     study, output = stored_study(options.source), options.output or options.source
     if output != options.source and not is_of_this_code(options.source):
         _say(f"{options.source} was computed by another version of the code, {output} by this one")
@@ -169,14 +165,16 @@ def _described(options: argparse.Namespace) -> tuple[Study, Path | None]:
 def _fleet(options: argparse.Namespace, page: Path | None) -> int:
     """Read all bags of a folder."""
     if options.output is None or options.output.suffix != ".parquet":
-        raise InputError("--output: name the fleet's table, e.g. FLEET.parquet")
+        raise command_line.InputError("--output: name the fleet's table, e.g. FLEET.parquet")
     if options.export or options.dry_run:
-        raise InputError("--export and --dry-run are for studies; remove them, or --bags")
+        raise command_line.InputError(
+            "--export and --dry-run are for studies; remove them, or --bags"
+        )
     where = options.bags, options.parameters, options.output
     if options.retry_failed:
         reopen_fleet(*where)
     workers = Workers(options.scheduler, options.workers)
-    counts = read_fleet(*where, workers, _say, ProgressLine("bags"))
+    counts = read_fleet(*where, workers, _say, command_line.ProgressLine("bags"))
     if page is not None:
         write_fleet_page(options.output, options.parameters, page)
     _print(options, counts, options.output, {}, [])
@@ -186,12 +184,12 @@ def _fleet(options: argparse.Namespace, page: Path | None) -> int:
 def _status(options: argparse.Namespace, counts: Counts, tolerated: int) -> int:
     """Return the exit status, and report it if more than ``tolerated`` points or bags failed."""
     if counts.failed <= tolerated or options.accept_failures:
-        return DONE
+        return command_line.DONE
     _say(
-        f"{counts.failed} of {counts.points} failed, so the exit status is {FAILED}; "
+        f"{counts.failed} of {counts.points} failed, so the exit status is {command_line.FAILED}; "
         "--accept-failures accepts them"
     )
-    return FAILED
+    return command_line.FAILED
 
 
 def _print(
@@ -206,7 +204,7 @@ def _print(
     text = f"{counts.done} of {counts.points} {what} in {output}"
     if counts.failed:
         text += f"; {counts.failed} of them failed, the reasons are in the column reason"
-    print_result(options, content, "\n".join([text, *lines]))
+    command_line.print_result(options, content, "\n".join([text, *lines]))
 
 
 def _indices_json(indices: Mapping[str, Indices], inputs: list[str]) -> dict[str, Any]:
@@ -244,6 +242,6 @@ def main() -> int:
             return _study(options)
         except LostError as error:
             _say(str(error))
-            return FAILED
+            return command_line.FAILED
 
-    return run_command(_parser(), reported)
+    return command_line.run_command(_parser(), reported)

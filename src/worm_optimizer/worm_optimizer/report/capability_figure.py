@@ -7,36 +7,36 @@ from collections.abc import Mapping, Sequence
 
 from matplotlib.figure import Figure
 
-from worm_model.analysis.plot_style import BLUE, CYCLE, MM, VERMILION, finish, letter, new_figure
+from worm_model.analysis import plot_style
 from worm_optimizer.search.capability import Capability, LoadPoint
 
 
 def capability_figure(found: Mapping[str, Capability], points: Sequence[LoadPoint]) -> Figure:
     """Draw the lowest cost of transport and the highest speed over the load, and the largest load of each gait."""
-    figure = new_figure(11.0, 4.2)
+    figure = plot_style.new_figure(11.0, 4.2)
     curves, bars = figure.subplots(1, 2, width_ratios=(1.4, 1.0))
     loads = [point.load for point in points]
     costs = [point.cost_of_transport for point in points]
-    curves.plot(loads, costs, color=BLUE, marker="o", label="lowest cost of transport")
+    curves.plot(loads, costs, color=plot_style.BLUE, marker="o", label="lowest cost of transport")
     curves.set_xlabel("load against the gait (N)")
     speeds = curves.twinx()
     speeds.plot(
         loads,
-        [MM * point.speed for point in points],
-        color=VERMILION,
+        [plot_style.MM * point.speed for point in points],
+        color=plot_style.VERMILION,
         marker="s",
         linestyle="--",
         label="highest speed",
     )
-    speeds.set_ylabel("highest speed (mm/s)", color=VERMILION)
+    speeds.set_ylabel("highest speed (mm/s)", color=plot_style.VERMILION)
     speeds.set_ylim(bottom=0.0)
-    finish(curves, "lowest cost of transport (1)", "best gaits without a margin")
+    plot_style.finish(curves, "lowest cost of transport (1)", "best gaits without a margin")
     names = [name.replace("_", " ") for name in found]
     places = range(len(names))
     bars.barh(
         places,
         [each.largest_load for each in found.values()],
-        color=[CYCLE[place % len(CYCLE)] for place in places],
+        color=[plot_style.CYCLE[place % len(plot_style.CYCLE)] for place in places],
     )
     for place, each in zip(places, found.values(), strict=True):
         note = f" {each.largest_load:.1f} N, {each.largest_slope_deg:.0f}°"
@@ -46,5 +46,5 @@ def capability_figure(found: Mapping[str, Capability], points: Sequence[LoadPoin
     bars.set_xlabel("largest load (N)")
     bars.set_xlim(right=1.35 * max(each.largest_load for each in found.values()) + 1.0)
     bars.set_title("largest load and slope", loc="left", fontsize="small")
-    letter((curves, bars))
+    plot_style.letter((curves, bars))
     return figure

@@ -18,17 +18,7 @@ from worm_model.analysis.plot_style import save_figure
 from worm_model.conditions import LEVEL
 from worm_model.identification.report.identification_figures import bellows_figure, fin_figure
 from worm_model.parameters import KEYS, PAPER, SYMBOLS, UNITS
-from worm_optimizer.report.agreement import (
-    LEAST_DISAGREEMENT,
-    QUANTITIES,
-    agreements,
-    expected_range,
-    headline,
-    order_text,
-    orders,
-    percent,
-    title_of,
-)
+from worm_optimizer.report import agreement
 from worm_optimizer.report.front_plots import measured_front_figure, price_figure
 from worm_optimizer.report.identification_parts import (
     IdentificationParts,
@@ -108,21 +98,23 @@ def build_report(report: Report, folder: Path) -> Path:
     )
     environment.filters |= {
         "mm": _millimetres,
-        "title_of": title_of,
-        "percent": percent,
-        "expected_range": expected_range,
+        "title_of": agreement.title_of,
+        "percent": agreement.percent,
+        "expected_range": agreement.expected_range,
         "symbol": _symbol,
     }
     content = {
         "report": report,
-        "headline": headline(report.gaits) if report.gaits else "",
-        "good": all(row.agrees for g in report.gaits for row in agreements(g))
+        "headline": agreement.headline(report.gaits) if report.gaits else "",
+        "good": all(row.agrees for g in report.gaits for row in agreement.agreements(g))
         and not any(gait.early_end for gait in report.gaits),
         "facts": _facts(report.gaits),
-        "quantities": QUANTITIES,
-        "agreements": [row for gait in report.gaits for row in agreements(gait)],
-        "cap": LEAST_DISAGREEMENT,
-        "orders": [(order, order_text(order)) for order in orders(report.gaits)],
+        "quantities": agreement.QUANTITIES,
+        "agreements": [row for gait in report.gaits for row in agreement.agreements(gait)],
+        "cap": agreement.LEAST_DISAGREEMENT,
+        "orders": [
+            (order, agreement.order_text(order)) for order in agreement.orders(report.gaits)
+        ],
         "failures": list(_failures(report.gaits)),
         "overlay": _overlay(report.gaits, pictures),
         "front": _front_pictures(report, pictures),
@@ -168,20 +160,20 @@ def _failures(gaits: Sequence[RecordedGait]) -> Iterator[str]:
     """Yield a line for each early end, disagreement, missing value and error, the most severe kind of a gait first."""
     for gait in gaits:
         if gait.early_end:
-            yield f"{title_of(gait.name)}: {gait.early_end}"
-    for row in (row for gait in gaits for row in agreements(gait)):
+            yield f"{agreement.title_of(gait.name)}: {gait.early_end}"
+    for row in (row for gait in gaits for row in agreement.agreements(gait)):
         if row.agrees is False:
-            name = QUANTITIES[row.quantity].name
-            yield f"{title_of(row.gait)}: {name} is {percent(row.difference)} off"
-    for order in orders(gaits):
+            name = agreement.QUANTITIES[row.quantity].name
+            yield f"{agreement.title_of(row.gait)}: {name} is {agreement.percent(row.difference)} off"
+    for order in agreement.orders(gaits):
         if order.preserved is False:
-            yield order_text(order)
+            yield agreement.order_text(order)
     for gait in gaits:
-        yield from (f"{title_of(gait.name)}: {reason}" for reason in gait.missing)
+        yield from (f"{agreement.title_of(gait.name)}: {reason}" for reason in gait.missing)
         for event in gait.events:
             if event.level == "error":
                 when = f" at {event.time:.2f} s" if math.isfinite(event.time) else ""
-                yield f"{title_of(gait.name)}, {event.source}{when}: {event.text}"
+                yield f"{agreement.title_of(gait.name)}, {event.source}{when}: {event.text}"
 
 
 def _overlay(gaits: Sequence[RecordedGait], pictures: _Pictures) -> Picture | None:

@@ -9,15 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from worm_model.analysis.plot_style import (
-    BLUE,
-    EFFECTIVE,
-    MM,
-    VERMILION,
-    finish,
-    letter,
-    new_figure,
-)
+from worm_model.analysis import plot_style
 from worm_model.analysis.run_curves import (
     energy_curves,
     length_curves,
@@ -64,36 +56,38 @@ def draw_energy(gait: RecordedGait) -> Figure:
     powers = power_curves(gait.run, gait.replay, onset)
     energies, residuals = energy_curves(gait.run, gait.replay, onset)
     time, model = _model_of(gait)
-    powers = [*powers, Curve(_MODEL, time, model.power, EFFECTIVE)]
-    energies = [*energies, Curve(_MODEL, time, model.energy, EFFECTIVE)]
+    powers = [*powers, Curve(_MODEL, time, model.power, plot_style.EFFECTIVE)]
+    energies = [*energies, Curve(_MODEL, time, model.energy, plot_style.EFFECTIVE)]
     return energy_figure(_frame(gait, ridges_passed_at(gait)), powers, energies, residuals)
 
 
 def draw_cycles(gait: RecordedGait) -> Figure:
     """Draw grooves gained and residuals of the twin for each cycle."""
     cycles = gait.judged.cycles
-    figure = new_figure(WIDTH, 2.9)
+    figure = plot_style.new_figure(WIDTH, 2.9)
     panels = figure.subplots(1, 4)
     number = np.arange(1, len(cycles) + 1)
     measured, twin = ([getattr(c, f) for c in cycles] for f in ("measured_grooves", "grooves"))
-    panels[0].bar(number - 0.2, measured, 0.4, color=BLUE, label="measured")
-    panels[0].bar(number + 0.2, twin, 0.4, color=VERMILION, hatch="//", label="twin")
+    panels[0].bar(number - 0.2, measured, 0.4, color=plot_style.BLUE, label="measured")
+    panels[0].bar(number + 0.2, twin, 0.4, color=plot_style.VERMILION, hatch="//", label="twin")
     bars, names = panels[0].get_legend_handles_labels()
     figure.legend(bars, names, loc="outside upper left", ncols=2, fontsize="small", frameon=False)
-    finish(panels[0], "grooves gained (1)")
+    plot_style.finish(panels[0], "grooves gained (1)")
     panels[0].get_legend().remove()  # It is wider than the panel.
     for axes, name, scale, label in (
-        (panels[1], "x1_rmse", MM, "x1 (mm rms)"),
-        (panels[2], "length_rmse", MM, "length (mm rms)"),
+        (panels[1], "x1_rmse", plot_style.MM, "x1 (mm rms)"),
+        (panels[2], "length_rmse", plot_style.MM, "length (mm rms)"),
         (panels[3], "power_rmse", 1.0, "power (W rms)"),
     ):
-        axes.bar(number, [scale * getattr(c.residuals, name) for c in cycles], color=BLUE)
-        finish(axes, label)
+        axes.bar(
+            number, [scale * getattr(c.residuals, name) for c in cycles], color=plot_style.BLUE
+        )
+        plot_style.finish(axes, label)
     for axes in panels:
         axes.set_xlabel("cycle")
         axes.set_xticks(number)
         axes.grid(visible=False, axis="x")
-    letter(panels)
+    plot_style.letter(panels)
     return figure
 
 

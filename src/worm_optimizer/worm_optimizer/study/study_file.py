@@ -31,23 +31,13 @@ from worm_msgs.yaml_file import SettingsFileError, parse_yaml
 from worm_optimizer.evaluation.servo_limits import DrivenBy, load_driver_file, servo_model
 from worm_optimizer.search.exact import Resolution as ScanResolution
 from worm_optimizer.search.search_settings import ScanSettings, Waveform
-from worm_optimizer.study.plan import (
-    COMPUTABLE,
-    EXTENDABLE,
-    MOST_POINTS,
-    SALTELLI,
-    Axis,
-    Hardware,
-    Resolution,
-    Sample,
-    Study,
-)
+from worm_optimizer.study import plan
 from worm_optimizer.study.quantities import QUANTITIES, SHAPE_BOUNDS
 
 CLIFF = "cliff"  # written instead of a margin: the margin at the cliff of the point's own scan
 _FINEST = 10_000  # values of a resolution
 _MOST_VALUES = 100_000  # of an axis
-_SCAN, _PLAIN = ScanResolution(), Resolution()
+_SCAN, _PLAIN = ScanResolution(), plan.Resolution()
 
 Quantity = Annotated[str, OneOf(tuple(QUANTITIES))]
 
@@ -83,13 +73,13 @@ class StudyFile:
     parameters: str = ""
     parameter_files: Any = None
     vary: Mapping[Quantity, Any] = field(default_factory=dict)
-    sample: Sample | None = None
+    sample: plan.Sample | None = None
     fixed: Mapping[Quantity, Any] = field(default_factory=dict)
     hardware: _HardwareFile | None = None
-    compute: Annotated[tuple[Annotated[str, OneOf(COMPUTABLE)], ...], key(min_length=1)]
+    compute: Annotated[tuple[Annotated[str, OneOf(plan.COMPUTABLE)], ...], key(min_length=1)]
     resolution: _ResolutionFile = _ResolutionFile()
     scan: _ScanFile = _ScanFile()
-    block_points: Annotated[int | None, key(ge=1, le=MOST_POINTS)] = None
+    block_points: Annotated[int | None, key(ge=1, le=plan.MOST_POINTS)] = None
     waveform: Annotated[str, OneOf(tuple(kind.value for kind in Waveform))] = (
         Waveform.SINUSOID.value
     )
@@ -99,7 +89,7 @@ class StudyError(InputError):
     """The description of a study is invalid. The message contains the key, the reason and what to write."""
 
 
-def load_study(path: str | Path, parameters: str = "") -> Study:
+def load_study(path: str | Path, parameters: str = "") -> plan.Study:
     """Read the file of a study.
 
     Args:
@@ -120,7 +110,7 @@ def load_study(path: str | Path, parameters: str = "") -> Study:
         raise StudyError(f"{path}: {error}") from None
 
 
-def parse_study(text: str, folder: Path, parameters: str = "") -> Study:
+def parse_study(text: str, folder: Path, parameters: str = "") -> plan.Study:
     """Return the `Study` described by the text of its file, see `load_study`."""
     try:
         content = parse_yaml(text)
@@ -138,7 +128,7 @@ def parse_study(text: str, folder: Path, parameters: str = "") -> Study:
         raise StudyError(f"{min(twice)}: stands under vary and under fixed; keep one")
     fine = dataclasses.asdict(file.resolution)
     scan = ScanResolution(fine.pop("strokes"), fine.pop("frequencies"))
-    study = Study(
+    study = plan.Study(
         title=file.title,
         text=text,
         files=_files(file, folder, parameters),
@@ -147,8 +137,8 @@ def parse_study(text: str, folder: Path, parameters: str = "") -> Study:
         fixed=fixed,
         margin_at_cliff=at_cliff,
         hardware=_hardware(file.hardware, folder),
-        compute=tuple(name for name in COMPUTABLE if name in file.compute),
-        resolution=Resolution(scan, **fine),
+        compute=tuple(name for name in plan.COMPUTABLE if name in file.compute),
+        resolution=plan.Resolution(scan, **fine),
         scan=ScanSettings(**dataclasses.asdict(file.scan)),
         block_points=1,
         waveform=Waveform(file.waveform),
@@ -158,7 +148,7 @@ def parse_study(text: str, folder: Path, parameters: str = "") -> Study:
     return dataclasses.replace(study, block_points=points)
 
 
-def format_study(study: Study) -> str:
+def format_study(study: plan.Study) -> str:
     """Return the text of a file that describes the same study without any other file."""
     margin: dict[str, Any] = {"margin_m": CLIFF} if study.margin_at_cliff else {}
     resolution, scan, driver = study.resolution, study.scan, study.hardware.driver
@@ -192,32 +182,32 @@ def format_study(study: Study) -> str:
     return yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
 
 
-def identity_of(study: Study) -> str:
+def identity_of(study: plan.Study) -> str:
     """Return a hash of all inputs that determine the results, without the code. Title and block size do not count."""
     plain = dataclasses.replace(study, title="Study", block_points=1)
     content = json.dumps(yaml.safe_load(format_study(plain)), sort_keys=True, default=str)
     return hashlib.sha256(content.encode()).hexdigest()[:24]
 
 
-def extends(study: Study, stored: Study) -> bool:
+def extends(study: plan.Study, stored: plan.Study) -> bool:
     """Return True if a study has the points of a stored one and more samples of the same sequence."""
     alike = dataclasses.replace(
         study, sample=dataclasses.replace(study.sample, points=stored.sample.points)
     )
     return (
         bool(study.ranges)
-        and study.sample.method in EXTENDABLE
+        and study.sample.method in plan.EXTENDABLE
         and study.sample.points > stored.sample.points
         and identity_of(alike) == identity_of(stored)
     )
 
 
-def _check(study: Study) -> None:
+def _check(study: plan.Study) -> None:
     """Check the conditions that involve several keys."""
     named = {axis.name for axis in study.axes} | set(study.fixed)
-    if study.size > MOST_POINTS:
+    if study.size > plan.MOST_POINTS:
         raise StudyError(
-            f"vary: makes {study.size} points, more than {MOST_POINTS}: use fewer values"
+            f"vary: makes {study.size} points, more than {plan.MOST_POINTS}: use fewer values"
         )
     needs_margin = {"front", "gaits", "success"} & set(study.compute)
     if needs_margin and not study.margin_at_cliff and "margin_m" not in named:
@@ -237,7 +227,7 @@ def _check(study: Study) -> None:
         )
     if not study.dimensions:
         raise StudyError("vary: nothing varies: name at least one quantity, or parameter_files")
-    if study.ranges and study.sample.method == SALTELLI:
+    if study.ranges and study.sample.method == plan.SALTELLI:
         if len(study.dimensions) > 1:
             raise StudyError(
                 "sample: saltelli needs ranges only: remove the lists of values and further parameter files"
@@ -248,7 +238,7 @@ def _check(study: Study) -> None:
             )
 
 
-def _check_waveform(study: Study, named: set[str]) -> None:
+def _check_waveform(study: plan.Study, named: set[str]) -> None:
     shaped = study.waveform is Waveform.SHAPED
     bounds = named & set(itertools.chain(*SHAPE_BOUNDS))
     if bounds and not shaped:
@@ -277,15 +267,15 @@ def _quantity(where: str, name: str, value: Any) -> float:
     return number
 
 
-def _axis(name: str, row: Any) -> Axis:
+def _axis(name: str, row: Any) -> plan.Axis:
     where = f"vary: {name}"
     form = {"values": row} if isinstance(row, list) else row
     if isinstance(form, Mapping) and set(form) == {"range"}:
         if name == "direction":
             raise StudyError(f"{where}: expected a list of 1 and -1")
-        return Axis(name, (), *_range(where, name, form["range"]))
+        return plan.Axis(name, (), *_range(where, name, form["range"]))
     if isinstance(form, Mapping) and set(form) in ({"values"}, {"from", "to", "count"}):
-        return Axis(name, _listed(where, name, form))
+        return plan.Axis(name, _listed(where, name, form))
     raise StudyError(
         f"{where}: write a list of values, {{from: A, to: B, count: N}}, or {{range: [A, B]}}"
     )
@@ -351,7 +341,7 @@ def _files(file: StudyFile, folder: Path, parameters: str) -> tuple[tuple[str, P
     return tuple((str(name), load_parameter_file(folder / str(name))) for name in names)
 
 
-def _sample(content: Sample | None, axes: Sequence[Axis]) -> Sample:
+def _sample(content: plan.Sample | None, axes: Sequence[plan.Axis]) -> plan.Sample:
     needed = any(axis.sampled for axis in axes)
     if needed and content is None:
         raise StudyError(
@@ -359,15 +349,15 @@ def _sample(content: Sample | None, axes: Sequence[Axis]) -> Sample:
         )
     if not needed and content is not None:
         raise StudyError("sample: nothing under vary has a range to sample")
-    return content or Sample()
+    return content or plan.Sample()
 
 
-def _hardware(content: _HardwareFile | None, folder: Path) -> Hardware:
+def _hardware(content: _HardwareFile | None, folder: Path) -> plan.Hardware:
     if content is None:
-        return Hardware()
+        return plan.Hardware()
     servo_model(content.servo_model)  # raises if the name is unknown
     driver = _driver(content.driver, folder)
-    return Hardware(driver, content.servo_model, content.supply_voltage)
+    return plan.Hardware(driver, content.servo_model, content.supply_voltage)
 
 
 def _driver(content: Any, folder: Path) -> DrivenBy:
