@@ -21,7 +21,7 @@ from worm_model.simulation.actuation import length_change_of_command
 from worm_model.simulation.batch import evaluate_gaits, sample_cycle
 from worm_model.simulation.kernel import cache_directory
 from worm_model.simulation.kernel import stepped_dry_friction as dry_friction
-from worm_model.simulation.simulator import Locomotion, evaluate_gait, simulate
+from worm_model.simulation.simulator import Locomotion, evaluate_gait, play_gait, simulate
 from worm_model.twin.offline_replay import replay_run
 
 
@@ -37,6 +37,7 @@ def main() -> None:
     trajectory.events()
     model = Locomotion()
     model.follow(model.start(), [0.1, 0.2], [-0.001, -0.002])
+    play_gait(gait, PAPER, model.start(), [0.1])
     length_change_of_command([0.0, 0.1], [0.0, -0.01], PAPER)
     samples = np.empty((2, dry_friction.SAMPLE_COLUMNS))
     replay_run(_recording(gait), PAPER)
