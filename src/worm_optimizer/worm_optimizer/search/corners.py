@@ -34,6 +34,7 @@ COARSE = (2e-5, 1e-6)
 FINE = (*COARSE, EDGE_TOLERANCE)
 _WINDOW = 50.0  # size of the window in which a border is located again, relative to the last width
 _REACHES = 8  # tried reaches below the longest one, an eighth of the pitch apart
+_PRETENSIONS = 4  # tried pretensions from the least one on, a quarter of the pitch apart
 
 
 @dataclass(frozen=True)
@@ -121,10 +122,11 @@ def corners(
     size, tightest = columns.count.size, min(high, most - least)
     pretension, reach = np.full(size, low), np.full(size, most)
     found = np.zeros(size, dtype=bool)
-    for value in reaches_of(task, bounds):
+    for least_contraction, value in starts_of(task, bounds):
         open_ = np.flatnonzero(~found)
-        kept = open_[keeps(open_, pretension[open_], np.full(open_.size, value))]
-        found[kept], reach[kept] = True, value
+        tried = np.full((2, open_.size), [[least_contraction], [value]])
+        kept = open_[keeps(open_, *tried)]
+        found[kept], pretension[kept], reach[kept] = True, least_contraction, value
     rows = np.flatnonzero(found)
     o, top, longest = pretension[rows], reach[rows], reach[rows]
     short, tight = o + least, np.full(rows.size, tightest)
@@ -149,14 +151,21 @@ def corners(
     return points, found & (points.count >= columns.count)
 
 
-def reaches_of(task: MarginTask, bounds: ShapeBounds) -> Array:
-    """Return the reaches in m, falling, at which a gait with the least pretension is tried.
+def starts_of(task: MarginTask, bounds: ShapeBounds) -> list[tuple[float, float]]:
+    """Return (pretension, reach) in m, rising and falling, at which a gait is tried.
 
-    Shorter reaches are needed because near the highest frequency of a branch, a long reach loses the grooves.
+    Shorter reaches and higher pretensions are needed because near the highest frequency or the largest margin of a
+    branch, a long stroke loses the grooves.
     """
-    longest = task.bounds.stroke_high
-    reaches = longest - np.arange(_REACHES + 1) * task.parameters.pitch / _REACHES
-    return reaches[reaches >= bounds.pretension[0] + task.bounds.stroke_low]
+    (low, high), pitch = bounds.pretension, task.parameters.pitch
+    pretensions = low + np.arange(_PRETENSIONS) * pitch / _PRETENSIONS
+    reaches = task.bounds.stroke_high - np.arange(_REACHES + 1) * pitch / _REACHES
+    return [
+        (pretension, reach)
+        for pretension in pretensions[pretensions <= high].tolist()
+        for reach in reaches.tolist()
+        if reach >= pretension + task.bounds.stroke_low
+    ]
 
 
 def _shapes(columns: Columns, shares: Array, pretension: Array) -> Shapes:

@@ -40,7 +40,7 @@ from worm_optimizer.search.corners import (
     Columns,
     ShapeBounds,
     corners,
-    reaches_of,
+    starts_of,
 )
 from worm_optimizer.search.pattern_search import (
     FORBIDDEN,
@@ -53,13 +53,18 @@ from worm_optimizer.search.pattern_search import (
 _FREQUENCIES = 17  # frequencies at which shares are searched
 _FREQUENCIES_OF_NODES = 9  # the same if there are several margins
 _NODES = 5  # margins of a scan at which shares are searched
+# Further ones between the last of these margins at which a branch exists (1) and the one at which it is lost (0). There
+# the shares change quickly with the margin.
+_CLIFF_NODES = (0.5, 0.2, 0.05, 0.0)
 _START_SHARES = (0.35, 0.5, 0.65, 0.8)  # contraction shares from which the search starts
 _START_RAMPS = (0.1, 0.25, 0.5)  # ramp shares of a trapezoid from which it starts
 _SMALL_STEP = 0.25  # first step of the search from a neighbouring frequency
 _LIMIT_STEPS = (0.1, 0.02)  # steps of the search for the contraction share at a limit
 _NEAR_LIMIT, _AT_LIMIT = 0.1, 3e-4  # violations below 0 between which the search continues
+_APART = 0.03  # difference of the shares of different minima
 _ENDING = 12  # bisections of the highest frequency of a branch
 _MARGIN_HALVINGS = 12
+_CLIFF_HALVINGS = 7  # bisections of the largest margin of a branch between two nodes
 
 
 @dataclass(frozen=True)
@@ -89,8 +94,8 @@ class ShapedTask:
     """Task of a `MarginTask` over shaped gaits. Every edge is that of the cheapest shape.
 
     The largest stroke of its bounds limits the reach, which is the sum of stroke and pretension. Shares are searched at
-    the margins ``nodes`` in m, rising, and interpolated between them. Without nodes they are searched at the margin of
-    the task.
+    the margins ``nodes`` in m, rising, and near the margin at which a branch is lost, and interpolated between them.
+    Without nodes they are searched at the margin of the task.
     """
 
     task: MarginTask
@@ -136,16 +141,16 @@ class ShapedTask:
         margins = np.full(frequency.shape, self.task.margin) if margin is None else margin
         found = [Edges(np.empty(0, dtype=np.int64), self.points(np.empty(0), np.empty(0)))]
         for own, profile in sorted({(track.count, track.profile) for track in self.tracks}):
-            shares = self._shares(own, profile, frequency, margins)
-            wanted = np.isfinite(shares[:, 0])
-            wanted &= True if count is None else count == own
-            rows = np.flatnonzero(wanted)
-            key = np.full(rows.size, own), np.full(rows.size, profile)
-            columns = Columns(frequency[rows], margins[rows], *key)
-            limited = _Search(self.task, self.shapes).within_limits(columns, shares[rows])
-            points, gains = corners(self.task, self.shapes, columns, limited, FINE)
-            kept = gains & points.admissible
-            found.append(Edges(rows[kept], points.take(kept)))
+            for shares in self._shares(own, profile, frequency, margins):
+                wanted = np.isfinite(shares[:, 0])
+                wanted &= True if count is None else count == own
+                rows = np.flatnonzero(wanted)
+                key = np.full(rows.size, own), np.full(rows.size, profile)
+                columns = Columns(frequency[rows], margins[rows], *key)
+                limited = _Search(self.task, self.shapes).within_limits(columns, shares[rows])
+                points, gains = corners(self.task, self.shapes, columns, limited, FINE)
+                kept = gains & points.admissible
+                found.append(Edges(rows[kept], points.take(kept)))
         if self.shapes.include_sinusoid:
             found.append(self.task.edges(frequency, strokes, count, margins))
         column = np.concatenate([part.column for part in found])
@@ -160,9 +165,16 @@ class ShapedTask:
         margins = np.array(self.nodes or (self.task.margin,))
         return tuple(tracks_of(self.task, self.shapes, margins, frequencies))
 
-    def _shares(self, count: int, profile: float, frequency: Array, margin: Array) -> Array:
-        """Return the shares (m, 2) of a branch, interpolated over the margin; NaN beyond its tracks."""
-        nodes = np.array(self.nodes or (self.task.margin,))
+    def _shares(
+        self, count: int, profile: float, frequency: Array, margin: Array
+    ) -> tuple[Array, Array]:
+        """Return shares (m, 2) of a branch to be tried, NaN beyond its tracks.
+
+        The first are interpolated over the margin. The second are those of the next margin above, if they belong to
+        another minimum. The gaits between such minima are bad.
+        """
+        searched = [track.margin for track in self.tracks]
+        nodes = np.union1d(self.nodes or (self.task.margin,), searched)
         table = np.full((nodes.size, frequency.size, 2), np.nan)
         for track in self.tracks:
             if (track.count, track.profile) == (count, profile):
@@ -179,7 +191,9 @@ class ShapedTask:
         mixed = (1.0 - part) * low + part * high
         shares = np.where(np.isnan(mixed), np.where(np.isnan(high), low, high), mixed)
         # If both nodes are at a bound, rounding may place the interpolated share beyond it.
-        return np.clip(shares, *self.shapes.shares.T)
+        shares = np.clip(shares, *self.shapes.shares.T)
+        apart = np.any(np.abs(high - shares) > _APART, axis=1, keepdims=True)
+        return shares, np.where(apart, high, np.nan)
 
 
 @dataclass(frozen=True)
@@ -268,8 +282,32 @@ class _Search:
 
         return improve(cost_of, has_ramps, self.shapes.shares, shares, steps)
 
+    def solved(self, margins: Array, frequencies: Array) -> Solved:
+        """Search all branches at margins in m and frequencies in Hz, both rising, and where a branch ends."""
+        known = self.begun(margins, frequencies).best()
+        known = Solved.join(known, self.continued(known)).best()
+        known = known.take(known.cost < FORBIDDEN)
+        known = Solved.join(known, self.ended(known, float(frequencies[-1]))).best()
+        known = self.filled(known, frequencies).best()
+        return known.take(known.cost < FORBIDDEN)
+
     def begun(self, margins: Array, frequencies: Array) -> Solved:
         """Search from several shares, for each branch that is reached with one of them."""
+        columns, starts, gained = self._started(margins, frequencies)
+        wanted = [
+            np.flatnonzero(gained >= count)
+            for count in range(AVERAGED, int(gained.max(initial=0)) + 1, AVERAGED)
+        ]
+        count = np.repeat(AVERAGED * np.arange(1, len(wanted) + 1), [len(w) for w in wanted])
+        rows = np.concatenate([np.empty(0, dtype=np.int64), *wanted])
+        columns = dataclasses.replace(columns.take(rows), count=count)
+        shares = starts[rows]
+        best = Solved(columns, shares, self.costs(columns, shares).total).best()
+        best = best.take(np.isfinite(best.cost))
+        return self.improved(best.columns, best.shares, 1.0)
+
+    def _started(self, margins: Array, frequencies: Array) -> tuple[Columns, Array, Index]:
+        """Return columns with several shares (n, 2) each, and the grooves (n,) that are gained with them."""
         starts = np.array(
             [
                 (profile, share, ramp)
@@ -285,23 +323,13 @@ class _Search:
         margin, frequency, start = (
             axis.ravel() for axis in np.meshgrid(margins, frequencies, numbers, indexing="ij")
         )
-        start = start.astype(np.int64)
-        columns = Columns(frequency, margin, np.ones(margin.size, np.int64), starts[start, 0])
+        profile, shares = starts[start.astype(np.int64), 0], starts[start.astype(np.int64), 1:]
+        columns = Columns(frequency, margin, np.ones(margin.size, np.int64), profile)
         gained = np.zeros(margin.size, dtype=np.int64)
-        for reach in reaches_of(self.task, self.shapes):
-            table = self._swing(columns, starts[start, 1:], margin, reach)
+        for place in starts_of(self.task, self.shapes):
+            table = self._swing(columns, shares, margin, place)
             gained = np.maximum(gained, gained_of(table))
-        wanted = [
-            np.flatnonzero(gained >= count)
-            for count in range(AVERAGED, int(gained.max(initial=0)) + 1, AVERAGED)
-        ]
-        count = np.repeat(AVERAGED * np.arange(1, len(wanted) + 1), [len(w) for w in wanted])
-        rows = np.concatenate([np.empty(0, dtype=np.int64), *wanted])
-        columns = dataclasses.replace(columns.take(rows), count=count)
-        shares = starts[start[rows], 1:]
-        best = Solved(columns, shares, self.costs(columns, shares).total).best()
-        best = best.take(np.isfinite(best.cost))
-        return self.improved(best.columns, best.shares, 1.0)
+        return columns, shares, gained
 
     def continued(self, known: Solved) -> Solved:
         """Search from the shares of neighbouring frequencies, where these are cheaper."""
@@ -353,10 +381,12 @@ class _Search:
             parts.append(self.improved(columns, shares, _SMALL_STEP))
         return Solved.join(*parts)
 
-    def _swing(self, columns: Columns, shares: Array, margin: Array, reach: float) -> GaitTable:
-        """Return the table of the gaits with the least pretension and a reach in m."""
+    def _swing(
+        self, columns: Columns, shares: Array, margin: Array, place: tuple[float, float]
+    ) -> GaitTable:
+        """Return the table of the gaits with a pretension and a reach in m."""
         share, ramp = shares.T
-        low = self.shapes.pretension[0]
+        low, reach = place
         shape = shapes_of(
             len(shares),
             pretension=low,
@@ -367,9 +397,25 @@ class _Search:
         stroke = np.full(len(shares), reach - low)
         return self.task.table(stroke, columns.frequency, margin, shape=shape)
 
+    def cliff_nodes(self, known: Solved, margins: Array) -> Array:
+        """Return further margins in m for branches that are lost between two of the ``margins``, rising, in m."""
+        own, further = known.columns, [np.empty(0)]
+        for count in np.unique(own.count):
+            last = own.margin[own.count == count].max()
+            if last == margins[-1]:
+                continue
+            frequencies = np.unique(own.frequency[(own.count == count) & (own.margin == last)])
+            kept, lost = float(last), float(margins[margins > last][0])
+            for _ in range(_CLIFF_HALVINGS):
+                middle = 0.5 * (kept + lost)
+                _, _, gained = self._started(np.array([middle]), frequencies)
+                kept, lost = (middle, lost) if gained.max() >= count else (kept, middle)
+            further.append(kept - (kept - last) * np.array(_CLIFF_NODES))
+        return np.setdiff1d(np.concatenate(further), margins)
+
     def _widest_margin(self, columns: Columns, shares: Array) -> Array:
         """Search the shares that keep the grooves at the largest margin, with the longest reach."""
-        longest = self.task.bounds.stroke_high
+        longest = self.shapes.pretension[0], self.task.bounds.stroke_high
 
         def cost_of(rows: Index, tried: Array) -> Costs:
             own, size = columns.take(rows), rows.size
@@ -381,18 +427,20 @@ class _Search:
             return Costs(-good, np.full(size, -1.0))
 
         has_ramps = columns.profile != Profile.COSINE
-        return improve(cost_of, has_ramps, self.shapes.shares, shares, (0.5, LEAST_STEP))[0]
+        steps = 0.5, LEAST_STEP
+        return improve(cost_of, has_ramps, self.shapes.shares, shares, steps)[0]
 
 
 def tracks_of(
     task: MarginTask, shapes: ShapeBounds, margins: Array, frequencies: Array
 ) -> list[Track]:
-    """Search the cheapest shares of all branches at ``margins`` in m and ``frequencies`` in Hz, rising."""
+    """Search the cheapest shares of all branches at ``margins`` in m and ``frequencies`` in Hz, rising.
+
+    If branches are lost between two margins, their shares are also searched at some margins before that.
+    """
     search = _Search(task, shapes)
-    known = search.begun(margins, frequencies).best()
-    known = Solved.join(known, search.continued(known)).best()
-    known = known.take(known.cost < FORBIDDEN)
-    known = Solved.join(known, search.ended(known, float(frequencies[-1]))).best()
-    known = search.filled(known, frequencies).best()
-    known = known.take(known.cost < FORBIDDEN)
+    known = search.solved(margins, frequencies)
+    further = search.cliff_nodes(known, margins)
+    if further.size:
+        known = Solved.join(known, search.solved(further, frequencies))
     return [group.track() for group in known.groups()]

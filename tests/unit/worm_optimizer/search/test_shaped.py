@@ -266,3 +266,35 @@ def test_between_margins_shares_at_a_bound_stay_within_it():
     own = shape["profile"] == Profile.TRAPEZOID
     assert np.count_nonzero(own) > 1
     assert np.all((shape["ramp_share"][own] >= 0.1) & (shape["contraction_share"][own] <= 0.9))
+
+
+SCANNED = PAPER.replace(one_sided_cable=True, rear_dry_friction=0.3, front_dry_friction=0.3)
+SLOW = Bounds(frequency_low=0.12, frequency_high=0.12)
+
+
+def test_near_the_cliff_a_scan_finds_the_gaits_of_a_search_at_its_margin():
+    """Shares change quickly there: those of a margin of 2 mm are a fifth dearer at 3.2 mm."""
+    task = MarginTask(SCANNED, bounds=SLOW)
+    scanned = ShapedTask(task, ShapeBounds(), (0.002, 0.004))
+    margins = np.array([2e-3, 3e-3, 3.1e-3, 3.2e-3, 3.25e-3])
+    strokes = np.linspace(0.01, 0.09, 21)
+    edges = scanned.edges(np.full(5, 0.12), np.tile(strokes, (5, 1)), margin=margins)
+    for column, margin in enumerate(margins):
+        alone = ShapedTask(task.with_margin(margin), ShapeBounds())
+        best = alone.edges(np.array([0.12]), strokes[np.newaxis]).points
+        found = edges.points.take((edges.column == column) & (edges.points.count == 6))
+        assert found.power.min() <= best.power[best.count == 6].min() * 1.01
+
+
+def test_a_gait_that_loses_its_grooves_with_a_long_stroke_is_found_at_a_higher_pretension():
+    task, shapes = MarginTask(SCANNED, margin=3.2e-3), ShapeBounds()
+    columns = Columns(np.array([0.165]), np.array([3.2e-3]), np.array([6]), np.array([1.0]))
+    shares = np.array([[0.7213, 0.3575]])
+    found, gains = corners(task, shapes, columns, shares, FINE)
+    assert gains.all()
+    assert found.shape["pretension"][0] > 0.004
+    shape = found.shape.copy()
+    shape["pretension"] = 0.0
+    strokes = np.linspace(0.05, 0.09, 41)
+    without = task.points(strokes, np.full(41, 0.165), np.broadcast_to(shape, 41))
+    assert without.count.max() < 6
