@@ -167,11 +167,11 @@ class ShapedTask:
 
     def _shares(
         self, count: int, profile: float, frequency: Array, margin: Array
-    ) -> tuple[Array, Array]:
+    ) -> tuple[Array, Array, Array]:
         """Return shares (m, 2) of a branch to be tried, NaN beyond its tracks.
 
-        The first are interpolated over the margin. The second are those of the next margin above, if they belong to
-        another minimum. The gaits between such minima are bad.
+        The first are interpolated over the margin. If the shares below and above belong to different minima, the others
+        are these, because the gaits between two minima are bad.
         """
         searched = [track.margin for track in self.tracks]
         nodes = np.union1d(self.nodes or (self.task.margin,), searched)
@@ -192,8 +192,8 @@ class ShapedTask:
         shares = np.where(np.isnan(mixed), np.where(np.isnan(high), low, high), mixed)
         # If both nodes are at a bound, rounding may place the interpolated share beyond it.
         shares = np.clip(shares, *self.shapes.shares.T)
-        apart = np.any(np.abs(high - shares) > _APART, axis=1, keepdims=True)
-        return shares, np.where(apart, high, np.nan)
+        apart = np.any(np.abs(high - low) > _APART, axis=1, keepdims=True)
+        return shares, np.where(apart, low, np.nan), np.where(apart, high, np.nan)
 
 
 @dataclass(frozen=True)
