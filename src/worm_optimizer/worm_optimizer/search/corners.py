@@ -33,7 +33,7 @@ from worm_optimizer.optimizer_errors import OptimizerError
 COARSE = (2e-5, 1e-6)
 FINE = (*COARSE, EDGE_TOLERANCE)
 _WINDOW = 50.0  # size of the window in which a border is located again, relative to the last width
-_REACHES = 8  # tried reaches below the longest one, an eighth of the pitch apart
+_REACHES = 16  # tried reaches below the longest one, a sixteenth of the pitch apart
 _PRETENSIONS = 4  # tried pretensions from the least one on, a quarter of the pitch apart
 
 

@@ -64,6 +64,13 @@ _NEAR_LIMIT, _AT_LIMIT = 0.1, 3e-4  # violations below 0 between which the searc
 _APART = 0.03  # difference of the shares of different minima
 _ENDING = 12  # bisections of the highest frequency of a branch
 _MARGIN_HALVINGS = 12
+_END_PARTS = (
+    0.2,
+    0.4,
+    0.6,
+    0.8,
+    0.9,
+)  # places of further frequencies between the last two of a branch
 _CLIFF_HALVINGS = 7  # bisections of the largest margin of a branch between two nodes
 
 
@@ -381,6 +388,21 @@ class _Search:
             parts.append(self.improved(columns, shares, _SMALL_STEP))
         return Solved.join(*parts)
 
+    def with_ends(self, known: Solved) -> Solved:
+        """Search also at frequencies just below the highest one of each branch, where the shares change quickly."""
+        parts = [known]
+        for group in known.groups():
+            own = group.columns.frequency
+            if own.size < 2:
+                continue
+            frequency = own[-2] + (own[-1] - own[-2]) * np.array(_END_PARTS)
+            rows = np.zeros(frequency.size, dtype=np.int64)
+            columns = dataclasses.replace(group.take(rows).columns, frequency=frequency)
+            for shares in (group.track().shares_at(frequency), group.shares[rows - 2]):
+                parts.append(self.improved(columns, shares, _SMALL_STEP))
+        best = Solved.join(*parts).best()
+        return best.take(best.cost < FORBIDDEN)
+
     def _swing(
         self, columns: Columns, shares: Array, margin: Array, place: tuple[float, float]
     ) -> GaitTable:
@@ -440,6 +462,8 @@ def tracks_of(
     """
     search = _Search(task, shapes)
     known = search.solved(margins, frequencies)
+    if margins.size == 1:
+        known = search.with_ends(known)
     further = search.cliff_nodes(known, margins)
     if further.size:
         known = Solved.join(known, search.solved(further, frequencies))
