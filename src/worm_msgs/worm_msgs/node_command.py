@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Command line and declaration of the parameters of a node.
 
-A node rejects an argument, a parameter or a file that it cannot use, with one line and exit status 2. If it ignored the
-parameters of another robot, it would run this robot with wrong values.
+A node rejects an argument, a parameter or a file that it cannot use, with one line and exit status 2. If it ignored
+them, it could run the robot with wrong values, for example with the parameter file of another robot.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ class ParameterRejectedError(ValueError):
 def declare(node: Node, rows: Rows) -> None:
     """Declare the parameters of a node.
 
-    A parameter of type float accepts an integer. A former name is accepted with a warning. Both hold for later changes,
-    too. Setting a parameter to its present value succeeds.
+    A parameter of type float accepts an integer. A former name is accepted with a warning. Both rules
+    also apply to later changes. Setting a parameter to its present value succeeds.
 
     Raises:
         ParameterRejectedError: A value has the wrong type or is out of range, no row has its name, a parameter is given

@@ -45,7 +45,7 @@ class ParameterRow:
     read_only: bool = False
 
     def descriptor(self) -> ParameterDescriptor:
-        """Return a new descriptor. Declaring a parameter changes its descriptor."""
+        """Return a new descriptor each time, because rclpy modifies it when it declares the parameter."""
         made = ParameterDescriptor(
             name=self.name, description=self.description, read_only=self.read_only
         )

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Settings files: YAML that is validated against a frozen dataclass, whose fields declare keys, types and bounds.
 
-A field is declared as ``spool_radius: Annotated[float, key("spool_radius_m", gt=0.0)]``. Values are validated as the
-JSON of the file: no boolean is a number, numbers are finite, and every key has to be known. The same declaration
-yields the JSON Schema, with which an editor completes and checks the file.
+A field is declared as ``spool_radius: Annotated[float, key("spool_radius_m", gt=0.0)]``. Values are validated
+as strictly as in JSON: a boolean is not a number, numbers are finite, and an unknown key is an error. The same
+declaration yields the JSON Schema, with which an editor completes and checks the file.
 """
 
 import difflib
@@ -31,7 +31,10 @@ def key(name: str | None = None, **bounds: Any) -> Any:
 
 
 class OneOf(Generic[T]):
-    """Annotation of a field that has to be one of several values. Of a mapping, the field stores the value."""
+    """Annotation of a field that allows only certain values.
+
+    If the choices are a mapping, the file contains one of its keys, and the field stores the value of that key.
+    """
 
     def __init__(self, choices: Iterable[str | int] | Mapping[str, T]) -> None:
         self._choices = choices
@@ -53,7 +56,7 @@ def _reject_boolean(value: Any) -> Any:
 
 
 class Converted:
-    """Annotation of a field that is read as one type and stored as what a function returns for it."""
+    """Annotation of a field whose value is validated as one type and then converted by a function."""
 
     def __init__(self, kind: Any, function: Callable[[Any], Any]) -> None:
         self._kind, self._function = kind, function
@@ -104,7 +107,7 @@ def json_schema(kind: type[Any]) -> dict[str, Any]:
 
 
 def _adapter(kind: type[T]) -> TypeAdapter[tuple[T]]:
-    # Inside a tuple, because pydantic accepts a configuration for plain dataclasses only below another type.
+    # Pydantic rejects a configuration for a plain dataclass, but accepts it for a tuple that contains one.
     return TypeAdapter(tuple[kind], config=_CONFIG)  # type: ignore[arg-type, valid-type]
 
 

@@ -21,9 +21,9 @@ _FIN_TOLERANCE = 40
 _FIN_STILL = 0.1
 #: Contraction below which a robot without torque does not noticeably spring back, m.
 _SPRINGS_BACK = 2e-3
-#: Ratio of the effort of a blocked cable servo to the effort that counts as a fault, at least. Gaits need less.
+#: Smallest ratio of a servo's effort to its fault level at which it counts as blocked. Gaits need less effort.
 _STRAIN = 0.85
-#: Slack beyond the range of the stroke within which the robot may still be activated and held, m.
+#: Distance beyond both ends of the stroke range within which the robot may still be activated and held, m.
 PAYOUT_TOLERANCE = 0.01
 
 
@@ -159,7 +159,7 @@ class Actuators:
         """Enable the torque of every servo at its present position, with its bus watchdog armed.
 
         Returns:
-            Length change at which the cable is held, m. A body that springs back has moved since an earlier reading.
+            Length change at which the cable is held, m. It is read here, because the body may still be springing back.
 
         Raises:
             DriverError: A servo failed to be enabled.
@@ -268,13 +268,13 @@ class Actuators:
                 self._held[servo.number] = goal
 
     def stop_fins(self) -> None:
-        """Keep the fins at their last plausible positions, in the middle of a flip."""
+        """Stop fins that are flipping at their last plausible positions."""
         for servo in self.fins:
             position = self.track.last(servo.number)
             if position is not None:
                 self._held[servo.number] = position.ticks
 
-    # --- what states mean ----------------------------------------------------------------------
+    # --- evaluation of states ----------------------------------------------------------------------
 
     def length_change(self, states: tuple[ServoState, ...]) -> float:
         """Return the mean length change by the encoders (m); NaN if a cable servo is silent or before homing."""

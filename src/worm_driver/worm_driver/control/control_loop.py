@@ -268,8 +268,8 @@ class ControlLoop(PeriodicThread):
     def _serve(self, now: float) -> bool:
         """Run the waiting commands. Return True if there was one.
 
-        Commands that follow the end of a run wait for the next gap. A snapshot then contains that end before another
-        run can begin, so that its goal receives its result.
+        If a command ends a run, the commands after it wait for the next gap. A snapshot then reports the end before
+        another run can begin, so that the goal of the first run receives its result.
         """
         served = bool(self._commands)
         run_ended = False
@@ -300,7 +300,7 @@ class ControlLoop(PeriodicThread):
         self.release_problems = self._robot.release() if self._at_once else self._robot.shutdown()
         if self.scheduling not in (NOT_REQUESTED, VIRTUAL):
             return_to_normal()
-        self._clock.close()  # a thread that has ended must not keep a virtual robot's time
+        self._clock.close()  # otherwise the time of a virtual robot would stop
         while self._serve(math.inf):
             pass  # every command receives an answer
 

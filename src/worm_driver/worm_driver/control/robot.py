@@ -52,7 +52,7 @@ class Robot:
         tracker_ready: returns True if the tracker sees the robot at rest, or if there is no tracker.
         clock: returns the time, s, monotonic.
         load: returns the computer's load average.
-        why_not_start: returns why neither torque nor a run may begin; empty if they may.
+        why_not_start: returns the reason why torque and runs must not start; empty if they may.
 
     Attributes:
         player: state of the gait player.

@@ -140,8 +140,8 @@ class PlayerSettings:
         rest_timeout: longest rest, after which the gait starts without an idle power or a tracker, s.
         flip_timeout: longest motion of the fins, s.
         return_speed: peak cable speed of a return to rest and of the tensioning, m/s.
-        longest_step: longest advance of such a motion in one step, s. After a late step the cable does not catch up,
-            as that would exceed return_speed.
+        longest_step: longest time by which such a motion advances in one step, s. After a late step the cable does not
+            catch up, as that would exceed return_speed.
     """
 
     rest_duration: float = 1.0

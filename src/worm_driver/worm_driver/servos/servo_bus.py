@@ -7,8 +7,8 @@ This module corrects the following defects of version 4.1.0 of the SDK:
 - It measures timeouts by the wall clock, spins while it waits, and never stops reading while bytes arrive. See
   ``BusPort``.
 - It mistakes a late answer for the answer to the next request. After a failed exchange the next request waits for a
-  quiet line, and an answer must have the requested length. ``tick_clock`` checks the servo's
-  time, which a block contains.
+  quiet line, and an answer must have the requested length. In addition,
+  ``tick_clock`` checks the servo's clock, which is part of its state, and detects answers that are too old.
 - Its timeout expires even if unread bytes have been received. This module reads such bytes first, for example
   after the process was suspended. See ``BusPort.expects``.
 - Its GroupSyncRead drops error and alert bytes, and loses good answers together with a missing one. It also accepts

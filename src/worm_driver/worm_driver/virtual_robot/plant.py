@@ -3,13 +3,13 @@
 
 The model follows the paper (eq:x1_ddot_full to eq:power_model) with its own parameters. Additional effects are dry
 friction of both modules, fins whose threshold and stiffness differ from groove to groove, and optionally a compliant
-cable. With a compliant cable, its force drives the two masses and the load changes the length; in the paper's model
-the length depends on the command alone. The weight of the modules in a sloping pipe, the pull of a tether and the drag
+cable. The force of a compliant cable drives the two masses, so loads change the body length. In the paper's model the
+length depends on the command alone. The weight of the modules in a sloping pipe, the pull of a tether and the drag
 of flowing water load the robot along the pipe. SI units; forward is +x; contraction is negative; a positive load acts
 towards -x.
 
-The state contains the centre of mass, y = x1 + M2/(M1+M2)*(L - L0): adding eq:x1_ddot_full and
-eq:x2_ddot_full leaves no second derivative of the length in its equation of motion.
+The state contains the centre of mass, y = x1 + M2/(M1+M2)*(L - L0). Its equation of motion is the sum of
+eq:x1_ddot_full and eq:x2_ddot_full, which contains no second derivative of the length.
 """
 
 import math
@@ -90,7 +90,7 @@ class Conditions:
     def loads(self, parameters: RobotParameters, rear_position: float) -> tuple[float, float]:
         """Return the loads of both modules without drag (N), with the rear one at a position (m).
 
-        A tether does not push, and behind the start none is paid out.
+        A tether does not push. Its length in the pipe never becomes shorter than at the start.
         """
         along = self._gravity
         tether = max(
@@ -313,7 +313,8 @@ class Plant:
     def _loads(self, x1: float, v1: float, v2: float) -> tuple[float, float]:
         """Return the loads of the rear and the front module (N) with the rear one at x1 (m), at velocities in m/s.
 
-        They contain the drag's share of the water's velocity; `_drags` contains that of the modules' velocities.
+        They contain the part of the drag due to the velocity of the water; `_drags` contains the part due to that of
+        the modules.
         """
         if self._unloaded:
             return 0.0, 0.0

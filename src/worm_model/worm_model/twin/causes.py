@@ -40,7 +40,7 @@ from worm_model.twin.signatures import BINS, L0_STEP_M, Signatures
 UNEXPLAINED = EventCode("", "an unexplained deviation in a single cycle", "", "")
 
 CHANGE = 0.004  # probability that a change of one kind begins in a cycle
-MISS, AGAIN, GAIN = 0.02, 0.3, 0.005  # that a fin misses, misses again, gains a groove
+MISS, AGAIN, GAIN = 0.02, 0.3, 0.005  # probabilities that a fin misses a groove, misses the next, gains one
 WRONG_LENGTH, LENGTH_SPREAD_M = 0.01, 0.003  # probability that L0 is wrong; scatter, m
 RIGHT = 0.95  # probability that a cycle gains the predicted grooves
 DEVIATION = 0.001  # probability of an unexplained deviation in a cycle
@@ -48,9 +48,9 @@ DEVIATION_SCATTER = (0.01, 0.002, 1.0)  # standard deviations of that deviation,
 CAMERA_M = 0.03  # usual step of the positions when a camera is moved
 ONSETS = (0.0, 0.25, 0.5, 0.75)  # tested phases of a cycle at which a change begins
 BROAD = 4.0  # prior deviation of a reported change, in usual sizes
-SHIFT = 1.0  # common deviation of a whole cycle, in scatters
+SHIFT = 1.0  # standard deviation of the offset of a whole cycle, relative to SCATTER
 LARGEST = 300.0  # logarithm of the largest weight
-THRESHOLDS = 0.5  # scatter of thresholds between cycles, relative to that of healthy robots
+THRESHOLDS = 0.5  # scatter of thresholds from cycle to cycle, relative to that from robot to robot
 
 
 @dataclass(frozen=True)
@@ -78,8 +78,8 @@ class Candidate(NamedTuple):
         log_prior: natural logarithm of its prior probability.
         phase: phase of the first cycle at which it begins, 0 to 1.
         cycles: number of cycles that it lasts, 0 without an end.
-        fact: True if its size is known to be 1.
-        variant: signature of the name that it has.
+        fact: True if its size is not estimated, but is 1, as for a groove.
+        variant: index of its signature among those of the name.
         error: error of L0, m.
         weight: posterior probability divided by that of a healthy robot.
         size: estimated size, in usual sizes.
@@ -137,7 +137,7 @@ def weigh_causes(
     weighed = null.weigh(causes, known)
     logs = np.array([c.log_prior for c in candidates]) + weighed.evidence
     unexplained = math.log(DEVIATION) + null.weigh_noise(data.unexplained())
-    # A healthy robot, whose weight is 1, is out of the question where this limit has an effect.
+    # Where this limit has an effect, a healthy robot (weight 1) is practically impossible.
     logs, unexplained = np.split(_limited(np.append(logs, unexplained)), [len(logs)])
     weights = np.exp(logs)
     weights[
@@ -318,7 +318,10 @@ def _lasting(cycles: Sequence[CycleData], signs: Signatures) -> Iterator[Candida
 def _grooves(
     cycles: Sequence[CycleData], reported: Sequence[ReportedCause], signs: Signatures
 ) -> Iterator[Candidate]:
-    """Yield grooves that a fin missed or gained in consecutive cycles, except in cycles that are already settled."""
+    """Yield grooves that a fin missed or gained in consecutive cycles.
+
+    Cycles are excluded whose grooves the tracker counted, or whose missed or gained groove was already reported.
+    """
     settled = {cycle.number for cycle in cycles if cycle.step is not None and not cycle.gained}
     settled |= {event.cycle for event in reported if event.name in ("missed", "gained")}
     last = cycles[-1].number

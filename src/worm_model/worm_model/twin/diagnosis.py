@@ -69,7 +69,7 @@ REMEMBERED = 6  # cycles
 HEALTHY_AT_MOST, SURE = 0.05, 0.9  # probabilities
 MOVED = 0.002  # probability per cycle that a person moves the robot, or the camera
 MOST_GROOVES = 8  # largest number of grooves by which a person moves the robot
-LASTED = 0.5  # smallest part of a cycle after which a change counts as lasting
+LASTED = 0.5  # a change later than this phase of the last cycle is not yet reported
 WHOLE_M = 0.0008  # standard deviation of a step by whole grooves
 LENGTHS = 2  # smallest number of cycles from which L0 is estimated
 TIMING = 0.06  # standard deviation of the phase at which a fin slips
@@ -146,7 +146,7 @@ class History:
 def judge_cycle(history: History, cycle: CycleSeen) -> tuple[History, list[Finding]]:
     """Return the updated history and the findings at the end of a cycle."""
     driven = bool(np.mean(cycle.sums[:, LENGTH_COUNT] > 0) > 0.25)
-    # A measured L0 varies from run to run, but too little to matter here.
+    # The signatures hardly depend on the small differences of L0 from run to run.
     length = round(cycle.parameters.initial_length, 4)
     signs = signatures(cycle.gait, cycle.parameters.replace(initial_length=length), driven=driven)
     data = cycle_data(
@@ -188,7 +188,7 @@ def judge_cycle(history: History, cycle: CycleSeen) -> tuple[History, list[Findi
 
 
 def explains(history: History, cycle: CycleSeen) -> bool:
-    """Return True if the twin's motion explains the positions of a cycle that `judge_cycle` has added to a history."""
+    """Return True if the twin's motion explains the positions of a cycle, which the history already contains."""
     step = history.cycles[-1].step if history.cycles else None
     if step is not None and not step.is_none:
         return False
@@ -480,7 +480,7 @@ def _grooves_by_power(
 
 
 def _is_known(reported: Iterable[ReportedCause], candidate: Candidate, names: set[str]) -> bool:
-    """Return True if the cause was already reported; its beginning may be known more precisely now."""
+    """Return True if the cause was already reported, possibly with another estimate of its beginning."""
     return any(t.name in names and abs(t.cycle - candidate.cycle) <= 1 for t in reported)
 
 

@@ -6,13 +6,14 @@ At the onset all earlier samples have been processed.
 - x1 is the tracker's position of the rear module over the last ``rest_s``.
 - L0 is the mean measured length of that span, otherwise that of the previous run, otherwise the parameter.
 - The first run starts with each module on its groove, or where the fins hold its load.
-- After a run the fins stay where they are, so that the modules are up to some millimetres off their grooves. Another
-  start would be wrong for the whole next run.
+- After a run the fins stay where they are, so that the modules are up to some millimetres off their grooves. With
+  another start the whole next run would be predicted incorrectly.
 - While the cable is at rest, the body returns to its initial length. Fins that are turned for the other direction move
-  to the nearest grooves. Shortly after a pull, the body is still shorter then by the effect of the slack. If it is
-  not known which, the grooves differ, and no tracker shows them, the start is not known.
-- Under a pretension the body is shorter by its effect, so that L0 is longer than measured, and ΔL starts there.
-- If the body is shorter by the effect of the slack, the slack is still tightened. L0 then stays, and ΔL starts there.
+  to the nearest grooves. Shortly after a pull, the body is still shorter by the effect of the slack at that moment,
+  which may change the grooves. If the twin cannot determine them, the start is unknown.
+- A pretension shortens the body. L0 is then the measured length plus this effect, and ΔL starts at minus the effect.
+- A body at rest that is shorter by the effect of the slack still has tightened slack. L0 then remains that of the
+  previous run, and ΔL starts at the measured difference.
 """
 
 from __future__ import annotations
@@ -54,9 +55,9 @@ STILL_M, STILL_NOISE = 0.0005, 5.0
 # Samples closer to the onset are ignored, because its stamp and those of the instruments come from different clocks.
 GUARD_NS = 100_000_000
 TURNED_NS = 2_500_000_000  # longest time from the turning of the fins to the onset
-SLACK_NS = 2_000_000_000  # after a pull, in which the slack returns
+SLACK_NS = 2_000_000_000  # length of the time span after a pull within which the slack returns
 TOLERANCE = 0.3  # tolerance, in pitches, for a robot that was not moved since the last run
-SURE_M = 0.002  # deviation up to which it is certainly where the previous run left it
+SURE_M = 0.002  # deviation up to which its place after the previous run is known with certainty
 JOIN_STEP_S = 0.01  # step of the commands that a late twin did not receive
 
 

@@ -4,8 +4,8 @@
 `Twin.advance` processes one sample live, or a whole recording in a replay, with the same compiled core
 (`worm_model.twin.core`). It reads no clock and draws no random numbers. The result therefore does not depend on how the
 samples are divided into calls, or on the order in which those of the last ``delay_s`` arrive. Rare events are handled
-here: states of the driver, ends of cycles, jumps of the clock. Parameters may change between two calls (another `Twin`
-on the same state); L0 stays that of the run.
+here: states of the driver, ends of cycles, jumps of the clock. To change parameters between
+two calls, continue the same state with another `Twin`; L0 of the run does not change.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ from worm_model.twin.twin_settings import DEFAULTS, TwinSettings
 
 CLOCK_SET = "the clock was set{} while it was played"
 BATCH = 512  # samples that are inserted before they are processed
-END_NS = 100_000_000  # tolerance with which the driver reports the end of a cycle
+END_NS = 100_000_000  # a run that ends less than this before the end of a cycle completes the cycle
 FOREVER_NS = 1 << 62
 
 
@@ -297,7 +297,7 @@ class _Call:
         if self._unusable or (late and state.clock_set):
             self._reject(driver, self._unusable or CLOCK_SET.format(""))
         state.clock_set = state.clock_set and driver.gait is None
-        # The position starts at the tracker's, so that residuals from the time at rest no longer count.
+        # The twin resets its position to the tracker's, so residuals from before no longer count.
         m["channel_ns"][POSITION] = m["channel_level"][POSITION] = 0
         rules, c, a, p = self.model()
         estimator.begin_track(state.memory, start, rules, c, a, p, self.room)
@@ -313,7 +313,7 @@ class _Call:
         )
 
     def _end(self, stamp: int) -> None:
-        """End a run; judge a cycle that is complete within the tolerance, but not one that was interrupted."""
+        """End a run. Judge its last cycle if it is complete within `END_NS`, but not if it was interrupted."""
         m = self.state.record
         if m["cycle_end_ns"] and stamp + END_NS >= m["cycle_end_ns"]:
             self._close_cycle(stamp)
@@ -321,7 +321,7 @@ class _Call:
         if self.state.is_running:
             m["end_ns"] = stamp
             if self._unusable:
-                m["start_ns"] = 0  # the place where it left the robot is unknown as well
+                m["start_ns"] = 0  # so the position of the robot after the run is unknown as well
 
     # --- cycles ---------------------------------------------------------------------------------
 
@@ -364,7 +364,7 @@ class _Call:
             return findings, "it had begun when the first sample came"
         if cycle.blind_s:
             return findings, f"nothing is known of {cycle.blind_s:.1f} s of it"
-        # Power alone never shows where the robot stands, but after one cycle the fins no longer depend on it.
+        # Power never shows the position, but one cycle later the fins no longer depend on it.
         watched = bool(history.cycles) and history.cycles[-1].watched
         unplaced = unplaced and (watched or cycle.number == state.joined_cycle + 1)
         return findings, "where the robot stood at its beginning is not known" if unplaced else ""
@@ -382,7 +382,7 @@ class _Call:
         off, reason = off_at_end(cycle), "how the fins stood at its beginning is not known"
         if explains(history, cycle) and not any(finding.code.code for finding in findings):
             state.history = history
-            # Power alone does not contradict straight fins, nor does it count grooves.
+            # Without a tracker nothing confirms straight fins, and the grooves are not counted.
             return findings, reason if np.isnan(off) else ""
         state.history = History()
         found = estimate_start(state.memory, cycle.parameters, int(m["motion_ns"]))

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Optimisation tasks: the box of gaits, the actuator limits, and the batch evaluation of gaits and of branch edges.
 
-Every search (the exact front, NSGA-II) uses a `Task`. The task defines which grooves a gait gains: those with an
-enlarged threshold (`MarginTask`), or those that it keeps with a probability (`chance.PromiseTask`).
+Every search (the exact front, NSGA-II) uses a `Task`. The task defines the grooves that a gait gains: either
+those that it gains with an enlarged threshold (`MarginTask`), or those that it gains with a required probability
+(`chance.PromiseTask`).
 """
 
 from __future__ import annotations
@@ -71,9 +72,9 @@ class Points:
     """Evaluated gaits, one row each; every field is an array of shape (n,).
 
     ``speed`` is along the gait's direction. ``count`` identifies the branch: the grooves gained in all averaged cycles
-    together, 0 unless each of them gains one. ``violation`` is at most 0 for a gait that gains a groove in every
-    averaged cycle and satisfies the actuator limits: the largest ratio to a limit minus 1. ``shape`` is by default the
-    paper's.
+    together, 0 unless each of them gains one. ``violation`` is the largest ratio of a quantity to its actuator
+    limit, minus 1. It is at most 0 for a gait that satisfies all limits and gains a groove in every averaged cycle.
+    ``shape`` is by default the paper's.
     """
 
     stroke: Array  # m
@@ -262,7 +263,7 @@ class MarginTask:
             return self.points(stroke, frequency[column], margin=margins[column])
 
         def label(stroke: Array, column: Index) -> Index:
-            # Even within the limits, odd beyond them, because the strip between an edge and a limit may be thin.
+            # Even within the limits, odd beyond them, so that a limit is located like an edge.
             found = points(stroke, column)
             return np.where(found.count > 0, 2 * found.count + ~found.admissible, 0)
 

@@ -63,7 +63,7 @@ from worm_optimizer.snapshot import Snapshot, Wish
 DRIVER, TWIN, OPTIMIZER = "driver", "twin", "optimizer"  # names of the nodes in system.yaml
 SILENCE_S = 60.0  # timeout for feedback of a running gait
 REASON_S = 1.0  # timeout for the driver's log message about a failed transition
-TELEMETRY_S = 1.0  # timeout of `state` for the optional topics of power, tracker and twin
+TELEMETRY_S = 1.0  # timeout of `current_snapshot` for the optional topics of power, tracker and twin
 ATTEMPTS = 2  # lifecycle transitions from unconfigured to active
 _NEXT = {
     State.PRIMARY_STATE_UNCONFIGURED: Transition.TRANSITION_CONFIGURE,
@@ -339,7 +339,7 @@ class OperatorNode(ServiceCaller):
         Args:
             request: objective and its value.
             direction: FORWARD or REVERSE.
-            initial_length: length of the robot at rest (m), as in `StateRecord`; 0: that of the optimizer's parameters.
+            initial_length: L0 (m), for example that of the twin's state; 0: that of the optimizer's parameters.
 
         Raises:
             UnreachableError: No gait of the front satisfies the request.

@@ -40,7 +40,7 @@ AFTERWARDS_S = 2.0  # rest at the end of a recording, in which the cable becomes
 RECORDER = "recorder"  # name of the node in system.yaml
 BUSY = 1.5  # load average per processor above which it may be the cause of a failure
 _TO_REST = (
-    "--to-rest"  # the recorder of a graph ends when torque is released, that of a run with the run
+    "--to-rest"  # records until torque is released; a recorder of a single run ends with the run
 )
 _EXCLUDE = "--exclude"
 FAILURES = (ProcessError, OperatorError, RecordingError)

@@ -29,7 +29,7 @@ from worm_optimizer.evaluation.task import (
 )
 from worm_optimizer.optimizer_errors import OptimizerError
 
-# Widths in m to which both borders are located in turn, because each border depends on the position on the other one.
+# Accuracies in m of successive rounds. Each round locates both borders, as the location of one depends on the other.
 COARSE = (2e-5, 1e-6)
 FINE = (*COARSE, EDGE_TOLERANCE)
 _WINDOW = 50.0  # size of the window in which a border is located again, relative to the last width
@@ -103,7 +103,7 @@ def corners(
     shares: Array,
     widths: tuple[float, ...],
 ) -> tuple[Points, Mask]:
-    """Locate the corners of shapes with ``shares`` (n, 2), to each of the ``widths`` in m in turn.
+    """Locate the corners of shapes with ``shares`` (n, 2), in one round for each accuracy in ``widths`` (m).
 
     The limits of the task are not considered.
 
@@ -182,7 +182,7 @@ def _shapes(columns: Columns, shares: Array, pretension: Array) -> Shapes:
 def _bisected(
     keeps: Callable[[Index, Array], Mask], good: Array, bad: Array, width: float
 ) -> Array:
-    """Return values (n,) that keep the grooves, to within a width of the border or of the bad end."""
+    """Return the last good values (n,), bisected between ``good`` and ``bad`` to within ``width``."""
     good, bad = good.copy(), bad.copy()
     while (open_ := np.flatnonzero(np.abs(good - bad) > width)).size:
         middle = 0.5 * (good[open_] + bad[open_])

@@ -35,9 +35,9 @@ Cost = Callable[[Points], Array]
 # (n,). The result may also contain edges with other counts.
 FindEdges = Callable[[Index, Index, Array, Array], Edges]
 
-# Local minima within this share of the lowest cost may be the lowest between the columns.
+# Costs in the columns that exceed the lowest one by at most this share may fall below it between the columns.
 _NEAR_BEST = 0.02
-_FASTER = 1e-12  # relative increase of a gait's speed, at which gaits of other branches are compared with it
+_FASTER = 1e-12  # relative: gaits of other branches are searched at a speed higher by this
 _WINDOW_SCAN = 5  # strokes of a scan in the window around an edge that is followed
 _LEAST_WINDOW = 1e-6  # m
 _LONGER = 4  # longer strokes at which the rise of the power is verified
@@ -45,7 +45,7 @@ _LONGER = 4  # longer strokes at which the rise of the power is verified
 
 @dataclass(frozen=True)
 class Resolution:
-    """Scan of the box with ``strokes`` at each of ``frequencies``, evenly spaced."""
+    """Numbers of evenly spaced ``frequencies`` and, at each of them, ``strokes`` with which the box is scanned."""
 
     strokes: int = 41
     frequencies: int = 161
@@ -131,7 +131,10 @@ def _completed(task: Task, surveyed: Survey, step: float) -> Survey:
 
 
 def _seeds(surveyed: Survey, step: float) -> list[tuple[int, int, int, tuple[float, float]]]:
-    """Return (count, index of a column, side, strokes in m near which the edge may be in it) for `_completed`."""
+    """Return the columns in which `_completed` searches for edges.
+
+    Each element is (count, index of the column, side of the known edges, strokes in m near which the edge may be).
+    """
     seeds = []
     for count in np.unique(surveyed.points.count):
         _, strokes = _by_column(surveyed, surveyed.points.stroke, int(count))

@@ -40,7 +40,7 @@ from worm_optimizer.study.version import identity, versions
 # Errors of codecs. MemoryError: a damaged length field may exceed the memory.
 _UNDECODABLE = (RuntimeError, ValueError, MemoryError, OverflowError)
 
-Region = tuple[slice, ...]  # part of the dimensions of the points
+Region = tuple[slice, ...]  # one slice for each dimension of the points
 
 STATE, REASON, CHECKSUM = "state", "reason", "block_checksum"
 _FORMAT = 2
@@ -434,7 +434,7 @@ def _empty(study: Study, block: tuple[int, ...]) -> xarray.Dataset:
         empty = dask.array.full((*shape, *further), np.nan, chunks=(*chunk, *further))
         attributes = {"units": variable.unit, "long_name": variable.long_name}
         data[name] = ((*along, *variable.dimensions), empty, attributes)
-    # These chunks are written immediately, because no value of them could stand for an unwritten chunk.
+    # These chunks are written immediately, because they have no fill value that would mean "not written".
     flags = {"flag_values": [0, 1, 2], "flag_meanings": "not_computed computed failed"}
     data[STATE] = (along, np.zeros(shape, np.int8), {"long_name": "state of the point", **flags})
     data[REASON] = (along, np.full(shape, "", object), {"long_name": "why the point failed"})

@@ -66,7 +66,8 @@ class Part(NamedTuple):
     Attributes:
         opcode: opcode of the record, or DAMAGED.
         first, last: location including the head of the record, the last byte exclusive.
-        runs: ranges of a damaged chunk's decompressed bytes that are complete records, each definition alone.
+        runs: ranges of a damaged chunk's decompressed bytes that are complete records. Each definition is a range of
+            its own.
     """
 
     opcode: int
@@ -259,7 +260,7 @@ class Walk:
 
     @property
     def _has_checksums(self) -> bool:
-        """True if the first intact chunk has a checksum; without intact ones, the first whose two lengths agree."""
+        """True if chunks have checksums. The first intact one decides, or else the first whose two lengths agree."""
         damaged: list[bool] = []
         for match in re.finditer(rb"(?s)\x06(?=.{5}\0\0\0)", self._data):
             head, first = self._chunk_head(match.start()), match.start() + RECORD.size

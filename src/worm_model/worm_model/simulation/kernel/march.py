@@ -4,7 +4,8 @@
 Rules of the events:
 
 - An event happens at the end of a half-open interval (t0, t1], when a fin that moves outward reaches its border.
-- Of two simultaneous events, the rear fin's (A1) comes first. The front fin's follows in a mode of no duration.
+- Of two simultaneous events, that of the rear fin (A1) comes first. That of the front fin follows in a mode of zero
+  duration.
 - A fin that touches a border without passing it triggers nothing.
 """
 
@@ -65,8 +66,8 @@ from worm_model.simulation.kernel.mode import (
 from worm_model.simulation.kernel.work import cable_power_of, cable_work
 
 POSITION_TOLERANCE = 1e-14  # m; accuracy with which a border is located
-SIGN_TOLERANCE = 1e-9  # N, m/s; signs matter only through an integrand that vanishes with them
-TIME_ROUNDING = 1e-14  # relative: a sample at the end of a run belongs to it
+SIGN_TOLERANCE = 1e-9  # N, m/s; below it the sign is irrelevant, as the power is almost zero
+TIME_ROUNDING = 1e-14  # relative; a sample that exceeds the end of a run by this belongs to the run
 MOST_STEPS = 20_000  # in a segment; beyond it the march reports chatter
 
 # Columns of a row of samples
@@ -92,11 +93,11 @@ EVENT_COLUMNS = 3
 # Entries of the totals
 WORK_DONE, SWITCHES, STEPS, SAMPLED, EVENTS, FAILURE = range(6)
 TOTALS_SIZE = 6
-CHATTERS = 1.0  # in the entry FAILURE: the anchors switch to and fro without end
+CHATTERS = 1.0  # in the entry FAILURE: the anchors switch back and forth without end
 
 
 class Segment(NamedTuple):
-    """Piece of the length signal: its start on the run's clock, its duration, ΔL and its functions."""
+    """Piece of the length signal: start (s since that of the run), duration (s), ΔL as a function, and its wave."""
 
     start: float
     duration: float
@@ -105,7 +106,7 @@ class Segment(NamedTuple):
 
 
 class Stage(NamedTuple):
-    """Mode with all quantities that guards follow; ``offset`` is the mode's start in its segment.
+    """Mode with all quantities whose zeros end it; ``offset`` is the start of the mode in its segment.
 
     ``grip`` has no meaning without dry friction.
     """
@@ -200,7 +201,7 @@ def _look_ahead(
         ahead = narrow(ahead, gap, FORCE_SIGN)
     length_rate = stage.length_rate.position
     polynomial = length_rate.one != 0.0 or length_rate.t1 != 0.0
-    if wave.omega != 0.0 or (wave.q != 0.0 and polynomial):  # a rate that decays keeps its sign
+    if wave.omega != 0.0 or (wave.q != 0.0 and polynomial):  # otherwise the rate only decays and keeps its sign
         rate = read(stage.length_rate, b, s, left, roots, wave, coarse)
         gap = above(rate, 0.0) if work.rate_side > 0.0 else below(rate, 0.0)
         ahead = narrow(ahead, gap, RATE_SIGN)
@@ -284,7 +285,7 @@ def _crossed(motion: Motion, stop: int, y: float, y_rate: float, c: Constants) -
         region = region_of(direction * (c.threshold - c.pitch), c.half_clearance)
     elif c.half_clearance > 0.0:
         region = CLEAR
-    else:  # From one bar to the other: a fin could enter a region of no width without end.
+    else:  # Without clearance there is no region CLEAR: a fin could enter and leave it endlessly.
         region = ABOVE if direction > 0 else BELOW
     if front:
         return Motion(y, y_rate, motion.rear_groove, groove, motion.rear_region, region)
@@ -406,7 +407,7 @@ def march(
 ) -> Motion:
     """Return the motion at the end of a segment.
 
-    Which module sticks is decided at the start of every mode, so that a motion does not contain it.
+    A motion does not contain which module sticks, because every mode determines this at its start.
 
     Args:
         segment: piece of the length signal.

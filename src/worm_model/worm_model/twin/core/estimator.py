@@ -4,15 +4,15 @@
 Samples are processed in the order of their stamps, each ``delay_s`` plus the look-ahead behind the newest one:
 
 - The **answer** to the command (`worm_model.simulation.kernel.actuation_law`) is computed exactly at its stamp.
-- The **driving length** is the line through measured lengths. Between two of them more than ``measured_stale_s``
-  apart it is the answer to the command. The look-ahead decides which one applies.
-- The **motion** follows exactly. It contains no derivative of a measured length.
+- The **driving length** is interpolated linearly between measured lengths. Between two of them that are more than
+  ``measured_stale_s`` apart it is the answer to the command. The look-ahead makes this choice possible.
+- The **motion** is computed exactly from the driving length, without a derivative of a measured length.
 - **Power** needs the length's rate (eq:Fc, eq:power_model). That of the answer is exact. For measured lengths it is the
   slope of a parabola through their differences from the answer within ± ``smoothing_s``, so that the smoothed part is
   small. The bias of a product of noisy rates is subtracted. Energy is the trapezoidal sum of the power.
 - Instruments are **compared** with the twin (`judge`).
 
-While no later length is known, the motion waits, and samples of that time are compared with nothing.
+The motion does not advance beyond the last known driving length. Samples later than that are not compared.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ def _report(out: OutputRows, kind: int, stamp: int, value: float) -> None:
 
 @entry
 def begins(rows: np.ndarray, k: int) -> bool:
-    """Return True if a row is the onset of a run, which no search crosses."""
+    """Return True if a row is the onset of a run. Searches for later rows end there."""
     return rows[k].kind == GAIT_KIND and rows[k].onset == rows[k].stamp
 
 
@@ -130,8 +130,8 @@ def _slope(memory: Memory, stamp: int, rules: Rules, a: Actuator) -> tuple[float
     """Return the slope (m/s) of the measured lengths at a stamp, and its variance for a noise of 1 m.
 
     It is the slope of a parabola through the lengths around the stamp. If the answer to the command is known at all of
-    them, the parabola fits the differences, and the answer's rate is added. The begin of the motion counts as one
-    length. The slope is NaN with too few lengths, or none on one side, because a parabola does not extrapolate.
+    them, the parabola fits the differences, and the answer's rate is added. The length at which the motion began
+    counts, too. The slope is NaN with too few lengths, or none on one side, because a parabola does not extrapolate.
     """
     m, rows = memory.record[0], memory.rows
     half = rules.smoothing
@@ -203,7 +203,7 @@ def put_at_rest(
 
 @entry
 def _move(memory: Memory, form: Coefficients, duration: float, q: float, c: Constants) -> None:
-    """Advance the motion by a duration (s) under a length; the kernel's sample has its end."""
+    """Advance the motion by a duration (s) with a given length. The kernel's sample then contains its end."""
     m = memory.record[0]
     motion = Motion(m.y, m.y_rate, m.rear_groove, m.front_groove, m.rear_region, m.front_region)
     segment = Segment(0.0, duration, form, Wave(c.mass, 0.0, q))
@@ -231,7 +231,7 @@ def _move_along(memory: Memory, stamp: int, corner: int, target: float, c: Const
 def _move_with_answer(
     memory: Memory, stamp: int, start: float, end: float, before: float, c: Constants, a: Actuator
 ) -> None:
-    """Advance the motion to a stamp under the answer to a command from start to end (m), split at the clip."""
+    """Advance the motion to a stamp under the answer to a command from start to end (m), split at the slack."""
     m = memory.record[0]
     left = (stamp - m.motion_ns) * SECOND
     if left <= 0.0:
@@ -281,7 +281,7 @@ def _update_power(
         rate, variance = _slope(memory, stamp, rules, a)
         variance *= m.noise_square[LENGTH_CHANNEL]
     if math.isnan(rate):
-        # Where measured lengths begin or end to drive, the line between both lengths is not a motion of the body.
+        # Where measured and estimated lengths meet, the line between both is not a motion of the body.
         rate = sample[LENGTH_RATE]
         if m.on_estimate or m.answered:
             rate = (effective(m.command, a) - m.answer) / a.time_constant if m.engaged else 0.0
