@@ -40,7 +40,8 @@ from worm_model.twin.signatures import BINS, L0_STEP_M, Signatures
 UNEXPLAINED = EventCode("", "an unexplained deviation in a single cycle", "", "")
 
 CHANGE = 0.004  # probability that a change of one kind begins in a cycle
-MISS, AGAIN, GAIN = 0.02, 0.3, 0.005  # probabilities that a fin misses a groove, misses the next, gains one
+# Probabilities that a fin misses a groove, misses one in the next cycle as well, and gains one.
+MISS, AGAIN, GAIN = 0.02, 0.3, 0.005
 WRONG_LENGTH, LENGTH_SPREAD_M = 0.01, 0.003  # probability that L0 is wrong; scatter, m
 RIGHT = 0.95  # probability that a cycle gains the predicted grooves
 DEVIATION = 0.001  # probability of an unexplained deviation in a cycle

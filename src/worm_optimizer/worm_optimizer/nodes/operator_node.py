@@ -63,7 +63,7 @@ from worm_optimizer.snapshot import Snapshot, Wish
 DRIVER, TWIN, OPTIMIZER = "driver", "twin", "optimizer"  # names of the nodes in system.yaml
 SILENCE_S = 60.0  # timeout for feedback of a running gait
 REASON_S = 1.0  # timeout for the driver's log message about a failed transition
-TELEMETRY_S = 1.0  # timeout of `current_snapshot` for the optional topics of power, tracker and twin
+TELEMETRY_S = 1.0  # timeout of `current_snapshot` for the topics of power, tracker and twin
 ATTEMPTS = 2  # lifecycle transitions from unconfigured to active
 _NEXT = {
     State.PRIMARY_STATE_UNCONFIGURED: Transition.TRANSITION_CONFIGURE,

@@ -201,7 +201,7 @@ def _look_ahead(
         ahead = narrow(ahead, gap, FORCE_SIGN)
     length_rate = stage.length_rate.position
     polynomial = length_rate.one != 0.0 or length_rate.t1 != 0.0
-    if wave.omega != 0.0 or (wave.q != 0.0 and polynomial):  # otherwise the rate only decays and keeps its sign
+    if wave.omega != 0.0 or (wave.q != 0.0 and polynomial):  # else it decays and keeps its sign
         rate = read(stage.length_rate, b, s, left, roots, wave, coarse)
         gap = above(rate, 0.0) if work.rate_side > 0.0 else below(rate, 0.0)
         ahead = narrow(ahead, gap, RATE_SIGN)
