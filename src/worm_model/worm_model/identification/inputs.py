@@ -10,7 +10,9 @@ from pathlib import Path
 
 from worm_model.arrays import Array
 from worm_model.bags.opening import open_bag
+from worm_model.bags.recording.run_manifest import recorded_conditions
 from worm_model.bags.run_reader import read_run
+from worm_model.conditions import LEVEL
 from worm_model.identification import bellows, fin
 from worm_model.identification.data.lab_logs import (
     LabError,
@@ -148,8 +150,14 @@ def run_folders(folder: Path) -> list[Path]:
 
 
 def _read_bag(path: Path, definitions: Path | None) -> tuple[Recording, ...]:
-    """Read the runs in a bag."""
+    """Read the runs in a bag. Raises IdentificationError if it states a slope, a tether or flow."""
     with open_bag(path, definitions=definitions) as bag:
+        conditions = recorded_conditions(bag)
+        if conditions != LEVEL:
+            raise IdentificationError(
+                f"{path}: recorded under {conditions}, which the identification does not include; use runs on "
+                "level ground, without tether and flow"
+            )
         run = read_run(bag, names=TOPICS)
         start = bag.start
     files = [path] if path.is_file() else sorted(f for f in path.iterdir() if f.is_file())

@@ -21,6 +21,8 @@ from worm_model.bags.recording.run_manifest import (
 )
 from worm_model.bags.run_writer import write_run
 from worm_model.conditions import LEVEL, Conditions, under
+from worm_model.identification.identification_errors import IdentificationError
+from worm_model.identification.inputs import read_inputs
 from worm_model.parameters import PAPER, ParameterFile
 
 NOW = 1_800_000_000_000_000_000
@@ -95,6 +97,13 @@ def test_runs_of_different_conditions_are_not_judged_by_one_of_them(tmp_path: Pa
         merge([level, steep], tmp_path / "both")
     with open_bag(tmp_path / "both") as bag, pytest.raises(ManifestError, match="conditions"):
         recorded_robot(bag)
+
+
+def test_the_identification_rejects_bags_that_state_conditions(tmp_path: Path):
+    bag = _bag_under(tmp_path / "steep", STEEP)
+    with pytest.raises(IdentificationError, match="slope 20 deg, tether 2 N"):
+        read_inputs([bag])
+    assert read_inputs([_bag_under(tmp_path / "level", LEVEL)]).recordings
 
 
 def test_stored_conditions_that_cannot_be_used_are_reported(tmp_path: Path):
