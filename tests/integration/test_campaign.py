@@ -14,8 +14,6 @@ from worm_optimizer.report.agreement import orders as orders_of
 from worm_optimizer.report.recordings import read_recorded_gaits
 from worm_optimizer.robot_commands import GaitCommand
 
-pytestmark = pytest.mark.integration
-
 GAITS = {"slow": Gait(0.06, 0.38), "fast": Gait(0.08, 0.4)}
 
 
