@@ -44,20 +44,23 @@ MISSED_REAR = EventCode(
 MISSED_FRONT = EventCode(
     "missed_groove_front",
     "a groove missed by the front fin",
-    "the front fin missed its last groove of the cycle before; x1 falls behind in the reported cycle",
+    "the front fin missed its last groove of the previous cycle; x1 falls behind in the reported cycle",
     "tracker; power",
 )
 GAINED = EventCode(
-    "gained_groove", "a gained groove", "a fin gained one groove more", "tracker; power"
+    "gained_groove", "a gained groove", "a fin gained one groove too many", "tracker; power"
 )
 ROBOT_MOVED = EventCode(
     "robot_moved",
     "a robot that was moved",
-    "a step by whole grooves that no fin makes",
+    "the position jumps by whole grooves, and no fin explains this",
     "tracker",
 )
 CAMERA_MOVED = EventCode(
-    "camera_moved", "a camera that was moved", "a step that is not whole grooves", "tracker"
+    "camera_moved",
+    "a camera that was moved",
+    "the position jumps, but not by whole grooves",
+    "tracker",
 )
 CABLE_SLIP = EventCode(
     "cable_slip",

@@ -130,7 +130,7 @@ def _print(
     predictions = {
         "twin, driven by the recording": comparison.twin,
         "optimizer, before the run": comparison.predicted,
-        f"the same with {1e3 * prediction.margin:.1f} mm margin": comparison.robust,
+        f"optimizer, with {1e3 * prediction.margin:.1f} mm margin": comparison.robust,
     }
     text = (
         f"Last 3 of 5 cycles, {_title(prediction)}; predictions for a groove phase of "
