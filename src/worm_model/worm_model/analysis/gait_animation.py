@@ -100,9 +100,11 @@ def palette_of(image: Image.Image) -> Image.Image:
 
     Flat colours stay what they are, which Pillow's own palettes do not guarantee.
     """
-    colours, counts = np.unique(np.asarray(image).reshape(-1, 3), axis=0, return_counts=True)
+    red, green, blue = np.moveaxis(np.asarray(image, np.int32), 2, 0)
+    packed, counts = np.unique(red << 16 | green << 8 | blue, return_counts=True)
     chosen = np.empty((0, 3), int)
-    for colour in colours[np.argsort(-counts)].astype(int):
+    for number in packed[np.argsort(-counts)]:
+        colour = np.array([number >> 16, number >> 8 & 0xFF, number & 0xFF])
         if np.all(np.abs(chosen - colour).max(axis=1) >= _DISTANCE):
             chosen = np.vstack([chosen, colour])
         if len(chosen) == _COLOURS:
