@@ -76,7 +76,7 @@ class Gait:
     ``contraction_share`` s: part of a cycle in which the body contracts.
 
     The fields are those of the message worm_msgs/msg/Gait. Tables, messages, bags and the kernel read them from here by
-    name. A new field needs the default that gaits without the field correspond to.
+    name. The default of a new field must be the value that gaits recorded before the field existed had.
 
     Raises `GaitError` if a value is not finite or not in its range.
     """

@@ -11,8 +11,8 @@ from importlib import import_module
 def deferred(module: str) -> Callable[[], int | None]:
     """Return the ``main`` of a module, which the first call imports.
 
-    SIGINT ends the process silently until `ros_process` handles signals. An exception could be lost in an import that
-    catches it.
+    Until `ros_process` handles signals, SIGINT ends the process silently. A KeyboardInterrupt could get lost in an
+    imported module that catches it.
     """
 
     def main() -> int | None:

@@ -3,7 +3,7 @@
 
 ``ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST`` is no access control. The ports are still bound on every address, and a host
 that names this machine as a static peer finds its topics, services and actions. So this module binds the middleware
-itself to the loopback interface, each in its own way.
+itself to the loopback interface, with the settings of each supported middleware.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _BINDINGS: Mapping[str, Mapping[str, str]] = {
         "FASTRTPS_DEFAULT_PROFILES_FILE": str(_FAST_DDS),
         "FASTDDS_DEFAULT_PROFILES_FILE": str(_FAST_DDS),
         "SKIP_DEFAULT_XML": "1",  # Otherwise a file in the working folder could open the network again.
-        # The profile is complete. For LOCALHOST the rmw adds a transport of its own, with sockets on every address.
+        # The profile defines all transports. For LOCALHOST the rmw would add one with sockets on every address.
         _RANGE: "SYSTEM_DEFAULT",
     },
     "rmw_cyclonedds": {"CYCLONEDDS_URI": _CYCLONE_DDS, _RANGE: "LOCALHOST"},

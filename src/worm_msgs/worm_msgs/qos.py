@@ -3,5 +3,5 @@
 
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-#: Late subscribers receive the latest message, too, as of `gait_state` and `emergency_stop`.
+#: A late subscriber receives the latest message, too. `gait_state` and `emergency_stop` use this profile.
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)

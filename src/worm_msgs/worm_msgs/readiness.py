@@ -32,7 +32,7 @@ def announce() -> None:
 
 
 class Readiness:
-    """Receiver of the report of one process. Pass it ``environment`` in addition to its other variables."""
+    """Receiver of the report of one process, which needs ``environment`` in addition to its other variables."""
 
     def __init__(self) -> None:
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)

@@ -24,7 +24,7 @@ from worm_msgs import network
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 #: s, longest time until a signal takes effect
 SPIN_S = 0.1
-#: s, in which further signals belong to the same Ctrl-C, as a terminal and launch may both send it
+#: s after the first signal, in which further ones belong to the same Ctrl-C: the terminal and launch may both send it
 _SAME_PRESS_S = 1.5
 #: Start of rcl's message if the environment allows no node: a middleware without security, or no network.
 _NO_NODE = "error creating node"
@@ -34,7 +34,7 @@ class ShutdownRequest:
     """Request to end the process, made by a signal.
 
     Attributes:
-        first: called in the handler of the first signal, so that its effects come before those of all later reactions.
+        first: called in the handler of the first signal, before any code that polls the request can react.
         again: called in the handler of every later SIGINT, from an impatient operator. Later SIGTERMs do not count:
             launch and systemd send them to escalate.
     """

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 RPM = 2.0 * math.pi / 60.0  # rad/s
-VELOCITY_UNIT = 0.229  # rpm, of the registers as the manual rounds it
+VELOCITY_UNIT = 0.229  # rpm per unit of the velocity registers, as rounded in the manual
 
 #: Initial value of a register, or (initial value, lowest, highest), raw.
 Initial = int | tuple[int, int, int]

@@ -17,7 +17,7 @@ def read_yaml(path: Path, error: type[Exception] = SettingsFileError) -> Any:
     """Return the content of a YAML file without duplicate keys.
 
     Raises:
-        error: The file is unreadable or no YAML. The message begins with the path.
+        error: The file is unreadable or is not valid YAML. The message begins with the path.
     """
     try:
         return parse_yaml(path.read_text(encoding="utf-8"))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""State that `supervision` judges by: how long servos are silent or overloaded, and how late the loop was."""
+"""State on which the rules of `supervision` depend: durations of silence and overload, and the loop's lateness."""
 
 import math
 import os
@@ -12,7 +12,8 @@ from worm_driver.servos.registers import WATCHDOG_EXPIRED
 from worm_driver.servos.servo_state import SILENT, ServoState
 from worm_driver.servos.state_reader import StateReader
 
-#: Time for which the loop's own lateness explains an expired bus watchdog, as health is read in turn, s.
+#: Time for which the loop's own lateness explains an expired bus watchdog, s. It is longer than a cycle, because each
+#: cycle reads the health of one servo only.
 _REMEMBERED = 0.5
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from worm_driver.servos.registers import WATCHDOG_EXPIRED, hardware_error_text
 from worm_driver.servos.servo_setup import Servo
 
-#: Ratio of a servo's own limit to the level of a fault. It exceeds 1, so that the fault can be detected.
+#: Ratio of a servo's own limit to the level of a fault. At 1 or below, the servo would never reach that level.
 _HEADROOM = 1.1
 
 
@@ -83,8 +83,8 @@ def silence(counts: Counts, silent: Iterable[int], watched: float) -> Counts:
 def watched_time(elapsed: float, period: float) -> float:
     """Return the time (s) that a reading of the servos stands for, if it ended ``elapsed`` s after the previous one.
 
-    A punctual driver reads twice within two periods if no servo answers. Any time beyond that is the driver's own
-    lateness, in which it sent no request.
+    Even if no servo answers, two readings of a punctual driver are at most two periods apart. Any further time is the
+    driver's own lateness, in which it sent no request.
     """
     return min(elapsed, 2.0 * period)
 

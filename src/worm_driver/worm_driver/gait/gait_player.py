@@ -154,7 +154,7 @@ class PlayerSettings:
 
 
 def start(state: PlayerState, now: float, gait: Gait, cycles: int) -> PlayerState:
-    """Begin a run from rest, or from a hold after a return to rest.
+    """Begin a run. From a hold, the cable returns to rest first.
 
     Raises:
         LimitError: A run is in progress, or the player is in fault.
@@ -229,7 +229,7 @@ def moving(state: PlayerState) -> bool:
 def step(
     state: PlayerState, now: float, observation: Observation, settings: PlayerSettings
 ) -> PlayerState:
-    """Return the state at a time (s). Call it in every control cycle while the cable moves."""
+    """Return the state at a time (s). Call it in every control cycle while the torque is on."""
     handler = _STEPS.get(state.phase)
     if handler is None:
         return state

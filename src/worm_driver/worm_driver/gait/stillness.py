@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Detection of rest by the tracker, as a body that was stopped while contracted creeps after its cable is paid out."""
+"""Detection of rest by the tracker. After a stop, a contracted body still creeps when its cable has been paid out."""
 
 import math
 from collections import deque
 from collections.abc import Iterable
 
-#: s at rest before a gait. The twin determines the initial length from this time.
+#: s at rest before a gait. The twin determines the initial length from the samples of this span.
 SPAN = 1.0
 #: m, largest difference between the mean positions in the halves of that span, about a tracker's noise
 TOLERANCE = 3e-4

@@ -36,7 +36,7 @@ from worm_msgs.msg import Heartbeat
 
 #: s between two feedback messages
 _FEEDBACK_PERIOD = 0.2
-#: s after a run's end. The metrics need tracker samples up to the first time, and wait for them up to the second.
+#: s after a run's end. The metrics wait for a tracker sample at or after the first time, but not beyond the second.
 _TRACKER_AFTERWARDS = 0.3
 _TRACKER_TIMEOUT = 1.0
 
@@ -204,7 +204,7 @@ class RunGaitAction:
         return self._finish(goal, current, outcome)
 
     def _begin(self, goal_id: bytes, request: RunGait.Goal, stops: int) -> None:
-        """Begin the run of a goal that arrived after ``stops`` stops. Raises DriverError."""
+        """Begin the run of a goal; ``stops`` is the number of stops before its arrival. Raises DriverError."""
         hardware = self._hardware()
         if hardware is None:
             raise DriverError("the driver is not configured: configure and activate it first")

@@ -98,7 +98,7 @@ class INA219:
         if configuration == POWER_ON_CONFIGURATION:
             self.set_up()
             return
-        # With an adapter that swaps, the word above was a setting, and only the swapped word resets the chip.
+        # If the adapter swaps the bytes, RESET has arrived as a setting. Then only the swapped value resets the chip.
         if POWER_ON_CONFIGURATION in (swap(configuration), swap(self._reset(swap(RESET)))):
             raise PowerSensorError(swapped)
         raise PowerSensorError(
@@ -107,7 +107,7 @@ class INA219:
         )
 
     def _reset(self, word: int) -> int:
-        """Write a word that should reset the chip, and return the configuration."""
+        """Write a value that should reset the chip, and return the configuration."""
         self.device.write(CONFIGURATION, word)
         return self.device.read(CONFIGURATION)
 

@@ -80,7 +80,7 @@ class Conditions:
     def drag(self, velocity: float) -> float:
         """Return the drag of the water on a module divided by its velocity relative to the water, N*s/m.
 
-        velocity: of the module, m/s.
+        velocity: velocity of the module, m/s.
         """
         if self.drag_area_m2 == 0.0:
             return 0.0

@@ -246,10 +246,10 @@ class ReplayReporter:
         return float(np.interp(0.0, (stamp - when) * 1e-9, values))
 
     def _groove_at(self, when: int, resumed: int = 0) -> float:
-        """Return the twin's rear groove in the first state from a stamp on, when a missed groove is known.
+        """Return the twin's rear groove in the first state from a stamp on; it accounts for missed grooves.
 
-        Just before the stamp at which a stored memory was ``resumed``, the first state after it is used, because
-        earlier states count from another groove. The result is NaN without a state.
+        If the stamp is just before the one at which a stored memory was ``resumed``, the first state after the latter
+        is used, because earlier states count from another groove. The result is NaN without a state.
         """
         if 0 <= resumed - when <= RESUMED_AFTER_NS:
             when = resumed + 1

@@ -3,7 +3,7 @@
 
 They are this project's, not the paper's. In the slow limit the viscous friction is negligible: the module whose fins
 are engaged holds while the other is dragged. The grooves gained are the number of times that the dragged fin passes
-its threshold. They agree with the simulator in 99 % of the paper's box.
+its threshold. This number agrees with the simulator in 99 % of the paper's box.
 """
 
 from __future__ import annotations

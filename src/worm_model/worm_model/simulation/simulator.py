@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 
 CYCLES = 5  # cycles of a run, from the start
 AVERAGED = 3  # the last cycles of the run
-SETTLING_TIME = 1.0  # s in which the body reaches another length, and again to come to rest
+SETTLING_TIME = 1.0  # s for a change of the length, and s for the motion to decay afterwards
 
 _NO_ROWS = np.empty((0, march.SAMPLE_COLUMNS))
 

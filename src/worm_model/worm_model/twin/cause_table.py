@@ -193,7 +193,7 @@ LASTING = {
             size=0.05,
             unit="%",
             scale=100.0,
-            words="the gain of the body's answer changed by {}",
+            words="the gain from command to body length changed by {}",
             hint="a cable that slips, is slack or stretched",
             trials=((-0.01, -0.03, -0.06),),
         ),

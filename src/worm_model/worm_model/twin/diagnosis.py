@@ -73,9 +73,9 @@ LASTED = 0.5  # a change later than this phase of the last cycle is not yet repo
 WHOLE_M = 0.0008  # standard deviation of a step by whole grooves
 LENGTHS = 2  # smallest number of cycles from which L0 is estimated
 TIMING = 0.06  # standard deviation of the phase at which a fin slips
-ANY_TIME = 0.05  # share of missed grooves at an arbitrary phase
+ANY_TIME = 0.05  # probability that a fin's step comes at an arbitrary phase of the cycle
 MORE = 0.02  # probability that a fin misses the next groove of the same cycle, too
-SWIFT = {"camera": 0.97, "robot": 0.2, "fin": 0.05}  # probability that a step takes no time
+SWIFT = {"camera": 0.97, "robot": 0.2, "fin": 0.05}  # probability that a step is instantaneous
 LIKELY = 0.05  # smallest probability of a cause that a message lists
 SLIGHT_M = 0.005  # smaller steps are reported only if they last for another cycle
 
@@ -126,9 +126,9 @@ class History:
         slight: True if the last cycle had a step so small that it may be noise.
         doubt: True if several causes remained possible.
         doubted: True if that was reported.
-        missed: grooves missed, by the tracker.
-        extra: grooves gained, by the tracker.
-        missed_by_power: grooves missed, by power alone.
+        missed: number of missed grooves according to the tracker.
+        extra: number of additional grooves according to the tracker.
+        missed_by_power: number of missed grooves according to power alone.
     """
 
     cycles: tuple[CycleData, ...] = ()

@@ -9,10 +9,10 @@ At the onset all earlier samples have been processed.
 - After a run the fins stay where they are, so that the modules are up to some millimetres off their grooves. With
   another start the whole next run would be predicted incorrectly.
 - While the cable is at rest, the body returns to its initial length. Fins that are turned for the other direction move
-  to the nearest grooves. Shortly after a pull, the body is still shorter by the effect of the slack at that moment,
+  to the nearest grooves. If they are turned shortly after a pull, the body is still shorter by the effect of the slack,
   which may change the grooves. If the twin cannot determine them, the start is unknown.
 - A pretension shortens the body. L0 is then the measured length plus this effect, and ΔL starts at minus the effect.
-- A body at rest that is shorter by the effect of the slack still has tightened slack. L0 then remains that of the
+- If a body at rest is shorter by the effect of the slack, its slack is still taken up. L0 then remains that of the
   previous run, and ΔL starts at the measured difference.
 """
 
@@ -47,7 +47,7 @@ PLAYING = (Activity.RUNNING, Activity.STOPPING)
 LATE_NS = 20_000_000  # delay of an onset beyond which it is reported
 PLAUSIBLE_M = 0.02  # largest difference between a measured length at rest and the parameter
 TIGHTENED = (
-    0.35  # tolerance for a body whose slack is tightened, relative to the effect of the slack
+    0.35  # tolerance for a body whose slack is taken up, relative to the effect of the slack
 )
 FEWEST = 5  # smallest number of samples for a mean
 # Values at rest may differ by STILL_M plus STILL_NOISE times the median difference of consecutive values.
@@ -198,7 +198,7 @@ def _stand(
     if pulled:
         text += f"; the pretension makes the body {-1e3 * pulled:.1f} mm shorter"
     elif tightened:
-        text += f"; the slack is still tightened, which makes the body {-1e3 * tightened:.1f} mm shorter"
+        text += f"; the slack is still taken up, which makes the body {-1e3 * tightened:.1f} mm shorter"
     standing = initial_length + tightened
     shorter = 0.0 if tightened else before.gain * before.slack
     lengths = _lengths_when_turned(memory, driver.onset_ns, standing, shorter)
@@ -259,7 +259,7 @@ def _lengths_when_turned(
 
 
 def _tightened(m: Any, before: Parameters, rest: _Rest) -> float:
-    """Return ΔL (m) of a body at rest whose slack is still tightened or returning after another run, otherwise 0."""
+    """Return ΔL (m) of a body at rest whose slack is still taken up or returning after another run, otherwise 0."""
     shorter = before.gain * before.slack
     change = rest.length - before.initial_length
     if m["start_ns"] and abs(change + shorter) < min(TIGHTENED * shorter, PLAUSIBLE_M):

@@ -59,7 +59,9 @@ from worm_optimizer.report.recordings import read_recorded_gaits
 from worm_optimizer.report.report_page import PAGE, Report, build_report
 from worm_optimizer.robot_commands import GaitCommand
 
-_GAITS = 3  # gaits of a campaign without repeats and nominal gaits, which has no spread
+_GAITS = (
+    3  # gaits of a campaign without repeats and nominal gaits; more are needed to draw the spread
+)
 SPREAD_FIGURE = "spread.png"
 _MODES = ("virtual", "robot")
 _CONTINUE = "campaign: continue with --resume {}"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Threads between the pages of the console, which never wait, and the robot.
+"""Threads that command the robot for the pages of the console, so that a page never waits.
 
 The command thread owns an operator node and executes one command after the other. The stop thread owns another one,
 which receives the telemetry, requests control and stops the robot while the command thread waits.
@@ -170,7 +170,7 @@ class RobotWorker:
             raise _ClosedError
 
     def _on_start_progress(self, text: str) -> None:
-        """Report the progress of the start, or a restart of a node, which keeps nothing busy."""
+        """Report the progress of the start, or the restart of a node. `busy` changes only during a command."""
         if self.busy:
             self.busy = text
         self._notify(Notice(text))

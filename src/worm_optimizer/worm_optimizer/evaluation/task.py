@@ -35,10 +35,10 @@ from worm_optimizer.optimizer_errors import OptimizerError
 
 Mask = NDArray[np.bool_]
 
-_TRANSIENT = 0.05  # pitches by which the advance of a cycle may be below the grooves gained
+_TRANSIENT = 0.05  # pitches; by less than this, a cycle's advance may fall short of whole grooves during the transient
 EDGE_TOLERANCE = 1e-8  # m, width of the bracket to which the edge of a branch is bisected
-# m, beyond that bracket: rounding on another processor could cost a gait on its exact edge a groove. The allowance
-# costs less than a millionth of the power.
+# m by which a gait is placed beyond that bracket. On its exact edge, rounding on another processor could lose a groove.
+# The allowance costs less than a millionth of the power.
 EDGE_ALLOWANCE = 1e-8
 
 
@@ -263,7 +263,7 @@ class MarginTask:
             return self.points(stroke, frequency[column], margin=margins[column])
 
         def label(stroke: Array, column: Index) -> Index:
-            # Even within the limits, odd beyond them, so that a limit is located like an edge.
+            # The label is even within the actuator limits and odd beyond them. A limit is then located like an edge.
             found = points(stroke, column)
             return np.where(found.count > 0, 2 * found.count + ~found.admissible, 0)
 

@@ -43,7 +43,7 @@ _NAMES = {FORWARD: "forward", REVERSE: "reverse"}
 class OptimizerNode(Node):
     """Server of request_gait, optimize_gaits and scan_margin, one request at a time.
 
-    Computing a front takes half a second, or some seconds with a required success probability or of shaped gaits. A
+    Computing a front takes half a second; with a success probability or shaped gaits it takes some seconds. A
     front is computed for the first request that needs it and stored until the settings, the conditions or the parameter
     file change.
 

@@ -4,8 +4,8 @@
 A gait's promise is the largest number of grooves per cycle that it keeps with the given probability. The paper enlarges
 a threshold to stay away from the edges of a branch. Here the edges follow from the uncertainty itself. The edge of a
 promise is the shortest stroke at which enough scenarios gain the grooves. The draws are the same at every stroke
-(common random numbers). With every groove phase as a scenario and probability 1, the result is a set of any-phase
-gaits, which do not depend on φ.
+(common random numbers). If the scenarios are all groove phases and the probability is 1, the gaits keep their grooves
+at any phase φ.
 """
 
 from __future__ import annotations

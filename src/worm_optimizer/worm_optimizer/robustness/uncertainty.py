@@ -30,7 +30,7 @@ MOTION_HALF_WIDTHS: Mapping[str, float] = {
     "slack": 0.05,
 }
 # The same for parameters that affect only the power. A fit determines the product of damping and power factor better
-# than either, so that their correlation in the file determines the band of the power.
+# than either factor. The interval of the power therefore depends on their correlation in the file.
 POWER_HALF_WIDTHS: Mapping[str, float] = {
     "bellows_stiffness": 0.03,
     "bellows_damping": 0.10,
@@ -97,8 +97,8 @@ def _parameters_described(content: ParameterFile) -> str:
 def phase_known(content: ParameterFile, samples: int, seed: int) -> Scenarios:
     """Return draws of the parameters at the file's groove phase φ, within the reach of its initial_length.
 
-    The reach is that of the next run: the interval of the mean, and the scatter from run to run. The phase is drawn and
-    not the length, because with φ = L0 − n·d the error of the pitch would otherwise enter the phase seventeen-fold.
+    The reach is that of the next run: the interval of the mean, and the scatter from run to run. The phase is drawn
+    instead of the length: with φ = L0 − n·d and n = 17, the phase would otherwise contain 17 times the pitch's error.
     Deviations are normal, with a separate width on each side.
     """
     overrides = _draws(content, MOTION_KEYS, samples, seed, _MOTION_STREAM)

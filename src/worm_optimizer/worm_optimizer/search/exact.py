@@ -35,9 +35,12 @@ Cost = Callable[[Points], Array]
 # (n,). The result may also contain edges with other counts.
 FindEdges = Callable[[Index, Index, Array, Array], Edges]
 
-# Costs in the columns that exceed the lowest one by at most this share may fall below it between the columns.
+# A minimum over the columns is followed if it exceeds the lowest one by at most this share, because it may fall below
+# that one between the columns.
 _NEAR_BEST = 0.02
-_FASTER = 1e-12  # relative: gaits of other branches are searched at a speed higher by this
+_FASTER = (
+    1e-12  # relative increase of the speed at which other branches are searched for a cheaper gait
+)
 _WINDOW_SCAN = 5  # strokes of a scan in the window around an edge that is followed
 _LEAST_WINDOW = 1e-6  # m
 _LONGER = 4  # longer strokes at which the rise of the power is verified
@@ -107,7 +110,7 @@ def survey(task: Task, resolution: Resolution, zoom: Zoom) -> Survey:
 
 
 def _completed(task: Task, surveyed: Survey, step: float) -> Survey:
-    """Return the survey with the thin parts of branches, which lie between the strokes of the scan, ``step`` m apart.
+    """Return the survey with the edges that the scan missed where a branch is narrower than the ``step`` (m).
 
     A branch may have no edge in a column, or an edge at a longer stroke than in the neighbouring column. Its edge is
     then searched near the straight line through the edges of the next two columns. The search then continues in the

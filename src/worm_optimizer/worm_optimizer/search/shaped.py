@@ -53,8 +53,8 @@ from worm_optimizer.search.pattern_search import (
 _FREQUENCIES = 17  # frequencies at which shares are searched
 _FREQUENCIES_OF_NODES = 9  # the same if there are several margins
 _NODES = 5  # margins of a scan at which shares are searched
-# Further ones between the last of these margins at which a branch exists (1) and the one at which it is lost (0). There
-# the shares change quickly with the margin.
+# Further margins for a branch that is lost between two of these, because its shares change quickly there. 1 is the
+# last of these margins at which the branch exists, 0 the largest margin at which it exists.
 _CLIFF_NODES = (0.5, 0.2, 0.05, 0.0)
 _START_SHARES = (0.35, 0.5, 0.65, 0.8)  # contraction shares from which the search starts
 _START_RAMPS = (0.1, 0.25, 0.5)  # ramp shares of a trapezoid from which it starts
@@ -177,8 +177,8 @@ class ShapedTask:
     ) -> tuple[Array, Array, Array]:
         """Return shares (m, 2) of a branch to be tried, NaN beyond its tracks.
 
-        The first are interpolated over the margin. If the shares below and above belong to different minima, the others
-        are these, because the gaits between two minima are bad.
+        The first array is interpolated over the margin. If the nodes below and above belong to different minima, the
+        other two arrays are the shares at these nodes, because a gait between two minima needs more power.
         """
         searched = [track.margin for track in self.tracks]
         nodes = np.union1d(self.nodes or (self.task.margin,), searched)

@@ -225,7 +225,7 @@ def compute_point(study: Study, values: Mapping[str, float]) -> dict[str, Any]:
 def content_of(study: Study, asked: Mapping[str, float]) -> ParameterFile:
     """Return the robot of a point: its parameter file with the requested values, under the requested conditions.
 
-    An interval is scaled with its value, so its relative width stays the same. That of a value 0 is shifted.
+    An interval is scaled with its value, so its relative width stays the same. The interval of a value 0 is shifted.
     """
     content = study.files[int(asked.get(PARAMETER_FILE, 0))][1]
     old = content.parameters

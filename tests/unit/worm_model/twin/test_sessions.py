@@ -345,7 +345,7 @@ GAITS = st.sampled_from([Gait(0.07, 0.4), Gait(0.085, 0.35), GAIT_REVERSE])
 ENDS = st.sampled_from([{}, {"stop_after": 3.2}, {"cancel_after": 1.0}])
 
 
-# The example: after a stop, the fins are turned while the slack is still tightened, and stay in their grooves.
+# The example: after a stop, the fins are turned while the slack is still taken up, and stay in their grooves.
 @example([(GAIT_REVERSE, {"stop_after": 3.2}, False), (Gait(0.07, 0.4), {}, False)], 1)
 @settings(max_examples=4, deadline=None, derandomize=True)
 @given(st.lists(st.tuples(GAITS, ENDS, st.booleans()), min_size=2, max_size=3), st.integers(1, 99))

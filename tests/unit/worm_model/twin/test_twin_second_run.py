@@ -136,7 +136,7 @@ def test_slack_that_is_still_taken_up_is_not_another_l0(second):
     samples = session(second, release_s=100.0)
     again = at(CYCLES * FIRST.period + PAUSE_S)
     _, output = positions(samples)
-    assert any("the slack is still tightened" in n.text for n in output.notices)
+    assert any("the slack is still taken up" in n.text for n in output.notices)
     later = [s for s in output.states if s.stamp_ns > again]
     off = [s.initial_length - PAPER.initial_length for s in later]
     assert max(np.abs(off)) < 1e-4

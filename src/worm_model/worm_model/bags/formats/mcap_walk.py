@@ -7,7 +7,8 @@ A record is plausible if all of these hold:
 - Its body is valid for its kind. A chunk decompresses to its declared size, its checksum is correct, and it consists
   of complete records. The checksum of an attachment is correct. A message belongs to a defined channel. An index of
   messages consists of complete entries. Texts and maps of all others are UTF-8 and end where the record ends.
-- The next record is plausible by the same rules, or there is none. A chunk with records does not need this.
+- The next record is plausible by the same rules, or there is none. A chunk that contains records is plausible without
+  this.
 
 A definition or a metadata record with a damaged length ends where its fields end.
 

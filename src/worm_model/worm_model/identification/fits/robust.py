@@ -12,7 +12,7 @@ SIGMA_PER_MAD = (
     1.4826  # ratio of standard deviation to median absolute deviation of a normal distribution
 )
 OUTLIER = 5.0  # residual of an outlier, in robust standard deviations
-MOST_MEMORY = 0.9
+MOST_MEMORY = 0.9  # largest correlation of successive residuals; at 1 `dependence` is infinite
 ONE_SIDED = 1.645  # one-sided 95 % quantile of the normal distribution
 
 

@@ -3,8 +3,8 @@
 
 A guard watches a gap that is positive until its event. The gap's value, its rate and bounds on its second derivative
 enclose it between two parabolas for the time ahead. The gap stays open at least until the lower parabola reaches zero.
-The event has happened when the upper one reaches zero, and only once in between, so that Newton's method can locate
-it. A gap that touches zero within rounding, and opens again or stays, triggers nothing.
+When the upper one reaches zero, the event has happened. Between these times the gap has exactly one zero, which
+Newton's method locates. A gap that touches zero within rounding, and opens again or stays, triggers nothing.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 
 Rules of the events:
 
-- An event happens at the end of a half-open interval (t0, t1], when a fin that moves outward reaches its border.
+- An event happens at the end of a half-open interval (t0, t1], when a fin passes a border of its region.
 - Of two simultaneous events, that of the rear fin (A1) comes first. That of the front fin follows in a mode of zero
   duration.
 - A fin that touches a border without passing it triggers nothing.

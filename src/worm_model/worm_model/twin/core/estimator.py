@@ -1,15 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Estimator: answer to the command, motion, power and residuals, from sample to sample.
+"""Estimator: ΔL that follows from the command, motion, power and residuals, from sample to sample.
 
 Samples are processed in the order of their stamps, each ``delay_s`` plus the look-ahead behind the newest one:
 
-- The **answer** to the command (`worm_model.simulation.kernel.actuation_law`) is computed exactly at its stamp.
+- The **answer** to the command is the ΔL that the actuation model computes from it, exactly at each stamp
+  (`worm_model.simulation.kernel.actuation_law`).
 - The **driving length** is interpolated linearly between measured lengths. Between two of them that are more than
   ``measured_stale_s`` apart it is the answer to the command. The look-ahead makes this choice possible.
 - The **motion** is computed exactly from the driving length, without a derivative of a measured length.
 - **Power** needs the length's rate (eq:Fc, eq:power_model). That of the answer is exact. For measured lengths it is the
   slope of a parabola through their differences from the answer within ± ``smoothing_s``, so that the smoothed part is
-  small. The bias of a product of noisy rates is subtracted. Energy is the trapezoidal sum of the power.
+  small. The power contains the square of the rate, whose noise adds a bias; this is subtracted. Energy is the
+  trapezoidal sum of the power.
 - Instruments are **compared** with the twin (`judge`).
 
 The motion does not advance beyond the last known driving length. Samples later than that are not compared.
@@ -65,7 +67,7 @@ MOVED_M = 1e-6  # smallest command that counts as a motion
 FEWEST_LENGTHS = 4  # in a window, because a parabola through three follows the noise
 ESTIMATED, MEASURED = int(LengthSource.ESTIMATED), int(LengthSource.MEASURED)
 
-# Boundaries at which Python continues: no row is due, a driver state, the end of a cycle, a command without a driver.
+# Reasons to return to the Python code: no row is due, a driver state, the end of a cycle, a command without a driver.
 DONE, DRIVER_STATE, CYCLE_END, UNANNOUNCED_RUN = range(4)
 # Events: a gap in the lengths (value: duration in s), a motion that switches endlessly, a moved tracker (shift in m).
 GAP, ZENO, TRACKER_MOVED = range(3)
@@ -281,7 +283,7 @@ def _update_power(
         rate, variance = _slope(memory, stamp, rules, a)
         variance *= m.noise_square[LENGTH_CHANNEL]
     if math.isnan(rate):
-        # Where measured and estimated lengths meet, the line between both is not a motion of the body.
+        # Between a measured and an estimated length, the slope of the connecting line is not a rate of the body.
         rate = sample[LENGTH_RATE]
         if m.on_estimate or m.answered:
             rate = (effective(m.command, a) - m.answer) / a.time_constant if m.engaged else 0.0

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Buffer of samples, ordered by stamp; detection of late samples, duplicates, implausible stamps and clock jumps.
 
-- **Late.** A sample more than ``delay_s`` older than the newest of any instrument is counted and excluded, because its
-  neighbours are processed already. All others are inserted by stamp, in whatever order they arrive.
+- **Late.** A sample more than ``delay_s`` older than the newest of any instrument is counted and excluded, because
+  samples with later stamps are processed already. All others are inserted by stamp, in whatever order they arrive.
 - **Duplicate**, **not a number** (or not a plausible length, position or power): counted and excluded.
 - **Jump back.** Three samples in a row are older than the newest by more than ``jump_back_s``.
 - **Ahead.** A sample that is ahead of the newest by more than ``hold_ahead_s`` is held. Once three in a row agree, from
