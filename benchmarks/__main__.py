@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs benchmarks: every module of this folder that has a TITLE and a function run() -> list[Row]."""
+"""Command that runs benchmarks: every module of this folder with a TITLE and a function run() -> list[Row]."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from benchmarks.report import machine, print_rows
 
 
 def find_benchmarks() -> dict[str, ModuleType]:
-    """Benchmarks by name, in alphabetical order."""
+    """Return the benchmarks by name, in alphabetical order."""
     names = sorted(module.name for module in pkgutil.iter_modules(benchmarks.__path__))
     modules = {
         name: importlib.import_module(f"benchmarks.{name}")
@@ -40,19 +40,19 @@ def main() -> int:
     parser.add_argument(
         "--busy",
         action="store_true",
-        help="beside other work: two demos, a loop that bursts, a writer that syncs 50 MB at a time",
+        help="during other work: two demos, a loop that bursts, a writer that syncs 50 MB at a time",
     )
     options = parser.parse_args()
     unknown = [name for name in options.names if name not in known]
     if unknown:
         parser.error(f"no benchmark {unknown[0]}; there are {', '.join(known)}")
     print(machine())
-    beside = " beside other work" if options.busy else ""
+    load = " during other work" if options.busy else ""
     for name in options.names or known:
-        print(f"{name}{beside} …", file=sys.stderr, flush=True)
+        print(f"{name}{load} …", file=sys.stderr, flush=True)
         with mixed_load() if options.busy else contextlib.nullcontext():
             rows = known[name].run()
-        print_rows(f"{name}{beside}: {known[name].TITLE}", rows)
+        print_rows(f"{name}{load}: {known[name].TITLE}", rows)
     return 0
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Demos in a row: how many succeed, and by how much their figures differ."""
+"""Repeated demos: how many succeed, and how much their results differ."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ DOMAIN = 93
 
 
 def run() -> list[Row]:
-    """Demos of one seed."""
+    """Run the demos with one seed and return the rows."""
     figures, seconds, failures = [], [], []
     with tempfile.TemporaryDirectory() as bags:
         command = [*executable_command("worm_optimizer", "demo"), "--json", "--bags", bags]

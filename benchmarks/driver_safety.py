@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a fault to a cable that stands still, and what bad data move, on the virtual clock.
+"""Times from a fault to a cable that stands still, and motions caused by wrong samples, on the virtual clock.
 
-The same figures on every machine.
+The results are the same on every machine.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from worm_driver.gait.gait_player import Phase
 
 TITLE = "from a fault to a cable that stands still, and what bad data move"
 
-#: s after the onset of a gait of 70 mm at 0.4 Hz at which the fault strikes: the cable runs in, out, fast and slowly
+#: s from the onset of a gait of 70 mm at 0.4 Hz to the fault: the cable contracts or extends, fast or slowly
 MOMENTS = (0.30, 0.62, 0.90, 1.60, 2.10)
-#: m/s, below which the cable stands
+#: m/s, below which the cable stands still
 STILL = 0.002
-#: s, for which is looked
+#: s, observed time after a fault
 LOOKED = 1.0
 
-#: a loop beside other work: share of the cycles that begin late, and s by which they do at most
+#: late loop: share of the cycles that begin late, and their largest delay, s
 LATE_SHARE, LATEST = 0.3, 0.030
 
 Deed = Callable[[Rig], None]
@@ -57,7 +57,7 @@ FAULTS: Mapping[str, Deed | None] = {
 
 
 def _cycle(rig: Rig, dice: random.Random | None) -> None:
-    """One cycle of the driver, late now and then where the computer has other work."""
+    """Run one control cycle, with random delays if ``dice`` is given."""
     period = rig.settings.period
     rig.clock.now = (int(rig.clock.now / period + 1e-6) + 1) * period
     if dice is not None and dice.random() < LATE_SHARE:
@@ -67,7 +67,7 @@ def _cycle(rig: Rig, dice: random.Random | None) -> None:
 
 
 def _stopping_time(deed: Deed | None, moment: float, dice: random.Random | None) -> float:
-    """S from the fault to the last moment at which the cable moved."""
+    """Return the time (s) from the fault to the last motion of the cable."""
     rig = Rig()
     rig.activate()
     rig.start()
@@ -119,7 +119,7 @@ def _metres(ticks: float) -> float:
 
 
 def _moved(rig: Rig, deed: Deed, duration: float = LOOKED) -> float:
-    """M that the cable was away from where it stood."""
+    """Return the largest distance (m) of the cable from its initial position."""
     rig.positions.clear()
     here = rig.cable.motor.position
     deed(rig)
@@ -132,7 +132,7 @@ def _wrong(jump: int, **length: float) -> Deed:
 
 
 def _drift(per_cycle: int) -> Deed:
-    """Samples that drift until there is a fault, or three turns away."""
+    """Return an action: samples drift until a FAULT occurs, or by three turns."""
 
     def deed(rig: Rig) -> None:
         for step in range(12288 // per_cycle):
@@ -145,7 +145,7 @@ def _drift(per_cycle: int) -> Deed:
 
 
 def _off_command(jump: int) -> float:
-    """M by which the cable is off its command within a second after one wrong sample in a gait, but for its lag."""
+    """Return the largest difference (m) from the same gait without the wrong sample, within a second after it."""
     off = []
     for moment in MOMENTS:
         rig, healthy = _running(moment), _running(moment)
@@ -160,7 +160,7 @@ def _off_command(jump: int) -> float:
 
 
 def _largest_unnoticed(servo: int) -> int:
-    """Ticks of the largest lasting offset of a servo, begun in one sample while idle, that is no fault."""
+    """Return the largest persistent offset (ticks) of a servo, starting at rest, that causes no FAULT."""
     low, high = 0, 4096
     while high - low > 1:
         middle = (low + high) // 2
@@ -172,7 +172,10 @@ def _largest_unnoticed(servo: int) -> int:
 
 
 def _stopped_while_closing(moment: float) -> tuple[float, float, int]:
-    """S until the cable stands after a stop during a shutdown, m contracted, and torque at the end."""
+    """Return the results of a stop during a shutdown.
+
+    They are the time until the cable stands (s), its contraction (m), and the torque at the end.
+    """
     rig = _running(1.0)
     rig.loop.shutdown("the driver ends")
     if moment:
@@ -190,7 +193,7 @@ def _stopped_while_closing(moment: float) -> tuple[float, float, int]:
 
 
 def _flip_stopped(moment: float) -> tuple[float, float]:
-    """S and rad that the fins move on after an emergency stop during a flip."""
+    """Return for how long (s) and how far (rad) the fins still move after an emergency stop during a flip."""
     rig = Rig()
     rig.activate()
     rig.start(0.05, 0.4, cycles=1, direction=-1)
@@ -211,7 +214,7 @@ def _flip_stopped(moment: float) -> tuple[float, float]:
 
 
 def _fastest_return(dice: random.Random | None) -> float:
-    """M/s of the cable during a return to rest, mean over 30 ms."""
+    """Return the largest speed (m/s) of the cable during a return to rest, mean over 30 ms."""
     rig = _running(1.2)
     rig.robot.stop(rig.clock.now, "stop")
     rig.run(0.4)
@@ -292,7 +295,7 @@ def _stops() -> list[Row]:
 
 
 def run() -> list[Row]:
-    """Each fault at several moments of a gait, without and with a loop that is late; then bad data and stops."""
+    """Measure faults at several moments of a gait, with a punctual and a late loop; then wrong samples and stops."""
     rows = _bad_data() + _stops()
     for name, deed in FAULTS.items():
         for load in ("idle", "busy"):

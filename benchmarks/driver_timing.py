@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The driver's 100 Hz loop against the virtual robot, both as processes, while a gait runs."""
+"""Timing of the 100 Hz loop of the driver on the virtual robot, both as processes, while a gait runs."""
 
 from __future__ import annotations
 
@@ -44,12 +44,12 @@ WIDENED = {
 
 
 class GaitFailedError(RuntimeError):
-    """A gait did not reach its end; says why."""
+    """A gait did not reach its end. The message contains the reason."""
 
 
 @contextlib.contextmanager
 def _robot_and_driver(folder: Path, changes: Mapping[str, float]) -> Iterator[int]:
-    """Both processes, the driver with these parameters changed; gives the process id of the driver."""
+    """Start both processes, the driver with some changed parameters, and yield the process id of the driver."""
     environment = {**os.environ, "ROS_DOMAIN_ID": str(DOMAIN)}
     with ProcessGroup(folder, environment) as group:
         robot = executable_command("worm_driver", "virtual_robot")
@@ -70,7 +70,10 @@ def _robot_and_driver(folder: Path, changes: Mapping[str, float]) -> Iterator[in
 
 
 def _as_hardware() -> list[str]:
-    """Before the robot's command line, where it may: a priority that other work does not touch, as servos have it."""
+    """Return a prefix of the robot's command line.
+
+    If permitted, it gives the robot a priority that other load does not affect, like that of real servos.
+    """
     probe = subprocess.run(
         ["chrt", "-f", str(ROBOT_PRIORITY), "true"], capture_output=True, check=False
     )
@@ -78,7 +81,7 @@ def _as_hardware() -> list[str]:
 
 
 class Watcher:
-    """Runs a gait and listens."""
+    """Node that runs a gait and stores the stamps of its samples and the diagnostics of the driver."""
 
     def __init__(self) -> None:
         self.context = rclpy.Context()
@@ -108,7 +111,7 @@ class Watcher:
                 self.timing = {value.key: value.value for value in status.values}
 
     def wait_for(self, condition: object) -> None:
-        """Spins until a future is done or a call gives true."""
+        """Spin until a future is done or a callable returns True."""
         end = time.monotonic() + TIMEOUT
         done = condition.done if hasattr(condition, "done") else condition
         while not done():
@@ -117,7 +120,7 @@ class Watcher:
             self.executor.spin_once(timeout_sec=0.1)
 
     def run_gait(self, gait: Gait, cycles: int) -> None:
-        """From the goal to the result."""
+        """Run a gait from the goal to the result."""
         client = ActionClient(self.node, RunGait, "run_gait")
         self.wait_for(client.server_is_ready)
         while True:
@@ -131,14 +134,14 @@ class Watcher:
                 raise GaitFailedError(result.result().result.message)
 
     def close(self) -> None:
-        """Ends the node."""
+        """Destroy the node."""
         self.executor.shutdown()
         self.node.destroy_node()
         self.context.try_shutdown()
 
 
 def _processor_time(pid: int) -> float:
-    """Of a process and its threads so far, s."""
+    """Return the processor time (s) of a process and its threads so far."""
     fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
@@ -148,7 +151,7 @@ def _percentile(values: list[float], fraction: float) -> float:
 
 
 def run() -> list[Row]:
-    """Five cycles of 3 s with the limits as shipped; where these find a fault, once more with wider ones."""
+    """Run five cycles of 3 s with the default limits and, if these report a fault, again with wider ones."""
     try:
         return [*_measure({}), Row("safety limits", "as shipped", "as shipped", "driver.yaml")]
     except GaitFailedError as error:
@@ -160,7 +163,7 @@ def run() -> list[Row]:
 
 
 def _measure(changes: Mapping[str, float]) -> list[Row]:
-    """Raises GaitFailedError."""
+    """Return the rows of one run. Raises GaitFailedError."""
     with tempfile.TemporaryDirectory() as name, _robot_and_driver(Path(name), changes) as pid:
         watcher = Watcher()
         try:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How often the 95 % intervals of an identification cover the truth, over seeded virtual robots."""
+"""Coverage of the 95 % intervals of an identification: how often they contain the true value of virtual robots."""
 
 from __future__ import annotations
 
@@ -32,24 +32,24 @@ IDENTIFIED = [key for key in KEYS if key not in MEASURED or key == "pitch"]
 
 @dataclass(frozen=True)
 class Case:
-    """A robot's true values and the estimates of them, by key; ``refused`` says why there are none."""
+    """True values of a robot and their estimates, by key; ``refused`` is the reason if there are no estimates."""
 
     seed: int
     truth: dict[str, float]
     estimates: dict[str, Estimate]
     refused: str = ""
 
-    def told(self, key: str) -> bool:
-        """Whether there is an interval."""
+    def has_interval(self, key: str) -> bool:
+        """True if there is an interval."""
         return not self.refused and self.estimates[key].identifiable
 
     def covers(self, key: str) -> bool:
-        """Whether the truth lies in the interval."""
+        """True if the interval contains the true value."""
         return self.estimates[key].low <= self.truth[key] <= self.estimates[key].high
 
 
 def case(seed: int) -> Case:
-    """Eight runs and two bench tests of a robot, identified."""
+    """Identify a robot from eight runs and two bench tests."""
     campaign = virtual_campaign(seed)
     truth = {key: getattr(campaign.truth, key) for key in IDENTIFIED}
     try:
@@ -60,7 +60,7 @@ def case(seed: int) -> Case:
 
 
 def rows_of(cases: Sequence[Case]) -> list[Row]:
-    """Robots that were refused, then coverage and width of every parameter."""
+    """Return the number of rejected robots, and the coverage and width of every parameter."""
     refused = sum(bool(c.refused) for c in cases)
     how = f"seeded robots, {code_version()}"
     first = Row("robots whose identification was refused", f"{refused} of {len(cases)}", "0", how)
@@ -68,32 +68,32 @@ def rows_of(cases: Sequence[Case]) -> list[Row]:
 
 
 def row(key: str, cases: Sequence[Case]) -> Row:
-    """Coverage and width of one parameter."""
-    told = [c for c in cases if c.told(key)]
-    if not told:
-        return Row(key, "told by none", f">= {GOAL:.0%}", "seeded robots")
-    covered = sum(c.covers(key) for c in told)
-    width = np.median([c.estimates[key].spread / c.truth[key] for c in told])
+    """Return the coverage and width of one parameter."""
+    known = [c for c in cases if c.has_interval(key)]
+    if not known:
+        return Row(key, "no interval", f">= {GOAL:.0%}", "seeded robots")
+    covered = sum(c.covers(key) for c in known)
+    width = np.median([c.estimates[key].spread / c.truth[key] for c in known])
     return Row(
         key,
-        f"{covered} of {len(told)}",
+        f"{covered} of {len(known)}",
         f">= {GOAL:.0%}",
         f"seeded robots; half-width {100 * width:.2f} % (median)",
     )
 
 
 def comment(done: Case) -> str:
-    """What happened to one robot, in a line."""
+    """Return the result of one robot in one line."""
     if done.refused:
         return f"robot {done.seed}: refused: {done.refused}"
-    told = [key for key in IDENTIFIED if done.told(key)]
-    missed = ", ".join(key for key in told if not done.covers(key)) or "none"
-    open_keys = ", ".join(key for key in IDENTIFIED if key not in told) or "none"
-    return f"robot {done.seed}: missed: {missed}; not told: {open_keys}"
+    known = [key for key in IDENTIFIED if done.has_interval(key)]
+    missed = ", ".join(key for key in known if not done.covers(key)) or "none"
+    open_keys = ", ".join(key for key in IDENTIFIED if key not in known) or "none"
+    return f"robot {done.seed}: missed: {missed}; no interval: {open_keys}"
 
 
 def timing() -> list[Row]:
-    """Seconds for the lab's eight runs, where they are at hand."""
+    """Measure an identification from the lab's eight runs; return no rows without them."""
     if not LAB.is_dir():
         return []
 
@@ -112,7 +112,7 @@ def timing() -> list[Row]:
 
 
 def run() -> list[Row]:
-    """The table of coverage: scattered grooves, dry friction, slack, quantised instruments, noise, misread rulers."""
+    """Return the table of coverage: scattered grooves, dry friction, slack, quantisation, noise, misread rulers."""
     found = timing()
     count = int(os.environ.get("WORM_BENCH_CASES", CASES))
     cases = []

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Work beside a measurement, as a robot computer has it: other nodes, bursts of computing, a disk that is written to.
+"""Load of a robot computer during a measurement: other nodes, bursts of computation, and writes to a disk.
 
-``python -m benchmarks.mixed_load burst`` and ``… write FOLDER`` are the parts; `mixed_load` runs all of them.
+``python -m benchmarks.mixed_load burst`` and ``… write FOLDER`` run one part; `mixed_load` runs all of them.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from pathlib import Path
 
 from worm_optimizer.operation.processes import ProcessGroup, executable_command
 
-DOMAINS = (91, 92)  # of the demos beside
+DOMAINS = (91, 92)  # of the other demos
 BURST_S, PAUSE_S = 0.3, 0.2
 WRITTEN_BYTES = 50 * 2**20
 
 
 def burst() -> None:
-    """Computes and rests in turn."""
+    """Alternate between computation and sleep."""
     while True:
         end = time.monotonic() + BURST_S
         while time.monotonic() < end:
@@ -32,7 +32,7 @@ def burst() -> None:
 
 
 def write(folder: Path) -> None:
-    """Writes a file and waits for the disk, again and again."""
+    """Write a file repeatedly and synchronise it with the disk."""
     block = os.urandom(2**20)
     while True:
         with (folder / "written").open("wb") as file:
@@ -44,7 +44,7 @@ def write(folder: Path) -> None:
 
 @contextlib.contextmanager
 def mixed_load() -> Iterator[None]:
-    """Two demos in ROS domains of their own, one after the other; a loop that bursts; a writer that syncs."""
+    """Run demos in two other ROS domains in turn, a loop with bursts, and a writer that synchronises."""
     with tempfile.TemporaryDirectory() as name, ProcessGroup(Path(name)) as group:
         part = [sys.executable, "-m", "benchmarks.mixed_load"]
         group.start("burst", [*part, "burst"])

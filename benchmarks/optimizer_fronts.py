@@ -106,7 +106,7 @@ def _request_row(front: RobustFront) -> Row:
 
 
 def run() -> list[Row]:
-    """Measures, with the kernel loaded."""
+    """Measure with the kernel loaded."""
     front = make_front(ParameterFile(), dataclasses.replace(DEFAULTS, margin=3.4e-3), 1)
     task = MarginTask(margin=3.4e-3)
     return [

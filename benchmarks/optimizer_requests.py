@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How long the optimizer node takes to answer a request, the first one after its start and later ones."""
+"""Response times of the optimizer node: the first request after its start, and later ones."""
 
 from __future__ import annotations
 
@@ -27,25 +27,25 @@ GOAL = ""
 
 
 def latencies(probe: Probe, client: Client, count: int) -> np.ndarray:
-    """Times of round trips in ms, requests of every kind in turn."""
+    """Return round-trip times in ms, for requests of every kind in turn."""
     times = np.empty(count)
     for k in range(count):
         request = RequestGait.Request(objective=k % 5, speed=0.004, power=3.0, direction=1)
         start = time.perf_counter()
-        told = probe.result(client.call_async(request), "answer")
+        answer = probe.result(client.call_async(request), "answer")
         times[k] = 1e3 * (time.perf_counter() - start)
         time.sleep(PAUSE_S)
-        assert told.success, told.message
+        assert answer.success, answer.message
     return times
 
 
 def answers(front: RobustFront, count: int) -> np.ndarray:
-    """Times in ms of what the node's callback does, requests of every kind in turn."""
+    """Return durations of the node's callback in ms, for requests of every kind in turn."""
     times = np.empty(count)
     for k in range(count):
         start = time.perf_counter()
-        told = select(front, request_of(k % 5, 0.004, 3.0))
-        fill_response(RequestGait.Response(), told)
+        answer = select(front, request_of(k % 5, 0.004, 3.0))
+        fill_response(RequestGait.Response(), answer)
         times[k] = 1e3 * (time.perf_counter() - start)
     return times
 
@@ -70,7 +70,7 @@ def _measure(processes: Processes, probe: Probe) -> list[Row]:
 
 
 def run() -> list[Row]:
-    """Measures on a ROS domain of its own."""
+    """Measure in a separate ROS domain."""
     domain = 100 + os.getpid() % 100
     os.environ["ROS_DOMAIN_ID"] = str(domain)
     with tempfile.TemporaryDirectory() as name, Processes(Path(name)) as processes:

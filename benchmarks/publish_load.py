@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A process that publishes numbered messages at a rate: ``python -m benchmarks.publish_load RATE BYTES SECONDS``.
+"""Publisher of numbered messages at a fixed rate: ``python -m benchmarks.publish_load RATE BYTES SECONDS``.
 
-Each of ten topics carries its own numbers 0, 1, 2, … in the first eight bytes of a UInt8MultiArray; the rest is
-random, so that no compression makes it less. It waits for a subscriber of every topic, publishes, waits for the
-acknowledgements, and prints how many messages it sent.
+Each of ten topics has its own numbers 0, 1, 2, … in the first eight bytes of a UInt8MultiArray. The other bytes are
+random, so that they cannot be compressed. The process waits for a subscriber of every topic, publishes, waits for the
+acknowledgements, and prints the number of messages.
 """
 
 from __future__ import annotations

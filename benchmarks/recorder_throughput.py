@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The recorder as a process, fed by another over DDS; what is missing in the bag is told by numbers in the payload."""
+"""Throughput of the recorder process, with messages from another process over DDS.
+
+Numbers in the payload show which messages are missing in the bag.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +31,7 @@ TIMEOUT = 60.0
 
 
 def run() -> list[Row]:
-    """Several loads, then kills at random moments."""
+    """Measure several loads, then recordings that are killed at random times."""
     rows = [row for rate, size in LOADS for row in _load(rate, size)]
     return rows + _kills()
 
@@ -51,7 +54,7 @@ def _environment() -> dict[str, str]:
 
 
 def _numbers(bag: Path) -> dict[str, list[int]]:
-    """Recorded numbers by topic."""
+    """Return the recorded numbers by topic."""
     found: dict[str, list[int]] = {}
     with open_bag(bag, lambda _: None) as reader:
         for message in reader.messages():
@@ -61,7 +64,7 @@ def _numbers(bag: Path) -> dict[str, list[int]]:
 
 
 def _processor_seconds(pid: int) -> float:
-    """Processor time of a process, user and system."""
+    """Return the processor time of a process (s), user and system."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How much faster than time passes a bag is read, followed by the twin, and written with the twin's topics."""
+"""Speed, relative to real time, of reading a bag, replaying it, and writing it with the twin's topics."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ EPOCH = 1_800_000_000 * 10**9
 
 
 def run() -> list[Row]:
-    """A run of five cycles, and ten minutes."""
+    """Measure a run of five cycles, and one of ten minutes."""
     warm_up.main()
     return [row for cycles in (5, 120) for row in _measure(cycles)]
 
@@ -81,7 +81,7 @@ def _factor(duration: float, elapsed: float) -> str:
 
 
 def _simulated_run(cycles: int) -> Run:
-    """Commands and power at 100 Hz, tracker at 30 Hz, as the driver and the virtual robot publish them."""
+    """Return commands and power at 100 Hz and tracker samples at 30 Hz, with the rates of driver and virtual robot."""
     end = REST_S + cycles * GAIT.period
     fast, slow = np.arange(0.0, end, 0.01), np.arange(0.003, end, 1.0 / 30.0)
     trajectory = simulate(GAIT, cycles=cycles)

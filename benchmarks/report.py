@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a benchmark returns, and how it is printed."""
+"""Result of a benchmark, and its output as a table."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pathlib import Path
 
 @dataclass(frozen=True)
 class Row:
-    """One figure: what was measured, its value with unit, the goal it is held against, and how."""
+    """Measured quantity: its name, its value with the unit, the goal, and the method."""
 
     what: str
     value: str
@@ -23,7 +23,7 @@ class Row:
 
 
 def machine() -> str:
-    """The machine in one line."""
+    """Return a description of the machine in one line."""
     model = platform.processor() or platform.machine()
     cpuinfo = Path("/proc/cpuinfo")
     if cpuinfo.exists():
@@ -34,7 +34,7 @@ def machine() -> str:
 
 
 def print_rows(title: str, rows: list[Row]) -> None:
-    """Prints the figures of one benchmark as a table."""
+    """Print the results of one benchmark as a table."""
     print(f"\n{title}")
     widths = [max(len(getattr(row, field)) for row in rows) for field in ("what", "value", "goal")]
     for row in rows:
@@ -44,7 +44,7 @@ def print_rows(title: str, rows: list[Row]) -> None:
 
 
 def cpu_time(call: Callable[[], object], repeats: int) -> float:
-    """Median processor time of a call in s, all threads of this process counted."""
+    """Return the median processor time of a call in s, over all threads of this process."""
     times = []
     for _ in range(repeats):
         start = time.process_time()
@@ -54,7 +54,7 @@ def cpu_time(call: Callable[[], object], repeats: int) -> float:
 
 
 def wall_time(call: Callable[[], object], repeats: int) -> float:
-    """Median time by the clock of a call in s."""
+    """Return the median duration of a call in s."""
     times = []
     for _ in range(repeats):
         start = time.perf_counter()

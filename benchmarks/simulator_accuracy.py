@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The simulator against the tests' independent integration over a thousand random robots and gaits."""
+"""Difference of the simulator from the tests' independent integration, for a thousand random robots and gaits."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ Comparison = tuple[float, float, bool]
 
 
 def compare(seed: int) -> Comparison | None:
-    """(relative error of power, largest error of x1 at a cycle's start in m, switches equal) of a case.
+    """Return (relative error of power, largest error of x1 at the start of a cycle in m, switches equal) of a case.
 
-    None where the oracle's own check says that it may have stepped over an event.
+    Return None if the independent integration may have stepped over an event.
     """
     _, gait, parameters = random_case(seed)
     result = evaluate_gait(gait, parameters)
@@ -48,10 +48,10 @@ def _compare_all() -> Iterator[Comparison | None]:
 
 
 def run() -> list[Row]:
-    """Measures."""
+    """Measure."""
     outcomes = list(_compare_all())
-    told = [outcome for outcome in outcomes if outcome is not None]
-    power, position, same = (np.array(column) for column in zip(*told, strict=True))
+    compared = [outcome for outcome in outcomes if outcome is not None]
+    power, position, same = (np.array(column) for column in zip(*compared, strict=True))
     how = f"{CASES} seeded random gaits and robots against DOP853 at 1e-10, events located"
     return [
         Row("largest error of power", f"{power.max():.1e}", "1e-6", f"relative; {how}"),
@@ -60,6 +60,9 @@ def run() -> list[Row]:
         ),
         Row("cases with other switch counts", f"{np.count_nonzero(~same)}", "0", ""),
         Row(
-            "cases left out", f"{len(outcomes) - len(told)}", "0", "the oracle is not sure of them"
+            "cases left out",
+            f"{len(outcomes) - len(compared)}",
+            "0",
+            "the oracle is not sure of them",
         ),
     ]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The simulator against SciPy's solvers at equal accuracy, and how its cost grows."""
+"""Speed of the simulator and of SciPy's solvers at equal accuracy, and scaling of the simulator."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ ACCURACY = 1e-6  # of power, relative
 
 
 def scipy_power(gait: Gait, method: str, rtol: float) -> float:
-    """Mean power in W over the last three of five cycles by SciPy, anchors switched at located events."""
+    """Return the mean power (W) over the last three of five cycles by SciPy, with switches at located events."""
     p = PAPER
     forward = gait.direction > 0
     stiffness = (p.engaged_stiffness, p.disengaged_stiffness)
@@ -82,7 +82,7 @@ def scipy_power(gait: Gait, method: str, rtol: float) -> float:
 
 
 def _tolerance_for(gait: Gait, method: str) -> tuple[float, float]:
-    """(loosest tolerance at which the solver's power is accurate, its error)."""
+    """Return (largest tolerance with which the solver's power is accurate, its error)."""
     exact = evaluate_gait(gait).power
     for rtol in 10.0 ** np.arange(-4.0, -12.0, -1.0):
         error = abs(scipy_power(gait, method, float(rtol)) / exact - 1.0)
@@ -139,7 +139,10 @@ def _cores() -> Row:
 
 
 def _scaling() -> list[Row]:
-    """The same batch over 1 to all workers; the fewest of some times, as other programs only add to it."""
+    """Measure the same batch with 1 to all workers.
+
+    The shortest of several durations counts, because other programs only add to it.
+    """
     stroke, frequency = _box(65536)
     rows: list[Row] = []
     rates: list[float] = []
@@ -207,7 +210,7 @@ def _start_up() -> Row:
 
 
 def run() -> list[Row]:
-    """Measures."""
+    """Measure."""
     return [
         _against_scipy("LSODA", "3,000"),
         _against_scipy("DOP853", ""),

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Cycle after cycle of gaits against the virtual robot, as fast as the processes can: what grows, what drifts?
+"""Long sequence of gaits on the virtual robot as fast as the processes can: growth of memory, files and errors.
 
-``WORM_BENCH_CYCLES=10000 ./worm bench soak`` for ten thousand cycles.
+``WORM_BENCH_CYCLES=10000 ./worm bench soak`` runs ten thousand cycles.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ SYSTEM = Path(__file__).parents[1] / "src/worm_optimizer/config/system.yaml"
 
 @dataclass(frozen=True)
 class Sample:
-    """Of a process: resident memory (MB), open files, threads."""
+    """Resident memory (MB), open files and threads of a process."""
 
     memory: float
     files: int
@@ -41,7 +41,7 @@ class Sample:
 
     @staticmethod
     def of(pid: int) -> Sample:
-        """Now."""
+        """Return the present values of a process."""
         process = Path(f"/proc/{pid}")
         lines = (process / "status").read_text().splitlines()
         status = dict(line.split(":", 1) for line in lines)
@@ -53,7 +53,7 @@ class Sample:
 
 
 def run() -> list[Row]:
-    """Gaits to and fro, each of some cycles."""
+    """Run gaits in alternating directions, each of some cycles."""
     os.environ["ROS_DOMAIN_ID"] = str(DOMAIN)
     cycles = int(os.environ.get("WORM_BENCH_CYCLES", CYCLES))
     gaits = max(2, cycles // CYCLES_PER_GAIT)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What distributing a study costs, and how it grows with points and workers."""
+"""Cost of distributing a study, and its growth with points and workers."""
 
 from __future__ import annotations
 
@@ -31,19 +31,19 @@ block_points: {block}
 
 
 def study_of(points: int) -> Study:
-    """A study with default resolution."""
+    """Return a study with the default resolution."""
     return parse_study(_STUDY.format(points=points, block=_BLOCK), Path())
 
 
 def timed(work: Callable[[], object]) -> float:
-    """Seconds of the wall clock."""
+    """Return the duration of a call, s."""
     begin = time.perf_counter()
     work()
     return time.perf_counter() - begin
 
 
 def through(client: Client, study: Study) -> float:
-    """Seconds from the first block handed out to the last one on disk."""
+    """Return the time from the submission of the first block to the storage of the last one, s."""
     with (
         tempfile.TemporaryDirectory() as folder,
         locked_store(Path(folder) / "study.zarr", study) as store,
@@ -59,17 +59,17 @@ def through(client: Client, study: Study) -> float:
 
 
 def rows_of(points: Array) -> Array:
-    """Points as rows."""
+    """Return the points as rows."""
     return points.reshape(-1, points.shape[-1])
 
 
 def alone(study: Study) -> float:
-    """Seconds of the same computations in this process, without workers or disk, on all of its cores."""
+    """Return the duration (s) of the same computations in this process, without workers or disk, on all its cores."""
     return timed(lambda: compute_block(study, rows_of(study.points())))
 
 
 def run() -> list[Row]:
-    """Some twenty seconds on two free cores."""
+    """Measure for some twenty seconds on two free cores."""
     short, long = study_of(_POINTS // 2), study_of(_POINTS)
     warm = dataclasses.replace(short, block_points=1)
     alone(warm)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The tracker before rendered images of known places: its error, and what an image costs."""
+"""Error of the tracker on rendered images of known positions, and its processor time per image."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ ANGLE = math.radians(20.0)
 
 
 def _rig(yaw: float, pitch: float) -> CameraSettings:
-    """0.6 m of pipe in view, with all that spoils an image at once."""
+    """Return a rig with 0.6 m of pipe in view and all image defects at once."""
     s = replace(load_camera_settings(), yaw=yaw, pitch_angle=pitch)
     distance = 0.6 * s.focal / s.width / math.cos(yaw)
     forward = np.array(
@@ -71,7 +71,7 @@ def _places(time: float) -> tuple[float, float]:
 
 
 def _errors(settings: CameraSettings, seed: int) -> np.ndarray:
-    """Seen minus true in mm, shape (images, 2)."""
+    """Return measured minus true positions in mm, shape (images, 2)."""
     camera, tracker = VirtualCamera(settings, seed), _tracker(settings)
     detector = MarkerDetector(tracker.setup.dictionary)
     errors = []
@@ -117,5 +117,5 @@ def _cost() -> Row:
 
 
 def run() -> list[Row]:
-    """Measures."""
+    """Measure."""
     return [*_accuracy(), _cost()]

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the twin makes of robots with something wrong: the cause it names, against the true one, over seeded runs.
+"""Diagnosis of robots with a fault: reported and true cause, over seeded runs.
 
-`tests/helpers/faulty_robots.py` integrates the robots in steps. They are off the twin's parameters, have dry friction,
-grooves that differ and noisy instruments. Each fault begins in the second to the fourth cycle of five. How often power
-alone can name a cause at all is bounded by how often it does in cycles drawn from the very likelihood that the twin
-weighs causes with. ``python -m benchmarks.twin_diagnosis FOLDER`` draws the figures, too.
+`tests/helpers/faulty_robots.py` integrates the robots in steps. Their parameters differ from the twin's. They have dry
+friction, uneven grooves and noisy instruments. Each fault begins in the second to the fourth of five cycles. The bound
+for power alone is the detection rate on cycles that are drawn from the twin's own likelihood.
+``python -m benchmarks.twin_diagnosis FOLDER`` also draws the figures.
 """
 
 from __future__ import annotations
@@ -96,28 +96,34 @@ CODES = ("", *(row.code for row in EVENT_CODES))
 
 @dataclass(frozen=True)
 class Outcome:
-    """Of a run: its gait's place, the fault (size by place, 0 to 2), by what it was seen, and the first code told.
+    """Outcome of a run.
 
-    ``told`` is empty where nothing was; ``late`` in cycles since the end of the fault's.
+    Attributes:
+        gait: index of the gait.
+        kind: kind of the fault.
+        size: index of its size, 0 to 2.
+        seen_by: instruments.
+        reported: code of the first reported cause; empty if none was reported.
+        late: cycles from the end of the cycle of the fault to the report.
     """
 
     gait: int
     kind: str
     size: int
     seen_by: str
-    told: str = ""
+    reported: str = ""
     late: float = math.nan
 
     @property
     def right(self) -> bool:
-        """Whether the cause was named, and in time."""
+        """True if the cause was reported, and in time."""
         if self.kind == "healthy":
-            return not self.told
-        return self.told == KINDS[self.kind].code and self.late <= IN_TIME
+            return not self.reported
+        return self.reported == KINDS[self.kind].code and self.late <= IN_TIME
 
 
 def faults() -> list[tuple[str, int, Fault]]:
-    """(kind, place of the size, fault) of all runs with a gait; a fin's fault is that of a whole cycle."""
+    """Return (kind, index of the size, fault) of all runs with a gait; a fault of a fin lasts whole cycles."""
     found = [("healthy", 0, Fault()) for _ in range(SOUND)]
     for kind, about in KINDS.items():
         for place, size in enumerate(about.sizes):
@@ -132,7 +138,7 @@ def faults() -> list[tuple[str, int, Fault]]:
 
 
 def followed(gait: int, seen_by: str) -> list[Outcome]:
-    """Every run with a gait, as the twin follows it."""
+    """Return the outcomes of the twin for all runs with a gait."""
     played, wanted = GAITS[gait], faults()
     usual = round(evaluate_gait(played).grooves_per_cycle)
     robots = run_robots(played, [f for _, _, f in wanted], seed=SEED, usual=usual)
@@ -145,7 +151,7 @@ def followed(gait: int, seen_by: str) -> list[Outcome]:
         coded = next((event for event in events if event.code), None)
         if coded is not None:
             late = (coded.stamp_ns - ONSET) * 1e-9 / played.period - fault.cycle
-            outcome = replace(outcome, told=coded.code, late=late)
+            outcome = replace(outcome, reported=coded.code, late=late)
         found.append(outcome)
     return found
 
@@ -154,7 +160,7 @@ def followed(gait: int, seen_by: str) -> list[Outcome]:
 
 
 def drawn(gait: int) -> list[Outcome]:
-    """Every run with a gait that power can tell of, drawn from the likelihood of the twin and judged by its rule."""
+    """Return the outcomes of runs that are drawn from the twin's likelihood, for the faults that power can show."""
     draw = np.random.default_rng(SEED)
     signs = signatures(GAITS[gait], PAPER, driven=False)
     return [
@@ -184,13 +190,13 @@ def _drawn(outcome: Outcome, fault: Fault, signs: Signatures, draw: np.random.Ge
         history, findings = judge_causes(history, cycle.number, weighed)
         if findings:
             return replace(
-                outcome, told=findings[0].code.code, late=float(cycle.number - fault.cycle)
+                outcome, reported=findings[0].code.code, late=float(cycle.number - fault.cycle)
             )
     return outcome
 
 
 def _cycle(number: int, signs: Signatures) -> CycleData:
-    """A cycle of which only power is known, as well as the robots' sensor tells it."""
+    """Return a cycle in which only the power is known, with the noise of the robots' sensor."""
     lab = Lab()
     scatter = (SCATTER[POWER] + POWER_SHARE * signs.power) * (FIRST[POWER] if number == 1 else 1.0)
     variance = np.full((CHANNELS, BINS), np.inf)
@@ -199,7 +205,7 @@ def _cycle(number: int, signs: Signatures) -> CycleData:
 
 
 def _cause(fault: Fault, signs: Signatures) -> tuple[Candidate | None, float] | None:
-    """(cause, its size in usual ones) of a fault; None where the gait has no such groove."""
+    """Return (cause, size in usual sizes) of a fault; None if the gait does not have that groove."""
     if fault.kind == "healthy":
         return None, 0.0
     if fault.kind in MISSED_BY_FIN:
@@ -220,7 +226,7 @@ def _cause(fault: Fault, signs: Signatures) -> tuple[Candidate | None, float] | 
 
 
 def measure() -> list[Outcome]:
-    """All outcomes, on all cores."""
+    """Return all outcomes, computed on all cores."""
     found: list[Outcome] = []
     with ProcessPoolExecutor(os.cpu_count(), get_context("spawn")) as pool:
         jobs = [
@@ -236,18 +242,18 @@ def measure() -> list[Outcome]:
 
 
 def share(outcomes: Iterable[Outcome]) -> float:
-    """Of those that are right, NaN of none."""
+    """Return the share of right outcomes; NaN for none."""
     right = [outcome.right for outcome in outcomes]
     return sum(right) / len(right) if right else math.nan
 
 
 def rows(found: Sequence[Outcome]) -> list[Row]:
-    """The table's rows."""
+    """Return the rows of the table."""
     table = []
     for seen_by in (TRACKER, ALONE, BOUND):
         mine = [o for o in found if o.seen_by == seen_by]
         sound = [o for o in mine if o.kind == "healthy"]
-        false = sum(bool(o.told) for o in sound)
+        false = sum(bool(o.reported) for o in sound)
         table.append(Row(f"{seen_by}: sound", f"{false} of {len(sound)}", "< 1 %", "false alarms"))
         for kind in KINDS if seen_by == TRACKER else (k for k in KINDS if k not in UNSEEN):
             for place in range(3):
@@ -286,14 +292,14 @@ def _row(seen_by: str, kind: str, place: int, mine: Sequence[Outcome]) -> Row:
 
 
 def _said(outcome: Outcome) -> str:
-    if not outcome.told:
+    if not outcome.reported:
         return "nothing"
     late = "" if outcome.late <= IN_TIME else " too late"
-    return f"{outcome.told}{late}"
+    return f"{outcome.reported}{late}"
 
 
 def run() -> list[Row]:
-    """The table's rows."""
+    """Return the rows of the table."""
     return rows(measure())
 
 
@@ -301,14 +307,14 @@ def run() -> list[Row]:
 
 
 def draw_confusion(found: Sequence[Outcome], path: Path) -> None:
-    """What was told of each cause of the middle size, with a tracker and from power alone."""
+    """Draw the reported causes for each cause of the middle size, with a tracker and from power alone."""
     kinds = ["healthy", *KINDS]
     figure, axes = plt.subplots(1, 2, figsize=(13, 6), sharey=True, layout="constrained")
     for axis, seen_by in zip(axes, (TRACKER, ALONE), strict=True):
         counts = np.zeros((len(kinds), len(CODES)))
         for o in found:
             if o.seen_by == seen_by and (o.size == MIDDLE or o.kind == "healthy"):
-                counts[kinds.index(o.kind), CODES.index(o.told)] += 1
+                counts[kinds.index(o.kind), CODES.index(o.reported)] += 1
         shares = 100.0 * counts / counts.sum(axis=1, keepdims=True)
         axis.imshow(shares, cmap="Blues", vmin=0.0, vmax=130.0, aspect="auto")
         for row, column in np.argwhere(counts > 0):
@@ -331,7 +337,7 @@ def _with_size(kind: str) -> str:
 
 
 def draw_detection(found: Sequence[Outcome], path: Path) -> None:
-    """How often each cause is named within two cycles over its size, and with a tracker within one."""
+    """Draw the detection rate of each cause over its size: within two cycles, and with a tracker within one."""
     lines = math.ceil((len(KINDS) + 1) / 4)  # the last place has the legend
     size = (12, 2.7 * lines)
     figure, axes = plt.subplots(lines, 4, figsize=size, sharey=True, layout="constrained")
@@ -359,7 +365,7 @@ def draw_detection(found: Sequence[Outcome], path: Path) -> None:
 
 
 def _rates(found: Sequence[Outcome], kind: str, seen_by: str, in_time: float) -> list[float]:
-    """Per cent named by a time (cycles), by size."""
+    """Return the detection rate in per cent within a time (cycles), by size."""
     cells = [
         [o for o in found if (o.kind, o.size, o.seen_by) == (kind, p, seen_by)] for p in range(3)
     ]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The twin node under lengths at 1 kHz: its share of a core and its latency from a sample to its state."""
+"""Load of the twin node with lengths at 1 kHz: its share of a core, and its latency from a sample to its state."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ CAMERA_LENGTH_M = 0.2952
 
 
 class Source:
-    """Publishes lengths stamped with the time of their publication, and listens to the states."""
+    """Publisher of lengths stamped with the time of publication, and subscriber to the states."""
 
     def __init__(self, topic: str) -> None:
         self.node = rclpy.create_node("load", namespace="/worm")
@@ -44,12 +44,12 @@ class Source:
         self.latencies: list[float] = []
 
     def ready(self) -> bool:
-        """Whether the twin is there."""
-        heard = self._lengths.get_subscription_count() and self._gait.get_subscription_count()
-        return bool(heard and self._predict.service_is_ready())
+        """True if the twin is in the graph."""
+        connected = self._lengths.get_subscription_count() and self._gait.get_subscription_count()
+        return bool(connected and self._predict.service_is_ready())
 
     def begin(self) -> int:
-        """The onset, now; returns its stamp in ns."""
+        """Begin a gait now and return the stamp of its onset in ns."""
         onset = time.time_ns()
         message = GaitState(state=GaitState.RUNNING)
         message.gait = GaitMessage(stroke=GAIT.stroke, frequency=GAIT.frequency, direction=1)
@@ -59,7 +59,7 @@ class Source:
         return onset
 
     def send(self, onset: int) -> None:
-        """One length, stamped now."""
+        """Publish one length, stamped now."""
         now = time.time_ns()
         change = GAIT.command((now - onset) * 1e-9)
         message = BodyLength(length=CAMERA_LENGTH_M + 0.8 * change, length_change=change)
@@ -67,7 +67,7 @@ class Source:
         self._lengths.publish(message)
 
     def predict(self, horizon: float) -> float:
-        """S from the request of a forecast over a horizon (s) to its response."""
+        """Return the time (s) from the request of a forecast over a horizon (s) to its response."""
         request = PredictGait.Request(horizon=horizon)
         request.gait = GaitMessage(stroke=GAIT.stroke, frequency=GAIT.frequency, direction=1)
         asked = time.monotonic()
@@ -79,7 +79,7 @@ class Source:
         return time.monotonic() - asked
 
     def listen(self) -> None:
-        """Takes the states that have come."""
+        """Process the states that have arrived."""
         handle: Any = self._states.handle
         with handle:
             while (taken := handle.take_message(TwinState, False)) is not None:
@@ -88,14 +88,14 @@ class Source:
 
 
 def processor_time(pid: int) -> float:
-    """S of processor time that a process has used."""
+    """Return the processor time of a process, s."""
     fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rsplit(")", 1)[1].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 @dataclass(frozen=True)
 class Load:
-    """Share of a core, latencies of the states and of forecasts by horizon, in s."""
+    """Share of a core, and latencies of the states and of forecasts by horizon, in s."""
 
     share: float
     latencies: np.ndarray
@@ -103,7 +103,7 @@ class Load:
 
 
 def measure(topic: str) -> Load:
-    """The twin with lengths on a topic, and forecasts once they have ended."""
+    """Measure the twin with lengths on a topic, and forecasts after they have ended."""
     with tempfile.TemporaryDirectory() as folder, ProcessGroup(Path(folder)) as group:
         command = [*executable_command("worm_model", "twin_node"), "--ros-args"]
         process = group.start("twin", [*command, "-r", "__ns:=/worm"])
@@ -131,7 +131,7 @@ def measure(topic: str) -> Load:
 
 
 def run() -> list[Row]:
-    """Both kinds of length."""
+    """Measure with both kinds of length."""
     os.environ.setdefault("ROS_DOMAIN_ID", "69")
     rclpy.init()
     rows = []

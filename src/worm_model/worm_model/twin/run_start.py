@@ -198,7 +198,9 @@ def _stand(
     if pulled:
         text += f"; the pretension makes the body {-1e3 * pulled:.1f} mm shorter"
     elif tightened:
-        text += f"; the slack is still taken up, which makes the body {-1e3 * tightened:.1f} mm shorter"
+        text += (
+            f"; the slack is still taken up, which makes the body {-1e3 * tightened:.1f} mm shorter"
+        )
     standing = initial_length + tightened
     shorter = 0.0 if tightened else before.gain * before.slack
     lengths = _lengths_when_turned(memory, driver.onset_ns, standing, shorter)

@@ -34,7 +34,7 @@ def test_every_robot_counts_once_and_no_row_is_nan(coverage):
     assert first.value == "1 of 4"
     assert [row.what for row in rows] == coverage.IDENTIFIED
     assert all(row.value == "1 of 2" and "nan" not in row.how for row in rows)
-    assert coverage.row("gain", cases[2:]).value == "told by none"
+    assert coverage.row("gain", cases[2:]).value == "no interval"
     assert "missed: initial_length" in coverage.comment(cases[1])
     assert "refused: nothing" in coverage.comment(cases[3])
 
