@@ -68,7 +68,7 @@ def _messages() -> Iterator[str]:
 
 
 def _definition(path: Path, prefixes: tuple[str, ...]) -> str:
-    """What the definition says of itself, and a row for each field and constant."""
+    """Return the comments of a definition, and a row for each field and constant."""
     remarks: list[str] = []
     rows = ["| Field | Type | Unit, meaning |", "| --- | --- | --- |"]
     parts = path.read_text(encoding="utf-8").split("\n---\n")
@@ -88,7 +88,7 @@ def _definition(path: Path, prefixes: tuple[str, ...]) -> str:
 
 
 def _plain(text: str) -> str:
-    """Text without a meaning for Markdown."""
+    """Return a text with the characters of Markdown escaped."""
     return re.sub(r"([*|])", r"\\\1", text)
 
 

@@ -22,7 +22,7 @@ EXECUTABLES: list[str] = [  # "executable = module:function", each lands in lib/
     "health = worm_model.commands.health:main",
     "watch = worm_model.nodes.executables:watch",
 ]
-# What pip brings where there is no rosdep, as for a worker of a study; requirements*.txt pin the versions.
+# Dependencies that pip installs without rosdep, for example for a worker of a study; requirements*.txt pin versions.
 NEEDED = ["numpy", "scipy", "numba", "PyYAML", "matplotlib", "pillow", "mcap", "rosbags", "pyarrow"]
 
 setup(

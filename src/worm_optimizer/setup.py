@@ -21,7 +21,7 @@ EXECUTABLES: list[str] = [  # "executable = module:function", each lands in lib/
     "capability = worm_optimizer.commands.capability:main",
     "sensitivity = worm_optimizer.commands.sensitivity:main",
 ]
-# What pip brings for a worker of a study, which needs no ROS; requirements*.txt pin the versions.
+# Dependencies that pip installs for a worker of a study, which needs no ROS; requirements*.txt pin the versions.
 NEEDED = ["worm_model", "numpy", "scipy", "PyYAML", "matplotlib", "pymoo", "jinja2", "markdown2"]
 CONSOLE = ["nicegui"]
 STUDY = ["dask", "distributed", "xarray", "zarr"]
