@@ -10,7 +10,6 @@ from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import qmc
 
 from worm_model.parameters import ParameterFile
 from worm_msgs.settings_file import OneOf, key
@@ -73,6 +72,8 @@ class Sample:
         Sobol sequences are scrambled, which keeps them away from the bounds. A larger sample of a method of
         `EXTENDABLE` begins with the smaller one.
         """
+        from scipy.stats import qmc  # here, as a worker of a study draws nothing: it takes a second
+
         if self.method == LATIN_HYPERCUBE:
             return qmc.LatinHypercube(axes, seed=self.seed).random(self.points)
         saltelli = self.method == SALTELLI

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from worm_model.gait import Gait
 from worm_model.parameters import ParameterFile
@@ -63,7 +63,7 @@ def sensitivity(gait: Gait, content: ParameterFile, samples: int, seed: int) -> 
     """
     reach = _reach(content)
     design = Sample(SALTELLI, samples, seed)
-    deviates = norm.ppf(design.draw(len(reach))).T
+    deviates = ndtri(design.draw(len(reach))).T
     columns = _figures(gait, content, reach, deviates)
     indices = {
         name: indices_of(values, len(reach), seed)

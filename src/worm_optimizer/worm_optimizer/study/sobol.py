@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import sobol_indices
 
 Array = NDArray[np.float64]
 
@@ -55,6 +54,10 @@ def indices_of(values: Array, inputs: int, seed: int) -> Indices:
         inputs: number of inputs.
         seed: seed of the bootstrap.
     """
+    from scipy.stats import (
+        sobol_indices,
+    )  # here, as it takes a second that only a study of indices needs
+
     rows = values.reshape(-1, inputs + 2)
     plain = rows[:, :2]  # of independent points
     mean, deviation = float(np.mean(plain)), float(np.std(plain))

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from worm_model.arrays import Array
 
@@ -47,7 +47,7 @@ class Estimate:
 
 def quantile(degrees: float) -> float:
     """Return the half-width of a 95 % interval in standard deviations for given degrees of freedom."""
-    return float(student.ppf(0.5 + 0.5 * CONFIDENCE, max(degrees, 1.0)))
+    return float(stdtrit(max(degrees, 1.0), 0.5 + 0.5 * CONFIDENCE))
 
 
 def half_of_mean(values: Array) -> float:
