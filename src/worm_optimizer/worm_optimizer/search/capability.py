@@ -76,7 +76,7 @@ def slopes(task: MarginTask) -> Overrides:
 
 
 def most_load(task: MarginTask) -> float:
-    """Return a load in N that no gait moves, because both engaged fins pass their thresholds at rest beyond it."""
+    """Return a load in N under which no gait moves. Beyond it, both engaged fins pass their thresholds even at rest."""
     p = task.parameters
     carried = 2.0 * p.engaged_stiffness * p.switching_threshold
     return (
