@@ -5,6 +5,10 @@ The command swings between the pretension o and the reach o + S. To gain its gro
 border and a pretension below another. Both borders are steps of the groove count. Along each border the stroke and the
 power decrease towards the corner in which the borders meet. `corners` locates the corner by bisection along both
 borders in turn.
+
+With short ramps, a gait at a high frequency or with a large margin gains its grooves with no pretension at all. The
+ramp share that is given is therefore the least one: without a pretension at which the gait gains its grooves, the
+ramps are as long as it needs. So power is a continuous function of the shares, also where this limit is active.
 """
 
 from __future__ import annotations
@@ -12,10 +16,11 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from worm_model.gait import CONTRACTION_SHARE_RANGE, MAX_PRETENSION, RAMP_SHARE_RANGE
+from worm_model.gait import CONTRACTION_SHARE_RANGE, MAX_PRETENSION, RAMP_SHARE_RANGE, Profile
 from worm_optimizer.evaluation.command_shape import Shapes, shapes_of
 from worm_optimizer.evaluation.task import (
     EDGE_ALLOWANCE,
@@ -30,11 +35,21 @@ from worm_optimizer.evaluation.task import (
 from worm_optimizer.optimizer_errors import OptimizerError
 
 # Accuracies in m of successive rounds. Each round locates both borders, as the location of one depends on the other.
-COARSE = (2e-5, 1e-6)
+# Where longer ramps take the place of pretension, the borders meet at a small angle, so each round must be only
+# somewhat finer than the one before.
+COARSE = (8e-4, 1e-4, 1.25e-5, 1.6e-6)
 FINE = (*COARSE, EDGE_TOLERANCE)
-_WINDOW = 50.0  # size of the window in which a border is located again, relative to the last width
+_WINDOW = 3.0  # size of the window in which a border is located again, relative to the last width
+_RAMP_PER_METRE = 30.0  # change of the ramp share that counts like 1 m of pretension
 _REACHES = 16  # tried reaches below the longest one, a sixteenth of the pitch apart
 _PRETENSIONS = 4  # tried pretensions from the least one on, a quarter of the pitch apart
+_RAMP_PARTS = (
+    1.0,
+    0.925,
+)  # parts of the range above the given ramp share, tried with the least pretension
+_REACHES_OF_RAMPS = (
+    48  # reaches tried then; near the end of a branch only a narrow range gains the grooves
+)
 
 
 @dataclass(frozen=True)
@@ -96,6 +111,9 @@ class Columns:
         return Columns(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 
+NO_COLUMNS = Columns(np.empty(0), np.empty(0), np.empty(0, dtype=np.int64), np.empty(0))
+
+
 def corners(
     task: MarginTask,
     bounds: ShapeBounds,
@@ -110,45 +128,116 @@ def corners(
     Returns:
         The gaits, slightly on the safe side of both borders, and a mask of those that gain the grooves.
     """
-    least, most = task.bounds.stroke_low, task.bounds.stroke_high
-    low, high = bounds.pretension
-
-    def keeps(rows: Index, pretension: Array, reach: Array) -> Mask:
-        own = columns.take(rows)
-        shape = _shapes(own, shares[rows], pretension)
-        table = task.table(reach - pretension, own.frequency, own.margin, shape=shape)
-        return gained_of(table) >= own.count
-
-    size, tightest = columns.count.size, min(high, most - least)
-    pretension, reach = np.full(size, low), np.full(size, most)
-    found = np.zeros(size, dtype=bool)
-    for least_contraction, value in starts_of(task, bounds):
-        open_ = np.flatnonzero(~found)
-        tried = np.full((2, open_.size), [[least_contraction], [value]])
-        kept = open_[keeps(open_, *tried)]
-        found[kept], pretension[kept], reach[kept] = True, least_contraction, value
+    problem = _Problem(task, bounds, columns, shares)
+    found, tightness, reach = problem.started()
     rows = np.flatnonzero(found)
-    o, top, longest = pretension[rows], reach[rows], reach[rows]
-    short, tight = o + least, np.full(rows.size, tightest)
-    for width in widths:
-
-        def reaches(part: Index, value: Array, o: Array = o) -> Mask:
-            return keeps(rows[part], o[part], value)
-
-        top = np.minimum(_bisected(reaches, top, short, width) + width, longest)
-        tight = np.minimum(tight, top - least)
-
-        def returns(part: Index, value: Array, top: Array = top) -> Mask:
-            return keeps(rows[part], value, top[part])
-
-        o = _bisected(returns, o, tight, width)
-        short = np.maximum(top - (_WINDOW + 1.0) * width, o + least)
-        tight = np.minimum(o + _WINDOW * width, tightest)
-    safe = np.maximum(o - EDGE_ALLOWANCE, low)
-    pretension[rows], reach[rows] = safe, np.minimum(top + EDGE_ALLOWANCE, longest)
-    shape = _shapes(columns, shares, pretension)
-    points = task.points(reach - pretension, columns.frequency, shape, columns.margin)
+    tightness[rows], reach[rows] = problem.located(rows, tightness[rows], reach[rows], widths)
+    shape = problem.shape_of(np.arange(found.size), tightness)
+    points = task.points(reach - shape["pretension"], columns.frequency, shape, columns.margin)
     return points, found & (points.count >= columns.count)
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """Gaits with the given shares, as functions of the tightness and the reach in m.
+
+    The tightness is the pretension above the least one. Below 0 it is the length of the ramps above the given one,
+    negative, in units of `_RAMP_PER_METRE`. The higher it is, the sooner the body has to extend.
+    """
+
+    task: MarginTask
+    bounds: ShapeBounds
+    columns: Columns
+    shares: Array
+
+    @cached_property
+    def loosest(self) -> Array:
+        """Tightness (n,) with the longest ramps; 0 for a cosine, which has none."""
+        longest = self.bounds.ramp_share[1]
+        has_ramps = self.columns.profile != Profile.COSINE
+        return np.where(has_ramps, self.shares[:, 1] - longest, 0.0) / _RAMP_PER_METRE
+
+    def shape_of(self, rows: Index, tightness: Array) -> Shapes:
+        """Return the shapes of the rows with a tightness, (m,) each."""
+        share, ramp = self.shares[rows].T
+        ramp = ramp + _RAMP_PER_METRE * np.maximum(-tightness, 0.0)
+        return shapes_of(
+            rows.size,
+            pretension=self.bounds.pretension[0] + np.maximum(tightness, 0.0),
+            contraction_share=share,
+            profile=self.columns.profile[rows],
+            ramp_share=np.minimum(ramp, self.bounds.ramp_share[1]),
+        )
+
+    def keeps(self, rows: Index, tightness: Array, reach: Array) -> Mask:
+        """Return True for the rows that gain their grooves, (m,) each."""
+        own, shape = self.columns.take(rows), self.shape_of(rows, tightness)
+        stroke = reach - shape["pretension"]
+        return (
+            gained_of(self.task.table(stroke, own.frequency, own.margin, shape=shape)) >= own.count
+        )
+
+    def started(self) -> tuple[Mask, Array, Array]:
+        """Return (mask of the rows for which a gait is found, its tightness, its reach), (n,) each."""
+        size = self.columns.count.size
+        found, tightness = np.zeros(size, dtype=bool), np.zeros(size)
+        reach = np.full(size, self.task.bounds.stroke_high)
+        for places in _places(self.task, self.bounds):
+            has_longer_ramps = np.any(places[:, 0] > 0.0)
+            open_ = np.flatnonzero(~found & (~has_longer_ramps | (self.loosest < 0.0)))
+            part, above, value = np.tile(places, (open_.size, 1)).T
+            tried = part * np.repeat(self.loosest[open_], len(places)) + above
+            kept = self.keeps(np.repeat(open_, len(places)), tried, value)
+            kept = kept.reshape(-1, len(places))
+            own, any_kept = np.arange(open_.size) * len(places), kept.any(axis=1)
+            first = (own + np.argmax(kept, axis=1))[any_kept]
+            rows = open_[any_kept]
+            found[rows], tightness[rows], reach[rows] = True, tried[first], value[first]
+        return found, tightness, reach
+
+    def located(
+        self, rows: Index, tightness: Array, reach: Array, widths: tuple[float, ...]
+    ) -> tuple[Array, Array]:
+        """Return tightness and reach of the corners of the rows, from those of gaits that gain their grooves."""
+        least, low = self.task.bounds.stroke_low, self.bounds.pretension[0]
+        highest = min(self.bounds.pretension[1], self.task.bounds.stroke_high - least) - low
+        shortest = low + np.maximum(tightness, 0.0) + least
+        longest, tightest = reach, np.full(rows.size, highest)
+        for width in widths:
+
+            def reaches(part: Index, value: Array, at: Array = tightness) -> Mask:
+                return self.keeps(rows[part], at[part], value)
+
+            reach = np.minimum(_bisected(reaches, reach, shortest, width) + width, longest)
+            tightest = np.minimum(tightest, reach - least - low)
+
+            def extends(part: Index, value: Array, at: Array = reach) -> Mask:
+                return self.keeps(rows[part], value, at[part])
+
+            tightness = _bisected(extends, tightness, tightest, width)
+            shortest = np.maximum(
+                reach - (_WINDOW + 1.0) * width, low + np.maximum(tightness, 0.0) + least
+            )
+            tightest = np.minimum(tightness + _WINDOW * width, highest)
+        safe = np.maximum(tightness - EDGE_ALLOWANCE, self.loosest[rows])
+        return safe, np.minimum(reach + EDGE_ALLOWANCE, longest)
+
+
+def _places(task: MarginTask, bounds: ShapeBounds) -> list[Array]:
+    """Return groups of places (n, 3) at which a gait is tried, in order.
+
+    A place is (part of the range of longer ramps, pretension above the least one in m, reach in m). The first place is
+    enough for most gaits.
+    """
+    low = bounds.pretension[0]
+    places = [(0.0, pretension - low, reach) for pretension, reach in starts_of(task, bounds)]
+    longer = [
+        (part, 0.0, reach)
+        for part in _RAMP_PARTS
+        for reach in _reaches(task, low, _REACHES_OF_RAMPS)
+    ]
+    groups = places[:1], places[1:_REACHES], places[_REACHES:], longer
+    return [np.array(group) for group in groups if group]
 
 
 def starts_of(task: MarginTask, bounds: ShapeBounds) -> list[tuple[float, float]]:
@@ -159,24 +248,17 @@ def starts_of(task: MarginTask, bounds: ShapeBounds) -> list[tuple[float, float]
     """
     (low, high), pitch = bounds.pretension, task.parameters.pitch
     pretensions = low + np.arange(_PRETENSIONS) * pitch / _PRETENSIONS
-    reaches = task.bounds.stroke_high - np.arange(_REACHES + 1) * pitch / _REACHES
     return [
         (pretension, reach)
         for pretension in pretensions[pretensions <= high].tolist()
-        for reach in reaches.tolist()
-        if reach >= pretension + task.bounds.stroke_low
+        for reach in _reaches(task, pretension, _REACHES)
     ]
 
 
-def _shapes(columns: Columns, shares: Array, pretension: Array) -> Shapes:
-    share, ramp = shares.T
-    return shapes_of(
-        pretension.size,
-        pretension=pretension,
-        contraction_share=share,
-        profile=columns.profile,
-        ramp_share=ramp,
-    )
+def _reaches(task: MarginTask, pretension: float, parts: int) -> list[float]:
+    """Return reaches in m, falling from the longest one by the pitch, in ``parts`` equal steps."""
+    reaches = task.bounds.stroke_high - np.arange(parts + 1) * task.parameters.pitch / parts
+    return [float(reach) for reach in reaches if reach >= pretension + task.bounds.stroke_low]
 
 
 def _bisected(

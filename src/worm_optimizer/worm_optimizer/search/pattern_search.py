@@ -82,7 +82,8 @@ def improve(
         which = np.nonzero(useful)
         found = cost_of(active[which[0]], tried[which])
         around.power[which], around.violation[which] = found.power, found.violation
-        candidate = at(_minimum(Costs(power[active], violation[active]), around))
+        moves = _minimum(Costs(power[active], violation[active]), around)
+        candidate = at(moves)
         last = cost_of(active, candidate)
         options = np.concatenate([own[:, np.newaxis], tried, candidate[:, np.newaxis]], axis=1)
         costs = Costs(
@@ -93,8 +94,9 @@ def improve(
         rows = np.arange(active.size)
         best[active] = options[rows, choice]
         power[active], violation[active] = costs.power[rows, choice], costs.violation[rows, choice]
-        moved = (choice > 0) & (choice <= len(_PATTERN))
-        step[active] *= np.where(moved, 1.0, _SHRINK)
+        inside = np.all(np.abs(moves) <= 1.0, axis=1)
+        ends = (choice == 0) | ((choice > len(_PATTERN)) & inside)
+        step[active] *= np.where(ends, _SHRINK, 1.0)
     return best, Costs(power, violation)
 
 

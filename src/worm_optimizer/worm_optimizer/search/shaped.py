@@ -37,6 +37,7 @@ from worm_optimizer.evaluation.task import (
 from worm_optimizer.search.corners import (
     COARSE,
     FINE,
+    NO_COLUMNS,
     Columns,
     ShapeBounds,
     corners,
@@ -50,7 +51,7 @@ from worm_optimizer.search.pattern_search import (
     improve,
 )
 
-_FREQUENCIES = 17  # frequencies at which shares are searched
+_FREQUENCIES = 13  # frequencies at which shares are searched
 _FREQUENCIES_OF_NODES = 9  # the same if there are several margins
 _NODES = 5  # margins of a scan at which shares are searched
 # Further margins for a branch that is lost between two of these, because its shares change quickly there. 1 is the
@@ -58,12 +59,13 @@ _NODES = 5  # margins of a scan at which shares are searched
 _CLIFF_NODES = (0.5, 0.2, 0.05, 0.0)
 _START_SHARES = (0.35, 0.5, 0.65, 0.8)  # contraction shares from which the search starts
 _START_RAMPS = (0.1, 0.25, 0.5)  # ramp shares of a trapezoid from which it starts
+_LEAST_FIRST_STEP = 0.04  # at which the first search ends; near a minimum the power hardly changes
 _SMALL_STEP = 0.25  # first step of the search from a neighbouring frequency
 _LIMIT_STEPS = (0.1, 0.02)  # steps of the search for the contraction share at a limit
 _NEAR_LIMIT, _AT_LIMIT = 0.1, 3e-4  # violations below 0 between which the search continues
 _APART = 0.03  # difference of the shares of different minima
-_ENDING = 12  # bisections of the highest frequency of a branch
-_MARGIN_HALVINGS = 12
+_ENDING = 10  # bisections of the highest frequency of a branch
+_ENDING_SHARES = 6  # contraction shares that are tried in each
 _END_PARTS = (
     0.2,
     0.4,
@@ -146,22 +148,30 @@ class ShapedTask:
         See `Task`. The strokes apply only to the sinusoid. ``margin`` in m, of shape (m,), must be within the nodes.
         """
         margins = np.full(frequency.shape, self.task.margin) if margin is None else margin
-        found = [Edges(np.empty(0, dtype=np.int64), self.points(np.empty(0), np.empty(0)))]
-        for own, profile in sorted({(track.count, track.profile) for track in self.tracks}):
-            for shares in self._shares(own, profile, frequency, margins):
-                wanted = np.isfinite(shares[:, 0])
-                wanted &= True if count is None else count == own
-                rows = np.flatnonzero(wanted)
-                key = np.full(rows.size, own), np.full(rows.size, profile)
-                columns = Columns(frequency[rows], margins[rows], *key)
-                limited = _Search(self.task, self.shapes).within_limits(columns, shares[rows])
-                points, gains = corners(self.task, self.shapes, columns, limited, FINE)
-                kept = gains & points.admissible
-                found.append(Edges(rows[kept], points.take(kept)))
+        parts = list(self._candidates(frequency, margins, count))
+        column = np.concatenate([rows for rows, _, _ in parts])
+        problems = Columns.join(*(columns for _, columns, _ in parts))
+        shares = np.concatenate([tried for _, _, tried in parts])
+        shares = _Search(self.task, self.shapes).within_limits(problems, shares)
+        points, gains = corners(self.task, self.shapes, problems, shares, FINE)
+        kept = gains & points.admissible
+        found = [Edges(column[kept], points.take(kept))]
         if self.shapes.include_sinusoid:
             found.append(self.task.edges(frequency, strokes, count, margins))
         column = np.concatenate([part.column for part in found])
         return Edges(column, Points.join(*(part.points for part in found)))
+
+    def _candidates(
+        self, frequency: Array, margin: Array, count: Index | None
+    ) -> Iterator[tuple[Index, Columns, Array]]:
+        """Yield the columns, the problems and the shares (n, 2) to be tried, of each branch with one of the counts."""
+        yield np.empty(0, dtype=np.int64), NO_COLUMNS, np.empty((0, 2))
+        for own, profile in sorted({(track.count, track.profile) for track in self.tracks}):
+            asked = np.ones(frequency.size, dtype=bool) if count is None else count == own
+            for shares in self._shares(own, profile, frequency, margin):
+                rows = np.flatnonzero(asked & np.isfinite(shares[:, 0]))
+                key = np.full(rows.size, own), np.full(rows.size, profile)
+                yield rows, Columns(frequency[rows], margin[rows], *key), shares[rows]
 
     @cached_property
     def tracks(self) -> tuple[Track, ...]:
@@ -311,7 +321,7 @@ class _Search:
         shares = starts[rows]
         best = Solved(columns, shares, self.costs(columns, shares).total).best()
         best = best.take(np.isfinite(best.cost))
-        return self.improved(best.columns, best.shares, 1.0)
+        return self.improved(best.columns, best.shares, 1.0, _LEAST_FIRST_STEP)
 
     def _started(self, margins: Array, frequencies: Array) -> tuple[Columns, Array, Index]:
         """Return columns with several shares (n, 2) each, and the grooves (n,) that are gained with them."""
@@ -359,12 +369,10 @@ class _Search:
             return known
         good = Solved.join(*lasts)
         bad = np.full(good.cost.size, highest)
-        shares = good.shares
         for _ in range(_ENDING):
             middle = 0.5 * (good.columns.frequency + bad)
             columns = dataclasses.replace(good.columns, frequency=middle)
-            shares = self._widest_margin(columns, shares)
-            tried = Solved(columns, shares, self.costs(columns, shares).total)
+            tried = self._cheapest_share(columns, good.shares)
             if self.task.limits != NO_LIMITS:
                 near = self.improved(columns, good.shares, _SMALL_STEP, _SMALL_STEP)
                 tried = Solved.join(tried, near).best()
@@ -374,9 +382,20 @@ class _Search:
             bad = np.where(keeps, bad, middle)
         return self.improved(good.columns, good.shares, _SMALL_STEP)
 
+    def _cheapest_share(self, columns: Columns, shares: Array) -> Solved:
+        """Return the cheapest of some contraction shares up to the given ones, with the shortest possible ramps."""
+        least = self.shapes.shares[:, 0]
+        parts = []
+        for part in np.linspace(0.0, 1.0, _ENDING_SHARES):
+            tried = (
+                np.column_stack([part * (shares[:, 0] - least[0]), np.zeros(len(shares))]) + least
+            )
+            parts.append(Solved(columns, tried, self.costs(columns, tried).total))
+        return Solved.join(*parts).best()
+
     def filled(self, known: Solved, frequencies: Array) -> Solved:
         """Search at the frequencies in Hz that a branch lacks between others, from interpolated shares."""
-        parts = [known]
+        parts = []
         for group in known.groups():
             own = group.columns.frequency
             lacking = np.setdiff1d(
@@ -384,24 +403,28 @@ class _Search:
             )
             rows = np.zeros(lacking.size, dtype=np.int64)
             columns = dataclasses.replace(group.take(rows).columns, frequency=lacking)
-            shares = group.track().shares_at(lacking)
-            parts.append(self.improved(columns, shares, _SMALL_STEP))
-        return Solved.join(*parts)
+            parts.append((columns, group.track().shares_at(lacking)))
+        return Solved.join(known, self._improved_together(parts))
 
-    def with_ends(self, known: Solved) -> Solved:
+    def with_ends(self, known: Solved, highest: float) -> Solved:
         """Search also at frequencies just below the highest one of each branch, where the shares change quickly."""
-        parts = [known]
+        parts = []
         for group in known.groups():
             own = group.columns.frequency
-            if own.size < 2:
+            if own.size < 3 or own[-1] == highest:
                 continue
-            frequency = own[-2] + (own[-1] - own[-2]) * np.array(_END_PARTS)
+            frequency = own[-3] + (own[-1] - own[-3]) * np.array(_END_PARTS)
             rows = np.zeros(frequency.size, dtype=np.int64)
             columns = dataclasses.replace(group.take(rows).columns, frequency=frequency)
-            for shares in (group.track().shares_at(frequency), group.shares[rows - 2]):
-                parts.append(self.improved(columns, shares, _SMALL_STEP))
-        best = Solved.join(*parts).best()
+            parts.append((columns, group.track().shares_at(frequency)))
+        best = Solved.join(known, self._improved_together(parts)).best()
         return best.take(best.cost < FORBIDDEN)
+
+    def _improved_together(self, parts: list[tuple[Columns, Array]]) -> Solved:
+        """Search from the shares (n, 2) of all parts at the same time, with small steps."""
+        columns = Columns.join(NO_COLUMNS, *(columns for columns, _ in parts))
+        shares = np.concatenate([np.empty((0, 2)), *(shares for _, shares in parts)])
+        return self.improved(columns, shares, _SMALL_STEP)
 
     def _swing(
         self, columns: Columns, shares: Array, margin: Array, place: tuple[float, float]
@@ -435,23 +458,6 @@ class _Search:
             further.append(kept - (kept - last) * np.array(_CLIFF_NODES))
         return np.setdiff1d(np.concatenate(further), margins)
 
-    def _widest_margin(self, columns: Columns, shares: Array) -> Array:
-        """Search the shares that keep the grooves at the largest margin, with the longest reach."""
-        longest = self.shapes.pretension[0], self.task.bounds.stroke_high
-
-        def cost_of(rows: Index, tried: Array) -> Costs:
-            own, size = columns.take(rows), rows.size
-            good, bad = np.full(size, -1.0), np.full(size, 2.0 * self.task.parameters.pitch)
-            for _ in range(_MARGIN_HALVINGS if size else 0):
-                middle = 0.5 * (np.maximum(good, 0.0) + bad)
-                keeps = gained_of(self._swing(own, tried, middle, longest)) >= own.count
-                good, bad = np.where(keeps, middle, good), np.where(keeps, bad, middle)
-            return Costs(-good, np.full(size, -1.0))
-
-        has_ramps = columns.profile != Profile.COSINE
-        steps = 0.5, LEAST_STEP
-        return improve(cost_of, has_ramps, self.shapes.shares, shares, steps)[0]
-
 
 def tracks_of(
     task: MarginTask, shapes: ShapeBounds, margins: Array, frequencies: Array
@@ -463,7 +469,7 @@ def tracks_of(
     search = _Search(task, shapes)
     known = search.solved(margins, frequencies)
     if margins.size == 1:
-        known = search.with_ends(known)
+        known = search.with_ends(known, float(frequencies[-1]))
     further = search.cliff_nodes(known, margins)
     if further.size:
         known = Solved.join(known, search.solved(further, frequencies))

@@ -81,6 +81,26 @@ def test_no_random_gait_of_the_box_dominates_the_front(margin):
 
 
 @pytest.mark.parametrize("margin", [0.0, 3.4e-3])
+def test_gaits_near_those_of_the_front_are_not_cheaper(margin):
+    """Up to the last percent of the frequencies of a branch, where the shares change within a few millihertz."""
+    task, front = MarginTask(margin=margin), shaped_front(margin).front
+    front = front.take(front.frequency < 0.99 * front.frequency.max())
+    rng, near = np.random.default_rng(5), 1000
+    gaits = front.take(np.repeat(np.arange(len(front)), near))
+    shape, size = gaits.shape.copy(), 10.0 ** rng.uniform(-4.0, -0.3, len(gaits))
+    box = ShapeBounds()
+    for name, reach in (("pretension", 0.02), ("contraction_share", 0.2), ("ramp_share", 0.2)):
+        moved = shape[name] + reach * size * rng.normal(size=len(gaits))
+        shape[name] = np.clip(moved, *getattr(box, name))
+    stroke = gaits.stroke + 0.02 * size * rng.normal(size=len(gaits))
+    stroke = np.clip(stroke, task.bounds.stroke_low, task.bounds.stroke_high - shape["pretension"])
+    tried = task.points(stroke, gaits.frequency, shape)
+    same = tried.admissible & (tried.count == gaits.count)
+    assert same.sum() > len(gaits) / 20
+    assert np.all(tried.power[same] > gaits.power[same] * (1.0 - 10.0 * ACCEPTED))
+
+
+@pytest.mark.parametrize("margin", [0.0, 3.4e-3])
 def test_the_papers_front_does_not_dominate_the_front(margin):
     """The sinusoid is one of the shapes."""
     front = shaped_front(margin).front
@@ -121,6 +141,20 @@ def test_at_a_corner_neither_less_reach_nor_more_pretension_keeps_the_grooves():
     looser = found.shape.copy()
     looser["pretension"] -= hair
     assert task.points(found.stroke + hair, found.frequency, looser).count[0] == 6
+
+
+def test_ramps_too_short_for_any_pretension_become_as_long_as_needed():
+    task, needed = MarginTask(margin=3.4e-3), 2e-5
+    columns = Columns(np.full(2, 0.22), np.full(2, 3.4e-3), np.full(2, 6), np.ones(2))
+    found, gains = corners(task, ShapeBounds(), columns, np.array([[0.55, 0.1], [0.55, 0.2]]), FINE)
+    assert gains.all()
+    assert found.shape["pretension"].tolist() == [0.0, 0.0]
+    assert found.shape["ramp_share"][0] > 0.2
+    assert found.shape["ramp_share"] == pytest.approx(found.shape["ramp_share"][0], abs=2e-5)
+    assert found.power == pytest.approx(found.power[0], rel=2e-5)
+    shorter = found.shape.copy()
+    shorter["ramp_share"] -= needed
+    assert np.all(task.points(found.stroke, found.frequency, shorter).count < 6)
 
 
 def test_limits_hold_for_every_gait_of_the_front():
