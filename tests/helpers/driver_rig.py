@@ -9,6 +9,7 @@ import errno
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import cache
 
 import serial
 
@@ -26,7 +27,7 @@ from worm_driver.servos.registers import COMMON
 from worm_driver.servos.servo_bus import BusPort, ServoBus
 from worm_driver.servos.transmission import Fin, Spool
 from worm_driver.virtual_robot.virtual_robot import VirtualRobot
-from worm_driver.virtual_robot.virtual_settings import load_settings
+from worm_driver.virtual_robot.virtual_settings import RobotSettings, load_settings
 from worm_driver.virtual_robot.wire import smbus_frames as frames
 from worm_driver.virtual_robot.wire.faults import make_fault
 from worm_driver.virtual_robot.wire.packet import Instruction, InstructionReader
@@ -196,6 +197,12 @@ def goals_in(packet) -> Iterator[tuple[int, int]]:
             yield data[at], int.from_bytes(data[at + 1 : at + 5], "little", signed=True)
 
 
+@cache
+def installed_robot() -> RobotSettings:
+    """The settings of the installed virtual robot, read once."""
+    return load_settings()
+
+
 class Rig:
     """A driver's robot, a virtual robot, and the clock between them."""
 
@@ -207,7 +214,7 @@ class Rig:
         why_not_start: Callable[[], str] = lambda: "",
     ):
         self.clock = clock or Clock()
-        self.virtual = virtual or VirtualRobot(load_settings(None))
+        self.virtual = virtual or VirtualRobot(installed_robot())
         self.wire = Wire(self.clock, self._answer)
         self.bus = ServoBus(SimulatedPort(self.wire, self.clock))
         self.goals: list[WrittenGoal] = []

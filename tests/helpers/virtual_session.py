@@ -12,7 +12,7 @@ from dataclasses import asdict, astuple, dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from driver_rig import Rig
+from driver_rig import Rig, installed_robot
 from twin_samples import run_of_rows
 
 from worm_driver.control.snapshot import Snapshot
@@ -20,7 +20,7 @@ from worm_driver.gait.gait_limits import Gait as DriverGait
 from worm_driver.gait.gait_player import Phase
 from worm_driver.power.ina219 import SampleStatus
 from worm_driver.virtual_robot.virtual_robot import VirtualRobot
-from worm_driver.virtual_robot.virtual_settings import RobotSettings, load_settings
+from worm_driver.virtual_robot.virtual_settings import RobotSettings
 from worm_model.gait import Gait
 from worm_model.run import Run
 from worm_model.twin.records import Activity, Event
@@ -57,7 +57,7 @@ class Played:
 
 def virtual_settings(seed: int = 1, **changes: object) -> RobotSettings:
     """The installed virtual robot's, with another seed; ``changes`` are those of its sections."""
-    return replace(load_settings(None).with_seed(seed), **changes)
+    return replace(installed_robot().with_seed(seed), **changes)
 
 
 class _Rig(Rig):

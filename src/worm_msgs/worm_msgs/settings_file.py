@@ -11,6 +11,7 @@ import json
 import re
 import reprlib
 from collections.abc import Callable, Iterable, Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -89,14 +90,14 @@ def settings_of(content: Any, kind: type[T]) -> T:
     except (TypeError, ValueError, RecursionError) as error:
         raise SettingsFileError(f"has keys or values that settings cannot have: {error}") from None
     try:
-        return _adapter(kind).validate_json(text)[0]
+        return _adapter(kind).validate_json(text)[0]  # type: ignore[arg-type] # mypy: a type were not hashable
     except ValidationError as error:
         raise SettingsFileError(_message(error.errors(include_url=False), kind)) from None
 
 
 def json_schema(kind: type[Any]) -> dict[str, Any]:
     """Return the JSON Schema of a dataclass's files."""
-    schema = _adapter(kind).json_schema()
+    schema = _adapter(kind).json_schema()  # type: ignore[arg-type]
     definitions = schema["$defs"]
     whole = definitions.pop(schema["prefixItems"][0]["$ref"].split("/")[-1])
     return {
@@ -106,6 +107,7 @@ def json_schema(kind: type[Any]) -> dict[str, Any]:
     }
 
 
+@cache
 def _adapter(kind: type[T]) -> TypeAdapter[tuple[T]]:
     # Pydantic rejects a configuration for a plain dataclass, but accepts it for a tuple that contains one.
     return TypeAdapter(tuple[kind], config=_CONFIG)  # type: ignore[arg-type, valid-type]
