@@ -13,7 +13,7 @@ from worm_driver.nodes import driver_parameters, tracker_node
 from worm_model.nodes import twin_messages
 from worm_model.twin.twin_settings import DEFAULTS
 from worm_msgs.parameter_rows import RENAMED
-from worm_optimizer.nodes import optimizer_parameters
+from worm_optimizer.nodes import optimizer_node
 
 _SPEC = importlib.util.spec_from_file_location("generator", ROOT / "docs/generate_interfaces.py")
 assert _SPEC is not None
@@ -66,7 +66,7 @@ def test_the_former_names_of_parameters_are_those_that_nodes_accept():
 
 
 def test_names_of_parameters_and_keys_are_lower_snake_case_with_the_unit_last():
-    nodes = (driver_parameters, twin_messages, optimizer_parameters, tracker_node)
+    nodes = (driver_parameters, twin_messages, optimizer_node, tracker_node)
     names = [row.name for node in nodes for row in node.rows()]
     assert len(names) > 50
     wrong = re.compile(r"[A-Z]|_m_s$|_rad_s$|[^a-z0-9_.]")

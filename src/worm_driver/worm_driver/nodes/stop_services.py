@@ -2,20 +2,23 @@
 """Services and topics that work while the driver's ROS thread is busy: stop, emergency stop, heartbeat, control."""
 
 import math
+import time
 from collections.abc import Callable, Iterator
 
 from builtin_interfaces.msg import Time
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from std_srvs.srv import Trigger
 
+from worm_driver.control.control_lease import ControlLease
 from worm_driver.control.emergency import EmergencyLatch, StopPublishers
 from worm_driver.control.hardware import Hardware
+from worm_driver.control.heartbeat import PERIOD
 from worm_driver.errors import DriverError
-from worm_driver.nodes.control_topics import ControlTopics
 from worm_driver.nodes.identified_subscription import IdentifiedSubscription
 from worm_driver.nodes.side_node import SideNode
-from worm_msgs.msg import Heartbeat
+from worm_msgs.msg import ControlRequest, ControlState, Heartbeat
 from worm_msgs.qos import LATCHED
 
 #: The middleware drops no request, so every call of stop gets a response.
@@ -62,7 +65,7 @@ class StopServices:
             Trigger, "reset_emergency_stop", self._on_reset, qos_profile=_EVERY_CALL
         )
         side.create_subscription(Heartbeat, "heartbeat", on_heartbeat, 100)
-        ControlTopics(side, stamp)
+        _ControlTopics(side, stamp)
         self._publishers = StopPublishers()
         self._emergencies = [
             IdentifiedSubscription(side, _EMERGENCY, qos, self._on_emergency)
@@ -141,3 +144,57 @@ class StopServices:
             response.message += f" ({gone} of its publishers ended without publishing false)"
         self._logger.error(f"EMERGENCY STOP reset: {response.message}")
         return response
+
+
+class _ControlTopics:
+    """Topics of the control lease, requests of clients and the holder, in the node's executor thread.
+
+    Args:
+        node: node of the subscription, the publisher and the timer.
+        stamp: returns the present ROS time.
+    """
+
+    def __init__(self, node: Node, stamp: Callable[[], Time]) -> None:
+        self._lease = ControlLease()
+        self._logger = node.get_logger()
+        self._stamp = stamp
+        self._published: tuple[str, str] | None = None
+        self._state = node.create_publisher(ControlState, "control", LATCHED)
+        node.create_subscription(ControlRequest, "control/request", self._on_request, 100)
+        # Runs only while a client has control, because each wake-up delays the servo thread.
+        self._timer = node.create_timer(
+            PERIOD, self._expire, clock=Clock(clock_type=ClockType.STEADY_TIME)
+        )
+        self._publish()
+
+    def _on_request(self, message: ControlRequest) -> None:
+        if message.wish == ControlRequest.CONTROL:
+            self._on_control(message)
+        elif message.wish == ControlRequest.HAND_OVER:
+            self._lease.hand_over(message.client)
+        elif message.wish == ControlRequest.RELEASE:
+            self._lease.release(message.client)
+        self._publish()
+
+    def _on_control(self, message: ControlRequest) -> None:
+        try:
+            self._lease.request(message.client, message.lease_s, time.monotonic())
+        except ValueError as error:
+            self._logger.warning(f"control/request of {message.client} is ignored: {error}")
+
+    def _expire(self) -> None:
+        self._lease.expire(time.monotonic())
+        self._publish()
+
+    def _publish(self) -> None:
+        state = (self._lease.holder, self._lease.requester)
+        if state == self._published:
+            return
+        self._published = state
+        message = ControlState(holder=state[0], requester=state[1])
+        message.header.stamp = self._stamp()
+        self._state.publish(message)
+        if not self._lease.holder:
+            self._timer.cancel()
+        elif self._timer.is_canceled():
+            self._timer.reset()

@@ -3,7 +3,8 @@
 
 This module corrects the following defects of version 4.1.0 of the SDK:
 
-- It sends packets without byte stuffing and removes stuffing incorrectly. See ``_PacketHandler``.
+- It computes a packet with byte stuffing (e-manual, Protocol 2.0, "Byte stuffing") and then sends the one without. It
+  removes stuffing while it overwrites bytes that it still reads. See ``_PacketHandler``.
 - It measures timeouts by the wall clock, spins while it waits, and never stops reading while bytes arrive. See
   ``BusPort``.
 - It mistakes a late answer for the answer to the next request. After a failed exchange the next request waits for a
@@ -42,9 +43,9 @@ from worm_driver.servos import serial_port
 from worm_driver.servos.bus_types import BusCounters, Identity, Reply, error_text
 from worm_driver.servos.encoding import pack, unpack
 from worm_driver.servos.registers import COMMON, Register
-from worm_driver.servos.stuffing import stuff, unstuff
 
 BROADCAST = 254
+_HEADER = b"\xff\xff\xfd"  # start of a packet, apart from a zero byte
 
 #: Remedy for a silent servo. It names all possible causes, as silence does not distinguish them.
 SILENCE_REMEDY = (
@@ -182,6 +183,16 @@ class BusPort(PortHandler):
             self.is_open = False
             serial_port.end_exclusive_use(self.ser.fileno())
             self.ser.close()
+
+
+def stuff(body: bytes) -> bytes:
+    """Insert FD after every FF FF FD. ``body`` runs from the instruction to the last parameter."""
+    return body.replace(_HEADER, _HEADER + b"\xfd")
+
+
+def unstuff(body: bytes) -> bytes:
+    """Remove the FD that follows every FF FF FD. ``body`` runs from the instruction to the last parameter."""
+    return body.replace(_HEADER + b"\xfd", _HEADER)
 
 
 class _PacketHandler(Protocol2PacketHandler):

@@ -34,8 +34,7 @@ from worm_driver.virtual_robot.virtual_settings import (
 )
 from worm_driver.virtual_robot.wire import faults
 from worm_driver.virtual_robot.wire.faults import FaultBoard
-from worm_driver.virtual_robot.wire.i2c_line import I2cLine
-from worm_driver.virtual_robot.wire.ina219_chip import AdcNoise, Ina219
+from worm_driver.virtual_robot.wire.ina219_chip import AdcNoise, I2cLine, Ina219
 from worm_driver.virtual_robot.wire.smbus_frames import Answer, Request
 from worm_driver.virtual_robot.wire.virtual_bus import ServoBus, Transmission
 from worm_msgs.robot_parameters import RobotParameters

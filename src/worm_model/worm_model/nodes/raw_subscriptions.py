@@ -11,24 +11,31 @@ from __future__ import annotations
 import importlib
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 from rclpy.node import Node
-from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    QoSCompatibility,
+    QoSProfile,
+    ReliabilityPolicy,
+    qos_check_compatible,
+)
 from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 from std_srvs.srv import Trigger
 
 from worm_model.bags.bag_errors import BagError, DefinitionError
-from worm_model.bags.formats.bag_metadata import dump_yaml
+from worm_model.bags.formats.bag_metadata import dump_yaml, qos_profile
 from worm_model.bags.formats.message_block import Message, Topic
 from worm_model.bags.formats.message_types import installed_definition
 from worm_model.bags.recording.message_loss import LossCounter
 from worm_model.bags.recording.topic_selection import TopicSelection
 from worm_model.bags.worm_topics import GAIT_STATE, TWIN_EVENT
-from worm_model.nodes.recording_qos import describe, subscription_qos
 from worm_model.run import INACTIVE
 from worm_msgs.node_command import declare_none
 
@@ -61,7 +68,7 @@ class _RawSubscription:
 
     def _subscribe(self) -> tuple[QoSProfile, Subscription]:
         publishers = self._node.get_publishers_info_by_topic(self.topic.name)
-        qos = subscription_qos([info.qos_profile for info in publishers], self._depth)
+        qos = _subscription_qos([info.qos_profile for info in publishers], self._depth)
         subscription = self._node.create_subscription(
             self._message, self.topic.name, lambda _: None, qos, raw=True
         )
@@ -121,6 +128,48 @@ class _RawSubscription:
 def _identity(info: dict[str, int]) -> _Identity:
     """Return the publisher's number and time of sending, which identify a message of a topic."""
     return info["publication_sequence_number"], info["source_timestamp"]
+
+
+def _subscription_qos(offered: Sequence[QoSProfile], depth: int) -> QoSProfile:
+    """Return the strictest quality of service that is compatible with every publisher.
+
+    A best-effort publisher does not connect to a reliable subscription, nor a volatile one to a transient-local
+    subscription. A volatile subscription would miss latched messages.
+
+    Args:
+        offered: profiles of the present publishers.
+        depth: messages stored between two polls of the subscription.
+    """
+    reliable = all(qos.reliability == ReliabilityPolicy.RELIABLE for qos in offered)
+    latched = all(qos.durability == DurabilityPolicy.TRANSIENT_LOCAL for qos in offered)
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=depth,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+    )
+
+
+def _describe_qos(publishers: Sequence[TopicEndpointInfo]) -> tuple[Mapping[str, Any], ...]:
+    """Return the different profiles that a topic's publishers offer, for metadata.yaml."""
+    profiles: list[Mapping[str, Any]] = []
+    for publisher in publishers:
+        qos = publisher.qos_profile
+        profile = qos_profile(
+            history=qos.history.short_key,
+            depth=qos.depth,
+            reliability=qos.reliability.short_key,
+            durability=qos.durability.short_key,
+            liveliness=qos.liveliness.short_key,
+            times=(
+                qos.deadline.nanoseconds,
+                qos.lifespan.nanoseconds,
+                qos.liveliness_lease_duration.nanoseconds,
+            ),
+        )
+        if profile not in profiles:
+            profiles.append(profile)
+    return tuple(profiles)
 
 
 class RecordNode(Node):
@@ -224,7 +273,7 @@ class RecordNode(Node):
             return
         publishers = self.get_publishers_info_by_topic(name)
         type_hash = str(publishers[0].topic_type_hash) if publishers else ""
-        profiles = describe(publishers)
+        profiles = _describe_qos(publishers)
         metadata = (
             ("offered_qos_profiles", dump_yaml(list(profiles)) if profiles else ""),
             ("topic_type_hash", type_hash),

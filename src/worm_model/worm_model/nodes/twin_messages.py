@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Conversion of the twin's records to ROS messages and back, and of its settings to ROS parameters."""
+"""Conversion of the twin's records and scene to ROS messages and back, and of its settings to ROS parameters."""
 
 from __future__ import annotations
 
@@ -9,11 +9,14 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Header
+from std_msgs.msg import ColorRGBA, Header
+from visualization_msgs.msg import Marker, MarkerArray
 
 from worm_model.conditions import CONDITION_PARAMETERS, CONDITION_ROWS, Conditions, under
 from worm_model.parameters import Parameters, load_parameters
+from worm_model.twin import scene
 from worm_model.twin.forecast import Forecast
 from worm_model.twin.records import (
     NANOSECONDS,
@@ -27,7 +30,6 @@ from worm_model.twin.samples import (
     VALUES,
     Kind,
 )
-from worm_model.twin.scene import FRAME
 from worm_model.twin.twin_settings import TwinSettings
 from worm_msgs.msg import (
     BodyLength,
@@ -97,7 +99,7 @@ _STATE = tuple(name for name in STATE_ROW.names or () if name != "stamp_ns")
 def state_message(row: Any) -> TwinState:
     """Return the TwinState of a row of STATE_ROW."""
     message = _filled(TwinState(), row, _STATE)
-    message.header.frame_id = FRAME
+    message.header.frame_id = scene.FRAME
     return message
 
 
@@ -214,3 +216,39 @@ def settings_of(node: Any) -> TwinSettings:
     """Return the settings from the node's parameters."""
     names = [row.name for row in dataclasses.fields(TwinSettings)]
     return TwinSettings(**{name: node.get_parameter(name).value for name in names})
+
+
+# --- conversion of the scene to markers ----------------------------------------------------
+
+_MARKER_TYPES = {
+    scene.Kind.BOX: Marker.CUBE,
+    scene.Kind.BOXES: Marker.CUBE_LIST,
+    scene.Kind.CYLINDER: Marker.CYLINDER,
+}
+_UPRIGHT = Quaternion(x=0.0, y=0.0, z=0.0, w=1.0)
+_ALONG_X = Quaternion(x=0.0, y=math.sqrt(0.5), z=0.0, w=math.sqrt(0.5))
+_MARKER_LIFETIME_S = 1  # so that a robot that the tracker has lost disappears
+
+
+def marker_array(shapes: Sequence[scene.Shape], stamp: Time) -> MarkerArray:
+    """Return one marker per shape, each in its own namespace so that viewers can hide it."""
+    return MarkerArray(markers=[_marker(shape, stamp) for shape in shapes])
+
+
+def _marker(shape: scene.Shape, stamp: Time) -> Marker:
+    red, green, blue, opacity = shape.colour
+    marker = Marker(
+        header=Header(stamp=stamp, frame_id=scene.FRAME),
+        ns=shape.name,
+        id=0,
+        type=_MARKER_TYPES[shape.kind],
+        action=Marker.ADD,
+        scale=Vector3(**dict(zip("xyz", shape.size, strict=True))),
+        color=ColorRGBA(r=red, g=green, b=blue, a=opacity),
+        points=[Point(x=x, y=y, z=z) for x, y, z in shape.points],
+    )
+    x, y, z = shape.position
+    turn = _ALONG_X if shape.kind is scene.Kind.CYLINDER else _UPRIGHT
+    marker.pose = Pose(position=Point(x=x, y=y, z=z), orientation=turn)
+    marker.lifetime.sec = _MARKER_LIFETIME_S
+    return marker

@@ -33,7 +33,6 @@ from worm_model.gait import (
     gait_of,
 )
 from worm_model.nodes import twin_messages
-from worm_model.nodes.scene_markers import marker_array
 from worm_model.parameters import ParameterError
 from worm_model.simulation import warm_up
 from worm_model.twin.forecast import ForecastError, forecast
@@ -229,7 +228,7 @@ class TwinNode(Node):
         nearest = min(self._sightings, key=lambda sighting: abs(sighting.stamp_ns - shown.stamp_ns))
         shapes = scene(shown, nearest, parameters, self._state.direction)
         stamp = twin_messages.time_message(shown.stamp_ns)
-        self._markers.publish(marker_array(shapes, stamp))
+        self._markers.publish(twin_messages.marker_array(shapes, stamp))
 
     # --- diagnostics ------------------------------------------------------------------------------
 

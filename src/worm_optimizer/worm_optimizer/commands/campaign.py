@@ -50,8 +50,7 @@ from worm_optimizer.operation.identification_runs import (
     virtual_bench,
 )
 from worm_optimizer.operation.processes import termination_as_interrupt
-from worm_optimizer.operation.spread import Spread, run_names, spread, spread_table
-from worm_optimizer.operation.spread_figure import draw_spread
+from worm_optimizer.operation.spread import Spread, draw_spread, run_names, spread, spread_table
 from worm_optimizer.report.agreement import QUANTITIES, agreement_json, describe
 from worm_optimizer.report.identification_parts import add_identification, identification_of
 from worm_optimizer.report.recorded_gait import RecordedGait

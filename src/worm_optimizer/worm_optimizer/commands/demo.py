@@ -24,8 +24,7 @@ from worm_optimizer.operation.bring_up import (
     installed_system_file,
     work_folder,
 )
-from worm_optimizer.operation.demo_comparison import Comparison, compare, comparison_table
-from worm_optimizer.operation.demo_run import drive
+from worm_optimizer.operation.demo_run import Comparison, compare, comparison_table, drive
 from worm_optimizer.operation.processes import termination_as_interrupt
 from worm_optimizer.operation.recorded_run import new_bag
 from worm_optimizer.report.recordings import read_recorded_gaits

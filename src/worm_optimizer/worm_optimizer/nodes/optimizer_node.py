@@ -9,6 +9,7 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import SetParametersResult
+from rclpy.action import ActionServer, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -19,25 +20,78 @@ from worm_model.gait import FORWARD, REVERSE
 from worm_model.parameters import ParameterError, ParameterFile, load_parameter_file
 from worm_model.simulation.simulator import SimulationError
 from worm_msgs.action import OptimizeGaits, ScanMargin
+from worm_msgs.goal_rejections import GoalRejections
 from worm_msgs.node_command import declare, run_node
+from worm_msgs.parameter_rows import ParameterRow
 from worm_msgs.ros_process import ShutdownRequest, spin
 from worm_msgs.srv import RequestGait
-from worm_optimizer.nodes import optimizer_messages, optimizer_parameters
-from worm_optimizer.nodes.rejecting_server import RejectingServer
+from worm_optimizer.nodes import optimizer_messages
 from worm_optimizer.optimizer_errors import OptimizerError
+from worm_optimizer.search import gait_request
 from worm_optimizer.search.front import RobustFront, make_front, scanned_price
-from worm_optimizer.search.gait_request import (
-    GaitAnswer,
-    GaitRequest,
-    RequestStatus,
-    check_direction,
-    request_of,
-    select,
-)
-from worm_optimizer.search.resting_phase import SAME_LENGTH, resting_content
-from worm_optimizer.search.search_settings import Settings
+from worm_optimizer.search.search_settings import SETTINGS, Settings, settings_of
 
+PARAMETER_FILE = "parameter_file"
+MOST_RESTING = 8  # largest number of stored fronts for other initial lengths
 _NAMES = {FORWARD: "forward", REVERSE: "reverse"}
+
+
+def rows() -> list[ParameterRow]:
+    """Return the declarations of all parameters. Parameter file and conditions can change while the node runs."""
+    settings = (
+        ParameterRow(row.parameter, row.default, row.meaning, row.low, row.high) for row in SETTINGS
+    )
+    return [
+        ParameterRow(PARAMETER_FILE, "", "Parameter file; empty: the paper's values."),
+        *(
+            dataclasses.replace(row, read_only=row.name not in CONDITION_PARAMETERS)
+            for row in settings
+        ),
+    ]
+
+
+def _settings_of_node(node: Node) -> Settings:
+    """Return the search settings of a node's parameters. Raises `OptimizerError` if they contradict each other."""
+    return settings_of({row.parameter: node.get_parameter(row.parameter).value for row in SETTINGS})
+
+
+class _RejectingServer(ActionServer):
+    """Action server that publishes the reason of each rejection.
+
+    Args:
+        node: the server's node.
+        kind: type of the action.
+        name: name of the action.
+        execute: callback that executes an accepted goal.
+        why_not: returns the reason to reject a goal, or an empty string to accept it.
+        more: further arguments of ActionServer.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        kind: Any,
+        name: str,
+        execute: Callable[..., Any],
+        why_not: Callable[[Any], str],
+        **more: Any,
+    ) -> None:
+        self._why_not, self._goal_id = why_not, b""
+        self._log = node.get_logger()
+        self._rejections = GoalRejections(node, name, lambda: node.get_clock().now().to_msg())
+        super().__init__(node, kind, name, execute, goal_callback=self._on_goal, **more)
+
+    async def _execute_goal_request(self, request: tuple[Any, Any]) -> None:
+        self._goal_id = bytes(request[1].goal_id.uuid)  # rclpy does not pass it to the callback
+        await super()._execute_goal_request(request)
+
+    def _on_goal(self, goal: Any) -> GoalResponse:
+        reason = self._why_not(goal)
+        if not reason:
+            return GoalResponse.ACCEPT
+        self._log.warning(f"goal rejected: {reason}")
+        self._rejections.publish(self._goal_id, reason)
+        return GoalResponse.REJECT
 
 
 class OptimizerNode(Node):
@@ -53,9 +107,9 @@ class OptimizerNode(Node):
 
     def __init__(self) -> None:
         super().__init__("optimizer")
-        declare(self, optimizer_parameters.rows)
-        self._settings = optimizer_parameters.node_settings(self)
-        file = self.get_parameter(optimizer_parameters.PARAMETER_FILE).value
+        declare(self, rows)
+        self._settings = _settings_of_node(self)
+        file = self.get_parameter(PARAMETER_FILE).value
         self._content = load_parameter_file(file)
         self._fronts: dict[int, RobustFront] = {}
         self._resting: dict[tuple[int, float], RobustFront] = {}
@@ -107,16 +161,16 @@ class OptimizerNode(Node):
         changes = {parameter.name: parameter.value for parameter in parameters}
         try:
             self._under(changes)
-            if optimizer_parameters.PARAMETER_FILE in changes:
-                load_parameter_file(changes[optimizer_parameters.PARAMETER_FILE])
+            if PARAMETER_FILE in changes:
+                load_parameter_file(changes[PARAMETER_FILE])
         except InputError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
     def _apply_parameters(self, parameters: Sequence[Parameter]) -> None:
         changes = {parameter.name: parameter.value for parameter in parameters}
-        if optimizer_parameters.PARAMETER_FILE in changes:
-            self._content = load_parameter_file(changes[optimizer_parameters.PARAMETER_FILE])
+        if PARAMETER_FILE in changes:
+            self._content = load_parameter_file(changes[PARAMETER_FILE])
         elif not changes.keys() & CONDITION_PARAMETERS.keys():
             return
         self._settings = self._under(changes)
@@ -137,34 +191,38 @@ class OptimizerNode(Node):
         self, request: RequestGait.Request, response: RequestGait.Response
     ) -> RequestGait.Response:
         try:
-            wanted = request_of(request.objective, request.speed, request.power)
-            check_direction(request.direction)
-            content = resting_content(self._content, request.initial_length)
+            wanted = gait_request.request_of(request.objective, request.speed, request.power)
+            gait_request.check_direction(request.direction)
+            content = gait_request.resting_content(self._content, request.initial_length)
         except OptimizerError as error:
-            answer = GaitAnswer(RequestStatus.INVALID, str(error))
+            answer = gait_request.GaitAnswer(gait_request.RequestStatus.INVALID, str(error))
         else:
             answer = self._answer(wanted, request.direction, content)
         return optimizer_messages.fill_response(response, answer)
 
-    def _answer(self, wanted: GaitRequest, direction: int, content: ParameterFile) -> GaitAnswer:
+    def _answer(
+        self, wanted: gait_request.GaitRequest, direction: int, content: ParameterFile
+    ) -> gait_request.GaitAnswer:
         try:
             front = self._front(direction)
             if content is not self._content:
                 front = self._resting_front(front, content)
-            answer = select(front, wanted)
+            answer = gait_request.select(front, wanted)
         except (OptimizerError, SimulationError) as error:
-            return GaitAnswer(RequestStatus.NO_FRONT, f"there is no front: {error}")
-        if answer.status is not RequestStatus.DONE:
+            return gait_request.GaitAnswer(
+                gait_request.RequestStatus.NO_FRONT, f"there is no front: {error}"
+            )
+        if answer.status is not gait_request.RequestStatus.DONE:
             return answer
         message = f"margin {1e3 * front.margin:.2f} mm, {front.reason}"
         return dataclasses.replace(answer, message=message)
 
     def _resting_front(self, front: RobustFront, content: ParameterFile) -> RobustFront:
         """Return the front for another initial length, with the margin of the direction's front."""
-        key = front.direction, round(content.parameters.initial_length / SAME_LENGTH)
+        key = front.direction, round(content.parameters.initial_length / gait_request.SAME_LENGTH)
         if key not in self._resting:
             settings = dataclasses.replace(front.settings, margin=front.margin)
-            if len(self._resting) >= optimizer_parameters.MOST_RESTING:
+            if len(self._resting) >= MOST_RESTING:
                 self._resting.pop(next(iter(self._resting)))
             self._resting[key] = make_front(content, settings, front.direction)
         return self._resting[key]
@@ -188,7 +246,7 @@ class OptimizerNode(Node):
                 return str(error)
             return ""
 
-        RejectingServer(self, kind, name, execute, why_not)
+        _RejectingServer(self, kind, name, execute, why_not)
 
     def _optimize(self, goal: ServerGoalHandle) -> OptimizeGaits.Result:
         """Compute a front with the goal's settings, and use these for all later requests in both directions."""
@@ -247,7 +305,7 @@ def main() -> int:
     return run_node(
         "optimizer_node",
         "Answers requests for gaits from exact robust fronts.",
-        optimizer_parameters.rows,
+        rows,
         _run,
         (ConditionsError, OptimizerError, ParameterError),
     )

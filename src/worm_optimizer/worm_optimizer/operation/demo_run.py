@@ -1,10 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Robot part of the demo, from the start of the first process to a closed recording."""
+"""The demo: its run on the robot up to a closed recording, and the comparison of the recording with its predictions."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
+from worm_model.analysis.run_metrics import RecordingError, Window
+from worm_model.text_table import text_table
 from worm_optimizer.operation.bring_up import (
     CYCLES,
     RECORDER,
@@ -14,6 +19,8 @@ from worm_optimizer.operation.bring_up import (
     session,
 )
 from worm_optimizer.operation.system import System
+from worm_optimizer.report.expectation import Bands
+from worm_optimizer.report.recorded_gait import RecordedGait
 from worm_optimizer.robot_commands import GaitCommand
 from worm_optimizer.robustness.prediction import Prediction
 from worm_optimizer.search.gait_request import GaitRequest, Objective
@@ -47,3 +54,94 @@ def drive(system: System, logs: Path, say: Say) -> tuple[Prediction, Path]:
         running.run_gait(GaitCommand(gait, CYCLES))
         running.release()
     return prediction, bag
+
+
+@dataclass(frozen=True)
+class Performance:
+    """Performance of a gait according to one source; NaN for a quantity that the source lacks.
+
+    Attributes:
+        speed: mean speed along the gait's direction, m/s.
+        power: mean source power, W.
+        cost_of_transport: cost of transport, 1.
+    """
+
+    speed: float
+    power: float
+    cost_of_transport: float
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Performance in the averaged cycles according to several sources, SI units.
+
+    Attributes:
+        window: the averaged cycles.
+        measured: measurement by tracker and power sensor of the robot.
+        twin: the twin, driven with the recorded lengths.
+        predicted: prediction of the optimizer before the run, without the margin.
+        robust: prediction with the margin, which the search optimises.
+    """
+
+    window: Window
+    measured: Performance
+    twin: Performance
+    predicted: Performance
+    robust: Performance
+
+
+def compare(gait: RecordedGait, prediction: Prediction) -> Comparison:
+    """Return the comparison of a recorded gait with its prediction.
+
+    Raises:
+        RecordingError: The gait ended early, its recording is incomplete, or the twin did not follow it.
+    """
+    for problem in (gait.early_end, *gait.missing):
+        if problem:
+            raise RecordingError(problem)
+    if math.isnan(gait.twin.speed.value) or math.isnan(gait.twin.power.value):
+        raise RecordingError("the twin did not follow the recording over the averaged cycles")
+    nominal = ("nominal_speed", "nominal_power", "nominal_cost_of_transport")
+    return Comparison(
+        window=gait.window,
+        measured=_means(gait.measured),
+        twin=_means(gait.twin),
+        predicted=Performance(*(getattr(prediction, name) for name in nominal)),
+        robust=Performance(prediction.speed, prediction.power, prediction.cost_of_transport),
+    )
+
+
+def _means(bands: Bands) -> Performance:
+    return Performance(bands.speed.value, bands.power.value, bands.cost_of_transport.value)
+
+
+def relative_difference(value: float, reference: float) -> float:
+    """Return (value − reference) / |reference|; NaN if the reference is zero or either is NaN."""
+    return (value - reference) / abs(reference) if reference else float("nan")
+
+
+def comparison_table(measured: Performance, predictions: Mapping[str, Performance]) -> str:
+    """Return a text table of the measurement and of each prediction with its relative difference.
+
+    The arguments are in SI units. The table has mm/s, W and percent.
+    """
+    rows = [["", "speed", "", "power", "", "cost of transport", ""]]
+    rows.append(_row("measured on the robot", measured, None))
+    rows += [_row(name, figures, measured) for name, figures in predictions.items()]
+    return text_table(rows)
+
+
+def _row(name: str, figures: Performance, reference: Performance | None) -> list[str]:
+    values = {
+        "speed": f"{1e3 * figures.speed:.2f} mm/s",
+        "power": f"{figures.power:.2f} W",
+        "cost_of_transport": f"{figures.cost_of_transport:.1f}",
+    }
+    cells = [name]
+    for field, value in values.items():
+        share = ""
+        if reference is not None:
+            difference = relative_difference(getattr(figures, field), getattr(reference, field))
+            share = f"{100.0 * difference:+.1f} %"
+        cells += [value, share]
+    return cells

@@ -1,18 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Statistics of the repeats of a gait: scatter, and success in gaining the predicted grooves."""
+"""Statistics of the repeats of a gait, and their table and figure: scatter, and success in gaining the grooves."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
+from worm_model.analysis.plot_style import BLUE, VERMILION, finish, new_figure, save_figure
 from worm_model.text_table import text_table
-from worm_optimizer.report.agreement import QUANTITIES, title_of
+from worm_optimizer.report.agreement import COMPARED, QUANTITIES, title_of
 from worm_optimizer.report.recorded_gait import RecordedGait
 from worm_optimizer.robustness.prediction import Prediction
+
+_WIDTH = 0.3  # half the length of the line of a prediction in the figure
 
 
 @dataclass(frozen=True)
@@ -91,3 +95,25 @@ def spread_table(spreads: Sequence[Spread]) -> str:
         )
         rows.append((title_of(row.name), kept, *cells))
     return text_table(rows)
+
+
+def draw_spread(path: Path, spreads: Sequence[Spread]) -> None:
+    """Write the figure: a dot for each repeat, a line for the prediction."""
+    figure = new_figure(1.6 + 1.3 * len(spreads), 3.6)
+    axes = figure.add_subplot()
+    for place, row in enumerate(spreads):
+        color = VERMILION if row.name.startswith(tuple(COMPARED)) else BLUE
+        aside = np.linspace(-_WIDTH / 2, _WIDTH / 2, row.repeats) if row.repeats > 1 else [0.0]
+        axes.plot(place + np.asarray(aside), 1e3 * np.array(row.speeds), "o", color=color)
+        level = 1e3 * row.promised_speed
+        axes.plot([place - _WIDTH, place + _WIDTH], [level, level], color="black", linewidth=1.2)
+    axes.set_xticks(
+        range(len(spreads)),
+        [
+            f"{title_of(row.name).replace(', ', chr(10))}\n{row.kept} of {row.repeats} kept"
+            for row in spreads
+        ],
+    )
+    axes.set_ylim(bottom=0.0)
+    finish(axes, "speed (mm/s)", "line: promised with its margin; dot: one run")
+    save_figure(figure, path)

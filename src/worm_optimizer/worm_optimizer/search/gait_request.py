@@ -1,20 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Requests for gaits and their exact answers: a front's three gaits, and the best gait at a speed or a power."""
+"""Requests for gaits and their exact answers: a front's three gaits, and the best gait at a speed or a power.
+
+A robot at rest at another length has another groove phase, which determines how many grooves a stroke gains
+(`docs/model.md`). A request may state that length.
+"""
 
 from __future__ import annotations
 
 import enum
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from worm_model.gait import FORWARD, REVERSE
+from worm_model.parameters import ParameterFile
 from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.robustness.prediction import Prediction
 from worm_optimizer.search.exact import Cost
 from worm_optimizer.search.front import RobustFront
 
+SAME_LENGTH = 1e-4  # m; lengths that differ by less are equal, as a camera is not more accurate
 _TOLERANCE = 1e-9  # relative; a value of a front, rounded, must be reachable
 
 
@@ -85,6 +91,21 @@ def check_direction(direction: int) -> None:
         raise OptimizerError(
             f"direction: {direction} is neither {FORWARD} (forward) nor {REVERSE} (reverse)"
         )
+
+
+def resting_content(content: ParameterFile, initial_length: float) -> ParameterFile:
+    """Return the parameters with the initial length in m of a robot at rest. 0 or the same length changes nothing.
+
+    Raises `OptimizerError` if the length differs from the parameters' by half of it or more.
+    """
+    known = content.parameters.initial_length
+    if not initial_length or abs(initial_length - known) < SAME_LENGTH:
+        return content
+    if not abs(initial_length - known) < known / 2.0:
+        raise OptimizerError(
+            f"initial_length: {initial_length} m is far from the parameters' {known} m"
+        )
+    return replace(content, parameters=content.parameters.replace(initial_length=initial_length))
 
 
 def select(front: RobustFront, request: GaitRequest) -> GaitAnswer:

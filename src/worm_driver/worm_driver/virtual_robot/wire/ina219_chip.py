@@ -1,12 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""INA219 at register level: timed conversions, integer arithmetic of SBOS448G.
+"""INA219 at register level: timed conversions, integer arithmetic of SBOS448G. The I2C bus that it is on.
 
 Each step of the virtual robot sets shunt and bus voltage (V). A conversion is the mean over its window.
 """
 
+import errno
 import math
 from dataclasses import dataclass
 from random import Random
+
+from worm_driver.virtual_robot.wire import faults
+from worm_driver.virtual_robot.wire import smbus_frames as frames
+from worm_driver.virtual_robot.wire.faults import FaultBoard
+from worm_driver.virtual_robot.wire.smbus_frames import Answer, Request
 
 CONFIGURATION, SHUNT, BUS, POWER, CURRENT, CALIBRATION = range(6)
 POWER_ON_CONFIGURATION = 0x399F
@@ -18,6 +24,7 @@ _SHUNT_LSB = 10e-6  # V
 _BUS_LSB = 4e-3  # V
 _BUS_PIN_LIMIT = 26.0  # V, in the 32 V range too
 _BASE_TIMES = (84e-6, 148e-6, 276e-6, 532e-6)  # 9, 10, 11, 12 bit
+_RELEASED = 0xFF  # value of a bus that no device drives
 _UNAVERAGED = 532e-6  # s, one 12-bit conversion
 
 
@@ -175,3 +182,27 @@ class Ina219:
 
 def _signed(raw: int) -> int:
     return raw - 0x10000 if raw & 0x8000 else raw
+
+
+class I2cLine:
+    """I2C bus that acknowledges only the chip's address."""
+
+    def __init__(self, chip: Ina219, address: int, board: FaultBoard) -> None:
+        self._chip = chip
+        self._address = address
+        self._board = board
+
+    def transact(self, request: Request, time: float) -> Answer:
+        """Execute a transaction at a time (s)."""
+        if hang := self._board.consume(faults.I2C_TIMEOUT, time):
+            return Answer(errno.ETIMEDOUT, delay=hang.value)
+        if request.address != self._address or self._board.consume(faults.I2C_NACK, time):
+            return Answer(errno.EREMOTEIO)
+        if request.operation == frames.WRITE:
+            # The chip accepts exactly two bytes per register, most significant byte first.
+            if len(request.data) == 2:
+                self._chip.write(request.register, int.from_bytes(request.data, "big"))
+            return Answer(0)
+        value = self._chip.read(request.register).to_bytes(2, "big")
+        padded = value + bytes([_RELEASED]) * max(request.length - 2, 0)
+        return Answer(0, padded[: request.length])

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from worm_model.analysis.run_metrics import RecordingError
-from worm_optimizer.operation.demo_comparison import (
+from worm_optimizer.operation.demo_run import (
     Performance,
     compare,
     comparison_table,
