@@ -11,15 +11,7 @@ from numpy.typing import NDArray
 
 from worm_model.arrays import Array
 from worm_model.identification.data.observed_run import Recording
-from worm_model.identification.fits.actuation_fit import (
-    CLOCK,
-    CLOCK_SPREAD,
-    SHARED,
-    ActuationFit,
-    actuation_problem,
-    fit_actuation,
-    fitted_samples,
-)
+from worm_model.identification.fits import actuation_fit
 from worm_model.identification.fits.block_least_squares import (
     informative,
     normal_equations,
@@ -61,7 +53,7 @@ class ActuationResult:
     gain: Estimate
     time_constant: Estimate
     correlation: Array
-    fit: ActuationFit
+    fit: actuation_fit.ActuationFit
     clock_deviation: Array
 
 
@@ -69,14 +61,14 @@ def identify_actuation(
     recordings: Sequence[Recording], random: np.random.Generator
 ) -> ActuationResult:
     """Estimate the three parameters from all runs; ``random`` draws the bootstrap weights."""
-    fit = fit_actuation(recordings)
+    fit = actuation_fit.fit_actuation(recordings)
     labels = _units(recordings)
     units = int(max(label.max() for label in labels)) + 1
     weights = unit_weights(random, units)
 
     def refit(index: int) -> Array:
         drawn = [weights[index][label] for label in labels]
-        return fit_actuation(recordings, fit, drawn).values
+        return actuation_fit.fit_actuation(recordings, fit, drawn).values
 
     refits = refitted(refit)
     # A run whose pretension takes the slack up does not inform it.
@@ -88,19 +80,21 @@ def identify_actuation(
     slack, gain, time_constant = estimates(fit.values, refits, (slack_units, units, units))
     rounding = max(command_resolution(recording) for recording in recordings)
     slack = _widened(slack, quantile(np.inf) * rounding / np.sqrt(12.0))
-    problem = actuation_problem(recordings)
+    problem = actuation_fit.actuation_problem(recordings)
     matrix, _ = normal_equations(problem, fit.solution)
     slack, gain, time_constant = (
         _checked(estimate, entry, float(matrix[entry, entry]))
         for entry, estimate in enumerate((slack, gain, time_constant))
     )
-    clocks = informative(own_deviations(problem, fit.solution, CLOCK), CLOCK_SPREAD)
+    clocks = informative(
+        own_deviations(problem, fit.solution, actuation_fit.CLOCK), actuation_fit.CLOCK_SPREAD
+    )
     return ActuationResult(slack, gain, time_constant, correlation(refits), fit, clocks)
 
 
 def _checked(estimate: Estimate, entry: int, information: float) -> Estimate:
     """Return the estimate; not identifiable without ``information``, at a bound, or with an open interval."""
-    bounds = SHARED[entry]
+    bounds = actuation_fit.SHARED[entry]
     if information * bounds.step**2 < LEAST_INFORMATION:
         return not_identifiable(estimate.value, NO_BEARING)
     if not bounds.low < estimate.value < bounds.high:
@@ -130,7 +124,7 @@ def _widened(estimate: Estimate, half: float) -> Estimate:
 
 def _units(recordings: Sequence[Recording]) -> list[NDArray[np.int64]]:
     """Return the bootstrap unit (run or cycle) of every fitted sample of each recording."""
-    times = [r.camera_time[fitted_samples(r)] for r in recordings]
+    times = [r.camera_time[actuation_fit.fitted_samples(r)] for r in recordings]
     if len(recordings) >= FEWEST_RUNS:
         return [np.full(time.size, index) for index, time in enumerate(times)]
     labels, first = [], 0

@@ -14,20 +14,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from worm_model.arrays import Array
+from worm_model.identification.fits import energy
 from worm_model.identification.fits.block_least_squares import (
     evaluate,
     informative,
     own_deviations,
-)
-from worm_model.identification.fits.energy import (
-    CLOCK_SPREAD,
-    INDEPENDENT,
-    EnergyFit,
-    PowerRun,
-    energy_problem,
-    fit_energy,
-    predicted_energy,
-    unseen_energy,
 )
 from worm_model.identification.fits.estimate import VAGUE, Estimate, not_identifiable
 from worm_model.identification.fits.resampling import correlation, estimates, refitted, unit_weights
@@ -58,12 +49,12 @@ class EnergyResult:
     power_factor: Estimate
     correlation: Array
     inherited: tuple[float, float]
-    fit: EnergyFit
+    fit: energy.EnergyFit
     clock_deviation: Array
 
 
 def identify_energy(
-    runs: Sequence[PowerRun],
+    runs: Sequence[energy.PowerRun],
     frequencies: Sequence[float],
     forces: Callable[[np.random.Generator], list[Array]],
     parameters: Parameters,
@@ -83,7 +74,7 @@ def identify_energy(
     note = hindrance or _why_not(runs, frequencies)
     if note:
         return _given(runs, parameters, note)
-    fit = fit_energy(runs)
+    fit = energy.fit_energy(runs)
     weights = unit_weights(random, len(runs))
     seeds = random.integers(2**62, size=(weights.shape[0],)).tolist()
 
@@ -93,7 +84,7 @@ def identify_energy(
             replace(run, static_force=force[: run.time.size])  # up to the end of the run
             for run, force in zip(runs, drawn, strict=True)
         ]
-        solution = fit_energy(moved, weight, fit)
+        solution = energy.fit_energy(moved, weight, fit)
         return np.array([solution.damping, solution.factor])
 
     refits = refitted(lambda index: refit(index, weights[index]))
@@ -107,7 +98,7 @@ def identify_energy(
     return EnergyResult(damping, factor, correlation(refits), shares, fit, _clocks(runs, fit))
 
 
-def _why_not(runs: Sequence[PowerRun], frequencies: Sequence[float]) -> str:
+def _why_not(runs: Sequence[energy.PowerRun], frequencies: Sequence[float]) -> str:
     if not runs:
         return NO_POWER
     if len(runs) < FEWEST_RUNS:
@@ -122,13 +113,13 @@ def _why_not(runs: Sequence[PowerRun], frequencies: Sequence[float]) -> str:
     return ""
 
 
-def _given(runs: Sequence[PowerRun], parameters: Parameters, note: str) -> EnergyResult:
+def _given(runs: Sequence[energy.PowerRun], parameters: Parameters, note: str) -> EnergyResult:
     """Return a result with the given c_b and the fitted α_P, both not identifiable."""
     damping, nothing = parameters.bellows_damping, float("nan")
     fit = (
-        fit_energy(runs, damping=damping)
+        energy.fit_energy(runs, damping=damping)
         if runs
-        else unseen_energy(damping, parameters.power_factor)
+        else energy.unseen_energy(damping, parameters.power_factor)
     )
     return EnergyResult(
         not_identifiable(damping, note),
@@ -140,16 +131,16 @@ def _given(runs: Sequence[PowerRun], parameters: Parameters, note: str) -> Energ
     )
 
 
-def _clocks(runs: Sequence[PowerRun], fit: EnergyFit) -> Array:
+def _clocks(runs: Sequence[energy.PowerRun], fit: energy.EnergyFit) -> Array:
     """Return the standard deviations of the clock offsets from residuals and uncertainty of the idle power."""
     if not runs:
         return np.empty(0)
     scatter = np.maximum([np.sqrt(np.mean(r**2)) for r in fit.residuals], LEAST_SCATTER)
     weights = [
-        np.full(run.power_time.size, INDEPENDENT / run.power_time.size / own**2)
+        np.full(run.power_time.size, energy.INDEPENDENT / run.power_time.size / own**2)
         for run, own in zip(runs, scatter, strict=True)
     ]
-    problem = energy_problem(runs, scale=1.0)
+    problem = energy.energy_problem(runs, scale=1.0)
     solution = evaluate(problem, fit.solution.shared, fit.solution.own)
     idle = np.array([run.idle for run in runs])
     idle_deviation = float(idle.std(ddof=1)) if idle.size > 1 else 0.0
@@ -158,14 +149,15 @@ def _clocks(runs: Sequence[PowerRun], fit: EnergyFit) -> Array:
     ]
     return informative(
         np.hypot(own_deviations(problem, solution, 0, weights), idle_deviation * np.array(by_idle)),
-        CLOCK_SPREAD,
+        energy.CLOCK_SPREAD,
     )
 
 
-def _shift_by_idle(run: PowerRun, fit: EnergyFit, offset: float) -> float:
+def _shift_by_idle(run: energy.PowerRun, fit: energy.EnergyFit, offset: float) -> float:
     """Return the change of the fitted offset per error of idle power, s/W: a ramp of energy resembles a shift."""
     sides = [
-        predicted_energy(run, fit.damping, fit.factor, offset + half) for half in (-5e-4, 5e-4)
+        energy.predicted_energy(run, fit.damping, fit.factor, offset + half)
+        for half in (-5e-4, 5e-4)
     ]
     by_offset = (sides[1] - sides[0]) / 1e-3
     ramp = run.power_time - run.power_time[0]

@@ -14,7 +14,6 @@ from typing import Any
 
 from worm_model.commands.command_line import (
     FAILED,
-    InputError,
     Parser,
     finite,
     notifier,
@@ -23,10 +22,12 @@ from worm_model.commands.command_line import (
 )
 from worm_model.commands.identify import StageProgress
 from worm_model.conditions import Conditions
+from worm_model.errors import InputError
 from worm_model.parameters import load_parameter_file
 from worm_optimizer.commands.robot_options import add_robot, robot_of
 from worm_optimizer.commands.search_options import add_campaign_options, chosen_settings
 from worm_optimizer.nodes.service_caller import OperatorError
+from worm_optimizer.operation import identification_runs
 from worm_optimizer.operation.bring_up import CYCLES, FAILURES, ProgressLog, Session, work_folder
 from worm_optimizer.operation.campaign_plan import (
     PROMISES,
@@ -37,18 +38,6 @@ from worm_optimizer.operation.campaign_plan import (
     write_promises,
 )
 from worm_optimizer.operation.campaign_runs import Prepare, Robot, put_aside, run_gaits
-from worm_optimizer.operation.identification_runs import (
-    PARAMETERS,
-    REPORT,
-    RUNS,
-    SUMMARY,
-    Bench,
-    identification_orders,
-    identify_robot,
-    put_back,
-    record_identification,
-    virtual_bench,
-)
 from worm_optimizer.operation.processes import termination_as_interrupt
 from worm_optimizer.operation.spread import Spread, draw_spread, run_names, spread, spread_table
 from worm_optimizer.report.agreement import QUANTITIES, agreement_json, describe
@@ -140,9 +129,12 @@ def _campaign(options: argparse.Namespace) -> int:
             robot = robot.in_folder(work)
             if options.identify:
                 summary = _identify(options, robot, folder, work, say)
-                options.parameters = str(folder / PARAMETERS)
+                options.parameters = str(folder / identification_runs.PARAMETERS)
                 robot = robot.with_parameters(options.parameters)
-                options.identification = [folder / PARAMETERS, folder / REPORT]
+                options.identification = [
+                    folder / identification_runs.PARAMETERS,
+                    folder / identification_runs.REPORT,
+                ]
                 identification = identification_of(options)
             plan = _plan(options, robot.conditions)
             _promise(plan, folder)
@@ -193,24 +185,32 @@ def _identify(
     """Record, identify and write all that is missing; return the output of `identify`."""
     known = load_parameter_file(options.parameters)
     folder.mkdir(parents=True, exist_ok=True)
-    orders = identification_orders(options.direction, known.parameters.pitch)
+    orders = identification_runs.identification_orders(options.direction, known.parameters.pitch)
     (work / "logs" / "identification").mkdir()
     logs = work / "logs" / "identification"
-    ask = _prompt(SAME_PLACE) if _prompts(options) else put_back
-    bags = record_identification(robot, orders, folder, logs, say, ask)
-    summary_file = folder / SUMMARY
+    ask = _prompt(SAME_PLACE) if _prompts(options) else identification_runs.put_back
+    bags = identification_runs.record_identification(robot, orders, folder, logs, say, ask)
+    summary_file = folder / identification_runs.SUMMARY
     if not summary_file.exists():
-        for left in (folder / REPORT, folder / PARAMETERS):  # of an interrupted identification
+        for left in (
+            folder / identification_runs.REPORT,
+            folder / identification_runs.PARAMETERS,
+        ):  # of an interrupted identification
             put_aside(left, say)
         say("identifying")
         source = options.parameters or "the paper"
-        bench = Bench(options.bellows, options.fin)
-        if options.mode == "virtual" and bench == Bench(None, None):
-            bench = virtual_bench(robot, folder, work / "logs")
-        result = identify_robot(bags, bench, (known, source), folder, StageProgress())
+        bench = identification_runs.Bench(options.bellows, options.fin)
+        if options.mode == "virtual" and bench == identification_runs.Bench(None, None):
+            bench = identification_runs.virtual_bench(robot, folder, work / "logs")
+        result = identification_runs.identify_robot(
+            bags, bench, (known, source), folder, StageProgress()
+        )
         summary_file.write_text(json.dumps(finite(result)), encoding="utf-8")
     content: dict[str, Any] = json.loads(summary_file.read_text(encoding="utf-8"))
-    return content | {"parameter_file": str(folder / PARAMETERS), "bags": [str(b) for b in bags]}
+    return content | {
+        "parameter_file": str(folder / identification_runs.PARAMETERS),
+        "bags": [str(b) for b in bags],
+    }
 
 
 def _prompts(options: argparse.Namespace) -> bool:
@@ -242,7 +242,10 @@ def _folder(options: argparse.Namespace) -> Path:
         if options.output is not None:
             raise InputError("--resume names the folder: remove --output")
         resumed: Path = options.resume.resolve()
-        if not ((resumed / PROMISES).is_file() or (options.identify and (resumed / RUNS).is_dir())):
+        if not (
+            (resumed / PROMISES).is_file()
+            or (options.identify and (resumed / identification_runs.RUNS).is_dir())
+        ):
             raise InputError(f"{resumed}: contains no campaign ({PROMISES} is missing)")
         if (resumed / "report" / PAGE).exists():
             raise InputError(f"{resumed}: this campaign is complete, it contains its report")

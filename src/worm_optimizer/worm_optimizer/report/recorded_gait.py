@@ -7,21 +7,8 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+from worm_model.analysis import run_metrics
 from worm_model.analysis.replay_metrics import ReplayReport, report_replay
-from worm_model.analysis.run_metrics import (
-    PlayedGait,
-    RecordingError,
-    Samples,
-    Window,
-    accumulated_energy,
-    averaged_cycles,
-    completed_cycles,
-    early_end,
-    idle_power,
-    last_played_gait,
-    mean_rate,
-    single_cycles,
-)
 from worm_model.gait import Gait
 from worm_model.parameters import ParameterFile
 from worm_model.run import Run
@@ -57,7 +44,7 @@ class RecordedGait:
 
     name: str
     run: Run
-    played: PlayedGait
+    played: run_metrics.PlayedGait
     averaged_cycles: tuple[int, int]
     content: ParameterFile
     parameter_source: str
@@ -78,7 +65,7 @@ class RecordedGait:
         return self.played.gait
 
     @property
-    def window(self) -> Window:
+    def window(self) -> run_metrics.Window:
         """Window of the averaged cycles."""
         return self.played.cycle_window(*self.averaged_cycles)
 
@@ -106,19 +93,19 @@ def recorded_gait(
     """
     content, source = parameters
     try:
-        played = last_played_gait(run.gait_state)
-    except RecordingError as error:
-        raise RecordingError(f"{name}: {error}") from None
-    averaged = averaged_cycles(run, played)
+        played = run_metrics.last_played_gait(run.gait_state)
+    except run_metrics.RecordingError as error:
+        raise run_metrics.RecordingError(f"{name}: {error}") from None
+    averaged = run_metrics.averaged_cycles(run, played)
     window = played.cycle_window(*averaged)
-    spans = [window, *single_cycles(window, averaged[1] - averaged[0] + 1)]
+    spans = [window, *run_metrics.single_cycles(window, averaged[1] - averaged[0] + 1)]
     missing: list[str] = []
     mass, direction = content.parameters.mass, played.gait.direction
     states = replay.states
     followed = (states["stamp_ns"], states["rear_position"])
-    energy = accumulated_energy((run.power.stamp, run.power.valid_power))
+    energy = run_metrics.accumulated_energy((run.power.stamp, run.power.valid_power))
     tracked = (run.tracker.stamp, run.tracker.rear_position)
-    if completed_cycles(run, played):
+    if run_metrics.completed_cycles(run, played):
         measured = _bands(tracked, energy, spans, direction, mass, missing)
     else:
         measured = Bands(*(Band(math.nan, math.nan, math.nan) for _ in range(3)))
@@ -138,7 +125,7 @@ def recorded_gait(
         measured=measured,
         twin=_bands(followed, (states["stamp_ns"], states["energy"]), spans, direction, mass, []),
         expected=expect(played.gait, content, averaged, grooves),
-        idle_power=idle_power(run, played),
+        idle_power=run_metrics.idle_power(run, played),
         events=events,
         early_end=_early_end(run, played, events),
         missing=tuple(missing),
@@ -146,17 +133,17 @@ def recorded_gait(
     )
 
 
-def _early_end(run: Run, played: PlayedGait, events: Sequence[Event]) -> str:
+def _early_end(run: Run, played: run_metrics.PlayedGait, events: Sequence[Event]) -> str:
     """Return the reason of `early_end`, with the first error that the driver reported."""
-    reason = early_end(run, played)
+    reason = run_metrics.early_end(run, played)
     said = [event.text for event in events if event.source == "driver" and event.level == "error"]
     return f"{reason} ({said[0]})" if reason and said else reason
 
 
 def _bands(
-    position: Samples,
-    energy: Samples,
-    spans: Sequence[Window],
+    position: run_metrics.Samples,
+    energy: run_metrics.Samples,
+    spans: Sequence[run_metrics.Window],
     direction: int,
     mass: float,
     missing: list[str],
@@ -176,7 +163,7 @@ def _band(values: list[float]) -> Band:
 
 
 def _rates(
-    samples: Samples, spans: Sequence[Window], name: str, missing: list[str]
+    samples: run_metrics.Samples, spans: Sequence[run_metrics.Window], name: str, missing: list[str]
 ) -> Iterator[float]:
     """Yield the mean rate over each span, or NaN if the samples do not cover it.
 
@@ -184,8 +171,8 @@ def _rates(
     """
     for span in spans:
         try:
-            yield mean_rate(samples, span, name)
-        except RecordingError as error:
+            yield run_metrics.mean_rate(samples, span, name)
+        except run_metrics.RecordingError as error:
             if str(error) not in missing:
                 missing.append(str(error))
             yield math.nan

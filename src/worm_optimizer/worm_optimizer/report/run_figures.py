@@ -9,23 +9,13 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from worm_model.analysis import plot_style
+from worm_model.analysis import plot_style, run_plots
 from worm_model.analysis.run_curves import (
     energy_curves,
     length_curves,
     position_curves,
     power_curves,
     value_at_onset,
-)
-from worm_model.analysis.run_plots import (
-    WIDTH,
-    Curve,
-    Frame,
-    comparison_figure,
-    energy_figure,
-    length_figure,
-    motion_figure,
-    run_style,
 )
 from worm_model.run import seconds
 from worm_model.simulation.simulator import Motions, simulate
@@ -41,13 +31,15 @@ _MODEL = "model, by the command alone"
 def draw_motion(gait: RecordedGait) -> Figure:
     """Draw x1 from the tracker and from the twin, which follows the recorded length, and their difference."""
     positions, residuals = position_curves(gait.run, gait.replay, gait.played.onset)
-    return motion_figure(_frame(gait), positions, residuals, gait.content.parameters.pitch)
+    return run_plots.motion_figure(
+        _frame(gait), positions, residuals, gait.content.parameters.pitch
+    )
 
 
 def draw_length(gait: RecordedGait) -> Figure:
     """Draw measured ΔL, ΔL predicted from the command alone, and the inputs u_cmd and u_eff (eq:slack_clip)."""
     lengths, inputs = length_curves(gait.run, gait.played.onset, gait.content.parameters)
-    return length_figure(_frame(gait), lengths, inputs)
+    return run_plots.length_figure(_frame(gait), lengths, inputs)
 
 
 def draw_energy(gait: RecordedGait) -> Figure:
@@ -56,15 +48,17 @@ def draw_energy(gait: RecordedGait) -> Figure:
     powers = power_curves(gait.run, gait.replay, onset)
     energies, residuals = energy_curves(gait.run, gait.replay, onset)
     time, model = _model_of(gait)
-    powers = [*powers, Curve(_MODEL, time, model.power, plot_style.EFFECTIVE)]
-    energies = [*energies, Curve(_MODEL, time, model.energy, plot_style.EFFECTIVE)]
-    return energy_figure(_frame(gait, ridges_passed_at(gait)), powers, energies, residuals)
+    powers = [*powers, run_plots.Curve(_MODEL, time, model.power, plot_style.EFFECTIVE)]
+    energies = [*energies, run_plots.Curve(_MODEL, time, model.energy, plot_style.EFFECTIVE)]
+    return run_plots.energy_figure(
+        _frame(gait, ridges_passed_at(gait)), powers, energies, residuals
+    )
 
 
 def draw_cycles(gait: RecordedGait) -> Figure:
     """Draw grooves gained and residuals of the twin for each cycle."""
     cycles = gait.judged.cycles
-    figure = plot_style.new_figure(WIDTH, 2.9)
+    figure = plot_style.new_figure(run_plots.WIDTH, 2.9)
     panels = figure.subplots(1, 4)
     number = np.arange(1, len(cycles) + 1)
     measured, twin = ([getattr(c, f) for c in cycles] for f in ("measured_grooves", "grooves"))
@@ -114,18 +108,20 @@ def draw_overlay(gaits: Sequence[RecordedGait]) -> Figure:
     """Draw advance and energy of all gaits in one figure, measured (broad) and predicted (thin)."""
     advances, energies = [], []
     for number, gait in enumerate(gaits):
-        onset, style = gait.played.onset, run_style(number)
+        onset, style = gait.played.onset, run_plots.run_style(number)
         broad = {**style, "linewidth": 4.0, "alpha": 0.4}
         positions, _ = position_curves(gait.run, gait.replay, onset)
         measured, _ = energy_curves(gait.run, gait.replay, onset)
         time, model = _model_of(gait)
         x1, direction = positions[0], gait.gait.direction
-        advances.append(Curve(title_of(gait.name), x1.time, direction * x1.values, broad))
-        advances.append(Curve("", time, direction * model.x1, style))
-        energies.append(Curve("", measured[0].time, measured[0].values, broad))
-        energies.append(Curve("", time, model.energy, style))
+        advances.append(run_plots.Curve(title_of(gait.name), x1.time, direction * x1.values, broad))
+        advances.append(run_plots.Curve("", time, direction * model.x1, style))
+        energies.append(run_plots.Curve("", measured[0].time, measured[0].values, broad))
+        energies.append(run_plots.Curve("", time, model.energy, style))
     longest = max(_duration(gait) for gait in gaits)
-    return comparison_figure(Frame(-_BEFORE, longest + _BEFORE), advances, energies)
+    return run_plots.comparison_figure(
+        run_plots.Frame(-_BEFORE, longest + _BEFORE), advances, energies
+    )
 
 
 def _model_of(gait: RecordedGait) -> tuple[NDArray[np.float64], Motions]:
@@ -149,9 +145,9 @@ def _duration(gait: RecordedGait) -> float:
     return gait.played.cycles * gait.gait.period
 
 
-def _frame(gait: RecordedGait, until: float = float("nan")) -> Frame:
+def _frame(gait: RecordedGait, until: float = float("nan")) -> run_plots.Frame:
     """Return the frame from the rest before the onset to ``until`` (s); NaN selects a little after the gait."""
     window = np.array([gait.window.start, gait.window.end])
     start, end = seconds(window, gait.played.onset)
     last = until if np.isfinite(until) else _duration(gait) + _BEFORE
-    return Frame(-_BEFORE, last, (float(start), float(end)))
+    return run_plots.Frame(-_BEFORE, last, (float(start), float(end)))

@@ -19,15 +19,7 @@ from worm_model.simulation import closed_form
 from worm_model.simulation.simulator import AVERAGED, cost_of_transport
 from worm_optimizer.evaluation.task import Array, Bounds, Edges, Index, Points
 from worm_optimizer.optimizer_errors import OptimizerError
-from worm_optimizer.search.exact import (
-    Bracket,
-    Resolution,
-    Survey,
-    Zoom,
-    brackets_of,
-    followed,
-    transport_cost,
-)
+from worm_optimizer.search import exact
 
 CLIFF_RISE = 1.25
 CLIFF_TOLERANCE = 1e-6  # m
@@ -37,8 +29,8 @@ CLIFF_RULE = (
     f"{1e6 * CLIFF_TOLERANCE:g} µm; a step after which no gait moves counts as one"
 )
 # Coarse in stroke and frequency, because the minimum is followed between the columns. 81 margins take two seconds.
-_RESOLUTION = Resolution(strokes=21, frequencies=17)
-_ZOOM = Zoom(points=5, rounds=6)
+_RESOLUTION = exact.Resolution(strokes=21, frequencies=17)
+_ZOOM = exact.Zoom(points=5, rounds=6)
 
 
 @dataclass(frozen=True)
@@ -149,21 +141,23 @@ def scan(task: ScannedTask, margins: Array) -> tuple[MarginPoint, ...]:
     brackets = [
         bracket
         for place, points in enumerate(found)
-        for bracket in brackets_of(Survey(columns, points), transport_cost, owner=place)
+        for bracket in exact.brackets_of(
+            exact.Survey(columns, points), exact.transport_cost, owner=place
+        )
     ]
     best = _followed(task, brackets, margins)
     optima = [Points.join(*pair) for pair in zip(found, best, strict=True)]
     return tuple(_margin_point(task, *pair) for pair in zip(margins.tolist(), optima, strict=True))
 
 
-def _followed(task: ScannedTask, brackets: Sequence[Bracket], margins: Array) -> list[Points]:
+def _followed(task: ScannedTask, brackets: Sequence[exact.Bracket], margins: Array) -> list[Points]:
     """Return the optima between the columns, by margin."""
     owner = np.array([bracket.owner for bracket in brackets], dtype=np.int64)
 
     def find(bracket: Index, count: Index, frequency: Array, strokes: Array) -> Edges:
         return task.edges(frequency, strokes, count, margins[owner[bracket]])
 
-    best, known = followed(find, brackets, _ZOOM)
+    best, known = exact.followed(find, brackets, _ZOOM)
     return [best.take(known & (owner == place)) for place in range(margins.size)]
 
 

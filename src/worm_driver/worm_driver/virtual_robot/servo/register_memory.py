@@ -3,17 +3,7 @@
 
 from collections.abc import Iterable, Mapping
 
-from worm_driver.virtual_robot.servo.control_table import (
-    CURRENT_POSITION_MODE,
-    EEPROM_END,
-    EXTENDED_POSITION_MODE,
-    EXTENDED_RANGE,
-    GOALS,
-    POSITION_MODE,
-    TABLE_END,
-    Register,
-    ServoModel,
-)
+from worm_driver.virtual_robot.servo import control_table
 from worm_driver.virtual_robot.wire.packet import Error
 
 _LIMITED_BY = {
@@ -34,12 +24,12 @@ class RegisterError(Exception):
 class RegisterMemory:
     """Control table of a servo with its present values."""
 
-    def __init__(self, model: ServoModel, settings: Mapping[str, int]) -> None:
+    def __init__(self, model: control_table.ServoModel, settings: Mapping[str, int]) -> None:
         """Create the memory. settings: raw EEPROM values that differ from the factory values."""
         self._rows = model.registers
         self._modes = model.modes
         self._by_address = {row.address: row for row in self._rows.values()}
-        self._bytes = bytearray(TABLE_END)
+        self._bytes = bytearray(control_table.TABLE_END)
         self.set_to_factory(keep=())
         for name, value in settings.items():
             self[name] = value
@@ -66,7 +56,7 @@ class RegisterMemory:
     def power_up(self) -> None:
         """Reset the RAM to its values after power-up; the EEPROM is unchanged."""
         for row in self._rows.values():
-            if row.address >= EEPROM_END:
+            if row.address >= control_table.EEPROM_END:
                 self[row.name] = row.initial
         self.reset_goals()
 
@@ -86,11 +76,11 @@ class RegisterMemory:
 
     def read(self, address: int, length: int) -> bytes:
         """Return the bytes of a range; gaps between registers read as 0."""
-        if address + length > TABLE_END:
+        if address + length > control_table.TABLE_END:
             raise RegisterError(Error.ACCESS)
         return bytes(self._bytes[address : address + length])
 
-    def check_write(self, address: int, data: bytes) -> list[tuple[Register, int]]:
+    def check_write(self, address: int, data: bytes) -> list[tuple[control_table.Register, int]]:
         """Return the registers that a write would set, with their new raw values, without writing."""
         changes = []
         while data:
@@ -107,10 +97,10 @@ class RegisterMemory:
             raise RegisterError(Error.DATA_LENGTH)
         return changes
 
-    def _check_value(self, row: Register, value: int) -> None:
-        if row.address < EEPROM_END and self["torque_enable"]:
+    def _check_value(self, row: control_table.Register, value: int) -> None:
+        if row.address < control_table.EEPROM_END and self["torque_enable"]:
             raise RegisterError(Error.ACCESS)
-        if row.name in GOALS and self["bus_watchdog"] < 0:
+        if row.name in control_table.GOALS and self["bus_watchdog"] < 0:
             raise RegisterError(Error.DATA_RANGE)
         if row.name == "bus_watchdog":
             allowed = value == 0 or (self["bus_watchdog"] >= 0 and value > 0)
@@ -130,10 +120,11 @@ class RegisterMemory:
 
     def _check_goal_position(self, value: int) -> None:
         mode = self["operating_mode"]
-        if mode == POSITION_MODE:
+        if mode == control_table.POSITION_MODE:
             if not self["min_position_limit"] <= value <= self["max_position_limit"]:
                 raise RegisterError(Error.DATA_LIMIT)
         elif (
-            mode in (EXTENDED_POSITION_MODE, CURRENT_POSITION_MODE) and abs(value) > EXTENDED_RANGE
+            mode in (control_table.EXTENDED_POSITION_MODE, control_table.CURRENT_POSITION_MODE)
+            and abs(value) > control_table.EXTENDED_RANGE
         ):
             raise RegisterError(Error.DATA_RANGE)

@@ -12,20 +12,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from random import Random
 
-from worm_driver.virtual_robot.servo import motor
+from worm_driver.virtual_robot.servo import measurement, motor
 from worm_driver.virtual_robot.servo.control_table import GOALS, POSITION_MODE, Register, ServoModel
 from worm_driver.virtual_robot.servo.drive import TORQUE_ON_BY_GOAL, direction_of, motor_command
 from worm_driver.virtual_robot.servo.encoder import Encoder, turns_of
-from worm_driver.virtual_robot.servo.measurement import (
-    Surroundings,
-    Wear,
-    motion_registers,
-    motor_torque,
-    strongest_torque,
-    supervise,
-    torque_registers,
-    voltage_raw,
-)
 from worm_driver.virtual_robot.servo.motor import PULSES_PER_RADIAN, MotorState
 from worm_driver.virtual_robot.servo.register_memory import RegisterError, RegisterMemory
 from worm_driver.virtual_robot.wire.packet import ALERT, Error
@@ -50,14 +40,14 @@ class Servo:
     start: float
     boot_time: float
     random: Random
-    surroundings: Surroundings = field(default_factory=Surroundings)
+    surroundings: measurement.Surroundings = field(default_factory=measurement.Surroundings)
 
     def __post_init__(self) -> None:
         self.memory = RegisterMemory(self.model, self.settings)
         self.motor: MotorState = motor.at_rest(self.start)
         self._time = 0.0
         self._silent_until = 0.0
-        self._wear = Wear()
+        self._wear = measurement.Wear()
         self._power_up()
 
     # --- life ---------------------------------------------------------------------------------
@@ -72,7 +62,7 @@ class Servo:
         self.memory.power_up()
         self._booted_at = self._time
         self._shut_down = False
-        self._wear = Wear(self._wear.heat)
+        self._wear = measurement.Wear(self._wear.heat)
         self._fed_at = self._time
         self._registered: tuple[int, bytes] | None = None
         self._fold()
@@ -239,7 +229,7 @@ class Servo:
 
     def supervise(self, duration: float) -> None:
         """Update temperature and protections for the duration (s) since the last call."""
-        self._wear, bits = supervise(
+        self._wear, bits = measurement.supervise(
             self._wear, self._torque(), self.memory, self.model, self.surroundings, duration
         )
         if bits:
@@ -254,18 +244,18 @@ class Servo:
             self._update_command()
 
     def _torque(self) -> float:
-        strongest = strongest_torque(self.memory, self.model)
-        return motor_torque(self._command, self.motor, self.surroundings, strongest)
+        strongest = measurement.strongest_torque(self.memory, self.model)
+        return measurement.motor_torque(self._command, self.motor, self.surroundings, strongest)
 
     def _measure(self) -> None:
         """Write the measured values into their registers."""
         memory, around = self.memory, self.surroundings
         noise = self.random.gauss(0.0, 1.0) if memory["torque_enable"] else 0.0
         registers = {
-            **motion_registers(memory, self._encoder, self.motor, self._command),
-            **torque_registers(memory, self.model, self._torque(), noise),
+            **measurement.motion_registers(memory, self._encoder, self.motor, self._command),
+            **measurement.torque_registers(memory, self.model, self._torque(), noise),
             "realtime_tick": int((self._time - self._booted_at) * 1000) % _TICK_WRAP,
-            "present_input_voltage": voltage_raw(around),
+            "present_input_voltage": measurement.voltage_raw(around),
             "present_temperature": min(round(around.ambient + self._wear.heat), 255),
         }
         for name, value in registers.items():

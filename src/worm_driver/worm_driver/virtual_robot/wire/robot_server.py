@@ -25,19 +25,10 @@ from pathlib import Path
 from worm_driver.virtual_robot.camera import TrackerSample
 from worm_driver.virtual_robot.servo.control_table import BAUD_RATES
 from worm_driver.virtual_robot.virtual_robot import VirtualRobot
-from worm_driver.virtual_robot.wire import faults
+from worm_driver.virtual_robot.wire import faults, virtual_clock
 from worm_driver.virtual_robot.wire import smbus_frames as frames
 from worm_driver.virtual_robot.wire.clock_server import ClockClient, ClockServer
 from worm_driver.virtual_robot.wire.faults import Fault
-from worm_driver.virtual_robot.wire.virtual_clock import (
-    I2C,
-    PAGE_NAME,
-    SERIAL,
-    SOCKET_NAME,
-    WAKE,
-    Page,
-    Wait,
-)
 
 SERIAL_NAME = "servo_bus"
 I2C_NAME = "i2c.sock"
@@ -131,7 +122,7 @@ class RobotServer:
         self.shares_time = rate is not None
         self.time = ClockServer(1.0 if rate is None else rate)
         self.time.begin(self._clock())
-        self._page: Page | None = None
+        self._page: virtual_clock.Page | None = None
         self._clients: dict[socket.socket, ClockClient] = {}  # clients of the clock
         # Over the serial line since a client connected; infinite if the counts are no longer used.
         self._bytes_sent = self._bytes_received = 0.0
@@ -160,12 +151,14 @@ class RobotServer:
         """Lock the directory and create the devices. Raises DirectoryError."""
         self._lock = _lock_directory(self._directory)
         try:
-            for name in (SERIAL_NAME, I2C_NAME, SOCKET_NAME):
+            for name in (SERIAL_NAME, I2C_NAME, virtual_clock.SOCKET_NAME):
                 _remove_leftover(self._directory / name)
             self._listen(I2C_NAME, self._on_i2c)
             if self.shares_time:
-                self._page = Page.make(self._directory / PAGE_NAME, self.epoch_ns)
-                self._listen(SOCKET_NAME, self._on_clock)
+                self._page = virtual_clock.Page.make(
+                    self._directory / virtual_clock.PAGE_NAME, self.epoch_ns
+                )
+                self._listen(virtual_clock.SOCKET_NAME, self._on_clock)
         except DirectoryError:
             self._unlock()
             raise
@@ -218,7 +211,7 @@ class RobotServer:
         self._selector.close()
         self._wake_writer.close()
         self._serial = None
-        for name in (I2C_NAME, SOCKET_NAME, PAGE_NAME):
+        for name in (I2C_NAME, virtual_clock.SOCKET_NAME, virtual_clock.PAGE_NAME):
             (self._directory / name).unlink(missing_ok=True)
         self._unlock()
 
@@ -271,7 +264,7 @@ class RobotServer:
                 continue
             if client.waits(self._bytes_sent, self._bytes_received):
                 number, client.wait = client.wait.number, None
-                _send(connection, WAKE.pack(number))
+                _send(connection, virtual_clock.WAKE.pack(number))
 
     def _on_wake(self) -> None:
         self._wake_reader.recv(_CHUNK)
@@ -300,7 +293,7 @@ class RobotServer:
         now = self.now()
         answer = self._robot.transact(request, now)
         if answer.delay > 0.0:
-            self._await_delayed_answer(I2C)
+            self._await_delayed_answer(virtual_clock.I2C)
         self._send(frames.pack_answer(answer), now + answer.delay, connection)
 
     def _send(self, data: bytes, due: float, port: Port) -> None:
@@ -322,7 +315,7 @@ class RobotServer:
         is_serial = isinstance(port, PtyPort)
         self._bytes_sent += len(data) if is_serial else 0
         for client in self._clients.values():
-            at_port = client.port == (SERIAL if is_serial else I2C)
+            at_port = client.port == (virtual_clock.SERIAL if is_serial else virtual_clock.I2C)
             if at_port and client.wait is not None and client.wait.listening:
                 client.wait = None
 
@@ -334,7 +327,7 @@ class RobotServer:
             packet = _received(connection)
             client = self._clients.get(connection)
             if client is not None:
-                client.wait, client.since = Wait.unpack(packet), self._clock()
+                client.wait, client.since = virtual_clock.Wait.unpack(packet), self._clock()
                 return
         except (ConnectionError, struct.error):
             self._clients.pop(connection, None)
@@ -344,8 +337,8 @@ class RobotServer:
             return
         self._show(self.now())  # the client reads the time at once
         self._clients[connection] = ClockClient(packet)
-        _send(connection, WAKE.pack(0))
-        if packet == SERIAL:
+        _send(connection, virtual_clock.WAKE.pack(0))
+        if packet == virtual_clock.SERIAL:
             self._begin_line()
 
     def _begin_line(self) -> None:
@@ -362,7 +355,10 @@ class RobotServer:
         """Mark the clients of an interface as waiting for its delayed answer."""
         for client in self._clients.values():
             if client.port == port:
-                client.wait, client.since = Wait(-1, math.inf, True, 0, 0), self._clock()
+                client.wait, client.since = (
+                    virtual_clock.Wait(-1, math.inf, True, 0, 0),
+                    self._clock(),
+                )
 
     # --- ports --------------------------------------------------------------------------------
 

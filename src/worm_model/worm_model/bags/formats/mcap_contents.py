@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, Schema, Statistics
 
+from worm_model.bags.formats import mcap_walk
 from worm_model.bags.formats.contents import Contents, Extent, Loss
 from worm_model.bags.formats.mcap_records import (
     DAMAGE,
@@ -25,17 +26,6 @@ from worm_model.bags.formats.mcap_records import (
     records_in,
     release,
 )
-from worm_model.bags.formats.mcap_walk import (
-    DAMAGED,
-    DEFINITIONS,
-    Judge,
-    Part,
-    Walk,
-    first_records,
-    has_chunk_head,
-    is_intact_chunk,
-    message_index,
-)
 
 RUN_BYTES = 1 << 20  # size of the runs in which messages outside of chunks are read
 # opcode, length, start of the summary, start of its offsets, checksum
@@ -49,7 +39,7 @@ def extent_records(data: Buffer, extent: Extent) -> Buffer:
     body = data[extent.first + RECORD.size : extent.last]
     if not extent.runs:
         return chunk_records(body)
-    records = first_records(body)
+    records = mcap_walk.first_records(body)
     return b"".join(piece for run in extent.runs for piece in _run_pieces(records, *run))
 
 
@@ -57,7 +47,7 @@ def _run_pieces(records: Buffer, first: int, last: int) -> Iterator[Buffer]:
     """Yield the records of a run; a record of its own gets its true length, because the stored one may be damaged."""
     begin = first + RECORD.size
     opcode, length = RECORD.unpack_from(records, first)
-    if opcode in DEFINITIONS or begin + length > last:
+    if opcode in mcap_walk.DEFINITIONS or begin + length > last:
         yield RECORD.pack(opcode, last - begin)
     else:
         yield records[first:begin]
@@ -75,7 +65,7 @@ def scan(data: Buffer) -> Contents:
     """
     summary, _ = _read_summary(data)
     if summary is not None and summary.is_protected:
-        contents = _Survey(data, summary, has_chunk_head, _Survey.add_by_head).run()
+        contents = _Survey(data, summary, mcap_walk.has_chunk_head, _Survey.add_by_head).run()
         if contents.sound and not contents.complaints and summary.describes(contents):
             for record in summary.definitions:
                 contents.register(record)
@@ -87,7 +77,7 @@ def scan(data: Buffer) -> Contents:
 def salvage(data: Buffer) -> Contents:
     """Return the readable contents of a file that begins with MAGIC, from the content of its chunks alone."""
     summary, complaint = _read_summary(data)
-    survey = _Survey(data, summary, is_intact_chunk, _Survey.add_by_content)
+    survey = _Survey(data, summary, mcap_walk.is_intact_chunk, _Survey.add_by_content)
     contents = survey.run()
     if survey.unprotected and any(loss.last < contents.end for loss in contents.losses):
         contents.complain(
@@ -208,7 +198,7 @@ def _contradictions(contents: Contents, summary: _Summary) -> Iterator[str]:
             return
 
 
-AddChunk = Callable[["_Survey", Part], None]
+AddChunk = Callable[["_Survey", mcap_walk.Part], None]
 
 
 class _Survey:
@@ -226,14 +216,14 @@ class _Survey:
     """
 
     def __init__(
-        self, data: Buffer, summary: _Summary | None, judge: Judge, add_chunk: AddChunk
+        self, data: Buffer, summary: _Summary | None, judge: mcap_walk.Judge, add_chunk: AddChunk
     ) -> None:
         self.contents = Contents()
         self.unprotected = 0
         self._data = data
         self._channels = summary.channels if summary else set()
         records = data[: summary.first] if summary else data
-        self._walk = Walk(records, len(MAGIC), self._channels, judge)
+        self._walk = mcap_walk.Walk(records, len(MAGIC), self._channels, judge)
         self._add_chunk = add_chunk
         self._run: tuple[int, int] | None = None  # location of messages outside of chunks
         self._lost: Loss | None = None  # the damaged chunk whose indexes may follow
@@ -247,12 +237,12 @@ class _Survey:
                 continue
             self._close_run()
             self._add(part)
-            if part.opcode != DAMAGED:
+            if part.opcode != mcap_walk.DAMAGED:
                 contents.end = part.last
         self._close_run()
         return contents
 
-    def _add_message(self, part: Part) -> None:
+    def _add_message(self, part: mcap_walk.Part) -> None:
         self.contents.end = part.last
         if self._run and part.last - self._run[0] > RUN_BYTES:
             self._close_run()
@@ -263,21 +253,21 @@ class _Survey:
             self._add_extent(Extent(0, 0, *self._run, is_chunk=False))
             self._run = None
 
-    def _add(self, part: Part) -> None:
+    def _add(self, part: mcap_walk.Part) -> None:
         opcode, body = part.opcode, self._data[part.first + RECORD.size : part.last]
         if opcode == Opcode.MESSAGE_INDEX:
             if self._lost is not None:
-                channel, count = message_index(body)
+                channel, count = mcap_walk.message_index(body)
                 self._lost.counts[channel] += count
             return
         self._lost = None
-        if opcode == DAMAGED:
+        if opcode == mcap_walk.DAMAGED:
             self._lose(part)
         elif opcode == Opcode.CHUNK:
             self._add_chunk(self, part)
         elif opcode == Opcode.ATTACHMENT:
             self.contents.attachments.append((part.first + RECORD.size, part.last))
-        elif opcode in DEFINITIONS | {Opcode.METADATA}:
+        elif opcode in mcap_walk.DEFINITIONS | {Opcode.METADATA}:
             self.contents.register(read_record(opcode, body))
         elif opcode == Opcode.DATA_END:
             self._end(part.first, int.from_bytes(body, "little"))
@@ -292,13 +282,13 @@ class _Survey:
                 "run, may have been altered"
             )
 
-    def _lose(self, part: Part, found: Iterable[int] = ()) -> None:
+    def _lose(self, part: mcap_walk.Part, found: Iterable[int] = ()) -> None:
         loss = self.contents.lose(part.first, part.last)
         if self._data[part.first] == Opcode.CHUNK:
             loss.counts.subtract(found)
             self._lost = loss
 
-    def add_by_head(self, part: Part) -> None:
+    def add_by_head(self, part: mcap_walk.Part) -> None:
         """Add a chunk according to its head."""
         head = chunk_head(self._data[part.first + RECORD.size : part.last])
         extent = Extent(head.start, head.end, part.first, part.last, True, part.runs)
@@ -307,7 +297,7 @@ class _Survey:
         if part.runs:
             self._lose(part)
 
-    def add_by_content(self, part: Part) -> None:
+    def add_by_content(self, part: mcap_walk.Part) -> None:
         """Add a chunk according to its messages."""
         found = self._add_extent(Extent(0, 0, part.first, part.last, True, part.runs))
         if part.runs:
@@ -331,7 +321,7 @@ class _Survey:
     def _define(self, records: Buffer) -> None:
         """Register the definitions among records."""
         for opcode, first, last in records_in(records):
-            if opcode in DEFINITIONS:
+            if opcode in mcap_walk.DEFINITIONS:
                 try:
                     self.contents.register(read_record(opcode, records[first:last]))
                 except DAMAGE:

@@ -10,18 +10,10 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment
 
 from worm_model.bags.bag_errors import BagError
+from worm_model.bags.formats import mcap_records
 from worm_model.bags.formats.bag_metadata import named_qos
 from worm_model.bags.formats.contents import AttachedFile, Contents, Extent
 from worm_model.bags.formats.mcap_contents import extent_records, salvage, scan
-from worm_model.bags.formats.mcap_records import (
-    HEAD,
-    MAGIC,
-    MESSAGE_BODY,
-    Buffer,
-    message_heads,
-    read_record,
-    release,
-)
 from worm_model.bags.formats.message_block import Messages, Topic
 from worm_model.bags.formats.stored_file import StoredFile, explained
 
@@ -31,13 +23,13 @@ TOGETHER_BYTES = 1 << 20  # of small extents per block: numpy's cost is per call
 class McapFile(StoredFile):
     """MCAP file; heads of chunks are trusted if the file's checksums and summary are consistent with its data."""
 
-    survey: Callable[[Buffer], Contents] = staticmethod(scan)
+    survey: Callable[[mcap_records.Buffer], Contents] = staticmethod(scan)
 
     def _survey(self) -> Contents:
-        if self.data[: len(MAGIC)] != MAGIC:
-            first = bytes(self.data[: len(MAGIC)])
+        if self.data[: len(mcap_records.MAGIC)] != mcap_records.MAGIC:
+            first = bytes(self.data[: len(mcap_records.MAGIC)])
             raise BagError(
-                f"{self.path} is not an MCAP file: it begins with {first!r}, not {MAGIC!r}"
+                f"{self.path} is not an MCAP file: it begins with {first!r}, not {mcap_records.MAGIC!r}"
             )
         return self.survey(self.data)
 
@@ -69,11 +61,11 @@ class McapFile(StoredFile):
         Consecutive small extents form one block, because a recorder that synchronises often writes many.
         """
         start, end, size = 0, 0, 0
-        parts: list[Buffer] = []
+        parts: list[mcap_records.Buffer] = []
         with explained(self.path):
             for extent in extents:
                 records = extent_records(self.data, extent)
-                release(self.data)
+                mcap_records.release(self.data)
                 if parts and size + len(records) > TOGETHER_BYTES:
                     yield start, self._messages(parts, (start, end), topics)
                     parts, end, size = [], 0, 0
@@ -84,11 +76,11 @@ class McapFile(StoredFile):
                 yield start, self._messages(parts, (start, end), topics)
 
     def _messages(
-        self, parts: Sequence[Buffer], span: tuple[int, int], topics: frozenset[str]
+        self, parts: Sequence[mcap_records.Buffer], span: tuple[int, int], topics: frozenset[str]
     ) -> Messages:
         """Return messages of some topics in file order. Raises ValueError for a message outside of ``span`` (ns)."""
         records = b"".join(parts) if len(parts) > 1 else parts[0]
-        offset, heads = message_heads(records)
+        offset, heads = mcap_records.message_heads(records)
         times = heads["log_time"]
         if len(times) and not (span[0] <= int(times.min()) and int(times.max()) <= span[1]):
             raise ValueError("a message lies outside of the time span of its chunk")
@@ -102,8 +94,8 @@ class McapFile(StoredFile):
             tuple(channels.values()),
             np.frombuffer(records, np.uint8),
             channel[rows],
-            offset[rows] + HEAD.itemsize,
-            heads["length"][rows].astype(np.int64) - MESSAGE_BODY,
+            offset[rows] + mcap_records.HEAD.itemsize,
+            heads["length"][rows].astype(np.int64) - mcap_records.MESSAGE_BODY,
             times[rows].astype(np.uint64),
             heads["publish_time"][rows].astype(np.uint64),
         )
@@ -111,7 +103,7 @@ class McapFile(StoredFile):
     def attachments(self) -> Iterator[AttachedFile]:
         """Yield the attached files."""
         for first, last in self.contents.attachments:
-            attached = read_record(Opcode.ATTACHMENT, self.data[first:last])
+            attached = mcap_records.read_record(Opcode.ATTACHMENT, self.data[first:last])
             assert isinstance(attached, Attachment)
             yield AttachedFile(attached.name, attached.media_type, attached.data)
 

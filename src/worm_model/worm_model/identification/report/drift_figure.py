@@ -9,15 +9,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
-from worm_model.analysis.plot_style import (
-    BLUE,
-    GREY,
-    SKY,
-    VERMILION,
-    new_figure,
-    save_figure,
-    symbol,
-)
+from worm_model.analysis import plot_style
 from worm_model.identification.drift import Chart, Rule, State
 from worm_model.parameters import SYMBOLS, UNITS
 
@@ -28,7 +20,7 @@ SCALES = {"m": (1e3, "mm")}  # displayed factor and unit by unit
 def draw_health(names: Sequence[str], charts: Sequence[Chart], path: Path) -> None:
     """Write the figure in the format of the file extension; ``names`` of the bags in the charts' order."""
     width = min(max(7.5, 2.5 + 0.55 * len(names)), 16.0)
-    figure = new_figure(width, 1.9 * len(charts) + 1.2)
+    figure = plot_style.new_figure(width, 1.9 * len(charts) + 1.2)
     rows = figure.subplots(len(charts), 1, sharex=True)
     for axes, chart in zip(np.atleast_1d(rows), charts, strict=True):
         _draw(axes, chart, names)
@@ -41,7 +33,7 @@ def draw_health(names: Sequence[str], charts: Sequence[Chart], path: Path) -> No
         "bag, in the order of time; bars: 95 % interval of each\n"
         "squares: beyond a control limit; diamonds: part of a run that trends"
     )
-    save_figure(figure, path)
+    plot_style.save_figure(figure, path)
 
 
 def _draw(axes: Axes, chart: Chart, names: Sequence[str]) -> None:
@@ -51,7 +43,15 @@ def _draw(axes: Axes, chart: Chart, names: Sequence[str]) -> None:
     bars = scale * np.abs(np.vstack([chart.value - chart.low, chart.high - chart.value]))
     bars[~np.isfinite(bars)] = 0.0  # an open interval has no error bar
     axes.errorbar(
-        bag, scale * chart.value, bars, fmt="o-", color=BLUE, ecolor=SKY, ms=5, lw=1.2, zorder=3
+        bag,
+        scale * chart.value,
+        bars,
+        fmt="o-",
+        color=plot_style.BLUE,
+        ecolor=plot_style.SKY,
+        ms=5,
+        lw=1.2,
+        zorder=3,
     )
     for signal in chart.signals:
         kept = slice(signal.first, signal.last + 1)
@@ -62,17 +62,19 @@ def _draw(axes: Axes, chart: Chart, names: Sequence[str]) -> None:
             marker,
             ms=9,
             mfc="none",
-            mec=VERMILION,
+            mec=plot_style.VERMILION,
             mew=1.6,
             zorder=4,
         )
-    axes.set_ylabel(symbol(SYMBOLS[chart.key]) + (f" ({unit})" if unit != "1" else ""))
+    axes.set_ylabel(plot_style.symbol(SYMBOLS[chart.key]) + (f" ({unit})" if unit != "1" else ""))
     axes.margins(y=0.15)
     title = f"{chart.key}: {chart.state.value}"
     if chart.began is not None:
         title += f" since {names[chart.began]}"
     trouble = chart.state in (State.OUT, State.TRENDING)
-    axes.set_title(title, loc="left", fontsize=10, color=VERMILION if trouble else "black")
+    axes.set_title(
+        title, loc="left", fontsize=10, color=plot_style.VERMILION if trouble else "black"
+    )
 
 
 def _draw_limits(axes: Axes, chart: Chart, scale: float) -> None:
@@ -84,7 +86,7 @@ def _draw_limits(axes: Axes, chart: Chart, scale: float) -> None:
         (limits.centre, "-", "centre"),
         (limits.low, "--", "lower limit"),
     ):
-        axes.axhline(scale * value, color=GREY, linestyle=style, linewidth=1.0)
+        axes.axhline(scale * value, color=plot_style.GREY, linestyle=style, linewidth=1.0)
         axes.annotate(
             text,
             (1.0, scale * value),
@@ -93,7 +95,7 @@ def _draw_limits(axes: Axes, chart: Chart, scale: float) -> None:
             xytext=(4, 0),
             va="center",
             fontsize=8,
-            color=GREY,
+            color=plot_style.GREY,
         )
     if limits.middle_high > limits.middle_low:
         axes.axhspan(scale * limits.middle_low, scale * limits.middle_high, color="0.9", zorder=0)
