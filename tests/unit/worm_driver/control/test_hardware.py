@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a configured driver holds, against the virtual robot behind a real pty and a real socket."""
 
+import math
 import threading
 import time
 from collections import deque
@@ -74,10 +75,10 @@ def test_no_snapshot_and_no_sample_is_ever_dropped(hardware):
 
 
 def test_a_robot_that_nobody_listens_to_is_held(hardware, monkeypatch):
-    monkeypatch.setattr(hardware_module, "_LISTENING_TIMEOUT", 0.3)
-    hardware.snapshots.clear()
+    monkeypatch.setattr(hardware_module, "_LISTENING_TIMEOUT", math.inf)
     hardware.loop.run(hardware.robot.activate)
     hardware.loop.run(lambda now: hardware.robot.start(now, Gait(0.05, 0.2), 5))
+    monkeypatch.setattr(hardware_module, "_LISTENING_TIMEOUT", 0.3)
     wait_for(lambda: hardware.robot.player.phase is Phase.FAULT)
     assert "has not read" in hardware.robot.player.message
 
