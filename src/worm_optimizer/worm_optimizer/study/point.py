@@ -278,7 +278,7 @@ def task_of(study: Study, asked: Mapping[str, float], parameters: Parameters) ->
         "stroke_low": asked.get("min_stroke_m", plain.stroke_low),
         "stroke_high": asked.get("max_stroke_m", plain.stroke_high),
         "frequency_low": asked.get("min_frequency_Hz", plain.frequency_low),
-        "frequency_high": asked.get("max_frequency_hz", plain.frequency_high),
+        "frequency_high": asked.get("max_frequency_Hz", plain.frequency_high),
     }
     limits = ActuatorLimits(*(asked.get(name, math.inf) for name in LIMITS))
     if study.hardware.driver is not None:

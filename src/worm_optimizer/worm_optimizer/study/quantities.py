@@ -38,7 +38,7 @@ _OTHERS: Mapping[str, Quantity] = {
     "min_stroke_m": Quantity("m", "shortest stroke", _SMALL, MAX_STROKE),
     "max_stroke_m": Quantity("m", "longest stroke", _SMALL, MAX_STROKE),
     "min_frequency_Hz": Quantity("Hz", "lowest frequency", _SMALL, MAX_FREQUENCY),
-    "max_frequency_hz": Quantity("Hz", "highest frequency", _SMALL, MAX_FREQUENCY),
+    "max_frequency_Hz": Quantity("Hz", "highest frequency", _SMALL, MAX_FREQUENCY),
     "max_cable_speed_m_per_s": Quantity("m/s", "highest cable speed", _SMALL, _LARGE),
     "max_cable_force_N": Quantity("N", "highest cable force", _SMALL, _LARGE),
     "max_power_W": Quantity("W", "highest source power", _SMALL, _LARGE),
