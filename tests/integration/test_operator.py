@@ -169,7 +169,7 @@ def test_runs_that_somebody_else_asked_for_are_counted(node, probe, monkeypatch)
 def test_nothing_is_sent_that_two_drivers_would_execute(
     node, probe, services, monkeypatch, command, state
 ):
-    monkeypatch.setattr(robot_graph, "LEASE_S", 0.1)
+    monkeypatch.setattr(robot_graph, "ANNOUNCED_S", 0.1)
     monkeypatch.setattr(node, "_state", lambda _: State(id=state))
     made = services(lost=0)
     for _ in range(2):

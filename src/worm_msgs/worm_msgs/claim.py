@@ -16,6 +16,10 @@ from collections.abc import Mapping
 
 DRIVER = "driver"
 GRAPH = "node graph"
+#: service that only drivers have, whatever their names
+DRIVER_SERVICE = "run_gait/_action/send_goal"
+#: s, for which DDS still announces a driver that was killed: a silent participant counts as alive for 20 s
+ANNOUNCED_S = 25.0
 _CREDENTIALS = struct.Struct("3i")  # pid, uid, gid: struct ucred, unix(7)
 
 

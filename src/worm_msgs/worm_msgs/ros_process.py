@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator, Sequence
 from types import FrameType
 
 import rclpy
+from rclpy.callback_groups import CallbackGroup
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
@@ -152,6 +153,21 @@ def spin(node: Node, ended: Callable[[], bool]) -> None:
     while not ended():
         executor.spin_once(timeout_sec=SPIN_S)
     executor.shutdown()
+
+
+class PolledGroup(CallbackGroup):
+    """Callback group of subscriptions that the node polls, so that the executor must not read them."""
+
+    def can_execute(self, _: object) -> bool:
+        """Return False."""
+        return False
+
+    def beginning_execution(self, _: object) -> bool:
+        """Return False."""
+        return False
+
+    def ending_execution(self, _: object) -> None:
+        """Do nothing."""
 
 
 def _print_network(text: str) -> None:

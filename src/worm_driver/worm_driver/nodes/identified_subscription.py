@@ -9,11 +9,13 @@ import ctypes
 from collections.abc import Callable
 from functools import cache
 
-from rclpy.callback_groups import CallbackGroup, MutuallyExclusiveCallbackGroup
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.waitable import NumberOfEntities, Waitable
 from std_msgs.msg import Bool
+
+from worm_msgs.ros_process import PolledGroup
 
 #: publisher's identifier, time of sending (ns), value
 OnBool = Callable[[bytes, int, bool], None]
@@ -52,21 +54,6 @@ def _rcl_take() -> Callable[..., int]:
     return take
 
 
-class _Polled(CallbackGroup):
-    """Callback group of a subscription that the executor must not read."""
-
-    def can_execute(self, _: object) -> bool:
-        """Return False, as the waitable reads the messages."""
-        return False
-
-    def beginning_execution(self, _: object) -> bool:
-        """Return False."""
-        return False
-
-    def ending_execution(self, _: object) -> None:
-        """Do nothing."""
-
-
 class IdentifiedSubscription(Waitable):
     """Subscription of a node to a topic of std_msgs/Bool. ``callback`` runs in the thread that spins the node."""
 
@@ -76,7 +63,7 @@ class IdentifiedSubscription(Waitable):
         self._logger = node.get_logger()
         self._callback = callback
         self._subscription = node.create_subscription(
-            Bool, topic, lambda _: None, qos, callback_group=_Polled()
+            Bool, topic, lambda _: None, qos, callback_group=PolledGroup()
         )
         self._index: int | None = None
         node.add_waitable(self)

@@ -7,16 +7,12 @@ from collections.abc import Callable
 from rclpy.node import Node
 
 from worm_driver.errors import ConfigurationError, DriverError
-from worm_msgs.claim import DRIVER, ClaimedError, claim
+from worm_msgs.claim import ANNOUNCED_S, DRIVER, DRIVER_SERVICE, ClaimedError, claim
 
-#: service that only drivers have
-_SERVICE = "run_gait/_action/send_goal"
 #: s, usual time to discover a driver on the network. A driver that is discovered later still prevents every start.
 _DISCOVERY = 5.0
 #: s, period of the checks
 _PERIOD = 0.05
-#: s, for which DDS still announces a driver that was killed
-_LEASE = 25.0
 
 
 class SoleDriver:
@@ -57,7 +53,7 @@ class SoleDriver:
             elapsed = time.monotonic() - start
             if not self.problem and elapsed > _DISCOVERY:
                 return
-            if elapsed > _LEASE:
+            if elapsed > ANNOUNCED_S:
                 raise ConfigurationError(self.problem)
             time.sleep(_PERIOD)
 
@@ -65,7 +61,7 @@ class SoleDriver:
         """Look for other drivers, and log changes."""
         if not self._on_network:
             return
-        count = self._node.count_services(self._node.resolve_service_name(_SERVICE))
+        count = self._node.count_services(self._node.resolve_service_name(DRIVER_SERVICE))
         before, self.problem = self.problem, ""
         if count > 1:
             self.problem = (

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Curves of a recorded run and of the twin, over the time since the gait's onset."""
+"""Curves and figures of a recorded run with the twin, over the time since the gait's onset, and of a simulated one."""
 
 from __future__ import annotations
 
@@ -13,11 +13,13 @@ from worm_model.analysis.run_metrics import (
     averaged_cycles,
     last_played_gait,
 )
-from worm_model.analysis.run_plots import Curve, Curves, Frame, overview_figure
+from worm_model.analysis.run_plots import Curve, Curves, Frame, overview_figure, simulation_figure
+from worm_model.analysis.simulated_run import SimulatedRun
 from worm_model.arrays import Array
 from worm_model.parameters import Parameters
 from worm_model.run import LengthSamples, Run, seconds
 from worm_model.simulation.actuation import effective_command, length_change_of_command
+from worm_model.simulation.simulator import AVERAGED
 from worm_model.twin.offline_replay import Replay, Series
 
 TWIN = "twin, from the measured length"
@@ -37,6 +39,42 @@ def plot_run(run: Run, replay: Replay, parameters: Parameters, title: str = "") 
     lengths, _ = length_curves(run, played.onset, parameters)
     powers = power_curves(run, replay, played.onset)
     return overview_figure(frame, positions, residuals, lengths, powers, parameters.pitch)
+
+
+def plot_simulated_run(run: SimulatedRun) -> Figure:
+    """Return a figure of both modules and anchors relative to their start, length, forces and power."""
+    p, motions, time, period = run.parameters, run.motions, run.time, run.gait.period
+    front = motions.front_anchor[0]
+    averaged = max(run.cycles - AVERAGED, 0) * period, run.cycles * period
+    title = f"{1e3 * run.gait.stroke:g} mm at {run.gait.frequency:g} Hz"
+    return simulation_figure(
+        Frame(0.0, float(time[-1]), averaged, title),
+        [
+            Curve("rear module x1", time, motions.x1, plot_style.MEASURED),
+            Curve(
+                "front module x2 − L0", time, motions.x2 - p.initial_length, plot_style.PREDICTED
+            ),
+            Curve("anchor A1", time, motions.rear_anchor, plot_style.CABLE),
+            Curve("anchor A2 − A2(0)", time, motions.front_anchor - front, plot_style.EFFECTIVE),
+        ],
+        [
+            Curve("commanded", time, run.command, plot_style.COMMANDED),
+            Curve(
+                plot_style.EFFECTIVE_INPUT,
+                time,
+                effective_command(run.command, p.slack),
+                plot_style.EFFECTIVE,
+            ),
+            Curve("realised", time, motions.length - p.initial_length, plot_style.MEASURED),
+        ],
+        [
+            Curve("cable F_c", time, motions.cable_force, plot_style.MEASURED),
+            Curve("rear fins F_1", time, motions.rear_force, plot_style.PREDICTED),
+            Curve("front fins F_2", time, motions.front_force, plot_style.EFFECTIVE),
+        ],
+        [Curve("source power", time, motions.power, plot_style.MEASURED)],
+        p.pitch,
+    )
 
 
 def position_curves(run: Run, replay: Replay, onset: int) -> tuple[Curves, Curves]:

@@ -69,9 +69,9 @@ def _write_table(run: SimulatedRun, path: Path) -> None:
 
 def _write_figure(run: SimulatedRun, path: Path) -> None:
     from worm_model.analysis.plot_style import save_figure
-    from worm_model.analysis.simulated_run_figure import figure_of
+    from worm_model.analysis.run_curves import plot_simulated_run
 
-    save_figure(figure_of(run), path)
+    save_figure(plot_simulated_run(run), path)
 
 
 def _write_animation(run: SimulatedRun, path: Path) -> None:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,6 +11,7 @@ from worm_model.arrays import Array
 from worm_model.bags.opening import open_bag
 from worm_model.bags.recording.run_manifest import recorded_conditions
 from worm_model.bags.run_reader import read_run
+from worm_model.checksum import checksums_of, sha256_of
 from worm_model.conditions import LEVEL
 from worm_model.identification import bellows, fin
 from worm_model.identification.data.lab_logs import (
@@ -39,7 +39,6 @@ SEVERAL_LABS = (
     "runs of several folders ({}): their README.md and bench tests are not used; name --parameters, --bellows "
     "and --fin"
 )
-_BLOCK = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -160,9 +159,7 @@ def _read_bag(path: Path, definitions: Path | None) -> tuple[Recording, ...]:
             )
         run = read_run(bag, names=TOPICS)
         start = bag.start
-    files = [path] if path.is_file() else sorted(f for f in path.iterdir() if f.is_file())
-    checksums = {file.name: _checksum(file) for file in files}
-    return recordings_of(run, path.resolve().name, checksums, utc_of(start))
+    return recordings_of(run, path.resolve().name, checksums_of(path), utc_of(start))
 
 
 def read_lab_recording(folder: Path, logs: LabSettings = LOGS) -> Recording:
@@ -185,16 +182,7 @@ def read_bench_test(path: Path, columns: tuple[str, str]) -> BenchTest:
         table = read_columns(path, columns)
     except LabError as error:
         raise IdentificationError(str(error)) from None
-    return BenchTest(table[columns[0]], table[columns[1]], _checksum(path))
-
-
-def _checksum(path: Path) -> str:
-    """Return the SHA-256 of a file."""
-    digest = hashlib.sha256()
-    with path.open("rb") as stream:
-        while block := stream.read(_BLOCK):
-            digest.update(block)
-    return digest.hexdigest()
+    return BenchTest(table[columns[0]], table[columns[1]], sha256_of([path]))
 
 
 def _existing(path: Path) -> Path | None:

@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.callback_groups import CallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -45,7 +44,7 @@ from worm_model.twin.twin_status import report
 from worm_msgs import qos
 from worm_msgs.msg import BodyLength, TwinEvent, TwinMemory, TwinResiduals, TwinState
 from worm_msgs.node_command import declare, run_node
-from worm_msgs.ros_process import ShutdownRequest, exiting_on_signal, spare_pauses
+from worm_msgs.ros_process import PolledGroup, ShutdownRequest, exiting_on_signal, spare_pauses
 from worm_msgs.srv import PredictGait
 
 POLL_S = 0.02
@@ -66,21 +65,6 @@ _LEVELS = {
 }
 
 
-class _Polled(CallbackGroup):
-    """Group of subscriptions that the executor must not call."""
-
-    def can_execute(self, entity: Any) -> bool:  # noqa: ARG002
-        """Return False, because the node polls the subscriptions."""
-        return False
-
-    def beginning_execution(self, entity: Any) -> bool:  # noqa: ARG002
-        """Return False."""
-        return False
-
-    def ending_execution(self, entity: Any) -> None:
-        """Do nothing."""
-
-
 class TwinNode(Node):
     """Node that subscribes to `twin_messages.INPUTS`; raises `ParameterError` for an invalid parameter file."""
 
@@ -89,7 +73,7 @@ class TwinNode(Node):
         declare(self, twin_messages.rows)
         self._twin = self._make_twin()
         self._state = self._twin.start()
-        group = _Polled()
+        group = PolledGroup()
         self._inputs = [
             self._subscribe(topic, kind, convert, group)
             for topic, (kind, convert) in twin_messages.INPUTS.items()
@@ -147,7 +131,7 @@ class TwinNode(Node):
         topic: str,
         kind: type,
         convert: Callable[[Any], twin_messages.Row],
-        group: CallbackGroup,
+        group: PolledGroup,
     ) -> Callable[[], list[twin_messages.Row]]:
         profile = _LATCHED if topic == "gait_state" else DEPTH
         subscription = self.create_subscription(

@@ -6,13 +6,11 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 
+from worm_msgs.claim import ANNOUNCED_S, DRIVER_SERVICE
 from worm_optimizer.nodes.service_caller import DISCOVERY_TIMEOUT_S, OperatorError, ServiceCaller
 
-# Only drivers have this service, whatever their names.
-_DRIVER_SERVICE = "run_gait/_action/send_goal"
 NODES_TIMEOUT_S = 120.0  # the first start of the twin includes the compilation of its kernel
 NODE_S = 5.0  # time for the discovery of a node that may be missing
-LEASE_S = 25.0  # DDS counts a silent participant as alive for 20 s
 
 
 class RobotGraph:
@@ -50,14 +48,14 @@ class RobotGraph:
         """Raise `OperatorError` if more than one driver would execute a command.
 
         A request reaches all services that the node has discovered, and exactly these are counted. DDS counts a
-        killed process for a while after its end, so this waits up to LEASE_S.
+        killed process for a while after its end, so this waits up to ANNOUNCED_S.
         """
-        service = self._node.resolve_service_name(_DRIVER_SERVICE)
+        service = self._node.resolve_service_name(DRIVER_SERVICE)
 
         def count() -> int:
             return int(self._node.count_services(service))
 
-        if not self._node.wait(lambda: count() <= 1, LEASE_S):
+        if not self._node.wait(lambda: count() <= 1, ANNOUNCED_S):
             raise OperatorError(
                 f"{self._node.get_namespace()} has {count()} drivers, and both would move: end one of them, or use "
                 "another namespace or ROS_DOMAIN_ID for it"

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -21,6 +20,7 @@ from worm_model.bags.recording.run_manifest import (
     recorded_robot,
 )
 from worm_model.bags.run_reader import read_run
+from worm_model.checksum import checksums_of
 from worm_model.errors import InputError
 from worm_model.parameters import ParameterFile
 from worm_model.run import Run
@@ -30,7 +30,6 @@ from worm_optimizer.report.recorded_gait import RecordedGait, recorded_gait
 
 _PAPER = "the paper's values"
 _INSIDE = "the parameter file inside the recording"
-_CHUNK = 1 << 20
 
 
 def bags_of(path: Path) -> list[Path]:
@@ -166,8 +165,7 @@ def _parameters_of(bag: Bag, file: str) -> tuple[ParameterFile, str]:
 
 def _provenance(bag: Bag, path: Path, source: str) -> dict[str, str]:
     """Return the manifest of the recording, the hashes of its files, and the origin of the parameters."""
-    files = [path] if path.is_file() else sorted(f for f in path.iterdir() if f.is_file())
-    hashes = {f"sha256 of {file.name}": _sha256(file) for file in files}
+    hashes = {f"sha256 of {name}": checksum for name, checksum in checksums_of(path).items()}
     manifest = {key: value for key, value in bag.metadata.get(RUN_RECORD, {}).items() if value}
     return {
         "recording": str(path),
@@ -176,14 +174,6 @@ def _provenance(bag: Bag, path: Path, source: str) -> dict[str, str]:
         "conditions": str(recorded_conditions(bag)),
         **manifest,
     }
-
-
-def _sha256(path: Path) -> str:
-    digest = hashlib.sha256()
-    with path.open("rb") as file:
-        while chunk := file.read(_CHUNK):
-            digest.update(chunk)
-    return digest.hexdigest()
 
 
 def _cut_replay(replay: Replay, run: Run) -> Replay:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping
@@ -30,6 +29,7 @@ from worm_model.bags.formats.sqlite_file import MAGIC as SQLITE_MAGIC
 from worm_model.bags.formats.sqlite_file import SqliteFile
 from worm_model.bags.formats.stored_file import StoredFile
 from worm_model.bags.recording.recorder import STATE, UNFINISHED
+from worm_model.checksum import sha256_of
 from worm_model.errors import printable
 
 SOURCE = "recovered_from"
@@ -37,7 +37,6 @@ SOURCE_SHA256 = "recovered_sha256"
 # metadata record of a recovered bag, with its source and its loss
 RECOVERY_RECORD = "worm_recovery"
 LOSS = "loss"
-_PIECE = 4 << 20  # bytes
 _LISTED = 3  # number of damaged parts of a file that are described individually
 _NUMBERED = re.compile(r"(?P<stem>.+_)(?P<number>\d+)(?P<ending>\.(?:mcap|db3)(?:\.zstd)?)")
 
@@ -323,9 +322,4 @@ def open_files(
 
 def fingerprint(path: Path) -> str:
     """Return the SHA-256 of the content of a bag's files, which identifies the source of a recovery later."""
-    digest = hashlib.sha256()
-    for file in storage_files(path):
-        with file.open("rb") as stream:
-            while piece := stream.read(_PIECE):
-                digest.update(piece)
-    return digest.hexdigest()
+    return sha256_of(storage_files(path))
