@@ -3,6 +3,7 @@
 
 import ast
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -302,7 +303,9 @@ def test_the_modules_of_executables_that_are_nodes_have_their_main():
             if isinstance(call, ast.Call):
                 module = ast.literal_eval(call.args[0])
                 file = ROOT / "src" / module.split(".")[0] / Path(*module.split("."))
-                if "\ndef main(" not in file.with_suffix(".py").read_text(encoding="utf-8"):
+                if not re.search(
+                    r"^(def main\(|main = )", file.with_suffix(".py").read_text("utf-8"), re.M
+                ):
                     wrong.append(module)
     assert wrong == []
 

@@ -15,10 +15,10 @@ from typing import Any
 from worm_model.commands.command_line import (
     FAILED,
     Parser,
+    executable,
     finite,
     notifier,
     print_result,
-    run_command,
 )
 from worm_model.commands.identify import StageProgress
 from worm_model.conditions import Conditions
@@ -54,11 +54,6 @@ SPREAD_FIGURE = "spread.png"
 _MODES = ("virtual", "robot")
 _CONTINUE = "campaign: continue with --resume {}"
 SAME_PLACE = "Put the robot where the first run began, its fins straight in the same grooves"
-
-
-def main() -> int:
-    """Entry point of the executable campaign."""
-    return run_command(_parser(), _campaign)
 
 
 def _parser() -> Parser:
@@ -305,3 +300,6 @@ def _print(
 
 def _values(bands: dict[str, Any]) -> dict[str, float]:
     return {quantity: band["value"] for quantity, band in bands.items()}
+
+
+main = executable(_parser, _campaign)

@@ -11,9 +11,9 @@ from worm_model.analysis.plot_style import save_figure
 from worm_model.commands.command_line import (
     InputError,
     Parser,
+    executable,
     figure_file,
     print_result,
-    run_command,
 )
 from worm_model.conditions import content_under
 from worm_model.gait import Gait
@@ -111,6 +111,4 @@ def _capability(options: argparse.Namespace) -> None:
     )
 
 
-def main() -> int:
-    """Entry point of the executable capability."""
-    return run_command(_parser(), _capability)
+main = executable(_parser, _capability)

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
-from worm_model.commands.command_line import FAILED, InputError, Parser, number, run_command
+from worm_model.commands.command_line import FAILED, InputError, Parser, executable, number
 from worm_model.parameters import load_parameters
 from worm_optimizer.commands.robot_options import add_robot, robot_of
 from worm_optimizer.nodes.operator_node import OperatorNode, operator
@@ -24,11 +24,6 @@ from worm_optimizer.operation.system import RESTARTS
 
 PORT = 8080
 CONTROL_TIMEOUT_S, MAX_CONTROL_TIMEOUT_S = 5.0, 600.0  # the driver accepts no longer lease
-
-
-def main() -> int:
-    """Entry point of the executable console."""
-    return run_command(_parser(), _console)
 
 
 def _parser() -> Parser:
@@ -211,3 +206,6 @@ def _own_address() -> str:
             return str(probe.getsockname()[0])
     except OSError:
         return socket.gethostname()
+
+
+main = executable(_parser, _console)

@@ -19,9 +19,9 @@ from worm_model.commands.command_line import (
     FAILED,
     InputError,
     Parser,
+    executable,
     number,
     print_result,
-    run_command,
 )
 from worm_model.conditions import CONDITION_PARAMETERS, LEVEL, Conditions
 from worm_model.gait import (
@@ -46,11 +46,6 @@ _STATE = (
 )
 
 Action = Callable[[OperatorNode, argparse.Namespace], int]
-
-
-def main() -> int:
-    """Entry point of the executable operate."""
-    return run_command(_parser(), _operate)
 
 
 def _parser() -> Parser:
@@ -344,3 +339,6 @@ def _result_text(result: RunResult, bag: Path | None) -> str:
         rows.append(("recording", bag))
     table = "\n".join(f"{name:<18} {value}" for name, value in rows)
     return f"{result.message}\n{table}"
+
+
+main = executable(_parser, _operate)

@@ -13,9 +13,9 @@ from worm_model.commands.command_line import (
     InputError,
     Parser,
     ProgressLine,
+    executable,
     figure_file,
     print_result,
-    run_command,
 )
 from worm_model.parameters import load_parameter_file
 from worm_optimizer.commands.search_options import (
@@ -182,6 +182,4 @@ def _searched(front: RobustFront, given: tuple[int | None, int | None]) -> Compa
     return nsga2.compared(front.exact, generation.front)
 
 
-def main() -> int:
-    """Entry point of the executable optimize."""
-    return run_command(_parser(), _optimize)
+main = executable(_parser, _optimize)

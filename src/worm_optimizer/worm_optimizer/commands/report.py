@@ -7,7 +7,7 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from worm_model.commands.command_line import InputError, Parser, notifier, print_result, run_command
+from worm_model.commands.command_line import InputError, Parser, executable, notifier, print_result
 from worm_optimizer.report.agreement import agreement_json, describe, title_of
 from worm_optimizer.report.identification_parts import add_identification, identification_of
 from worm_optimizer.report.optimisation import optimise, why_no_front
@@ -16,11 +16,6 @@ from worm_optimizer.report.report_page import Report, build_report, report_name
 
 _BAGS = Path("bags")
 _notify = notifier("report")
-
-
-def main() -> int:
-    """Entry point of the executable report."""
-    return run_command(_parser(), _report)
 
 
 def _parser() -> Parser:
@@ -75,3 +70,6 @@ def _report(options: argparse.Namespace) -> None:
 def _default_folder(paths: Sequence[Path]) -> Path:
     names = [path.stem if path.is_file() else path.resolve().name for path in paths]
     return paths[0].resolve().parent / report_name(names)
+
+
+main = executable(_parser, _report)

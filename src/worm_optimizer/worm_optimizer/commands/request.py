@@ -10,9 +10,9 @@ from worm_model.analysis.plot_style import save_figure
 from worm_model.commands.command_line import (
     InputError,
     Parser,
+    executable,
     figure_file,
     print_result,
-    run_command,
 )
 from worm_model.parameters import load_parameter_file
 from worm_optimizer.commands.search_options import (
@@ -65,6 +65,4 @@ def _request(options: argparse.Namespace) -> None:
     print_result(options, asdict(gait), describe(gait))
 
 
-def main() -> int:
-    """Entry point of the executable request."""
-    return run_command(_parser(), _request)
+main = executable(_parser, _request)

@@ -7,7 +7,7 @@ import argparse
 from typing import Any
 
 from worm_model.analysis.plot_style import save_figure
-from worm_model.commands.command_line import Parser, figure_file, print_result, run_command
+from worm_model.commands.command_line import Parser, executable, figure_file, print_result
 from worm_model.parameters import load_parameter_file
 from worm_model.text_table import text_table
 from worm_optimizer.commands.search_options import add_scan_options, chosen_settings
@@ -74,6 +74,4 @@ def _scan(options: argparse.Namespace) -> None:
     print_result(options, price_json(price), describe(price))
 
 
-def main() -> int:
-    """Entry point of the executable scan_margin."""
-    return run_command(_parser(), _scan)
+main = executable(_parser, _scan)

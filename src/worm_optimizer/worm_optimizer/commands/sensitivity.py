@@ -12,9 +12,9 @@ from worm_model.analysis.plot_style import save_figure
 from worm_model.commands.command_line import (
     InputError,
     Parser,
+    executable,
     figure_file,
     print_result,
-    run_command,
 )
 from worm_model.conditions import conditions_of, content_under
 from worm_model.gait import WAVEFORM, gait_of
@@ -117,6 +117,4 @@ def _run(options: argparse.Namespace) -> None:
     print_result(options, sensitivity_json(result), describe(result))
 
 
-def main() -> int:
-    """Entry point of the executable sensitivity."""
-    return run_command(_parser(), _run)
+main = executable(_parser, _run)

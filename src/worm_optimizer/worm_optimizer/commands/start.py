@@ -8,17 +8,12 @@ import sys
 import tempfile
 from pathlib import Path
 
-from worm_model.commands.command_line import FAILED, Parser, run_command
+from worm_model.commands.command_line import FAILED, Parser, executable
 from worm_optimizer.commands.robot_options import add_robot, robot_of
 from worm_optimizer.nodes.service_caller import OperatorError
 from worm_optimizer.operation.bring_up import FAILURES, ProgressLog, Session, session
 from worm_optimizer.operation.processes import counted_interrupts, termination_as_interrupt
 from worm_optimizer.operation.system import RESTARTS
-
-
-def main() -> int:
-    """Entry point of the executable start."""
-    return run_command(_parser(), _start)
 
 
 def _parser() -> Parser:
@@ -69,3 +64,6 @@ def _keep(running: Session) -> None:
     with counted_interrupts() as interrupts:
         while not interrupts():
             running.node.wait(lambda: interrupts() > 0, 1.0)
+
+
+main = executable(_parser, _start)
