@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The architecture, as a table of who may import what."""
+"""Tables of the allowed imports, compared with the imports of each file."""
 
 import ast
 import os
@@ -17,7 +17,7 @@ SOURCES = sorted(path for path in (ROOT / "src").glob("*/*/**/*.py") if path.par
 
 LICENSE_LINE = "# SPDX-License-Identifier: Apache-2.0\n"
 
-# Which of our packages a package may import beside itself.
+# Our packages that each package may import in addition to itself.
 PACKAGES: dict[str, set[str]] = {
     "worm_msgs": set(),
     "worm_driver": {"worm_msgs"},
@@ -25,12 +25,14 @@ PACKAGES: dict[str, set[str]] = {
     "worm_optimizer": {"worm_model", "worm_msgs"},
 }
 
-# Names imported from one of our modules; beyond, the module itself is imported, but for so many exceptions.
+# At most this many names are imported from one of our modules. Beyond that, the module itself is imported, with so
+# many exceptions.
 MOST_NAMES, LONG_IMPORTS = 6, 36
 
-# Libraries that only the files named here may import; the rest of the code does not know them.
+# Libraries that only the files named here may import.
 NODES = ["*/nodes/*.py"]
-# Plain tables and readers that several packages share; they know no ROS, although they lie beside the messages.
+# Plain tables and readers that several packages share. They do not import ROS, although they are in the package of the
+# messages.
 SHARED = {
     f"worm_msgs.{name}"
     for name in ("robot_parameters", "servo_models", "settings_file", "yaml_file")
@@ -92,13 +94,14 @@ CONFINED = {
     "torch": [],
 }
 
-# Which folders of its own package a folder may import beside itself; those that are not named import what they need.
-# What lies in no folder (parameters, gait, run, errors) is everybody's; simulation/warm_up compiles what is compiled.
+# Folders of its own package that a folder may import in addition to itself. Folders that are missing here may import
+# any. Modules in no folder (parameters, gait, run, errors) may be imported by all folders. simulation/warm_up imports
+# all compiled modules.
 SEAMS = {
     "worm_driver": {
         "servos": set(),
         "gait": {"power"},
-        "power": {"virtual_robot"},  # its I2C bus and its clock, chosen by the name of the device
+        "power": {"virtual_robot"},  # its I2C bus and its clock, selected by the name of the device
         "control": {"gait", "power", "servos", "virtual_robot"},
         "tracking": {"control"},
     },
@@ -119,7 +122,7 @@ SEAMS = {
             "search",
             "robustness",
             "study",
-        },  # study: only for a node that has a cluster
+        },  # study: only for a node with a cluster
         "operation": {"evaluation", "search", "robustness", "report", "nodes"},
         "console": {"evaluation", "search", "robustness", "report", "nodes", "operation"},
     },
@@ -128,12 +131,12 @@ SEAMLESS = {"worm_model/simulation/warm_up.py"}
 
 
 def name_of(path: Path) -> str:
-    """worm_model/bags.py for src/worm_model/worm_model/bags.py."""
+    """Return worm_model/bags.py for src/worm_model/worm_model/bags.py."""
     return str(path.relative_to(ROOT / "src").relative_to(path.relative_to(ROOT / "src").parts[0]))
 
 
 def imports(path: Path) -> Iterator[tuple[int, str]]:
-    """Line and top-level package of each absolute import, those inside functions included."""
+    """Return the line and the top-level package of each absolute import, including imports inside functions."""
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             yield from ((node.lineno, alias.name.split(".")[0]) for alias in node.names)
@@ -142,7 +145,7 @@ def imports(path: Path) -> Iterator[tuple[int, str]]:
 
 
 def confined_imports(path: Path) -> Iterator[tuple[int, str]]:
-    """As `imports`, without the shared tables."""
+    """Return the same as `imports`, without the shared tables."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
     shared = {
         node.lineno
@@ -175,7 +178,7 @@ def test_packages_import_only_what_the_table_allows():
 
 
 def folders_imported(path: Path) -> Iterator[str]:
-    """The folders of a file's own package that it imports from, those inside functions included."""
+    """Return the folders of its own package that a file imports from, also inside functions."""
     package = path.relative_to(ROOT / "src").parts[0]
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(f"{package}."):
@@ -185,7 +188,7 @@ def folders_imported(path: Path) -> Iterator[str]:
 
 
 def test_folders_import_only_what_the_seams_allow():
-    """Search and robustness know nothing of operation and report, the core nothing of nodes and commands."""
+    """Search and robustness do not import operation or report; the core does not import nodes or commands."""
     wrong = [
         f"{name} imports {folder}"
         for path in SOURCES
@@ -223,7 +226,7 @@ def test_libraries_are_imported_only_where_they_belong():
 
 
 def test_every_process_with_ros_begins_and_ends_in_one_way():
-    """Else one of them is found on the network, or loses its context under its hands."""
+    """Otherwise a process could be visible on the network, or its context could be shut down while it still works."""
     callers = {
         name_of(path) for path in SOURCES if "rclpy.init(" in path.read_text(encoding="utf-8")
     }
@@ -296,7 +299,7 @@ def test_every_executable_has_its_main(package: str):
 
 
 def test_the_modules_of_executables_that_are_nodes_have_their_main():
-    """They are imported when they are called."""
+    """The modules are imported when the executables are called."""
     wrong = []
     for path in (ROOT / "src").glob("*/*/nodes/executables.py"):
         for call in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):

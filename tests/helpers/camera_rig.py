@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rigs before the virtual camera: images of known places, and what the tracker makes of them."""
+"""Rigs before the virtual camera: images of known positions, and the tracker's results for them."""
 
 import math
 from collections.abc import Callable
@@ -27,7 +27,7 @@ PITCH = 0.0173
 
 
 def looking_at(settings: CameraSettings, place: tuple[float, float, float]) -> CameraSettings:
-    """A camera from which 0.6 m of the pipe around a place fill the image's width."""
+    """Return a camera whose image width shows 0.6 m of the pipe around a point."""
     distance = 0.6 * settings.focal / settings.width / math.cos(settings.yaw)
     forward = np.array(
         [
@@ -41,14 +41,14 @@ def looking_at(settings: CameraSettings, place: tuple[float, float, float]) -> C
 
 
 def model_of(settings: CameraSettings) -> CameraModel:
-    """The calibration that a camera has."""
+    """Return the calibration of a camera."""
     focal = (settings.focal, settings.focal)
     size = settings.width, settings.height
     return CameraModel(*size, focal, settings.centre, "plumb_bob", settings.distortion)
 
 
 def setup_of(settings: CameraSettings, **changes: object) -> TrackerSetup:
-    """The setup that a lab would write for a camera's rig."""
+    """Return the setup that a lab would write for a camera's rig."""
     setup = TrackerSetup(
         dictionary="DICT_4X4_50",
         marker_size=settings.marker_size,
@@ -62,7 +62,7 @@ def setup_of(settings: CameraSettings, **changes: object) -> TrackerSetup:
 
 
 def crawling(time: float) -> tuple[float, float]:
-    """x1 and x2 (m) of a worm that gains five ridges in 12.5 s: a stroke of 70 mm at 0.2 Hz."""
+    """Return x1 and x2 (m) of a worm that gains five ridges in 12.5 s: a stroke of 70 mm at 0.2 Hz."""
     length = LENGTH - 0.035 * (1.0 - math.cos(2.0 * math.pi * 0.2 * time))
     rear = RIDGES * PITCH * time / 12.5 + 0.008 * math.sin(2.0 * math.pi * 0.2 * time)
     return rear, rear + length
@@ -70,14 +70,14 @@ def crawling(time: float) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class VideoSource:
-    """True places (m), shape (images, 2), and what was seen."""
+    """True positions (m), shape (images, 2), and the tracker's results."""
 
     truth: Array
     samples: list[TrackedPositions]
 
     @property
     def errors(self) -> Array:
-        """Seen minus true (m), shape (images, 2); NaN while hidden."""
+        """Return measured minus true positions (m), shape (images, 2); NaN while hidden."""
         return np.array([[s.rear, s.front] for s in self.samples]) - self.truth
 
 
@@ -88,7 +88,7 @@ def video(
     setup: TrackerSetup | None = None,
     seed: int = 1,
 ) -> VideoSource:
-    """Images of a motion, each blurred over its exposure, and what the tracker says."""
+    """Return images of a motion, each blurred over its exposure, and the tracker's results."""
     camera = VirtualCamera(settings, seed)
     tracker = Tracker(setup or setup_of(settings))
     detector = MarkerDetector(tracker.setup.dictionary)
@@ -106,13 +106,13 @@ def video(
 
 
 class PaperCamera:
-    """Corners as a camera without noise sees them, computed here and not by the tracker."""
+    """Noise-free camera that computes corners independently of the tracker."""
 
     def __init__(self, settings: CameraSettings = SETTINGS) -> None:
         self.settings = settings
 
     def pixels(self, points: Array) -> Array:
-        """Pixels, shape (n, 2), of points of the pipe's frame, shape (n, 3), m."""
+        """Return the pixels, shape (n, 2), of points in the pipe's frame, shape (n, 3), m."""
         s = self.settings
         cy, sy, cp, sp = (f(a) for a in (s.yaw, s.pitch_angle) for f in (math.cos, math.sin))
         forward = np.array([-sy * cp, cy * cp, sp])
@@ -141,24 +141,24 @@ class PaperCamera:
         size: float = SETTINGS.marker_size,
         tilt: Array | None = None,
     ) -> Detection:
-        """A marker that faces -y, turned about its centre by a rotation matrix."""
+        """Return a marker that faces -y, turned about its centre by a rotation matrix."""
         half = size / 2.0
         corners = np.array([[-half, 0, half], [half, 0, half], [half, 0, -half], [-half, 0, -half]])
         turned = corners if tilt is None else corners @ tilt.T
         return Detection(number, self.pixels(turned + np.array(centre)), 0.3)
 
     def references(self) -> list[Detection]:
-        """All reference markers of the rig."""
+        """Return all reference markers of the rig."""
         return [self.marker(n, place) for n, place in self.settings.reference.items()]
 
     def modules(self, rear: float = 0.0, front: float = LENGTH) -> list[Detection]:
-        """Both modules' markers."""
+        """Return both modules' markers."""
         y, z = self.settings.module_line
         return [self.marker(0, (rear, y, z)), self.marker(1, (front, y, z))]
 
 
 def turned(axis: tuple[float, float, float], angle: float) -> Array:
-    """A rotation matrix (Rodrigues)."""
+    """Return a rotation matrix (Rodrigues)."""
     x, y, z = axis
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     return np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * cross @ cross

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The commands that README.md, CONTRIBUTING.md and docs/ show, as data for tests."""
+"""Commands that README.md, CONTRIBUTING.md and docs/ show, as data for tests."""
 
 import ast
 import re
@@ -17,7 +17,7 @@ BLOCK_LINE = re.compile(
     r"^(?: {4,}|\t)?(?:\$ )?((?:\./worm|ros2 (?:run|launch)) .*)$", re.MULTILINE
 )
 INLINE = re.compile(r"`((?:\./worm|ros2 (?:run|launch)) [^`\n]+)`")
-# Subcommands that are executables, and of which package.
+# Subcommands that are executables, with their packages.
 SHORTCUTS = dict.fromkeys(
     ("start", "operate", "demo", "report", "campaign", "study", "console"), "worm_optimizer"
 )
@@ -26,7 +26,7 @@ SHORTCUTS["watch"] = "worm_model"
 
 @dataclass(frozen=True)
 class Command:
-    """One command as shown: the page, its words without brackets of optional parts and comments."""
+    """One command as shown: the page and the arguments, without comments and without brackets of optional parts."""
 
     page: str
     words: tuple[str, ...]
@@ -36,7 +36,7 @@ class Command:
 
     @property
     def executable(self) -> tuple[str, str] | None:
-        """Package and executable that it runs, if it runs one."""
+        """Package and executable that the command runs, or None."""
         runs = self.words[:2] in (("./worm", "run"), ("ros2", "run"))
         if runs and len(self.words) >= 4 and self.words[2] != "PACKAGE":
             return self.words[2], self.words[3]
@@ -53,7 +53,7 @@ class Command:
 
 
 def commands() -> list[Command]:
-    """Every command of every page, once."""
+    """Return every command of every page, once."""
     found: dict[Command, None] = {}
     for page in PAGES:
         text = page.read_text(encoding="utf-8").replace("\\\n", " ")
@@ -63,7 +63,7 @@ def commands() -> list[Command]:
 
 
 def _words(line: str) -> tuple[str, ...]:
-    """Words as a shell has them; brackets of optional parts, dots that mean "and so on" and what follows fall away."""
+    """Return the arguments as a shell splits them, up to a pipe or redirection, without brackets and dots."""
     words = shlex.split(line.replace("…", " "), comments=True)
     for end in ("&", "|", "&&", ">", ";"):
         if end in words:
@@ -72,7 +72,7 @@ def _words(line: str) -> tuple[str, ...]:
 
 
 def entry_points() -> dict[tuple[str, str], str]:
-    """Module and function (``module:function``) by package and executable, as the setup.py files declare them."""
+    """Return module and function (``module:function``) by package and executable, as declared in the setup.py files."""
     found = {}
     for setup in sorted((ROOT / "src").glob("*/setup.py")):
         for node in ast.walk(ast.parse(setup.read_text(encoding="utf-8"))):

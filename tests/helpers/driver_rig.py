@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The driver's robot on the virtual robot, byte for byte, on a clock that only the rig advances.
 
-Nothing here waits: a timeout of the driver is a jump of the clock. What takes the driver 70 ms takes exactly that in
-every run, however loaded the machine is.
+Nothing here waits: a timeout of the driver is a jump of the clock. An operation of the driver that takes 70 ms takes
+exactly that in every run, however busy the machine is.
 """
 
 import errno
@@ -38,7 +38,7 @@ CABLE = 1
 
 
 class Clock:
-    """Seconds that pass when a test sets them."""
+    """Clock that stands still until a test sets it, s."""
 
     epoch_ns = None
     least_timeout = 0.0
@@ -55,7 +55,7 @@ class Clock:
 
 
 class Wire:
-    """Stands for serial.Serial: bytes go to a function at once, and its answers arrive in their time."""
+    """Replacement of serial.Serial: a function gets the bytes at once, and its responses arrive at their time."""
 
     def __init__(self, clock: Clock, answer: Callable[[bytes, float], list[tuple[float, bytes]]]):
         self.clock = clock
@@ -77,7 +77,7 @@ class Wire:
         return len(data)
 
     def inject(self, arrival: float, data: bytes) -> None:
-        """Has bytes arrive at a time (s)."""
+        """Let bytes arrive at a time (s)."""
         self._coming.append((arrival, data))
         self._coming.sort(key=lambda item: item[0])
 
@@ -159,7 +159,7 @@ class DirectSMBus:
 
 
 def settings(**changes: object) -> DriverSettings:
-    """Of a driver for the virtual robot of the installed file."""
+    """Return the settings of a driver for the virtual robot of the installed file."""
     given = DriverSettings(
         port="/dev/simulated",
         spools=(Spool(CABLE, 1, 0.025),),
@@ -171,7 +171,7 @@ def settings(**changes: object) -> DriverSettings:
 
 @dataclass(frozen=True)
 class WrittenGoal:
-    """A goal position on the wire: ticks as the servo counts, and where its shaft truly was then."""
+    """Goal position on the bus: ticks as the servo counts, and the shaft's true position at that time."""
 
     time: float
     servo: int
@@ -180,12 +180,12 @@ class WrittenGoal:
 
     @property
     def distance(self) -> float:
-        """m of cable from the shaft's true position to the goal."""
+        """Distance in m of cable from the shaft's true position to the goal."""
         return abs(self.ticks - self.shaft) * 2 * math.pi / 4096 * 0.025
 
 
 def goals_in(packet) -> Iterator[tuple[int, int]]:
-    """Servo and ticks of each goal position in an instruction packet, written alone or in a sync write."""
+    """Return servo and ticks of each goal position in an instruction packet, written alone or in a sync write."""
     row = COMMON["goal_position"]
     data = packet.parameters
     if int.from_bytes(data[:2], "little") != row.address:
@@ -199,12 +199,12 @@ def goals_in(packet) -> Iterator[tuple[int, int]]:
 
 @cache
 def installed_robot() -> RobotSettings:
-    """The settings of the installed virtual robot, read once."""
+    """Return the settings of the installed virtual robot, read once."""
     return load_settings()
 
 
 class Rig:
-    """A driver's robot, a virtual robot, and the clock between them."""
+    """A driver's robot, a virtual robot, and the clock of both."""
 
     def __init__(
         self,
@@ -241,7 +241,7 @@ class Rig:
         self.ended = False
 
     def advance(self, time: float) -> None:
-        """Lets the virtual robot move, and notes how fast its cable servo turns."""
+        """Let the virtual robot move, and record how fast its cable servo turns."""
         step = self.virtual.settings.step
         while self.virtual.time + step <= time + 1e-9:
             self.virtual.advance(self.virtual.time + step)
@@ -261,12 +261,12 @@ class Rig:
         return sum(sample.status is SampleStatus.VALID for sample in self.samples)
 
     def restarted_driver(self, driver: DriverSettings | None = None) -> "Rig":
-        """A new driver on the same virtual robot."""
+        """Return a new driver on the same virtual robot."""
         return Rig(driver or self.settings, self.virtual, self.clock)
 
     @property
     def home_ticks(self) -> float:
-        """Shaft position (ticks) of the virtual cable servo where the driver sees 0."""
+        """Shaft position (ticks) of the virtual cable servo at the driver's 0."""
         return self.virtual.settings.cable_servos[0].start_angle * 4096 / (2 * math.pi)
 
     @property
@@ -276,11 +276,14 @@ class Rig:
 
     @property
     def cable_speed(self) -> float:
-        """m/s at which the virtual servo moves the cable."""
+        """Speed in m/s at which the virtual servo moves the cable."""
         return abs(self.cable.motor.velocity) * 2 * math.pi / 4096 * 0.025
 
     def run(self, duration: float, until: Callable[[Snapshot], bool] | None = None) -> Snapshot:
-        """Cycles for a duration (s), or until a snapshot fulfils a condition, which must happen."""
+        """Run cycles for a duration (s), or until a snapshot fulfils a condition.
+
+        A condition that is never fulfilled fails the test.
+        """
         end = self.clock.now + duration
         while self.clock.now < end:
             period = self.settings.period
@@ -294,12 +297,12 @@ class Rig:
         return self.snapshots[-1]
 
     def end(self) -> list[str]:
-        """The end of the driver's thread; what it reports of the release."""
+        """End the driver's thread and return the messages about the release."""
         self.loop._at_end()
         return self.loop.release_problems
 
     def activate(self) -> None:
-        """Torque on."""
+        """Switch the torque on."""
         self.run(0.1)
         self.robot.activate(self.clock.now)
 
@@ -311,12 +314,12 @@ class Rig:
         direction: int = 1,
         **waveform: float,
     ):
-        """Begins a run."""
+        """Start a run."""
         gait = Gait(stroke, frequency, direction, **waveform)
         return self.robot.start(self.clock.now, gait, cycles)
 
     def run_into_motion(self) -> None:
-        """A gait at its full speed."""
+        """Start a gait and wait for its full speed."""
         self.activate()
         self.start()
         self.run(5.0, until=lambda s: s.player.phase is Phase.RUNNING)
@@ -324,12 +327,12 @@ class Rig:
         assert self.cable_speed > 0.05
 
     def inject(self, name: str, **arguments: object) -> None:
-        """A fault of the virtual robot, now."""
+        """Inject a fault of the virtual robot now."""
         self.advance(self.clock.now)
         self.virtual.board.add(make_fault(name, **arguments).delayed(self.clock.now))
 
     def time_to_stop(self, longest: float = 1.0) -> float:
-        """S from now until the servo moves the cable no more, as far as is looked."""
+        """Return the time in s from now until the servo last moves the cable, within the observed duration."""
         begin = self.clock.now
         self.speeds.clear()
         self.run(longest)
@@ -337,7 +340,7 @@ class Rig:
 
 
 def silent(bus: ServoBus, servo: int) -> bool:
-    """Whether a servo does not answer a ping."""
+    """Return True if a servo does not answer a ping."""
     try:
         bus.ping(servo)
     except BusError:

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Many robots at once with something wrong, integrated step by step and not by worm_model; what a driver, a camera and
-a power sensor say of each, as the twin takes it.
+"""Many robots at once with faults, integrated step by step and independently of worm_model.
 
-A robot is off the twin's parameters, has dry friction, grooves that differ and noisy instruments. A fault begins in
-a cycle at a phase; a fin's miss is the cycle in which x1 falls behind: the front's happens at the end of the one
-before. SI units; forward is +x.
+Their driver, camera and power sensor provide samples for the twin. Each robot deviates from the twin's parameters and
+has dry friction, grooves that differ and noisy instruments. A fault begins in a cycle at a phase. A fin's miss belongs
+to the cycle in which x1 falls behind: the front fin's miss happens at the end of the cycle before. SI units; forward is
++x.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ STEP_S = 1e-3
 REST_S, AFTER_S = 2.0, 1.0
 COMMAND_HZ, POWER_HZ = 100, 100
 GROOVES = 64
-CARRIED_S = 0.5  # in which a hand moves a robot
-EARLY_M = 0.010  # by which a fin comes too early that gains a groove
+CARRIED_S = 0.5  # duration in which a person moves a robot
+EARLY_M = 0.010  # distance by which a fin that gains a groove switches too early
 SLOW = 1e-3  # m/s below which dry friction fades
 
 
 @dataclass(frozen=True)
 class Fault:
-    """Fault of one robot from a phase of a cycle on.
+    """Fault of one robot, from a phase of a cycle on.
 
-    ``kind`` is sound; gain, viscous_friction, scale (``size`` relative); slip, camera (m); offset (W); rear_load,
-    both_loads (N, the latter shared by the modules); robot, gained (grooves); rear, front (successive cycles in which a
-    fin misses its last groove).
+    ``kind`` is healthy; gain, viscous_friction, scale (``size`` relative); slip, camera (m); offset (W); rear_load,
+    both_loads (N, the latter shared by the modules); robot, gained (grooves); rear, front (number of successive cycles
+    in which a fin misses its last groove).
     """
 
     kind: str = "healthy"
@@ -46,7 +46,7 @@ class Fault:
 
 @dataclass(frozen=True)
 class Lab:
-    """The instruments, and how far robots are off the twin's parameters (relative), and grooves off each other."""
+    """Noise of the instruments, deviation of the robots from the twin's parameters (relative), and of the grooves."""
 
     camera_hz: float = 30.0
     camera_noise_m: float = 0.0002
@@ -70,7 +70,7 @@ NOT_SPREAD = ("rear_mass", "front_mass", "unstressed_length", "initial_length", 
 
 @dataclass(frozen=True)
 class Robots:
-    """What was true of each robot (k robots), and what was seen: times (n,) in s from the onset, values (n, k)."""
+    """True grooves of k robots, and measurements: times (n,) in s from the onset, values (n, k)."""
 
     gait: Gait
     cycles: int
@@ -80,10 +80,10 @@ class Robots:
     front: np.ndarray
     power_time: np.ndarray
     power: np.ndarray
-    grooves: np.ndarray  # (cycles, k) gained in each, along +x
+    grooves: np.ndarray  # (cycles, k) gained in each cycle, along +x
 
     def rows(self, robot: int, *, tracker: bool, front_marker: bool = True) -> np.ndarray:
-        """Samples for the twin; with both markers the camera measures the length, too."""
+        """Return the samples for the twin; with both markers the camera measures the length, too."""
         gait = self.gait
         command = np.where(self.command_time > 0.0, _command(gait, self.command_time), 0.0)
         command[self.command_time > self.cycles * gait.period] = 0.0
@@ -106,7 +106,7 @@ class Robots:
             row["state"], row["cycle"] = activity, cycle
             row["onset"], row["run"] = (ONSET if activity == Activity.RUNNING else 0), 1
             parts.append(row)
-        rows = np.concatenate(parts[::-1])  # the driver's words before what is of the same moment
+        rows = np.concatenate(parts[::-1])  # the driver's states before samples of the same stamp
         return rows[np.argsort(rows["stamp"], kind="stable")]
 
 
@@ -131,7 +131,10 @@ def run_robots(
     truth: Parameters = PAPER,
     usual: int = 2,
 ) -> Robots:
-    """A robot for each fault, with noise, parameters and grooves of its own; it gains ``usual`` grooves a cycle."""
+    """Return a robot for each fault, with its own noise, parameters and grooves.
+
+    A healthy robot gains ``usual`` grooves per cycle.
+    """
     draw = np.random.default_rng(seed)
     bodies = _Bodies(gait, faults, lab, truth, usual, draw)
     end = cycles * gait.period
@@ -203,11 +206,11 @@ class _Bodies:
         self.x, self.power = np.zeros((count, 2)), zero
 
     def of(self, kind: str) -> np.ndarray:
-        """The sizes of one kind of fault that is there by now, 0 for other robots."""
+        """Return the sizes of the present faults of one kind, 0 for the other robots."""
         return np.where((self.kinds == kind) & self.on, self.sizes, 0.0)
 
     def step(self, time: float, asked: float) -> None:
-        """A step later, at a time (s), under a command (m)."""
+        """Advance by one step to a time (s) under a command (m)."""
         self.on = time >= self.begins
         self._pull(asked)
         carried = (self.kinds == "robot") & self.on & (time < self.begins + CARRIED_S)
@@ -228,7 +231,7 @@ class _Bodies:
         self.rate = (goal - self.change) / p["time_constant"]
 
     def _switch(self, time: float, carried: np.ndarray) -> None:
-        """Anchors move on where a fin comes over its ridge; a hand puts the robot down in other grooves."""
+        """Move anchors on where a fin passes its ridge, and to other grooves where a person puts the robot down."""
         within = (time / self.gait.period) % 1.0
         step = STEP_S / self.gait.period
         if within < step:
@@ -248,7 +251,10 @@ class _Bodies:
         self.stood = np.where(carried[:, None], self.stood, stretch)
 
     def _at_fault(self, limit: np.ndarray, phase: np.ndarray) -> np.ndarray:
-        """Thresholds with a fin that misses its last switch, or takes one too many; phases count from the cycle."""
+        """Return the thresholds with a fin that misses its last switch, or switches once too often.
+
+        ``phase`` counts from the fault's cycle.
+        """
         kinds, switches, usual = self.kinds, self.switches, self.usual
         rear = (kinds == "rear") & (phase > 0.0) & (phase < self.sizes) & (phase % 1.0 < 0.8)
         rear &= switches[:, 0] >= usual - 1
@@ -261,7 +267,7 @@ class _Bodies:
         return limit
 
     def _fins(self, carried: np.ndarray) -> np.ndarray:
-        """Forces (k, 2) of the fins, and loads, N."""
+        """Return the forces (k, 2) of the fins and the loads, N."""
         p, robots = self.p, np.arange(len(self.kinds))
         stretch = np.where(carried[:, None], 0.0, self.x - self.anchor * self.pitch)
         forces = []
@@ -276,7 +282,7 @@ class _Bodies:
         return np.stack(forces, 1)
 
     def _push(self, forces: np.ndarray) -> None:
-        """Motion of the centre of mass, friction taken implicitly, and the power that the cable needs."""
+        """Move the centre of mass, with implicit friction, and compute the power that the cable needs."""
         p, mu, rate = self.p, self.mu, self.rate
         mass = (p["rear_mass"] + p["front_mass"]) / STEP_S
         before = self.speed - mu * rate

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Values that the optimizer's tests share: coarse settings, made-up gaits, a front of the paper's robot."""
+"""Values shared by the optimizer's tests: coarse settings, invented gaits, a front of the paper's robot."""
 
 import dataclasses
 from functools import cache
@@ -15,14 +15,14 @@ from worm_optimizer.search.search_settings import ScanSettings, Settings
 
 COARSE = Resolution(strokes=21, frequencies=17)
 
-# A front in a tenth of a second: few frequencies, few margins, few draws.
+# Settings that give a front in a tenth of a second: few frequencies, few margins, few draws.
 QUICK = Settings(
     resolution=COARSE, scan=ScanSettings(lowest=0.0, highest=4e-3, step=1e-3), samples=20
 )
 
 
 def made_up(speed: float, power: float, **changes: float) -> Prediction:
-    """A prediction whose figures other than speed in m/s and power in W are of no interest."""
+    """Return a prediction with a speed in m/s and a power in W; its other values are arbitrary."""
     plain = Prediction(
         *(0.07, speed / 0.0346, 1, 0.0034),
         **{f"{kind}speed": speed for kind in ("", "nominal_")},
@@ -40,18 +40,18 @@ def made_up(speed: float, power: float, **changes: float) -> Prediction:
 
 @cache
 def small_front(margin: float = 3.4e-3, direction: int = 1) -> RobustFront:
-    """The front of the paper's robot at a margin in m, on few frequencies."""
+    """Return the front of the paper's robot at a margin in m, on few frequencies."""
     return make_front(ParameterFile(), dataclasses.replace(QUICK, margin=margin), direction)
 
 
 def coarse_front(task: Task, frequencies: int = COARSE.frequencies) -> ExactFront:
-    """The exact front of a task, on few frequencies."""
+    """Return the exact front of a task, on few frequencies."""
     resolution = dataclasses.replace(COARSE, frequencies=frequencies)
     return exact_front(task, resolution, Zoom(points=9, rounds=5))
 
 
 def random_robot(seed: int) -> Parameters:
-    """A robot whose parameters lie up to a factor of two from the paper's, with any groove phase."""
+    """Return a robot with any groove phase and parameters within a factor of two of the paper's."""
     random = np.random.default_rng(seed)
     plain = PAPER.as_dict()
     varied = ("rear_mass", "front_mass", "viscous_friction", "engaged_stiffness", "clearance")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What integration tests use to start, watch and call real nodes."""
+"""Start, observe and call real nodes in integration tests."""
 
 import contextlib
 import time
@@ -26,7 +26,7 @@ from worm_optimizer.operation.processes import Process, ProcessGroup, executable
 from worm_optimizer.operation.system import SystemFile, load_system_file
 
 NAMESPACE = "/worm"
-TIMEOUT_S = 30.0  # generous: only a failure waits for so long
+TIMEOUT_S = 30.0  # long, as only a failing test waits so long
 ASK_AGAIN_S = 1.0
 SERVOS = (1, 11, 12)  # of the virtual robot: one cable servo, two fin servos
 BAUD_RATE = 1_000_000
@@ -88,11 +88,11 @@ class Probe:
             self._executor.spin_once(timeout_sec=0.05)
 
     def spin_once(self, timeout_s: float) -> None:
-        """Serve what comes within a time."""
+        """Process the messages that arrive within a time."""
         self._executor.spin_once(timeout_sec=timeout_s)
 
     def collect(self, kind: type, topic: str, qos: QoSProfile | int = 1000) -> list[Any]:
-        """Subscribe; the returned list grows with the messages."""
+        """Subscribe and return a list to which each message is appended."""
         messages: list[Any] = []
         self.node.create_subscription(kind, topic, messages.append, qos)
         return messages
@@ -103,7 +103,7 @@ class Probe:
         return future.result()
 
     def call(self, kind: type, name: str, request: Any, timeout_s: float = TIMEOUT_S) -> Any:
-        """Call a service once it is there and return its response."""
+        """Call a service when it is available and return its response."""
         client = self.node.create_client(kind, name)
         try:
             self.meet(name, timeout_s)
@@ -113,10 +113,10 @@ class Probe:
             self.node.destroy_client(client)
 
     def meet(self, service: str, timeout_s: float = TIMEOUT_S) -> None:
-        """Wait until the process that serves this has found the clients that there are.
+        """Wait until the server of this service has discovered all clients that exist.
 
-        Before, its responses get lost (the middleware warns of it). It finds clients in the order in which they were
-        created: one that asks for parameters, as often as it takes, is the last to be found.
+        Earlier responses get lost (the middleware logs a warning). The server discovers clients in the order of their
+        creation, so the last one is a client that requests parameters, repeatedly if necessary.
         """
         name = self.node.resolve_service_name(service)
         services = self.wait_for(lambda: self._services_with(name), f"service {name}", timeout_s)
@@ -137,10 +137,10 @@ class Probe:
             self.node.destroy_client(client)
 
     def _services_with(self, service: str) -> dict[str, set[str]]:
-        """The services of each node, empty before one of them offers this."""
+        """Return the services of each node, or nothing before one of them offers this service."""
         services = {}
         for name, namespace in self.node.get_node_names_and_namespaces():
-            with contextlib.suppress(NodeNameNonExistentError):  # it has just ended
+            with contextlib.suppress(NodeNameNonExistentError):  # the node has just ended
                 offered = self.node.get_service_names_and_types_by_node(name, namespace)
                 services[f"{namespace.rstrip('/')}/{name}"] = {known for known, _ in offered}
         return services if any(service in offered for offered in services.values()) else {}
@@ -153,7 +153,7 @@ class Probe:
         feedback: Callable[[Any], None] | None = None,
         timeout_s: float = TIMEOUT_S,
     ) -> Any:
-        """Send a goal once the action server is there and return the goal handle."""
+        """Send a goal when the action server is available and return the goal handle."""
         client = ActionClient(self.node, kind, name)
         self.meet(f"{name}/_action/send_goal", timeout_s)
         self.wait_for(client.server_is_ready, f"action {name}", timeout_s)
@@ -202,7 +202,7 @@ class VirtualWorm:
             assert self.probe.call(ChangeState, "driver/change_state", request).success
 
     def torques(self) -> dict[int, int]:
-        """Torque Enable of each servo, read with the SDK; the driver must have let go of the bus."""
+        """Return Torque Enable of each servo, read with the SDK; the driver must have closed the bus."""
         port = PortHandler(str(self.directory / "robot" / "servo_bus"))
         assert port.openPort()
         assert port.setBaudRate(BAUD_RATE)
@@ -219,7 +219,7 @@ def _read_torque(port: PortHandler, servo: int) -> int:
 
 
 def system_file() -> SystemFile:
-    """The installed system.yaml."""
+    """Return the installed system.yaml."""
     return load_system_file(
         Path(get_package_share_directory("worm_optimizer"), "config", "system.yaml")
     )

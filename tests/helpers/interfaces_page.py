@@ -9,7 +9,7 @@ PAGE = (ROOT / "docs" / "interfaces.md").read_text(encoding="utf-8")
 
 
 def rows_of(heading: str) -> dict[str, list[str]]:
-    """Cells of the rows of one of the page's tables by name; a row may have several names."""
+    """Return the cells of the rows of one of the page's tables, by name; a row may have several names."""
     part = re.search(rf"^## {heading}$.*?(?=^## |\Z)", PAGE, re.MULTILINE | re.DOTALL)
     assert part
     rows = {}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a lab hands over, for tests: bench tests of a bellows and a fin, and a folder of raw logs of a run."""
+"""Files of a lab for tests: bench tests of a bellows and a fin, and a folder of raw logs of a run."""
 
 import json
 from pathlib import Path
@@ -10,12 +10,12 @@ from recorded_run import GAIT, REST_S, simulated_run
 from worm_model.parameters import PAPER
 
 _RADIUS = 0.012  # m, of the spool
-_TICKS = 4096  # a turn
+_TICKS = 4096  # per turn
 _ONSET_S = 2.0  # of a lab's runs
 
 
 def write_bench_tests(folder: Path) -> tuple[Path, Path]:
-    """bellows.csv and fin.csv of the paper's robot, with noise of 20 mN."""
+    """Write bellows.csv and fin.csv of the paper's robot, with noise of 20 mN."""
     compression = np.linspace(0.0, 0.06, 13)
     stretch = np.linspace(-0.008, 0.008, 65)
     force = PAPER.engaged_stiffness * np.minimum(stretch + 0.5 * PAPER.clearance, 0.0)
@@ -31,7 +31,7 @@ def write_bench_tests(folder: Path) -> tuple[Path, Path]:
 
 
 def write_lab(folder: Path, name: str = "run_01", cycles: int = 5) -> Path:
-    """Adds a run to a lab's folder: camera, power sensor and servo of `recorded_run`, and the bench tests."""
+    """Add a run to a lab's folder: camera, power sensor and servo of `recorded_run`, and the bench tests."""
     gaits = folder / "runs.json"
     listed = json.loads(gaits.read_text()) if gaits.exists() else {}
     run = simulated_run(cycles, seed=len(listed))

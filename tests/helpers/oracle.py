@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An independent integration of the model, the oracle of the simulator's tests and benchmark.
+"""Independent integration of the model, the oracle of the simulator's tests and benchmark.
 
-It shares no formula with the kernel: the literal reduced dynamics in x1 (eq:continuous_model) with the
-first and second derivative of the length, the actuation lag as a state, the positive cable work as a
-state, integrated by SciPy with every border, threshold and sign change as a located, terminal event. Dry friction
-is Coulomb's inclusion: a module keeps sliding or sticking until its own event, and what follows from rest is the
-one acceleration at which the inclusion holds. Nothing is regularised.
+It shares no formula with the kernel. It integrates the literal reduced dynamics in x1 (eq:continuous_model) with SciPy,
+with the first and second derivative of the length. The actuation lag and the positive cable work are states. Every
+border, threshold and sign change is a located, terminal event. Dry friction is Coulomb's inclusion: a module slides or
+sticks until its own event. After rest it has the only acceleration that satisfies the inclusion. Nothing is
+regularised.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from worm_model.gait import Gait
 from worm_model.parameters import Parameters
 
 SETTLING_S = 1e-9  # after an event, in which its border cannot be passed again
-ROUNDING_N = 1e-9  # which a module that creeps to rest is held by beyond its dry friction
+ROUNDING_N = 1e-9  # force beyond its dry friction that still holds a module that creeps to rest
 
 
 @dataclass
 class OracleRun:
-    """What the oracle saw: x1 (m) and cable work (J) at every cycle's start and at the end, and samples."""
+    """Result of the oracle: x1 (m) and cable work (J) at the start of every cycle and at the end, and samples."""
 
     switches: int = 0
     boundaries: list[tuple[float, float]] = field(default_factory=list)
@@ -47,7 +47,7 @@ class OracleRun:
 class _Discrete:
     """Anchors in m, the region of each fin (−1, 0, 1), and the signs that the power depends on.
 
-    ``slides``: the sign of each module's velocity, 0 where dry friction holds it.
+    ``slides`` is the sign of each module's velocity, 0 where dry friction holds it.
     """
 
     anchors: tuple[float, float]
@@ -58,7 +58,7 @@ class _Discrete:
 
 
 class Oracle:
-    """The model of one gait; ``method``, ``rtol`` and ``atol`` (m) are those of SciPy's solve_ivp."""
+    """Model of one gait; ``method``, ``rtol`` and ``atol`` (m) are those of SciPy's solve_ivp."""
 
     def __init__(
         self,
@@ -78,25 +78,25 @@ class Oracle:
         self.load = parameters.rear_load + parameters.front_load
 
     def command(self, time: float, clipped: bool) -> tuple[float, float]:
-        """(u_eff, its derivative)."""
+        """Return u_eff and its derivative."""
         if clipped:
             return -self.p.slack, 0.0
         return self.unclipped(float(time))
 
     def unclipped(self, time: float) -> tuple[float, float]:
-        """(u_cmd, its derivative)."""
+        """Return u_cmd and its derivative."""
         gait = self.gait
         phase, share = time * gait.frequency % 1.0, gait.contraction_share
         if phase < share:
             drawn, rate = self.drawn(phase / share)
             duration = share / gait.frequency
         else:
-            drawn, rate = self.drawn((1.0 - phase) / (1.0 - share))  # played backwards
+            drawn, rate = self.drawn((1.0 - phase) / (1.0 - share))  # reversed in time
             duration = -(1.0 - share) / gait.frequency
         return -gait.pretension - gait.stroke * drawn, -gait.stroke * rate / duration
 
     def drawn(self, part: float) -> tuple[float, float]:
-        """(g, its derivative) after a part of a half."""
+        """Return g and its derivative after a fraction of a half."""
         if self.cosine:
             return 0.5 - 0.5 * math.cos(math.pi * part), 0.5 * math.pi * math.sin(math.pi * part)
         ramp = self.gait.ramp_share
@@ -138,7 +138,7 @@ class Oracle:
             a1 = 0.0
         elif self.dry[1] > 0.0 and d.slides[1] == 0:
             a1 = -acceleration
-        held = load - self.mass * a1  # by the dry friction of both
+        held = load - self.mass * a1  # held by the dry friction of both
         holds = held - sliding[1], held - sliding[0]
         self._seen = load, acceleration, rate, holds
         force = (
@@ -165,7 +165,7 @@ class Oracle:
         return replace(d, force_sign=math.copysign(1.0, force), rate_sign=math.copysign(1.0, rate))
 
     def grip(self, time: float, state: np.ndarray, clipped: bool, d: _Discrete) -> _Discrete:
-        """How dry friction holds from here on; a module without any "slides" forward."""
+        """Return how dry friction acts from now on; a module without dry friction "slides" forward."""
         at_rest = tuple(
             dry > 0.0 and side == 0 for dry, side in zip(self.dry, d.slides, strict=True)
         )
@@ -173,10 +173,10 @@ class Oracle:
             return d
         self.rates(time, state, clipped, d)
         load, acceleration, _, _ = self._seen
-        turning = (0.0, -acceleration)  # ẍ1 at which a module that rests goes on resting
+        turning = (0.0, -acceleration)  # ẍ1 with which a module at rest stays at rest
 
         def surplus(a: float) -> float:
-            """Of inertia and friction over the load, ascending in the acceleration of the rear module."""
+            """Return inertia plus friction minus the load, ascending in the acceleration of the rear module."""
             total = self.mass * a - load
             for fin in (0, 1):
                 side = np.sign(a - turning[fin]) if at_rest[fin] else d.slides[fin]
@@ -197,7 +197,7 @@ class Oracle:
         return replace(d, slides=tuple(sides[k] if at_rest[k] else d.slides[k] for k in (0, 1)))
 
     def grip_gaps(self, clipped: bool, d: _Discrete) -> list[tuple[int, Callable[..., float]]]:
-        """(module, function that falls through zero when how it is held changes)."""
+        """Return (module, function that falls through zero when its friction state changes) for each module."""
 
         def velocity(fin: int, time: float, state: np.ndarray) -> float:
             self.rates(time, state, clipped, d)
@@ -219,7 +219,7 @@ class Oracle:
     def at_rest(
         self, module: int, time: float, state: np.ndarray, clipped: bool, d: _Discrete
     ) -> tuple[np.ndarray, _Discrete]:
-        """(state, discrete state) at an event of a module's grip: it rests, and `grip` says what becomes of it."""
+        """Return the state and the discrete state when a module comes to rest; `grip` decides what follows."""
         self.rates(time, state, clipped, d)
         rest = state.copy()
         rest[1] = 0.0 if module == 0 or self._rests(0, d) else -self._seen[2]
@@ -229,7 +229,7 @@ class Oracle:
         return self.dry[module] > 0.0 and d.slides[module] == 0
 
     def gaps(self, clipped: bool, d: _Discrete) -> list[Callable[..., float]]:
-        """Functions that fall through zero at an event: rear high, low, front high, low, signs."""
+        """Return functions that fall through zero at an event: rear high, low, front high, low, signs."""
 
         def displacement(fin: int, state: np.ndarray) -> float:
             if fin == 0:
@@ -251,7 +251,7 @@ class Oracle:
         return functions
 
     def apply(self, event: int, d: _Discrete) -> tuple[_Discrete, bool]:
-        """(discrete state after an event, whether an anchor switched)."""
+        """Return the discrete state after an event, and whether an anchor switched."""
         if event == 4:
             return replace(d, force_sign=-d.force_sign), False
         if event == 5:
@@ -263,14 +263,14 @@ class Oracle:
             anchors[fin] += direction * self.p.pitch
             landing = direction * (self.threshold - self.p.pitch)
             regions[fin] = _region(landing, self.half)
-        elif self.half == 0.0:  # no clearance: straight from one bar to the other
+        elif self.half == 0.0:  # no clearance: directly from one bar to the other
             regions[fin] = direction
         else:
             regions[fin] += direction
         return replace(d, anchors=tuple(anchors), regions=tuple(regions)), switched
 
     def segments(self, cycles: int) -> list[tuple[float, float, bool]]:
-        """(start, end, clipped) in time order, between the times at which the waveform changes its form."""
+        """Yield (start, end, clipped) in time order, between the times at which the waveform changes its form."""
         period, share, ramp = (
             1.0 / self.gait.frequency,
             self.gait.contraction_share,
@@ -294,7 +294,10 @@ class Oracle:
         ]
 
     def start(self) -> tuple[np.ndarray, _Discrete]:
-        """At rest; under a load where the fins balance it, fins beyond their threshold a groove on."""
+        """Return the start at rest.
+
+        Under a load it is where the fins balance it; fins beyond their threshold are one groove further.
+        """
         pitch, tense = self.p.pitch, self.gait.pretension > 0.0
         change = -self.p.gain * max(self.gait.pretension, self.p.slack) if tense else 0.0
         length = self.p.initial_length + change
@@ -316,11 +319,11 @@ class Oracle:
             raise ValueError("the fins do not hold the load")
         regions = tuple(_region(x, self.half) for x in deflections)
         slides = 0 if self.dry[0] else 1, 0 if self.dry[1] and tense else -1
-        # without pretension, ΔL starts with a rate at once
+        # without pretension, ΔL starts at once with a rate
         return np.array([x1, 0.0, change, 0.0]), _Discrete(tuple(anchors), regions, slides)
 
     def run(self, cycles: int = 5, samples: np.ndarray | None = None) -> OracleRun:
-        """Integrates the cycles from the start; ``samples`` are times at which the state is kept."""
+        """Integrate the cycles from the start; ``samples`` are times at which the state is stored."""
         out = OracleRun()
         period = 1.0 / self.gait.frequency
         state, d = self.start()
@@ -360,7 +363,7 @@ class Oracle:
         return state, d
 
     def _solve(self, time, end, clipped, state, d):  # type: ignore[no-untyped-def]
-        """Integrates to the next event, in steps so short that none is crossed and crossed back unseen."""
+        """Integrate to the next event, in steps so short that no border is crossed twice unnoticed."""
         gaps = self.gaps(clipped, d)
         grips = [gap for _, gap in self.grip_gaps(clipped, d)]
         for longest in (math.inf, 3e-3, 3e-4, 3e-5):
@@ -388,13 +391,16 @@ class Oracle:
 
 
 def _within_steps(times: np.ndarray) -> np.ndarray:
-    """Eight moments within every step of an integration."""
+    """Yield eight times within every step of an integration."""
     steps = np.diff(times)[:, np.newaxis]
     return (times[:-1, np.newaxis] + steps * np.linspace(0.125, 1.0, 8)).ravel()
 
 
 def _from_the_right_side(gap: Callable[..., float], start: float) -> Callable[..., float]:
-    """The gap, above zero at first: rounding takes what has just come to a border for what is about to pass it."""
+    """Return the gap, positive at first:
+
+    rounding can place a state that has just reached a border on its other side.
+    """
 
     def positive_at_first(time: float, state: np.ndarray) -> float:
         found = gap(time, state)

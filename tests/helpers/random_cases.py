@@ -14,7 +14,7 @@ KINDS = ("paper", "perturbed", "heavy", "light damping", "double root", "resonan
 
 
 def random_case(seed: int) -> tuple[str, Gait, Parameters]:
-    """(kind, gait, parameters) of a seed."""
+    """Return (kind, gait, parameters) of a seed."""
     rng = np.random.default_rng(seed)
     kind = KINDS[seed % len(KINDS)]
     gait = Gait(
@@ -60,7 +60,7 @@ def random_case(seed: int) -> tuple[str, Gait, Parameters]:
 
 
 def random_loaded_case(seed: int) -> tuple[str, Gait, Parameters]:
-    """The same with loads and waveforms; every third with dry friction, every other one with a one-sided cable."""
+    """Return the same with loads and waveforms; every third with dry friction, every second with a one-sided cable."""
     kind, gait, parameters = (random_dry_case if seed % 3 == 0 else random_case)(seed)
     rng = np.random.default_rng([seed, 2])
     gait = dataclasses.replace(
@@ -84,7 +84,7 @@ def random_loaded_case(seed: int) -> tuple[str, Gait, Parameters]:
 
 
 def random_dry_case(seed: int) -> tuple[str, Gait, Parameters]:
-    """The same with dry friction, from a little to more than the fins can bear, of one module or of both."""
+    """Return the same with dry friction, from a little to more than the fins can bear, of one module or of both."""
     kind, gait, parameters = random_case(seed)
     rng = np.random.default_rng([seed, 1])
     rear, front = np.exp(rng.uniform(np.log(0.02), np.log(20.0), 2))

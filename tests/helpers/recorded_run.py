@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A small run for tests, simulated: what the driver and the tracker would have published."""
+"""A small simulated run for tests, with the messages that driver and tracker would publish."""
 
 from pathlib import Path
 
@@ -12,14 +12,17 @@ from worm_model.run import GaitStates, LengthSamples, PowerSamples, Run, Tracker
 from worm_model.simulation.simulator import simulate
 
 EPOCH = 1_800_000_000_000_000_000
-REST_S, AFTER_S = 1.5, 0.3  # at rest before the gait, and recorded beyond it
+REST_S, AFTER_S = 1.5, 0.3  # at rest before the gait, and recorded after it
 GAIT = Gait(0.07, 0.4)
 INITIAL_LENGTH = 0.2952
 RESTING, RUNNING, IDLE = 2, 3, 1
 
 
 def simulated_run(cycles: int = 2, seed: int = 0) -> Run:
-    """Rest, some cycles, at 50 Hz (commands, power) and 30 Hz (tracker), with a little noise and two occlusions."""
+    """Return rest and some cycles, with a little noise and two occlusions.
+
+    Commands and power have 50 Hz, the tracker has 30 Hz.
+    """
     draw = np.random.default_rng(seed)
     end = REST_S + cycles * GAIT.period + AFTER_S
     fast, slow = np.arange(0.0, end, 0.02), np.arange(0.003, end, 1.0 / 30.0)
@@ -69,7 +72,7 @@ def _gait_states(cycles: int, end: float) -> GaitStates:
 
 
 def write_bag(path: Path, run: Run, namespace: str = "/worm") -> Path:
-    """The run as a bag."""
+    """Write the run as a bag."""
     with new_bag(path) as writer:
         writer.add_metadata("worm_run", {"made_by": "tests/helpers/recorded_run.py"})
         write_run(writer, run, namespace)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Two gaits in one session of the virtual robot's plant: the second begins with fins that the first has bent."""
+"""Two gaits in one session of the virtual robot's plant: the second begins with fins that the first has deflected."""
 
 import dataclasses
 import itertools
@@ -14,11 +14,11 @@ from worm_model.run import GaitStates, LengthSamples, PowerSamples, Run, Tracker
 from worm_msgs.robot_parameters import RobotParameters
 
 STEP_S, REST_S, PAUSE_S = 1e-3, 2.0, 6.0
-POWER_W = 1.5  # whatever it does: this robot's sensor is a dummy
+POWER_W = 1.5  # constant, as this robot's power sensor is a dummy
 
 
 def recorded_session(cycles: tuple[int, int] = (4, 5)) -> tuple[Run, Run]:
-    """Two recordings of `GAIT`, cut in the rest between; positions go on from the first to the second."""
+    """Return two recordings of `GAIT`, cut in the rest between; the second continues at the positions of the first."""
     first, again = 0.0, cycles[0] * GAIT.period + PAUSE_S
     end = again + cycles[1] * GAIT.period + 0.3
     time = np.arange(round(-REST_S / STEP_S), round(end / STEP_S)) * STEP_S
@@ -36,7 +36,7 @@ def recorded_session(cycles: tuple[int, int] = (4, 5)) -> tuple[Run, Run]:
 
 
 def joined_session() -> Run:
-    """The same as one recording of both gaits."""
+    """Return the same as one recording of both gaits."""
     first, second = recorded_session()
     series = {}
     for field in dataclasses.fields(Run):
@@ -50,7 +50,7 @@ def joined_session() -> Run:
 
 
 def _positions(command: np.ndarray) -> np.ndarray:
-    """x1 and x2 (n, 2) m of a robot with the paper's parameters and alike grooves."""
+    """Return x1 and x2 (n, 2), m, of a robot with the paper's parameters and equal grooves."""
     names = (field.name for field in dataclasses.fields(RobotParameters))
     body = RobotParameters(**{name: getattr(PAPER, name) for name in names})
     effects = PlantEffects(0.0, 0.0, 1e-4, 0.5)

@@ -19,7 +19,7 @@ block_points: 1
 
 
 def contents(store: Path) -> dict[str, str]:
-    """Hash of every file of a store, by its name in it."""
+    """Return the hash of every file of a store, by its name in the store."""
     return {
         str(file.relative_to(store)): hashlib.sha256(file.read_bytes()).hexdigest()
         for file in sorted(store.rglob("*"))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Samples for the twin with names, as tests write them, and what the twin makes of them."""
+"""Samples for the twin with names, as tests write them, and the twin's output for them."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def rows_of(samples: Sequence[Sample]) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Told:
-    """What the twin said, in records with attributes; residuals have a ``message``."""
+    """Output of the twin, in records with attributes; residuals have a ``message``."""
 
     states: list
     residuals: list
@@ -106,7 +106,7 @@ def follow(
     state: TwinState | None = None,
     end: bool = True,
 ) -> Told:
-    """The samples through a twin, so many at a time (0: all at once), to the end."""
+    """Pass the samples to a twin, ``chunk`` at a time (0: all at once), to the end."""
     twin = twin or Twin()
     state = state or twin.start()
     rows = rows_of(samples)
@@ -128,7 +128,7 @@ def follow(
 
 
 class _Record:
-    """A row with attributes; equal if every number is, to the bit."""
+    """Row with attributes; equal if every number is bitwise equal."""
 
     def __init__(self, row: np.void, message: str = "") -> None:
         self._row, self.message = row.item(), message
@@ -150,12 +150,12 @@ class _Record:
 
 
 def finite(values: Sequence[float]) -> list[float]:
-    """Those that are numbers."""
+    """Return the values that are finite."""
     return [value for value in values if math.isfinite(value)]
 
 
 def run_of_rows(rows: np.ndarray, memories: Sequence[tuple[int, str]] = ()) -> Run:
-    """Rows of SAMPLE in the order of their reception as a recorded run, with stored memories (stamp in ns, text)."""
+    """Return rows of SAMPLE in order of reception as a recorded run, with stored memories (stamp in ns, text)."""
 
     def of(kind: Kind) -> np.ndarray:
         return rows[rows["kind"] == kind]

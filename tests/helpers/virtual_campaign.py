@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Campaigns of robots whose parameters are known, as identification gets them: the truth of its tests and benchmark."""
+"""Campaigns of robots with known parameters, as input of the identification:
+
+the ground truth of its tests and benchmark.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,7 @@ from worm_model.parameters import PAPER, Parameters
 from worm_model.run import GaitStates, LengthSamples, PowerSamples, Run, TrackerSamples
 from worm_model.simulation.simulator import simulate
 
-# Gaits and durations (s) that pass five ridges, those of a usual campaign
+# Gaits and durations (s) that pass five ridges, as in a usual campaign
 CAMPAIGN = (
     (Gait(0.06, 0.1), 34.5),
     (Gait(0.06, 0.2), 17.6),
@@ -33,12 +36,12 @@ CAMPAIGN = (
     (Gait(0.09, 0.2), 7.5),
 )
 SHORT = (CAMPAIGN[4], CAMPAIGN[5], CAMPAIGN[6], CAMPAIGN[7])
-SPREAD = 0.05  # relative, of the true parameters around the virtual robot's
+SPREAD = 0.05  # relative, of the true parameters about the virtual robot's
 FORCE_NOISE = 0.12, 0.35  # N, of the fin and of the bellows test
 REST, REST_UNDER_PRETENSION = (
     2.0,
     3.0,
-)  # s before a gait, in the first half of which the cable is tensioned
+)  # s before a gait; the cable is tensioned in their first half
 EPOCH = 10**18  # ns
 RESTING, RUNNING = 2, 3
 TICK = 2.0 * np.pi / 4096  # rad
@@ -46,7 +49,7 @@ TICK = 2.0 * np.pi / 4096  # rad
 
 @dataclass(frozen=True)
 class VirtualCampaign:
-    """What identification is given, a scale's and a ruler's errors in it, and the true parameters."""
+    """Input of the identification, which includes errors of a scale and a ruler, and the true parameters."""
 
     inputs: Inputs
     reference: ReferenceValues
@@ -56,7 +59,7 @@ class VirtualCampaign:
 def virtual_campaign(
     seed: int, plan: Sequence[tuple[Gait, float]] = CAMPAIGN, spread: float = SPREAD
 ) -> VirtualCampaign:
-    """Runs of one robot in one pipe, with noise of their own, and its bench tests."""
+    """Return runs of one robot in one pipe, each with its own noise, and the robot's bench tests."""
     settings = dataclasses.replace(load_settings(), seed=seed, parameter_spread=spread)
     recordings, truth = [], PAPER
     for index, (gait, duration) in enumerate(plan):
@@ -74,7 +77,7 @@ def virtual_campaign(
 
 
 def read_off(truth: Parameters, random: np.random.Generator) -> Parameters:
-    """The paper's values, but what a scale and a ruler say of the true ones, to within their bounds in 95 %."""
+    """Return the paper's values, except those read off a scale and a ruler, which are within their bounds in 95 %."""
     return PAPER.replace(
         **{
             key: getattr(truth, key) + reading / 1.96 * random.standard_normal()
@@ -84,7 +87,7 @@ def read_off(truth: Parameters, random: np.random.Generator) -> Parameters:
 
 
 def bench_tests(truth: Parameters, random: np.random.Generator) -> tuple[BenchTest, BenchTest]:
-    """A bellows and a fin test as a lab does them."""
+    """Return a bellows and a fin test as a lab performs them."""
     x = np.linspace(-0.012, 0.012, 97)
     force = truth.engaged_stiffness * np.minimum(x + 0.5 * truth.clearance, 0.0)
     force += truth.disengaged_stiffness * np.maximum(x - 0.5 * truth.clearance, 0.0)
@@ -96,7 +99,7 @@ def bench_tests(truth: Parameters, random: np.random.Generator) -> tuple[BenchTe
 
 
 def run_of(rehearsal: Rehearsal, gait: Gait, settings: RobotSettings) -> Run:
-    """A rehearsal as a bag would hold it."""
+    """Return a rehearsal as a bag would contain it."""
     servo = settings.cable_servos[0]
     metres = -servo.sign * servo.spool_radius * TICK
     power = rehearsal.bus_voltage * rehearsal.current
@@ -116,7 +119,7 @@ def make_run(
     command: tuple[np.ndarray, np.ndarray],
     power: tuple[np.ndarray, np.ndarray],
 ) -> Run:
-    """A run of (time s, x1 m, x2 m), (time s, u_cmd m) and (time s, power W), onset in s."""
+    """Return a run of (time s, x1 m, x2 m), (time s, u_cmd m) and (time s, power W), onset in s."""
 
     def stamp(time: np.ndarray) -> np.ndarray:
         return EPOCH + np.rint(np.asarray(time) * 1e9).astype(np.int64)
@@ -149,7 +152,7 @@ def make_run(
 
 @dataclass(frozen=True)
 class Instruments:
-    """Noise of camera (m) and power sensor (W), and by how many s their clocks are behind the servo's."""
+    """Noise of camera (m) and power sensor (W), and the delays (s) of their clocks relative to the servo's."""
 
     camera_noise: float = 0.0002
     power_noise: float = 0.02
@@ -166,7 +169,7 @@ def exact_run(
     seed: int = 0,
     duration: float = 12.0,
 ) -> Run:
-    """A run of a robot that is exactly as the model says."""
+    """Return a run of a robot that follows the model exactly."""
     random = np.random.default_rng(seed)
     rest = instruments.rest
     cycles = int(np.ceil((duration + 1.0) * gait.frequency))

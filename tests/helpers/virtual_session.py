@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sessions of gaits on the virtual robot in virtual time: the driver's own core, byte for byte, and its topics.
 
-A session yields the samples of the twin in the order in which they would be received, and the truth of the plant.
+A session yields the samples of the twin in the order of their reception, and the true state of the plant.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _STATE = {
 
 @dataclass(frozen=True)
 class Played:
-    """A gait of a session: its span (ns), and the grooves that x1's anchor gained along +x in each complete cycle."""
+    """Gait of a session: its span (ns), and the grooves that x1's anchor gained along +x in each complete cycle."""
 
     gait: Gait
     onset_ns: int
@@ -56,12 +56,12 @@ class Played:
 
 
 def virtual_settings(seed: int = 1, **changes: object) -> RobotSettings:
-    """The installed virtual robot's, with another seed; ``changes`` are those of its sections."""
+    """Return the settings of the installed virtual robot with another seed; ``changes`` apply to its sections."""
     return replace(installed_robot().with_seed(seed), **changes)
 
 
 class _Rig(Rig):
-    """A rig that counts the valid power samples of a long session instead of keeping them."""
+    """Rig that counts the valid power samples of a long session instead of storing them."""
 
     valid = 0
 
@@ -70,7 +70,7 @@ class _Rig(Rig):
 
 
 class Session:
-    """One graph: a virtual robot that goes on from gait to gait, and its driver."""
+    """One graph: a driver, and a virtual robot that continues from gait to gait."""
 
     def __init__(self, virtual: RobotSettings | None = None) -> None:
         self.rig: Rig = _Rig(virtual=VirtualRobot(virtual or virtual_settings()))
@@ -85,12 +85,12 @@ class Session:
 
     @property
     def now_ns(self) -> int:
-        """The robot's time."""
+        """Time of the robot, ns."""
         return EPOCH + round(self.rig.clock.now * 1e9)
 
     @property
     def rows(self) -> np.ndarray:
-        """All samples so far, in the order of reception."""
+        """All samples so far, in order of reception."""
         return np.array(self._rows, SAMPLE)
 
     def rest(self, duration: float) -> None:
@@ -108,10 +108,10 @@ class Session:
         after: float = 2.0,
         disturb: Callable[[VirtualRobot, float], None] = lambda _robot, _time: None,
     ) -> Played:
-        """Play a gait; it is stopped (held at once) or cancelled (at the next rest) so many s after its onset.
+        """Play a gait, stopped (held at once) or cancelled (at the next rest) after a time in s from its onset.
 
-        ``before`` and ``after`` are the s that a recording of it begins earlier and ends later; ``disturb`` is called
-        with the time since the onset.
+        ``before`` and ``after`` are the times in s by which a recording begins earlier and ends later. ``disturb`` is
+        called with the time since the onset.
         """
         begin = self.now_ns
         self.rest(before)
@@ -147,7 +147,7 @@ class Session:
         return played
 
     def deactivate(self) -> None:
-        """Bring the robot to rest, and take the torque off."""
+        """Bring the robot to rest, and switch the torque off."""
         robot = self.rig.robot
         robot.ramp_to_rest(self.rig.clock.now, "the driver is deactivated")
         self._follow(LONGEST_S, lambda _: robot.released)
@@ -155,12 +155,12 @@ class Session:
         self.rest(0.1)
 
     def activate(self) -> None:
-        """Torque on."""
+        """Switch the torque on."""
         self.rig.robot.activate(self.rig.clock.now)
         self.rest(0.1)
 
     def restart_driver(self) -> None:
-        """Another driver process on the same robot; it counts its runs from 1."""
+        """Start another driver process on the same robot; it counts its runs from 1."""
         self.deactivate()
         self.rig = _Rig(self.rig.settings, self.rig.virtual, self.rig.clock)
         self._shown = None
@@ -168,7 +168,7 @@ class Session:
         self._note()
 
     def carry(self, distance: float) -> None:
-        """A person puts the robot elsewhere (m), its fins in the nearest grooves."""
+        """Move the robot by a distance (m) as a person would, and put its fins into the nearest grooves."""
         virtual = self.rig.virtual
         plant, state = virtual.plant, virtual.state
         moved = state._replace(centre=state.centre + distance)
@@ -235,7 +235,7 @@ class Session:
 
 @dataclass(frozen=True)
 class Live:
-    """What a live twin said of a session, and the memories that it stored (stamp in ns, text)."""
+    """Output of a live twin for a session, and the memories that it stored (stamp in ns, text)."""
 
     states: np.ndarray
     residuals: np.ndarray
@@ -245,7 +245,7 @@ class Live:
 
 
 def live_twin(rows: np.ndarray, twin: Twin | None = None, many: int = 9) -> Live:
-    """A twin as its node runs it: a few samples at a time, and its memory stored whenever that is due."""
+    """Run a twin as its node does: a few samples at a time, with its memory stored when that is due."""
     twin = twin or Twin()
     state, times = twin.start(), StoringTimes()
     outputs, memories = [], []
@@ -266,7 +266,7 @@ def live_twin(rows: np.ndarray, twin: Twin | None = None, many: int = 9) -> Live
 def recording(
     rows: np.ndarray, memories: Sequence[tuple[int, str]], begin_ns: int, end_ns: int
 ) -> Run:
-    """What a recorder writes from ``begin_ns`` to ``end_ns``: what comes then, and the last words of latched topics."""
+    """Return a recording from ``begin_ns`` to ``end_ns``: its samples, preceded by the latched messages."""
     words = rows[(rows["kind"] == Kind.GAIT) & (rows["stamp"] < begin_ns)][-1:]
     part = rows[(rows["stamp"] >= begin_ns) & (rows["stamp"] <= end_ns)]
     delay = round((DEFAULTS.delay_s + DEFAULTS.measured_stale_s) * 1e9)

@@ -23,7 +23,7 @@ def pytest_runtest_makereport(item: pytest.Item):
 
 @pytest.fixture
 def processes(ros_domain: int, tmp_path: Path) -> Iterator[Processes]:
-    """Starts installed executables; none outlives the test."""
+    """Start installed executables, and end them after the test."""
     folder = tmp_path / "logs"
     folder.mkdir()
     with Processes(folder) as group:
@@ -32,7 +32,7 @@ def processes(ros_domain: int, tmp_path: Path) -> Iterator[Processes]:
 
 @pytest.fixture
 def probe(ros_domain: int) -> Iterator[Probe]:
-    """A node of the test's own: subscriptions, service and action calls with deadlines."""
+    """Create a node of the test with subscriptions, and service and action calls with deadlines."""
     probe = Probe(ros_domain)
     yield probe
     probe.close()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The campaign on the virtual robot, with real processes: two short gaits in the place of three."""
+"""The campaign on the virtual robot, with real processes: two short gaits instead of three."""
 
 from pathlib import Path
 

@@ -31,7 +31,7 @@ ARGUMENTS = (
 TIMEOUT_S = 600.0  # includes the compilation of a kernel and a report, both with low priority on a busy machine
 PASSWORD = "dirty hands"
 BAGS = Path(__file__).parents[2] / "bags"
-LARGEST_SHIFT = 0.1  # sum of a walk; a page counts as stable below it (web.dev/cls)
+LARGEST_SHIFT = 0.1  # sum over all pages; a page counts as stable below it (web.dev/cls)
 OBSERVE_SHIFTS = """
 window.shifts = {sum: 0, observed: PerformanceObserver.supportedEntryTypes.includes("layout-shift")};
 new PerformanceObserver((list) => list.getEntries().forEach((shift) => shifts.sum += shift.value))
@@ -72,7 +72,7 @@ class Console:
         port = free_port()
         self.address = f"http://127.0.0.1:{port}/"
         words = ["--port", str(port), "--bags", str(self.bags), *arguments]
-        words += ["--control-timeout", str(TIMEOUT_S)]  # a busy machine takes no control away
+        words += ["--control-timeout", str(TIMEOUT_S)]  # a page on a busy machine keeps control
         command = executable_command("worm_optimizer", "console")
         command = [
             "env",
@@ -80,7 +80,7 @@ class Console:
             "PYTEST_CURRENT_TEST",
             *command,
             *words,
-        ]  # else NiceGUI tests itself
+        ]  # otherwise NiceGUI tests itself
         self.process = processes.start(f"console_{port}", command)
         self.process.wait_for_line(re.escape(self.address), TIMEOUT_S)
 
@@ -110,7 +110,7 @@ def state(page: "sync_api.Page") -> "sync_api.Locator":
 
 
 def status(page: "sync_api.Page") -> "sync_api.Locator":
-    """The label of the footer with the present command or the latest message."""
+    """Return the label of the footer with the present command or the latest message."""
     return page.get_by_role("contentinfo").get_by_role("status")
 
 
@@ -126,8 +126,8 @@ def choose_a_gait(page: "sync_api.Page") -> None:
     page.get_by_role("button", name="Read front").click()
     points = page.locator('.front svg path[fill="#0072B2"]')
     expect(points.first).to_be_visible()
-    points.last.click()  # the others lie partly below their neighbours
-    page.get_by_label("How many").fill("1000")  # a busy browser sees the run before its end
+    points.last.click()  # the others are partly below their neighbours
+    page.get_by_label("How many").fill("1000")  # a busy browser shows the run before its end
     expect(page.get_by_role("button", name="Run", exact=True)).to_be_enabled()
 
 
@@ -284,7 +284,7 @@ def test_no_tab_violates_the_rules_of_accessibility(
 def test_no_tab_shifts_what_a_person_looks_at(
     page: "sync_api.Page", processes: Processes, tmp_path: Path
 ):
-    """Shifts after a click count, too: the browser's own sum leaves them out."""
+    """Shifts after a click count, too, although the browser's own sum excludes them."""
     expect = sync_api.expect
     console = Console(processes, tmp_path)
     shutil.copytree(BAGS / "forward", console.bags / "forward")

@@ -31,13 +31,13 @@ pytestmark = pytest.mark.timeout(300)
 
 
 def processes_with(text: str) -> list[str]:
-    """Command lines of the running processes that contain a text."""
+    """Return the command lines of the running processes that contain a text."""
     lines = []
     for path in Path("/proc").glob("[0-9]*/cmdline"):
         try:
             words = path.read_bytes().split(b"\0")
         except OSError:
-            continue  # it has just ended
+            continue  # the process has just ended
         line = b" ".join(words).decode(errors="replace")
         if text in line:
             lines.append(line)
@@ -46,7 +46,7 @@ def processes_with(text: str) -> list[str]:
 
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory, module_domain):
-    """One finished demo: its JSON output and its log."""
+    """Result of one finished demo: its JSON output and its log."""
     folder = tmp_path_factory.mktemp("demo")
     with Processes(folder) as group:
         demo = group.start_executable(
@@ -63,7 +63,7 @@ def test_predictions_and_measurements_are_there_and_agree(demo):
     for source in ("twin", "predicted"):
         assert demo[source]["speed"] == pytest.approx(measured["speed"], rel=0.05)
         assert demo[source]["power"] == pytest.approx(measured["power"], rel=0.15)
-        # of one another they know nothing: to the last digit they differ
+        # both are computed independently: the last digits differ
         assert demo[source]["power"] != measured["power"]
     assert demo["robust"]["power"] == demo["gait"]["power"]
 
@@ -117,7 +117,7 @@ def test_mcap_ros2_support_reads_the_bag(demo):
 
 
 def test_an_interrupted_demo_leaves_no_process_and_a_whole_bag(processes, tmp_path):
-    """By SIGTERM, which takes the way of Ctrl-C and one more step (termination_as_interrupt)."""
+    """The signal is SIGTERM, which is handled like Ctrl-C with one more step (termination_as_interrupt)."""
     bags = tmp_path / "bags"
     demo = processes.start_executable("worm_optimizer", "demo", "--bags", str(bags))
     demo.wait_for_line("cycle 1 of 5", DEMO_TIMEOUT_S)

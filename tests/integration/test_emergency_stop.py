@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Publishers of the emergency stop over real DDS: whose false permits a reset, and whose end does."""
+"""Publishers of the emergency stop over real DDS:
+
+whose false permits a reset, and which of them trigger a stop by their end.
+"""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -24,7 +27,7 @@ QUALITIES = (
 
 
 class Stops:
-    """The stop services of a driver that has nothing open, and clients with several publishers."""
+    """The stop services of a driver that has opened nothing, and clients with several publishers."""
 
     def __init__(self, probe: Probe, folder: Path) -> None:
         self.probe = probe
@@ -57,7 +60,7 @@ class Stops:
         return self.probe.call(Trigger, "reset_emergency_stop", Trigger.Request())
 
     def reset_when_permitted(self) -> str:
-        """Reset as soon as what was published before has arrived; the topic and the service are not ordered."""
+        """Reset as soon as the published messages have arrived; topic and service are not ordered."""
 
         def permitted() -> str | None:
             answer = self.reset()
@@ -116,7 +119,7 @@ def test_a_publisher_that_ended_with_true_leaves_the_stop_on_and_a_reset_is_poss
     assert stops.latch.on
     assert "1 of its publishers ended" in stops.reset_when_permitted()
     assert not stops.latch.on
-    stops.press(stops.button(LATCHED))  # it comes back, still pressed
+    stops.press(stops.button(LATCHED))  # the publisher comes back, still pressed
     assert not stops.reset().success
 
 

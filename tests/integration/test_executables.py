@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What holds for every executable with ROS: how it is loaded, and what a node does with what it has no use for."""
+"""Facts about every executable with ROS:
+
+how it is loaded, and how a node handles arguments and parameters that it lacks.
+"""
 
 import signal
 from pathlib import Path
@@ -32,7 +35,7 @@ COMMANDS = {
 
 
 def loads(process: Process, library: str) -> bool:
-    """Whether a process has begun to load a library."""
+    """Return True if a process has begun to load a library."""
     try:
         return library in Path(f"/proc/{process.pid}/maps").read_text()
     except OSError:
@@ -41,7 +44,7 @@ def loads(process: Process, library: str) -> bool:
 
 @pytest.fixture
 def arguments(tmp_path: Path) -> dict[str, list[str]]:
-    """What an executable needs on its command line."""
+    """Return the arguments that an executable requires."""
     return {
         "virtual_robot": ["--directory", str(tmp_path / "robot")],
         "record": ["--all", "--output", str(tmp_path / "bag")],

@@ -15,7 +15,7 @@ from worm_msgs.msg import Gait, GaitState
 from worm_optimizer.operation.processes import executable_command
 from worm_optimizer.operation.system import MODES
 
-# What every node or every lifecycle node has.
+# Topics and services of every node, or of every lifecycle node.
 COMMON_SERVICES = re.compile(
     r"/(describe_parameters|get_parameter_types|get_parameters|list_parameters|set_parameters(_atomically)?|"
     r"get_type_description|get_available_(states|transitions)|get_transition_graph)$"
@@ -28,7 +28,7 @@ OF_OPERATORS = (
     "heartbeat",
     "emergency_stop",
     "control/request",
-)  # published by who asks for gaits, and here nobody does
+)  # published by clients that start gaits; this graph has none
 
 
 @pytest.fixture
@@ -54,8 +54,9 @@ def test_each_node_ends_on_ctrl_c_and_the_driver_stops_the_servos(worm, probe):
         probe.wait_for(lambda cycle=cycle: states[-1].cycle > cycle, f"cycle without {name}")
         assert states[-1].state == GaitState.RUNNING
 
-    worm.processes.processes["recorder"].interrupt()  # it goes on to the rest, see --to-rest
-    # Within 1.5 s, less than a cycle, a second signal belongs to the same Ctrl-C.
+    # The recorder continues until the robot rests, see --to-rest.
+    worm.processes.processes["recorder"].interrupt()
+    # Within 1.5 s, a second signal belongs to the same Ctrl-C. A cycle is longer.
     cycle = states[-1].cycle
     probe.wait_for(lambda: states[-1].cycle > cycle + 1, "cycle with a recorder asked to end")
     assert worm.processes.processes["recorder"].exit_code is None
@@ -80,7 +81,7 @@ def test_topics_services_and_actions_are_those_of_the_documentation(worm, probe)
         heard = {n: k for n, k in topics.items() if node.count_publishers(n) and "/_" not in n}
         return {n: k for n, k in heard.items() if not n.endswith("/transition_event")}
 
-    absent = ("/", "camera/", *OF_OPERATORS)  # what is not the namespace's own, and no camera
+    absent = ("/", "camera/", *OF_OPERATORS)  # names outside of the namespace, and no camera
     topics = {name: row for name, row in rows_of("Topics").items() if not name.startswith(absent)}
     probe.wait_for(lambda: set(published()) >= set(topics), "all topics")
     assert {n: k.replace("/msg", "") for n, k in published().items()} == {

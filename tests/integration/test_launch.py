@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""worm.launch.py under ROS' own launch, with virtual robots; skipped where launch is not installed (it is no wheel)."""
+"""worm.launch.py under launch of ROS, with virtual robots.
+
+The tests are skipped where launch is not installed (it is not a wheel).
+"""
 
 import os
 import re
@@ -55,7 +58,7 @@ def generate_launch_description():
 
 @pytest.fixture
 def launched(processes, tmp_path, monkeypatch):
-    """Starts worm.launch.py with arguments."""
+    """Start worm.launch.py with arguments."""
     monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "ros_logs"))
     monkeypatch.setenv("PYTHONUNBUFFERED", "1")
     processes._env = dict(os.environ)
@@ -127,7 +130,7 @@ def test_after_one_failure_a_robot_is_its_operators(launched, probe, processes, 
 
 
 def test_launch_is_as_patient_as_a_slow_return(launched, probe, tmp_path):
-    """The return from ΔL = -60 mm at 12 mm/s takes 8 s, more than launch waits by itself, and is recorded."""
+    """The return from ΔL = -60 mm at 12 mm/s takes 8 s, longer than launch waits by default, and is recorded."""
     file = tmp_path / "driver.yaml"
     file.write_text("/worm/driver: {ros__parameters: {return_speed_m_per_s: 0.012}}\n")
     launch = launched(*virtual(tmp_path, driver_file=file, bag=tmp_path / "bag"))
@@ -167,7 +170,7 @@ def test_sigterm_to_launch_leaves_no_gait_running(launched, probe, tmp_path):
 
 
 def test_two_robots_of_one_launch_file_do_not_mix(launched, probe, tmp_path):
-    """Under a PushRosNamespace, each with a twin of its own."""
+    """Each is under a PushRosNamespace, with its own twin."""
     file = tmp_path / "pair.launch.py"
     file.write_text(PAIR.format(folder=tmp_path))
     launch = launched(file=(str(file),))
@@ -194,7 +197,7 @@ def test_two_robots_of_one_launch_file_do_not_mix(launched, probe, tmp_path):
             (probe.node.count_publishers, "twin/state"),
             (probe.node.count_subscribers, "body_length/commanded"),
             (probe.node.count_publishers, "clock"),
-            (probe.node.count_subscribers, "clock"),  # its twin
+            (probe.node.count_subscribers, "clock"),  # the twin of the robot
         )
     ]
     probe.wait_for(lambda: all(count(topic) for count, topic in once), "nodes of both", START_S)
@@ -240,7 +243,7 @@ def test_ctrl_c_during_the_shutdown_after_a_crash_leaves_nothing_behind(
     assert launch.wait(START_S) in (
         1,
         -signal.SIGINT,
-    )  # the latter where it was about to end already
+    )  # the latter if it was already ending
     assert launch.last_line().endswith("torque may be on")
     assert not any(map(runs, pids(launch.output()).values()))
 
@@ -289,7 +292,7 @@ STATES = {
 def test_a_second_graph_never_commands_the_first_robot(
     launched, probe, processes, tmp_path, state, discovery
 ):
-    """Whatever it has discovered by then; with discovery off, that is nothing."""
+    """This holds regardless of discovery; with discovery off, the second graph finds nothing."""
     folder = tmp_path / "first"
     robot = processes.start_node("worm_driver", "virtual_robot", "--directory", str(folder))
     robot.wait_for_line("ready:", START_S)
@@ -329,7 +332,7 @@ def test_of_two_graphs_that_start_at_once_one_starts_nothing(launched, probe, tm
 
 
 def test_a_replay_waits_for_a_twin_that_takes_its_time(launched, probe, tmp_path):
-    """As one that has yet to compile; here it is halted at its start."""
+    """The twin is halted at its start, like one that still compiles."""
     powers = probe.collect(Power, "/worm/power")
     states = probe.collect(TwinState, "/worm/twin/state")
     launch = launched("mode:=replay", f"bag:={Path(__file__).parents[2] / 'bags/forward'}")
@@ -359,13 +362,13 @@ def test_what_cannot_work_is_said_without_a_traceback(launched, words, said):
     launch = launched(*words)
     assert launch.wait(START_S) == 1
     assert said in launch.output()
-    # Of our processes, whose lines have their name before them: launch_ros itself may leave one of a thread that
-    # waits for the driver's service when all ends.
+    # Lines of our processes begin with their names. launch_ros itself may leave a traceback of a thread that waits for
+    # the driver's service during the shutdown.
     assert not re.search(r"^\[\w+-\d+\].*Traceback", launch.output(), re.MULTILINE)
 
 
 def test_the_frame_of_a_cameras_images_hangs_on_its_pose():
-    """What view.launch.py starts, without starting it: RViz and tf2 are no wheels."""
+    """Evaluate the nodes of view.launch.py without starting them: RViz and tf2 are not wheels."""
     from launch import LaunchContext
     from launch.utilities import perform_substitutions
 
@@ -373,7 +376,7 @@ def test_the_frame_of_a_cameras_images_hangs_on_its_pose():
     context = LaunchContext()
     given = {"namespace": "worm", "rviz": "false", "camera": "0.1 -0.4 0 1.57 0 0"}
     context.launch_configurations.update(given)
-    context.extend_locals({"ros_specific_arguments": defaultdict(str)})  # as of nodes that start
+    context.extend_locals({"ros_specific_arguments": defaultdict(str)})  # as in nodes that start
     *_, body, optical = runpy.run_path(str(path))["_start"](context)
     words = [
         " ".join(perform_substitutions(context, part) for part in node.cmd[1:])

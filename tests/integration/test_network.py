@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Two hosts on a cable, as network namespaces: what the second one finds of a robot on the first one."""
+"""Two hosts on a cable, as network namespaces:
+
+which processes of a robot on the first host the second one discovers.
+"""
 
 import os
 import re
@@ -13,7 +16,7 @@ from harness import TIMEOUT_S, system_file
 
 from worm_optimizer.operation.processes import Process, executable_command
 
-#: of the processes that the neighbour looks for, and what it may need at most to find them on an open network
+#: processes that the neighbour looks for, and s within which it finds them on an open network
 LOOKING_S = 12.0
 
 NEIGHBOUR = """
@@ -37,7 +40,7 @@ def _ip(*arguments: str) -> None:
 
 
 class Host:
-    """A network namespace with a cable to the other one. Its programs have a /dev/shm of their own, as hosts do."""
+    """Network namespace with a cable to the other one. Its programs have their own /dev/shm, as hosts do."""
 
     def __init__(self, name: str, address: str) -> None:
         self.name, self.address = name, address
@@ -47,12 +50,12 @@ class Host:
         return ["ip", "netns", "exec", self.name, "sh", "-c", private, "sh", *words]
 
     def tc(self, action: str, *words: str) -> str:
-        """Add or delete a queueing discipline of the cable; returns what failed."""
+        """Add or delete a queueing discipline of the cable, and return the errors."""
         command = ["ip", "netns", "exec", self.name, "tc", "qdisc", action, "dev", "cable", "root"]
         return subprocess.run([*command, *words], capture_output=True, text=True).stderr
 
     def udp_ports(self) -> list[str]:
-        """The addresses that programs of this host are bound to."""
+        """Return the addresses to which programs of this host are bound."""
         given = subprocess.run(
             ["ip", "netns", "exec", self.name, "ss", "-H", "-l", "-u", "-n"],
             check=True,
@@ -64,7 +67,7 @@ class Host:
 
 @pytest.fixture
 def hosts() -> Iterator[tuple[Host, Host]]:
-    """The robot's computer and a neighbour, on one network."""
+    """Create the robot's computer and a neighbour on one network."""
     mark = f"worm{os.getpid()}"
     robot, neighbour = Host(f"{mark}a", "10.77.0.1"), Host(f"{mark}b", "10.77.0.2")
     made = []
@@ -93,7 +96,7 @@ def hosts() -> Iterator[tuple[Host, Host]]:
 
 
 def look(host: Host, peer: Host, seconds: float) -> str:
-    """What a neighbour finds that names the robot's computer as a peer and looks as far as ROS can."""
+    """Return the nodes that a neighbour discovers with the robot's computer as a peer and the widest range of ROS."""
     widened = {
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET",
         "ROS_STATIC_PEERS": f"{peer.address};{host.address}",
@@ -124,7 +127,7 @@ def test_a_neighbour_with_static_peers_finds_nothing(processes, probe, hosts):
 
 
 def test_the_same_neighbour_finds_a_driver_that_was_let_onto_the_network(processes, probe, hosts):
-    """Else the test before would prove nothing."""
+    """Otherwise the test above would prove nothing."""
     robot, neighbour = hosts
     driver = start_driver(processes, robot, "WORM_NETWORK=1")
     driver.wait_for_line(r"network: reachable from the network \(WORM_NETWORK=1\)", TIMEOUT_S)
@@ -142,7 +145,7 @@ def test_a_second_driver_on_the_network_ends_before_it_serves_anything(processes
 
 
 def test_two_drivers_that_discover_each_other_late_do_not_start(processes, hosts):
-    """The cable between their computers carries nothing before both are ready."""
+    """The cable between their computers transmits nothing before both are ready."""
     cut = [host.tc("add", "pfifo", "limit", "0") for host in hosts]
     if any(cut):
         pytest.skip(f"a cable that drops all packets needs tc (iproute2): {cut}")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command operate on a driver and a virtual robot; its death, its silence, and the emergency stop."""
+"""The command operate on a driver and a virtual robot; its death, its loss of contact, and the emergency stop."""
 
 import json
 import signal
@@ -26,7 +26,7 @@ def _state_of_its_own(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 
 
 class Lab:
-    """A virtual robot, its driver, and somebody who operates it by commands."""
+    """Virtual robot, its driver, and an operator who uses commands."""
 
     def __init__(self, processes: Processes, probe: Probe, folder: Path) -> None:
         self.processes, self.probe, self.folder = processes, probe, folder
@@ -63,7 +63,7 @@ class Lab:
         return found
 
     def run(self, *words: str) -> Process:
-        """A run that has begun to move."""
+        """Start a run and wait until it moves."""
         process = self.begin("run", *(words or LONG), "--json")
         self.wait_for(GaitState.RUNNING)
         return process
@@ -128,7 +128,7 @@ def test_the_emergency_stop_holds_and_refuses_every_start_also_of_the_next_drive
     assert "the emergency stop is on" in lab.probe.rejection(sent)
 
     lab.processes.processes["driver"].kill()
-    lab.probe.node.destroy_publisher(button)  # a publisher that is gone can take nothing back
+    lab.probe.node.destroy_publisher(button)  # a publisher that has ended can reset nothing
     (lab.folder / "ttyUSB0").symlink_to("servo_bus")
     lab.start_driver("second_driver", "ttyUSB0")  # the same device under another name
     assert "the emergency stop is on" in lab.operate("activate", status=1)
@@ -141,7 +141,7 @@ def test_the_emergency_stop_holds_and_refuses_every_start_also_of_the_next_drive
 
 
 def test_what_is_heard_and_done_without_a_run(lab: Lab):
-    # `state` listens for a second, which beside much other work the camera may let pass
+    # `state` listens for a second. On a busy machine no camera sample may arrive in it.
     states = iter(lambda: json.loads(lab.operate("state", "--json")), None)
     state = next(each for each in states if each["rear_position"] is not None)
     assert (state["lifecycle"], state["state"], state["homed"]) == ("active", "IDLE", True)

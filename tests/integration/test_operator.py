@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The operator's calls when answers get lost, against services that are made up."""
+"""Calls of the operator when responses get lost; the services are fakes."""
 
 import pytest
 from builtin_interfaces.msg import Time
@@ -22,7 +22,7 @@ from worm_optimizer.robot_commands import GaitCommand, RunResult
 
 
 class Service:
-    """A client of a service that loses its first answers."""
+    """Client of a service that loses its first responses."""
 
     def __init__(self, kind, lost: int) -> None:
         self._kind, self._lost = kind, lost
@@ -57,7 +57,7 @@ def node(monkeypatch, ros_domain):
 
 @pytest.fixture
 def services(monkeypatch, node):
-    """Lets every client lose as many answers as are said, and counts the clients of each name."""
+    """Let every client lose a given number of responses, and count the clients of each name."""
 
     def make(lost: int) -> dict[str, list[Service]]:
         made: dict[str, list[Service]] = {}
@@ -80,7 +80,7 @@ def test_a_domain_that_ros_does_not_have_is_said(monkeypatch):
 
 def test_a_call_that_changes_nothing_more_is_made_again_by_the_same_client(node, services):
     made = services(lost=1)
-    node.activate()  # it is active: only its state is asked for
+    node.activate()  # the driver is active: only its state is requested
     node.stop()
     node.stop()
     assert {name: len(clients) for name, clients in made.items()} == {
@@ -126,7 +126,7 @@ def test_runs_that_somebody_else_asked_for_are_counted(node, probe, monkeypatch)
     states = probe.node.create_publisher(GaitState, "gait_state", LATCHED)
 
     class Run:
-        """One that ends at once, before which the driver has told its number."""
+        """Run that ends at once, after the driver has published its number."""
 
         done, progress, heard_at = True, None, 0.0
         result = RunResult(Gait(0.05, 0.2), True, "", 1, 1, *[0.0] * 6)
@@ -142,7 +142,7 @@ def test_runs_that_somebody_else_asked_for_are_counted(node, probe, monkeypatch)
         probe.wait_for(heard, f"run {number}")
 
     def begin(order) -> Run:
-        told(2, 2)  # until this one has ended, its own is nobody's
+        told(2, 2)  # until this run has ended, its number counts as another client's
         return Run()
 
     told(1, 1)
@@ -179,5 +179,5 @@ def test_nothing_is_sent_that_two_drivers_would_execute(
     with pytest.raises(OperatorError, match="/worm has 2 drivers"):
         command(node)
     assert made == {}
-    node.stop()  # which is meant for both
+    node.stop()  # which is sent to both
     assert made["stop"][0].calls == 1

@@ -30,31 +30,31 @@ def start(processes: Processes):
 
 
 class User:
-    """Asks the node as its users do."""
+    """Client of all services and actions of the node."""
 
     def __init__(self, probe: Probe) -> None:
         self._probe = probe
 
     def ask(self, objective: int = RequestGait.Request.CRUISE, direction: int = 1, **values):
-        """The answer to a request."""
+        """Return the response to a request."""
         request = RequestGait.Request(objective=objective, direction=direction, **values)
         return self._probe.call(RequestGait, "request_gait", request)
 
     def served(self, direction: int = 1):
-        """The cruising gait."""
+        """Return the cruising gait."""
         answer = self.ask(direction=direction)
         assert answer.success, answer.message
         return answer.prediction
 
     def send(self, name: str, goal):
-        """The handle of a goal."""
+        """Return the handle of a goal."""
         kind = {"optimize_gaits": OptimizeGaits, "scan_margin": ScanMargin}[name]
         handle = self._probe.send_goal(kind, name, goal, None)
         assert handle.accepted
         return handle
 
     def outcome(self, handle):
-        """How a goal ended."""
+        """Return the status with which a goal ended."""
         return self._probe.result(handle.get_result_async(), "result", timeout_s=90.0)
 
 
@@ -163,7 +163,7 @@ def test_a_new_parameter_file_invalidates_the_front(start, user, probe, tmp_path
     assert not set_parameter_file(probe, tmp_path / "absent.yaml").successful
     assert user.ask().prediction == before
     assert set_parameter_file(probe, file).successful
-    # Not a moment longer is the old front served.
+    # From now on the old front is not served.
     told = user.ask()
     assert told.prediction != before
     after = user.served()

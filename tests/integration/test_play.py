@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A bag played onto topics, and the live twin that listens."""
+"""A bag played onto topics, and a live twin that subscribes to them."""
 
 import shutil
 import signal
@@ -119,7 +119,10 @@ def test_it_starts_in_the_middle_with_what_was_latched(
 def test_who_comes_late_gets_the_last_state_of_what_is_latched(
     processes: Processes, probe: Probe, bag: Path
 ):
-    """Paused behind the last state: a hundred seconds of silence would follow, of which one state is heard."""
+    """Playing is paused after the last state.
+
+    A late subscriber receives one state; a hundred seconds without messages would follow.
+    """
     clocks = probe.collect(Clock, "/clock")
     half = ("--rate", "0.5", "--start", "6", "--paused")
     processes.start_executable("worm_model", "play", str(bag), *half)
@@ -139,7 +142,7 @@ def test_who_comes_late_gets_the_last_state_of_what_is_latched(
 def test_a_bag_of_an_older_definition_is_played_in_the_installed_layout(
     processes: Processes, probe: Probe, tmp_path: Path
 ):
-    """Its gait states come from before runs had numbers; a type that has changed is not played, which is said."""
+    """Its gait states have no run numbers yet. A type that has changed is not played but reported."""
     bag = tmp_path / "forward"
     shutil.copytree(Path(__file__).resolve().parents[2] / "bags" / "forward", bag)
     states = probe.collect(GaitState, "gait_state", LATCHED)
@@ -172,7 +175,7 @@ def test_messages_that_are_not_what_is_installed_are_not_played(
 def test_what_cannot_be_published_is_left_out_and_told(
     processes: Processes, probe: Probe, tmp_path: Path
 ):
-    """A type without a name, a topic that ROS cannot have, and a message that is cut short."""
+    """A type without a name, a topic name that ROS rejects, and a message that is cut short."""
     power = topic_of("/worm/power", "worm_msgs/msg/Power")
     samples = encode(power, 3, {"power": np.arange(3.0)}, {})
     with new_bag(tmp_path / "bag") as writer:
@@ -220,12 +223,12 @@ def test_the_live_twin_yields_what_the_offline_replay_yields(
         "worm_model", "play", str(bag), "--rate", "2", "--wait-for", "twin", "--paused"
     )
     twin = processes.start_node("worm_model", "twin_node", use_sim_time=True)
-    probe.meet("twin/get_parameters")  # the twin has found the subscription of its states, too
+    probe.meet("twin/get_parameters")  # the twin's subscription to the states is connected, too
     assert probe.call(Trigger, "player/resume", Trigger.Request()).success
     probe.wait_for(lambda: player.exit_code is not None, "end of the bag", TIMEOUT_S)
     offline = replay_run(RUN, PAPER).states
     last = int(offline["stamp_ns"][-1])
-    behind = 500_000_000  # ns, that a live twin is behind at the most, and the bag's time ends with the bag
+    behind = 500_000_000  # ns, the largest delay of a live twin; the bag's time ends with the bag
     probe.wait_for(lambda: states and stamp(states[-1]) >= last - behind, "the last states")
     twin.interrupt()
     assert twin.wait(TIMEOUT_S) == 0

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""SROS 2 policies against what the nodes really have: enough for each, and nothing beyond it (for people: enough)."""
+"""SROS 2 policies compared with the topics, services and actions of the nodes:
+
+enough for each, and no more (for people: enough).
+"""
 
 import re
 from collections.abc import Callable
@@ -16,7 +19,7 @@ from worm_optimizer.robot_commands import GaitCommand
 
 POLICIES = Path(__file__).parents[2] / "src/worm_driver/security/policies"
 ENCLAVES = {policy.name.removesuffix(".policy.xml"): policy for policy in POLICIES.glob("*.xml")}
-#: what an enclave's policy says, and what a node does about it
+#: element of a policy, and the query for the nodes' names
 RIGHTS = {
     ("topics", "publish"): "get_publisher_names_and_types_by_node",
     ("topics", "subscribe"): "get_subscriber_names_and_types_by_node",
@@ -31,7 +34,7 @@ Rights = dict[tuple[str, str], set[str]]
 
 
 def allowed(enclave: str, node: str) -> Rights:
-    """Full names of what an enclave's policy allows a node."""
+    """Return the full names that an enclave's policy allows a node."""
     profile = ElementTree.parse(ENCLAVES[enclave]).getroot().find(f".//profile[@node='{node}']")
     assert profile is not None, f"{enclave} has no profile of {node}"
     assert profile.get("ns") == NAMESPACE
@@ -50,7 +53,7 @@ def _full_name(name: str, node: str) -> str:
 
 
 def announced(probe: Probe, node: str) -> Rights:
-    """Full names of what a running node has."""
+    """Return the full names of a running node."""
     rights: Rights = {right: set() for right in RIGHTS}
     if node not in probe.node.get_node_names():
         return rights
@@ -65,9 +68,9 @@ def announced(probe: Probe, node: str) -> Rights:
 
 
 def lacking(probe: Probe, enclave: str, node: str, unused: str = "(?!)") -> list[str]:
-    """What a node has and its policy does not allow, once it has all that the policy allows.
+    """Return the names of a node that its policy does not allow, when the node has all that the policy allows.
 
-    unused: of what is allowed, what it does not use in this test.
+    ``unused`` matches allowed names that the node does not use in this test.
     """
     rights = allowed(enclave, node)
 
@@ -90,7 +93,7 @@ def lacking(probe: Probe, enclave: str, node: str, unused: str = "(?!)") -> list
 
 
 def wait(probe: Probe, condition: Callable[[], bool], what: Callable[[], list[str]]) -> None:
-    """The same as the probe's, but says what has been missing at the end."""
+    """Wait as the probe does, but fail with the names that are missing at the end."""
     try:
         probe.wait_for(condition, "all that is allowed")
     except AssertionError as error:
@@ -103,7 +106,7 @@ def test_every_node_of_a_virtual_robot_has_what_its_policy_allows_and_no_more(
     worm = VirtualWorm(processes, probe, tmp_path)
     worm.start()
     processes.start_node("worm_model", "watch")
-    people: list[Rights] = []  # what the operator has in each cycle of its gait
+    people: list[Rights] = []  # names of the operator in each cycle of its gait
     gait = Gait(stroke=0.03, frequency=0.4)
     with operator(worm.system.namespace, lambda: None) as person:
         person.activate()

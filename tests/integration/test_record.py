@@ -33,7 +33,7 @@ def tracker(number: int) -> Tracker:
 
 
 def heard(publisher: Publisher) -> None:
-    """Wait until the publisher, too, knows of the recorder: both sides learn of each other at different times."""
+    """Wait until the publisher has discovered the recorder: both sides discover each other at different times."""
     assert wait_for(lambda: publisher.get_subscription_count() > 0, TIMEOUT_S)
 
 
@@ -46,9 +46,9 @@ def publish(publisher: Publisher, numbers: range) -> None:
 
 
 def grown(probe: Probe, file: Path, send: Callable[[], None]) -> None:
-    """Send again and again until it is on the disk: a best-effort sample may be lost while both sides meet.
+    """Send a sample until the file grows: best-effort samples may be lost while both sides discover each other.
 
-    What was sent before is there first: the file has stopped growing for a while.
+    Earlier samples are written first: the file has stopped growing for a while.
     """
     sizes = [-1]
 
@@ -107,7 +107,7 @@ def test_topics_of_all_kinds_are_recorded(processes: Processes, probe: Probe, tm
 
 
 def test_what_is_lost_is_counted(processes: Processes, probe: Probe, tmp_path: Path):
-    """A subscription that keeps one message loses all but the last of what comes between two looks."""
+    """A subscription with a queue of one message loses all but the last message between two reads."""
     positions = probe.node.create_publisher(Tracker, "tracker", 1000)
     recorder = processes.start_node(
         *("worm_model", "record", "tracker", "-o", str(tmp_path / "bag"), "--depth", "1", "--json")
@@ -121,7 +121,7 @@ def test_what_is_lost_is_counted(processes: Processes, probe: Probe, tmp_path: P
     assert outcome["dropped"] > 0
     assert len(found) == outcome["messages"]
     assert found[-1] == 2999.0
-    # What was lost before the first message that arrived cannot be known.
+    # Losses before the first received message cannot be detected.
     assert outcome["dropped"] == 3000 - len(found) - found[0]
 
 
@@ -151,7 +151,7 @@ def test_all_topics_and_a_new_publisher_that_offers_less(
 def test_nothing_is_lost_or_doubled_while_it_adapts(
     processes: Processes, probe: Probe, tmp_path: Path
 ):
-    """The reliable publisher goes on while one that offers less appears; what is latched is not repeated."""
+    """The reliable publisher continues while a best-effort one appears; latched messages are not repeated."""
     states = probe.node.create_publisher(Tracker, "tracker", LATCHED)
     states.publish(tracker(0))
     recorder = processes.start_node(
@@ -174,7 +174,8 @@ def test_nothing_is_lost_or_doubled_while_it_adapts(
     newcomer = probe.node.create_publisher(Tracker, "tracker", less)
     adapted = "to a new publisher that offers less"
     probe.wait_for(lambda: send() or adapted in recorder.output(), "the second subscription")
-    probe.node.destroy_publisher(newcomer)  # while an unheard one is there, a gap may be its start
+    # While a publisher exists of which no message has arrived, a gap may be its start.
+    probe.node.destroy_publisher(newcomer)
     alone = "the old subscription is closed"
     probe.wait_for(lambda: send() or alone in recorder.output(), "the second subscription alone")
     for _ in range(50):
@@ -185,7 +186,7 @@ def test_nothing_is_lost_or_doubled_while_it_adapts(
     found = recorded(tmp_path / "bag")
     assert len(found) == len(set(found)) == outcome["messages"]
     assert found == sorted(found)
-    # What was replaced before the first look, or lost at the end, leaves no gap.
+    # Messages that were replaced before the first read, or lost at the end, leave no gap.
     assert outcome["messages"] + outcome["dropped"] == found[-1] - found[0] + 1
     assert found[0] <= 1
 
@@ -215,7 +216,7 @@ def test_a_killed_recorder_leaves_a_bag_that_is_recovered(
 def test_a_full_disk_ends_the_recording_and_says_so(
     processes: Processes, probe: Probe, tmp_path: Path
 ):
-    """The system refuses to let the file grow, as a full disk does."""
+    """The system does not let the file grow, as on a full disk."""
     command = executable_command("worm_model", "record")
     limited = ["sh", "-c", 'ulimit -f 100; exec "$@"', "sh", *command]  # 51,200 or 102,400 bytes
     recorder = processes.start(
@@ -277,7 +278,7 @@ def test_it_pauses_splits_stops_and_starts_when_asked(
         return str(answer.message)
 
     names = probe.call(ListParameters, "recorder/list_parameters", ListParameters.Request())
-    assert "use_sim_time" in names.result.names  # as of every node
+    assert "use_sim_time" in names.result.names  # as for every node
     values = GetParameters.Request(names=names.result.names)
     read = probe.call(GetParameters, "recorder/get_parameters", values).values
     assert len(read) == len(values.names) > 0
@@ -320,7 +321,7 @@ def test_the_last_seconds_are_written_when_the_twin_raises_an_alarm(
     for publisher in (positions, events):
         probe.wait_for(lambda p=publisher: p.get_subscription_count() > 0, "the recorder")
     publish(positions, range(20))
-    events.publish(TwinEvent(message="a run begins"))  # only worth a word
+    events.publish(TwinEvent(message="a run begins"))  # a message without an alarm
     assert events.wait_for_all_acked(ACKNOWLEDGED)
     assert not list(tmp_path.glob("bag*"))
     events.publish(TwinEvent(code=TwinEvent.CABLE_SLIP, message="the cable slipped"))
@@ -346,7 +347,7 @@ def test_a_folder_that_is_removed_is_noticed_at_once(
 
 
 def test_each_run_of_a_gait_is_noted_once(processes: Processes, probe: Probe, tmp_path: Path):
-    """Also the same gait anew, and however many states a run has."""
+    """A repetition of the same gait is a run, too, and the number of states in a run does not matter."""
     states = probe.node.create_publisher(GaitState, "gait_state", 1000)
     recorder = processes.start_node(
         *("worm_model", "record", "gait_state", "-o", str(tmp_path / "bag"))
@@ -371,7 +372,7 @@ def test_each_run_of_a_gait_is_noted_once(processes: Processes, probe: Probe, tm
 def test_it_goes_on_after_ctrl_c_until_the_driver_has_let_go(
     processes: Processes, probe: Probe, tmp_path: Path, way: str
 ):
-    """As where ros2 launch asks all to end at once: the way to rest belongs to the recording."""
+    """ros2 launch ends all processes at once, and the way to rest belongs to the recording."""
     states = probe.node.create_publisher(GaitState, "gait_state", LATCHED)
     positions = probe.node.create_publisher(Tracker, "tracker", 1000)
     patience = [] if way == "is not waited for" else ["--to-rest"]

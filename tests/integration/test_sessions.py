@@ -22,13 +22,13 @@ from worm_optimizer.operation.processes import Process
 NANOSECONDS = 10**9
 WORDS_NS = (
     2 * NANOSECONDS
-)  # of rest at a recording's end, of which the live twin had not said all by then
-MANY = "40"  # cycles of a gait that is ended before
+)  # rest at a recording's end; longer than the delay of the live twin's output
+MANY = "40"  # cycles of a gait that is ended earlier
 
 
 @dataclass(frozen=True)
 class Step:
-    """A gait of the session; ``end`` is how it ends, ``hidden`` whether the camera sees no marker."""
+    """Gait of the session; ``end`` is its outcome, ``hidden`` is True if the camera sees no marker."""
 
     gait: tuple[str, ...]
     cycles: str = "2"
@@ -55,12 +55,12 @@ SESSION = (
 
 
 class Lab:
-    """The graph, and a person who operates it by commands."""
+    """The graph, and an operator who uses commands."""
 
     def __init__(self, processes: Processes, probe: Probe, folder: Path) -> None:
         self.processes, self.probe, self.folder = processes, probe, folder
         worm = VirtualWorm(processes, probe, folder, rate="2")
-        # `operate run` would look for a missing optimizer for seconds; it records by itself
+        # `operate run` would search for a missing optimizer for seconds; it records by itself
         nodes = tuple(node for node in worm.system.nodes if node.name != "recorder")
         worm.system = replace(worm.system, nodes=nodes)
         worm.start()
@@ -81,7 +81,7 @@ class Lab:
         assert process.wait(4 * TIMEOUT_S) == 0, process.output()
 
     def run(self, step: Step, folder: Path) -> Path:
-        """Play and record a gait; returns its bag."""
+        """Play and record a gait, and return its bag."""
         if step.hidden:
             self.operate("fault", "occluded", "--duration", "1000")
         words = ("run", *step.gait, "--cycles", step.cycles, "--record", str(folder), "--json")
@@ -115,7 +115,7 @@ def printed(main, capsys, monkeypatch, *words: str) -> dict:
 
 
 def live_words(bag: Path, onset_s: float) -> tuple[str, list[tuple[str, int]]]:
-    """(worst health, codes with their cycles) that the live twin published into a bag from an onset on."""
+    """Return the worst health, and codes with their cycles, that the live twin published into a bag after an onset."""
     with open_bag(bag) as opened:
         names = {topic.name.rpartition("twin/")[2]: topic for topic in opened.topics.values()}
         topics = [names[name] for name in ("residuals", "events") if names[name].count]
@@ -145,7 +145,7 @@ def test_ten_gaits_in_a_row_are_healthy_live_in_the_table_and_replayed(
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     lab = Lab(processes, probe, tmp_path)
     made = [lab.run(step, tmp_path / "bags") for step in SESSION]
-    # Of the table's alone: the processes above find their compiled code in the user's.
+    # Only the table uses this cache: the processes above use the compiled code of the user's cache.
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     rows = printed(bags.main, capsys, monkeypatch, "table", str(tmp_path / "bags"))["runs"]
     by_bag = {Path(row["bag"]).name: row for row in rows}
@@ -166,6 +166,6 @@ def test_ten_gaits_in_a_row_are_healthy_live_in_the_table_and_replayed(
                 assert cycle["measured_grooves"] is None
                 continue
             assert math.isfinite(cycle["measured_grooves"])
-            # The first cycle begins where the gait before has bent the fins, up to a third of a pitch off.
+            # The first cycle begins with fins that the gait before has deflected by up to a third of a pitch.
             off = abs(cycle["grooves"] - cycle["measured_grooves"])
             assert off < (0.75 if cycle["number"] == 1 else 0.25), (step, cycle)

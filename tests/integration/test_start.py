@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command start: the graph comes up, is operated, is the only one, and ends without a trace."""
+"""The command start: the graph starts, accepts commands, rejects a second graph, and ends without traces."""
 
 import json
 import os
@@ -60,7 +60,7 @@ def test_after_a_crash_of_the_driver_the_last_line_warns_of_torque(
 def command_line(file: Path) -> str:
     try:
         return file.read_text()
-    except OSError:  # it has ended
+    except OSError:  # the process has ended
         return ""
 
 

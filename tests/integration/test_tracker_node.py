@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""tracker_node as a process: images over DDS in, positions out; and the virtual robot before a camera."""
+"""tracker_node as a process: images over DDS in, positions out; and the virtual robot in front of a camera."""
 
 import math
 from array import array
@@ -21,7 +21,7 @@ BEST_EFFORT = QoSProfile(depth=2, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 @pytest.fixture(scope="module")
 def pictures() -> list[np.ndarray]:
-    """Rear module at 0, 1 and 2 mm; then hidden."""
+    """Return images of a rear module at 0, 1 and 2 mm; in the last one it is hidden."""
     camera = VirtualCamera(SETTINGS, 5)
     return [camera.image(np.array([[x, LENGTH]])) for x in (0.0, 0.001, 0.002, math.nan)]
 
@@ -42,7 +42,7 @@ def start(processes, **parameters):
 
 
 def send_until(probe, publisher, message, condition, what):
-    """A sample that finds no subscriber yet is sent again."""
+    """Send a sample until it has an effect: a sample without a subscriber is lost."""
 
     def sent():
         publisher.publish(message)
@@ -136,7 +136,7 @@ def test_a_folder_of_images_is_played(processes, probe, pictures, tmp_path):
 
 
 def test_the_virtual_robot_is_found_in_its_images(processes, probe, tmp_path: Path):
-    """From the plant through pixels to the topic: the robot rests, so where it is is known."""
+    """The whole path from the plant through pixels to the topic: the robot rests at a known position."""
     robot = processes.start_node(
         "worm_driver", "virtual_robot", "--directory", str(tmp_path / "robot"), "--camera"
     )

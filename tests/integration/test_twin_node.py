@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The twin node as a process: what it publishes is what the core makes of the same messages."""
+"""The twin node as a process: it publishes the core's results for the same messages."""
 
 import math
 import os
@@ -38,11 +38,11 @@ from worm_msgs.srv import PredictGait  # noqa: E402
 GAIT = Gait(0.07, 0.4)
 MESSAGE = GaitMessage(stroke=GAIT.stroke, frequency=GAIT.frequency, direction=1)
 ONSET = 1_700_000_000_000_000_000
-BEHIND = 47  # samples at 100 Hz by which the twin's states come after the newest
+BEHIND = 47  # number of samples at 100 Hz by which the twin's states lag behind the newest
 
 
 class Robot:
-    """Publishes what a robot would, with stamps of its own."""
+    """Publisher of a robot's topics, with stamps of its own."""
 
     def __init__(self, probe: Probe) -> None:
         node = probe.node
@@ -63,7 +63,7 @@ class Robot:
         self.publishers[topic].publish(message)
 
     def wait_until_heard(self) -> None:
-        """Until the twin has counted all that was sent."""
+        """Wait until the twin has counted all samples that were sent."""
         self.probe.wait_for(
             lambda: samples_counted(self.diagnostics) >= len(self.sent), "word of all samples"
         )
@@ -78,7 +78,7 @@ class Robot:
         length = BodyLength(source=BodyLength.COMMANDED, length_change=command)
         self.send("body_length/commanded", time, length)
         self.send("power", time, Power(status=Power.VALID, power=1.0))
-        # The mean of any number of these is exact, however many have come when the run begins.
+        # The mean of any number of these is exact, regardless of how many have arrived when the run begins.
         self.send("tracker", time, Tracker(rear_position=0.25, front_position=math.nan))
 
 
@@ -88,9 +88,9 @@ def samples_counted(diagnostics: list) -> int:
 
 
 def play(robot: Robot, probe: Probe, states: list, end: float = 2.0) -> None:
-    """A rest and part of a cycle at 100 Hz, as fast as the twin follows.
+    """Publish a rest and part of a cycle at 100 Hz, as fast as the twin follows.
 
-    Never further ahead than the twin's delay: a topic that arrives after another would be late.
+    The publisher never leads by more than the twin's delay: a topic that arrives after another would be late.
     """
     robot.announce(-1.0, GaitState.RESTING)
     for k in range(-100, round(100 * end) + 1):
@@ -98,7 +98,7 @@ def play(robot: Robot, probe: Probe, states: list, end: float = 2.0) -> None:
             robot.announce(0.0, GaitState.RUNNING)
         robot.move(k / 100)
         if k % 20 == 0 and k < -50:
-            robot.wait_until_heard()  # no state comes yet
+            robot.wait_until_heard()  # no state is published yet
         if k % 10 == 0 and k > -50:
             stamp = ONSET + round((k - BEHIND) * 1e7)
             probe.wait_for(lambda s=stamp: reached(states, s), f"state at {k / 100} s")
@@ -115,7 +115,7 @@ def offline(sent: list) -> Output:
 
 
 def numbers(message: TwinResiduals) -> str:
-    """As text, in which NaN equals itself; the health depends on the order of equal stamps."""
+    """Return the numbers as text, in which NaN equals itself; the health depends on the order of equal stamps."""
     found = (message.header.stamp, message.rear_position, message.power, message.energy)
     return repr(found)
 
@@ -162,7 +162,7 @@ def test_it_predicts_shows_and_takes_new_parameters(processes: Processes, probe:
     assert "stroke" in refused.message
     shown = probe.wait_for(lambda: markers, "markers")[-1]
     assert {"pipe ridges", "twin rear module", "rear fins"} <= {m.ns for m in shown.markers}
-    # No input any more: it says so, and draws nothing of the past.
+    # Without input the command reports that, and draws nothing of the past.
     diagnostics = probe.collect(DiagnosticArray, "/diagnostics")
     status = probe.wait_for(
         lambda: [s for m in diagnostics for s in m.status if "no input for" in s.message], "a word"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The virtual robot as a process: its doors, its topics, its faults, its end."""
+"""The virtual robot as a process: its ports, its topics, its faults, its end."""
 
 import math
 import signal

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The terminal view as a process, beside a twin that falls silent."""
+"""The terminal view as a process, with a twin that stops publishing."""
 
 import signal
 
@@ -12,7 +12,7 @@ from worm_msgs.msg import BodyLength, Power, Tracker, TwinResiduals, TwinState
 
 
 def screen(output: str) -> str:
-    """What was drawn last, once it is complete."""
+    """Return the screen that was drawn last, when it is complete."""
     return output.split("\033[H\033[J")[-2] if output.count("\033[H\033[J") > 1 else ""
 
 
