@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A typical change is one edit: a copy of the sources gets an entry more, and the whole chain handles it.
+"""A typical change is one edit: a copy of the sources gets one more entry, and the whole chain handles it.
 
-The copies run in processes of their own, the kernel uncompiled, which takes milliseconds a gait.
+The copies run in processes of their own with an uncompiled kernel, which takes milliseconds per gait.
 """
 
 import dataclasses
@@ -20,7 +20,7 @@ PACKAGES = ("worm_msgs", "worm_driver", "worm_model", "worm_optimizer")
 
 
 class Copy:
-    """A copy of the sources that a test may edit."""
+    """Copy of the sources that a test may edit."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -32,7 +32,7 @@ class Copy:
             )
 
     def edit(self, file: str, before: str, after: str) -> None:
-        """Replace the one place that has a text."""
+        """Replace a text that occurs at one place."""
         path = self.folder / file
         text = path.read_text(encoding="utf-8")
         assert text.count(before) == 1, (file, before)
@@ -42,7 +42,7 @@ class Copy:
         """Run code on the copy and return the JSON object that it prints last."""
         path = os.pathsep.join(str(self.folder / package) for package in PACKAGES)
         environment = os.environ | {"PYTHONPATH": path, "NUMBA_DISABLE_JIT": "1"}
-        environment.pop("AMENT_PREFIX_PATH", None)  # definitions of messages are the copy's
+        environment.pop("AMENT_PREFIX_PATH", None)  # definitions of messages come from the copy
         done = subprocess.run(
             [sys.executable, "-c", code],
             env=environment,
@@ -100,7 +100,7 @@ print(json.dumps({
 
 
 def test_a_parameter_is_a_row_of_the_table(copy):
-    """Every step from the parameter file to draws and plant has it; the equations are the author's to write."""
+    """Every step from the parameter file to draws and plant includes it; only the equations are added by hand."""
     row = '    front_load: float = _row(0.0, "N", -1e3, 1e3, "Q2")\n'
     more = "".join(
         f'    {key}_pull: float = _row(0.0, "N", -1e3, 1e3, "R{n}")\n'
@@ -183,7 +183,7 @@ print(json.dumps({
 
 
 def test_a_field_of_the_gait_is_a_field_of_its_three_declarations(copy):
-    """The message and the two dataclasses, then every step has it; the waveform is the author's to write."""
+    """After the message and the two dataclasses, only the waveform is added by hand."""
     field = '    ramp_share: float = _row("1", "share of a half in which a trapezoid accelerates", 0.25)\n'
     more = '    ripple_share: float = _row("1", "share of a cycle", 0.375)\n'
     copy.edit("worm_model/worm_model/gait.py", field, field + more)
@@ -242,7 +242,7 @@ print(json.dumps({
 
 
 def test_a_servo_model_is_a_row_of_the_table(copy):
-    """The driver identifies it, the virtual robot moves with it and the optimizer keeps its limits."""
+    """The driver identifies it, the virtual robot moves with it and the optimizer satisfies its limits."""
     first = "SERVO_MODELS: tuple[ServoRow, ...] = (\n"
     row = """    ServoRow(
         name="XM540-W270",
@@ -321,7 +321,7 @@ print(json.dumps({
 
 
 def test_a_cause_of_the_twin_is_a_row_of_the_table(copy):
-    """Signature, event, message, page and benchmark follow, also for a parameter that is 0 by default."""
+    """Signature, event, message, page and benchmark include it, also for a parameter that is 0 by default."""
     first = "#: lasting causes by name\nLASTING = {\n    row.name: row\n    for row in (\n"
     row = """        Cause(
             name="rear_dry_friction",

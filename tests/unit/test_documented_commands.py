@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every command of the documentation is real: it exists, its arguments parse, and the cheap ones are run."""
+"""Every command of the documentation exists and its arguments parse; the fast ones are run."""
 
 import argparse
 import importlib
@@ -23,7 +23,7 @@ COMMANDS = commands()
 ENTRY_POINTS = entry_points()
 EXECUTABLE_COMMANDS = [command for command in COMMANDS if command.executable]
 SMALL_FRONT = ("--samples", "20")
-# What reads and writes files alone and is done in seconds, with what makes it so where the whole takes longer.
+# Executables that only read and write files, with arguments that shorten those that take longer than seconds.
 CHEAP: dict[tuple[str, str], tuple[str, ...]] = {
     **{
         ("worm_model", name): ()
@@ -39,7 +39,7 @@ CHEAP: dict[tuple[str, str], tuple[str, ...]] = {
     ("worm_optimizer", "request"): SMALL_FRONT,
     ("worm_optimizer", "scan_margin"): ("--lowest", "0.0033", "--highest", "0.0036"),
 }
-# Needs a robot or an operator: which test runs it, with real processes where they matter.
+# Commands that need a robot or an operator, with the test that runs each, with real processes where they matter.
 ELSEWHERE = {
     ("worm_driver", "calibrate"): "tests/unit/worm_driver/commands/test_calibrate.py",
     ("worm_driver", "calibrate_camera"): "tests/unit/worm_driver/commands/test_camera_commands.py",
@@ -58,7 +58,7 @@ ELSEWHERE = {
     ("worm_optimizer", "console"): "tests/integration/test_console.py",
     ("worm_optimizer", "study"): "tests/unit/worm_optimizer/study/test_study_command.py",
 }
-NODES = {  # whose only arguments are those of ROS
+NODES = {  # executables whose only arguments are those of ROS
     ("worm_driver", "driver_node"),
     ("worm_driver", "tracker_node"),
     ("worm_model", "twin_node"),
@@ -68,7 +68,7 @@ LINK = re.compile(r"\]\(([^)#\s]*)(?:#([^)\s]*))?\)")
 
 
 def subcommands() -> set[str]:
-    """The commands of the script worm, as it names them where a command is unknown."""
+    """Return the commands of the script worm, as it lists them after an unknown command."""
     script = (ROOT / "worm").read_text(encoding="utf-8")
     named = re.search(r"^commands=\((.*)\)$", script, re.MULTILINE)
     assert named
@@ -77,14 +77,14 @@ def subcommands() -> set[str]:
 
 @pytest.fixture(autouse=True)
 def _ctrl_c() -> Iterator[None]:
-    """As it was: a node leaves it to the system while it loads."""
+    """Restore the handler of Ctrl-C: a node leaves it to the system while it loads."""
     before = signal.getsignal(signal.SIGINT)
     yield
     signal.signal(signal.SIGINT, before)
 
 
 def run(command: Command) -> int | None:
-    """Calls what is behind a command; skips where it needs a ROS that is not there."""
+    """Call the function of a command; skip the test if it needs a ROS that is missing."""
     module, function = ENTRY_POINTS[command.executable].split(":")
     try:
         status: int | None = getattr(importlib.import_module(module), function)()
@@ -94,7 +94,7 @@ def run(command: Command) -> int | None:
 
 
 def filled(word: str) -> str:
-    """A number in the place of a placeholder for one."""
+    """Return a number in place of a placeholder for one."""
     return "1" if word in {"N", "M", "S", "HZ", "X", "MPS", "W"} else word
 
 
@@ -160,7 +160,7 @@ def test_run_lists_the_executables_of_a_package():
 
 
 class Parsed(BaseException):
-    """Raised in the place of what a command does after its arguments were parsed."""
+    """Raised instead of the action of a command, after its arguments were parsed."""
 
 
 @pytest.mark.parametrize("command", EXECUTABLE_COMMANDS, ids=str)
@@ -182,7 +182,7 @@ def test_its_arguments_parse(command: Command, monkeypatch: pytest.MonkeyPatch):
 
 
 def prepared(word: str, before: str, folder: Path) -> None:
-    """Makes what a command reads under this name; what follows --output and the like it makes itself."""
+    """Create the file that a command reads; commands create the files after --output and the like themselves."""
     path = folder / word
     if before in {"--output", "--report", "--figure"} or path.exists():
         return
@@ -202,7 +202,7 @@ def prepared(word: str, before: str, folder: Path) -> None:
 
 
 def runnable() -> list[Command]:
-    """Commands that `test_it_runs` runs: each once, whichever page shows it, but for those of files outside."""
+    """Return the commands that `test_it_runs` runs: each once, on whichever page, except those with files outside."""
     found = {}
     for command in EXECUTABLE_COMMANDS:
         if command.executable in CHEAP and not any("../" in word for word in command.words):
@@ -217,11 +217,9 @@ def test_it_runs(command: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPat
     arguments = [word.replace("/tmp/", f"{tmp_path}/") for word in command.arguments]
     for before, word in pairwise(["", *arguments]):
         prepared(word, before, tmp_path)
-    if (
-        command.words == ("./worm", "report") or command.words[-1] == "bags"
-    ):  # of all that was recorded
+    if command.words == ("./worm", "report") or command.words[-1] == "bags":  # of all recordings
         prepared("bags/demo_1", "", tmp_path)
-    if command.executable == ("worm_model", "import_lab"):  # which takes one run of a lab
+    if command.executable == ("worm_model", "import_lab"):  # which reads one run of a lab
         arguments = ["FOLDER/run_01" if word == "FOLDER" else word for word in arguments]
     arguments += CHEAP[command.executable]
     monkeypatch.setattr(sys, "argv", [command.executable[1], *arguments])
@@ -264,7 +262,7 @@ def test_the_reference_of_the_packages_is_built(tmp_path: Path):
     assert done.stdout == f"{tmp_path}/docs/index.html\n"
     for module in ("worm_driver/virtual_robot/offline_run", "worm_model/gait"):
         assert (tmp_path / "docs" / f"{module}.html").exists()
-    assert not (tmp_path / "docs" / "worm_driver" / "servos").exists()  # internals
+    assert not (tmp_path / "docs" / "worm_driver" / "servos").exists()  # internal names
     page = (tmp_path / "docs" / "worm_model" / "simulation" / "simulator.html").read_text(
         encoding="utf-8"
     )
@@ -343,7 +341,7 @@ def test_launch_arguments_exist(command: Command):
 
 
 def anchors_of(page: Path) -> set[str]:
-    """Anchors of a page's headings, as GitHub makes them: small letters, dashes for spaces, no other signs."""
+    """Return the anchors of a page's headings as GitHub makes them: lower case, hyphens for spaces, no other signs."""
     text = re.sub(r"(?ms)^```.*?^```", "", page.read_text(encoding="utf-8"))
     found: Counter[str] = Counter()
     anchors = set()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The Python examples of docs/api.md and the notebooks run; modules that this page and the glossary name exist."""
+"""The Python examples of docs/api.md and the notebooks run; all modules that this page and the glossary name exist."""
 
 import importlib.util
 import json

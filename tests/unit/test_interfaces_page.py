@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""docs/interfaces.md: its generated parts are up to date, and what it and the README draw fits together.
+"""The generated parts of docs/interfaces.md are up to date, and its figure agrees with the README's.
 
-That the tables of topics, services and actions are those of the running nodes is tests/integration/test_graph.py's.
+tests/integration/test_graph.py compares the tables of topics, services and actions with the running nodes.
 """
 
 import importlib.util

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The pictures of the pages: each is drawn by code, small, and shown by a page."""
+"""The figures of the pages: code draws each of them, each is small, and a page shows it."""
 
 import runpy
 from pathlib import Path

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The virtual robot on a test bench: identification finds the stiffnesses that it has."""
+"""The virtual robot on a test bench: identification finds its stiffnesses."""
 
 from pathlib import Path
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The calibration: its arithmetic, and a whole conversation with the virtual robot's servos."""
+"""The calibration: its arithmetic, and a whole dialogue with the virtual robot's servos."""
 
 import math
 
@@ -64,7 +64,7 @@ def test_the_file_is_one_that_ros_reads():
 
 
 class Bench:
-    """The virtual robot, and a person with a ruler who answers from its true length."""
+    """The virtual robot, and an operator with a ruler who answers with its true length."""
 
     def __init__(self) -> None:
         self.clock = Clock()
@@ -84,7 +84,7 @@ class Bench:
         self.clock.now += duration
 
     def armed(self) -> bool:
-        """Whether every servo with torque has its watchdog armed."""
+        """Return True if the watchdog of every servo with torque is armed."""
         self.robot.advance(self.clock.now)
         return all(
             servo.memory["bus_watchdog"] > 0
@@ -93,7 +93,7 @@ class Bench:
         )
 
     def answer(self, question: str, meanwhile) -> str:
-        """A person who takes 5 s: longer than any watchdog."""
+        """Answer as an operator who takes 5 s, longer than any watchdog."""
         for _ in range(25):
             self.clock.now += 0.2
             meanwhile()
@@ -125,7 +125,7 @@ def test_a_conversation_finds_the_virtual_robots_parameters():
 
 
 def test_a_conversation_that_is_killed_with_the_torque_on_leaves_it_to_the_watchdog():
-    """Whatever packet is the last one: no servo has its torque without a watchdog."""
+    """Whichever packet is the last one, no servo has its torque on without a watchdog."""
     unarmed: list[int] = []
     bench = Bench()
     write = bench.port.writePort
@@ -145,11 +145,11 @@ def test_a_conversation_that_is_killed_with_the_torque_on_leaves_it_to_the_watch
 
 
 class Killed(Exception):
-    """Stands for kill -9: nothing is cleaned up after it."""
+    """Stands for kill -9, after which nothing is cleaned up."""
 
 
 def test_a_conversation_that_is_killed_leaves_no_mark_of_a_home():
-    """The LED that names a servo to a person is the one that marks a home."""
+    """The LED that shows a servo to the operator is also the one that marks a home."""
     rig = Rig(settings(home_at_start=False))
     assert not rig.robot.actuators.homed
     servo = rig.robot.actuators.cables[0]
@@ -176,7 +176,7 @@ def test_a_blocked_cable_ends_the_conversation():
 
 
 def lose_answers(bench: Bench, monkeypatch: pytest.MonkeyPatch, count: int) -> None:
-    """From the third reading on, so many answers to a goal come garbled."""
+    """Garble this many responses to a goal, from the third reading on."""
     write, goals = bench.bus.write, []
 
     def garbled(servo, register, raw):

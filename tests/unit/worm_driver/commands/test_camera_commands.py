@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""markers, calibrate_camera and track, as a person calls them."""
+"""The commands markers, calibrate_camera and track."""
 
 import csv
 import json
@@ -24,7 +24,7 @@ WHOLE = (slice(None), slice(None))
 
 @pytest.fixture(scope="module")
 def images(tmp_path_factory) -> Path:
-    """Three images of a rear module that goes 5 mm a step; in the last one it is hidden."""
+    """Write three images of a rear module that moves by 5 mm per image; in the last one it is hidden."""
     folder = tmp_path_factory.mktemp("images")
     camera = VirtualCamera(SETTINGS, 3)
     for index, rear in enumerate((0.0, 0.005, math.nan)):
@@ -34,7 +34,7 @@ def images(tmp_path_factory) -> Path:
 
 
 def complaint(capsys) -> str:
-    """The only line on standard error."""
+    """Return the only line on standard error."""
     (line,) = capsys.readouterr().err.splitlines()
     return line
 
@@ -165,7 +165,7 @@ def test_markers_that_there_are_not_are_refused(tmp_path, capsys):
 
 
 def board_image(settings: CameraSettings) -> np.ndarray:
-    """The printed board in the plane y = 0, as a camera sees it."""
+    """Return an image of the printed board in the plane y = 0."""
     columns, rows, square, dictionary = markers.BOARD
     cells = Board(columns, rows, square, dictionary).draw(50) / 255.0
     pattern = Pattern(0.05 + 0.9 * cells, (square / 50, square / 50))
@@ -178,7 +178,7 @@ def board_image(settings: CameraSettings) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def board_views(tmp_path_factory) -> Path:
-    """Ten views of the board by the virtual camera's lens, at half its size, from all around."""
+    """Return ten views of the board by the virtual camera's lens, at half its size, from all around."""
     folder = tmp_path_factory.mktemp("board")
     lens = replace(SETTINGS, width=640, height=360, focal=505.0, centre=(326.0, 176.0))
     tilts = [(0.0, 0.0), (0.5, 0.1), (-0.5, 0.1), (0.1, 0.5), (-0.1, -0.5)] * 2

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The driver never moves the robot on bad data: wrong samples on the wire, judged by the goals that are written."""
+"""The driver never moves the robot on bad data: wrong samples on the bus, judged by the goals that are written."""
 
 from dataclasses import replace
 
@@ -17,9 +17,9 @@ from worm_driver.virtual_robot.virtual_robot import VirtualRobot
 from worm_driver.virtual_robot.virtual_settings import load_settings
 
 GIVEN = settings()
-#: m, from the shaft to a goal: the following error that is tolerated, and two cycles at full speed
+#: m, from the shaft to a goal: the tolerated following error, and two cycles at full speed
 REACH = GIVEN.limits.following_error + 2 * GIVEN.period * GIVEN.max_cable_speed
-#: m, by which a robot that stands may move because of one wrong sample, or by which a hold may be off
+#: m, largest motion of a standing robot, and largest offset of a hold, because of one wrong sample
 STANDS = 0.001
 JUMPS = [-8192, -4096, -1000, -600, -300, -200, 200, 300, 600, 1000, 4096, 12288]
 FIN = 11
@@ -39,13 +39,13 @@ def running() -> Rig:
 
 
 def moved(rig: Rig, since: int) -> float:
-    """M by which the cable was away from where it was, since a count of positions."""
+    """Return the range of the cable's positions in m since a count of positions."""
     positions = [position for _, position in rig.positions[since:]]
     return abs(GIVEN.spools[0].length_change(max(positions) - min(positions)))
 
 
 def check_goals(rig: Rig, since: int = 0) -> None:
-    """Every goal on the wire lies in the range of the stroke and within reach of the shaft."""
+    """Assert that every goal on the bus is within the stroke and within reach of the shaft."""
     low, high = GIVEN.spools[0].ticks(0.0101), GIVEN.spools[0].ticks(-GIVEN.max_stroke - 0.0101)
     for goal in rig.goals[since:]:
         if goal.servo == CABLE:
@@ -157,7 +157,7 @@ def test_a_wrong_sample_at_a_stop_does_not_move_the_hold():
 
 @pytest.mark.parametrize("ticks_per_cycle", [5, 20, 60, 110])
 def test_samples_that_drift_become_a_fault_and_move_nothing(ticks_per_cycle):
-    """Each step is one that the servo could have made; but no servo pulls where the cable is said to be off."""
+    """Each step is possible for the servo. But no servo pulls at the position that the samples report."""
     rig = idle()
     since = len(rig.positions)
     for step in range(400):
@@ -224,7 +224,7 @@ def test_another_servos_packet_during_a_gait(sender):
 
 
 def before_nth_read(rig: Rig, number: int, deed) -> None:
-    """Do something before the nth read or sync read of a present position from now on."""
+    """Call a function before the nth read or sync read of a present position from now on."""
     send, left = rig.wire.write, [number]
 
     def write(packet: bytes) -> int:
@@ -326,7 +326,7 @@ def test_a_wrong_position_of_one_of_two_cable_servos_stops_both(servo, jump):
 
 
 def test_a_stop_right_after_an_activation_holds_where_the_servo_was_enabled():
-    """The body still springs back: what was measured before the activation is no place to hold."""
+    """The body still springs back: a position from before the activation must not be held."""
     rig = running()
     rig.robot.release()
     rig.run(0.02)
@@ -423,7 +423,7 @@ def test_a_return_to_rest_keeps_to_its_speed_after_late_cycles(late):
 
 
 def fastest_over(rig: Rig, span: float) -> float:
-    """Largest mean speed of the cable (m/s) over a span (s)."""
+    """Return the largest mean speed of the cable (m/s) over a span (s)."""
     steps = round(span / rig.virtual.settings.step)
     pairs = zip(rig.positions, rig.positions[steps:], strict=False)
     return max(abs(GIVEN.spools[0].length_change(b[1] - a[1])) / (b[0] - a[0]) for a, b in pairs)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One client has control at a time, and a silent client loses it."""
+"""One client has control at a time, and loses it if it stops sending."""
 
 import math
 
@@ -14,7 +14,7 @@ LEASE = 5.0
 
 
 class Bench:
-    """A lease whose time passes in steps of PERIOD."""
+    """Lease whose time advances in steps of PERIOD."""
 
     def __init__(self) -> None:
         self.lease = ControlLease()

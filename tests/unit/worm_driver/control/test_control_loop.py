@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The threads around the robot, with a robot that only takes notes."""
+"""The threads around the robot, with a robot that only counts calls."""
 
 import threading
 import time
@@ -12,11 +12,11 @@ from worm_driver.control.control_loop import ControlLoop, PeriodicThread, PowerL
 from worm_driver.errors import DriverError, LimitError, PowerSensorError
 from worm_driver.power.ina219 import PowerSample, SampleStatus
 
-PATIENCE = 10.0  # s, only a failure waits for so long
+PATIENCE = 10.0  # s, only a failing test waits so long
 
 
 class NotingRobot:
-    """Counts cycles; needs a few of them to come to rest."""
+    """Robot that counts cycles, and needs a few of them to come to rest."""
 
     settings = SimpleNamespace(period=0.002, real_time_priority=0)
     player = SimpleNamespace(active_run=None)
@@ -120,7 +120,7 @@ def test_a_loop_that_does_not_respond_is_said_so(robot):
 
 
 class Slow:
-    """An activation that takes until the test says so."""
+    """Activation that lasts until the test ends it."""
 
     def __init__(self, robot: NotingRobot) -> None:
         self.robot = robot
@@ -144,7 +144,7 @@ def test_an_activation_that_takes_too_long_is_taken_back_when_it_ends(robot, loo
         loop.run(slow.activate, timeout=0.05, undo=slow.release)
     after = loop.submit(lambda _: slow.active)
     slow.may_end.set()
-    assert after.result(PATIENCE) is False  # whatever is asked later finds it released
+    assert after.result(PATIENCE) is False  # later commands find the robot released
     assert robot.releases == 1
 
 
@@ -262,7 +262,7 @@ def test_a_periodic_thread_reports_its_timing():
 
 
 class SteppedClock(MachineClock):
-    """Time that passes only where somebody waits, or says so."""
+    """Time that passes only while a thread waits, or when a test sets it."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -279,13 +279,13 @@ class SteppedClock(MachineClock):
     ("active", "missed"), [((True, True), 9), ((False, True), 0), ((True, False), 0)]
 )
 def test_only_setting_up_and_letting_go_may_take_more_than_a_cycle(robot, active, missed):
-    """What takes 95 ms of a loop of 10 ms while the torque is on is late."""
+    """95 ms in a loop of 10 ms are late if the torque is on."""
     clock = SteppedClock()
     robot.settings = SimpleNamespace(period=0.01, real_time_priority=0)
     robot.active, after = active
 
     def end_in_time(_: object) -> None:
-        """Before the report's window has moved on: nothing holds a stepped clock back."""
+        """End before the report's window has moved on, as a stepped clock runs ahead."""
         if robot.cycles >= 100:
             loop.request_end()
 
@@ -319,7 +319,7 @@ def test_a_bus_that_only_fails_is_opened_anew():
 
 
 class Sensor:
-    """Gives samples of all kinds in turn."""
+    """Sensor that returns samples of all kinds in turn."""
 
     def __init__(self) -> None:
         self.count = 0

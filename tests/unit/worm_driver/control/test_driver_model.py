@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Random lives of a driver on the virtual robot, byte for byte and on the virtual clock, against what must always hold.
+"""Random sequences of events for a driver on the virtual robot and the virtual clock, with invariants.
 
-Thousands of steps: goals, cancels, stops, emergency stops, transitions, services, signals, faults on the wire and of
+Thousands of steps: goals, cancels, stops, emergency stops, transitions, services, signals, faults on the bus and of
 servos, wrong samples and ids, kills and restarts.
 """
 
@@ -33,26 +33,26 @@ from worm_driver.virtual_robot.wire.faults import make_fault
 LIVES, STEPS = 20, 50
 PARTS = int(os.environ.get("WORM_DRIVER_PARTS", "3"))  # of a thousand steps each; .ci/run runs ten
 
-#: short rests, so that a life of 50 steps sees whole gaits
+#: short rests, so that a sequence of 50 steps includes whole gaits
 QUICK = replace(
     settings(),
     player=PlayerSettings(
         rest_duration=0.05, settle_time=0.02, rest_samples=2, rest_timeout=0.2, flip_timeout=1.5
     ),
 )
-#: m/s, the cable's limit and what the servo's own control may overshoot it by
+#: m/s, the cable's limit with the overshoot of the servo's own control
 FASTEST = QUICK.max_cable_speed * 1.15
-#: m, by which a cable that stands may creep under its load, and s, in which it must have come to stand
+#: m, largest creep of a standing cable under its load, and s, in which the cable must have stopped
 CREEP, BRAKING = 0.001, 0.20
-#: m, beyond the range of a gait in which a goal may lie (an activation admits so much slack)
+#: m, largest distance of a goal from the range of a gait (an activation admits this much slack)
 SLACK = 0.0105
-#: m, from the shaft to a goal: the following error that is tolerated, and what the cable can move in two cycles
+#: m, from the shaft to a goal: the tolerated following error, and the motion of the cable in two cycles
 REACH = QUICK.limits.following_error + 2 * QUICK.period * QUICK.max_cable_speed
-#: m, contracted by more than this a robot springs back when it is released
+#: m, a robot with a larger contraction springs back when it is released
 SPRINGS_BACK = 2.5e-3
-#: m, by which a wrong sample may be off and not be noticed: see docs/safety.md
+#: m, largest error of a wrong sample that remains unnoticed: see docs/safety.md
 OFF = 0.006
-#: s, in which every return to rest ends; with less a person does not wait for it
+#: s, in which every return to rest ends; an operator with a shorter timeout does not wait for it
 PATIENT = 8.0
 EMERGENCY = "the emergency stop is on"
 MAY_MOVE = (GaitPhase.RUNNING, GaitPhase.STOPPING, GaitPhase.RETURNING, GaitPhase.TENSIONING)
@@ -124,7 +124,7 @@ ODD_GAITS = st.builds(
 
 
 class Life(RuleBasedStateMachine):
-    """A driver, its robot, and a record of what was asked of it."""
+    """A driver, its robot, and a record of the requests."""
 
     @initialize()
     def open(self) -> None:
@@ -137,8 +137,8 @@ class Life(RuleBasedStateMachine):
         self.moved_until = 0.0
         self.stood_at: float | None = None
         self.booted_at = self.virtual.servos[0]._booted_at
-        self.held = False  # the cable servo had its torque
-        self.person = False  # somebody let the robot go, wherever it was
+        self.held = False  # the torque of the cable servo was on
+        self.person = False  # an operator released the robot, wherever it was
         self.activate()
 
     # --- what happens ----------------------------------------------------------------------------
@@ -187,7 +187,7 @@ class Life(RuleBasedStateMachine):
     @precondition(lambda self: self.alive)
     @rule(gait=GAITS, queued=st.integers(0, 3), patience=st.integers(1, 30))
     def stop(self, gait: Gait, queued: int, patience: int) -> None:
-        """Also with goals that wait: none of them is played after the stop."""
+        """Stop, also with queued goals: none of them is played after the stop."""
         loop, robot = self.rig.loop, self.rig.robot
         goals = [loop.submit(lambda now: robot.start(now, gait, 1)) for _ in range(queued)]
         loop.submit(lambda now: robot.stop(now, "stop"), lifetime=math.inf)
@@ -201,7 +201,7 @@ class Life(RuleBasedStateMachine):
     @precondition(lambda self: self.alive)
     @rule(gait=GAITS, cycles=st.integers(1, 30))
     def emergency_stop(self, gait: Gait, cycles: int) -> None:
-        """Until its reset, and in the next driver too, nothing starts and nothing moves."""
+        """Nothing starts and nothing moves until the reset, also with the next driver."""
         self.latch()
         self.time_passes(cycles)
         assert self.try_to(lambda now: self.rig.robot.start(now, gait, 1)) is None
@@ -221,9 +221,9 @@ class Life(RuleBasedStateMachine):
         emergency=st.booleans(),
     )
     def signal(self, stop_after: int | None, again: int, *, emergency: bool) -> None:
-        """The process is asked to end, in any state.
+        """Signal the process to end, in any state.
 
-        A stop or an emergency stop may come at any moment of it, or a second Ctrl-C.
+        A stop, an emergency stop or a second Ctrl-C may come at any time of the shutdown.
         """
         robot, stopped = self.rig.robot, False
         self.rig.loop.shutdown("the driver ends")
@@ -245,7 +245,7 @@ class Life(RuleBasedStateMachine):
                 break
         was_active = robot.active
         problems = self.rig.end()
-        by_person = self.person  # the check below forgets it
+        by_person = self.person  # the check below resets it
         self.check_release()
         if was_active and not by_person and self.contraction > SPRINGS_BACK:
             assert problems
@@ -269,7 +269,7 @@ class Life(RuleBasedStateMachine):
     @precondition(lambda self: self.alive and self.rig.robot.player.phase is GaitPhase.FAULT)
     @rule()
     def mend(self) -> None:
-        """What an operator does after a fault."""
+        """Recover from a fault as an operator does."""
         self.bring_to_rest(0.0)
         self.virtual.board.clear()
         if self.alive:
@@ -300,7 +300,7 @@ class Life(RuleBasedStateMachine):
         self.check_release()
         assert not robot.active
         assert problems or not any(self.torques())
-        if problems:  # as the node does: everything is closed, and opened again
+        if problems:  # as in the node: everything is closed, and opened again
             self.restart(0.0)
 
     @precondition(lambda self: self.alive and not self.rig.robot.active)
@@ -314,7 +314,7 @@ class Life(RuleBasedStateMachine):
     @precondition(lambda self: self.alive and not self.rig.robot.active)
     @rule()
     def reboot(self) -> None:
-        self.person = True  # who reboots a servo takes its torque
+        self.person = True  # a reboot of a servo switches its torque off
         self.try_to(lambda _: self.rig.robot.reboot())
         self.check_release()
 
@@ -327,7 +327,7 @@ class Life(RuleBasedStateMachine):
     @precondition(lambda self: self.alive)
     @rule(away=st.one_of(st.floats(0.0, 0.06), st.floats(0.0, 0.5)))
     def suspended(self, away: float) -> None:
-        """The computer is busy, or somebody stops the process."""
+        """Suspend the driver, as on a busy computer or by a stop of the process."""
         self.pass_without_driver(away)
 
     @rule(away=st.floats(0.0, 0.5))
@@ -372,7 +372,7 @@ class Life(RuleBasedStateMachine):
             else:
                 self.alive = True
                 return
-        self.alive = False  # a servo that shut down waits for its operator
+        self.alive = False  # a servo that shut down needs its operator
 
     def pass_without_driver(self, duration: float) -> None:
         self.rig.speeds.clear()
@@ -387,12 +387,15 @@ class Life(RuleBasedStateMachine):
 
     @property
     def contraction(self) -> float:
-        """By how much (m) the body is contracted from its home, by the shaft, which no fault of the wire touches."""
+        """Contraction (m) of the body from its home, by the shaft, which no fault of the bus affects."""
         servo = self.virtual.servos[0]
         return -QUICK.spools[0].length_change(servo._encoder.raw(servo.motor.position))
 
     def check_goals(self, seen: float) -> None:
-        """Each goal lies within the limits of the stroke, and within reach of where the cable was last seen (s)."""
+        """Assert that each goal is within the stroke, and within reach of the cable's last valid position.
+
+        ``seen`` is the time of that position in s.
+        """
         if not self.virtual.servos[0].memory["torque_enable"] or not self.rig.robot.active:
             return
         for goal in self.rig.goals:
@@ -401,11 +404,14 @@ class Life(RuleBasedStateMachine):
             change = QUICK.spools[0].length_change(goal.ticks)
             assert -QUICK.max_stroke - SLACK <= change <= SLACK
             unseen = max(0.0, goal.time - seen - QUICK.period)
-            # the cable itself has moved on unseen, too, and what was seen last may have been off by a little
+            # the cable has moved since its last valid position, which may have a small error itself
             assert goal.distance <= REACH + 2 * unseen * QUICK.max_cable_speed + OFF, goal
 
     def check_release(self) -> None:
-        """Torque is never taken off a contracted robot, but by a person or by a servo that shuts down or restarts."""
+        """Assert that a contracted robot keeps its torque.
+
+        Only an operator, or a servo that shuts down or restarts, may switch it off.
+        """
         cable = self.virtual.servos[0]
         holds = bool(cable.memory["torque_enable"])
         own_doing = cable._shut_down or cable._booted_at != self.booted_at
@@ -414,7 +420,7 @@ class Life(RuleBasedStateMachine):
         self.held, self.person, self.booted_at = holds, False, cable._booted_at
 
     def check_emergency(self) -> None:
-        """From the cycle after an emergency stop on, the robot holds or has no torque."""
+        """Assert that from the cycle after an emergency stop on, the robot holds or has no torque."""
         if self.latched and self.rig.robot.active:
             assert self.rig.robot.player.phase in (GaitPhase.HOLDING, GaitPhase.FAULT)
 
@@ -464,7 +470,7 @@ class Life(RuleBasedStateMachine):
             assert self.rig.robot.active or run.ending is not None
 
     def teardown(self) -> None:
-        """Left alone, whatever was asked for comes to its end."""
+        """Wait until the last goal ends without further requests."""
         if not getattr(self, "alive", False) or not self.goals:
             return
         self.virtual.board.clear()
@@ -475,7 +481,7 @@ class Life(RuleBasedStateMachine):
         assert self.rig.robot.player.active_run is None
 
 
-@pytest.mark.timeout(900)  # of the virtual clock there are some minutes in each part
+@pytest.mark.timeout(900)  # each part takes minutes of the virtual clock
 @pytest.mark.parametrize("part", range(PARTS))
 def test_whatever_happens(part: int) -> None:
     seed(part)(Life)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The emergency stop: which robot it belongs to, where it is stored, who can clear it."""
+"""The emergency stop: the robot it belongs to, its file, and who may reset it."""
 
 import os
 from pathlib import Path
@@ -37,9 +37,9 @@ def latch(folder: Path, namespace: str, port: object, servos: tuple[int, ...] = 
     [
         ("/worm", "worm_bus", SERVOS),
         ("/worm", "ttyUSB0", SERVOS),  # the same device under its other name
-        ("/worm", "ttyUSB7", SERVOS),  # the robot at another device
+        ("/worm", "ttyUSB7", SERVOS),  # the robot on another device
         ("/worm", "ttyUSB7", (12, 11, 1)),
-        ("/other", "ttyUSB0", SERVOS),  # the device from another namespace
+        ("/other", "ttyUSB0", SERVOS),  # the device in another namespace
         ("/", "worm_bus", (2,)),
     ],
 )
@@ -114,7 +114,7 @@ def test_a_stop_that_cannot_be_stored_holds_all_the_same_and_that_is_reported(tm
 def test_a_stop_whose_file_cannot_be_removed_stays_on(tmp_path: Path):
     made = EmergencyLatch(tmp_path)
     made.adopt(["one"])
-    (tmp_path / "one").mkdir()  # in the place of a file, so that the removal fails for root, too
+    (tmp_path / "one").mkdir()  # in place of a file, so that the removal fails for root, too
     made.adopt(["one"])
     assert made.on
     assert "stays on" in made.reset()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The end of the driver, on the virtual robot's bytes: what a stop, a fault or a person changes about the torque."""
+"""The end of the driver, on the virtual robot's bytes: how a stop, a fault or an operator affects the torque."""
 
 import math
 
@@ -11,7 +11,7 @@ from worm_driver.gait.gait_player import Phase
 
 
 def closing(passed: float) -> Rig:
-    """A driver that was asked to end in the middle of a stroke, and returns to rest for a time (s)."""
+    """Return a driver that is shut down in the middle of a stroke, after a time (s) of its return to rest."""
     rig = Rig()
     rig.run_into_motion()
     rig.loop.shutdown("the driver ends")
@@ -21,7 +21,7 @@ def closing(passed: float) -> Rig:
 
 
 def ended(rig: Rig, longest: float = 10.0) -> list[str]:
-    """What is reported once the driver's thread has ended."""
+    """Return the problems reported when the driver's thread has ended."""
     end = rig.clock.now + longest
     while not rig.ended:
         rig.run(rig.settings.period)
@@ -30,7 +30,7 @@ def ended(rig: Rig, longest: float = 10.0) -> list[str]:
 
 
 def contraction(rig: Rig) -> float:
-    """M."""
+    """Return the contraction in m."""
     return (rig.cable.motor.position - rig.home_ticks) * 2 * math.pi / 4096 * 0.025
 
 
@@ -85,7 +85,7 @@ def test_a_stop_that_comes_when_it_is_at_rest_does_not_keep_the_torque():
 
 
 def test_a_robot_that_was_stopped_before_is_brought_to_rest():
-    """The signal is a new command of a person."""
+    """The signal is a new command of an operator."""
     rig = Rig()
     rig.run_into_motion()
     rig.robot.stop(rig.clock.now, "stop")
@@ -96,7 +96,7 @@ def test_a_robot_that_was_stopped_before_is_brought_to_rest():
 
 
 def latched(rig: Rig) -> Rig:
-    """The same driver after an emergency stop, half a second later."""
+    """Return the same driver half a second after an emergency stop."""
     rig.robot._why_not_start = lambda: "the emergency stop is on"
     rig.robot.stop(rig.clock.now, "the emergency stop is on")
     rig.run(0.5)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a configured driver holds, against the virtual robot behind a real pty and a real socket."""
+"""The devices of a configured driver, with the virtual robot behind a real pty and a real socket."""
 
 import math
 import threading
@@ -25,7 +25,7 @@ from worm_driver.virtual_robot.virtual_settings import load_settings
 from worm_driver.virtual_robot.wire.faults import make_fault
 from worm_driver.virtual_robot.wire.robot_server import RobotServer
 
-PATIENCE = 20.0  # s, only a failure waits for so long
+PATIENCE = 20.0  # s, only a failing test waits so long
 
 
 def wait_for(condition) -> None:
@@ -50,7 +50,7 @@ def robot(tmp_path) -> Iterator[VirtualRobot]:
 
 @pytest.fixture
 def given(robot, tmp_path) -> DriverSettings:
-    """Patient: driver and robot share one interpreter here."""
+    """Return settings with long timeouts: driver and robot share one interpreter here."""
     doors = tmp_path / "robot"
     return settings(
         port=str(doors / "servo_bus"),
@@ -68,7 +68,7 @@ def hardware(given) -> Iterator[Hardware]:
 
 
 def test_no_snapshot_and_no_sample_is_ever_dropped(hardware):
-    """Nobody takes them out for a while: all of them wait, in order."""
+    """While no thread reads them, all of them are queued in order."""
     wait_for(lambda: len(hardware.snapshots) >= 150 and len(hardware.samples) >= 150)
     for waiting in ([s.read_time for s in hardware.snapshots], [s.time for s in hardware.samples]):
         assert waiting == sorted(set(waiting))
@@ -84,7 +84,7 @@ def test_a_robot_that_nobody_listens_to_is_held(hardware, monkeypatch):
 
 
 class Emptied(deque):
-    """What the thread that publishes leaves behind: nothing, as soon as something is there."""
+    """Queue whose elements the publishing thread removes immediately."""
 
     def append(self, _) -> None:
         self.clear()
@@ -98,7 +98,7 @@ def test_a_snapshot_that_is_taken_at_once_does_not_end_the_loop(hardware):
 
 
 class Adapter:
-    """A latency timer of 16 ms, until the port has been opened and the adapter asked to be quick."""
+    """Adapter with a latency timer of 16 ms, until the port is open and the driver has set a shorter one."""
 
     def __init__(self, monkeypatch, afterwards: int) -> None:
         self.timer = 16
@@ -128,7 +128,7 @@ def test_a_latency_timer_that_stays_long_fails_the_configuration_with_the_remedy
     with pytest.raises(ConfigurationError, match=r"is 16 ms, too long for 100 Hz: .*udev rule"):
         Hardware(given)
     monkeypatch.undo()
-    Hardware(given).close("over")  # the port was given back
+    Hardware(given).close("over")  # the port was closed
 
 
 def test_a_latency_timer_that_a_slow_rate_can_bear_is_told(given, monkeypatch):

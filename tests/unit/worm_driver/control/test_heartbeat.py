@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether whoever asked for a run is still heard."""
+"""Timeout of the client that requested a run."""
 
 import math
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the servo thread asks Linux for, with a Linux that is made up."""
+"""The servo thread's requests to Linux, with a fake Linux."""
 
 import errno
 import os

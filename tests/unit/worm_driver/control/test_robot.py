@@ -42,7 +42,7 @@ def moving() -> Rig:
 
 
 def before_write(rig: Rig, servo: int, register: str, deed: Callable[[], None]) -> None:
-    """Does something before a register of a servo is written for the first time from now on."""
+    """Call a function before a register of a servo is written for the first time from now on."""
     send, row = rig.wire.write, COMMON[register]
 
     def write(packet: bytes) -> int:
@@ -91,7 +91,7 @@ def test_activation_holds_the_servos_where_they_stand_with_the_watchdog_armed(ri
 
 
 def test_no_servo_has_its_torque_before_every_one_has_its_limits(rig):
-    """Else the watchdog of the first one runs while the last one is still being set up."""
+    """Otherwise the watchdog of the first one runs while the last one is still being set up."""
     rig.run(0.1)
     begin = len(rig.wire.sent)
     rig.robot.activate(rig.clock.now)
@@ -256,7 +256,7 @@ def test_stop_stops_at_once():
 )
 def test_a_fault_stops_the_motion_within_100_ms_and_is_named(fault, arguments, words):
     rig = moving()
-    if fault == "overheating":  # a servo warms up: what counts is from when it says so
+    if fault == "overheating":  # a servo warms up: only the time since its report counts
         rig.inject(fault, **arguments)
         rig.run(3.0, until=lambda s: s.player.phase is Phase.FAULT)
         assert rig.virtual.servos[2].memory["hardware_error_status"]
@@ -283,7 +283,7 @@ def test_a_cable_servo_whose_supply_sags_stops_more_slowly_as_it_is_weak(cycles)
 
 @pytest.mark.parametrize("fault", ["vanished", "overload", "overheating"])
 def test_a_cable_servo_that_lets_go_is_a_fault_and_no_goal_is_sent_beyond(fault):
-    """Its torque is off by its own doing; the driver must notice, and not play on against it."""
+    """The servo switched its torque off itself; the driver must notice, and stop playing."""
     rig = moving()
     rig.inject(fault, target=CABLE, duration=0.3)
     rig.run(3.0, until=lambda s: s.player.phase is Phase.FAULT)
@@ -327,7 +327,7 @@ def test_a_late_answer_never_gives_an_old_value_a_new_stamp(value):
 
 
 def check_samples(rig: Rig, begin: int) -> None:
-    """Every sample is where the shaft was at its stamp: at full speed 10 ms are 45 ticks, 2 ms are 9."""
+    """Assert that every sample is the shaft's position at its stamp: at full speed 10 ms are 45 ticks, 2 ms are 9."""
     truth = dict(rig.positions)
     home = rig.home_ticks
     for snapshot in rig.snapshots[begin:]:
@@ -355,7 +355,7 @@ def test_an_unplugged_port_is_a_fault_that_stays_until_the_next_configuration():
     assert math.isnan(snapshot.cable)
     rig.wire.unplugged = False
     assert rig.run(0.1).player.phase is Phase.FAULT
-    # nobody spoke to the servo for 80 ms: it has stopped by itself
+    # the servo received no packet for 80 ms and has stopped by itself
     assert rig.time_to_stop(0.5) < STOP
 
 
@@ -493,7 +493,7 @@ def test_a_body_that_springs_back_is_held_where_it_has_come_to_by_then():
     rig = moving()
     rig.robot.release()
     rig.run(0.05)
-    # when servo 1 has told where it is, and has no torque yet
+    # when servo 1 has returned its position, and has no torque yet
     before_write(rig, 12, "bus_watchdog", lambda: rig.inject("no_answer", target=12, count=4))
     rig.robot.activate(rig.clock.now)
     held = rig.cable.motor.position
@@ -578,7 +578,7 @@ def test_swapped_signs_are_a_matter_of_settings():
 
 
 def other_robot(models: dict[int, ServoModel], voltage: float) -> VirtualRobot:
-    """A virtual robot with cable servos of these models by id, in place of its own."""
+    """Return a virtual robot with cable servos of these models by id instead of its own."""
     usual = load_settings(None)
     (cable,) = usual.cable_servos
     return VirtualRobot(
@@ -653,7 +653,7 @@ def test_a_limit_beyond_a_models_own_is_the_models_own(model, voltage, register,
     ],
 )
 def test_an_overload_of_each_model_is_a_fault(model, voltage, limits):
-    """A blocked cable, which only the servo's effort may tell here, in time before it overheats."""
+    """The cable is blocked. Only the servo's effort may show this, in time before the servo overheats."""
     rig = Rig(
         settings(spools=(Spool(3, 1, 0.01),), fins=(), limits=limits),
         other_robot({3: model}, voltage),

@@ -28,7 +28,7 @@ def bad(time: float, status: SampleStatus) -> PowerSample:
 
 
 def power_of(time: float) -> float:
-    """0.8 W at rest; in the first two cycles 100 W, which must not count; 5 W and 7 W alternating after."""
+    """Return 0.8 W at rest; in the first two cycles 100 W, which must not count; 5 W and 7 W alternating after."""
     if time < ONSET:
         return 0.8
     if time < ONSET + 2 * PERIOD:
@@ -37,7 +37,7 @@ def power_of(time: float) -> float:
 
 
 def record(speed: float = 0.01) -> RunRecord:
-    """100 Hz power, 30 Hz tracker; the first two cycles go ten times as fast."""
+    """Return 100 Hz power and a 30 Hz tracker; the first two cycles are ten times as fast."""
     result = RunRecord()
     result.power = [valid(8.5 + 0.01 * i, power_of(8.5 + 0.01 * i)) for i in range(1200)]
     for i in range(400):
@@ -86,7 +86,7 @@ def test_without_a_tracker_there_is_no_speed_and_a_reason():
 
 
 def test_a_marker_hidden_for_a_moment_is_bridged_and_told():
-    """Around the end x1 bends: a straight line over the gap would be 2 mm off."""
+    """Around the end, x1 curves: a straight line over the gap would be 2 mm off."""
     seen = record()
     bend = [(t, x + 0.05 * (t - 20.0) ** 2) for t, x in seen.positions]
     seen.positions = [(t, x) for t, x in bend if not 19.8 < t < 20.2]
@@ -115,7 +115,7 @@ def test_a_robot_that_stands_has_no_cost_of_transport():
 
 
 def test_an_overflow_in_the_averaged_cycles_gives_no_power():
-    """Leaving it out would leave out the highest powers."""
+    """Without the overflow, the mean would lack the highest powers."""
     seen = record()
     seen.power[900] = bad(seen.power[900].time, SampleStatus.OVERFLOW)
     found = run_metrics(RUN, seen, BODY)

@@ -17,7 +17,7 @@ DT = 0.01
 
 
 def play(state, now, duration, seen=READY, until=None):
-    """The states every 10 ms for a duration (s), or until a condition holds."""
+    """Return the states every 10 ms for a duration (s), or until a condition holds."""
     states = []
     for i in range(1, round(duration / DT) + 1):
         state = gait_player.step(state, now + i * DT, seen, SETTINGS)
@@ -82,7 +82,7 @@ GAITS = st.builds(
 
 @settings(max_examples=60, deadline=None)
 @given(GAITS, st.integers(1, 4))
-@example(Gait(0.0625, 0.359375, pretension=0.000726), 1)  # ends between two steps
+@example(Gait(0.0625, 0.359375, pretension=0.000726), 1)  # the run ends between two steps
 def test_a_run_ends_at_rest_after_its_cycles_and_never_jumps(gait, cycles):
     state = gait_player.start(PlayerState(), 0.0, gait, cycles)
     states = play(state, 0.0, 60.0, until=lambda s: s.phase is Phase.IDLE)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""When a run has reached what it was asked for."""
+"""Conditions at which a run ends."""
 
 import math
 
@@ -19,7 +19,7 @@ RUN = Run(1, GAIT, 1000, 1000, rest_start=8.0, onset=ONSET)
 
 
 def seen(cycles: float, per_cycle: float = PITCH, direction: int = 1) -> RunRecord:
-    """The tracker at 30 Hz up to so many cycles; the robot gains evenly, and bends its fins by 4 mm."""
+    """Return the tracker's samples at 30 Hz up to a cycle; the robot gains evenly, and its fins deflect by 4 mm."""
     record = RunRecord()
     for sample in range(-10, math.floor(cycles / GAIT.frequency * 30) + 1):
         gone = max(0.0, sample / 30 * GAIT.frequency)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rest as the tracker sees it."""
+"""Rest of the body, as the tracker measures it."""
 
 import math
 import random
@@ -15,7 +15,7 @@ LENGTH = 0.2952
 def seen(
     length, duration: float, noise: float = 0.0, rear=lambda _: 0.1
 ) -> list[tuple[float, bool]]:
-    """Time and outcome of each sample of a robot whose length is a function of time."""
+    """Return time and outcome of each sample of a robot whose length is a function of time."""
     draw, still, found = random.Random(1), Stillness(), []
     for index in range(round(duration * RATE_HZ)):
         time = index / RATE_HZ
@@ -32,7 +32,7 @@ def test_a_robot_that_stands_is_seen_to_after_most_of_a_span():
 
 
 def test_a_body_that_creeps_is_not_taken_for_one_that_stands():
-    """From 4.7 mm off, with a time constant of a second: a length taken then is within half a millimetre."""
+    """It starts 4.7 mm off, with a time constant of a second: the accepted length is within half a millimetre."""
 
     def creeping(time: float) -> float:
         return LENGTH - 4.7e-3 * math.exp(-time)

@@ -57,7 +57,7 @@ def test_a_silent_servo_has_no_numbers_but_keeps_its_place():
 
 
 def test_effort_is_a_torque_or_unknown():
-    """By the manual of the XM430-W350: 4.1 N*m at 2.3 A."""
+    """From the manual of the XM430-W350: 4.1 N*m at 2.3 A."""
     state = snapshot(PlayerState())
     current = state.servos[0].effort
 
@@ -123,7 +123,7 @@ def test_the_state_tells_gait_cycle_and_onset():
 
 
 def test_the_level_of_a_diagnostic_is_a_byte():
-    """An int would be taken, and published as a random byte."""
+    """An int would be accepted, and published as a random byte."""
     reports = [Report(f"driver: {level.name}", level, "text") for level in Level]
     array = ros_messages.diagnostics(reports, CLOCKS.stamp(1.0), "worm")
     levels = [status.level for status in array.status]

@@ -48,7 +48,7 @@ def chip() -> Chip:
 
 
 class Words:
-    """A bus whose registers are words as the chip sends them, low byte first if it swaps."""
+    """Bus whose registers are sent as 16-bit values, high byte first, or low byte first if it swaps."""
 
     def __init__(self, registers, swapping: bool = False) -> None:
         self.registers = registers
@@ -87,7 +87,7 @@ def test_swapped_bytes_are_noticed_at_the_start():
 
 
 class SwappingAdapter(DirectSMBus):
-    """An adapter that swaps the words of SMBus by itself, in both directions."""
+    """Adapter that swaps the bytes of SMBus values by itself, in both directions."""
 
     def read_word_data(self, i2c_addr, register):
         return swap(super().read_word_data(i2c_addr, register))
@@ -102,7 +102,7 @@ class SwappingAdapter(DirectSMBus):
     ids=["fresh", "set up by the driver", "set up by another program"],
 )
 def test_an_adapter_that_swaps_is_named_whatever_the_chip_was_set_to(before):
-    """The reset itself arrives swapped there, and is none."""
+    """The adapter also swaps the value of the reset, which then has no effect."""
     chip = Chip()
     chip.robot.chip.write(0, before)
     chip.sensor.device.bus = SwappingAdapter(chip.robot, chip.clock)
@@ -156,7 +156,7 @@ def test_an_overflow_is_no_number(chip, fault):
 
 
 def test_the_chips_overflow_bit_counts_even_where_the_shunt_is_in_range():
-    """It is the current register that overflows, which happens first with a small max_current_a."""
+    """The current register overflows first if max_current_a is small."""
     registers = {0: RUNNING_CONFIGURATION, 1: 20_000, 2: 3000 << 3 | 0b11, 5: 4194}
     sensor = INA219(I2CDevice(Words(registers), "1", 0x40), 0.1, 4194)
     assert sensor.sample(1.0).status is SampleStatus.OVERFLOW
@@ -165,7 +165,7 @@ def test_the_chips_overflow_bit_counts_even_where_the_shunt_is_in_range():
 
 
 def test_a_brown_out_is_noticed_with_the_next_sample_and_repaired(chip):
-    """Without a look at the calibration, a chip that lost it reads as if nothing had happened."""
+    """Without a check of the calibration, a chip that lost it reads as if nothing had happened."""
     chip.inject("ina219_reset")
     seen = [chip.sample().status for _ in range(6)]
     assert seen.count(SampleStatus.SENSOR_RESET) == 1
@@ -182,7 +182,7 @@ def test_no_valid_sample_lies_between_a_brown_out_and_its_discovery(chip):
 @pytest.mark.parametrize(
     "word",
     [
-        RUNNING_CONFIGURATION & ~0x1800,  # range 40 mV: 4.8 W in the place of 13.4 W
+        RUNNING_CONFIGURATION & ~0x1800,  # range 40 mV: 4.8 W instead of 13.4 W
         RUNNING_CONFIGURATION & ~0x2000,  # range 16 V
         RUNNING_CONFIGURATION & ~0x0007,  # power-down
         RUNNING_CONFIGURATION & ~0x0078,  # 9 bit

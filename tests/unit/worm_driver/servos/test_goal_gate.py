@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""No goal beyond its bounds is written, whatever asks for it: on the bytes of the virtual robot's servos."""
+"""No goal beyond its bounds is written, whichever code sends it: on the bytes of the virtual robot's servos."""
 
 import pytest
 from driver_rig import CABLE, Clock, SimulatedPort, Wire
@@ -18,7 +18,7 @@ GOAL = COMMON["goal_position"]
 
 
 class Gated:
-    """A gate to cable servo 1, which was seen at 0 at the time 0."""
+    """Gate to cable servo 1, whose position was 0 at the time 0."""
 
     def __init__(self, bound: Bound) -> None:
         self.clock = Clock()

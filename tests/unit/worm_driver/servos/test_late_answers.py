@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Answers that come late, at every point of the driver's life: none is believed, none is called a fault of a servo."""
+"""Late responses at every point of the driver's work: none is accepted, and none is reported as a fault of a servo."""
 
 import re
 
@@ -11,9 +11,9 @@ from worm_driver.gait.gait_player import Phase
 from worm_driver.servos.servo_state import SILENT
 from worm_driver.virtual_robot.wire.faults import make_fault
 
-#: s, by which answers are late: less than a wait, about one, a cycle, several
+#: s, delays of responses: less than a wait, about one, a cycle, several
 LATE = [0.001, 0.003, 0.005, 0.008, 0.012, 0.016, 0.020, 0.030, 0.040]
-#: what no late answer may be called
+#: causes that must not be reported for a late response
 FALSE = re.compile("input voltage|overheating|encoder|shock|overload|restarted|turn count|reports")
 
 
@@ -22,14 +22,14 @@ def marked_home(rig: Rig) -> bool:
 
 
 def true_zero(rig: Rig) -> float:
-    """Where the driver's 0 is on the shaft, ticks."""
+    """Return the shaft's position at the driver's 0, ticks."""
     return rig.cable._encoder.shaft(0)
 
 
 @pytest.mark.parametrize("count", [1, 2, 5])
 @pytest.mark.parametrize("late", LATE)
 def test_a_home_with_late_answers_is_right_or_leaves_no_mark(late, count):
-    """A stale offset taken for a position moves the zero; a mark that stays then makes the next gait pay out cable."""
+    """A stale offset that is read as a position moves the zero. With a mark, the next gait would then pay out cable."""
     for begin in range(12):
         rig = Rig()
         rig.run(0.05)

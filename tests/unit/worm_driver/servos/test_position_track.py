@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which position can be true, against the fastest motion of a shaft."""
+"""Plausibility of positions, given the fastest motion of a shaft."""
 
 import math
 

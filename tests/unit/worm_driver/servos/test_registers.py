@@ -19,7 +19,7 @@ def test_no_two_registers_overlap(model):
 
 @pytest.mark.parametrize("model", MODEL_LIST, ids=lambda model: model.name)
 def test_the_table_agrees_with_the_one_written_for_the_virtual_robot(model):
-    """Two people read the manual: address, size and sign of every row that both have are the same."""
+    """Two people read the manual: address, size and sign of every row of both tables are the same."""
     other = next(m for m in control_table.MODELS.values() if m.number == model.number)
     for name, row in model.registers.items():
         found = other.registers[name]

@@ -41,7 +41,7 @@ MODEL = COMMON["model_number"]
 
 
 class Line:
-    """A bus with the virtual robot's servos 1, 11 and 12, on a clock of its own."""
+    """Bus with the virtual robot's servos 1, 11 and 12, on a clock of its own."""
 
     def __init__(self) -> None:
         self.clock = Clock()
@@ -107,7 +107,7 @@ def test_torque_off_needs_no_answer(line):
 
 # --- stuffing that the SDK drops ----------------------------------------------------------------
 
-#: bodies rich in headers
+#: bodies with many headers
 BODIES = st.lists(st.sampled_from([0xFF, 0xFD, 0x00, 0x55]), max_size=60).map(bytes)
 
 
@@ -130,7 +130,7 @@ def _status(body: bytes) -> list[int]:
 
 
 def test_the_sdk_loses_a_byte_where_this_does_not():
-    """The fault that _PacketHandler.removeStuffing mends; when this fails, the SDK has been mended."""
+    """_PacketHandler.removeStuffing corrects this fault; when this test fails, the SDK has been corrected."""
     body = b"\x55\x00\xff\xff\xfd\xff\xfd\xfd"
     packet = Protocol2PacketHandler().removeStuffing(_status(stuff(body)))
     length = packet[5] | packet[6] << 8
@@ -139,7 +139,7 @@ def test_the_sdk_loses_a_byte_where_this_does_not():
 
 
 def test_a_value_with_a_header_in_it_arrives(line):
-    """The SDK sends it unstuffed, and a servo takes the header for the start of another packet."""
+    """The SDK sends it unstuffed, and a servo reads the header as the start of another packet."""
     assert b"\xff\xff\xfd" in pack(GOAL, -131073)
     line.bus.write(1, GOAL, -131073)
     assert line.bus.read(1, GOAL) == -131073
@@ -151,7 +151,7 @@ def test_a_sync_write_with_a_header_in_it_arrives(line):
 
 
 def test_the_sdk_alone_does_not_get_it_through(line):
-    """When this fails, the SDK has been mended, and so may be _PacketHandler."""
+    """When this fails, the SDK has been corrected, and _PacketHandler may be removed."""
     line.port.packet_timeout = 5.0
     data = list(pack(GOAL, -131073))
     result, error = Protocol2PacketHandler().writeTxRx(line.port, 1, GOAL.address, 4, data)
@@ -191,7 +191,7 @@ def test_what_is_sent_is_what_a_receiver_unstuffs(data):
 
 
 def test_a_late_answer_is_not_taken_for_the_next_ones(line):
-    """Model number asked and late; the SDK gives it to the next question of the same length."""
+    """The response with the model number is late; the SDK returns it for the next request of the same length."""
     line.inject("late", count=1, value=0.006)
     bus = ServoBus(line.port, retries=0)
     with pytest.raises(NoReplyError):
@@ -249,7 +249,7 @@ def test_a_silent_servo_is_named_with_the_remedy(line):
 
 
 def test_bytes_that_keep_coming_do_not_hang_the_bus():
-    """The SDK looks at its timeout only when bytes are missing."""
+    """The SDK checks its timeout only when bytes are missing."""
     clock = Clock()
     rubbish = random.Random(1)
 
@@ -319,7 +319,7 @@ def test_a_missing_servo_does_not_take_the_others_with_it(line):
 
 @pytest.fixture
 def terminal() -> Iterator[str]:
-    """A pseudo-terminal that nobody answers on."""
+    """Open a pseudo-terminal whose other end does not respond."""
     master, slave = os.openpty()
     tty.setraw(slave)
     yield os.ttyname(slave)
@@ -346,7 +346,7 @@ def test_a_baud_rate_that_the_sdk_cannot_set_is_refused(terminal):
 
 
 def test_waiting_costs_no_processor_time(terminal):
-    """The SDK spins: 200 ms of waiting would be 200 ms of a core."""
+    """The SDK polls: 200 ms of waiting would be 200 ms of a core."""
     bus = ServoBus.open(terminal, 1_000_000, latency=0.1, retries=0)
     before = time.thread_time()
     with pytest.raises(NoReplyError):
@@ -356,7 +356,7 @@ def test_waiting_costs_no_processor_time(terminal):
 
 
 def test_a_step_of_the_wall_clock_does_not_shorten_a_wait(line, monkeypatch):
-    """The SDK measures by time.time(): a jump forward would end the wait before the answer."""
+    """The SDK measures by time.time(): a jump forward would end the wait before the response."""
     jumps = iter(range(10**9))
     monkeypatch.setattr(time, "time", lambda: next(jumps) * 3600.0)
     assert line.bus.read(1, MODEL) == 1020
@@ -370,7 +370,7 @@ def test_the_default_clock_is_monotonic(terminal, monkeypatch):
 
 
 def test_an_exception_in_an_exchange_leaves_the_bus_usable(line):
-    """The SDK's busy flag would stick, and every later call fail with COMM_PORT_BUSY."""
+    """Otherwise the SDK's busy flag would remain set, and every later call fail with COMM_PORT_BUSY."""
     line.bus.ping(1)
     line.wire.unplugged = True
     with pytest.raises(PortError, match="is gone"):
@@ -388,7 +388,7 @@ def test_the_sdks_flag_does_stick_without_that(line):
 
 
 def test_two_threads_do_not_get_into_each_others_way(line):
-    """The SDK's flag is no lock: of two threads one would get COMM_PORT_BUSY."""
+    """The SDK's flag is no lock: one of two threads would get COMM_PORT_BUSY."""
     found: list[object] = []
 
     def ask(servo: int) -> None:
@@ -407,7 +407,7 @@ def test_two_threads_do_not_get_into_each_others_way(line):
 
 
 def test_a_full_output_buffer_is_an_error_and_no_hang(terminal):
-    """Nobody reads the other end: the kernel's buffer fills, and a plain write would wait for ever."""
+    """The other end is not read: the kernel's buffer fills, and a plain write would wait forever."""
     bus = ServoBus.open(terminal, 1_000_000)
 
     def write_on() -> None:

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from worm_driver.servos import tick_clock
 from worm_driver.servos.tick_clock import RESOLUTION, WRAP_S, TickClock, age, begin, jump, update
 
-#: s, from the making of an answer to its last byte
+#: s, from the creation of a response to its last byte
 WAY = 0.001
 
 
@@ -15,7 +15,7 @@ def tick(time: float) -> float:
 
 
 def answered(clock: TickClock, made: float, late: float = 0.0) -> TickClock:
-    """The clock after an answer that was made at a time and came late."""
+    """Return the clock after a response that was created at a time and received late."""
     return update(clock, tick(made), made + WAY + late)
 
 
@@ -32,7 +32,7 @@ def test_the_wrap_is_no_jump():
 
 
 def test_slow_answers_do_not_hide_a_late_one():
-    """Answers that took 4 ms leave the promptest as the measure, but for what the clocks may drift."""
+    """Responses that took 4 ms leave the fastest one as the reference, except for the drift of the clocks."""
     clock = begin(tick(0.0), WAY)
     for i in range(1, 101):
         clock = answered(clock, i * 0.01, late=0.003)
@@ -60,7 +60,7 @@ def test_a_restart_is_further_off_than_any_late_answer():
     st.floats(0.0, 1e3),
 )
 def test_no_late_answers_make_a_later_good_one_look_old(answers, start):
-    """However the clock was learnt, an answer that was made after its question is believed."""
+    """However the clock was updated before, a response that was created after its request is accepted."""
     clock, now = None, start
     for gap, late in answers:
         now += gap

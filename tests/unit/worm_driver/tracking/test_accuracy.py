@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the tracker promises: errors below 0.1 mm rms and 0.3 mm at worst, with all that spoils an image at once."""
+"""The tracker's accuracy: errors below 0.1 mm rms and 0.3 mm at most, with all disturbances of an image at once."""
 
 from dataclasses import replace
 
@@ -18,7 +18,7 @@ HARSH = replace(
     ridge_transmission=0.88,
     exposure=0.02,
 )
-# Two markers of 20 mm in one row, nothing below the pipe: the least that a rig may have.
+# Two markers of 20 mm in one row, nothing below the pipe: the minimum of a rig.
 SPARSE = replace(
     HARSH,
     reference={10: (0.0, 0.0, 0.06), 11: (0.3, 0.0, 0.06)},

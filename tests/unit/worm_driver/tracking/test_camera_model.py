@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Calibrations: their file, and the geometry of the lens against one that is computed independently."""
+"""Calibrations: their file, and the geometry of the lens compared with an independent computation."""
 
 from dataclasses import replace
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The camera's pose from reference markers, and that a camera or a marker that moved is noticed."""
+"""The camera's pose from reference markers, and the detection of a camera or a marker that moved."""
 
 from dataclasses import replace
 
@@ -73,7 +73,7 @@ def test_prints_on_their_heads_are_moved():
 
 
 def test_ambiguous_poses_are_rejected():
-    """Small prints side by side, far away: which side is nearer cannot be moved through noise."""
+    """Small prints next to each other, far away: noise hides which side is nearer."""
     settings = replace(
         SETTINGS,
         reference={10: (0.0, 0.0, 0.0), 11: (0.03, 0.0, 0.0)},

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Positions from markers, and that what cannot be is NaN with a reason."""
+"""Positions from markers; implausible ones are NaN with a reason."""
 
 import math
 from dataclasses import replace
@@ -35,7 +35,7 @@ def test_positions_are_exact_at_any_depth_of_the_line(rear, length, y, z):
 
 
 def test_a_wrong_depth_would_be_seen():
-    """The test above could not pass if the depth did not matter: 20 mm of it are 8 mm here."""
+    """If the depth had no effect, the test above would prove nothing: 20 mm of depth are 8 mm here."""
     y, z = SETTINGS.module_line
     tracker = Tracker(setup_of(SETTINGS, line=ModuleLine(y + 0.02, z)))
     found = see(CAMERA.marker(0, (0.3, Y, Z)), tracker=tracker)
@@ -88,7 +88,7 @@ def test_a_jump_is_not_believed_until_the_module_can_have_come_there():
     assert math.isfinite(jump.front)
     later = see(*CAMERA.modules(rear=0.1), tracker=tracker, time=0.25)
     assert later.rear == pytest.approx(0.1, abs=1e-5)
-    set_back = see(*CAMERA.modules(rear=0.0), tracker=tracker, time=-5.0)  # the clock was
+    set_back = see(*CAMERA.modules(rear=0.0), tracker=tracker, time=-5.0)  # the clock was set
     assert set_back.rear == pytest.approx(0.0, abs=1e-5)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The setup file: what it holds, and one line for each way in which it can be wrong."""
+"""The setup file: its content, and one line for each error in it."""
 
 from pathlib import Path
 

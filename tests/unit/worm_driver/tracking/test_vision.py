@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is asked of OpenCV: encodings, markers' corners, dictionaries."""
+"""The functions of OpenCV that are used: encodings, corners of markers, dictionaries."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ HEIGHT, WIDTH = RAMP.shape
 
 
 def encoded(encoding: str) -> np.ndarray:
-    """The ramp, in grey, in an encoding."""
+    """Return the grey ramp in an encoding."""
     if encoding == "mono8":
         return RAMP
     if encoding in ("yuv422", "uyvy", "yuv422_yuy2", "yuyv"):
@@ -70,7 +70,7 @@ def test_corners_are_where_an_independent_camera_has_them():
     for truth in [*paper.references(), *paper.modules(0.02, 0.31)]:
         wrong = found[truth.number].corners - truth.corners
         assert np.abs(wrong).max() < 0.2  # pixels, each corner
-        assert np.abs(wrong.mean(axis=0)).max() < 0.08  # and their middle
+        assert np.abs(wrong.mean(axis=0)).max() < 0.08  # and their mean
         assert found[truth.number].edge_width < 0.5
 
 

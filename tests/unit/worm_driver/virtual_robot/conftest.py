@@ -16,7 +16,7 @@ from worm_driver.virtual_robot.wire.robot_server import I2C_NAME, SERIAL_NAME, R
 
 @dataclass
 class Served:
-    """A robot with its ports; samples grows with what the camera sees."""
+    """Robot with its ports; ``samples`` grows with the camera's samples."""
 
     robot: VirtualRobot
     directory: Path
@@ -25,7 +25,7 @@ class Served:
     samples: list[TrackerSample] = field(default_factory=list)
 
     def end(self) -> None:
-        """What the process does when it ends."""
+        """Clean up as the process does at its end."""
         if self.thread.is_alive():
             self.server.stop()
             self.thread.join()
@@ -42,13 +42,13 @@ class Served:
 
 @pytest.fixture(scope="session")
 def settings() -> RobotSettings:
-    """The installed settings."""
+    """Return the installed settings."""
     return load_settings()
 
 
 @pytest.fixture
 def served(settings: RobotSettings, tmp_path: Path) -> Iterator[Served]:
-    """A robot behind a pseudo-terminal and a socket."""
+    """Start a robot behind a pseudo-terminal and a socket."""
     robot = VirtualRobot(settings)
     samples: list[TrackerSample] = []
     server = RobotServer(robot, tmp_path, samples.extend)

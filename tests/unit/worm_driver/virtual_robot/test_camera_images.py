@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The virtual camera's images: prints are averaged exactly, and lie where the geometry has them."""
+"""The virtual camera's images: prints are averaged exactly, and are where the geometry places them."""
 
 from dataclasses import replace
 

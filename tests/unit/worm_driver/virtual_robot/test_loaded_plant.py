@@ -135,7 +135,7 @@ def test_the_reverse_gait_uphill_is_the_mirror_image():
 
 @pytest.mark.parametrize("effects", [NO_EFFECTS, COMPLIANT])
 def test_the_cable_pays_for_the_climb(effects):
-    """Work of the cable, minus what bellows and weight store, is at least the loss by friction."""
+    """Work of the cable, minus the energy stored in bellows and weight, is at least the loss by friction."""
     conditions = Conditions(20.0, 2.0, 3.0)
     plant = plant_of(conditions, effects=effects)
     states = play(plant, 0.08, 0.15, 3)

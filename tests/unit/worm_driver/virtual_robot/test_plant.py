@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The worm itself: against an independent solution of the model, and for being physical."""
+"""The plant, compared with an independent solution of the model and with physical laws."""
 
 import csv
 import math
@@ -29,7 +29,7 @@ def make_plant(parameters=PAPER, effects=NO_EFFECTS, step=1e-3, seed=1):
 
 
 def gait(stroke, frequency, plant, cycles=5, law=FORWARD):
-    """States of a gait from rest; the slack is taken up at its first step."""
+    """Return the states of a gait from rest; the slack is taken up at its first step."""
     state, states = plant.at_rest(), []
     for index in range(round(cycles / frequency / plant.step_s)):
         phase = 2 * math.pi * frequency * (index + 1) * plant.step_s
@@ -40,7 +40,7 @@ def gait(stroke, frequency, plant, cycles=5, law=FORWARD):
 
 
 def of_last_cycles(plant, states, cycles=5, last=3):
-    """Grooves per cycle and mean power of the last cycles."""
+    """Return grooves per cycle and mean power of the last cycles."""
     first = round(len(states) * (cycles - last) / cycles)
     gained = plant.positions(states[-1])[0] - plant.positions(states[first - 1])[0]
     power = sum(plant.electrical_power(state) for state in states[first:]) / (len(states) - first)
@@ -75,7 +75,7 @@ def test_it_converges_with_the_step():
 
 
 def test_reverse_is_the_mirror_image_of_forward():
-    # The mirror leaves the pipe as it is only if both fins stand in the middle of their grooves.
+    # The mirror preserves the pipe only if both fins are in the middle of their grooves.
     plant = make_plant(replace(PAPER, initial_length=17 * PAPER.pitch))
     forward = gait(0.08, 0.2, plant, cycles=2)
     reverse = gait(0.08, 0.2, plant, cycles=2, law=REVERSE)
@@ -109,7 +109,7 @@ def test_anchors_stand_in_grooves_near_their_fins():
 
 
 def test_the_cable_pays_for_all_losses():
-    """Energy in by the cable, less what the bellows store, is never less than what friction takes."""
+    """The cable's work, minus the energy stored in the bellows, is never less than the loss by friction."""
     plant = make_plant(DRY, ROUGH)
     work = dissipated = 0.0
     previous = plant.at_rest()

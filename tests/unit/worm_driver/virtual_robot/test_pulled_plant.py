@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The worm whose length a cable's force decides: against an independent integration, and for what load does to it."""
+"""The plant with a length that follows from the cable's force: an independent integration, and effects of loads."""
 
 import math
 from dataclasses import replace
@@ -23,7 +23,7 @@ def plant_of(effects, step=1e-3, body=BODY):
 
 
 def play(plant, stroke, frequency, cycles=2, law=FORWARD):
-    """States at every step; the slack is taken up at the first."""
+    """Return the states at every step; the slack is taken up at the first."""
     state, states = plant.at_rest(), []
     for index in range(round(cycles / frequency / plant.step_s)):
         phase = 2 * math.pi * frequency * (index + 1) * plant.step_s
@@ -34,7 +34,10 @@ def play(plant, stroke, frequency, cycles=2, law=FORWARD):
 
 
 def integrated(stroke, frequency, times):
-    """x1, x2 (2, n) by SciPy: two masses, springs and dampers as printed, a cable that only pulls, no switches."""
+    """Return x1, x2 (2, n) by SciPy:
+
+    two masses, springs and dampers as in the paper, a cable that only pulls, no switches.
+    """
     p, half = BODY, 0.5 * BODY.clearance
     front = round(p.initial_length / p.pitch) * p.pitch
     preload = p.bellows_stiffness * (p.unstressed_length - p.initial_length)
@@ -65,7 +68,7 @@ def integrated(stroke, frequency, times):
 def test_it_is_the_two_mass_model_with_the_cables_force():
     plant = plant_of(PULLED, step=1e-4)
     states = play(plant, 0.025, 0.3, cycles=1)
-    assert {state.rear_groove for state in states} == {0}  # none switches, nor does the oracle
+    assert {state.rear_groove for state in states} == {0}  # no anchor switches, as in the oracle
     times = plant.step_s * np.arange(1, len(states) + 1)
     expected = integrated(0.025, 0.3, times)
     found = np.array([plant.positions(state) for state in states]).T

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The whole virtual robot on a virtual clock: it repeats, it walks, its instruments are honest."""
+"""The whole virtual robot on a virtual clock: it is reproducible, it moves forward, its instruments are correct."""
 
 import errno
 import math
@@ -71,7 +71,7 @@ def test_a_slope_and_a_tether_cost_power_and_no_speed_with_a_margin(settings):
         np.mean((run.bus_voltage * run.current)[(run.power_time > first) & (run.power_time < last)])
         for run in (level, loaded)
     ]
-    # the load's work: weight and tether over two grooves a cycle, at the power factor
+    # the load's work: weight and tether over two grooves per cycle, times the power factor
     mass = level.truth.rear_mass + level.truth.front_mass
     force = mass * 9.80665 * math.sin(math.radians(20.0)) + 2.0
     work = level.truth.power_factor * force * 2 * level.truth.pitch * gait.frequency
@@ -114,7 +114,7 @@ def test_what_the_instruments_of_a_rehearsal_see(settings):
     assert np.nanstd(run.rear_position[run.tracker_time < run.onset]) == pytest.approx(
         settings.tracker.noise, rel=0.3
     )
-    # Half a stroke of 70 mm on a spool of 25 mm, and the servo somewhat behind its goal.
+    # Half a stroke of 70 mm on a spool of 25 mm, with the servo slightly behind its goal.
     assert np.max(run.goal_ticks) == round(0.07 / 0.025 * 4096 / (2 * math.pi))
     error = run.goal_ticks - run.encoder_ticks
     assert 5 < np.max(error) < 100
@@ -142,7 +142,7 @@ def test_fins_between_their_angles_hold_nothing(settings):
     set_goal(cable, 4700)
     robot.advance(1.5)
     rear, front = robot.plant.positions(robot.state)
-    # Nothing holds either module: both move towards the middle.
+    # No module is held: both move towards the middle.
     assert rear > 0.01
     assert front < settings.body.initial_length - 0.01
 

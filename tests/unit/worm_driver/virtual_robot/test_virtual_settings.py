@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The virtual robot's file: what is refused, and with which words."""
+"""The virtual robot's file: rejected values, and the facts in the messages."""
 
 import pytest
 import yaml

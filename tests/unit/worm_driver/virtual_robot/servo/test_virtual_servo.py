@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One virtual servo: what its registers take, refuse and do."""
+"""One virtual servo: which values its registers accept and reject, and its motion."""
 
 import math
 from itertools import pairwise
@@ -27,7 +27,7 @@ STEP = 0.001
 
 
 class Bench:
-    """A servo with a clock, read and written by register name."""
+    """Servo with a clock, read and written by register name."""
 
     def __init__(self, model=XM430_W350, start=1000.0, **settings):
         self.servo = Servo(model, {"id": 1, **settings}, start, 0.25, Random(1))
@@ -116,7 +116,7 @@ def test_the_xl430_has_no_current_modes():
     ("address", "data", "number"),
     [
         (116, b"\x00\x00", Error.DATA_LENGTH),  # half a register
-        (117, b"\x00\x00\x00\x00", Error.ACCESS),  # not where a register starts
+        (117, b"\x00\x00\x00\x00", Error.ACCESS),  # not the start of a register
         (92, b"\x00", Error.ACCESS),  # no register there
         (168, b"\x00", Error.ACCESS),  # beyond the table
     ],
@@ -334,7 +334,7 @@ def test_a_blocked_shaft_overloads_and_only_a_reboot_helps():
 
 def test_an_alert_outside_the_mask_leaves_the_torque_on():
     bench = extended()
-    bench.servo.surroundings.voltage = 9.0  # an XM430 wants 9.5 V
+    bench.servo.surroundings.voltage = 9.0  # an XM430 requires 9.5 V
     bench.supervise(0.1)
     assert bench.read("hardware_error_status") == INPUT_VOLTAGE_ERROR
     assert bench.read("present_input_voltage") == 90

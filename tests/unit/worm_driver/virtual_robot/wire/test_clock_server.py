@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How far the robot's time may go, with a machine's time that the test makes up."""
+"""Advance of the robot's time, with a machine's time that the test sets."""
 
 import math
 
@@ -20,7 +20,7 @@ def keeper(rate: float = 1.0) -> ClockServer:
 def test_alone_it_goes_with_the_machine():
     time = keeper()
     assert time.alone(101.5) == pytest.approx(1.5)
-    assert time.alone(101.0) == pytest.approx(1.5)  # never back
+    assert time.alone(101.0) == pytest.approx(1.5)  # never backwards
 
 
 def test_nothing_is_passed_over_and_nobody_who_works_is_left_behind():
@@ -33,7 +33,7 @@ def test_nothing_is_passed_over_and_nobody_who_works_is_left_behind():
 def test_it_hurries_to_make_up_for_a_little_and_lets_the_rest_be():
     time = keeper()
     time.together(100.0, [True], until=0.01)
-    time.together(103.0, [False], until=0.01)  # somebody took three seconds
+    time.together(103.0, [False], until=0.01)  # a client took three seconds
     assert time.now == 0.0
     assert time.held == pytest.approx(2.9)
     assert time.together(103.0, [True], until=5.0) == pytest.approx(0.1)
@@ -45,7 +45,8 @@ def test_as_fast_as_possible_it_goes_from_event_to_event():
         assert time.together(100.0, [True], until=event) == event
     assert time.machine_time(31.0) == 100.0
     time.begin(100.0)
-    assert time.alone(101.0) == pytest.approx(31.0)  # with nobody there, with the machine again
+    # without clients, time advances with the machine's again
+    assert time.alone(101.0) == pytest.approx(31.0)
 
 
 def test_at_another_rate_it_goes_by_that():
@@ -73,11 +74,11 @@ def test_whatever_the_machine_does_no_event_is_passed_and_time_never_goes_back(s
 def test_bytes_on_their_way_keep_the_time():
     client = ClockClient(SERIAL, Wait(1, 0.1, True, written=14, read=60), since=5.0)
     assert client.waits(sent=60, received=14)
-    assert not client.waits(sent=60, received=13)  # a question that has not come through
-    assert not client.waits(sent=61, received=14)  # an answer that has not
+    assert not client.waits(sent=60, received=13)  # a request that has not arrived
+    assert not client.waits(sent=61, received=14)  # a response that has not arrived
     assert ClockClient(SERIAL, Wait(1, 0.1, False, 14, 60)).waits(
         sent=61, received=14
-    )  # nor is wanted
+    )  # nor is awaited
     assert not ClockClient(SERIAL).waits(0, 0)
     assert ClockClient(I2C, Wait(1, 0.1, False, 0, 0)).waits(sent=61, received=14)
     assert not client.has_lost_bytes(5.1)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The servo bus behind its pseudo-terminal, as the real SDK sees it."""
+"""The servo bus behind its pseudo-terminal, accessed with the real SDK."""
 
 import select
 import termios
@@ -28,7 +28,7 @@ TORQUE, GOAL, POSITION, BLOCK = 64, 116, 132, 126
 
 
 class PatientPort(PortHandler):
-    """The SDK's port without its spinning, so that the serving thread gets to run."""
+    """The SDK's port without polling, so that the serving thread gets to run."""
 
     def readPort(self, length):
         remaining = (self.packet_timeout - self.getTimeSinceStart()) / 1000
@@ -38,13 +38,13 @@ class PatientPort(PortHandler):
 
 
 def set_timeout(monkeypatch, seconds):
-    """How long the SDK waits for an answer."""
+    """Set the time that the SDK waits for a response."""
     monkeypatch.setattr(dynamixel_sdk.port_handler, "LATENCY_TIMER", seconds * 500)
 
 
 @pytest.fixture
 def port(served, monkeypatch) -> Iterator[PortHandler]:
-    set_timeout(monkeypatch, 5.0)  # only a failure waits for so long
+    set_timeout(monkeypatch, 5.0)  # only a failing test waits so long
     handler = PatientPort(served.port)
     assert handler.openPort()
     assert handler.setBaudRate(1_000_000)
@@ -69,7 +69,7 @@ def wait_for_boot(served):
 
 
 def inject(served, name, **options):
-    """Asks for a fault and waits until the serving thread has taken the order."""
+    """Request a fault and wait until the serving thread has accepted the request."""
     fault = make_fault(name, **options)
     served.server.inject(fault)
     board, now = served.robot.board, served.server.now
@@ -102,7 +102,7 @@ def test_a_registered_write_waits_for_action(port, sdk):
     data = (goal + 50).to_bytes(4, "little")
     assert sdk.regWriteTxRx(port, CABLE, GOAL, 4, list(data)) == (COMM_SUCCESS, 0)
     assert sdk.read4ByteTxRx(port, CABLE, GOAL)[0] == goal
-    sdk.action(port, 254)  # to one servo, the SDK would leave its answer on the line
+    sdk.action(port, 254)  # after a request to one servo, the SDK would leave its response unread
     assert sdk.read4ByteTxRx(port, CABLE, GOAL)[0] == goal + 50
 
 
@@ -169,7 +169,7 @@ def test_clear_and_factory_reset(port, sdk, served):
 
 
 def test_a_goal_that_the_sdk_does_not_stuff_never_arrives(port, sdk, monkeypatch):
-    """-131073 is FF FF FD FF: the SDK sends it bare, and a servo takes it for a header."""
+    """-131073 is FF FF FD FF: the SDK sends it unstuffed, and a servo reads it as a header."""
     sdk.write1ByteTxRx(port, CABLE, TORQUE, 1)
     before = sdk.read4ByteTxRx(port, CABLE, GOAL)[0]
     set_timeout(monkeypatch, 0.05)
@@ -179,7 +179,7 @@ def test_a_goal_that_the_sdk_does_not_stuff_never_arrives(port, sdk, monkeypatch
 
 
 def test_stuffed_answers_are_understood(port, sdk):
-    """A position of -131073 comes stuffed."""
+    """A position of -131073 arrives stuffed."""
     sdk.write1ByteTxRx(port, CABLE, TORQUE, 0)
     assert sdk.write4ByteTxRx(port, CABLE, 20, -131072 - 3259) == (COMM_SUCCESS, 0)
     read, result, error = sdk.read4ByteTxRx(port, CABLE, POSITION)
@@ -207,7 +207,7 @@ def test_spoilt_status_packets(port, sdk, served, monkeypatch, name, result):
 
 
 def test_the_sdk_takes_a_late_answer_for_the_next(port, sdk, served, monkeypatch):
-    """What a driver has to rule out: a position is read as a velocity, with success."""
+    """A driver must exclude this: a position is read as a velocity, with success."""
     position = sdk.read4ByteTxRx(port, CABLE, POSITION)[0]
     inject(served, faults.LATE, target=CABLE, value=0.5)
     set_timeout(monkeypatch, 0.05)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Faults as text, their defaults, and when they strike."""
+"""Faults as text, their defaults, and their times."""
 
 import math
 

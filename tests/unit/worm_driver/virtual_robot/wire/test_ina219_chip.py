@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The power sensor's registers against the data sheet's numbers."""
+"""The power sensor's registers compared with the data sheet's numbers."""
 
 from random import Random
 
@@ -22,7 +22,7 @@ READY, OVERFLOW = 2, 1
 
 
 class Bench:
-    """A noiseless chip at constant voltages with a clock of its own."""
+    """Noiseless chip at constant voltages with a clock of its own."""
 
     def __init__(self, shunt=0.0, bus=12.0, noise=(0.0, 0.0)):
         self.chip = Ina219(AdcNoise(*noise), Random(1))
@@ -92,7 +92,7 @@ def test_ready_is_cleared_by_reading_power_only():
 
 def test_averaging_takes_its_time():
     bench = Bench()
-    bench.chip.write(CONFIGURATION, 0x1DDF)  # 8 samples a channel, 8.51 ms for both
+    bench.chip.write(CONFIGURATION, 0x1DDF)  # 8 samples per channel, 8.51 ms for both
     bench.run(0.008)
     assert not bench.chip.read(BUS) & READY
     bench.run(0.001)
@@ -138,7 +138,7 @@ def test_overflow_is_of_the_arithmetic_not_of_the_converter():
     bench = Bench(shunt=0.5)
     bench.chip.write(CALIBRATION, 4194)
     bench.run(0.01)
-    assert not bench.chip.read(BUS) & OVERFLOW  # 32765 still fits: the clipped value looks sound
+    assert not bench.chip.read(BUS) & OVERFLOW  # 32765 still fits: the clipped value looks valid
     bench.chip.write(CALIBRATION, 4200)
     assert bench.chip.read(BUS) & OVERFLOW
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Packets of the virtual servos against the e-manual's vectors and against their own inverse."""
+"""Packets of the virtual servos compared with the e-manual's vectors and with their own inverse."""
 
 import pytest
 from hypothesis import given

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The directory of a virtual robot: who may use it, and what stays behind."""
+"""The directory of a virtual robot: which process may use it, and which files remain."""
 
 import os
 import stat

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The servo bus on a virtual clock: who answers what, when, and with which bytes."""
+"""The servo bus on a virtual clock: which servo responds, when, and with which bytes."""
 
 import pytest
 from hypothesis import given
@@ -209,7 +209,7 @@ def test_a_servo_that_vanishes_comes_back_folded_and_limp():
     virtual.receive(write(CABLE, 116, word(4700) + word(0)), 0.0)
     assert replies(virtual, PING, 5.9) == [PONG]
     assert replies(virtual, PING, 6.5) == []
-    assert replies(virtual, PING, 7.1) == []  # it boots
+    assert replies(virtual, PING, 7.1) == []  # the servo is booting
     assert replies(virtual, PING, 7.3) == [PONG]
     cable = virtual.servos[0]
     assert cable.memory["torque_enable"] == 0
@@ -234,7 +234,7 @@ def test_rubbish_never_disturbs_what_follows(rubbish, tail):
     for index, data in enumerate(rubbish):
         virtual.receive(data, index * 0.001)
     virtual.receive(b"\xff\xff\xfd\x00\x01" + tail.to_bytes(5, "little"), 0.01)
-    # After a pause the line is as new.
+    # After a pause, old bytes on the bus have no effect.
     assert replies(virtual, PING, 0.2) == [PONG]
 
 

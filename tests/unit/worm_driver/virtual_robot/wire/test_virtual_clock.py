@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Threads that take part in a virtual robot's time: it waits for them, they for it."""
+"""Threads and a virtual robot's time, which wait for each other."""
 
 import threading
 import time
@@ -34,7 +34,7 @@ class _Robot:
 
 @pytest.fixture
 def fast(settings, tmp_path) -> Iterator[_Robot]:
-    """As fast as possible."""
+    """Start a robot whose time runs as fast as possible."""
     robot = _Robot(settings, tmp_path, float("inf"))
     yield robot
     robot.end()
@@ -66,7 +66,7 @@ def test_while_somebody_works_no_time_passes(fast):
 
 
 def test_two_wait_for_each_other(fast):
-    """Each sees the other's last deadline passed, and none of its own missed."""
+    """Each notices when the other's last deadline has passed, and misses none of its own."""
     seen: dict[str, list[float]] = {"a": [], "b": []}
     clocks = {name: VirtualClock(fast.directory, I2C) for name in seen}
     begin = max(clock() for clock in clocks.values())
@@ -102,7 +102,10 @@ def test_a_missing_answer_takes_its_timeout_and_no_more(fast):
 
 
 def test_a_thousand_questions_are_answered_however_the_line_dawdles(fast):
-    """A pseudo-terminal carries bytes when the kernel finds time: no time may pass meanwhile."""
+    """A pseudo-terminal transmits bytes when the kernel has time for it:
+
+    the robot's time must not advance meanwhile.
+    """
     bus, clock = open_bus(fast)
     bus.retries = 0
     for _ in range(1000):

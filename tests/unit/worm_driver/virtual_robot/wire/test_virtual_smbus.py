@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The stand-in for smbus2.SMBus, through its socket."""
+"""Replacement of smbus2.SMBus, through its socket."""
 
 import errno
 import socket
