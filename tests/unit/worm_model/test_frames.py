@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The frames: urdf/worm.urdf against the twin's messages and its scene."""
+"""The frames: urdf/worm.urdf, compared with the twin's messages and its scene."""
 
 import math
 import xml.etree.ElementTree as ElementTree
@@ -53,7 +53,7 @@ def test_the_tree_goes_from_the_pipe_over_the_rear_to_the_front_module(robot):
 
 
 def test_the_joints_are_those_that_are_published(robot):
-    """By the twin, and by a driver with the servos of driver.yaml."""
+    """Both the twin and a driver with the servos of driver.yaml publish them."""
     driver = yaml.safe_load(DRIVER_FILE.read_text())["/**/driver"]["ros__parameters"]
     cables = [f"cable_{number}" for number in driver["cable_servos"]["ids"]]
     fins = [f"fin_{number}" for number in driver["fin_servos"]["ids"]]
@@ -88,7 +88,8 @@ def test_every_link_that_moves_has_mass_inertia_and_a_collision(robot):
         assert float(link.find("inertial/mass").get("value")) > 0.0
         tensor = link.find("inertial/inertia").attrib
         a, b, c = sorted(float(tensor[key]) for key in ("ixx", "iyy", "izz"))
-        assert 0.0 < a <= b <= c <= (a + b) * (1.0 + 1e-3)  # rounded; no body has more
+        # rounded; the file contains no other body
+        assert 0.0 < a <= b <= c <= (a + b) * (1.0 + 1e-3)
         geometries = [link.find(f"{kind}/geometry")[0].attrib for kind in ("visual", "collision")]
         assert geometries[0] == geometries[1]
 
@@ -129,7 +130,7 @@ def test_the_modules_look_as_in_the_scene(robot):
 
 
 def test_what_is_published_has_a_place_in_the_tree():
-    """Positions in the pipe, images in the optical frame that the launch file hangs below the camera's."""
+    """Positions in the pipe, and images in the optical frame that the launch file attaches to the camera's frame."""
     assert position_publisher.FRAME == scene.FRAME
     launch = (URDF.parents[1] / "launch" / "view.launch.py").read_text()
     assert f'"camera", "{virtual_camera_node.FRAME}"' in launch

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The parameter file: what is accepted, what is refused, and with which words."""
+"""The parameter file: accepted values, rejected values, and the facts in the messages."""
 
 import inspect
 import re

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What worm_model.run says of the messages without knowing them."""
+"""worm_model.run has the constants of the messages, which it does not import."""
 
 import pytest
 

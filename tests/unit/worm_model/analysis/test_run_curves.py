@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A run in one figure, as the demo and notebooks draw it."""
+"""Curves of a run in one figure, as the demo and notebooks draw it."""
 
 import pytest
 from recorded_run import simulated_run

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The numbers of a run: which cycles count, mean rates, energy, idle power; and the driver's, on the same data."""
+"""The metrics of a run: averaged cycles, mean rates, energy, idle power; and the driver's metrics of the same data."""
 
 import dataclasses
 import math
@@ -85,14 +85,14 @@ def test_a_recording_without_a_gait_is_refused():
     ],
 )
 def test_an_early_end_is_told_with_the_cycles_that_were_played(state, reason):
-    stamp = stamps([-1.0, 0.0, 5.0, 14.9])  # 5 s a cycle
+    stamp = stamps([-1.0, 0.0, 5.0, 14.9])  # 5 s per cycle
     states = gait_states([RESTING, RUNNING, RUNNING, state], [0, EPOCH, EPOCH, EPOCH], 5)
     late = dataclasses.replace(states, stamp=stamp)
     early = dataclasses.replace(states, stamp=np.append(stamp[:3], stamps([11.0])))
     run = Run(gait_state=early)
     assert early_end(run, last_played_gait(early)) == reason
     assert averaged_cycles(run, last_played_gait(early)) == (1, 2)
-    # told through two clocks, a tenth of a second early: the third cycle was whole
+    # The two topics have different clocks, a tenth of a second apart: the third cycle was complete.
     assert averaged_cycles(Run(gait_state=late), last_played_gait(late)) == (1, 3)
 
 
@@ -104,7 +104,7 @@ def test_a_gait_that_is_stopped_plays_on_to_its_next_point_of_rest(state, reason
     states = gait_states([RESTING, RUNNING, STOPPING, state], [0, EPOCH, EPOCH, EPOCH], 5)
     states = dataclasses.replace(
         states, stamp=stamps([-1.0, 0.0, 11.0, 15.0 - 1e-9])
-    )  # 5 s a cycle
+    )  # 5 s per cycle
     run, played = Run(gait_state=states), last_played_gait(states)
     assert early_end(run, played) == reason
     assert averaged_cycles(run, played) == (1, 3)
@@ -146,7 +146,7 @@ def test_without_numbers_onsets_tell_runs_apart():
 
 
 def performance(position, energy, window: Window, direction: int) -> tuple[float, float, float]:
-    """Speed in m/s, power in W and cost of transport over a window."""
+    """Return speed in m/s, power in W and cost of transport over a window."""
     speed = direction * mean_rate(position, window, "position of x1")
     power = mean_rate(energy, window, "power")
     return speed, power, float(cost_of_transport(speed, power, MASS))
@@ -166,7 +166,7 @@ def test_steady_motion_gives_its_speed_and_power_at_any_phase_of_the_samples(
     energy = accumulated_energy((stamps(time), np.full(time.size, power)))
     moved = performance((stamps(time), 0.3 + speed * time), energy, window, direction)
     assert moved[:2] == pytest.approx((direction * speed, power), rel=1e-6)
-    # what goes backwards transports nothing
+    # a robot that moves backwards transports nothing
     cost = power / (MASS * STANDARD_GRAVITY * abs(speed)) if direction * speed > 0.0 else math.inf
     assert moved[2] == pytest.approx(cost)
 
@@ -212,7 +212,7 @@ def test_a_recording_that_ends_too_early_is_refused(name):
 
 
 def driver_figures(run: Run, cycles: int) -> gait_metrics.RunMetrics:
-    """What the driver would have measured of a recorded run, its clock at 0 with the first sample."""
+    """Return the driver's metrics of a recorded run, with the driver's clock at 0 at the first sample."""
 
     def clock(stamp: np.ndarray) -> list[float]:
         return ((stamp - run.origin) * 1e-9).tolist()
@@ -235,7 +235,7 @@ def driver_figures(run: Run, cycles: int) -> gait_metrics.RunMetrics:
 
 @pytest.mark.parametrize("cycles", [2, 5])
 def test_the_driver_measures_the_same_of_the_same_run(cycles: int):
-    """It may not import this package: protocol and constants are held together here."""
+    """The driver may not import this package: here its protocol and constants are compared."""
     run = simulated_run(cycles)
     played = last_played_gait(run.gait_state)
     first, last = averaged_cycles(run, played)
@@ -248,7 +248,8 @@ def test_the_driver_measures_the_same_of_the_same_run(cycles: int):
     theirs = driver_figures(run, cycles)
     assert (theirs.cycles_completed, theirs.cycles_averaged) == (last, last - first + 1)
     assert theirs.speed == pytest.approx(speed, rel=1e-9)
-    assert theirs.power == pytest.approx(power, rel=2e-3)  # rectangles against trapezoids
+    # rectangle rule compared with trapezoidal rule
+    assert theirs.power == pytest.approx(power, rel=2e-3)
     assert theirs.cost_of_transport == pytest.approx(cost, rel=2e-3)
     assert theirs.idle_power == pytest.approx(idle_power(run, played), rel=1e-12)
     constants = (

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The figures of a run: what they show, and that nothing in their files tells when they were made."""
+"""The figures of a run: their content, and that their files do not depend on the time of their creation."""
 
 import dataclasses
 import math
@@ -37,7 +37,7 @@ def true_power(stamp):
 
 
 def test_the_power_in_the_states_is_as_good_as_that_beside_the_sensor(followed):
-    """Both come once the lengths about them are known; what is left is the camera's noise of 0.1 mm."""
+    """Both are computed when the lengths around them are known; the camera's noise of 0.1 mm remains."""
     run, replay = followed
     stamp, settled = settled_power(run, replay)
     true, moving = true_power(stamp)

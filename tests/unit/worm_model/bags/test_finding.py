@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which bags there are below a folder, by names alone."""
+"""Bags below a folder, found by names alone."""
 
 from pathlib import Path
 
@@ -40,7 +40,7 @@ def test_what_was_recovered_belongs_to_its_source_the_last_one_last(tmp_path: Pa
         made(recovered_path(source, number), "metadata.yaml")
     copies = ["run_recovered", "run_recovered_2", "run_recovered_10"]
     assert below(tmp_path) == {"gone_recovered": [], "other": [], source.name: copies}
-    made(tmp_path, "run_recovered_recovered/metadata.yaml")  # a copy that was spoilt in its turn
+    made(tmp_path, "run_recovered_recovered/metadata.yaml")  # a copy that was damaged itself
     assert below(tmp_path)[source.name] == [copies[0], "run_recovered_recovered", *copies[1:]]
     assert len(below(tmp_path)) == 3
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bags of all kinds of writers are read, lazily, and what is wrong with one is said in one line."""
+"""Bags of all kinds of writers are read, lazily, and each error is one line."""
 
 import shutil
 import sqlite3
@@ -68,7 +68,7 @@ def by_mcap(
     compression=CompressionType.ZSTD,
     **options,
 ) -> Path:
-    """Channel /a and /b; messages in pairs that are out of order within a chunk and across chunks."""
+    """Write channels /a and /b; messages in pairs that are out of order within a chunk and across chunks."""
     indexes = {} if indexed else {"index_types": IndexType.NONE, "use_summary_offsets": False}
     indexes |= {} if indexed else {"use_statistics": False, "repeat_channels": False}
     with path.open("xb") as stream:
@@ -233,7 +233,7 @@ def test_a_compressed_file_leaves_half_of_the_free_space(tmp_path: Path, monkeyp
 
 
 def test_messages_that_grow_are_read_in_parts(tmp_path: Path):
-    """One block of compressed messages would be hundreds of megabytes."""
+    """One block of compressed messages would need hundreds of megabytes."""
     size = DECOMPRESSED_BYTES // 2 - 1
     packed = ZstdCompressor().compress(bytes(size))
     with new_bag(tmp_path / "bag") as writer:
@@ -258,7 +258,7 @@ def test_files_of_a_split_bag_are_one(tmp_path: Path):
 @pytest.mark.parametrize("indexed", [True, False])
 @pytest.mark.parametrize("chunked", [True, False])
 def test_equal_times_keep_the_order_of_the_file(tmp_path: Path, chunked: bool, indexed: bool):
-    """Also where they lie in several chunks, of which some begin before others end."""
+    """Also if they are in several chunks, some of which begin before others end."""
     times = [(i // 50) * 50 - 60 * (i % 9 == 0) + 100 for i in range(COUNT)]
     with (tmp_path / "a.mcap").open("xb") as stream:
         kind = IndexType.ALL if indexed else IndexType.NONE
@@ -397,7 +397,7 @@ def test_a_spoilt_chunk_is_noticed_and_recovery_leaves_it_out(tmp_path: Path):
 
 
 def test_recovery_does_not_trust_the_summary_of_a_spoilt_file(tmp_path: Path):
-    """What reading advises when it finds damage: recovery walks through the records themselves."""
+    """Readers recommend recovery when they find damage: it reads all records themselves."""
 
     path = by_mcap(tmp_path / "a.mcap", compression=CompressionType.NONE)
     data = bytearray(path.read_bytes())
@@ -411,7 +411,7 @@ def test_recovery_does_not_trust_the_summary_of_a_spoilt_file(tmp_path: Path):
 
 @pytest.mark.parametrize("offset", [0, 2**40, 2**63 + 5])
 def test_a_message_index_that_points_elsewhere_does_no_harm(tmp_path: Path, offset: int):
-    """It has no checksum: the messages themselves are walked."""
+    """It has no checksum, so the messages themselves are read."""
     path = by_mcap(tmp_path / "a.mcap")
     data = bytearray(path.read_bytes())
     entry = data.index(struct.pack("<Q", 301 * 1000 + 1))  # chunks are compressed
@@ -477,7 +477,7 @@ def test_a_copy_of_a_bag_under_another_name_is_read(tmp_path: Path):
 
 
 def without_definitions(path: Path, data: bytes, type_hash: str = "") -> Path:
-    """As ROS 2 Humble wrote sqlite3 bags: neither definitions nor type hashes."""
+    """Write a bag like sqlite3 bags of ROS 2 Humble: neither definitions nor type hashes."""
     kind = "worm_msgs/msg/Power"
     with RosbagsWriter(path, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
         store = get_typestore(Stores.ROS2_JAZZY)
@@ -525,7 +525,8 @@ def test_messages_of_another_length_than_the_installed_definition_are_refused(
 
 # --- definitions that a bag lacks, given by an option ---------------------------------------------
 
-OLD_POWER = "std_msgs/Header header\nuint8 status\nfloat64 power\n"  # of before voltage and current
+# the layout before voltage and current
+OLD_POWER = "std_msgs/Header header\nuint8 status\nfloat64 power\n"
 POWER = "worm_msgs/msg/Power"
 
 
@@ -542,7 +543,7 @@ def old_definitions(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def old_bag(tmp_path: Path, old_definitions: Path) -> Path:
-    """A bag of the older layout that carries no definition."""
+    """Write a bag of the older layout that contains no definition."""
     topic = topic_of("/worm/power", POWER, definitions=old_definitions)
     (data,) = encode(topic, 1, {"power": 2.5, "status": 1}, {"header.frame_id": "ina219"})
     return without_definitions(tmp_path / "bag", data)
@@ -578,7 +579,7 @@ def test_identification_takes_the_definitions_too(
     monkeypatch.setattr(
         "sys.argv", ["identify", str(old_bag), "--definitions", str(old_definitions)]
     )
-    assert command.main() == 2  # it holds no run
+    assert command.main() == 2  # it contains no run
     assert "--definitions" not in capsys.readouterr().err
     assert any(f"those in {old_definitions} are taken" in line for line in caplog.messages)
 

@@ -26,7 +26,7 @@ WHOLE = NAMES[:3]
 
 @pytest.fixture
 def bag(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
-    """A copy, so that a recovery leaves nothing among the originals."""
+    """Copy a bag, so that a recovery leaves no file with the originals."""
     return Path(shutil.copytree(BAGS / request.param, tmp_path / request.param))
 
 
@@ -73,7 +73,7 @@ def test_the_twin_follows_them(bag: Path):
 
 @pytest.mark.parametrize("bag", NAMES, indirect=True)
 def test_a_live_twin_and_a_replay_say_the_same_to_the_bit(bag: Path):
-    """A few samples at a time, as a node takes them, or the whole recording at once."""
+    """A few samples at a time, as in the node, or the whole recording at once."""
     with open_bag(bag, lambda _: None) as opened:
         run = read_run(opened)
     rows = rows_of_run(run, 10**9)
@@ -92,7 +92,7 @@ def test_a_live_twin_and_a_replay_say_the_same_to_the_bit(bag: Path):
 def test_power_that_was_not_measured_says_so(bag: Path):
     with open_bag(bag) as opened:
         power = read_run(opened).power
-    failed = power.status > 2  # a bus error, a sensor that had forgotten its settings
+    failed = power.status > 2  # a bus error, and a sensor that lost its settings
     assert failed.any()
     assert np.isnan(power.power[power.status != POWER_VALID]).all()
     assert np.isfinite(power.power[power.status == POWER_VALID]).all()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The worm's topics are known by the end of their names."""
+"""The worm's topics are recognised by the end of their names."""
 
 import pytest
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What was recorded, as a table; parts of bags and bags joined."""
+"""A table of the recordings; parts of bags and joined bags."""
 
 import json
 import shutil
@@ -36,7 +36,8 @@ def test_the_table_tells_every_run_and_why_a_bag_has_none(run):
     status, told, _ = run(SAMPLES, "--json")
     rows = {Path(row["bag"]).name: row for row in json.loads(told)["runs"]}
     assert status == 0
-    assert set(rows) >= {"faults", "forward", "killed", "reverse"}  # and what a person recorded
+    # and the recordings of the operator
+    assert set(rows) >= {"faults", "forward", "killed", "reverse"}
     forward = rows["forward"]
     assert forward["gait"] == named_values(Gait(0.07, 0.25))
     assert forward["grooves_per_cycle"] == pytest.approx(1.0, abs=0.01)
@@ -47,7 +48,7 @@ def test_the_table_tells_every_run_and_why_a_bag_has_none(run):
     assert rows["killed"]["state"] == "not closed"
     assert rows["killed"]["gait"] is None
     assert "recover" in rows["killed"]["notes"]
-    assert sorted(SAMPLES.rglob("*")) == before  # nothing is recovered by looking
+    assert sorted(SAMPLES.rglob("*")) == before  # listing recovers no bag
 
 
 def test_the_table_names_the_conditions_of_runs_that_have_some(run, tmp_path):
@@ -133,7 +134,7 @@ def test_what_is_split_and_merged_again_is_the_same(run, tmp_path):
 
 
 def test_a_column_is_a_row_of_the_table_of_columns(run, monkeypatch):
-    """An index from before it is not used."""
+    """An index from before the change is not used."""
     run("table", SAMPLES / "forward")
     column = bag_columns.Column("strokes", "strokes mm", lambda figures: figures.played.gait.stroke)
     monkeypatch.setattr(bag_columns, "COLUMNS", (*bag_columns.COLUMNS, column))

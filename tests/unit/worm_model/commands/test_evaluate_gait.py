@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command lines evaluate_gait and phase_map as scripts rely on them."""
+"""The command lines evaluate_gait and phase_map, as scripts use them."""
 
 import csv
 import json

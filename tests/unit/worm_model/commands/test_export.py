@@ -91,7 +91,7 @@ def test_parquet_keeps_the_types(bag: Path, tmp_path: Path, monkeypatch):
 
 
 def joints(store, sec: int, names: list[str]) -> bytes:
-    """A message whose arrays have as many elements as there are names."""
+    """Return a message whose arrays have as many elements as there are names."""
     kind, empty = "sensor_msgs/msg/JointState", np.empty(0)
     time = store.types["builtin_interfaces/msg/Time"](sec, 999_999_999)
     header = store.types["std_msgs/msg/Header"](time, "")
@@ -100,7 +100,7 @@ def joints(store, sec: int, names: list[str]) -> bytes:
 
 
 def test_sequences_become_a_column_an_element(tmp_path: Path, monkeypatch):
-    """Also if they grow within the bag: what a message lacks is an empty cell, and stamps do not overflow."""
+    """Also if they grow within the bag: missing elements are empty cells, and stamps do not overflow."""
     topic = topic_of("/worm/joint_states", "sensor_msgs/msg/JointState")
     store = typestore(topic.type_name, topic.definition, "ros2msg")
     sec = 1_800_000_000
@@ -118,7 +118,7 @@ def test_sequences_become_a_column_an_element(tmp_path: Path, monkeypatch):
 
 
 def array_bag(path: Path, lengths: list[int]) -> Path:
-    """Stamped arrays of bytes, as the markers and images that a display gets."""
+    """Write stamped arrays of bytes, such as markers and images for a display."""
     topic = Topic("/a", "a/msg/B", 0, ARRAYS, "ros2msg", "cdr")
     store = typestore(topic.type_name, topic.definition, "ros2msg")
     t = store.types
@@ -182,7 +182,7 @@ def test_topics_whose_names_would_be_the_same_file_are_two(tmp_path: Path, monke
 
 
 def test_two_layouts_of_a_topic_are_one_table(tmp_path: Path, monkeypatch):
-    """A field that was added later is empty in what came before."""
+    """A field that was added later is empty in earlier messages."""
     old = Topic("/a", "a/msg/B", 0, "int32 x\n", "ros2msg", "cdr")
     new = replace(old, definition="int32 run\nint32 x\n")
     with new_bag(tmp_path / "bag") as writer:

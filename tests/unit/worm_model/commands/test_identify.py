@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command identify: a lab's folder and bags, its outputs, and what it refuses."""
+"""The command identify: a lab's folder and bags, its outputs, and the inputs that it rejects."""
 
 import json
 import shutil
@@ -33,7 +33,7 @@ def run_identify(monkeypatch, *arguments):
 
 @pytest.fixture(scope="module")
 def outcome(shared, tmp_path_factory):
-    """(status, what was printed, folder) of one call with everything on a part of the campaign."""
+    """Return status, output and folder of one call with all inputs, on a part of the campaign."""
     folder = tmp_path_factory.mktemp("identify")
     campaign = folder / "campaign"
     campaign.mkdir()
@@ -86,7 +86,7 @@ def test_the_parameter_file_is_that_of_the_nodes(outcome):
     values = {key: found[key]["value"] for key in KEYS}
     assert file.parameters.as_dict() == pytest.approx({**values, "one_sided_cable": False})
     assert set(file.intervals) == set(KEYS)
-    assert file.parameters.rear_mass == 0.433  # by the README
+    assert file.parameters.rear_mass == 0.433  # from the README
     assert set(file.correlations) > {("slack", "gain"), ("bellows_damping", "power_factor")}
     low, high = file.intervals[
         "initial_length"

@@ -22,7 +22,7 @@ RUN = simulated_run(cycles=1)
 
 @pytest.fixture
 def cut(tmp_path: Path) -> Path:
-    """A bag whose file ends in the middle of a chunk, and whose metadata.yaml is gone."""
+    """Return a bag whose file ends in the middle of a chunk, and whose metadata.yaml is missing."""
     bag = write_bag(tmp_path / "bag", RUN)
     (bag / "metadata.yaml").unlink()
     file = bag / "bag_0.mcap"
@@ -112,7 +112,7 @@ def test_a_full_disk_ends_with_status_1_and_leaves_nothing(
 
 
 def test_the_same_number_of_other_bytes_is_another_recording(cut: Path, tmp_path: Path):
-    """An outdated recovery is recognised by what it was made of."""
+    """An outdated recovery is recognised by the content of its source."""
     with open_bag(cut, lambda _: None) as bag:
         assert bag.path == tmp_path / "bag_recovered"
     file = cut / "bag_0.mcap"

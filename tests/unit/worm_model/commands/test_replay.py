@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A bag through the twin, offline."""
+"""Offline replay of a bag through the twin."""
 
 import json
 import sys
@@ -33,7 +33,7 @@ def command(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
 
 
 def test_the_twin_follows_a_robot_of_its_own_kind(bag: Path, monkeypatch, capsys):
-    """The recorded motion is the simulator's: what is left is the noise that was put on it."""
+    """The recorded motion is the simulator's: only the added noise remains."""
     assert command(monkeypatch, bag, "--json") == 0
     report = json.loads(capsys.readouterr().out)
     assert report.keys() >= KEYS
@@ -90,7 +90,7 @@ def test_the_twins_topics_lie_beside_the_original_ones(bag: Path, tmp_path: Path
 
 
 def test_a_replayed_bag_is_replayed_again(bag: Path, tmp_path: Path, monkeypatch):
-    """The twin's topics that it holds are replaced: the same bag comes out."""
+    """The recorded topics of the twin are replaced: the result is the same bag."""
     assert command(monkeypatch, bag, "--output", tmp_path / "a") == 0
     assert command(monkeypatch, tmp_path / "a", "--output", tmp_path / "b") == 0
     assert (tmp_path / "a/a_0.mcap").read_bytes() == (tmp_path / "b/b_0.mcap").read_bytes()

@@ -152,7 +152,7 @@ def test_the_twin_follows_a_simulated_recording():
     simulated = simulated_run(Gait(0.07, 0.2), PAPER, 5, 200.0)
     replay = replay_run(simulated.as_recorded(), PAPER)
     residual = replay.residuals["rear_position"]
-    # At the onset the twin's modules share the first rate, the gait's rear module rests.
+    # At the onset both modules of the twin move; in the gait the rear module rests.
     assert np.nanmax(np.abs(residual)) < 2e-4
     late = replay.residuals["stamp_ns"] > simulated.stamp[400]
     assert np.nanmax(np.abs(residual[late])) < 2e-5

@@ -46,7 +46,7 @@ def test_the_bellows_interval_covers_as_often_as_it_says():
 
 
 def test_the_bellows_interval_also_holds_when_residuals_wander():
-    """As under hysteresis: each residual has half of the one before it."""
+    """Residuals are correlated, as under hysteresis: each one has half of the one before it."""
     fits = []
     for seed in range(300):
         white, wandering = noise(seed, 36, 0.3), np.zeros(36)

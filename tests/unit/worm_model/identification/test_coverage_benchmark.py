@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the coverage benchmark makes of robots that are covered, missed, left open and refused."""
+"""Results of the coverage benchmark for robots that are covered, missed, not identifiable and rejected."""
 
 from pathlib import Path
 

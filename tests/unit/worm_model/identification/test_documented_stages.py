@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The example of docs/identification.md, in which stages are called alone, is run."""
+"""The example of docs/identification.md, which calls single stages, is run."""
 
 import re
 from pathlib import Path

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The locomotion model with dry friction, against the exact simulator and against itself."""
+"""The locomotion model with dry friction, compared with the exact simulator and with itself."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from worm_model.parameters import PAPER
 from worm_model.simulation.kernel import stepped_dry_friction as kernel
 from worm_model.simulation.simulator import Locomotion, simulate
 
-STEP = 0.008  # s, that identification uses
+STEP = 0.008  # s, as in the identification
 GAITS = [Gait(0.07, 0.2), Gait(0.06, 0.1), Gait(0.09, 0.4)]
 ALIKE = np.zeros((1, kernel.GROOVE_COLUMNS))
 
@@ -68,7 +68,7 @@ def test_dry_friction_of_one_module_leaves_it_behind():
     gait = GAITS[1]
     _, changes = length_changes(gait, STEP)
     worm = worm_of(PAPER, FORWARD)
-    at = int(1.5 / STEP)  # both fins in their clearance: friction alone shares the contraction
+    at = int(1.5 / STEP)  # both fins in their clearance: only friction divides the contraction
     free = slide(STEP, changes, worm)[1][at, kernel.X1]
     held = slide(STEP, changes, worm._replace(rear_dry=0.3))[1][at, kernel.X1]
     assert 0.0 < held < free - 5e-4

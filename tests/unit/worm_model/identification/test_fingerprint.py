@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The fingerprint of the code is that of what identification uses."""
+"""The fingerprint depends on the code that identification uses, and on no other."""
 
 from worm_model.identification.fingerprint import (
     ENTRY,
@@ -33,7 +33,7 @@ def test_imports_are_followed_in_every_form(tmp_path):
     }
     for name, text in sources.items():
         (package / name).write_text(text, encoding="utf-8")
-    (tmp_path / "beside.py").touch()  # as other packages are where pip installs
+    (tmp_path / "beside.py").touch()  # like other packages in pip's folder
     found = [file.name for file in imported_files(package, "start.py")]
     assert found == ["__init__.py", "one.py", "start.py", "three.py", "two.py"]
 

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Drift over bags: the rules of the charts on series whose answer is known, and the virtual robot, steady and not."""
+"""Drift over bags:
+
+the rules of the charts on series with known answers, and the virtual robot with and without drift.
+"""
 
 import json
 from dataclasses import replace
@@ -45,7 +48,7 @@ def estimates(values, half=1e-9):
 
 
 def robot_run(seed: int, recording: int, gain: float = 1.0) -> Run:
-    """A recording of the virtual robot, an hour after the one before; ``gain`` multiplies its K."""
+    """Return a recording of the virtual robot, an hour after the one before; ``gain`` multiplies its K."""
     settings = replace(load_settings(), seed=seed, recording=recording)
     settings = replace(settings, body=replace(settings.body, gain=settings.body.gain * gain))
     seen = run_offline(
@@ -84,7 +87,7 @@ def robot_run(seed: int, recording: int, gain: float = 1.0) -> Run:
 
 
 def run_health(capsys, *arguments):
-    """(exit status, standard output, standard error) of the command."""
+    """Return exit status, standard output and standard error of the command."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("sys.argv", ["health", *map(str, arguments)])
         status = health_command.main()
@@ -188,7 +191,7 @@ def test_steady_series_are_seldom_reported():
     assert np.mean(reported) < 0.03
 
 
-# Estimates of seed 4 rise and fall by chance for six bags in a row, by less than one bag can tell.
+# Estimates of seed 4 rise and fall by chance for six bags in a row, by less than the uncertainty of one bag.
 @pytest.mark.parametrize("seed", [4])
 def test_a_steady_robot_is_not_reported(seed):
     bags = [

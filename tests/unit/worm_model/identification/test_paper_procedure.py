@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The paper's own procedure on runs without noise: it finds what they were made with."""
+"""The paper's own procedure finds the true parameters of runs without noise."""
 
 import pytest
 
@@ -30,7 +30,7 @@ def test_it_finds_what_runs_without_noise_were_made_with():
     for key in ("slack", "gain", "time_constant"):
         assert getattr(p, key) == pytest.approx(getattr(TRUTH, key), rel=2e-3)
     assert p.idle_power == pytest.approx(TRUTH.idle_power)
-    # The smoothed length is short of rate at its corners, which damping and factor take up.
+    # The smoothed length has a smaller rate at its corners, for which damping and factor compensate.
     assert p.bellows_damping == pytest.approx(TRUTH.bellows_damping, rel=0.15)
     assert p.power_factor == pytest.approx(TRUTH.power_factor, rel=0.15)
     assert costs["J_loc"] < (1e-4) ** 2

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The whole identification on virtual robots whose parameters are known, a small version of the benchmark."""
+"""The whole identification on virtual robots with known parameters, a small version of the benchmark."""
 
 from dataclasses import replace
 
@@ -37,7 +37,7 @@ from worm_model.parameters import (
 )
 
 IDENTIFIED = [key for key in KEYS if key not in MEASURED or key == "pitch"]
-DRY = ("rear_dry_friction", "front_dry_friction")  # whose intervals are judged in N, not relative
+DRY = ("rear_dry_friction", "front_dry_friction")  # keys with intervals in N, not relative
 
 
 def covers(result, key, truth):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Identification from gaits with pretension: the body rests shorter than L0, with fins that the cable has bent."""
+"""Identification from gaits with pretension: the body at rest is shorter than L0, with deflected fins."""
 
 from dataclasses import replace
 from functools import lru_cache
@@ -35,7 +35,7 @@ SEEDS = (101, 102)
 
 @lru_cache
 def campaign(seed: int) -> VirtualCampaign:
-    """Four runs of sinusoids, then four with pretension."""
+    """Return four runs of sinusoids, then four with pretension."""
     return virtual_campaign(seed, SHORT + TIGHT)
 
 
@@ -78,7 +78,7 @@ def test_a_pretension_beyond_the_slack_determines_the_gain_alone(seed):
 
 
 def covariance(recordings):
-    """The covariance (3, 3) of slack, gain and time constant by the curvature of the cost."""
+    """Return the covariance (3, 3) of slack, gain and time constant from the curvature of the cost."""
     fit = fit_actuation(recordings)
     matrix, _ = normal_equations(actuation_problem(recordings), fit.solution)
     return inverse(matrix)[:3, :3]

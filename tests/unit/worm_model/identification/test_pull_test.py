@@ -65,7 +65,7 @@ def pulled(seed: int, load: float) -> PullTest:
 
 
 def test_the_interval_covers_the_load_on_nearly_every_robot():
-    """With 95 % of intervals covering, more than one miss in six has a probability of 3 %."""
+    """If 95 % of intervals cover, more than one miss in six has a probability of 3 %."""
     results = [(pulled(seed, load).load, load) for seed, load in CASES]
     covered = [estimate.low <= load <= estimate.high for estimate, load in results]
     assert sum(covered) >= len(CASES) - 1

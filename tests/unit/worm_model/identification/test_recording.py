@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a run to a recording, idle power, and what is noticed about a run."""
+"""From a run to a recording, idle power, and the warnings about a run."""
 
 from dataclasses import replace
 from typing import Any
@@ -58,7 +58,7 @@ def test_a_run_without_power_is_used_for_all_else():
 
 
 def twice(later: float, moved: float) -> Run:
-    """A run and the same again so many s later, where the robot begins so many m further on."""
+    """Return a run followed by itself, later by a time in s and further by a distance in m."""
     one, shift = run(), round(later * 1e9)
 
     def repeated(samples: Any, **moves: float) -> Any:
@@ -216,7 +216,7 @@ def test_the_measured_length_is_smooth_and_keeps_its_corners():
     rate = np.interp(at, length.time, length.rate) - np.interp(at, exact.time, exact.rate)
     assert np.sqrt(np.mean(rate**2)) < 8e-4
     steepest = np.abs(np.diff(length.rate)).max() / length.step
-    assert steepest > 0.25  # m/s²: the edges that the slack makes are not rounded off
+    assert steepest > 0.25  # m/s²: the edges of the slack are not rounded off
 
 
 def test_outliers_of_the_camera_are_left_out():
@@ -265,7 +265,7 @@ def test_one_outlier_is_no_arrival():
 
 
 def stuck(found, time):
-    """The servo stops at a time; the body stays as it is."""
+    """Return a run in which the servo stops at a time, and the body with it."""
     at = np.flatnonzero(found.camera_time > time)
     x2 = found.x2.copy()
     x2[at] = found.x1[at] + (found.x2 - found.x1)[at[0]]

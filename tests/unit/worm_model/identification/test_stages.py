@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stages 4, 5 and 7 on robots that are exactly as the model says, and on some that are not."""
+"""Stages 4, 5 and 7 on robots that follow the model exactly, and on some that do not."""
 
 from dataclasses import replace
 
@@ -99,7 +99,7 @@ def test_the_search_finds_the_valley_from_nothing():
     landscape = search(runs, Known(start, PITCH_DEVIATION))
     _, threshold = valleys(landscape)[0]
     assert threshold == pytest.approx(TRUTH.switching_threshold, abs=4e-4)
-    assert landscape.cost.max() > 1e3 * landscape.cost.min()  # it jumps
+    assert landscape.cost.max() > 1e3 * landscape.cost.min()  # the position jumps
     solution = find_locomotion(runs, KNOWN, landscape)
     assert solution.shared[0] == pytest.approx(95.0, rel=0.02)
     assert solution.shared[1] == pytest.approx(TRUTH.switching_threshold, abs=4e-5)
@@ -148,7 +148,7 @@ def test_a_pitch_that_is_given_as_exact_stays():
 
 
 def test_the_scales_error_does_not_show_in_friction():
-    """So masses need not be nuisances: a gram moves η by less than a thousandth."""
+    """So masses need not be nuisances: a gram changes η by less than a thousandth."""
     runs = traverses(camera_noise=1e-4)
     own = np.array([[run.length.initial_length] for run in runs])
     start = np.array([90.0, 0.0172, 0.05, 0.05, TRUTH.pitch, 0.5])
@@ -225,7 +225,7 @@ def test_what_no_worm_does_is_refused():
 
 
 def rough_traverses(dry, rear_grooves, front_grooves, onset=0.0):
-    """The runs of a worm with dry friction in grooves that differ, by the identification's own model."""
+    """Return runs of a worm with dry friction in uneven grooves, by the identification's own model."""
     random = np.random.default_rng(8)
     found = []
     for run in traverses(camera_noise=1e-4):
@@ -268,7 +268,7 @@ def test_grooves_that_differ_are_told_apart():
 
 
 def power_runs(gaits, random, factor_scatter=0.01, truth=TRUTH, one_sided_cable=False):
-    """Runs whose force is the exact model's, each with a power factor that is a little its own."""
+    """Return runs with the exact model's force, each with a slightly different power factor."""
     found = []
     for gait, recording in zip(gaits, recordings(truth, gaits, camera_noise=1e-5), strict=True):
         motion = simulate(gait, truth, 3).at(np.arange(0.0, 1.6 / gait.frequency, 0.008))
@@ -344,7 +344,7 @@ def test_one_frequency_cannot_tell_damping_from_power_factor():
         assert not estimate.identifiable
         assert np.isnan(estimate.low)
         assert "another frequency" in estimate.note
-    assert result.bellows_damping.value == 862.4  # as given, no false digits
+    assert result.bellows_damping.value == 862.4  # as entered, without false digits
 
 
 def test_one_run_cannot_tell_them_either():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Batches give what single gaits give, whatever their shape."""
+"""Batches of any shape return the results of single gaits."""
 
 import numpy as np
 import pytest
@@ -30,7 +30,7 @@ def test_batch_equals_single_gaits() -> None:
 
 
 def test_a_cycle_that_begins_like_the_one_before_is_that_one_again() -> None:
-    """The figures of a gait, some of whose cycles are not run, are those of its whole trajectory."""
+    """Some cycles of a gait are not simulated; its metrics are those of its whole trajectory."""
     for seed in range(30):
         _, gait, parameters = random_case(seed)
         result, cycles = evaluate_gait(gait, parameters, cycles=12, averaged=10), 12

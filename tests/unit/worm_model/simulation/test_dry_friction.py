@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Dry friction of the model, against an independent integration, balances and limits."""
+"""Dry friction of the model, compared with an independent integration, balances and limits."""
 
 import numpy as np
 import pytest
@@ -50,7 +50,7 @@ def test_a_module_that_sticks_does_not_move():
 
 
 def test_the_cable_pays_for_what_friction_and_damping_take():
-    # So short a stroke that no anchor switches: the springs give back what they took.
+    # The stroke is so short that no anchor switches: the springs return the energy that they stored.
     gait, parameters = Gait(0.02, 0.2), with_dry(0.7, 0.4)
     trajectory = simulate(gait, parameters, cycles=8)
     assert not any(event.switched for event in trajectory.events())
@@ -89,7 +89,7 @@ def test_a_batch_takes_dry_friction_of_each_row():
 
 @pytest.mark.parametrize("pieces", [1, 7, 50])
 def test_a_length_may_be_cut_anywhere(pieces):
-    """Which module sticks is judged anew where a piece begins: that must not tell."""
+    """At the start of each piece, the model decides again which module sticks. The result must not depend on it."""
     parameters = with_dry(1.0, 0.4)
     model = Locomotion(parameters)
     time = np.linspace(0.0, 10.0, 401)[1:]
@@ -103,8 +103,8 @@ def test_a_length_may_be_cut_anywhere(pieces):
 
 
 def test_a_body_that_rests_stays_until_its_fins_push_too_hard():
-    """ΔL stands still: both modules stick together, and hold up to the sum of their frictions."""
-    bent = 0.001  # of both fins beyond their clearance, pushed forward: they slide
+    """ΔL is constant: both modules stick together, and hold up to the sum of their frictions."""
+    bent = 0.001  # deflection of both fins beyond their clearance, pushed forward: they slide
     push = 2.0 * bent * PAPER.disengaged_stiffness
     for share in (0.6, 0.3):  # of the push that each module can hold
         parameters = with_dry(share * push, share * push, initial_length=17 * PAPER.pitch)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Loads and waveforms against an independent integration, their closed forms, and the gaits without them."""
+"""Loads and waveforms, compared with an independent integration, their closed forms, and the gaits without them."""
 
 import dataclasses
 
@@ -83,7 +83,7 @@ def test_u_cmd_is_continuous_and_within_its_range(gait: Gait, phase: float) -> N
 @settings(max_examples=20, deadline=None)
 @given(WAVEFORMS)
 def test_the_length_follows_the_command(gait: Gait) -> None:
-    """ΔL is the answer of the lag to the effective command, integrated in small steps."""
+    """ΔL is the response of the lag to the effective command, integrated in small steps."""
     cycles, steps = 2, 20_000
     times = np.linspace(0.0, cycles * gait.period, steps + 1)
     target = PAPER.gain * np.minimum(gait.command(times), -PAPER.slack)
@@ -126,7 +126,7 @@ def test_equal_halves_of_a_cosine_are_the_papers_gait(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", range(20))
 def test_the_mirrored_robot_under_the_mirrored_load_gains_as_much(seed: int) -> None:
-    """But for a transient, of which the other module is the rear one."""
+    """They differ only in a transient, in which the other module is the rear one."""
     _, gait, parameters = random_loaded_case(seed)
     parameters = parameters.replace(
         front_mass=parameters.rear_mass,
@@ -173,7 +173,7 @@ def test_a_load_that_the_fins_do_not_hold_is_reported(direction: int, side: int)
 
 
 def test_the_papers_cruise_on_slopes() -> None:
-    """The table at the opening of the issue on loads: an independent integration of the model on slopes."""
+    """The table at the start of the issue on loads: an independent integration of the model on slopes."""
 
     def grooves(slope: float, margin: float = 0.0) -> float:
         gait = dataclasses.replace(CRUISE, margin=margin)

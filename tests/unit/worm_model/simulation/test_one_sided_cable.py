@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The power of a cable that cannot push: against a quadrature of its own, and beside the paper's form."""
+"""The power of a cable that cannot push, compared with an independent quadrature and with the paper's form."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ from worm_model.simulation.simulator import AVERAGED, CYCLES, evaluate_gait, sim
 from worm_model.twin.offline_replay import replay_run
 
 FAST = Gait(0.09, 0.4)
-SLOW = Gait(0.05, 0.08)  # whose cable pulls throughout
+SLOW = Gait(0.05, 0.08)  # its cable pulls throughout
 ONE_SIDED = PAPER.replace(one_sided_cable=True)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What must hold for any admissible parameters, and the limits with a closed form."""
+"""Invariants for any admissible parameters, and limits with a closed form."""
 
 import dataclasses
 import math
@@ -68,13 +68,13 @@ def test_margin_is_a_shifted_threshold(seed: int, margin: float) -> None:
 
 
 def stored_energy(motions: Motions, parameters: Parameters, direction: int) -> np.ndarray:
-    """Kinetic energy, bellows and fins, J."""
+    """Return kinetic energy plus the energy of bellows and fins, J."""
     stretch = motions.length - parameters.unstressed_length
     energy = 0.5 * parameters.bellows_stiffness * stretch**2
     energy += 0.5 * parameters.rear_mass * motions.v1**2
     energy += 0.5 * parameters.front_mass * motions.v2**2
     for force in (motions.rear_force, motions.front_force):
-        # below its clearance (force < 0) a fin is engaged when the robot goes forward
+        # below its clearance (force < 0) a fin is engaged in a forward gait
         engaged = (force < 0.0) == (direction == FORWARD)
         stiffness = np.where(engaged, parameters.engaged_stiffness, parameters.disengaged_stiffness)
         energy += 0.5 * force**2 / stiffness
@@ -159,13 +159,13 @@ def test_a_finely_sampled_gait_gives_the_gaits_motion(seed: int) -> None:
     _, sampled = model.follow(start, times[1:], exact.length[1:] - parameters.initial_length)
     same = sampled.rear_anchor == exact.rear_anchor[1:]
     same &= sampled.front_anchor == exact.front_anchor[1:]
-    assert same.mean() > 0.98  # at the very threshold, interpolation decides
+    assert same.mean() > 0.98  # exactly at the threshold, interpolation decides
     first = len(same) if same.all() else int(np.argmin(same))
     assert sampled.x1[:first] == pytest.approx(exact.x1[1:][:first], abs=2e-5)
 
 
 def test_literal_two_mass_model_keeps_the_length() -> None:
-    """Four states under the simulator's cable force: the bellows must come out as long as it said."""
+    """Four states under the simulator's cable force: the bellows must have the length that it computed."""
     p, gait = PAPER, Gait(0.07, 0.2)
     trajectory = simulate(gait, cycles=1)
     step = 1e-4

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The simulator against an independent integration and against the reference table."""
+"""The simulator, compared with an independent integration and with the reference table."""
 
 import csv
 from pathlib import Path
@@ -17,7 +17,7 @@ POSITION_TOLERANCE = 1e-9  # m
 POWER_TOLERANCE = 1e-6  # relative
 
 
-# 104: no clearance, a region of no width must not hold a fin for ever; 900: a fin at rest on its border
+# 104: no clearance, a region without width must not hold a fin forever; 900: a fin at rest on its border
 @pytest.mark.parametrize("seed", [*range(50), 104, 900])
 def test_random_gaits_agree_with_the_oracle(seed: int) -> None:
     _, gait, parameters = random_case(seed)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The stated smoothing, and the bias of power from a sampled length."""
+"""The documented smoothing, and the bias of power from a sampled length."""
 
 import numpy as np
 import pytest

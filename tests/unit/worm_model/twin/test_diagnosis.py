@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the twin makes of robots with something wrong, which are integrated by nothing of worm_model."""
+"""The twin's findings about faulty robots, which are integrated independently of worm_model."""
 
 import math
 from functools import lru_cache
@@ -52,12 +52,12 @@ CODES = {
 
 @lru_cache
 def robots() -> Robots:
-    """One robot for each fault, all of the same gait."""
+    """Return one robot for each fault, all with the same gait."""
     return run_robots(GAIT, FAULTS, seed=5)
 
 
 def told(fault: Fault, **instruments: bool) -> list[Event]:
-    """What the twin finds."""
+    """Return the twin's events about a fault."""
     rows = robots().rows(FAULTS.index(fault), **instruments)
     twin = Twin()
     events = twin.advance(twin.start(), rows, to_the_end=True).events
@@ -105,7 +105,7 @@ def test_what_power_alone_cannot_tell_is_not_called_a_missed_groove(fault: Fault
 
 @pytest.mark.parametrize("size", [3.0, 4.0])
 def test_much_more_friction_does_not_change_the_scale_of_the_power_too(size: float):
-    """The power is not linear in so large a change, and what remains looks like another scale."""
+    """The power is not linear in so large a change, and the remainder looks like another scale."""
     faults = [Fault("viscous_friction", size, 3, phase) for phase in (0.0, 0.3, 0.6)]
     rows = run_robots(GAIT, faults, seed=7, cycles=7).rows(2, tracker=True)
     twin = Twin()
@@ -124,7 +124,7 @@ def test_two_misses_running_do_not_move_l0_though_the_front_marker_is_hidden(fau
 @pytest.mark.parametrize("tracker", [True, False])
 @pytest.mark.parametrize("fault", [Fault("rear", 1, 3), Fault("front", 1, 3)])
 def test_samples_that_were_received_late_are_replayed_like_others(fault: Fault, tracker: bool):
-    """Up to 0.9 s late, each by another time."""
+    """Samples are up to 0.9 s late, each by another time."""
     rows = robots().rows(FAULTS.index(fault), tracker=tracker)
     late = np.random.default_rng(0).integers(0, 900_000_000, len(rows))
     found = [
@@ -141,7 +141,7 @@ def test_samples_that_were_received_late_are_replayed_like_others(fault: Fault, 
 def test_of_a_recording_that_begins_in_a_gait_the_first_whole_cycle_is_not_judged(
     tracker: bool, begin_cycle: int, codes: set[str]
 ):
-    """Without a stored memory, the grooves in which the fins stand are not known; the third cycle has a miss."""
+    """Without a stored memory, the fins' grooves are unknown; the third cycle has a miss."""
     rows = robots().rows(FAULTS.index(Fault("rear", 1, 3)), tracker=tracker)
     begin = ONSET + round((begin_cycle - 0.6) * GAIT.period * 10**9)
     latched = rows[(rows["kind"] == Kind.GAIT) & (rows["stamp"] < begin)][-1:]
@@ -179,17 +179,17 @@ def test_a_slow_camera_and_noise_make_no_sound_robot_suspect(lab: Lab):
             assert not [event.text for event in output.events if event.code]
             after = output.residuals[output.residuals["stamp_ns"] > ONSET + 10**9]
             first = after["stamp_ns"] < ONSET + round(1.1 * GAIT.period * 10**9)
-            # Without a length there is nothing to say before the first cycle has told how the fins stood.
+            # Without a length, nothing can be judged before the first cycle has shown the fins' grooves.
             assert set(after["health"][first]) <= {Health.HEALTHY, Health.UNKNOWN}
             assert set(after["health"][~first]) == {Health.HEALTHY}
             power[tracker] = np.nanmean(after["power"])
         assert power[True] == pytest.approx(
             power[False], abs=0.12
-        )  # W, 3 %: by which length it is driven
+        )  # W, 3 %: difference between measured and predicted length
 
 
 def test_noise_of_another_weight_is_weighed_as_its_density():
-    """Against the normal density of all data at once, with its whole covariance."""
+    """Compared with the normal density of all data at once, with its whole covariance."""
     draw = np.random.default_rng(1)
     seen, nuisances = draw.normal(size=(3, 4)), draw.normal(size=(3, 4, 2))
     weight, offsets = draw.uniform(0.5, 2.0, (3, 4)), np.array([0.0, 0.5, 2.0, 1.0])
@@ -207,7 +207,7 @@ def test_noise_of_another_weight_is_weighed_as_its_density():
 
 
 def test_the_bayes_factor_is_that_of_the_integral():
-    """Against a sum over the size of the cause and that of a nuisance; one bin's offset is another nuisance."""
+    """Compared with a sum over the size of the cause and that of a nuisance; one bin's offset is another nuisance."""
     draw = np.random.default_rng(0)
     seen, cause, nuisance = draw.normal(size=(3, 6, 1))
     weight = 1.0 / draw.uniform(0.5, 2.0, (6, 1))
@@ -231,7 +231,7 @@ def test_the_bayes_factor_is_that_of_the_integral():
 
 
 def test_a_wrong_l0_is_told_from_misses_by_one_marker():
-    """The twin believes in 295.2 mm; 293 mm gain another number of grooves and bend the way of x1."""
+    """The twin assumes 295.2 mm; 293 mm gain another number of grooves and change the shape of x1."""
     truth = PAPER.replace(initial_length=0.293)
     one = run_robots(Gait(0.07, 0.2), [Fault()], seed=6, truth=truth)
     rows = one.rows(0, tracker=True, front_marker=False)
@@ -241,5 +241,5 @@ def test_a_wrong_l0_is_told_from_misses_by_one_marker():
     codes = [event.code for event in events if event.code]
     assert codes[-1] == "initial_length"
     assert codes.count("initial_length") == 1
-    assert len(codes) <= 2  # one cycle cannot tell it from a groove gained
+    assert len(codes) <= 2  # one cycle cannot distinguish it from a gained groove
     assert state.initial_length == pytest.approx(0.293, abs=1.5e-3)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recording that is read part by part gives the same samples, outputs and report as the whole at once."""
+"""A recording that is read in parts gives the same samples, outputs and report as the whole at once."""
 
 from collections.abc import Callable
 from dataclasses import fields, replace
@@ -27,7 +27,7 @@ def rows_of_parts(parts: list[Run]) -> list[np.ndarray]:
 
 
 def divided(run: Run, count: int, delay: Callable[[str], int] = lambda _: 0) -> list[Run]:
-    """Parts of a run in order of reception; the samples of a topic arrive later by its delay in ns."""
+    """Return parts of a run in order of reception; the samples of a topic arrive later by its delay in ns."""
     borders = np.linspace(run.origin, run.origin + 10 * 10**9, count + 1)[1:-1]
     parts: list[dict] = [{} for _ in range(count)]
     for name in SERIES:
@@ -77,7 +77,7 @@ def test_parts_give_the_outputs_and_the_report_of_the_whole(count: int):
     at=st.integers(0, 6 * 10**9),
 )
 def test_parts_give_the_samples_in_the_order_of_the_whole(delays, count, set_by, at):
-    """Whatever a topic's delay on its way to the recorder, and if the clock is set."""
+    """For any delay of a topic on its way to the recorder, and also if the clock is set."""
 
     def with_jump(stamp: np.ndarray) -> np.ndarray:
         return np.where(stamp > RUN.origin + at, stamp + set_by, stamp)
@@ -106,7 +106,7 @@ def test_parts_give_the_samples_in_the_order_of_the_whole(delays, count, set_by,
 
 
 def test_no_more_than_the_samples_of_two_parts_wait():
-    """Memory does not grow with the recording: what a part contributes is yielded with it or the next one."""
+    """Memory does not grow with the recording: the samples of a part are yielded with it or the next one."""
     parts = divided(RUN, 30)
     received = yielded = 0
     for part, rows in zip(parts, rows_of_parts(parts), strict=True):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Gaits in a row on one robot: the live twin, and the replay of each recording, with its memory and without it."""
+"""Consecutive gaits of one robot: the live twin, and the replay of each recording with and without its memory."""
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -34,7 +34,7 @@ SECOND = 10**9
 
 @dataclass(frozen=True)
 class Seen:
-    """A session: its samples, what was played, and what the live twin said."""
+    """A session: its samples, its gaits, and the output of the live twin."""
 
     rows: np.ndarray
     played: list[Played]
@@ -48,7 +48,7 @@ def seen(session: Session) -> Seen:
 
 @lru_cache
 def mixed() -> Seen:
-    """Ten gaits: completed, held at once, ended at the next rest, reversed, other strokes, without a camera."""
+    """Return ten gaits: completed, held at once, ended at the next rest, reversed, other strokes, without a camera."""
     session = Session()
     session.run(FORWARD_GAIT)
     session.run(LONG, 2)
@@ -66,7 +66,7 @@ def mixed() -> Seen:
 
 
 def grooves_of(states: np.ndarray, played: Played) -> tuple[int, ...]:
-    """Grooves of the rear anchor in each complete cycle by the twin's states, from the borders on."""
+    """Return the grooves of the rear anchor in each complete cycle, from the twin's states at the borders of cycles."""
     borders = [
         played.onset_ns + round(k * played.gait.period * SECOND)
         for k in range(len(played.grooves) + 1)
@@ -102,7 +102,8 @@ def test_each_of_ten_gaits_is_healthy_live_and_in_its_recording_to_the_bit(numbe
     assert report.health is live_health(session, played) is Health.HEALTHY
     assert not any(cycle.not_judged for cycle in report.cycles if cycle.complete)
     assert not report.events
-    last = played.end_ns - SECOND  # what comes after the recording is not known at its end
+    # the replay of a recording does not have the samples after its end
+    last = played.end_ns - SECOND
     for name in ("states", "residuals"):
         live = getattr(session.live, name)
         live = live[(live["stamp_ns"] > played.onset_ns) & (live["stamp_ns"] < last)]
@@ -124,7 +125,7 @@ def test_without_the_memory_the_start_is_estimated_before_anything_is_judged(num
 
 
 def test_a_start_that_nothing_tells_is_not_judged():
-    """Neither a camera nor the memory: power alone cannot place the fins."""
+    """Neither camera nor memory is available: power alone cannot show the fins' grooves."""
     session = mixed()
     _, report = replayed(session, session.played[6], memory=False)
     assert not report.events
@@ -176,14 +177,14 @@ def test_the_memory_resumes_with_what_was_reported_of_the_run():
 
 
 def miss(robot: VirtualRobot, time: float) -> None:
-    """The rear fins hold on to their groove in the fourth cycle."""
+    """Let the rear fins hold on to their groove in the fourth cycle."""
     stuck = 3 * FORWARD_GAIT.period < time < 3.8 * FORWARD_GAIT.period
     grooves = Grooves((1.0,) * 512, (1.0,) * 512) if stuck else usual_grooves()
     robot.plant = replace(robot.plant, rear_grooves=grooves)
 
 
 def slip(robot: VirtualRobot, time: float) -> None:
-    """The cable slips by 5 mm on its spool at the third cycle's begin."""
+    """Let the cable slip by 5 mm on its spool at the beginning of the third cycle."""
     item, servo = robot._cable[0]
     if time > 2 * FORWARD_GAIT.period and item.start_angle == cable_start():
         angle = item.sign * 0.005 / item.spool_radius
@@ -191,7 +192,7 @@ def slip(robot: VirtualRobot, time: float) -> None:
 
 
 def rub(robot: VirtualRobot, time: float) -> None:
-    """Viscous friction is three times as large from the third cycle on."""
+    """Make viscous friction three times as large from the third cycle on."""
     if time > 2 * FORWARD_GAIT.period:
         body = virtual_settings().body
         parameters = replace(body, viscous_friction=3.0 * body.viscous_friction)
@@ -199,7 +200,7 @@ def rub(robot: VirtualRobot, time: float) -> None:
 
 
 def mend(robot: VirtualRobot) -> None:
-    """Between two gaits a person puts right what was wrong."""
+    """Let an operator correct the fault between two gaits."""
     item, servo = robot._cable[0]
     robot._cable[0] = (replace(item, start_angle=cable_start()), servo)
     robot.plant = replace(
@@ -277,7 +278,7 @@ def three_gaits() -> Seen:
 
 
 def replay_of(bag: Path) -> tuple[bool, tuple[RunReport, ...]]:
-    """Whether the replay of a bag resumed from a stored memory, and its report."""
+    """Return whether the replay of a bag resumed from a stored memory, and its report."""
     with open_bag(bag, pytest.fail) as opened:
         run = read_run(opened, names=REPLAY_INPUTS)
     replay = replay_run(run, PAPER)
@@ -285,7 +286,7 @@ def replay_of(bag: Path) -> tuple[bool, tuple[RunReport, ...]]:
 
 
 def findings(report: RunReport, first: int = 1) -> tuple[object, ...]:
-    """Health, events and grooves of a run's cycles from the first given one on."""
+    """Return health, events and grooves of a run's cycles from a number on."""
     cycles = [cycle for cycle in report.cycles if cycle.complete and cycle.number >= first]
     assert cycles
     return (
@@ -345,7 +346,7 @@ GAITS = st.sampled_from([Gait(0.07, 0.4), Gait(0.085, 0.35), GAIT_REVERSE])
 ENDS = st.sampled_from([{}, {"stop_after": 3.2}, {"cancel_after": 1.0}])
 
 
-# The example: after a stop, the fins are turned while the slack is still taken up, and stay in their grooves.
+# Example: after a stop, the fins turn while the slack is still taken up, and stay in their grooves.
 @example([(GAIT_REVERSE, {"stop_after": 3.2}, False), (Gait(0.07, 0.4), {}, False)], 1)
 @settings(max_examples=4, deadline=None, derandomize=True)
 @given(st.lists(st.tuples(GAITS, ENDS, st.booleans()), min_size=2, max_size=3), st.integers(1, 99))
@@ -377,7 +378,7 @@ SHAPED_BACKWARD = Gait(0.06, 0.25, REVERSE, pretension=0.02, contraction_share=0
 
 @lru_cache
 def shaped() -> Seen:
-    """Gaits with pretension and other shapes, forward and in reverse, one of them held at once."""
+    """Return gaits with pretension and other shapes, forward and in reverse, one of them held at once."""
     session = Session()
     session.run(SHAPED, 2)
     session.run(SHAPED_BACKWARD, 2)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Clocks that jump, twins that come late and times of which nothing is known, on robots that are not worm_model's."""
+"""Clocks that jump, twins that are late and unknown times, on robots that are simulated independently of worm_model."""
 
 from functools import lru_cache
 
@@ -22,12 +22,12 @@ SECOND = 10**9
 
 @lru_cache
 def sound() -> np.ndarray:
-    """What is seen of a sound robot, as it comes."""
+    """Return the samples of a healthy robot in order of reception."""
     return run_robots(GAIT, [Fault()], seed=9).rows(0, tracker=True)
 
 
 def jumped(rows: np.ndarray, time: float, by: float) -> np.ndarray:
-    """The same, the clock having been set at a time (s)."""
+    """Return the same with a clock that is set at a time (s)."""
     rows = rows.copy()
     after = rows["stamp"] > ONSET + round(time * SECOND)
     for name in ("stamp", "sent"):
@@ -95,7 +95,7 @@ def test_a_gap_in_all_topics_is_a_gap_in_knowledge(lasts: float):
 @pytest.mark.parametrize("kind", [Kind.LENGTH, Kind.POSITION, Kind.POWER])
 @pytest.mark.parametrize("lag", [0.1, 0.24, 0.9])
 def test_offline_no_sample_is_late(kind: Kind, lag: float):
-    """Samples that come so late (s): live, those beyond the delay are left out; a recording is sorted by stamp."""
+    """Samples are late by a time (s): live, those beyond the delay are excluded; a recording is sorted by stamp."""
     rows = sound()
     late = (rows["kind"] == kind) & (np.random.default_rng(4).random(len(rows)) < 0.3)
     order = np.argsort(rows["stamp"] + round(lag * SECOND) * late, kind="stable")

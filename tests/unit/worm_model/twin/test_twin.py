@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The twin's core against the simulator, and with every kind of bad sample."""
+"""The twin's core, compared with the simulator, and with every kind of bad sample."""
 
 import math
 from collections.abc import Iterator
@@ -29,11 +29,11 @@ from worm_model.twin.twin_settings import TwinSettings
 GAIT = Gait(0.07, 0.2)
 ONSET = 1_700_000_000_000_000_000
 IDLE = Activity.IDLE
-ORIGIN = 0.4  # m, where the tracker sees the rear module at the start
+ORIGIN = 0.4  # m, tracked position of the rear module at the start
 
 
 def at(time: float) -> int:
-    """The stamp of a time in s after the onset."""
+    """Return the stamp of a time in s after the onset."""
     return ONSET + round(time * 1e9)
 
 
@@ -50,7 +50,7 @@ def announcements(gait: Gait) -> list:
 
 
 def observed(gait: Gait, end: float, rate: float = 30.0, rest: float = 2.0) -> list:
-    """A perfect camera and power sensor."""
+    """Return the samples of a perfect camera and power sensor."""
     cycles = math.ceil(end * gait.frequency) + 1
     times = np.arange(-round(rest * rate), round(end * rate) + 1) / rate
     seen = simulate(gait, cycles=cycles).at(np.maximum(times, 0.0))
@@ -67,7 +67,7 @@ def in_order(*streams: list) -> list:
 
 
 def run(samples: list, twin: Twin | None = None) -> Told:
-    """All samples at once."""
+    """Pass all samples at once."""
     return follow(samples, twin)
 
 
@@ -116,7 +116,7 @@ def test_how_samples_are_cut_into_calls_does_not_matter_to_the_bit(chunk):
 @settings(max_examples=10, deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_the_order_within_the_delay_does_not_matter_to_the_bit(seed):
-    """Every sample comes up to the delay late, each on its own."""
+    """Every sample is late by a different time within the delay."""
     samples = full_run(4.0)
     delays = np.random.default_rng(seed).uniform(0.0, 0.249e9, len(samples))
     stamps = np.array([s.stamp_ns - ONSET for s in samples])
@@ -233,7 +233,7 @@ WILD = {
 }
 
 
-# A latched gait state may be as old as it likes.
+# A latched gait state may have any age.
 WILD_STAMPS = [(k, t) for k in WILD for t in (-1000.0, 7.0, 1000.0) if k != "gait" or t > 0.0]
 
 
@@ -248,7 +248,7 @@ def test_wild_stamps_restart_nothing(kind, time, count):
 
 
 def later(samples: list, seconds: float) -> list:
-    """The same samples at another time."""
+    """Return the same samples at another time."""
     shift = round(seconds * 1e9)
 
     def moved(sample):
@@ -271,7 +271,7 @@ def test_a_clock_that_jumps_ahead_starts_the_twin_anew():
 
 
 def test_one_stream_alone_does_not_move_the_clock_ahead():
-    """A camera whose clock is wrong, beside a driver whose is not."""
+    """The camera's clock is wrong, the driver's is right."""
     clean = in_order(announcements(GAIT), commands(GAIT, 4.0), [PowerSample(at(0.001), 1.0)])
     seen = later([s for s in observed(GAIT, 4.0) if isinstance(s, TrackerSample)], 1000.0)
     place = len(clean) // 2
@@ -280,7 +280,7 @@ def test_one_stream_alone_does_not_move_the_clock_ahead():
 
 
 def slipped(samples: list, time: float, offset: float, lasts: float = 1.0) -> list:
-    """The robot further along by an offset (m), from a time on within some seconds."""
+    """Move the robot on by an offset (m), from a time on within some seconds."""
 
     def moved(s: TrackerSample) -> TrackerSample:
         by = offset * min(max((s.stamp_ns - at(time)) * 1e-9 / lasts, 0.0), 1.0)
@@ -293,7 +293,7 @@ def slipped(samples: list, time: float, offset: float, lasts: float = 1.0) -> li
 @pytest.mark.parametrize("channel", ["position", "power"])
 @pytest.mark.parametrize("size", [0.8, 1.2, 1.8, 3.0, 6.0])
 def test_health_does_not_flicker_with_what_comes_and_goes_in_each_cycle(gait, channel, size):
-    """A residual of so many usual ones in the middle of each cycle, none at its ends."""
+    """The residual is a multiple of the usual one in the middle of each cycle, and 0 at its ends."""
     end = 5 * gait.period
 
     def spoilt(s):
@@ -309,7 +309,8 @@ def test_health_does_not_flicker_with_what_comes_and_goes_in_each_cycle(gait, ch
     seen = [spoilt(s) for s in observed(gait, end)]
     output = run(in_order(announcements(gait), commands(gait, end), seen))
     health = [r.health for r in output.residuals if r.stamp_ns > ONSET]
-    told = sum(bool(notice.code) for notice in output.notices)  # each is suspect for a cycle
+    # each makes the health suspect for a cycle
+    told = sum(bool(notice.code) for notice in output.notices)
     assert np.count_nonzero(np.diff(health)) <= 2 * (1 + told)
 
 
@@ -332,14 +333,14 @@ def test_a_missed_or_extra_groove_is_reported_within_a_cycle_and_followed(groove
 
 
 def arrived(samples: list, camera_s: float) -> list:
-    """In the order in which the samples come: the camera's by so much later than the others."""
+    """Return the samples in order of arrival: the camera's are later than the others by a time."""
     slow = MeasuredLength | TrackerSample
     delay = round(camera_s * 1e9)
     return sorted(samples, key=lambda s: s.stamp_ns + (delay if isinstance(s, slow) else 0))
 
 
 def with_end(samples: list, gait: Gait, end: float) -> list:
-    """The samples of a run that ends, with the command at rest and the driver idle for 3 s afterwards."""
+    """Return the samples of a run that ends, with the command at rest and the driver idle for 3 s afterwards."""
     after = [CommandedLength(at(end + k / 100), 0.0) for k in range(1, 301)]
     return in_order(announcements(gait), samples, after, [GaitSample(at(end + 0.003), IDLE)])
 
@@ -362,7 +363,7 @@ def test_a_miss_in_the_last_cycle_is_reported(camera_s, offset_ms):
 
 
 def test_a_miss_in_the_last_cycle_is_reported_by_a_tracker_that_goes_with_it():
-    """Nothing but commands come after the end: the cycle is closed when its time has passed."""
+    """Only commands arrive after the end: the cycle is closed when its time has passed."""
     seen = slipped(observed(GAIT, 17.0), 11.0, -PAPER.pitch)
     seen = [s for s in seen if s.stamp_ns < at(15.0)]
     output = run(with_end(commands(GAIT, 15.0) + seen, GAIT, 15.0))
@@ -477,7 +478,7 @@ def test_settings_out_of_range_are_refused():
 
 
 def hours_of_it(gait: Gait, hours: int) -> Iterator[list]:
-    """Hour by hour: commands and power at 1 Hz, a camera at 30 Hz for a cycle; a groove is missed in it."""
+    """Yield hour by hour: commands and power at 1 Hz, a camera at 30 Hz for a cycle in which a groove is missed."""
     steady = simulate(gait, cycles=10)
     per_cycle = float(np.diff(steady.at([180.0, 200.0]).x1)[0])
     for hour in range(hours):
@@ -526,7 +527,7 @@ def test_hours_with_misses_need_no_more_memory_and_lose_no_accuracy():
 
 @pytest.mark.parametrize(("stroke", "true_length"), [(0.0725, 0.2985), (0.07, 0.293)])
 def test_the_groove_phase_is_found_from_the_first_cycles(stroke, true_length):
-    """A tracker of the rear module alone; the twin believes another L0, with another number of grooves."""
+    """Only the rear module is tracked; the twin assumes another L0, with another number of grooves."""
     truth = PAPER.replace(initial_length=true_length)
     gait = Gait(stroke, 0.2)
     wanted = evaluate_gait(gait, truth).grooves_per_cycle

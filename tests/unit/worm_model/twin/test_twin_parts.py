@@ -25,7 +25,7 @@ def test_a_forecast_from_rest_is_the_simulators():
     twin = Twin()
     found = forecast(twin, twin.start(), GAIT, 20.0)
     exact = simulate(GAIT, cycles=4).at(found.time)
-    # The paper's start has v1 = 0, that of a robot at rest ẏ = 0: 0.1 mm until the transient has died out.
+    # The paper's start has v1 = 0, a robot at rest has ẏ = 0: 0.1 mm until the transient has decayed.
     assert found.rear_position == pytest.approx(exact.x1, abs=2e-4)
     assert found.front_position == pytest.approx(exact.x2, abs=2e-4)
     assert found.rear_position[100:] == pytest.approx(exact.x1[100:], abs=1e-6)

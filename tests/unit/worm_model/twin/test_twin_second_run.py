@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A second run in one session, against the virtual robot's plant, which knows nothing of the twin."""
+"""A second run in one session, compared with the virtual robot's plant, which is independent of the twin."""
 
 import dataclasses
 import math
@@ -34,9 +34,9 @@ def at(time: float) -> int:
 
 @lru_cache
 def session(second: Gait, release_s: float = 0.5) -> list:
-    """Two runs with a rest between them, from the onset of the first: what driver and camera tell.
+    """Return the samples of driver and camera for two runs with a rest in between, from the onset of the first.
 
-    The transmission gives its slack back when the cable has rested for ``release_s``.
+    The transmission returns its slack when the cable has rested for ``release_s``.
     """
     body = RobotParameters(
         **{f.name: getattr(PAPER, f.name) for f in dataclasses.fields(RobotParameters)}
@@ -77,7 +77,7 @@ def session(second: Gait, release_s: float = 0.5) -> list:
 
 
 def positions(samples: list) -> tuple[float, Told]:
-    """(how far the twin believes the rear module went, all that it said)."""
+    """Return the twin's estimate of the rear module's displacement, and all its output."""
     output = follow(samples)
     return output.states[-1].rear_position - output.states[0].rear_position, output
 
@@ -146,7 +146,7 @@ def test_slack_that_is_still_taken_up_is_not_another_l0(second):
 
 
 def test_the_slack_that_comes_back_after_a_run_makes_nobody_suspect():
-    """The body grows by 7 mm while the command stays, and the twin goes on saying how well the run went."""
+    """The body grows by 7 mm at a constant command, and the twin continues to publish its agreement with the run."""
     rows = follow(session(Gait(0.07, 0.2))).residuals
     end = at(CYCLES * FIRST.period)
     rest = [row for row in rows if end + 10**9 < row.stamp_ns < at(CYCLES * FIRST.period + PAUSE_S)]

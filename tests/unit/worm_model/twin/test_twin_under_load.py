@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The twin under loads: known ones raise no alarm, changed ones are named, other causes are not mistaken for them."""
+"""The twin under loads:
+
+known ones raise no alarm, changed ones are reported, and other causes are not mistaken for them.
+"""
 
 from functools import lru_cache
 
@@ -62,7 +65,7 @@ def test_a_twin_that_knows_its_load_follows_the_robot_live_and_in_replay(slope, 
 
 
 def test_without_the_tracker_the_robot_starts_where_its_fins_hold_the_load():
-    """The twin of a robot on a slope starts its first run with the fins bent by the load, not straight."""
+    """The twin of a robot on a slope starts its first run with fins that the load has deflected."""
     slope, tether = SLOPES[0]
     session = climbed(slope, tether)
     loaded = under(Conditions(slope_deg=slope, tether_N=tether), PAPER)
@@ -70,7 +73,7 @@ def test_without_the_tracker_the_robot_starts_where_its_fins_hold_the_load():
     states = live_twin(session.rows, Twin(loaded)).states
     begun = states[np.searchsorted(states["stamp_ns"], first.onset_ns)]
     rear = begun["rear_position"] - begun["rear_anchor"]
-    # The rear fin alone holds it, as the front fin stands in its clearance.
+    # Only the rear fin holds it, as the front fin is in its clearance.
     sag = 0.5 * PAPER.clearance + (loaded.rear_load + loaded.front_load) / PAPER.engaged_stiffness
     assert -rear == pytest.approx(sag, abs=1.5e-3)
 
@@ -104,7 +107,7 @@ def test_a_load_that_is_zero_has_a_signature_in_newtons(name):
     cause = LASTING[name]
     assert (cause.up, cause.down) == (LOAD_UP, LOAD_DOWN)
     small = signatures(GAIT, PAPER, driven=True).lasting[name][0]
-    # At rest the fin yields by Q/(k_eng + k_dis), the whole robot with it.
+    # At rest the fin yields by Q/(k_eng + k_dis), and the whole robot with it.
     shift = -cause.size / (PAPER.engaged_stiffness + PAPER.disengaged_stiffness)
     assert np.median(small[POSITION]) == pytest.approx(shift, rel=0.3)
     assert np.abs(small[POWER]).max() > 0.0

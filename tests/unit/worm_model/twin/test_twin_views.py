@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The terminal view, and the layouts against the interfaces that they show."""
+"""The terminal view, and the layouts compared with the interfaces that they show."""
 
 import json
 import re

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is written is read back equal by other readers, with what belongs beside the messages."""
+"""Other readers read written messages and metadata back unchanged."""
 
 import errno
 import resource
@@ -95,7 +95,7 @@ def test_rosbags_reads_them(messages: list[Message]):
 
 
 def test_two_layouts_of_a_topic_stay_two(tmp_path: Path):
-    """Also through a recovery: no message gets the definition of another."""
+    """Also after a recovery: no message gets the definition of another."""
     other = replace(TOPICS[0], definition="int64 data\n")
     messages = [message((TOPICS[0], other)[i % 2], i, bytes(12), i) for i in range(10)]
     bag = write(tmp_path / "bag", messages)
@@ -122,7 +122,7 @@ def test_an_entirely_empty_bag(tmp_path: Path):
 
 
 def test_a_disk_that_is_full_in_the_middle_is_said_and_nothing_is_left(tmp_path: Path):
-    """By a limit of the process, at which writing fails as on a full disk."""
+    """A limit of the process ends writing as on a full disk."""
     draw = np.random.default_rng(4)
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, before[1]))
@@ -146,7 +146,7 @@ def test_a_disk_that_takes_no_file_at_all_is_said_and_nothing_is_left(tmp_path: 
 
 
 def test_a_summary_that_is_not_what_was_written_is_not_believed_and_that_is_told(tmp_path: Path):
-    """With any of its bits flipped, all messages come, in their order, of their topics."""
+    """With any of its bits flipped, all messages are read, in their order, of their topics."""
     messages = [message(TOPICS[i % 3], i, bytes(40), i) for i in range(60)]
     file = file_of(write(tmp_path / "bag", messages))
     data = bytearray(file.read_bytes())

@@ -34,13 +34,13 @@ TYPES = [
 BOUNDS = {
     **{f"int{b}": (-(2 ** (b - 1)), 2 ** (b - 1) - 1) for b in (8, 16, 32, 64)},
     **{f"uint{b}": (0, 2**b - 1) for b in (8, 16, 32, 64)},
-    "byte": (0, 127),  # rosbags takes it for signed
+    "byte": (0, 127),  # rosbags reads it as signed
 }
 TEXTS = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]), max_size=9)
 
 
 def decode(payloads: list[bytes], *topics: Topic) -> Columns:
-    """Columns of messages, of each topic in turn if there are several."""
+    """Return columns of messages, of each topic in turn if there are several."""
     builder = ColumnBuilder()
     channels = [topics[i % len(topics)] for i in range(len(payloads))]
     rows = zip(payloads, channels, strict=True)
@@ -63,7 +63,7 @@ def base_values(base: str) -> st.SearchStrategy[Any]:
 
 
 def values(description: Any) -> st.SearchStrategy[Any]:
-    """Messages as rosbags takes them."""
+    """Return messages as rosbags accepts them."""
     kind, argument = description
     if kind == Nodetype.BASE:
         return base_values(argument[0])
@@ -84,7 +84,7 @@ def messages(type_name: str) -> st.SearchStrategy[Any]:
 
 
 def flat(value: Any, path: str = "") -> dict[str, Any]:
-    """Leaves of a message by path; numbers of an array stay together."""
+    """Return the leaves of a message by path; numbers of an array stay together."""
     if isinstance(value, list):
         found = {}
         for i, item in enumerate(value):
@@ -122,7 +122,7 @@ def test_decoding_gives_what_an_independent_encoder_was_given(type_name: str, da
 
 
 def test_encoding_is_byte_for_byte_that_of_an_independent_encoder():
-    """The fields are put where their paths say; what is not given is zero or empty."""
+    """Each field is at its path; missing fields are zero or empty."""
     type_name = "worm_msgs/msg/GaitState"
     strokes = np.array([0.05, math.nan, 0.07])
     texts = ["", "cable servo 2: overload", ""]
@@ -176,7 +176,7 @@ NEW = bare("a/msg/B", "float64 x\nuint32 run\nint32 sec\nfloat32[] more\n")
 
 
 def old_and_new(count: int) -> list[bytes]:
-    """Messages of two layouts in turn."""
+    """Write messages of two layouts in turn."""
     old, new = (
         encode(topic, count, {"x": np.arange(count) + 0.5, "sec": 2**31 - 1}, {})
         for topic in (OLD, NEW)
@@ -193,7 +193,7 @@ def test_every_message_is_read_by_the_definition_of_its_own_channel():
 
 @pytest.mark.parametrize(("surplus", "refused"), [(0, False), (3, False), (4, True), (8, True)])
 def test_a_message_has_the_length_that_its_definition_says(surplus: int, refused: bool):
-    """But for the padding that a middleware may append."""
+    """Padding that a middleware may append is accepted."""
     (data,) = encode(OLD, 1, {}, {})
     said = refusal(lambda: decode([data + bytes(surplus)], OLD))
     assert bool(said) == refused
@@ -221,7 +221,7 @@ def test_a_definition_that_lacks_a_field_or_has_another_type_is_refused(definiti
 
 
 def refusal(call: Callable[[], object]) -> str:
-    """What a BagError says, nothing if there is none; any other exception fails the test."""
+    """Return the message of a BagError, or an empty string without one; any other exception fails the test."""
     try:
         call()
     except BagError as error:
@@ -246,7 +246,7 @@ def test_random_definitions_are_read_or_refused(text: str):
 
 
 def test_the_definition_that_is_written_is_the_one_that_is_installed():
-    """Comments, which hold the units, are kept; the hash is that of the independent parser."""
+    """Comments, which state the units, are preserved; the hash is that of the independent parser."""
     topic = topic_of("/worm/gait_state", "worm_msgs/msg/GaitState")
     texts = topic.definition.split("=" * 80 + "\n")
     assert texts[0].strip() == FILES["worm_msgs/msg/GaitState"].read_text().strip()
@@ -259,7 +259,7 @@ def test_the_definition_that_is_written_is_the_one_that_is_installed():
 
 @pytest.mark.parametrize("type_name", [*FILES, "std_msgs/msg/Header"])
 def test_types_of_the_worm_are_those_that_all_standard_types_give(type_name: str):
-    """They are made without these, which takes a tenth of the time."""
+    """The types are made without the standard types, which takes a tenth of the time."""
     own = parse_types(type_name, installed_definition(type_name), "ros2msg")
     assert {name: list(STORE.fielddefs[name][1]) for name in own} == own
     assert dict(topic_of("/x", type_name).metadata)["topic_type_hash"] == STORE.hash_rihs01(

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Damaged bags: what is read is right, or the bag is refused, or what is wrong with it is told.
+"""Damaged bags: the messages read are right, or the bag is rejected, or the damage is reported.
 
-An independent reader, the `mcap` library's, says what the bag held before it was damaged.
+An independent reader of the `mcap` library returns the content of the bag before the damage.
 """
 
 import random
@@ -132,10 +132,10 @@ def test_random_bytes_behind_the_magic(data: bytes):
 @settings(max_examples=80, deadline=None)
 @given(where=st.floats(0, 1))
 def test_every_cut_keeps_what_is_whole(where: float):
-    """Messages outside of chunks: exactly those before the cut come back."""
+    """Outside of chunks, exactly the messages before the cut are returned."""
     data = mcap_bytes(CompressionType.NONE, False)
     last = data.rindex(b"\0\1\0\0" + struct.pack("<Q", 59))
-    record = 31 + 12  # bytes of a message's record: its head and its payload
+    record = 31 + 12  # bytes of a message's record: head and payload
     first = last - 59 * record
     cut = int(first + where * (last - first))
     whole = (cut - first + 31) // record
@@ -154,7 +154,7 @@ COUNT = 400
 
 
 def make_bag(folder: Path, compression: str) -> Path:
-    """Many small chunks of three topics."""
+    """Write a bag with many small chunks of three topics."""
     folder.mkdir()
     files = BagFiles(folder, "bag", WriteOptions(compression, chunk_bytes=600))
     files.add_metadata("worm_run", {"seed": "4"})
@@ -176,7 +176,7 @@ def independent(data: bytes) -> Counter[Row]:
 
 
 def top_level(data: bytes) -> list[tuple[int, int, int]]:
-    """Opcode, first and last byte of every record of the file."""
+    """Return opcode, first and last byte of every record of the file."""
     found, place = [], 8
     while place < len(data) - 8:
         opcode, length = struct.unpack_from("<BQ", data, place)
@@ -190,7 +190,7 @@ def flip_bit(data: bytearray, draw: random.Random) -> None:
 
 
 def flip_in_head(data: bytearray, draw: random.Random) -> None:
-    """Opcode or length of a record: what follows has to be found again."""
+    """Flip a bit in the opcode or the length of a record: the reader has to find the next record again."""
     _, first, _ = draw.choice(top_level(data))
     data[first + draw.randrange(9)] ^= 1 << draw.randrange(8)
 
@@ -212,7 +212,7 @@ def double_record(data: bytearray, draw: random.Random) -> None:
 
 
 def drop_chunk(data: bytearray, draw: random.Random) -> None:
-    """With the indexes behind it."""
+    """Delete a chunk with the indexes behind it."""
     first, last = draw.choice(chunks(data))
     del data[first:last]
 
@@ -278,7 +278,7 @@ def test_what_is_read_is_right_or_refused_or_told(tmp_path: Path, compression: s
 
 @pytest.mark.parametrize("compression", ["none", "zstd"])
 def test_one_broken_head_costs_no_more_than_what_it_covers(tmp_path: Path, compression: str):
-    """The walk goes on behind it, with the index of the summary and without; what is lost is counted by topic."""
+    """Reading continues behind it, with and without the index of the summary; lost messages are counted by topic."""
     data = (make_bag(tmp_path / "whole", compression) / "bag_0.mcap").read_bytes()
     original = independent(data)
     first, _ = chunks(data)[2]
@@ -286,7 +286,8 @@ def test_one_broken_head_costs_no_more_than_what_it_covers(tmp_path: Path, compr
         for place in (first, first + 1, first + 6):
             spoilt = bytearray(data[:end])
             spoilt[place] ^= 0x40
-            spoilt[first + 80] ^= 0x01  # inside, too: its checksum cannot save it
+            # damage inside of the chunk, too: its checksum cannot verify it
+            spoilt[first + 80] ^= 0x01
             path = tmp_path / f"{case}_{place}.mcap"
             path.write_bytes(spoilt)
             report = recover(path, tmp_path / f"{case}_{place}")
@@ -299,7 +300,7 @@ def test_one_broken_head_costs_no_more_than_what_it_covers(tmp_path: Path, compr
             (damage,) = report.damaged
             known = (
                 case == "index" or place != first
-            )  # the head is one of a chunk: indexes tell, too
+            )  # with an intact opcode the record is known as a chunk, and its indexes are used
             assert damage.missing == (lost if known else None)
             (part,) = damage.parts[:1]
             times = [time for _, time, *_ in (original - found).elements()]
@@ -322,7 +323,7 @@ def test_a_chunk_whose_head_alone_is_broken_is_saved_by_its_checksum(tmp_path: P
 
 
 def bomb(levels: int) -> str:
-    """YAML whose keys are merged from level to level, tenfold each time."""
+    """Return YAML whose keys are merged from level to level, tenfold each time."""
     lines = ["a0: &a0 {x: 1}"]
     for i in range(levels):
         lines.append(f"a{i + 1}: &a{i + 1} {{<<: [{', '.join([f'*a{i}'] * 10)}]}}")
@@ -330,14 +331,14 @@ def bomb(levels: int) -> str:
 
 
 def test_a_topic_without_messages_is_not_lost_with_the_end_of_a_file(tmp_path: Path):
-    """rosbag2 names it in the summary alone, and in metadata.yaml."""
+    """rosbag2 names it only in the summary and in metadata.yaml."""
     path = tmp_path / "bag"
     topic = Topic("/a", "std_msgs/msg/UInt64", 0, "uint64 data\n", "ros2msg", "cdr")
     silent = topic_of("/events", "std_msgs/msg/UInt64", "- depth: 1\n")
     with new_bag(path) as writer:
         for i in range(5):
             writer.write(topic, b"\0\1\0\0" + struct.pack("<Q", i), i + 1, i + 1)
-        writer.sync()  # what comes now is in no chunk
+        writer.sync()  # the next messages are in no chunk
         writer.add_topic(silent)
     file = next(path.glob("*.mcap"))
     file.write_bytes(file.read_bytes()[: -len(file.read_bytes()) // 4])
@@ -369,7 +370,7 @@ def test_a_hostile_metadata_file_is_refused_at_once(tmp_path: Path, text: str):
 
 @pytest.mark.parametrize("seed", range(40))
 def test_a_metadata_file_that_says_something_else_is_refused_or_told(tmp_path: Path, seed: int):
-    """Lines dropped, doubled, or with another digit: the messages are right, whatever it says."""
+    """Lines are missing, doubled, or have another digit: the messages are right nevertheless."""
     bag = make_bag(tmp_path / "bag", "zstd")
     original = independent((bag / "bag_0.mcap").read_bytes())
     draw = random.Random(seed)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bags that others merged, renamed or made by hand: what is odd about them is told, and nothing ends in a traceback."""
+"""Bags that other programs merged, renamed or made: contradictions are reported, and no bag causes a traceback."""
 
 import json
 import math
@@ -42,7 +42,7 @@ def recorded(whole: Path) -> list[Message]:
 
 
 def by_mcap(path: Path, messages: Iterable[Message]) -> Path:
-    """As the library of MCAP writes messages, whatever they are; a type without a name gets no schema."""
+    """Write messages of any type with the library of MCAP; a type without a name gets no schema."""
     with path.open("wb") as stream:
         writer = Writer(stream)
         writer.start(profile="ros2")
@@ -62,7 +62,7 @@ def by_mcap(path: Path, messages: Iterable[Message]) -> Path:
 
 
 def of_power(**changes: str) -> Callable[[Message], Message]:
-    """Changes the channel of power samples."""
+    """Return a function that changes the channel of power samples."""
 
     def change(message: Message) -> Message:
         if message.topic != POWER:
@@ -145,7 +145,7 @@ def test_the_twin_follows_it_as_if_it_were_there_once(
 
 
 def test_samples_of_one_stamp_that_differ_all_count(tmp_path: Path):
-    """A lab's clock may tick more rarely than its sensor."""
+    """A lab's clock may have a coarser resolution than its sensor's period."""
     stamp = RUN.power.stamp // 10**8 * 10**8
     run = replace(RUN, power=replace(RUN.power, stamp=stamp))
     with open_bag(write_bag(tmp_path / "bag", run)) as bag:
@@ -168,7 +168,7 @@ def test_samples_that_are_infinite_are_left_out_which_is_told(tmp_path: Path, va
 
 
 def test_runs_that_overlap_are_refused(tmp_path: Path):
-    """Two recordings merged by time; one after the other they are two runs."""
+    """Two recordings merged by time are rejected; one after the other they are two runs."""
     longer = simulated_run(cycles=2)
     with new_bag(tmp_path / "late") as writer:
         write_run(writer, longer, "/worm")
@@ -186,7 +186,7 @@ def test_runs_that_overlap_are_refused(tmp_path: Path):
 
 
 def later_run(run: Run, by: int) -> Run:
-    """The same, later by some ns."""
+    """Return the same messages, later by some ns."""
     states = run.gait_state
     moved = {
         name: replace(getattr(run, name), stamp=getattr(run, name).stamp + by)

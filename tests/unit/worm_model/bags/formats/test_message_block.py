@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Blocks of messages are merged as their messages would be, one by one."""
+"""Merging blocks of messages gives the same order as merging single messages."""
 
 from collections import Counter
 from itertools import chain, pairwise

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Definitions as bags carry them, against every message type that is installed."""
+"""Definitions as bags contain them, compared with every installed message type."""
 
 import os
 from pathlib import Path
@@ -31,7 +31,7 @@ def package_of(path: Path) -> str:
 
 @pytest.mark.parametrize("path", installed(), ids=lambda p: f"{package_of(p)}/{p.stem}")
 def test_a_definition_holds_all_that_the_type_needs(path: Path):
-    """An independent store that knows nothing else takes it, and gives the hash of the parts."""
+    """An independent store without other definitions accepts it, and computes the same hash of its parts."""
     name = f"{package_of(path)}/msg/{path.stem}"
     definition = installed_definition(name)
     assert definition.startswith(path.read_text(encoding="utf-8").rstrip("\n"))
@@ -53,7 +53,7 @@ def test_a_schema_holds_all_that_the_type_needs_and_has_its_hash(path: Path):
 
 
 def installed_file(package: str, kind: str) -> Path:
-    """The type description that the interface generator installed, which holds the hash."""
+    """Return the type description that the interface generator installed, which contains the hash."""
     for prefix in os.environ["AMENT_PREFIX_PATH"].split(os.pathsep):
         path = Path(prefix, "share", package, "msg", f"{kind}.json")
         if path.is_file():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Folders that are there whole or not at all."""
+"""Folders that are complete or do not exist."""
 
 import os
 import subprocess

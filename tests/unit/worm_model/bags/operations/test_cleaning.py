@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What tells where a bag was recorded is left out, and nothing else."""
+"""Data that shows where a bag was recorded is removed, and nothing else."""
 
 import json
 import sys
@@ -39,7 +39,7 @@ def test_texts(text: str, cleaned: str):
 
 
 def record(path: Path) -> Path:
-    """A bag with the host and paths in its records, its parameter file and its messages."""
+    """Write a bag with the host and paths in its records, its parameter file and its messages."""
     status = topic_of("/worm/status", "diagnostic_msgs/msg/DiagnosticStatus")
     power = topic_of("/worm/power", "worm_msgs/msg/Power")
     with new_bag(path, {"recovered_from": "run_1"}) as writer:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The time of a bag that is played."""
+"""The time of a bag during its playback."""
 
 import math
 

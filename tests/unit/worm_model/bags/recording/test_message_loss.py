@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lost messages are counted whatever the publishers do."""
+"""Lost messages are counted, whatever the publishers do."""
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -22,7 +22,7 @@ def test_the_gaps_of_one_publisher_are_its_losses(received: set[int]):
 
 @given(st.lists(st.sets(st.integers(2, 40)), min_size=2, max_size=4), st.randoms())
 def test_losses_of_several_publishers_add_up(received, draw):
-    """Counted in full once every publisher is heard again: here all are, with their hundredth."""
+    """Losses are complete when another message of every publisher has arrived: here, the hundredth."""
     streams = [[*sorted(numbers), 100] for numbers in received]
     expected = sum(99 - len(stream) for stream in streams)
     sequences = [1] * len(streams)

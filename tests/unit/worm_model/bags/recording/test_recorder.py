@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The recorder's bags, as the independent readers see them."""
+"""The recorder's bags, read by the independent readers."""
 
 import struct
 from pathlib import Path

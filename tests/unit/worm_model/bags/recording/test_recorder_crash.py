@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is left of a bag when its recorder is killed or its disk is full."""
+"""Content of a bag whose recorder is killed or whose disk is full."""
 
 import random
 import resource
@@ -22,7 +22,7 @@ SOURCES = [
     str(Path(__file__).resolve().parents[5] / "src" / p) for p in ("worm_driver", "worm_model")
 ]
 
-# Records a counter as fast as it can, and tells after each synchronisation how many messages are safe.
+# Records a counter as fast as possible, and prints after each synchronisation how many messages are safe.
 RECORD = """
 import struct, sys, time
 from pathlib import Path
@@ -58,7 +58,7 @@ sys.exit(1)
 
 def start(bag: Path, compression: str = "zstd", split: int = 0, limit: int = 0) -> subprocess.Popen:
     def prepare() -> None:
-        if limit:  # Python ignores the signal that comes with it
+        if limit:  # Python ignores the signal of the file size limit
             resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
 
     return subprocess.Popen(
@@ -82,7 +82,8 @@ def test_a_killed_recorder_loses_nothing_that_was_synchronised(tmp_path: Path, s
         safe = 0
         for _ in range(draw.randrange(1, 5)):
             safe = int(process.stdout.readline())
-        time.sleep(draw.uniform(0.0, 0.04))  # the moment of death is drawn, nothing waits for it
+        # the time of the kill is random, without waiting for a condition
+        time.sleep(draw.uniform(0.0, 0.04))
         process.kill()
         safe = max([safe, *map(int, process.stdout.read().split())])
     before = {path.name: path.read_bytes() for path in bag.iterdir()}
@@ -133,7 +134,7 @@ def test_a_bag_in_the_making_is_left_alone(tmp_path: Path):
 
 @pytest.mark.parametrize("compression", ["none", "zstd"])
 def test_a_disk_that_takes_no_more_keeps_what_it_took(tmp_path: Path, compression: str):
-    """The system refuses to let the file grow, in the middle of a write, as a full disk does."""
+    """The system does not let the file grow, in the middle of a write, as on a full disk."""
     with start(tmp_path / "bag", compression, limit=200_000) as process:
         lines = process.stdout.read().split("\n")
     assert process.returncode == 1
@@ -146,7 +147,7 @@ def test_a_disk_that_takes_no_more_keeps_what_it_took(tmp_path: Path, compressio
 
 
 def test_a_full_disk_keeps_what_it_took(tmp_path: Path):
-    """A file system of 1 MB of its own, where the system lets us have one."""
+    """A file system of 1 MB for this test, if the system permits it."""
     disk, saved = tmp_path / "disk", tmp_path / "saved"
     disk.mkdir()
     script = (

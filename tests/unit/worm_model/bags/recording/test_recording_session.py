@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a recorder is asked for while it runs."""
+"""Requests to a recorder while it runs."""
 
 import shutil
 import time
@@ -61,7 +61,7 @@ def test_what_comes_in_a_pause_is_not_recorded(tmp_path: Path):
 
 
 def test_topics_of_which_nothing_came_are_kept(tmp_path: Path):
-    """That nothing happened is not that nobody listened."""
+    """A topic without messages differs from a topic without a subscription."""
     recording = session(tmp_path / "bag")
     recording.know([TOPIC, LATCHED])
     recording.offer([message(1)])
@@ -143,7 +143,7 @@ def test_a_folder_that_is_removed_ends_the_recording_and_all_in_it_is_counted(tm
     recording.offer([message(1), message(2)])
     shutil.rmtree(tmp_path / "bag")
     recording.offer([message(3)])
-    while recording.error is None:  # the next synchronisation notices
+    while recording.error is None:  # the next synchronisation reports it
         pass
     recording.close()
     assert isinstance(recording.error, FileNotFoundError)
@@ -154,12 +154,12 @@ def test_a_folder_that_is_removed_ends_the_recording_and_all_in_it_is_counted(tm
 def test_after_a_crash_it_goes_on_in_the_next_bag_and_what_is_closed_is_not_touched(tmp_path: Path):
     output = tmp_path / "bag"
     assert after_crash(output) == output
-    crashed = session(output)  # one that is still written is not closed, either
+    crashed = session(output)  # a bag that is still being written is not closed, either
     assert after_crash(output) == tmp_path / "bag_2"
     second = session(tmp_path / "bag_2")
     assert after_crash(output) == tmp_path / "bag_3"
     second.close()
-    assert after_crash(output) == tmp_path / "bag_2"  # which is rejected, as it exists
+    assert after_crash(output) == tmp_path / "bag_2"  # this bag is rejected, as it exists
     with pytest.raises(ExistsError, match="bag_2 exists already"):
         session(after_crash(output))
     (output / "metadata.yaml").unlink()

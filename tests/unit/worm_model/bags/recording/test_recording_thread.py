@@ -38,7 +38,7 @@ def test_everything_offered_is_written_in_order(tmp_path: Path):
 
 
 class Held(BagRecorder):
-    """Writes only when allowed, and tells when it synchronises."""
+    """Recorder that writes only when allowed, and signals its synchronisation."""
 
     def __init__(self, directory: Path) -> None:
         self.allowed = threading.Event()
@@ -77,7 +77,7 @@ def test_messages_are_synchronised_without_further_ones(tmp_path: Path):
 
 
 class Broken(BagRecorder):
-    """A disk that is full at the third message."""
+    """Recorder on a disk that is full at the third message."""
 
     def write(self, *arguments) -> None:
         if sum(self.counts.values()) == 2:
@@ -95,11 +95,11 @@ def test_a_full_disk_is_reported_and_later_messages_are_counted_as_dropped(tmp_p
     assert isinstance(thread.error, OSError)
     assert thread.error.errno == errno.ENOSPC
     thread.offer([sample(20)])
-    assert thread.dropped == Tally(21, 21 * 12)  # none had been synchronised
+    assert thread.dropped == Tally(21, 21 * 12)  # no message had been synchronised
 
 
 class FullLater(Broken):
-    """The same, after each message has been brought to the disk."""
+    """Recorder as above that synchronises after each message."""
 
     def sync(self) -> None:
         super().sync()

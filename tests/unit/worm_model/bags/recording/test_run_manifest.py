@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a bag says of its run."""
+"""Metadata of a bag about its run."""
 
 import hashlib
 from pathlib import Path

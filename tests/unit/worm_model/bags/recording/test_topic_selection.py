@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which topics a recording takes."""
+"""Selection of the topics of a recording."""
 
 import pytest
 

@@ -78,7 +78,7 @@ def file_of(layout: str, count: int = COUNT) -> bytes:
 
 
 def by_stream_reader(data: bytes) -> list[Row]:
-    """Messages up to the first damage, as far as a definition of their channel precedes them."""
+    """Return the messages up to the first damage for which a definition of their channel precedes them."""
     topics: dict[int, str] = {}
     rows: list[Row] = []
     with suppress(Exception):
@@ -98,14 +98,14 @@ def recovered(data: bytes) -> list[Row]:
         path.write_bytes(data)
         try:
             recover(path, Path(folder, "saved"))
-        except BagError:  # nothing is left
+        except BagError:  # no message is left
             return []
         with open_bag(Path(folder, "saved"), lambda _: None) as bag:
             return [(m.topic, m.log_time, m.data) for m in bag.messages()]
 
 
 def chunks(data: bytes) -> Iterator[tuple[int, int]]:
-    """First and last byte of each chunk of an undamaged file."""
+    """Yield first and last byte of each chunk of an undamaged file."""
     place = len(MAGIC)
     while place < len(data) - len(MAGIC):
         opcode, length = struct.unpack_from("<BQ", data, place)
@@ -153,14 +153,14 @@ def test_it_saves_what_the_stream_reader_returns_and_every_intact_chunk(layout: 
     data = file_of(layout)
     damaged = edit(data, edits)
     original, saved = Counter(by_stream_reader(data)), Counter(recovered(damaged))
-    returned = Counter(by_stream_reader(damaged))  # some altered, where no checksum shows it
+    returned = Counter(by_stream_reader(damaged))  # some are altered if no checksum shows it
     assert (returned & original) - saved == Counter()
     chunked, _, checksums = LAYOUTS[layout]
     if not (chunked and checksums):
         return
     assert set(saved) <= set(original)
     begin, end = next(chunks(data))
-    if data[begin:end] in damaged:  # with the definitions
+    if data[begin:end] in damaged:  # the chunk with the definitions
         for first, last in chunks(data):
             if data[first:last] in damaged:
                 inside = data[: len(MAGIC)] + data[begin:end] + data[first:last]
@@ -183,7 +183,7 @@ def test_a_damaged_size_of_a_chunk_costs_nothing(layout: str, bit: int):
 @pytest.mark.parametrize("sample", ["forward/forward_0.mcap", "killed/killed_0.mcap"])
 @pytest.mark.parametrize("seed", range(6))
 def test_a_random_cut_costs_no_more_than_what_is_behind_it(tmp_path: Path, sample: str, seed: int):
-    """Twelve cuts of recorded bags."""
+    """Apply twelve cuts to recorded bags."""
     data = (SAMPLES / sample).read_bytes()
     cut = data[: random.Random(seed).randrange(len(data) // 20, len(data))]
     assert Counter(by_stream_reader(cut)) == Counter(recovered(cut)) != Counter()
@@ -209,7 +209,7 @@ def test_a_flipped_index_costs_nothing(tmp_path: Path, seed: int):
 
 
 def bomb(compression: str, declared: int, size: int) -> bytes:
-    """A file with a chunk of zeros."""
+    """Write a file with a chunk of zeros."""
     if compression == "zstd":
         compressor = zstandard.ZstdCompressor(level=1).compressobj()
         parts = [compressor.compress(bytes(1 << 24)) for _ in range(size >> 24)]
@@ -272,10 +272,10 @@ def test_a_wrong_length_costs_its_own_message(seed: int):
 
 @pytest.mark.parametrize("seed", range(4))
 def test_random_bytes_hold_no_plausible_record(seed: int):
-    """A plausible record is whole, and so is the one behind it: see `mcap_walk`."""
+    """A plausible record is whole, and so is the record behind it: see `mcap_walk`."""
     draw = random.Random(seed)
     noise = bytearray(draw.randbytes(1 << 20))
-    for place in range(0, len(noise) - 40, 50):  # heads of messages, but nothing behind them
+    for place in range(0, len(noise) - 40, 50):  # heads of messages without a record behind them
         struct.pack_into("<BQH", noise, place, Opcode.MESSAGE, draw.randrange(22, 30), 1)
     parts = list(Walk(b"\0" + bytes(noise), 0, {1}, is_intact_chunk))
     assert [part.opcode for part in parts] == [DAMAGED]
@@ -329,7 +329,7 @@ def test_messages_of_a_damaged_chunk_are_no_plain_messages():
     del data[last - 60 :]
     data[last - 300] ^= 1
     assert set(recovered(bytes(data))) <= set(by_stream_reader(file_of("plain")))
-    data[first + 9 + 3] ^= 1  # a time in its head
+    data[first + 9 + 3] ^= 1  # a time in the chunk's head
     assert set(recovered(bytes(data))) <= set(by_stream_reader(file_of("plain")))
 
 
@@ -378,7 +378,7 @@ def test_the_checksum_of_the_data_section_is_written(tmp_path: Path):
 
 
 def test_a_damaged_copy_in_the_summary_does_not_replace_a_definition(tmp_path: Path):
-    data = bytearray(file_of("rosbag2"))  # its summary has no checksum
+    data = bytearray(file_of("rosbag2"))  # this bag's summary has no checksum
     place = data.rindex(b"uint64 data")
     assert data.index(b"uint64 data") < place
     data[place] ^= 1
@@ -493,9 +493,7 @@ def test_a_damaged_page_costs_its_own_rows(sqlite_bag: Path, tmp_path: Path):
         found = [struct.unpack_from("<Q", m.data, 4)[0] for m in bag.messages()]
     assert 4700 < len(found) < 5000
     missing = sorted(set(range(5000)) - set(found))
-    assert missing == list(
-        range(missing[0], missing[-1] + 1)
-    )  # a page of rows that follow each other
+    assert missing == list(range(missing[0], missing[-1] + 1))  # a page of consecutive rows
     assert "5000" in told[0] or str(5000 - len(found)) in told[0]
 
 
@@ -631,7 +629,7 @@ def test_a_span_without_messages_is_not_trimmed(tmp_path: Path, monkeypatch, cap
 
 
 def test_zeros_at_the_end_are_one_damaged_part():
-    """A power cut leaves them; 57 zeros look like an empty chunk."""
+    """A power cut leaves zeros; 57 of them look like an empty chunk."""
     data = file_of("rosbag2 zstd")
     zeros = data[: next(chunks(data))[1]] + bytes(1 << 20)
     parts = list(Walk(zeros, len(MAGIC), set(), is_intact_chunk))

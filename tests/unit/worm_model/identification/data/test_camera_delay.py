@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The camera's delay, told apart from a servo that lags."""
+"""The camera's delay, distinguished from a lag of the servo."""
 
 from dataclasses import replace
 
@@ -17,7 +17,7 @@ LAG, LATE = 0.012, 0.021  # s, of the servo and of the camera's stamps
 
 
 def recordings(lag: float, late: float) -> list[Recording]:
-    """Runs of a servo that plays its goals so late, its encoder recorded, before a camera that stamps so late."""
+    """Return runs of a servo with a lag (s) and a recorded encoder, and of a camera with a delay of its stamps (s)."""
     found = []
     for seed, gait in enumerate(GAITS):
         instruments = Instruments(camera_behind=-lag - late, power_behind=-lag)

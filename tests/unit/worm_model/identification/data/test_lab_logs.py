@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A lab's logs, as they are and as they should not be."""
+"""Valid and invalid logs of a lab."""
 
 import json
 import math
@@ -43,7 +43,7 @@ def seconds(stamp) -> list[float]:
 
 
 def test_ticks_become_lengths(folder: Path):
-    """A quarter turn of a 12 mm spool takes in 2π·12/4 mm of cable."""
+    """A quarter turn of a 12 mm spool winds up 2π·12/4 mm of cable."""
     commanded = read_lab_run(folder, SETTINGS).run.commanded
     quarter = 2 * math.pi * 0.012 / 4
     np.testing.assert_allclose(commanded.length_change, [0.0, -quarter, 2 * quarter])
@@ -182,7 +182,7 @@ def test_every_run_of_the_campaign_is_imported(
     assert len(run.power.stamp) == rows["power"]
     assert len(run.commanded.stamp) == rows["servo"]
     assert run.gait_state.stroke[-1] == gait["stroke_m"]
-    # The stroke is where the servo goes, to a tick of the spool, and the gait starts at 2.0 s.
+    # The stroke is that of the servo, to a tick of the spool, and the gait starts at 2.0 s.
     assert -run.commanded.length_change.min() == pytest.approx(gait["stroke_m"], abs=2e-5)
     moved = run.commanded.stamp[np.abs(run.commanded.length_change) > 0.0][0]
     assert (run.gait_state.onset[-1] - moved) * 1e-9 == pytest.approx(0.0, abs=0.3)
@@ -193,7 +193,7 @@ def test_every_run_of_the_campaign_is_imported(
 def played(
     folder: Path, radius: float, onset: float, gait: Gait = PLAIN, tensioned: float = 0.0
 ) -> Path:
-    """The servo's log of the gait with a spool and an onset, two cycles of it; tensioned up to a time (s)."""
+    """Return the servo's log of two cycles of the gait with a spool and an onset; tensioned up to a time (s)."""
     time = np.arange(0.0, onset + 2 * gait.period, 0.02)
     command = np.array([gait.command(max(t - onset, 0.0)) for t in time])
     command *= np.minimum(time / tensioned, 1.0) if tensioned else 1.0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The pitch that strides tell, on virtual robots whose pipe is known."""
+"""The pitch computed from strides, on virtual robots in a known pipe."""
 
 from dataclasses import replace
 
@@ -12,12 +12,12 @@ from worm_model.identification.drift_estimates import estimate_bag
 from worm_model.identification.identification_errors import IdentificationError
 from worm_model.identification.stages import identify
 
-DEVIATION = 2.5e-5  # m, of a ruler's
+DEVIATION = 2.5e-5  # m, of a ruler
 
 
 @pytest.fixture(scope="module")
 def campaign() -> VirtualCampaign:
-    """Two gaits that gain one and two grooves a cycle."""
+    """Return two gaits that gain one and two grooves per cycle."""
     return virtual_campaign(7, (CAMPAIGN[1], CAMPAIGN[4]))
 
 

@@ -16,7 +16,7 @@ RUNS, SAMPLES = 3, 40
 
 
 def lines(noise=0.0, seed=0, prior=np.inf):
-    """Runs that share a slope and a curvature and have an offset each."""
+    """Return runs that share a slope and a curvature and have an offset each."""
     random = np.random.default_rng(seed)
     x = np.linspace(0.0, 1.0, SAMPLES)
     offsets = np.array([0.5, -1.0, 2.0])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Intervals from profiles, and what counts as not told."""
+"""Intervals from profiles, and the rule for values that are not identifiable."""
 
 import numpy as np
 import pytest
