@@ -13,9 +13,9 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
-# Before any message is imported: fields of a wrong type fail where they are set.
+# Before the first import of messages: fields of a wrong type then fail where they are set.
 os.environ.setdefault("ROS_PYTHON_CHECK_FIELDS", "1")
-with contextlib.suppress(ImportError):  # no ROS is installed, or nothing is built yet
+with contextlib.suppress(ImportError):  # ROS is not installed, or the workspace is not built yet
     from worm_msgs import network
 
     network.bind(os.environ, os.environ.get("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp"))
@@ -25,7 +25,7 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 settings.register_profile("untimed", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("untimed")
 
-# A shell ignores SIGINT in what it runs in the background, and what the tests start would inherit that.
+# A shell ignores SIGINT in its background jobs, and processes that the tests start would inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -40,7 +40,7 @@ def pytest_collection_finish() -> None:
 
 @pytest.fixture(scope="session")
 def shared() -> Path:
-    """The folder of reference material beside the checkout; a test is skipped without it."""
+    """Return the folder of reference material next to the checkout; skip the test without it."""
     path = ROOT.parent / "shared"
     if not path.is_dir():
         pytest.skip(f"no reference material: {path} does not exist")
@@ -48,7 +48,7 @@ def shared() -> Path:
 
 
 _WORKER = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
-# No test has its predecessor's domain, whose killed processes are still announced, nor one of another worker's.
+# A test must not use the domain of the test before, whose killed processes are still announced, or of another worker.
 DOMAINS = itertools.cycle(sorted(range(1, 101), key=lambda domain: (domain - 25 * _WORKER) % 100))
 
 
@@ -59,18 +59,18 @@ def _free_domain(environment: pytest.MonkeyPatch) -> Iterator[int]:
         tempfile.TemporaryDirectory() as state,
     ):
         environment.setenv("ROS_DOMAIN_ID", str(domain))
-        environment.setenv("WORM_STATE_DIRECTORY", state)  # a test's emergency stop is its own
+        environment.setenv("WORM_STATE_DIRECTORY", state)  # each test has its own emergency stop
         yield domain
 
 
 @pytest.fixture
 def ros_domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
-    """A free ROS domain, in the environment of the test and of all that it starts."""
+    """Set a free ROS domain in the environment of the test and of all processes that it starts."""
     yield from _free_domain(monkeypatch)
 
 
 @pytest.fixture(scope="module")
 def module_domain() -> Iterator[int]:
-    """The same for fixtures that the tests of one module share."""
+    """Set a domain as above for fixtures that the tests of one module share."""
     with pytest.MonkeyPatch.context() as environment:
         yield from _free_domain(environment)

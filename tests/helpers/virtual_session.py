@@ -178,7 +178,7 @@ class Session:
             rear_groove=round(rear / pitch), front_groove=round(front / pitch)
         )
 
-    # --- what the topics say --------------------------------------------------------------------
+    # --- topics ---------------------------------------------------------------------------------
 
     def _follow(self, duration: float, until: Callable[[Snapshot], bool]) -> None:
         end = self.rig.clock.now + duration

@@ -34,13 +34,13 @@ SUCCEEDED, CANCELED, ABORTED = 4, 5, 6  # action_msgs/GoalStatus
 
 @pytest.fixture(autouse=True)
 def state_directory(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """An emergency stop of one test is none of the next; set before any process is started."""
+    """Keep the emergency stop of one test from the next; set before any process is started."""
     monkeypatch.setenv("WORM_STATE_DIRECTORY", str(tmp_path / "state"))
 
 
 @pytest.fixture
 def directory(processes, tmp_path: Path) -> Path:
-    """Of a virtual robot that is ready."""
+    """Start a virtual robot and return its directory."""
     path = tmp_path / "robot"
     robot = processes.start_node("worm_driver", "virtual_robot", "--directory", str(path))
     robot.wait_for_line("^ready: ", TIMEOUT_S)
@@ -49,7 +49,7 @@ def directory(processes, tmp_path: Path) -> Path:
 
 @pytest.fixture
 def real_time_directory(processes, tmp_path: Path) -> Path:
-    """Of a virtual robot whose time is the computer's: it does not wait for a driver that hangs."""
+    """Start a virtual robot that does not wait for a driver that hangs: its time is the computer's."""
     path = tmp_path / "robot"
     robot = processes.start_node(
         "worm_driver", "virtual_robot", "--real-time", "--directory", str(path)
@@ -59,7 +59,7 @@ def real_time_directory(processes, tmp_path: Path) -> Path:
 
 
 def parameters(directory: Path, **changes: object) -> dict[str, object]:
-    """Of a driver on that robot, whose time waits where a test's machine is busy with something else."""
+    """Return the parameters of a driver on that robot, whose time waits if the test's machine is busy."""
     return {
         "port": directory / "servo_bus",
         "i2c_bus": directory / "i2c.sock",
@@ -75,7 +75,7 @@ def driver(processes, directory):
 
 
 class Commander:
-    """What an operator does with the driver."""
+    """Client with all requests of an operator to the driver."""
 
     def __init__(self, probe) -> None:
         self.probe = probe
@@ -141,7 +141,7 @@ def commander(probe) -> Commander:
 
 
 def torques(directory: Path) -> list[int]:
-    """Torque of each servo, asked by the test itself once the driver has given the port back."""
+    """Return the torque of each servo, read by the test itself when the driver has closed the port."""
     bus = ServoBus.open(str(directory / "servo_bus"), 1_000_000, latency=0.1)
     try:
         return [bus.read(servo, COMMON["torque_enable"]) for servo in SERVOS]
@@ -153,7 +153,7 @@ def stamp(message) -> float:
     return message.header.stamp.sec + message.header.stamp.nanosec * 1e-9
 
 
-# --- the main thing --------------------------------------------------------------------------------
+# --- gaits -----------------------------------------------------------------------------------------
 
 
 def test_a_gait_from_rest_to_figures(driver, commander, probe):
@@ -193,7 +193,7 @@ def test_every_cycle_is_published_with_its_stamp(driver, commander, probe):
         assert stamps[-1] <= probe.node.get_clock().now().nanoseconds * 1e-9
 
     def cycles() -> int:
-        """That the driver says it has made, a little while ago."""
+        """Return the number of cycles in the driver's latest report."""
         statuses = [s for report in commander.reports for s in report.status]
         timings = [s for s in statuses if s.name == "worm/driver: timing"]
         return max((int({v.key: v.value for v in s.values}["cycles"]) for s in timings), default=0)
@@ -232,7 +232,7 @@ def test_diagnostics_name_every_part(driver, commander, probe):
     assert {"p99_period_error_s", "missed_deadlines", "mean_period_s"} <= set(timing)
 
 
-# --- what is refused --------------------------------------------------------------------------------
+# --- rejected goals ---------------------------------------------------------------------------------
 
 
 def test_goals_that_cannot_be_played_are_rejected_with_the_reason(driver, commander, probe):
@@ -270,7 +270,7 @@ def test_cancel_ends_at_rest(driver, commander, probe):
 
 
 def test_a_gait_right_after_another_leaves_both_their_results(driver, commander, probe):
-    """The first result waits for the camera a moment longer than its motion takes."""
+    """The first result waits for camera samples slightly longer than its motion lasts."""
     commander.activate()
     first = commander.send(cycles=1)
     commander.wait_for_state(GaitState.RUNNING, "first gait")
@@ -386,7 +386,8 @@ def test_a_fault_while_a_deactivation_returns_to_rest_leaves_the_torque_on(
     cable.clear()
     probe.wait_for(lambda: len(cable) > 50, "half a second")
     assert max(message.length_change for message in cable) < -0.005
-    assert commander.change(Transition.TRANSITION_DEACTIVATE)  # in FAULT: a person wants it so
+    # accepted in FAULT, as the operator requests it
+    assert commander.change(Transition.TRANSITION_DEACTIVATE)
     assert commander.lifecycle_state() == State.PRIMARY_STATE_INACTIVE
 
 
@@ -411,7 +412,7 @@ def test_during_an_emergency_stop_a_deactivation_does_not_move_the_robot(driver,
     assert commander.lifecycle_state() == State.PRIMARY_STATE_INACTIVE
 
 
-# --- every way out ------------------------------------------------------------------------------------
+# --- ways to end --------------------------------------------------------------------------------------
 
 
 def run_into_a_gait(commander, probe) -> list[BodyLength]:
@@ -451,7 +452,7 @@ def test_shutdown_while_active_releases(driver, commander, probe, directory):
 
 
 def stop_by(way: str, probe, client) -> None:
-    """The service, or the topic."""
+    """Stop the robot by the service or by the topic."""
     if way == "service":
         assert probe.result(client.call_async(Trigger.Request()), "answer to stop").success
     else:
@@ -490,7 +491,7 @@ def test_a_stop_while_the_driver_shuts_down_leaves_the_robot_holding(
 
 
 def test_a_second_ctrl_c_after_a_stop_releases_the_torque(processes, directory, commander, probe):
-    """A person switches it off, as documented."""
+    """The second Ctrl-C switches it off, as documented."""
     given = parameters(directory, return_speed_m_per_s=0.005)
     driver = processes.start_node("worm_driver", "driver_node", **given)
     run_into_a_gait(commander, probe)
@@ -536,13 +537,13 @@ def test_no_goal_that_was_received_before_a_stop_is_played_after_it(driver, comm
     accepted = [future.result() for future in sent if future.result().accepted]
     results = [probe.result(handle.get_result_async(), "result") for handle in accepted]
     assert all(result.status == ABORTED for result in results)
-    # the state is another topic than the results: it may come after them
+    # the state has another topic than the results: it may arrive after them
     probe.wait_for(
         lambda: commander.states[-1].message == "the service stop was called",
         "state after the stop",
     )
     assert {state.run for state in commander.states} == {0, 1}
-    # what is sent after it is played
+    # a goal that is sent afterwards is played
     assert commander.result(commander.send(cycles=1)).status == SUCCEEDED
 
 
@@ -560,7 +561,7 @@ def test_every_goal_and_every_lifecycle_request_of_a_flood_is_answered(driver, c
         change = ChangeState.Request(transition=Transition(id=next(flip)))
         calls.append(changes.call_async(change))
         calls.append(states.call_async(GetState.Request()))
-        due = time.monotonic() + 0.005  # 200 a second of each
+        due = time.monotonic() + 0.005  # 200 per second of each
         while time.monotonic() < due:
             probe.spin_once(0.001)
     probe.wait_for(lambda: all(call.done() for call in calls), "answer to every request")
@@ -658,7 +659,7 @@ def test_after_a_kill_the_servos_stop_by_themselves(driver, commander, probe, di
     driver.kill()
     driver.wait(TIMEOUT_S)
     end = probe.node.get_clock().now().nanoseconds * 1e-9 + 1.5
-    # whoever asks the servos feeds their watchdogs: the camera tells that the time has passed
+    # a read of the servos would reset their watchdogs: the camera's stamps show that the time has passed
     probe.wait_for(lambda: seen and stamp(seen[-1]) > end, "passing time")
     bus = ServoBus.open(str(directory / "servo_bus"), 1_000_000, latency=0.1)
     assert [bus.read(servo, COMMON["bus_watchdog"]) for servo in SERVOS] == [-1, -1, -1]
@@ -708,7 +709,7 @@ def test_limits_take_effect_at_once_and_all_else_is_refused_while_configured(dri
 
 
 def test_a_driver_accepts_its_own_parameters_as_ros2_param_load_sets_them(driver, commander, probe):
-    """All but one alone that is other; also read-only ones, and those that only a cleanup would permit."""
+    """All parameters have their present values, including read-only ones and those that only a cleanup would permit."""
     commander.activate()
     names = probe.call(ListParameters, "driver/list_parameters", ListParameters.Request())
     get = GetParameters.Request(names=names.result.names)
@@ -749,7 +750,7 @@ def test_a_user_may_change_the_quality_of_service_of_telemetry(
     assert joints.qos_profile.reliability == ReliabilityPolicy.RELIABLE
 
 
-# --- faults: that they reach the outside ---------------------------------------------------------------
+# --- reported faults -----------------------------------------------------------------------------------
 
 
 def test_a_silent_servo_is_a_fault_that_is_named_and_mended(driver, commander):
@@ -809,7 +810,7 @@ def test_faults_of_the_power_sensor_are_samples_without_a_value(driver, commande
     probe.wait_for(lambda: len(seen(Power.VALID)()) > count + 10, "valid samples")
 
 
-# --- what is missing -----------------------------------------------------------------------------------
+# --- missing devices -----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -873,7 +874,7 @@ def test_a_failed_configuration_leaves_the_node_unconfigured_and_can_be_repeated
 def test_a_second_driver_in_the_namespace_ends_before_it_serves_anything(
     driver, processes, commander, directory
 ):
-    """At once, whatever it has discovered: it does not hear of any other process."""
+    """It needs no discovery: here it cannot discover any other process."""
     commander.activate()
     given = {**parameters(directory), "autostart": "true", "port": "/dev/none"}
     processes._env["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "OFF"
@@ -897,7 +898,7 @@ def test_a_second_driver_on_the_same_port_is_refused(driver, processes, commande
     second.wait_for_line("in use by another program", TIMEOUT_S)
 
 
-# --- what a driver must survive ---------------------------------------------------------------------
+# --- stress -----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("active", [False, True])
@@ -945,19 +946,19 @@ def test_diagnostics_say_who_can_hear_the_driver(driver, commander):
     commander.wait_for_report("worm/driver: network", DiagnosticStatus.OK, "this machine only")
 
 
-# --- beside other work ---------------------------------------------------------------------------------
+# --- on a busy machine ---------------------------------------------------------------------------------
 
 
 def test_beside_other_work_no_deadline_is_missed_and_no_servo_is_blamed(
     driver, commander, processes, probe
 ):
-    """With the limits as they are shipped, and more to do than processors: the robot's time waits."""
+    """With the default limits, and more work than processors: the robot's time waits."""
     for number in range(4):
         processes.start(f"work_{number}", [sys.executable, "-c", "while True: pass"])
     commander.activate()
     joints = probe.collect(JointState, "joint_states")
     assert commander.result(commander.send(cycles=2), 100.0).status == SUCCEEDED
-    # Activation takes time of the robot between two samples, the first of which may still come now.
+    # Activation takes time of the robot between two samples, and the first of them may arrive only now.
     accepted = stamp(next(state for state in commander.states if state.run == 1))
     stamps = [time for time in map(stamp, joints) if time >= accepted]
     periods = [after - before for before, after in itertools.pairwise(stamps)]

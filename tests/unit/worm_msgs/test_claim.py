@@ -9,7 +9,7 @@ import pytest
 
 from worm_msgs.claim import DRIVER, GRAPH, ClaimedError, claim, claim_graph, domain_of
 
-DOMAIN = 100_000 + os.getpid()  # of no other test at the same time
+DOMAIN = 100_000 + os.getpid()  # a domain that no other test uses at the same time
 
 HOLDER = """
 import sys
@@ -41,7 +41,7 @@ def go(process: subprocess.Popen[str]) -> None:
 
 def test_a_second_claim_names_the_process_that_has_the_first():
     with claim(GRAPH, "/worm", DOMAIN), pytest.raises(ClaimedError, match=f"process {os.getpid()}"):
-        claim(GRAPH, "worm", DOMAIN)  # with or without the first slash
+        claim(GRAPH, "worm", DOMAIN)  # with or without the leading slash
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who can hear a process with ROS: what the environment decides, and what is set before the middleware starts."""
+"""Processes that may discover a process with ROS: the environment decides, before the middleware starts."""
 
 import os
 from pathlib import Path

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a node does with a command line and with parameters that it cannot use."""
+"""A node's response to invalid arguments and parameters."""
 
 import math
 from collections.abc import Iterator
@@ -36,7 +36,7 @@ def _domain(ros_domain) -> Iterator[None]:
 
 
 def started(*words: str) -> tuple[int, dict[str, object], list[object]]:
-    """Exit status, the values that the node had, and what setting the speed to a whole number answered."""
+    """Return the exit status, the node's values, and the result of setting the speed to a whole number."""
     values, answers = {}, []
 
     def run(_) -> None:
@@ -54,7 +54,7 @@ def started(*words: str) -> tuple[int, dict[str, object], list[object]]:
 
 
 def refused(capsys, *words: str) -> str:
-    """The one line of a command line that is refused."""
+    """Return the only line on standard error after a rejected command line."""
     try:
         status = started(*words)[0]
     except SystemExit as error:
@@ -110,7 +110,7 @@ def test_what_cannot_be_used_is_one_line_and_status_2(capsys, given, words):
     ],
 )
 def test_a_file_for_another_name_of_the_node_is_refused(capsys, monkeypatch, tmp_path, name, said):
-    """rcl itself passes over it, and the node runs with the values of another robot."""
+    """rcl itself ignores it, and the node would run with the values of another robot."""
     file = tmp_path / "robot.yaml"
     content = "{ros__parameters: {speed_m_per_s: 0.25}}"
     file.write_text(f"'{name}': {content}\nelsewhere: {{deep: {content}}}\n")
@@ -175,7 +175,7 @@ def test_a_former_name_is_accepted_with_a_warning_at_the_start_and_later(capfd):
     (later,) = node.set_parameters([Parameter("rate_Hz", value=25.0)])
     assert later.successful
     (changed,) = node.set_parameters([Parameter("rate_Hz", value=26.0)])
-    assert not changed.successful  # read-only, under whichever name
+    assert not changed.successful  # read-only, under both names
     assert capfd.readouterr().err.count("parameter rate_Hz is now named rate_hz") == 3
 
 

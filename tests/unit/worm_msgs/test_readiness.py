@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The report of readiness, between a process and the one that listens to it."""
+"""The report of readiness, from a process to its listener."""
 
 import os
 import select
@@ -17,7 +17,7 @@ def test_a_started_process_reports_to_its_own_listener_only():
         subprocess.run(ANNOUNCE, env={**os.environ, **second.environment}, check=True)
         assert select.select([first, second], [], [], 20.0)[0] == [second]
         assert second()
-        assert second()  # for good
+        assert second()  # it remains ready
         assert not first()
 
 

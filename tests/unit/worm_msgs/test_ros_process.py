@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How processes with ROS begin and end."""
+"""Start and end of processes with ROS."""
 
 import os
 import signal
@@ -30,7 +30,7 @@ def test_a_signal_asks_to_end_and_leaves_the_context_usable(ros_domain, number):
         assert ended()
         rclpy.create_node("last_words").destroy_node()
     assert not rclpy.ok()
-    os.kill(os.getpid(), number)  # changes nothing any more
+    os.kill(os.getpid(), number)  # has no more effect
 
 
 def test_a_process_that_was_not_asked_gets_its_signals_back(ros_domain):
@@ -41,7 +41,7 @@ def test_a_process_that_was_not_asked_gets_its_signals_back(ros_domain):
 
 
 def test_only_a_later_ctrl_c_is_an_impatient_persons():
-    """launch and systemd escalate with SIGTERM by themselves; a terminal and launch pass one Ctrl-C on twice."""
+    """launch and systemd escalate with SIGTERM by themselves; a terminal and launch both forward one Ctrl-C."""
     now, told = [10.0], []
     ending = ShutdownRequest(lambda: now[0])
     ending.again = lambda: told.append(now[0])

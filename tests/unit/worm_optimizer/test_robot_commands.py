@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What may be asked of a robot, and how it is told."""
+"""Commands to a robot, and their texts."""
 
 import math
 

@@ -141,7 +141,7 @@ class Life(RuleBasedStateMachine):
         self.person = False  # an operator released the robot, wherever it was
         self.activate()
 
-    # --- what happens ----------------------------------------------------------------------------
+    # --- events ----------------------------------------------------------------------------------
 
     @precondition(lambda self: self.alive)
     @rule(cycles=st.integers(1, 20))
@@ -351,7 +351,7 @@ class Life(RuleBasedStateMachine):
     def why_not_start(self) -> str:
         return EMERGENCY if self.latched else ""
 
-    # --- how ---------------------------------------------------------------------------------------
+    # --- helpers -----------------------------------------------------------------------------------
 
     def try_to(self, action):
         try:
@@ -383,7 +383,7 @@ class Life(RuleBasedStateMachine):
     def torques(self) -> list[int]:
         return [servo.memory["torque_enable"] for servo in self.virtual.servos]
 
-    # --- what must hold --------------------------------------------------------------------------------
+    # --- invariants ------------------------------------------------------------------------------------
 
     @property
     def contraction(self) -> float:

@@ -187,7 +187,7 @@ def test_what_is_sent_is_what_a_receiver_unstuffs(data):
     assert packet.parameters[2:] == (data or b"\0")
 
 
-# --- answers that are late, lost, garbled, double -------------------------------------------------
+# --- late, lost, garbled and doubled responses ----------------------------------------------------
 
 
 def test_a_late_answer_is_not_taken_for_the_next_ones(line):

@@ -55,7 +55,7 @@ def stamps(seconds):
     return EPOCH + np.round(np.asarray(seconds) * 1e9).astype(np.int64)
 
 
-# --- which cycles count ---------------------------------------------------------------------------
+# --- averaged cycles ------------------------------------------------------------------------------
 
 
 def test_the_last_three_of_five_cycles_are_averaged():
@@ -115,7 +115,7 @@ def test_the_end_of_a_whole_gait_is_no_early_end():
     assert early_end(run, last_played_gait(run.gait_state)) == ""
 
 
-# --- what is one run ------------------------------------------------------------------------------
+# --- separation of runs ---------------------------------------------------------------------------
 
 
 def test_runs_are_told_apart_by_their_number_however_their_onsets_lie():
@@ -208,7 +208,7 @@ def test_a_recording_that_ends_too_early_is_refused(name):
         performance(series["position of x1"], series["power"], window, 1)
 
 
-# --- the driver's -----------------------------------------------------------------------------------
+# --- the driver's metrics ---------------------------------------------------------------------------
 
 
 def driver_figures(run: Run, cycles: int) -> gait_metrics.RunMetrics:

@@ -523,7 +523,7 @@ def test_messages_of_another_length_than_the_installed_definition_are_refused(
     assert not (tmp_path / "copy").exists()
 
 
-# --- definitions that a bag lacks, given by an option ---------------------------------------------
+# --- missing definitions, given by an option ------------------------------------------------------
 
 # the layout before voltage and current
 OLD_POWER = "std_msgs/Header header\nuint8 status\nfloat64 power\n"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command operate, as far as no robot is needed."""
+"""The command operate, as far as it needs no robot."""
 
 import sys
 
@@ -12,7 +12,7 @@ from worm_optimizer.commands import operate
 
 
 class Robot:
-    """Operator of a robot with or without an optimizer, which assumes conditions."""
+    """Fake operator of a robot with or without an optimizer, which assumes conditions."""
 
     def __init__(self, *, has_optimizer: bool) -> None:
         self.has_optimizer = has_optimizer

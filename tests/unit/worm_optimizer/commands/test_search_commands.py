@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command lines optimize, scan_margin and request as scripts rely on them."""
+"""The command lines optimize, scan_margin and request, as scripts use them."""
 
 import json
 import sys

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who is let in: by where a request comes from, by a secret, and for how long."""
+"""Access to the console: by the origin of a request, by a secret, and for a limited time."""
 
 import pytest
 
@@ -43,7 +43,7 @@ def test_without_a_secret_this_computer_is_let_in(host: str, clock: Clock):
 
 @pytest.mark.parametrize("host", ["evil.example:8080", "", "127.0.0.1.evil.example", "192.168.0.4"])
 def test_without_a_secret_another_name_of_this_computer_is_not(host: str, clock: Clock):
-    """Else a name that somebody else's server resolves to 127.0.0.1 is a page of ours (DNS rebinding)."""
+    """Otherwise a page of a foreign server whose name resolves to 127.0.0.1 would have access (DNS rebinding)."""
     assert not Access("", clock).admits({"host": host}, "")
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pages of two consoles and the driver's lease: one page has control, and a page that comes back has none."""
+"""Pages of two consoles and the driver's lease: one page has control, and a page that returns has none."""
 
 from collections import deque
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the guard answers itself and what it hands on, as ASGI messages."""
+"""The guard's own responses and the requests that it passes on, as ASGI messages."""
 
 import asyncio
 from typing import Any
@@ -13,7 +13,7 @@ HOST = "robot:8080"
 
 
 class Site:
-    """The pages behind a guard, which note what reaches them."""
+    """The pages behind a guard, which record the requests that reach them."""
 
     def __init__(self, secret: str) -> None:
         self.reached: list[str] = []
@@ -33,7 +33,7 @@ class Site:
         body: str = "",
         **headers: str,
     ) -> list[dict[str, Any]]:
-        """What is sent back."""
+        """Return the messages that are sent back."""
         sent: list[dict[str, Any]] = []
         given = {"host": HOST, **headers}
         scope = {

@@ -19,7 +19,7 @@ GAIT = Gait(0.03, 0.2, 1)
 
 
 def run(monkeypatch: pytest.MonkeyPatch, *cancellations: str, success: bool) -> str:
-    """Run a gait with the answers of `cancellation`, from the start of the run to its end."""
+    """Run a gait with the responses of `cancellation`, from the start of the run to its end."""
     result = RunResult(GAIT, success, "the result", 1, 0, *6 * (math.nan,))
     gait_run = SimpleNamespace(result=result, close=lambda: None)
     node = SimpleNamespace(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The picture is to scale, and shows the robot only where it is seen."""
+"""The drawing is to scale, and shows the robot only where the tracker measures it."""
 
 import math
 from dataclasses import replace

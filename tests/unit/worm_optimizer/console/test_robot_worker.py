@@ -16,7 +16,7 @@ TIMEOUT_S = 10.0
 
 
 class Node:
-    """Operator whose waits are short; ``meanwhile`` is called in each."""
+    """Fake operator with short waits; ``meanwhile`` is called in each."""
 
     def __init__(self) -> None:
         self.stops = threading.Semaphore(0)
@@ -171,7 +171,7 @@ def test_one_command_at_a_time_and_stop_at_any_time(bench: Bench):
     assert bench.worker.hindrance
     bench.worker.stop()
     assert "STOP" in bench.worker.busy
-    assert bench.stopper.stops.acquire(timeout=TIMEOUT_S)  # while the other still waits
+    assert bench.stopper.stops.acquire(timeout=TIMEOUT_S)  # while the other one still waits
     release.set()
     bench.notice("stopped")
     bench.submit(lambda node: "stopped still" if bench.worker.cancellation else "free again")
@@ -225,7 +225,7 @@ def test_an_unexpected_error_is_reported_and_ends_all_commands_but_stop(bench: B
     assert not bench.worker.submit("more", lambda node: "more")
     assert "Traceback" in capsys.readouterr().err
     bench.worker.stop()
-    assert bench.stopper.stops.acquire(timeout=TIMEOUT_S)  # all the same
+    assert bench.stopper.stops.acquire(timeout=TIMEOUT_S)  # nevertheless
 
 
 def test_no_command_is_executed_if_stop_does_not_work(request):

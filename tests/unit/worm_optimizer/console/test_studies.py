@@ -30,7 +30,7 @@ class Goal:
 
 
 class Node:
-    """Operator whose nodes accept parameters, unless it is ``rejecting``."""
+    """Fake operator whose nodes accept parameters, unless it is ``rejecting``."""
 
     def __init__(self) -> None:
         self.goals: list[Goal] = []
@@ -50,7 +50,7 @@ class Node:
 
 
 class RobotWorker:
-    """Executes commands immediately."""
+    """Fake worker that executes commands immediately."""
 
     def __init__(self, node: Node) -> None:
         self.node, self.free = node, True
@@ -63,7 +63,7 @@ class RobotWorker:
 
 
 class Library:
-    """Identifies after its release."""
+    """Fake library whose identification ends when the test releases it."""
 
     def __init__(self) -> None:
         self.release = asyncio.Event()

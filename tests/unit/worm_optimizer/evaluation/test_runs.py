@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs of step functions, against the steps that they were made of."""
+"""Runs of step functions, compared with the steps that they were made of."""
 
 import numpy as np
 from hypothesis import given

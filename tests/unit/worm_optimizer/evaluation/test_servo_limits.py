@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Limits from the driver's parameter file and its servo models, and fronts that keep them."""
+"""Limits from the driver's parameter file and its servo models, and fronts that satisfy them."""
 
 import math
 from pathlib import Path
@@ -90,7 +90,7 @@ def test_the_models_are_those_that_the_driver_knows():
 
 
 def test_an_xm430_on_the_drivers_spool():
-    """By hand: 45.8 rpm and 4.1 N·m · 2.0 A/2.3 A on a spool of 25 mm; 3.2 A at 12 V."""
+    """Computed manually: 45.8 rpm and 4.1 N·m · 2.0 A/2.3 A on a spool of 25 mm; 3.2 A at 12 V."""
     limits = limits_of(load_driver_file(DRIVER_FILE), servo_model("XM430-W350"), None)
     assert limits.cable_speed == pytest.approx(0.025 * 45.8 * 2 * math.pi / 60)
     assert limits.cable_force == pytest.approx(4.1 * 2.0 / 2.3 / 0.025)
@@ -118,7 +118,8 @@ def test_two_cables_pull_together_and_the_slimmer_spool_is_the_slower(driver_fil
     radii = [0.02, 0.025]
     two = load_driver_file(driver_file(cable_servos={"ids": [1, 2], "spool_radius_m": radii}))
     limits = limits_of(two, servo_model("XL430-W250"), None)
-    assert limits.cable_force == pytest.approx(2 * 0.9 * 1.5 / 0.025)  # a share: it has no current
+    # a ratio: this servo measures no current
+    assert limits.cable_force == pytest.approx(2 * 0.9 * 1.5 / 0.025)
     assert limits.stall_force == pytest.approx(2 * 1.5 / 0.025)
     assert limits.no_load_speed == pytest.approx(0.02 * 61.0 * 2 * math.pi / 60)
 
@@ -202,7 +203,7 @@ def test_a_front_keeps_a_limit_that_only_a_simulation_can_tell(limits, peak):
         found = peaks(front.stroke, front.frequency, FORWARD, PAPER, limits)
         return float(getattr(found, peak).max())
 
-    assert worst(free) > bound  # so the limit takes something away
+    assert worst(free) > bound  # so the limit has an effect
     assert worst(limited) <= bound
     assert 0.0 < limited.speed.max() < free.speed.max()
     slow = free.speed < 0.5 * limited.speed.max()
@@ -210,7 +211,7 @@ def test_a_front_keeps_a_limit_that_only_a_simulation_can_tell(limits, peak):
 
 
 def test_the_motors_line_counts_while_the_cable_is_pulled():
-    """F/F_stall + v/v0 at the moment where it is greatest, and below the sum of both peaks."""
+    """F/F_stall + v/v0 at the time of its maximum, and below the sum of both peaks."""
     gait, limits = Gait(0.07, 0.3), ActuatorLimits(stall_force=164.0, no_load_speed=0.12)
     peak = peaks([gait.stroke], [gait.frequency], FORWARD, PAPER, limits)
     speed = math.pi * gait.stroke * gait.frequency

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The optimisation task: bounds, what counts as moving, and the actuator limits."""
+"""The optimisation task: bounds, the threshold of motion, and the actuator limits."""
 
 import math
 
@@ -37,7 +37,7 @@ def test_a_direction_that_is_none_is_refused():
 
 
 def test_standing_still_is_not_admissible():
-    """It needs the least power of all, so it would be Pareto-optimal (model_notes.md, 5)."""
+    """A standing robot needs the least power of all, so it would be Pareto-optimal (model_notes.md, 5)."""
     points = MarginTask().points([0.01, 0.05, 0.07], [0.3575, 0.2, 0.2])
     assert points.count.tolist() == [0, 0, 3]
     assert points.admissible.tolist() == [False, False, True]
@@ -54,7 +54,7 @@ def test_speed_counts_along_the_direction():
 
 
 def test_longer_strokes_at_equal_frequency_are_not_faster():
-    """Remains of the transient must not make a dearer gait of the same branch Pareto-optimal."""
+    """Remains of the transient must not make a more expensive gait of the same branch Pareto-optimal."""
     strokes = np.linspace(0.075, 0.09, 7)
     points = MarginTask().points(strokes, np.full(7, 0.4))
     assert points.count.tolist() == [6] * 7

@@ -72,7 +72,7 @@ def test_an_answer_carries_its_gait():
 
 
 def test_a_goal_leaves_open_what_it_does_not_say():
-    """But for the seed, which is a number like any other: 0 is seed 0."""
+    """The seed is an exception, as 0 is seed 0."""
     settings = settings_of_goal(QUICK, OptimizeGaits.Goal(margin=math.nan))
     assert QUICK.seed != 0
     assert settings == dataclasses.replace(QUICK, seed=0)

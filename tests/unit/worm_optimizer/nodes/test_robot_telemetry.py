@@ -21,7 +21,7 @@ NAN = math.nan
 
 
 class Node:
-    """Hands on what is said, by topic."""
+    """Fake node that passes messages on, by topic."""
 
     def __init__(self) -> None:
         self.say: dict[str, Callable[[Any], None]] = {}
@@ -50,7 +50,7 @@ def test_each_residual_is_that_of_the_last_sample_which_measured_it(
     shown = telemetry.snapshot().residuals
     assert shown is not None
     assert (shown.rear_position, shown.length, shown.power) == (1e-3, 2e-3, 0.5)
-    now += 2.0 * STALE_S  # the tracker is blind, the power sensor is not
+    now += 2.0 * STALE_S  # the tracker measures nothing, the power sensor does
     node.say["twin/residuals"](residuals(power=0.25))
     shown = telemetry.snapshot().residuals
     assert shown is not None

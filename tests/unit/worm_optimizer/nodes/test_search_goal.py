@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A search ends for whoever asked for it, also where its optimizer has forgotten it; node and action are made up."""
+"""A search ends for its client, also if its optimizer has lost it; node and action are fakes."""
 
 from collections.abc import Callable
 from types import SimpleNamespace
@@ -14,18 +14,18 @@ from worm_optimizer.robot_commands import FrontRequest, SearchResult
 
 
 class Node:
-    """Has one timer, for which the test looks."""
+    """Fake node with one timer, which the test triggers."""
 
     def create_timer(self, period_s: float, look: Callable[[], None], clock: object) -> object:
         self.look = look
         return SimpleNamespace(cancel=lambda: None)
 
     def create_subscription(self, *_: object) -> None:
-        """Nothing is rejected in this test."""
+        """Do nothing, as no goal is rejected in this test."""
 
 
 class Handle:
-    """A goal that was accepted and has no result yet."""
+    """Accepted goal without a result."""
 
     accepted = True
 

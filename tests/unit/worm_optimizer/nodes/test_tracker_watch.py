@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A tracker that is lost during a campaign, and what is said of it."""
+"""A tracker that is lost during a campaign, and the messages about it."""
 
 import math
 
@@ -10,7 +10,7 @@ from worm_optimizer.nodes.tracker_watch import TrackerWatch
 
 
 class Desk:
-    """A node whose messages and timer are played by hand, at a time (s) that is set."""
+    """Fake node with messages and a timer that the test triggers, at a time (s) that it sets."""
 
     def __init__(self) -> None:
         self.time = 0.0
@@ -40,7 +40,7 @@ class Desk:
 def test_a_loss_and_its_end_are_told_once(seen, words):
     desk = Desk()
     desk.until(3.0, 0.4)
-    desk.until(4.5, seen)  # a marker that is covered for a moment
+    desk.until(4.5, seen)  # a marker that is covered briefly
     desk.until(5.0, 0.4)
     assert desk.told == []
     desk.until(9.0, seen)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A gait that fails is run once more, and a failure names the load; with an operator that is made up."""
+"""A gait that fails is run once more, and a failure names the load; the operator is a fake."""
 
 import os
 from pathlib import Path
@@ -18,7 +18,7 @@ GAIT = Gait(0.07, 0.2)
 
 
 class Operator:
-    """Fails as many gaits as it is told to, and notes what it is asked for."""
+    """Fake operator whose first gaits fail, and which records the requests."""
 
     def __init__(self, failures: int, late_cycles: int = 0) -> None:
         self.failures, self.late_cycles = failures, late_cycles

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The validation campaign, as far as no robot is needed."""
+"""The validation campaign, as far as it needs no robot."""
 
 import dataclasses
 import json
@@ -115,7 +115,8 @@ def test_the_same_nodes_run_but_for_the_robot_itself(mode: str):
     assert names == [*(["virtual_robot"] if mode == "virtual" else []), "twin", "driver"]
     recorder = robot.recording_system(Path("/tmp/a bag")).node("recorder")
     assert recorder.arguments[:2] == ("--output", "/tmp/a bag")
-    assert left_out(recorder) == "/camera/|/control"  # no one waits for it to hear these
+    # the recorder starts without waiting for these topics
+    assert left_out(recorder) == "/camera/|/control"
 
 
 def test_a_calibrated_driver_gets_its_file():
@@ -171,7 +172,7 @@ def test_an_existing_folder_is_left_alone(
     assert list((tmp_path / "folder").iterdir()) == []
 
 
-# --- a campaign that was broken off ------------------------------------------------------------
+# --- interrupted campaign ----------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -198,7 +199,7 @@ def test_a_gait_counts_as_recorded_from_its_onset_to_the_end_of_its_last_cycle(b
 
 
 def test_what_is_recorded_is_not_run_again(bag, tmp_path: Path):
-    """No node is started: there is none that could be."""
+    """No node is started: none is configured."""
     nothing = dataclasses.replace(FILE, nodes={})
     told: list[str] = []
     orders = {"cruise": GaitCommand(GAIT, 5)}

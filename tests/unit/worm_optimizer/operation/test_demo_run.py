@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The table that the demo shows of its run."""
+"""The table of the demo about its run."""
 
 import math
 import re

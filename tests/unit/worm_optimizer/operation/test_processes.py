@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Started processes: what they say, how they end, and that none is left."""
+"""Started processes: their output, their end, and that none remains."""
 
 import os
 import signal
@@ -67,11 +67,11 @@ def test_an_ended_process_keeps_its_id_until_the_end_of_the_group(tmp_path):
     with ProcessGroup(tmp_path) as group:
         process = group.start("short", python("pass"))
         assert process.wait(20.0) == 0
-        os.kill(process.pid, 0)  # a zombie: nobody else can get the id
+        os.kill(process.pid, 0)  # a zombie: no other process can get the id
         process.interrupt()
     with pytest.raises(ChildProcessError):
         os.waitpid(process.pid, os.WNOHANG)
-    process.interrupt()  # harmless, whoever has the id now
+    process.interrupt()  # harmless, whichever process has the id now
     assert process.exit_code == 0
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The runs of an identification, and how repeats of a gait spread."""
+"""The runs of an identification, and the spread of repeated gaits."""
 
 import math
 from types import SimpleNamespace
@@ -17,7 +17,7 @@ FREQUENCY = 0.2
 
 
 def run(grooves: float, poorest: float):
-    """A recorded gait, as far as its spread goes: grooves per cycle on average and in the poorest cycle."""
+    """Return a recorded gait for the spread: grooves per cycle on average and in the worst cycle."""
     speeds = [each * PAPER.pitch * FREQUENCY for each in (grooves, poorest)]
     return SimpleNamespace(
         content=SimpleNamespace(parameters=PAPER),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The system file: settings, modes and the command lines that come out of it."""
+"""The system file: settings, modes and the resulting command lines."""
 
 import re
 from pathlib import Path
@@ -171,7 +171,7 @@ def test_a_replay_ends_with_its_twin_and_a_robot_does_not():
         ("driver", -9, True, True),
         ("driver", 1, True, True),
         ("driver", 0, True, False),
-        ("driver", 2, False, False),  # it was rejected before it opened anything
+        ("driver", 2, False, False),  # the option was rejected before anything was opened
         ("twin", -9, True, False),
     ],
 )
@@ -194,7 +194,7 @@ def test_on_a_robot_gaits_keep_the_limits_of_its_driver():
     told = robot.node("optimizer").parameters
     assert told["limits.driver_file"] == "/etc/driver.yaml"
     assert told["limits.servo_model"] == "XM430-W350"
-    assert not system.system("virtual").node("optimizer").parameters  # the paper's values hold
+    assert not system.system("virtual").node("optimizer").parameters  # the paper's values are used
 
 
 def test_only_the_virtual_robot_is_driven_in_virtual_mode():

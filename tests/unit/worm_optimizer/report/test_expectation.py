@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The band of power that a measurement is judged by."""
+"""The band of power that a measurement is compared with."""
 
 import pytest
 
@@ -7,7 +7,7 @@ from worm_model.gait import Gait
 from worm_model.parameters import PAPER, ParameterFile
 from worm_optimizer.report.expectation import expect
 
-# 2.7 and 2.1 % to either side, correlated with −0.97: what the lab's eight runs tell
+# 2.7 and 2.1 % to either side, correlated with −0.97: estimated from the lab's eight runs
 INTERVALS = {"bellows_damping": (839.1, 885.7), "power_factor": (3.152, 3.288)}
 EXACT = {key: (value, value) for key, value in PAPER.as_dict().items()}
 

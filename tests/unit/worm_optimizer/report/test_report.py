@@ -50,7 +50,7 @@ from worm_optimizer.search.exact import Resolution
 from worm_optimizer.search.search_settings import ScanSettings, Settings
 
 CYCLES = 5
-EDGE = Gait(0.07, 0.2)  # where its grooves change with the switching threshold
+EDGE = Gait(0.07, 0.2)  # its grooves depend on the switching threshold
 
 
 def silent(line: str) -> None:
@@ -73,7 +73,7 @@ def read(path: Path, run: Run, parameters: str = "") -> RecordedGait:
 
 
 def with_speed(gait: RecordedGait, name: str, measured: float, expected: float) -> RecordedGait:
-    """A gait of another name and speeds."""
+    """Return a gait with another name and other speeds."""
     band = Band(expected, 0.9 * expected, 1.1 * expected)
     return dataclasses.replace(
         gait,
@@ -85,7 +85,7 @@ def with_speed(gait: RecordedGait, name: str, measured: float, expected: float) 
     )
 
 
-# --- what is read of a recording -----------------------------------------------------------------
+# --- content of a recording ----------------------------------------------------------------------
 
 
 def test_measured_figures_are_those_of_the_simulated_robot(gait: RecordedGait):
@@ -124,7 +124,7 @@ def test_a_recording_that_ends_early_is_averaged_over_its_last_whole_cycles(tmp_
 
 @pytest.mark.parametrize("cycles", [1, 2, 3, 4])
 def test_a_short_run_is_held_against_the_same_cycles_of_the_model(tmp_path: Path, cycles: int):
-    """Its first cycles begin with straight fins and gain other grooves than those after."""
+    """Its first cycles begin with straight fins and gain other grooves than the later ones."""
     gait = read(tmp_path / "short", simulated_run(cycles))
     assert gait.averaged_cycles == (max(cycles - 2, 1), cycles)
     assert gait.expected.nominal == evaluate_gait(GAIT, PAPER, cycles, min(cycles, 3))
@@ -135,7 +135,7 @@ def test_a_short_run_is_held_against_the_same_cycles_of_the_model(tmp_path: Path
 
 
 def test_a_fault_is_said_first_and_standing_still_is_not_averaged(tmp_path: Path):
-    """The recording goes on after the fault; only what was played counts."""
+    """The recording continues after the fault; only the played part counts."""
     run = simulated_run(CYCLES)
     states, onset = run.gait_state, int(run.gait_state.onset[1])
     row = int(np.flatnonzero(states.cycle == 4)[0])
@@ -232,7 +232,7 @@ def test_five_ridges_are_passed_when_the_tracker_says_so(gait: RecordedGait):
 
 @pytest.fixture(scope="module")
 def two(tmp_path_factory: pytest.TempPathFactory):
-    """The gaits of one bag that holds both, and what was told."""
+    """Return the gaits of one bag that contains both, and the messages."""
     bag = write_bag(tmp_path_factory.mktemp("bags") / "two", joined_session())
     told: list[str] = []
     return read_recorded_gaits([bag], "", told.append), told
@@ -258,7 +258,7 @@ def test_the_twin_goes_on_from_one_gait_to_the_next(two):
 
 
 def test_the_start_of_a_bag_without_the_memory_of_a_twin_is_estimated(tmp_path: Path):
-    """The fins are bent by the gait before, which another bag holds."""
+    """The fins are deflected by the gait before, which is in another bag."""
     paths = [write_bag(tmp_path / f"bag_{k}", run) for k, run in enumerate(recorded_session())]
     later, earlier = read_recorded_gaits(paths[::-1], "", silent)
     assert (later.name, earlier.name) == ("bag_1", "bag_0")
@@ -305,7 +305,7 @@ def test_order_is_preserved_or_not_or_not_told(gait: RecordedGait):
 
 
 def test_nothing_that_is_twenty_percent_off_agrees():
-    """However wide the interval is."""
+    """Regardless of the width of the interval."""
     for measured, agrees in ((1.0, True), (1.19, True), (1.21, False), (0.79, False)):
         band = Band(measured, measured, measured)
         assert Agreement("wide", "power", band, Band(1.0, 0.1, 9.0)).agrees is agrees
@@ -337,7 +337,7 @@ def test_a_speed_is_whole_grooves_and_its_verdict_can_fail(shares, measured, agr
 
 
 def test_power_is_expected_for_the_grooves_that_were_measured():
-    """A gait on the edge between one groove and two, by a threshold that is not known well."""
+    """The gait is on the edge between one groove and two, which depends on an uncertain threshold."""
     content = ParameterFile(PAPER, {"switching_threshold": (0.0165, 0.0185)})
     found = {
         measured: expect(EDGE, content, measured_grooves=measured) for measured in (1.0, 4 / 3, 2.0)
@@ -360,7 +360,7 @@ def test_the_text_names_what_is_outside(gait: RecordedGait):
     assert "order by speed: not preserved; expected slow < fast, measured fast < slow" in text
 
 
-# --- the front that belongs to them ---------------------------------------------------------------
+# --- the front of the gaits -----------------------------------------------------------------------
 
 
 def made_with(gait: RecordedGait, margin: float, direction: int = 1) -> RecordedGait:
@@ -370,7 +370,7 @@ def made_with(gait: RecordedGait, margin: float, direction: int = 1) -> Recorded
 
 @pytest.fixture
 def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Default settings that are done in a tenth of a second."""
+    """Return default settings that take a tenth of a second."""
     quick = functools.partial(
         Settings,
         scan=ScanSettings(0.003, 0.004, 0.0002),
@@ -469,7 +469,7 @@ def test_the_same_recording_gives_the_same_bytes(page: Path, odd: RecordedGait, 
 
 def test_identified_parameters_stand_beside_the_papers(tmp_path: Path):
     content = ParameterFile(
-        PAPER.replace(gain=0.9, rear_dry_friction=0.28),  # of which the paper has none
+        PAPER.replace(gain=0.9, rear_dry_friction=0.28),  # the paper has none
         {"gain": (0.88, 0.92), "rear_dry_friction": (0.24, 0.32)},
         {"bags": ["run_01"], "seed": 1},
     )

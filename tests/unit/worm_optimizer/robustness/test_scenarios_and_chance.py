@@ -27,7 +27,7 @@ from worm_optimizer.robustness.uncertainty import (
 
 FILE = ParameterFile()
 PITCH = PAPER.pitch
-FEW = 5  # frequencies of a front whose gaits are judged in many scenarios
+FEW = 5  # frequencies of a front whose gaits are evaluated in many scenarios
 
 
 def phases_of(scenarios: Scenarios) -> np.ndarray:
@@ -91,7 +91,7 @@ def test_an_interval_of_the_initial_length_is_one_of_the_phase():
 
 
 def test_the_next_run_has_a_phase_of_its_own():
-    """The interval is the mean's; what differs from run to run comes on top: 0.3 mm and 0.4 mm are 0.5 mm."""
+    """The interval is that of the mean. The deviation of one run is added: 0.3 mm and 0.4 mm are 0.5 mm."""
     sigma = 4e-4 / 1.959963984540054
     file = ParameterFile(
         intervals={"initial_length": (0.2949, 0.2955)}, run_to_run={"initial_length": sigma}
@@ -233,7 +233,7 @@ def test_a_chance_constrained_front_keeps_its_probability_on_other_draws():
     kept = success_probability(
         task, front.stroke, front.frequency, front.count // 3, phase_known(FILE, 300, seed=8)
     )
-    assert kept.min() > 0.82  # 200 draws tell 0.9 to within 0.02, one standard deviation
+    assert kept.min() > 0.82  # 200 draws give 0.9 to within 0.02, one standard deviation
     assert np.median(kept) > 0.86
 
 
@@ -247,7 +247,7 @@ def test_a_higher_probability_amounts_to_a_larger_margin():
 
 
 def test_the_edge_of_a_promise_is_the_shortest_stroke_that_keeps_it():
-    """Against a dense look at all scenarios, at every stroke."""
+    """Compared with a dense scan of all scenarios and strokes."""
     promise = PromiseTask(MarginTask(), phase_known(FILE, 40, seed=3), 0.9)
     frequency = np.array([0.12, 0.25])
     edges = promise.edges(frequency, np.tile([0.01, 0.09], (2, 1)))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The exact front against dense grids of gaits, against the closed form, and against finer looks at single edges."""
+"""The exact front, compared with dense grids of gaits, with the closed form, and with finer scans of single edges."""
 
 import dataclasses
 import math
@@ -24,7 +24,7 @@ ACCEPTED = 2e-5  # relative excess of power over a gait of a dense grid
 
 
 def dense_grid(task: MarginTask, frequencies: np.ndarray, strokes: int = 401) -> Points:
-    """The admissible gaits of a grid over a task's box, at frequencies in Hz."""
+    """Return the admissible gaits of a grid over a task's box, at frequencies in Hz."""
     box = task.bounds
     grid = np.meshgrid(np.linspace(box.stroke_low, box.stroke_high, strokes), frequencies)
     points = task.points(*(axis.ravel() for axis in grid))
@@ -32,7 +32,7 @@ def dense_grid(task: MarginTask, frequencies: np.ndarray, strokes: int = 401) ->
 
 
 def excess(front: Points, others: Points) -> float:
-    """Largest relative excess of the front's lowest power over the power of other gaits, at their speed or faster."""
+    """Return the largest relative excess of the front's lowest power over the power of gaits that are no faster."""
     reached, wanted = (points.count * points.frequency for points in (front, others))
     place = np.searchsorted(reached, wanted * (1.0 - 1e-9))
     return float(np.max(np.append(front.power, np.inf)[place] / others.power, initial=0.0) - 1.0)

@@ -53,7 +53,7 @@ def test_the_three_gaits_are_gaits_of_the_front_with_all_that_is_predicted():
 
 
 def test_past_the_cliff_the_robust_prediction_is_half_of_the_nominal_one():
-    """model_notes.md, 14: both are predicted, so that it can be seen."""
+    """model_notes.md, 14: both are predicted, so that the difference is visible."""
     fastest = small_front(5e-3).max_speed
     assert fastest.nominal_grooves_per_cycle == pytest.approx(2.0, abs=1e-3)
     assert fastest.grooves_per_cycle == pytest.approx(1.0, abs=1e-3)
@@ -81,7 +81,7 @@ def test_any_phase_gaits_carry_the_margin_that_they_tolerate():
     assert front.margin == min(gait.margin for gait in front.gaits) > 1e-3
     assert "at every groove phase" in front.reason
     for gait in front.three.values():
-        assert gait.success_probability_any_phase >= 0.8  # the other parameters are uncertain still
+        assert gait.success_probability_any_phase >= 0.8  # the other parameters are still uncertain
         assert gait.nominal_grooves_per_cycle >= gait.grooves_per_cycle - 1e-3
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Fronts, margins and scans under loads, and the capability of a robot, against direct evaluations and closed forms."""
+"""Fronts, margins, scans and capability under loads, compared with direct evaluations and closed forms."""
 
 import dataclasses
 import math
@@ -44,7 +44,7 @@ def test_forward_and_reverse_differ_under_a_load():
     """The load pushes a reverse gait."""
     forward, reverse = (coarse_front(MarginTask(UPHILL, way, 1e-3)).front for way in (1, -1))
     assert forward.power.min() != pytest.approx(reverse.power.min(), rel=1e-3)
-    # in the mirror, the front module is the rear one
+    # in the mirror image, the front module is the rear one
     pushed = UPHILL.replace(rear_load=-UPHILL.front_load, front_load=-UPHILL.rear_load)
     mirrored = coarse_front(MarginTask(pushed, -1, 1e-3)).front
     assert mirrored.power.min() == pytest.approx(forward.power.min(), rel=1e-6)

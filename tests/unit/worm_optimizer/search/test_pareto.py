@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The front and its area against brute force and against pymoo."""
+"""The front and its area, compared with brute force and with pymoo."""
 
 import numpy as np
 import pytest

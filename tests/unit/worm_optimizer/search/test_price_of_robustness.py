@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The price of robustness: its cliff by the written rule, and with the paper's parameters."""
+"""The price of robustness: its cliff by the documented rule, and with the paper's parameters."""
 
 import math
 
@@ -35,7 +35,7 @@ STILL = MarginPoint(3e-3, math.nan, math.nan, math.nan, 0.0, ())
 @pytest.mark.parametrize(
     ("initial_length", "before"),
     [
-        (0.2952, 3.4e-3),  # this project's calibration, which gives the paper's value
+        (0.2952, 3.4e-3),  # this project's calibration, which reproduces the paper's value
         (0.3000 - 0.0059, 2.5e-3),  # groove phase 0
     ],
 )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The front of shaped gaits against random gaits of its box, the paper's front, limits, and the goals of the issue."""
+"""The front of shaped gaits, compared with random gaits of its box and the paper's front; its limits and accuracy."""
 
 import dataclasses
 from functools import cache
@@ -31,12 +31,12 @@ ACCEPTED = 1e-4  # relative excess of power over a random gait
 
 @cache
 def shaped_front(margin: float) -> ExactFront:
-    """The front of the paper's robot over shaped gaits at a margin in m, on few frequencies."""
+    """Return the front of the paper's robot over shaped gaits at a margin in m, on few frequencies."""
     return exact_front(ShapedTask(MarginTask(margin=margin), ShapeBounds()), COARSE, Zoom(9, 6))
 
 
 def random_gaits(task: MarginTask, count: int, seed: int) -> Points:
-    """Admissible gaits of the box with any shape."""
+    """Return admissible gaits of the box with any shape."""
     rng = np.random.default_rng(seed)
     box, shapes = task.bounds, ShapeBounds()
     reach = rng.uniform(box.stroke_low, box.stroke_high, count)
@@ -53,7 +53,7 @@ def random_gaits(task: MarginTask, count: int, seed: int) -> Points:
 
 
 def largest_excess(front: Points, others: Points) -> float:
-    """Largest relative excess of a gait's power over that of others that are as fast or faster."""
+    """Return the largest relative excess of a gait's power over that of others that are as fast or faster."""
     order = np.argsort(others.count * others.frequency)
     speed, power = (others.count * others.frequency)[order], others.power[order]
     best = np.append(np.minimum.accumulate(power[::-1])[::-1], np.inf)
@@ -82,7 +82,7 @@ def test_no_random_gait_of_the_box_dominates_the_front(margin):
 
 @pytest.mark.parametrize("margin", [0.0, 3.4e-3])
 def test_gaits_near_those_of_the_front_are_not_cheaper(margin):
-    """Up to the last percent of the frequencies of a branch, where the shares change within a few millihertz."""
+    """Except in the last percent of the frequencies of a branch, where the shares change within a few millihertz."""
     task, front = MarginTask(margin=margin), shaped_front(margin).front
     front = front.take(front.frequency < 0.99 * front.frequency.max())
     rng, near = np.random.default_rng(5), 1000
@@ -221,7 +221,7 @@ def test_the_corner_of_the_papers_shape_is_the_papers_edge():
 
 
 def test_where_the_longest_swing_loses_a_groove_the_papers_gait_is_not_cheaper():
-    """At 0.23 Hz and a margin of 3.4 mm, the sinusoid gains two grooves up to a stroke of 79 mm alone."""
+    """At 0.23 Hz and a margin of 3.4 mm, only the sinusoid gains two grooves up to a stroke of 79 mm."""
     task, frequency = MarginTask(margin=3.4e-3), np.array([0.228, 0.23])
     narrow = dataclasses.replace(
         task, bounds=Bounds(frequency_low=frequency[0], frequency_high=frequency[-1])
@@ -307,7 +307,7 @@ SLOW = Bounds(frequency_low=0.12, frequency_high=0.12)
 
 
 def test_near_the_cliff_a_scan_finds_the_gaits_of_a_search_at_its_margin():
-    """Shares change quickly there: those of a margin of 2 mm are a fifth dearer at 3.2 mm."""
+    """Shares change quickly there: at 3.2 mm, those of a margin of 2 mm need a fifth more power."""
     task = MarginTask(SCANNED, bounds=SLOW)
     scanned = ShapedTask(task, ShapeBounds(), (0.002, 0.004))
     margins = np.array([2e-3, 3e-3, 3.1e-3, 3.2e-3, 3.25e-3])

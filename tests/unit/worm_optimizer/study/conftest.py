@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Workers that the tests of studies share; without the optional set of studies, the tests that need it are skipped."""
+"""Workers that the tests of studies share.
+
+Without the optional packages of studies, the tests that need them are skipped.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +20,7 @@ NEEDS_IT = {"test_engine.py", "test_results.py", "test_store.py", "test_study_co
 
 
 class Absent(pytest.Module):
-    """A module of tests that is not imported."""
+    """Test module that is not imported."""
 
     def collect(self):
         pytest.skip("needs pip install -r requirements-study.txt", allow_module_level=True)
@@ -31,7 +34,7 @@ def pytest_pycollect_makemodule(module_path: Path, parent: pytest.Collector):
 
 @pytest.fixture(scope="package")
 def cluster() -> Iterator[LocalCluster]:
-    """Two workers in processes of their own, for the tests that start none themselves."""
+    """Start two workers in processes of their own, for the tests that start none themselves."""
     from distributed import LocalCluster
 
     with LocalCluster(

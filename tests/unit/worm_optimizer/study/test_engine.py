@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Real workers in processes of their own, killed as the kernel does it."""
+"""Real workers in processes of their own, killed as by the kernel."""
 
 import contextlib
 import json
@@ -34,7 +34,7 @@ pytestmark = pytest.mark.timeout(300)
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory, cluster) -> Path:
-    """The small study, computed without trouble."""
+    """Return the small study, computed without failures."""
     path = tmp_path_factory.mktemp("whole") / "study.zarr"
     counts = run_study(STUDY, path, Workers(cluster.scheduler_address), print, lambda done: None)
     assert (counts.points, counts.done, counts.failed) == (6, 6, 3)
@@ -130,14 +130,14 @@ def test_a_killed_scheduler_is_reported_and_the_study_continues_elsewhere(whole,
 
 @contextlib.contextmanager
 def foreign_worker(folder: Path, *packages: str) -> Iterator[Client]:
-    """A client whose only worker runs in ``folder`` with these packages."""
+    """Return a client whose only worker runs in ``folder`` with these packages."""
     path = os.pathsep.join([str(folder), *(str(ROOT / "src" / package) for package in packages)])
     with (
         LocalCluster(n_workers=0, dashboard_address="127.0.0.1:0") as empty,
         subprocess.Popen(
             [sys.executable, "-m", "distributed.cli.dask_worker", empty.scheduler_address]
             + ["--no-nanny", "--nthreads", "1", "--no-dashboard"],
-            cwd=folder,  # a folder of ours would come before the path
+            cwd=folder,  # one of our folders would precede the path
             env={**os.environ, "PYTHONPATH": path},
             stderr=subprocess.DEVNULL,
         ) as worker,

@@ -24,7 +24,7 @@ HERE = Path()
 
 
 def changed(**changes: object) -> str:
-    """The small study with some keys changed; None removes one."""
+    """Return the small study with some keys changed; None removes one."""
     content = {**yaml.safe_load(SMALL), **changes}
     return yaml.safe_dump({key: value for key, value in content.items() if value is not None})
 
@@ -61,7 +61,7 @@ def test_samples_fill_their_ranges_and_repeat_with_their_seed(method):
     assert study.size == 100
     assert slack.min() > 0.002
     assert slack.max() < 0.01
-    # each tenth of each range holds about a tenth of the points: five of fifty in either direction
+    # each tenth of each range contains about a tenth of the points: five of fifty in either direction
     for values, low, high in ((slack, 0.002, 0.01), (gain, 0.7, 0.9)):
         counts = np.histogram(values, bins=10, range=(low, high))[0]
         assert counts.sum() == 100

@@ -46,7 +46,7 @@ def test_the_gaits_are_those_of_the_front_of_the_point():
     fastest = np.array([0.0, *np.maximum.accumulate(front.speed[np.argsort(front.power)])])
     area = fastest[np.searchsorted(np.sort(front.power), steps, side="right")].mean() * 20.0
     assert found["hypervolume"] == pytest.approx(area, rel=1e-3)
-    # and each is what the simulator says of that gait
+    # each value is the simulator's for that gait
     for k in range(4):
         gait = Gait(found["stroke"][k], found["frequency"][k], margin=0.002)
         assert found["power"][k] == pytest.approx(evaluate_gait(gait, robot).power, rel=1e-12)
@@ -179,7 +179,7 @@ def test_cliff_success_and_any_phase():
     assert len(found["scan_cost_of_transport"]) == len(dimensions(study)["scan_margin"]) == 6
     success = found["success_probability"]
     assert ((success >= 0.0) & (success <= 1.0))[np.isfinite(success)].all()
-    # an any-phase gait gains what it promises wherever in a groove the robot starts
+    # an any-phase gait gains its promised grooves from any start within a groove
     for k in np.flatnonzero(np.isfinite(found["any_phase_speed"])):
         gait = Gait(found["any_phase_stroke"][k], found["any_phase_frequency"][k])
         for turn in np.linspace(-0.49, 0.49, 9):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Shares of the variance, against what a closed form gives."""
+"""Shares of the variance, compared with a closed form."""
 
 import json
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sobol indices, against closed forms."""
+"""Sobol indices, compared with closed forms."""
 
 import numpy as np
 import pytest

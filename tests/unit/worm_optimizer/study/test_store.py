@@ -34,7 +34,7 @@ SECOND = (slice(0, 1), slice(1, 2))
 
 @cache
 def computed(text: str, points: bytes) -> Results:
-    """Results of a block, computed once for all tests."""
+    """Return the results of a block, computed once for all tests."""
     study = parse_study(text, Path())
     return compute_block(study, np.frombuffer(points).reshape(-1, len(study.varied)))
 
@@ -90,7 +90,7 @@ def test_blocks_and_chunks_cover_the_points_once(shape, points):
     chunk = chunk_shape(study, block)
     assert all(
         large % small == 0 for large, small in zip(chunk, block, strict=True)
-    )  # no block lies in two chunks
+    )  # no block is in two chunks
 
 
 def test_a_block_without_its_checksum_is_computed_again(whole, tmp_path):
@@ -105,7 +105,7 @@ def test_a_block_without_its_checksum_is_computed_again(whole, tmp_path):
 
 
 def results_of(path: Path) -> list[Path]:
-    """Files of a store that contain results."""
+    """Return the files of a store that contain results."""
     return sorted(
         file
         for file in path.rglob("*")
@@ -154,7 +154,7 @@ def test_swapped_values_are_damage(whole, tmp_path):
         values = speed[:]
         values[:, 1] = values[::-1, 1]
         speed[:] = values
-        assert len(store.audit().damaged) == 2  # the middle one stays
+        assert len(store.audit().damaged) == 2  # the middle one remains
     assert finish(path) == 2
     assert contents(path) == contents(whole)
 

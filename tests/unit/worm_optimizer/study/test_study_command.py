@@ -22,7 +22,7 @@ pytestmark = pytest.mark.timeout(300)
 
 
 def run(monkeypatch, capsys, *words: str) -> tuple[int, str, str]:
-    """Exit status, standard output and error of `study`."""
+    """Return exit status, standard output and error of `study`."""
     monkeypatch.setattr(sys, "argv", ["study", *words])
     status = command.main()
     said = capsys.readouterr()
@@ -50,7 +50,7 @@ def test_a_study_on_this_machine_and_its_page(tmp_path, monkeypatch, capsys):
     assert "whether it stays so over a run is not modelled" in text
     assert (
         text.count("data:image/png;base64,") == 1
-    )  # one quantity varies among the points that are done
+    )  # one quantity varies among the computed points
     status, _, err = run(monkeypatch, capsys, *words, "--page", str(page))
     assert status == 2
     assert "exists already" in err

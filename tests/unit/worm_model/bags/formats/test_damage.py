@@ -146,7 +146,7 @@ def test_every_cut_keeps_what_is_whole(where: float):
             assert [m.log_time for m in bag.messages()] == [i + 1 for i in range(whole)]
 
 
-# --- right, refused, or told ----------------------------------------------------------------------
+# --- right, rejected, or reported -----------------------------------------------------------------
 
 Row = tuple[str, int, bytes, int]
 NAMES = ("/worm/a", "/worm/b", "/c")

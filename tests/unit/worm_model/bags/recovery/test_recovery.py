@@ -256,7 +256,7 @@ def test_a_bomb_costs_its_own_chunk(tmp_path: Path, compression: str, declared: 
     assert int(process.stdout) == COUNT
 
 
-# --- files without chunks, and what lies between records ------------------------------------------
+# --- files without chunks, and bytes between records ----------------------------------------------
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -554,7 +554,7 @@ def test_a_row_with_another_type_is_left_out(sqlite_bag: Path):
         assert bag.message_count == 4998
 
 
-# --- what is no bag -------------------------------------------------------------------------------
+# --- folders and files without a bag --------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ["pipe.mcap", "pipe.db3"])
