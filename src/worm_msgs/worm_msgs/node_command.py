@@ -79,7 +79,7 @@ def _translated(
 
 
 def _set_changes_alone(node: Node, floats: frozenset[str]) -> None:
-    """Drop the parameters that would not change from requests to set parameters.
+    """Remove parameters that already have the requested value from requests to set parameters.
 
     rclpy rejects a read-only parameter even if its value stays the same, so `ros2 param load` of a node's own dump
     would fail. Callbacks cannot drop a parameter, so this function wraps the method that all setters call.

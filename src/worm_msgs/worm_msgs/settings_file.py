@@ -90,7 +90,7 @@ def settings_of(content: Any, kind: type[T]) -> T:
     except (TypeError, ValueError, RecursionError) as error:
         raise SettingsFileError(f"has keys or values that settings cannot have: {error}") from None
     try:
-        return _adapter(kind).validate_json(text)[0]  # type: ignore[arg-type] # mypy: a type were not hashable
+        return _adapter(kind).validate_json(text)[0]  # type: ignore[arg-type] # for mypy no type is hashable
     except ValidationError as error:
         raise SettingsFileError(_message(error.errors(include_url=False), kind)) from None
 

@@ -37,7 +37,7 @@ class PositionTrack:
 
     Attributes:
         lost: distance from the last plausible position to a confirmed implausible one, ticks by servo id. No sample of
-            such a servo is accepted before the next `begin`, as waiting makes no wrong position plausible.
+            such a servo is accepted before the next `begin`, as with time every wrong position comes within reach.
     """
 
     def __init__(self, fastest: Mapping[int, float]):

@@ -8,8 +8,8 @@ This module corrects the following defects of version 4.1.0 of the SDK:
 - It measures timeouts by the wall clock, spins while it waits, and never stops reading while bytes arrive. See
   ``BusPort``.
 - It mistakes a late answer for the answer to the next request. After a failed exchange the next request waits for a
-  quiet line, and an answer must have the requested length. In addition,
-  ``tick_clock`` checks the servo's clock, which is part of its state, and detects answers that are too old.
+  quiet line, and an answer must have the requested length. In addition, ``tick_clock`` compares the servo's clock
+  in an answer with the time of the request, and detects answers that are too old.
 - Its timeout expires even if unread bytes have been received. This module reads such bytes first, for example
   after the process was suspended. See ``BusPort.expects``.
 - Its GroupSyncRead drops error and alert bytes, and loses good answers together with a missing one. It also accepts
@@ -422,7 +422,7 @@ class ServoBus:
         return self.port.answer_time((11 + size) * servos)
 
     def torque_off_all(self) -> None:
-        """Switch the torque of every servo on the bus off, by broadcast and without acknowledgement.
+        """Switch off the torque of all servos on the bus, by broadcast and without acknowledgement.
 
         Raises:
             PortError: The port is gone.

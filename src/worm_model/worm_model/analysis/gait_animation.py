@@ -96,7 +96,7 @@ def _write_gif(figure: Figure, shown: Iterator[int], rate: float, path: Path) ->
 
 
 def palette_of(image: Image.Image) -> Image.Image:
-    """Return the most frequent colours of an RGB image, none like another, as a palette for `Image.quantize`.
+    """Return a palette for `Image.quantize`: the most frequent colours of an RGB image, without similar ones.
 
     Flat colours stay what they are, which Pillow's own palettes do not guarantee.
     """

@@ -70,7 +70,7 @@ TWIN_TOPICS = ("body_length/estimated", "twin/state", "twin/residuals", "twin/ev
 
 
 def path_of(field: str) -> str:
-    """Return the path in a message of a field of the samples."""
+    """Return the path in a message, such as ``gait.stroke``, of a sample's field, such as ``stroke``."""
     return f"gait.{field}" if field in GAIT_UNITS else field
 
 

@@ -61,7 +61,7 @@ def _parser() -> command_line.Parser:
         "trim",
         _trim,
         help="write a part of a bag, by time or by run",
-        description="Write a bag with the messages of a span, or of one run with the rest before it.",
+        description="Write a bag with the messages of a span, or of one run and the time at rest before it.",
     )
     add_output(trim)
     trim.add_number("--start", "S", "start of the span, in s since the start of the bag")
@@ -146,7 +146,7 @@ def _trim(options: argparse.Namespace) -> None:
 
 
 def _spans(bag: Bag) -> list[tuple[int, int]]:
-    """Return the first and the last log time (ns) of each run, from the end of the one before it, its rest included."""
+    """Return the first and the last log time (ns) of each run. A run includes the time since the previous one."""
     from worm_model.analysis.run_metrics import played_gaits
     from worm_model.bags.run_reader import read_run, received_at
 

@@ -61,7 +61,8 @@ def _parser() -> Parser:
         prog="campaign",
         description="Run the minimum-power, cruising and maximum-speed gaits of the robust front, five cycles each, "
         "on the virtual robot or on a real one, record them, and compare measurements with predictions. "
-        "With conditions, the gaits for level ground follow; after shaped gaits, those of the paper's waveform.",
+        "With conditions, each gait is followed by the one for level ground; with shaped gaits, by that of the paper's "
+        "waveform.",
     )
     add = parser.add_argument
     parser.add_argument(

@@ -31,7 +31,7 @@ class RobotGraph:
             raise OperatorError(f"no node {missing} within {NODES_TIMEOUT_S:g} s")
 
     def has_node(self, name: str) -> bool:
-        """Return True if a node of this name exists in this namespace; one may be discovered for NODE_S."""
+        """Wait up to NODE_S for a node of this name in this namespace; return True if it exists."""
         return self._node.wait(lambda: name in self._node_names(), NODE_S)
 
     def publishers(self, topic: str) -> int:
