@@ -32,16 +32,16 @@ IDENTIFIED = [key for key in KEYS if key not in MEASURED or key == "pitch"]
 
 @dataclass(frozen=True)
 class Case:
-    """True values of a robot and their estimates, by key; ``refused`` is the reason if there are no estimates."""
+    """True values of a robot and their estimates, by key; ``rejected`` is the reason if there are no estimates."""
 
     seed: int
     truth: dict[str, float]
     estimates: dict[str, Estimate]
-    refused: str = ""
+    rejected: str = ""
 
     def has_interval(self, key: str) -> bool:
         """True if there is an interval."""
-        return not self.refused and self.estimates[key].identifiable
+        return not self.rejected and self.estimates[key].identifiable
 
     def covers(self, key: str) -> bool:
         """True if the interval contains the true value."""
@@ -61,9 +61,9 @@ def case(seed: int) -> Case:
 
 def rows_of(cases: Sequence[Case]) -> list[Row]:
     """Return the number of rejected robots, and the coverage and width of every parameter."""
-    refused = sum(bool(c.refused) for c in cases)
+    rejected = sum(bool(c.rejected) for c in cases)
     how = f"seeded robots, {code_version()}"
-    first = Row("robots whose identification was refused", f"{refused} of {len(cases)}", "0", how)
+    first = Row("robots whose identification was rejected", f"{rejected} of {len(cases)}", "0", how)
     return [first, *(row(key, cases) for key in IDENTIFIED)]
 
 
@@ -84,8 +84,8 @@ def row(key: str, cases: Sequence[Case]) -> Row:
 
 def comment(done: Case) -> str:
     """Return the result of one robot in one line."""
-    if done.refused:
-        return f"robot {done.seed}: refused: {done.refused}"
+    if done.rejected:
+        return f"robot {done.seed}: rejected: {done.rejected}"
     known = [key for key in IDENTIFIED if done.has_interval(key)]
     missed = ", ".join(key for key in known if not done.covers(key)) or "none"
     open_keys = ", ".join(key for key in IDENTIFIED if key not in known) or "none"

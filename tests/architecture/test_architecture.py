@@ -233,7 +233,7 @@ def test_every_process_with_ros_begins_and_ends_in_one_way():
     assert callers == {"worm_msgs/ros_process.py"}
 
 
-def test_product_code_knows_nothing_of_the_reference_material():
+def test_product_code_does_not_use_the_reference_material():
     wrong = [
         f"{path.relative_to(ROOT)}:{number}"
         for path in sorted((ROOT / "src").rglob("*"))

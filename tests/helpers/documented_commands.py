@@ -29,27 +29,27 @@ class Command:
     """One command as shown: the page and the arguments, without comments and without brackets of optional parts."""
 
     page: str
-    words: tuple[str, ...]
+    parts: tuple[str, ...]
 
     def __str__(self) -> str:
-        return f"{self.page}: {shlex.join(self.words)}"
+        return f"{self.page}: {shlex.join(self.parts)}"
 
     @property
     def executable(self) -> tuple[str, str] | None:
         """Package and executable that the command runs, or None."""
-        runs = self.words[:2] in (("./worm", "run"), ("ros2", "run"))
-        if runs and len(self.words) >= 4 and self.words[2] != "PACKAGE":
-            return self.words[2], self.words[3]
-        if self.words[0] == "./worm" and self.words[1] in SHORTCUTS:
-            return SHORTCUTS[self.words[1]], self.words[1]
+        runs = self.parts[:2] in (("./worm", "run"), ("ros2", "run"))
+        if runs and len(self.parts) >= 4 and self.parts[2] != "PACKAGE":
+            return self.parts[2], self.parts[3]
+        if self.parts[0] == "./worm" and self.parts[1] in SHORTCUTS:
+            return SHORTCUTS[self.parts[1]], self.parts[1]
         return None
 
     @property
     def arguments(self) -> tuple[str, ...]:
         """Arguments of the executable, without those of ROS."""
-        start = 2 if self.words[1] in SHORTCUTS else 4
-        words = self.words[start:]
-        return words[: words.index("--ros-args")] if "--ros-args" in words else words
+        start = 2 if self.parts[1] in SHORTCUTS else 4
+        parts = self.parts[start:]
+        return parts[: parts.index("--ros-args")] if "--ros-args" in parts else parts
 
 
 def commands() -> list[Command]:
@@ -58,17 +58,19 @@ def commands() -> list[Command]:
     for page in PAGES:
         text = page.read_text(encoding="utf-8").replace("\\\n", " ")
         for line in [*BLOCK_LINE.findall(text), *INLINE.findall(text)]:
-            found[Command(str(page.relative_to(ROOT)), _words(line))] = None
+            found[Command(str(page.relative_to(ROOT)), _split(line))] = None
     return list(found)
 
 
-def _words(line: str) -> tuple[str, ...]:
+def _split(line: str) -> tuple[str, ...]:
     """Return the arguments as a shell splits them, up to a pipe or redirection, without brackets and dots."""
-    words = shlex.split(line.replace("…", " "), comments=True)
+    parts = shlex.split(line.replace("…", " "), comments=True)
     for end in ("&", "|", "&&", ">", ";"):
-        if end in words:
-            words = words[: words.index(end)]
-    return tuple(word.strip("[]") for word in words if word.strip("[]") not in ("", "..."))
+        if end in parts:
+            parts = parts[: parts.index(end)]
+    return tuple(
+        shell_part.strip("[]") for shell_part in parts if shell_part.strip("[]") not in ("", "...")
+    )
 
 
 def entry_points() -> dict[tuple[str, str], str]:

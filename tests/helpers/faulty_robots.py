@@ -97,11 +97,11 @@ class Robots:
             parts.append(_rows(Kind.POSITION, self.camera_time, rear, seen))
         if tracker and front_marker:
             parts.append(_rows(Kind.LENGTH, self.camera_time, front - rear))
-        told = [(-1.5, Activity.RESTING, 0)]
-        told += [(k * gait.period, Activity.RUNNING, k + 1) for k in range(self.cycles)]
-        told.append((self.cycles * gait.period + 0.003, Activity.IDLE, self.cycles))
+        states = [(-1.5, Activity.RESTING, 0)]
+        states += [(k * gait.period, Activity.RUNNING, k + 1) for k in range(self.cycles)]
+        states.append((self.cycles * gait.period + 0.003, Activity.IDLE, self.cycles))
         values = [np.array([float(getattr(gait, name))]) for name in GAIT_UNITS]
-        for time, activity, cycle in told:
+        for time, activity, cycle in states:
             row = sample_rows(Kind.GAIT, _stamps(np.array([time])), *values)
             row["state"], row["cycle"] = activity, cycle
             row["onset"], row["run"] = (ONSET if activity == Activity.RUNNING else 0), 1
@@ -148,8 +148,8 @@ def run_robots(
     )
     seen, powers, ends = [], [], []
     for k, time in enumerate(times.tolist()):
-        asked = float(_command(gait, np.array(time))) if 0.0 < time < end else 0.0
-        bodies.step(time, asked)
+        commanded = float(_command(gait, np.array(time))) if 0.0 < time < end else 0.0
+        bodies.step(time, commanded)
         if k % round(1 / POWER_HZ / STEP_S) == 0:
             powers.append(bodies.power * (1.0 + bodies.of("scale")) + bodies.of("offset"))
         if k in looks:
@@ -199,7 +199,7 @@ class _Bodies:
         self.mu = p["front_mass"] / (p["rear_mass"] + p["front_mass"])
         zero = np.zeros(count)
         self.change, self.rate, self.centre, self.speed, self.v1 = (zero.copy() for _ in range(5))
-        self.taken, self.on = np.zeros(count, bool), np.zeros(count, bool)
+        self.taut, self.on = np.zeros(count, bool), np.zeros(count, bool)
         self.anchor = np.zeros((count, 2), int)
         self.anchor[:, 1] = np.rint(p["initial_length"] / self.pitch)
         self.switches, self.stood = np.zeros((count, 2), int), np.zeros((count, 2))
@@ -209,10 +209,10 @@ class _Bodies:
         """Return the sizes of the present faults of one kind, 0 for the other robots."""
         return np.where((self.kinds == kind) & self.on, self.sizes, 0.0)
 
-    def step(self, time: float, asked: float) -> None:
+    def step(self, time: float, commanded: float) -> None:
         """Advance by one step to a time (s) under a command (m)."""
         self.on = time >= self.begins
-        self._pull(asked)
+        self._pull(commanded)
         carried = (self.kinds == "robot") & self.on & (time < self.begins + CARRIED_S)
         self.centre = self.centre + np.where(
             carried, self.sizes * self.pitch * STEP_S / CARRIED_S, 0.0
@@ -222,10 +222,10 @@ class _Bodies:
         self._switch(time, carried)
         self._push(self._fins(carried))
 
-    def _pull(self, asked: float) -> None:
+    def _pull(self, commanded: float) -> None:
         p = self.p
-        self.taken |= asked < -5e-5
-        pulled = np.minimum(asked + self.of("slip"), np.where(self.taken, -p["slack"], 0.0))
+        self.taut |= commanded < -5e-5
+        pulled = np.minimum(commanded + self.of("slip"), np.where(self.taut, -p["slack"], 0.0))
         goal = p["gain"] * (1.0 + self.of("gain")) * pulled
         self.change = goal + (self.change - goal) * np.exp(-STEP_S / p["time_constant"])
         self.rate = (goal - self.change) / p["time_constant"]

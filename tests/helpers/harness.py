@@ -27,7 +27,7 @@ from worm_optimizer.operation.system import SystemFile, load_system_file
 
 NAMESPACE = "/worm"
 TIMEOUT_S = 30.0  # long, as only a failing test waits so long
-ASK_AGAIN_S = 1.0
+RETRY_S = 1.0
 SERVOS = (1, 11, 12)  # of the virtual robot: one cable servo, two fin servos
 BAUD_RATE = 1_000_000
 TORQUE_ENABLE = 64  # address, e-manual
@@ -125,7 +125,7 @@ class Probe:
         futures: list[Future] = []
 
         def answered() -> bool:
-            if time.monotonic() > started + ASK_AGAIN_S * len(futures):
+            if time.monotonic() > started + RETRY_S * len(futures):
                 futures.append(client.call_async(ListParameters.Request()))
             return any(future.done() for future in futures)
 

@@ -73,8 +73,8 @@ class GaitSample:
     def row(self) -> tuple:
         none = (0.0,) * len(VALUES)
         gait = none if self.gait is None else astuple(self.gait)
-        told = (self.onset_ns, self.activity, self.run, self.cycle, self.stamp_ns)
-        return (self.stamp_ns, Kind.GAIT, *told, *gait)
+        head = (self.onset_ns, self.activity, self.run, self.cycle, self.stamp_ns)
+        return (self.stamp_ns, Kind.GAIT, *head, *gait)
 
 
 Sample = CommandedLength | MeasuredLength | TrackerSample | PowerSample | GaitSample
@@ -89,7 +89,7 @@ def rows_of(samples: Sequence[Sample]) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Told:
+class TwinOutput:
     """Output of the twin, in records with attributes; residuals have a ``message``."""
 
     states: list
@@ -105,7 +105,7 @@ def follow(
     chunk: int = 0,
     state: TwinState | None = None,
     end: bool = True,
-) -> Told:
+) -> TwinOutput:
     """Pass the samples to a twin, ``chunk`` at a time (0: all at once), to the end."""
     twin = twin or Twin()
     state = state or twin.start()
@@ -119,7 +119,7 @@ def follow(
         for output in outputs
         for row in output.residuals
     ]
-    return Told(
+    return TwinOutput(
         states=[_Record(row) for output in outputs for row in output.states],
         residuals=[_Record(row, message) for row, message in residuals],
         lengths=[_Record(row) for output in outputs for row in output.lengths],

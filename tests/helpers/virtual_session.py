@@ -212,8 +212,8 @@ class Session:
         player, run = snapshot.player, snapshot.player.active_run
         now = snapshot.command_time
         cycle = 0 if run is None else run.cycle(now)
-        told = run and (run.number, run.onset, run.cycles, cycle)
-        shown = (snapshot.active, snapshot.homed, player.phase, player.message, told)
+        run_state = run and (run.number, run.onset, run.cycles, cycle)
+        shown = (snapshot.active, snapshot.homed, player.phase, player.message, run_state)
         if shown != self._shown:
             self._shown = shown
             stamp = EPOCH + round(now * 1e9)
@@ -267,9 +267,9 @@ def recording(
     rows: np.ndarray, memories: Sequence[tuple[int, str]], begin_ns: int, end_ns: int
 ) -> Run:
     """Return a recording from ``begin_ns`` to ``end_ns``: its samples, preceded by the latched messages."""
-    words = rows[(rows["kind"] == Kind.GAIT) & (rows["stamp"] < begin_ns)][-1:]
+    latched = rows[(rows["kind"] == Kind.GAIT) & (rows["stamp"] < begin_ns)][-1:]
     part = rows[(rows["stamp"] >= begin_ns) & (rows["stamp"] <= end_ns)]
     delay = round((DEFAULTS.delay_s + DEFAULTS.measured_stale_s) * 1e9)
     earlier = [memory for memory in memories if memory[0] + delay < begin_ns][-1:]
     later = [memory for memory in memories if begin_ns <= memory[0] + delay <= end_ns]
-    return run_of_rows(np.concatenate([words, part]), [*earlier, *later])
+    return run_of_rows(np.concatenate([latched, part]), [*earlier, *later])

@@ -14,5 +14,5 @@ def suicide(place: int, marker: str) -> int:
     return place
 
 
-def refuse(place: int) -> int:
+def reject(place: int) -> int:
     raise ValueError(f"piece {place}")

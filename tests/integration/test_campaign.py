@@ -44,11 +44,11 @@ def test_a_gait_is_measured_in_images(ros_domain: int, tmp_path: Path):
     settings = with_tracker({"directory": str(tmp_path / "robot")}, CAMERA, "virtual")
     robot = Robot(system_file(), "virtual", settings)
     assert "tracker" in [node.name for node in robot.system().nodes]
-    told: list[str] = []
+    reported: list[str] = []
     run_gaits(
-        robot, {"fast": GaitCommand(GAITS["fast"], 5)}, tmp_path, tmp_path / "logs", told.append
+        robot, {"fast": GaitCommand(GAITS["fast"], 5)}, tmp_path, tmp_path / "logs", reported.append
     )
-    assert not [line for line in told if "the tracker" in line]
+    assert not [line for line in reported if "the tracker" in line]
 
     (gait,) = read_recorded_gaits([tmp_path / "fast"], "", print)
     assert gait.missing == ()

@@ -71,15 +71,15 @@ class Console:
         self.bags = folder / "bags"
         port = free_port()
         self.address = f"http://127.0.0.1:{port}/"
-        words = ["--port", str(port), "--bags", str(self.bags), *arguments]
-        words += ["--control-timeout", str(TIMEOUT_S)]  # a page on a busy machine keeps control
+        options = ["--port", str(port), "--bags", str(self.bags), *arguments]
+        options += ["--control-timeout", str(TIMEOUT_S)]  # a page on a busy machine keeps control
         command = executable_command("worm_optimizer", "console")
         command = [
             "env",
             "-u",
             "PYTEST_CURRENT_TEST",
             *command,
-            *words,
+            *options,
         ]  # otherwise NiceGUI tests itself
         self.process = processes.start(f"console_{port}", command)
         self.process.wait_for_line(re.escape(self.address), TIMEOUT_S)
@@ -360,7 +360,7 @@ def test_gaits_are_searched_and_parameters_identified_in_the_background(
     expect(page.get_by_text("In use: identified_0.yaml")).to_be_visible()
 
 
-def test_a_wrong_password_is_refused(page: "sync_api.Page", processes: Processes, tmp_path: Path):
+def test_a_wrong_password_is_rejected(page: "sync_api.Page", processes: Processes, tmp_path: Path):
     expect = sync_api.expect
     password = tmp_path / "password"
     password.write_text(f"{PASSWORD}\n")

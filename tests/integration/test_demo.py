@@ -35,10 +35,10 @@ def processes_with(text: str) -> list[str]:
     lines = []
     for path in Path("/proc").glob("[0-9]*/cmdline"):
         try:
-            words = path.read_bytes().split(b"\0")
+            arguments = path.read_bytes().split(b"\0")
         except OSError:
             continue  # the process has just ended
-        line = b" ".join(words).decode(errors="replace")
+        line = b" ".join(arguments).decode(errors="replace")
         if text in line:
             lines.append(line)
     return lines
@@ -131,7 +131,7 @@ def test_an_interrupted_demo_leaves_no_process_and_a_whole_bag(processes, tmp_pa
         assert reader.message_count > 100
 
 
-def test_a_failed_stage_is_told_in_one_line(processes, tmp_path):
+def test_a_failed_stage_is_reported_in_one_line(processes, tmp_path):
     plant = tmp_path / "plant.yaml"
     plant.write_text("no_such_key: 1\n")
     demo = processes.start_executable(

@@ -125,14 +125,14 @@ class Commander:
         self.probe.wait_for(lambda: self.states and self.states[-1].state == state, what)
         return self.states[-1]
 
-    def wait_for_report(self, name: str, level: bytes, words: str) -> DiagnosticStatus:
+    def wait_for_report(self, name: str, level: bytes, expected: str) -> DiagnosticStatus:
         def found():
             statuses = [s for report in self.reports for s in report.status]
             return [
-                s for s in statuses if s.name == name and s.level == level and words in s.message
+                s for s in statuses if s.name == name and s.level == level and expected in s.message
             ]
 
-        return self.probe.wait_for(found, f"report of {name} with {words!r}")[0]
+        return self.probe.wait_for(found, f"report of {name} with {expected!r}")[0]
 
 
 @pytest.fixture
@@ -238,12 +238,12 @@ def test_diagnostics_name_every_part(driver, commander, probe):
 def test_goals_that_cannot_be_played_are_rejected_with_the_reason(driver, commander, probe):
     assert "not configured" in probe.rejection(commander.send())
     commander.activate()
-    for stroke, frequency, words in (
+    for stroke, frequency, expected in (
         (math.nan, 0.2, "stroke is nan"),
         (0.07, -0.2, "frequency -0.2"),
         (0.5, 0.2, "limits.max_stroke_m"),
     ):
-        assert words in probe.rejection(commander.send(stroke, frequency))
+        assert expected in probe.rejection(commander.send(stroke, frequency))
     for name, value in (
         ("pretension", -0.01),
         ("contraction_share", math.nan),
@@ -684,7 +684,7 @@ def test_after_a_kill_a_new_driver_takes_over(processes, commander, probe, direc
 # --- parameters of a running driver ------------------------------------------------------------------
 
 
-def test_limits_take_effect_at_once_and_all_else_is_refused_while_configured(driver, commander):
+def test_limits_take_effect_at_once_and_all_else_is_rejected_while_configured(driver, commander):
     commander.activate()
     assert commander.set_parameter("limits.max_stroke_m", 0.02).successful
     assert "limits.max_stroke_m" in commander.probe.rejection(commander.send(stroke=0.03))
@@ -699,9 +699,9 @@ def test_limits_take_effect_at_once_and_all_else_is_refused_while_configured(dri
         assert f"{lower:g}" in raised.reason
         assert "lowered" in raised.reason
     assert not commander.set_parameter("use_sim_time", True).successful
-    refused = commander.set_parameter("port", "/dev/other")
-    assert not refused.successful
-    assert "takes effect at configure" in refused.reason
+    rejected = commander.set_parameter("port", "/dev/other")
+    assert not rejected.successful
+    assert "takes effect at configure" in rejected.reason
     assert commander.change(Transition.TRANSITION_DEACTIVATE)
     assert commander.change(Transition.TRANSITION_CLEANUP)
     assert commander.set_parameter("port", "/dev/other").successful
@@ -753,7 +753,7 @@ def test_a_user_may_change_the_quality_of_service_of_telemetry(
 # --- reported faults -----------------------------------------------------------------------------------
 
 
-def test_a_silent_servo_is_a_fault_that_is_named_and_mended(driver, commander):
+def test_a_silent_servo_is_a_fault_that_is_named_and_cleared(driver, commander):
     commander.activate()
     goal = commander.send(stroke=0.06, cycles=20)
     commander.wait_for_state(GaitState.RUNNING, "running gait")
@@ -797,24 +797,24 @@ def test_faults_of_the_power_sensor_are_samples_without_a_value(driver, commande
     def seen(status: int):
         return lambda: [sample for sample in samples if sample.status == status]
 
-    for name, status, words in (
+    for name, status, expected in (
         ("i2c_nack", Power.BUS_ERROR, "bus error"),
         ("ina219_overflow", Power.OVERFLOW, "overflow"),
         ("ina219_reset", Power.SENSOR_RESET, "sensor reset"),
     ):
         commander.inject(name=name)
-        found = probe.wait_for(seen(status), f"sample with {words}")
+        found = probe.wait_for(seen(status), f"sample with {expected}")
         assert all(math.isnan(sample.power) for sample in found)
-        commander.wait_for_report("worm/driver: power sensor", DiagnosticStatus.WARN, words)
+        commander.wait_for_report("worm/driver: power sensor", DiagnosticStatus.WARN, expected)
     count = len(seen(Power.VALID)())
     probe.wait_for(lambda: len(seen(Power.VALID)()) > count + 10, "valid samples")
 
 
-# --- missing devices -----------------------------------------------------------------------------------
+# --- wrong configuration ------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("change", "expected"),
     [
         ({"port": "/dev/no_worm"}, "/dev/no_worm does not exist"),
         ({"i2c_bus": "/dev/i2c-77"}, "I2C bus /dev/i2c-77 does not exist"),
@@ -826,11 +826,11 @@ def test_faults_of_the_power_sensor_are_samples_without_a_value(driver, commande
     ],
     ids=["port", "bus", "address", "id", "baud rate", "sign", "lengths"],
 )
-def test_what_is_missing_is_said_in_one_line(processes, directory, change, words):
+def test_a_wrong_configuration_is_reported_in_one_line(processes, directory, change, expected):
     given = parameters(directory, **{"autostart": "true", **change})
     driver = processes.start_node("worm_driver", "driver_node", **given)
     assert driver.wait(TIMEOUT_S) in (1, 2)
-    driver.wait_for_line(f"^driver: .*{words}", TIMEOUT_S)
+    driver.wait_for_line(f"^driver: .*{expected}", TIMEOUT_S)
     assert "Traceback" not in driver.output()
 
 
@@ -853,7 +853,7 @@ def test_a_robot_without_fin_servos_needs_none(processes, directory, commander):
     commander.wait_for_state(GaitState.IDLE, "activation")
 
 
-def test_a_parameter_out_of_its_range_is_refused_in_one_line(processes, directory):
+def test_a_parameter_out_of_its_range_is_rejected_in_one_line(processes, directory):
     given = parameters(directory, **{"limits.max_stroke_m": -1.0})
     driver = processes.start_node("worm_driver", "driver_node", **given)
     assert driver.wait(TIMEOUT_S) == 2
@@ -878,16 +878,16 @@ def test_a_second_driver_in_the_namespace_ends_before_it_serves_anything(
     commander.activate()
     given = {**parameters(directory), "autostart": "true", "port": "/dev/none"}
     processes._env["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "OFF"
-    words = ["--ros-args", "-r", "__ns:=/worm"]
+    arguments = ["--ros-args", "-r", "__ns:=/worm"]
     for key, value in given.items():
-        words += ["-p", f"{key}:={value}"]
-    second = processes.start_executable("worm_driver", "driver_node", *words, name="second")
+        arguments += ["-p", f"{key}:={value}"]
+    second = processes.start_executable("worm_driver", "driver_node", *arguments, name="second")
     assert second.wait(TIMEOUT_S) == 2
     second.wait_for_line(f"/worm has a driver already, process {driver.pid} ", TIMEOUT_S)
     assert commander.lifecycle_state() == State.PRIMARY_STATE_ACTIVE
 
 
-def test_a_second_driver_on_the_same_port_is_refused(driver, processes, commander, directory):
+def test_a_second_driver_on_the_same_port_is_rejected(driver, processes, commander, directory):
     commander.activate()
     given = parameters(directory, autostart="true")
     ros = ["--ros-args", "-r", "__ns:=/other"]
@@ -902,7 +902,7 @@ def test_a_second_driver_on_the_same_port_is_refused(driver, processes, commande
 
 
 @pytest.mark.parametrize("active", [False, True])
-def test_a_transition_that_the_state_does_not_have_is_refused_and_the_node_lives(
+def test_a_transition_that_the_state_does_not_have_is_rejected_and_the_node_lives(
     driver, commander, active
 ):
     if active:
@@ -920,7 +920,7 @@ def test_a_transition_that_the_state_does_not_have_is_refused_and_the_node_lives
     )
 
 
-def test_a_deactivation_with_a_dead_line_fails_and_says_what_is_known(driver, commander):
+def test_a_deactivation_with_a_dead_line_fails_and_reports_the_known_state(driver, commander):
     commander.activate()
     commander.inject(name="no_answer", duration=3600.0)
     assert not commander.change(Transition.TRANSITION_DEACTIVATE)
@@ -942,14 +942,14 @@ def test_stop_answers_every_call_of_a_flood(driver, commander, probe):
     assert all(call.result().success for call in calls)
 
 
-def test_diagnostics_say_who_can_hear_the_driver(driver, commander):
+def test_diagnostics_report_which_computers_can_discover_the_driver(driver, commander):
     commander.wait_for_report("worm/driver: network", DiagnosticStatus.OK, "this machine only")
 
 
 # --- on a busy machine ---------------------------------------------------------------------------------
 
 
-def test_beside_other_work_no_deadline_is_missed_and_no_servo_is_blamed(
+def test_on_a_busy_machine_no_deadline_is_missed_and_no_servo_is_blamed(
     driver, commander, processes, probe
 ):
     """With the default limits, and more work than processors: the robot's time waits."""

@@ -75,11 +75,11 @@ def test_ctrl_c_while_a_command_loads_is_no_traceback(processes: Processes, comm
 
 
 @pytest.mark.parametrize("executable", ["virtual_robot", "record", "play", "watch"])
-def test_a_node_without_parameters_refuses_them(
+def test_a_node_without_parameters_rejects_them(
     processes: Processes, arguments: dict[str, list[str]], executable: str
 ):
-    words = [*arguments.get(executable, []), "--ros-args", "-p", "frobnicate:=1"]
-    process = processes.start_executable(NODES[executable], executable, *words)
+    options = [*arguments.get(executable, []), "--ros-args", "-p", "frobnicate:=1"]
+    process = processes.start_executable(NODES[executable], executable, *options)
     assert process.wait(TIMEOUT_S) == 2
     assert "no parameter frobnicate" in process.last_line()
     assert "Traceback" not in process.output()

@@ -78,8 +78,10 @@ def test_topics_services_and_actions_are_those_of_the_documentation(worm, probe)
 
     def published():
         topics = own(node.get_topic_names_and_types())
-        heard = {n: k for n, k in topics.items() if node.count_publishers(n) and "/_" not in n}
-        return {n: k for n, k in heard.items() if not n.endswith("/transition_event")}
+        with_publisher = {
+            n: k for n, k in topics.items() if node.count_publishers(n) and "/_" not in n
+        }
+        return {n: k for n, k in with_publisher.items() if not n.endswith("/transition_event")}
 
     absent = ("/", "camera/", *OF_OPERATORS)  # names outside of the namespace, and no camera
     topics = {name: row for name, row in rows_of("Topics").items() if not name.startswith(absent)}

@@ -64,11 +64,11 @@ def launched(processes, tmp_path, monkeypatch):
     processes._env = dict(os.environ)
 
     def start(
-        *words: str,
+        *arguments: str,
         file: tuple[str, ...] = ("worm_optimizer", "worm.launch.py"),
         name: str = "launch",
     ):
-        return processes.start(name, [ROS2, "launch", *file, *words])
+        return processes.start(name, [ROS2, "launch", *file, *arguments])
 
     return start
 
@@ -148,10 +148,10 @@ def test_launch_is_as_patient_as_a_slow_return(launched, probe, tmp_path):
     assert "is gone" not in launch.output()
     assert abs(lengths[-1].length_change) < 0.002
     assert states[-1].state == GaitState.INACTIVE
-    told: list[str] = []
-    with open_bag(tmp_path / "bag", told.append) as bag:
+    reported: list[str] = []
+    with open_bag(tmp_path / "bag", reported.append) as bag:
         run = read_run(bag)
-    assert told == []
+    assert reported == []
     assert run.gait_state.state[-1] == GaitState.INACTIVE
     assert abs(run.cable.length_change[-1]) < 0.002
 
@@ -348,7 +348,7 @@ def test_a_replay_waits_for_a_twin_that_takes_its_time(launched, probe, tmp_path
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("arguments", "expected"),
     [
         (["mode:=robot", "driver_file:=/nonexistent"], "/nonexistent"),
         (["mode:=robot", "use_sim_time:=true"], "a robot runs in real time"),
@@ -358,10 +358,10 @@ def test_a_replay_waits_for_a_twin_that_takes_its_time(launched, probe, tmp_path
         (["also_required:=recoder"], "no node 'recoder': did you mean recorder?"),
     ],
 )
-def test_what_cannot_work_is_said_without_a_traceback(launched, words, said):
-    launch = launched(*words)
+def test_invalid_arguments_are_reported_without_a_traceback(launched, arguments, expected):
+    launch = launched(*arguments)
     assert launch.wait(START_S) == 1
-    assert said in launch.output()
+    assert expected in launch.output()
     # Lines of our processes begin with their names. launch_ros itself may leave a traceback of a thread that waits for
     # the driver's service during the shutdown.
     assert not re.search(r"^\[\w+-\d+\].*Traceback", launch.output(), re.MULTILINE)
@@ -378,12 +378,12 @@ def test_the_frame_of_a_cameras_images_hangs_on_its_pose():
     context.launch_configurations.update(given)
     context.extend_locals({"ros_specific_arguments": defaultdict(str)})  # as in nodes that start
     *_, body, optical = runpy.run_path(str(path))["_start"](context)
-    words = [
+    arguments = [
         " ".join(perform_substitutions(context, part) for part in node.cmd[1:])
         for node in (body, optical)
     ]
-    assert "--yaw 1.57 --pitch 0 --roll 0 --frame-id pipe --child-frame-id camera" in words[0]
-    assert f"--frame-id camera --child-frame-id {FRAME}" in words[1]
+    assert "--yaw 1.57 --pitch 0 --roll 0 --frame-id pipe --child-frame-id camera" in arguments[0]
+    assert f"--frame-id camera --child-frame-id {FRAME}" in arguments[1]
 
 
 def test_every_setting_of_the_system_file_is_an_argument(launched):

@@ -45,14 +45,14 @@ class Host:
     def __init__(self, name: str, address: str) -> None:
         self.name, self.address = name, address
 
-    def command(self, *words: str) -> list[str]:
+    def command(self, *command_line: str) -> list[str]:
         private = 'mount -t tmpfs none /dev/shm && exec "$@"'
-        return ["ip", "netns", "exec", self.name, "sh", "-c", private, "sh", *words]
+        return ["ip", "netns", "exec", self.name, "sh", "-c", private, "sh", *command_line]
 
-    def tc(self, action: str, *words: str) -> str:
+    def tc(self, action: str, *command_line: str) -> str:
         """Add or delete a queueing discipline of the cable, and return the errors."""
         command = ["ip", "netns", "exec", self.name, "tc", "qdisc", action, "dev", "cable", "root"]
-        return subprocess.run([*command, *words], capture_output=True, text=True).stderr
+        return subprocess.run([*command, *command_line], capture_output=True, text=True).stderr
 
     def udp_ports(self) -> list[str]:
         """Return the addresses to which programs of this host are bound."""
@@ -126,7 +126,7 @@ def test_a_neighbour_with_static_peers_finds_nothing(processes, probe, hosts):
     assert look(neighbour, robot, LOOKING_S) == "found:\n"
 
 
-def test_the_same_neighbour_finds_a_driver_that_was_let_onto_the_network(processes, probe, hosts):
+def test_the_same_neighbour_finds_a_driver_that_may_use_the_network(processes, probe, hosts):
     """Otherwise the test above would prove nothing."""
     robot, neighbour = hosts
     driver = start_driver(processes, robot, "WORM_NETWORK=1")

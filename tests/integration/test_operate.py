@@ -42,29 +42,29 @@ class Lab:
         ros += ["-p", f"i2c_bus:={self.folder / 'i2c.sock'}"]
         return self.processes.start_executable("worm_driver", "driver_node", *ros, name=name)
 
-    def begin(self, *words: str) -> Process:
+    def begin(self, *arguments: str) -> Process:
         self._commands += 1
-        words = (*words, "--timeout", f"{TIMEOUT_S:g}")
+        arguments = (*arguments, "--timeout", f"{TIMEOUT_S:g}")
         return self.processes.start_executable(
-            "worm_optimizer", "operate", *words, name=f"operate_{self._commands}"
+            "worm_optimizer", "operate", *arguments, name=f"operate_{self._commands}"
         )
 
-    def operate(self, *words: str, status: int = 0) -> str:
-        process = self.begin(*words)
+    def operate(self, *arguments: str, status: int = 0) -> str:
+        process = self.begin(*arguments)
         assert process.wait(4 * TIMEOUT_S) == status, process.output()
         return process.last_line()
 
-    def wait_for(self, state: int, words: str = "") -> GaitState:
+    def wait_for(self, state: int, text: str = "") -> GaitState:
         def there() -> GaitState | None:
             last = self.states[-1] if self.states else None
-            return last if last and last.state == state and words in last.message else None
+            return last if last and last.state == state and text in last.message else None
 
-        found: GaitState = self.probe.wait_for(there, f"state {state} {words}", 2 * TIMEOUT_S)
+        found: GaitState = self.probe.wait_for(there, f"state {state} {text}", 2 * TIMEOUT_S)
         return found
 
-    def run(self, *words: str) -> Process:
+    def run(self, *arguments: str) -> Process:
         """Start a run and wait until it moves."""
-        process = self.begin("run", *(words or LONG), "--json")
+        process = self.begin("run", *(arguments or LONG), "--json")
         self.wait_for(GaitState.RUNNING)
         return process
 
@@ -100,7 +100,7 @@ def test_ctrl_c_stops_at_the_next_rest_and_another_one_at_once(lab: Lab):
     assert "the service stop was called" in lab.wait_for(GaitState.IDLE).message
 
 
-def test_a_run_ends_when_it_has_gained_its_grooves_and_one_in_vain_is_ended(lab: Lab):
+def test_a_run_ends_when_it_has_gained_its_grooves_or_makes_no_progress(lab: Lab):
     gait = ("--stroke", "0.0754", "--frequency", "0.3")
     result = json.loads(lab.operate("run", *gait, "--grooves", "3", "--json"))
     assert result["success"]
@@ -108,13 +108,13 @@ def test_a_run_ends_when_it_has_gained_its_grooves_and_one_in_vain_is_ended(lab:
     assert 3 <= result["grooves"] < 5
     result = json.loads(lab.operate("run", *gait, "--distance", "0.03", "--json"))
     assert 0.03 <= result["distance"] < 0.08
-    in_vain = lab.operate(
+    without_progress = lab.operate(
         *("run", "--stroke", "0.02", "--frequency", "0.4", "--grooves", "3"), status=1
     )
-    assert "gains no groove with this gait" in in_vain
+    assert "gains no groove with this gait" in without_progress
 
 
-def test_the_emergency_stop_holds_and_refuses_every_start_also_of_the_next_driver(lab: Lab):
+def test_the_emergency_stop_holds_and_rejects_every_start_also_of_the_next_driver(lab: Lab):
     run = lab.run()
     button = lab.probe.node.create_publisher(Bool, "emergency_stop", 1)
     lab.probe.wait_for(button.get_subscription_count, "driver that listens")
@@ -140,7 +140,7 @@ def test_the_emergency_stop_holds_and_refuses_every_start_also_of_the_next_drive
     assert lab.probe.call(ChangeState, "driver/change_state", request).success
 
 
-def test_what_is_heard_and_done_without_a_run(lab: Lab):
+def test_state_and_commands_without_a_run(lab: Lab):
     # `state` listens for a second. On a busy machine no camera sample may arrive in it.
     states = iter(lambda: json.loads(lab.operate("state", "--json")), None)
     state = next(each for each in states if each["rear_position"] is not None)
@@ -156,14 +156,14 @@ def test_what_is_heard_and_done_without_a_run(lab: Lab):
     assert "the torque is off" in lab.operate("run", *LONG, status=1)
 
 
-def test_without_a_driver_it_says_so(processes: Processes):
-    asked = processes.start_executable("worm_optimizer", "operate", "state", "--timeout", "1")
-    assert asked.wait(TIMEOUT_S) == 1
-    assert "no driver in /worm within 1 s" in asked.last_line()
+def test_a_missing_driver_is_reported(processes: Processes):
+    command = processes.start_executable("worm_optimizer", "operate", "state", "--timeout", "1")
+    assert command.wait(TIMEOUT_S) == 1
+    assert "no driver in /worm within 1 s" in command.last_line()
 
 
 @pytest.mark.parametrize(
-    ("words", "complaint"),
+    ("arguments", "complaint"),
     [
         (("run", "--stroke", "0.05"), "give --stroke and --frequency"),
         (("run", "--stroke", "-1", "--frequency", "0.2"), "stroke"),
@@ -176,12 +176,12 @@ def test_without_a_driver_it_says_so(processes: Processes):
     ],
 )
 def test_bad_input_is_one_line(
-    words: tuple[str, ...],
+    arguments: tuple[str, ...],
     complaint: str,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture,
 ):
-    monkeypatch.setattr(sys, "argv", ["operate", *words])
+    monkeypatch.setattr(sys, "argv", ["operate", *arguments])
     try:
         status = operate.main()
     except SystemExit as end:  # of argparse

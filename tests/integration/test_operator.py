@@ -72,7 +72,7 @@ def services(monkeypatch, node):
     return make
 
 
-def test_a_domain_that_ros_does_not_have_is_said(monkeypatch):
+def test_an_invalid_domain_is_reported(monkeypatch):
     monkeypatch.setenv("ROS_DOMAIN_ID", "seven")
     with pytest.raises(OperatorError, match="ROS_DOMAIN_ID"), operator("/worm", lambda: None):
         pass
@@ -98,54 +98,54 @@ def test_two_answers_that_are_lost_are_an_error(node, services):
     assert made["stop"][0].calls == 2
 
 
-def test_a_transition_is_not_asked_for_twice(node, services):
+def test_a_transition_is_not_requested_twice(node, services):
     made = services(lost=1)
     with pytest.raises(OperatorError, match="no answer from driver/change_state"):
         node.deactivate()
     assert made["driver/change_state"][0].calls == 1
 
 
-def test_it_hears_of_the_late_cycles_of_its_own_driver(node, probe):
+def test_it_receives_the_late_cycles_of_its_own_driver(node, probe):
     def diagnostics(robot: str, late: int) -> DiagnosticArray:
         timing = Report("driver: timing", Level.OK, "", values=(("missed_deadlines", str(late)),))
         return driver_messages.diagnostics([timing], Time(), robot)
 
     publisher = probe.node.create_publisher(DiagnosticArray, "/diagnostics", 10)
 
-    def heard() -> bool:
+    def is_counted() -> bool:
         publisher.publish(diagnostics("worm", 31))
         publisher.publish(diagnostics("robot7", 99))
         node.rest(0.05)
         return node.late_cycles > 0
 
-    probe.wait_for(heard, "word of late cycles")
+    probe.wait_for(is_counted, "word of late cycles")
     assert node.late_cycles == 31
 
 
-def test_runs_that_somebody_else_asked_for_are_counted(node, probe, monkeypatch):
+def test_runs_of_other_clients_are_counted(node, probe, monkeypatch):
     states = probe.node.create_publisher(GaitState, "gait_state", LATCHED)
 
     class Run:
         """Run that ends at once, after the driver has published its number."""
 
-        done, progress, heard_at = True, None, 0.0
+        done, progress, received_at = True, None, 0.0
         result = RunResult(Gait(0.05, 0.2), True, "", 1, 1, *[0.0] * 6)
 
         def close(self) -> None: ...
 
-    def told(number: int, others: int) -> None:
-        def heard() -> bool:
+    def reported(number: int, others: int) -> None:
+        def is_counted() -> bool:
             states.publish(GaitState(run=number))
             node.rest(0.05)
             return node.runs_of_others == others
 
-        probe.wait_for(heard, f"run {number}")
+        probe.wait_for(is_counted, f"run {number}")
 
     def begin(order) -> Run:
-        told(2, 2)  # until this run has ended, its number counts as another client's
+        reported(2, 2)  # until this run has ended, its number counts as another client's
         return Run()
 
-    told(1, 1)
+    reported(1, 1)
     monkeypatch.setattr(node, "begin", begin)
     node.run(GaitCommand(Gait(0.05, 0.2), cycles=1), lambda _: None)
     assert node.runs_of_others == 1

@@ -35,14 +35,16 @@ class User:
     def __init__(self, probe: Probe) -> None:
         self._probe = probe
 
-    def ask(self, objective: int = RequestGait.Request.CRUISE, direction: int = 1, **values):
+    def request_gait(
+        self, objective: int = RequestGait.Request.CRUISE, direction: int = 1, **values
+    ):
         """Return the response to a request."""
         request = RequestGait.Request(objective=objective, direction=direction, **values)
         return self._probe.call(RequestGait, "request_gait", request)
 
     def served(self, direction: int = 1):
         """Return the cruising gait."""
-        answer = self.ask(direction=direction)
+        answer = self.request_gait(direction=direction)
         assert answer.success, answer.message
         return answer.prediction
 
@@ -72,14 +74,14 @@ def test_cold_start_requests_and_refusals(start, user):
     assert gait.success_probability > 0.9
     assert user.served(Gait.REVERSE).speed == pytest.approx(gait.speed, rel=1e-6)
 
-    far = user.ask(RequestGait.Request.MIN_POWER_AT_SPEED, speed=1.0)
+    far = user.request_gait(RequestGait.Request.MIN_POWER_AT_SPEED, speed=1.0)
     assert not far.success
     assert far.status == RequestGait.Response.UNREACHABLE
     assert "1 m/s" in far.message
-    fastest = user.ask(RequestGait.Request.MAX_SPEED).prediction
+    fastest = user.request_gait(RequestGait.Request.MAX_SPEED).prediction
     assert far.prediction == fastest
 
-    reachable = user.ask(RequestGait.Request.MIN_POWER_AT_SPEED, speed=0.9 * fastest.speed)
+    reachable = user.request_gait(RequestGait.Request.MIN_POWER_AT_SPEED, speed=0.9 * fastest.speed)
     assert reachable.success
     assert reachable.prediction.speed == pytest.approx(0.9 * fastest.speed, rel=1e-6)
 
@@ -89,7 +91,7 @@ def test_cold_start_requests_and_refusals(start, user):
         {"objective": RequestGait.Request.MAX_SPEED_AT_POWER, "power": -1.0},
         {"direction": 0},
     ):
-        answer = user.ask(**wrong)
+        answer = user.request_gait(**wrong)
         assert not answer.success
         assert answer.message
 
@@ -109,8 +111,8 @@ def test_an_optimisation_is_served_in_both_directions(start, user):
     assert done.result.margin == 0.001
     speeds = [gait.speed for gait in done.result.front]
     assert speeds == sorted(speeds)
-    assert user.ask().prediction == done.result.cruise
-    reverse = user.ask(direction=Gait.REVERSE).prediction
+    assert user.request_gait().prediction == done.result.cruise
+    reverse = user.request_gait(direction=Gait.REVERSE).prediction
     assert (reverse.gait.direction, reverse.gait.margin) == (Gait.REVERSE, 0.001)
     assert reverse.power == pytest.approx(done.result.cruise.power, rel=1e-6)
 
@@ -122,16 +124,16 @@ def test_a_goal_without_a_front_changes_nothing(start, user):
     done = user.outcome(user.send("optimize_gaits", goal))
     assert done.status == GoalStatus.STATUS_ABORTED
     assert "lower the margin" in done.result.message
-    assert user.ask().prediction == before
+    assert user.request_gait().prediction == before
 
 
 def test_where_the_robot_rests_the_front_is_another(start, user):
     start(margin_m=0.002)
-    own, resting = user.ask(), user.ask(initial_length=0.2902)
+    own, resting = user.request_gait(), user.request_gait(initial_length=0.2902)
     assert resting.success
     assert resting.prediction.groove_phase == pytest.approx(0.2902 - 17 * 0.0173, abs=1e-9)
     assert resting.prediction.gait.stroke != own.prediction.gait.stroke
-    assert not user.ask(initial_length=2.0).success
+    assert not user.request_gait(initial_length=2.0).success
 
 
 def test_goals_that_cannot_be_computed_are_rejected_with_the_reason(start, probe):
@@ -161,11 +163,11 @@ def test_a_new_parameter_file_invalidates_the_front(start, user, probe, tmp_path
     file = tmp_path / "parameters.yaml"
     file.write_text("slack: 0.0085\n")
     assert not set_parameter_file(probe, tmp_path / "absent.yaml").successful
-    assert user.ask().prediction == before
+    assert user.request_gait().prediction == before
     assert set_parameter_file(probe, file).successful
     # From now on the old front is not served.
-    told = user.ask()
-    assert told.prediction != before
+    reported = user.request_gait()
+    assert reported.prediction != before
     after = user.served()
     assert after.gait.stroke != before.gait.stroke
 
@@ -176,7 +178,7 @@ def set_parameter_file(probe: Probe, path):
     return probe.call(SetParameters, "optimizer/set_parameters", request).results[0]
 
 
-def test_diagnostics_tell_what_is_served(start, probe):
+def test_diagnostics_report_the_front_that_is_served(start, probe):
     arrays = probe.collect(DiagnosticArray, "/diagnostics", 10)
     start(margin_m=0.002)
 
@@ -199,15 +201,15 @@ def test_ctrl_c_ends_it(start):
 
 
 @pytest.mark.parametrize(
-    ("parameters", "says"),
+    ("parameters", "expected"),
     [
         ({"parameter_file": "/nowhere.yaml"}, "/nowhere.yaml: cannot be read"),
         ({"stroke_low_m": 0.09, "stroke_high_m": 0.01}, "bounds: stroke from 0.09 to 0.01 m"),
         ({"limits.servo_model": "XM430-W350"}, "without the driver's parameter file"),
     ],
 )
-def test_parameters_that_cannot_work_end_it_with_one_line(start, parameters, says):
+def test_parameters_that_cannot_work_end_it_with_one_line(start, parameters, expected):
     node = start(**parameters)
     assert node.wait(TIMEOUT_S) == 2
-    assert says in node.output()
+    assert expected in node.output()
     assert "Traceback" not in node.output()

@@ -116,7 +116,7 @@ def test_it_starts_in_the_middle_with_what_was_latched(
     assert [stamp(m) for m in powers] == expected
 
 
-def test_who_comes_late_gets_the_last_state_of_what_is_latched(
+def test_a_late_subscriber_gets_the_last_state_of_latched_topics(
     processes: Processes, probe: Probe, bag: Path
 ):
     """Playing is paused after the last state.
@@ -133,8 +133,8 @@ def test_who_comes_late_gets_the_last_state_of_what_is_latched(
     assert probe.call(Trigger, "/player/pause", Trigger.Request()).success
     states = probe.collect(GaitState, "gait_state", LATCHED)
     probe.wait_for(lambda: states, "a state")
-    told = len(clocks)
-    probe.wait_for(lambda: len(clocks) > told + 50, "time in which another would have come")
+    reported = len(clocks)
+    probe.wait_for(lambda: len(clocks) > reported + 50, "time in which another would have come")
     last = RUN.gait_state.stamp[start >= RUN.gait_state.stamp][-1]
     assert [stamp(m) for m in states] == [last]
 
@@ -172,7 +172,7 @@ def test_messages_that_are_not_what_is_installed_are_not_played(
     assert "/worm/power is not played: power of worm_msgs/msg/Power is not what" in player.output()
 
 
-def test_what_cannot_be_published_is_left_out_and_told(
+def test_invalid_topics_are_left_out_and_reported(
     processes: Processes, probe: Probe, tmp_path: Path
 ):
     """A type without a name, a topic name that ROS rejects, and a message that is cut short."""
@@ -200,7 +200,7 @@ def test_what_cannot_be_published_is_left_out_and_told(
     assert "2 messages published" in player.output()
 
 
-def test_it_begins_anew_at_the_end_until_it_is_stopped(
+def test_it_starts_again_at_the_end_until_it_is_stopped(
     processes: Processes, probe: Probe, bag: Path
 ):
     clocks = probe.collect(Clock, "/clock")
@@ -267,7 +267,7 @@ def test_a_signal_ends_it_in_order(
         (["{bag}", "--exclude", "("], "regular expression"),
     ],
 )
-def test_bad_input_is_refused_in_one_line(
+def test_bad_input_is_rejected_in_one_line(
     processes: Processes, bag: Path, arguments: list[str], words: str
 ):
     filled = [argument.format(bag=bag) for argument in arguments]

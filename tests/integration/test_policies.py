@@ -154,11 +154,11 @@ def test_the_player_has_what_its_policy_allows_and_no_more(
 def test_only_the_operator_may_command(enclave: str):
     root = ElementTree.parse(ENCLAVES[enclave]).getroot()
     calls = {element.text for part in root.iter("actions") if part.get("call") for element in part}
-    asks = {
+    requested = {
         element.text for part in root.iter("services") if part.get("request") for element in part
     }
     if enclave == "operator":
         assert "run_gait" in calls
-        assert "stop" in asks
+        assert "stop" in requested
     else:
-        assert calls == asks == set()
+        assert calls == requested == set()

@@ -32,14 +32,14 @@ def tracker(number: int) -> Tracker:
     return Tracker(rear_position=float(number), front_position=float("nan"))
 
 
-def heard(publisher: Publisher) -> None:
+def wait_until_discovered(publisher: Publisher) -> None:
     """Wait until the publisher has discovered the recorder: both sides discover each other at different times."""
     assert wait_for(lambda: publisher.get_subscription_count() > 0, TIMEOUT_S)
 
 
 def publish(publisher: Publisher, numbers: range) -> None:
     """Publish trackers and wait until the recorder has them."""
-    heard(publisher)
+    wait_until_discovered(publisher)
     for number in numbers:
         publisher.publish(tracker(number))
     assert publisher.wait_for_all_acked(ACKNOWLEDGED)
@@ -213,7 +213,7 @@ def test_a_killed_recorder_leaves_a_bag_that_is_recovered(
         assert reader.message_count == len(found)
 
 
-def test_a_full_disk_ends_the_recording_and_says_so(
+def test_a_full_disk_ends_the_recording_with_a_message(
     processes: Processes, probe: Probe, tmp_path: Path
 ):
     """The system does not let the file grow, as on a full disk."""
@@ -224,7 +224,7 @@ def test_a_full_disk_ends_the_recording_and_says_so(
     )
     positions = probe.node.create_publisher(Tracker, "tracker", 1000)
     recorder.wait_for_line("recording /worm/tracker ", TIMEOUT_S)
-    heard(positions)
+    wait_until_discovered(positions)
     count = 0
     while recorder.exit_code is None:
         for number in range(count, count + 100):
@@ -263,7 +263,7 @@ def outcome_of(recorder: Process) -> dict[str, Any]:
     return json.loads(next(x for x in recorder.output().splitlines() if x.startswith("{")))
 
 
-def test_it_pauses_splits_stops_and_starts_when_asked(
+def test_it_pauses_splits_stops_and_starts_on_request(
     processes: Processes, probe: Probe, tmp_path: Path
 ):
     positions = probe.node.create_publisher(Tracker, "tracker", 1000)
@@ -293,8 +293,8 @@ def test_it_pauses_splits_stops_and_starts_when_asked(
     publish(positions, range(40, 50))
     assert "bag_2" in ask("start")
     publish(positions, range(50, 60))
-    refused = probe.call(Trigger, "/worm/recorder/snapshot", Trigger.Request())
-    assert (refused.success, refused.message) == (
+    rejected = probe.call(Trigger, "/worm/recorder/snapshot", Trigger.Request())
+    assert (rejected.success, rejected.message) == (
         False,
         "there is no ring: record with --snapshot S",
     )
@@ -353,7 +353,7 @@ def test_each_run_of_a_gait_is_noted_once(processes: Processes, probe: Probe, tm
         *("worm_model", "record", "gait_state", "-o", str(tmp_path / "bag"))
     )
     recorder.wait_for_line("recording /worm/gait_state ", TIMEOUT_S)
-    heard(states)
+    wait_until_discovered(states)
     gait = Gait(stroke=0.07, frequency=0.2, direction=Gait.FORWARD)
     for cycle, run in enumerate((1, 1, 2, 2, 2), 1):
         states.publish(
@@ -369,15 +369,15 @@ def test_each_run_of_a_gait_is_noted_once(processes: Processes, probe: Probe, tm
 
 
 @pytest.mark.parametrize("way", ["lets go", "is gone", "is not waited for"])
-def test_it_goes_on_after_ctrl_c_until_the_driver_has_let_go(
+def test_it_continues_after_ctrl_c_until_the_driver_has_released_the_torque(
     processes: Processes, probe: Probe, tmp_path: Path, way: str
 ):
     """ros2 launch ends all processes at once, and the way to rest belongs to the recording."""
     states = probe.node.create_publisher(GaitState, "gait_state", LATCHED)
     positions = probe.node.create_publisher(Tracker, "tracker", 1000)
-    patience = [] if way == "is not waited for" else ["--to-rest"]
+    options = [] if way == "is not waited for" else ["--to-rest"]
     recorder = processes.start_node(
-        *("worm_model", "record", "gait_state", "tracker", "-o", str(tmp_path / "bag"), *patience)
+        *("worm_model", "record", "gait_state", "tracker", "-o", str(tmp_path / "bag"), *options)
     )
     for topic in ("gait_state", "tracker"):
         recorder.wait_for_line(f"recording /worm/{topic} ", TIMEOUT_S)
@@ -387,18 +387,18 @@ def test_it_goes_on_after_ctrl_c_until_the_driver_has_let_go(
     assert states.wait_for_all_acked(ACKNOWLEDGED)
     publish(positions, range(10))
     recorder.interrupt()
-    if patience:
+    if options:
         publish(positions, range(10, 20))
     if way == "lets go":
         states.publish(GaitState(state=GaitState.INACTIVE))
     elif way == "is gone":
         probe.node.destroy_publisher(states)
     assert recorder.wait(TIMEOUT_S) == 0
-    assert recorded(tmp_path / "bag") == [float(i) for i in range(20 if patience else 10)]
+    assert recorded(tmp_path / "bag") == [float(i) for i in range(20 if options else 10)]
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    ("arguments", "expected"),
     [
         ([], "no topics"),
         (["--regex", "("], "not a regular expression"),
@@ -416,8 +416,10 @@ def test_it_goes_on_after_ctrl_c_until_the_driver_has_let_go(
         (["-a", "--output", "bag\udcff"], "UTF-8"),
     ],
 )
-def test_bad_input_is_refused_in_one_line(processes: Processes, arguments: list[str], words: str):
+def test_bad_input_is_rejected_in_one_line(
+    processes: Processes, arguments: list[str], expected: str
+):
     recorder = processes.start_executable("worm_model", "record", *arguments)
     assert recorder.wait(TIMEOUT_S) == 2
-    assert words in recorder.last_line()
+    assert expected in recorder.last_line()
     assert "Traceback" not in recorder.output()

@@ -20,7 +20,7 @@ from worm_msgs.msg import GaitState
 from worm_optimizer.operation.processes import Process
 
 NANOSECONDS = 10**9
-WORDS_NS = (
+OUTPUT_DELAY_NS = (
     2 * NANOSECONDS
 )  # rest at a recording's end; longer than the delay of the live twin's output
 MANY = "40"  # cycles of a gait that is ended earlier
@@ -69,24 +69,24 @@ class Lab:
         self.states = probe.collect(GaitState, "gait_state", LATCHED)
         self._commands = 0
 
-    def begin(self, *words: str) -> Process:
+    def begin(self, *arguments: str) -> Process:
         self._commands += 1
-        words = (*words, "--timeout", f"{TIMEOUT_S:g}")
+        arguments = (*arguments, "--timeout", f"{TIMEOUT_S:g}")
         return self.processes.start_executable(
-            "worm_optimizer", "operate", *words, name=f"operate_{self._commands}"
+            "worm_optimizer", "operate", *arguments, name=f"operate_{self._commands}"
         )
 
-    def operate(self, *words: str) -> None:
-        process = self.begin(*words)
+    def operate(self, *arguments: str) -> None:
+        process = self.begin(*arguments)
         assert process.wait(4 * TIMEOUT_S) == 0, process.output()
 
     def run(self, step: Step, folder: Path) -> Path:
         """Play and record a gait, and return its bag."""
         if step.hidden:
             self.operate("fault", "occluded", "--duration", "1000")
-        words = ("run", *step.gait, "--cycles", step.cycles, "--record", str(folder), "--json")
+        arguments = ("run", *step.gait, "--cycles", step.cycles, "--record", str(folder), "--json")
         self.states.clear()
-        process = self.begin(*words)
+        process = self.begin(*arguments)
         if step.end != "completed":
             self.probe.wait_for(
                 lambda: self.states and self.states[-1].cycle > 2, "third cycle", 4 * TIMEOUT_S
@@ -103,8 +103,8 @@ class Lab:
         return Path(result["bag"])
 
 
-def printed(main, capsys, monkeypatch, *words: str) -> dict:
-    monkeypatch.setattr(sys, "argv", ["command", *words, "--json"])
+def printed(main, capsys, monkeypatch, *arguments: str) -> dict:
+    monkeypatch.setattr(sys, "argv", ["command", *arguments, "--json"])
     try:
         status = main()
     except SystemExit as left:
@@ -114,7 +114,7 @@ def printed(main, capsys, monkeypatch, *words: str) -> dict:
     return json.loads(output.out.splitlines()[-1])
 
 
-def live_words(bag: Path, onset_s: float) -> tuple[str, list[tuple[str, int]]]:
+def live_outcome(bag: Path, onset_s: float) -> tuple[str, list[tuple[str, int]]]:
     """Return the worst health, and codes with their cycles, that the live twin published into a bag after an onset."""
     with open_bag(bag) as opened:
         names = {topic.name.rpartition("twin/")[2]: topic for topic in opened.topics.values()}
@@ -156,7 +156,7 @@ def test_ten_gaits_in_a_row_are_healthy_live_in_the_table_and_replayed(
         found = printed(replay.main, capsys, monkeypatch, str(bag))
         (run,) = found["runs"]
         assert run["health"] == "healthy"
-        health, codes = live_words(bag, run["onset_s"])
+        health, codes = live_outcome(bag, run["onset_s"])
         assert (run["health"], run["events"]) == (health, codes) == ("healthy", [])
         whole = [cycle for cycle in run["cycles"] if cycle["complete"]]
         assert whole

@@ -14,7 +14,7 @@ READY_S = 180.0  # the first front on a machine takes a minute
 pytestmark = pytest.mark.timeout(400)
 
 
-def test_start_keeps_the_graph_for_operate_refuses_a_second_one_and_ends_in_order(
+def test_start_keeps_the_graph_for_operate_rejects_a_second_one_and_ends_in_order(
     processes: Processes, tmp_path: Path
 ):
     place = ("--set", f"directory={tmp_path / 'robot'}")

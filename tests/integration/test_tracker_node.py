@@ -85,19 +85,19 @@ def test_positions_carry_the_stamps_of_the_images(processes, probe, pictures, qu
 def test_compressed_images_and_refusals_by_name(processes, probe, pictures, tmp_path):
     start(processes, image_transport="compressed")
     positions = probe.collect(Tracker, "tracker")
-    told = probe.collect(DiagnosticArray, "/diagnostics")
+    reported = probe.collect(DiagnosticArray, "/diagnostics")
     topic = "camera/image_raw/compressed"
     publisher = probe.node.create_publisher(CompressedImage, topic, 5)
     wrong = CompressedImage(format="jpeg", data=array("B", b"no image"))
 
-    def refused():
+    def rejected():
         return any(
             s.level == DiagnosticStatus.ERROR and "8 bytes" in s.message
-            for m in told
+            for m in reported
             for s in m.status
         )
 
-    send_until(probe, publisher, wrong, refused, "refusal")
+    send_until(probe, publisher, wrong, rejected, "refusal")
     write_image(tmp_path / "picture.jpg", pictures[1])
     good = CompressedImage(format="jpeg", data=array("B", (tmp_path / "picture.jpg").read_bytes()))
     send_until(probe, publisher, good, lambda: positions, "position")
@@ -155,7 +155,7 @@ def test_the_virtual_robot_is_found_in_its_images(processes, probe, tmp_path: Pa
     assert robot.wait(TIMEOUT_S) == 0
 
 
-def test_the_graph_has_the_camera_where_it_is_asked_for():
+def test_the_graph_has_the_camera_where_it_is_requested():
     plain = {node.name for node in system_file().system("virtual").nodes}
     with_camera = system_file().system("virtual", camera="virtual", tracker_setup="virtual")
     assert {node.name for node in with_camera.nodes} - plain == {"tracker"}

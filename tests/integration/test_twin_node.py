@@ -62,7 +62,7 @@ class Robot:
         self.sent.append((topic, message))
         self.publishers[topic].publish(message)
 
-    def wait_until_heard(self) -> None:
+    def wait_until_received(self) -> None:
         """Wait until the twin has counted all samples that were sent."""
         self.probe.wait_for(
             lambda: samples_counted(self.diagnostics) >= len(self.sent), "word of all samples"
@@ -98,7 +98,7 @@ def play(robot: Robot, probe: Probe, states: list, end: float = 2.0) -> None:
             robot.announce(0.0, GaitState.RUNNING)
         robot.move(k / 100)
         if k % 20 == 0 and k < -50:
-            robot.wait_until_heard()  # no state is published yet
+            robot.wait_until_received()  # no state is published yet
         if k % 10 == 0 and k > -50:
             stamp = ONSET + round((k - BEHIND) * 1e7)
             probe.wait_for(lambda s=stamp: reached(states, s), f"state at {k / 100} s")
@@ -157,9 +157,9 @@ def test_it_predicts_shows_and_takes_new_parameters(processes: Processes, probe:
     assert len(answer.time) == len(answer.rear_position) == 500
     assert answer.time[-1] == pytest.approx(10.0)
     assert answer.prediction.nominal_speed > 0.0
-    refused = probe.call(PredictGait, "predict_gait", PredictGait.Request())
-    assert not refused.success
-    assert "stroke" in refused.message
+    rejected = probe.call(PredictGait, "predict_gait", PredictGait.Request())
+    assert not rejected.success
+    assert "stroke" in rejected.message
     shown = probe.wait_for(lambda: markers, "markers")[-1]
     assert {"pipe ridges", "twin rear module", "rear fins"} <= {m.ns for m in shown.markers}
     # Without input the command reports that, and draws nothing of the past.
@@ -187,7 +187,7 @@ def test_it_predicts_shows_and_takes_new_parameters(processes: Processes, probe:
     probe.wait_for(lambda: len(states) > before, "a state after the change")
 
 
-def test_the_example_of_the_page_asks_it(processes: Processes, probe: Probe, ros_domain: int):
+def test_the_example_of_the_page_runs(processes: Processes, probe: Probe, ros_domain: int):
     processes.start_node("worm_model", "twin_node")
     Robot(probe)
     page = (Path(__file__).parents[2] / "docs" / "twin.md").read_text(encoding="utf-8")
@@ -224,7 +224,7 @@ def test_a_parameter_file_may_be_changed_while_it_runs(
     assert first.energy == pytest.approx(last.energy + spent, abs=0.01)
 
 
-def test_a_bad_parameter_file_is_refused(processes: Processes, tmp_path):
+def test_a_bad_parameter_file_is_rejected(processes: Processes, tmp_path):
     file = tmp_path / "bad.yaml"
     file.write_text("rear_mas: 1\n")
     process = processes.start_node("worm_model", "twin_node", parameter_file=str(file))

@@ -66,9 +66,9 @@ def test_faults_on_request(robot, probe, directory):
         request = InjectFault.Request(**fields)
         return probe.call(InjectFault, "inject_fault", request)
 
-    refused = inject(name="fire")
-    assert not refused.success
-    assert "choose one of" in refused.message
+    rejected = inject(name="fire")
+    assert not rejected.success
+    assert "choose one of" in rejected.message
 
     with closing(SocketSMBus(str(directory / "i2c.sock"))) as bus:
         assert bus.read_word_data(0x40, 0) == 0x9F39
@@ -98,7 +98,7 @@ def test_a_signal_ends_it_and_nothing_stays_behind(robot, directory, number):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    ("arguments", "expected"),
     [
         (["--fault", "fire"], "no fault 'fire'"),
         (["--parameters", "/nowhere.yaml"], "No such file"),
@@ -107,16 +107,16 @@ def test_a_signal_ends_it_and_nothing_stays_behind(robot, directory, number):
         (["--directory", "/proc/robot"], "choose another --directory"),
     ],
 )
-def test_bad_input_is_one_line_and_status_two(processes, directory, arguments, words):
+def test_bad_input_is_one_line_and_status_two(processes, directory, arguments, expected):
     process = processes.start_executable(
         "worm_driver", "virtual_robot", "--directory", str(directory), *arguments
     )
     assert process.wait(TIMEOUT_S) == 2
     (line,) = process.output().splitlines()
-    assert words in line
+    assert expected in line
 
 
-def test_a_directory_in_use_is_refused(robot, processes, directory):
+def test_a_directory_in_use_is_rejected(robot, processes, directory):
     second = processes.start_executable(
         "worm_driver", "virtual_robot", "--directory", str(directory), name="second"
     )

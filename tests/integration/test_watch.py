@@ -16,7 +16,7 @@ def screen(output: str) -> str:
     return output.split("\033[H\033[J")[-2] if output.count("\033[H\033[J") > 1 else ""
 
 
-def test_it_shows_what_comes_and_says_when_it_stops(processes: Processes, probe: Probe):
+def test_it_shows_new_messages_and_reports_when_they_stop(processes: Processes, probe: Probe):
     node = probe.node
     twin = node.create_publisher(TwinState, "twin/state", 10)
     health = node.create_publisher(TwinResiduals, "twin/residuals", 10)
@@ -25,14 +25,14 @@ def test_it_shows_what_comes_and_says_when_it_stops(processes: Processes, probe:
     command = node.create_publisher(BodyLength, "body_length/commanded", 10)
     watch = processes.start_node("worm_model", "watch")
 
-    def shows(words: str, *, live: bool) -> bool:
+    def shows(text: str, *, live: bool) -> bool:
         command.publish(BodyLength())
         power.publish(Power(power=2.5))
         if live:
             twin.publish(TwinState(rear_position=0.1, front_position=0.3943, power=3.0))
             health.publish(TwinResiduals(health=TwinResiduals.HEALTHY))
             tracker.publish(Tracker(rear_position=0.12, front_position=0.4143))
-        return words in screen(watch.output())
+        return text in screen(watch.output())
 
     probe.wait_for(lambda: shows("120.00", live=True), "the robot's position")
     assert "twin  healthy" in screen(watch.output())

@@ -331,7 +331,7 @@ def test_a_cause_of_the_twin_is_a_row_of_the_table(copy):
             size=0.5,
             unit="N",
             scale=1.0,
-            words="dry friction of the rear module changed by {}",
+            description="dry friction of the rear module changed by {}",
             hint="dirt",
             trials=((0.2, 0.5, 1.0),),
         ),

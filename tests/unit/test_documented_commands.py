@@ -93,19 +93,19 @@ def run(command: Command) -> int | None:
     return status
 
 
-def filled(word: str) -> str:
+def filled(shown: str) -> str:
     """Return a number in place of a placeholder for one."""
-    return "1" if word in {"N", "M", "S", "HZ", "X", "MPS", "W"} else word
+    return "1" if shown in {"N", "M", "S", "HZ", "X", "MPS", "W"} else shown
 
 
 def test_there_are_commands():
-    assert {"demo", "test", "build"} <= {command.words[1] for command in COMMANDS}
+    assert {"demo", "test", "build"} <= {command.parts[1] for command in COMMANDS}
 
 
 @pytest.mark.parametrize("command", COMMANDS, ids=str)
 def test_the_command_exists(command: Command):
-    if command.words[0] == "./worm":
-        assert command.words[1] in {*subcommands(), "--version"}
+    if command.parts[0] == "./worm":
+        assert command.parts[1] in {*subcommands(), "--version"}
     if command.executable:
         assert command.executable in ENTRY_POINTS
 
@@ -118,22 +118,22 @@ def test_each_named_command_of_the_script_is_carried_out_and_explained():
     assert {name for name in subcommands() if f"\n  {name} " not in usage} == set()
 
 
-def worm(*words: str) -> subprocess.CompletedProcess[str]:
+def worm(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        ["./worm", *words], cwd=ROOT, capture_output=True, text=True, timeout=120, check=False
+        ["./worm", *arguments], cwd=ROOT, capture_output=True, text=True, timeout=120, check=False
     )
 
 
 @pytest.mark.parametrize(
-    ("words", "named"),
+    ("arguments", "named"),
     [
         (("dmeo",), ("dmeo", "demo")),
         (("help", "campain"), ("campain", "campaign")),
         (("xyzzy",), ("xyzzy",)),
     ],
 )
-def test_an_unknown_command_is_one_line_with_the_nearest(words: tuple[str, ...], named):
-    done = worm(*words)
+def test_an_unknown_command_is_one_line_with_the_nearest(arguments: tuple[str, ...], named):
+    done = worm(*arguments)
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.count("\n") == 1
     assert all(name in done.stderr for name in named)
@@ -175,29 +175,29 @@ def test_its_arguments_parse(command: Command, monkeypatch: pytest.MonkeyPatch):
         raise Parsed
 
     monkeypatch.setattr(argparse.ArgumentParser, "parse_args", parse_and_leave)
-    arguments = [filled(word) for word in command.arguments]
+    arguments = [filled(shown) for shown in command.arguments]
     monkeypatch.setattr(sys, "argv", [command.executable[1], *arguments])
     with pytest.raises(SystemExit if "--help" in arguments else Parsed):
         run(command)
 
 
-def prepared(word: str, before: str, folder: Path) -> None:
+def prepared(shown: str, before: str, folder: Path) -> None:
     """Create the file that a command reads; commands create the files after --output and the like themselves."""
-    path = folder / word
+    path = folder / shown
     if before in {"--output", "--report", "--figure"} or path.exists():
         return
-    if word == "BAG" or word.startswith("bags/"):
+    if shown == "BAG" or shown.startswith("bags/"):
         seed = len(list(folder.glob("bags/*")))
         write_bag(path, simulated_run(5, seed))
-    elif word == "FOLDER":
+    elif shown == "FOLDER":
         write_lab(path)
-    elif word.startswith("FOLDER/"):
+    elif shown.startswith("FOLDER/"):
         write_lab(path.parent, path.name)
     elif before == "--limits-from":
         path.write_bytes((ROOT / "src/worm_driver/config/driver.yaml").read_bytes())
-    elif word.endswith(".yaml"):
+    elif shown.endswith(".yaml"):
         path.write_text("gain: 0.86\nintervals: {gain: [0.85, 0.87]}\n")
-    elif word.endswith(".csv"):
+    elif shown.endswith(".csv"):
         write_bench_tests(folder)
 
 
@@ -205,8 +205,8 @@ def runnable() -> list[Command]:
     """Return the commands that `test_it_runs` runs: each once, on whichever page, except those with files outside."""
     found = {}
     for command in EXECUTABLE_COMMANDS:
-        if command.executable in CHEAP and not any("../" in word for word in command.words):
-            found.setdefault(command.words, command)
+        if command.executable in CHEAP and not any("../" in shown for shown in command.parts):
+            found.setdefault(command.parts, command)
     return list(found.values())
 
 
@@ -214,13 +214,13 @@ def runnable() -> list[Command]:
 def test_it_runs(command: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    arguments = [word.replace("/tmp/", f"{tmp_path}/") for word in command.arguments]
-    for before, word in pairwise(["", *arguments]):
-        prepared(word, before, tmp_path)
-    if command.words == ("./worm", "report") or command.words[-1] == "bags":  # of all recordings
+    arguments = [shown.replace("/tmp/", f"{tmp_path}/") for shown in command.arguments]
+    for before, shown in pairwise(["", *arguments]):
+        prepared(shown, before, tmp_path)
+    if command.parts == ("./worm", "report") or command.parts[-1] == "bags":  # of all recordings
         prepared("bags/demo_1", "", tmp_path)
     if command.executable == ("worm_model", "import_lab"):  # which reads one run of a lab
-        arguments = ["FOLDER/run_01" if word == "FOLDER" else word for word in arguments]
+        arguments = ["FOLDER/run_01" if shown == "FOLDER" else shown for shown in arguments]
     arguments += CHEAP[command.executable]
     monkeypatch.setattr(sys, "argv", [command.executable[1], *arguments])
     assert run(command) == 0
@@ -234,14 +234,14 @@ def test_each_is_run_here_or_by_a_test_of_its_own(command: Command):
 
 @pytest.mark.parametrize(
     "command",
-    [c for c in COMMANDS if c.words[:3] == ("./worm", "shell", "-c") or "--help" in c.words],
+    [c for c in COMMANDS if c.parts[:3] == ("./worm", "shell", "-c") or "--help" in c.parts],
     ids=str,
 )
 def test_it_runs_in_the_built_workspace(command: Command):
     if not (ROOT / "install" / ".worm_sources").exists():
         pytest.skip("the workspace is not built")
     done = subprocess.run(
-        command.words, cwd=ROOT, capture_output=True, text=True, timeout=120, check=False
+        command.parts, cwd=ROOT, capture_output=True, text=True, timeout=120, check=False
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout
@@ -274,10 +274,10 @@ def test_the_reference_of_the_packages_is_built(tmp_path: Path):
 
 
 @pytest.mark.parametrize(
-    "command", [c for c in COMMANDS if c.words[:2] == ("./worm", "bench")], ids=str
+    "command", [c for c in COMMANDS if c.parts[:2] == ("./worm", "bench")], ids=str
 )
 def test_benchmarks_exist(command: Command):
-    for name in command.words[2:]:
+    for name in command.parts[2:]:
         assert name.startswith("-") or (ROOT / "benchmarks" / f"{name}.py").exists()
 
 
@@ -322,18 +322,18 @@ def test_the_table_of_pages_has_every_page():
 
 
 @pytest.mark.parametrize(
-    "command", [c for c in COMMANDS if c.words[:2] == ("./worm", "test")], ids=str
+    "command", [c for c in COMMANDS if c.parts[:2] == ("./worm", "test")], ids=str
 )
 def test_paths_of_tests_exist(command: Command):
-    for word in command.words[2:]:
-        assert not word.startswith("tests") or (ROOT / word).exists()
+    for shown in command.parts[2:]:
+        assert not shown.startswith("tests") or (ROOT / shown).exists()
 
 
 @pytest.mark.parametrize(
-    "command", [c for c in COMMANDS if c.words[:2] == ("ros2", "launch")], ids=str
+    "command", [c for c in COMMANDS if c.parts[:2] == ("ros2", "launch")], ids=str
 )
 def test_launch_arguments_exist(command: Command):
-    package, file, *arguments = command.words[2:]
+    package, file, *arguments = command.parts[2:]
     assert (ROOT / "src" / package / "launch" / file).exists()
     system = yaml.safe_load((ROOT / "src/worm_optimizer/config/system.yaml").read_text())
     known = {"mode", *system["settings"]}

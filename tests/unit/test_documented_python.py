@@ -28,9 +28,9 @@ def test_the_examples_run(
     names: dict[str, object] = {}
     for example in examples:
         exec(example, names)
-    told = capsys.readouterr().out
-    assert "3.46 mm/s and 3.20 W at φ = +1.10 mm" in told
-    assert "the twin ends" in told
+    reported = capsys.readouterr().out
+    assert "3.46 mm/s and 3.20 W at φ = +1.10 mm" in reported
+    assert "the twin ends" in reported
     assert list(tmp_path.glob("*/forward.png"))
     assert list(tmp_path.glob("*/robot.yaml"))
     assert sorted(path.name for path in tmp_path.iterdir() if path.is_file()) == []

@@ -32,7 +32,7 @@ def test_the_generated_parts_are_up_to_date():
     assert "| `--margin` | `margin_m` | NaN |" in PAGE
 
 
-def test_a_part_that_is_out_of_date_is_made_anew():
+def test_a_part_that_is_out_of_date_is_generated_again():
     stale = PAGE.replace("| `stroke` | float64 |", "| `stride` | float32 |")
     assert stale != PAGE
     assert GENERATOR.generated(stale) == PAGE

@@ -35,7 +35,7 @@ def joints(robot: ElementTree.Element) -> dict[str, ElementTree.Element]:
 
 
 def numbers(text: str) -> list[float]:
-    return [float(word) for word in text.split()]
+    return [float(part) for part in text.split()]
 
 
 def test_the_tree_goes_from_the_pipe_over_the_rear_to_the_front_module(robot):

@@ -75,7 +75,7 @@ def test_the_form_of_the_power_is_written_and_no_number(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("text", "expected"),
     [
         ("correlations: {slack: gain}", "correlations must be a list"),
         ("correlations: [[slack, gain]]", "correlations: .* is missing"),
@@ -119,16 +119,16 @@ def test_the_form_of_the_power_is_written_and_no_number(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_bad_files_are_refused_in_one_line(tmp_path: Path, text: str, words: str) -> None:
+def test_bad_files_are_rejected_in_one_line(tmp_path: Path, text: str, expected: str) -> None:
     path = tmp_path / "p.yaml"
     path.write_text(text)
-    with pytest.raises(ParameterError, match=words) as caught:
+    with pytest.raises(ParameterError, match=expected) as caught:
         load_parameters(path)
     assert str(caught.value).startswith(str(path))
     assert "\n" not in str(caught.value)
 
 
-def test_unreadable_files_are_refused(tmp_path: Path) -> None:
+def test_unreadable_files_are_rejected(tmp_path: Path) -> None:
     with pytest.raises(ParameterError, match="cannot be read"):
         load_parameters(tmp_path / "none.yaml")
     (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\x00")
@@ -165,7 +165,7 @@ def test_the_table_of_the_docs_is_that_of_the_code() -> None:
         (0.07, 0.2, 1, float("nan")),
     ],
 )
-def test_impossible_gaits_are_refused(values: tuple[float, float, int, float]) -> None:
+def test_impossible_gaits_are_rejected(values: tuple[float, float, int, float]) -> None:
     with pytest.raises(GaitError):
         Gait(*values)
 

@@ -24,7 +24,7 @@ PROFILE = "FASTRTPS_DEFAULT_PROFILES_FILE"
         {"ROS_STATIC_PEERS": "127.0.0.1;localhost"},
     ],
 )
-def test_nobody_decided_so_it_stays_on_the_machine(middleware, given):
+def test_without_a_decision_it_stays_on_the_machine(middleware, given):
     environment = dict(given)
     assert network.bind(environment, middleware).is_local
     assert set(environment) > set(given)
@@ -55,7 +55,7 @@ def test_a_started_process_inherits_the_binding_and_takes_it_for_ours():
         {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT"},
     ],
 )
-def test_a_decision_for_the_network_is_kept_and_told_by_its_name(given):
+def test_a_decision_for_the_network_is_kept_and_reported_by_its_name(given):
     environment = dict(given)
     reach = network.bind(environment, FAST_DDS)
     ((name, value),) = given.items()
@@ -75,13 +75,13 @@ def test_the_decision_takes_an_inherited_binding_back():
     assert environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "SUBNET"
 
 
-def test_a_middleware_that_cannot_be_kept_here_is_refused_until_somebody_decides():
+def test_a_middleware_that_cannot_be_kept_here_needs_a_decision():
     with pytest.raises(network.NetworkError, match=r"rmw_zenoh_cpp.*WORM_NETWORK=1"):
         network.bind({}, "rmw_zenoh_cpp")
     assert not network.bind({"WORM_NETWORK": "1"}, "rmw_zenoh_cpp").is_local
 
 
-def test_a_decision_that_says_nothing_is_refused():
+def test_an_invalid_decision_is_rejected():
     with pytest.raises(network.NetworkError, match="WORM_NETWORK is 'yes'"):
         network.bind({"WORM_NETWORK": "yes"}, FAST_DDS)
 
@@ -98,6 +98,6 @@ def test_what_is_set_for_each_middleware_is_well_formed_and_names_no_other_addre
     assert addresses == {"127.0.0.1"}
 
 
-def test_these_tests_themselves_are_heard_on_this_machine_only():
+def test_these_tests_can_be_discovered_on_this_machine_only():
     assert network.reach(os.environ, FAST_DDS).is_local
     assert os.environ[PROFILE].endswith("fastdds_loopback.xml")

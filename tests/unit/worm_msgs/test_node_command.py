@@ -35,7 +35,7 @@ def _domain(ros_domain) -> Iterator[None]:
     rclpy.try_shutdown()
 
 
-def started(*words: str) -> tuple[int, dict[str, object], list[object]]:
+def started(*arguments: str) -> tuple[int, dict[str, object], list[object]]:
     """Return the exit status, the node's values, and the result of setting the speed to a whole number."""
     values, answers = {}, []
 
@@ -49,14 +49,16 @@ def started(*words: str) -> tuple[int, dict[str, object], list[object]]:
         finally:
             node.destroy_node()
 
-    status = run_node("machine", "A machine.", rows, run, (ZeroDivisionError,), ["machine", *words])
+    status = run_node(
+        "machine", "A machine.", rows, run, (ZeroDivisionError,), ["machine", *arguments]
+    )
     return status, values, answers
 
 
-def refused(capsys, *words: str) -> str:
+def rejected(capsys, *arguments: str) -> str:
     """Return the only line on standard error after a rejected command line."""
     try:
-        status = started(*words)[0]
+        status = started(*arguments)[0]
     except SystemExit as error:
         status = error.code
     assert status == 2
@@ -76,7 +78,7 @@ def test_whole_numbers_are_values_of_floats_at_the_start_and_later():
 
 
 @pytest.mark.parametrize(
-    ("given", "words"),
+    ("given", "expected"),
     [
         (
             ["-p", "sped_m_per_s:=1.0"],
@@ -92,12 +94,12 @@ def test_whole_numbers_are_values_of_floats_at_the_start_and_later():
         (["--params-file", "/nope"], "/nope"),
     ],
 )
-def test_what_cannot_be_used_is_one_line_and_status_2(capsys, given, words):
-    assert words in refused(capsys, "--ros-args", *given)
+def test_what_cannot_be_used_is_one_line_and_status_2(capsys, given, expected):
+    assert expected in rejected(capsys, "--ros-args", *given)
 
 
 @pytest.mark.parametrize(
-    ("name", "said"),
+    ("name", "expected"),
     [
         ("/machine", ""),
         ("machine", ""),
@@ -109,20 +111,22 @@ def test_what_cannot_be_used_is_one_line_and_status_2(capsys, given, words):
         ("/*/machine", "is for /*/machine; the name of this node is /machine"),
     ],
 )
-def test_a_file_for_another_name_of_the_node_is_refused(capsys, monkeypatch, tmp_path, name, said):
+def test_a_file_for_another_name_of_the_node_is_rejected(
+    capsys, monkeypatch, tmp_path, name, expected
+):
     """rcl itself ignores it, and the node would run with the values of another robot."""
     file = tmp_path / "robot.yaml"
     content = "{ros__parameters: {speed_m_per_s: 0.25}}"
     file.write_text(f"'{name}': {content}\nelsewhere: {{deep: {content}}}\n")
-    words = ["--ros-args", "--params-file", str(file)]
-    monkeypatch.setattr("sys.argv", ["machine", *words])
-    status, values, _ = started(*words)
-    assert status == (2 if said else 0)
-    assert values.get("speed_m_per_s") == (None if said else 0.25)
-    assert said in capsys.readouterr().err
+    arguments = ["--ros-args", "--params-file", str(file)]
+    monkeypatch.setattr("sys.argv", ["machine", *arguments])
+    status, values, _ = started(*arguments)
+    assert status == (2 if expected else 0)
+    assert values.get("speed_m_per_s") == (None if expected else 0.25)
+    assert expected in capsys.readouterr().err
 
 
-def test_a_file_for_other_nodes_alone_is_told(capfd, monkeypatch, tmp_path):
+def test_a_file_for_other_nodes_alone_is_reported(capfd, monkeypatch, tmp_path):
     file = tmp_path / "robot.yaml"
     file.write_text("a: {b: {ros__parameters: {x: 1}}}\n")
     monkeypatch.setattr("sys.argv", ["machine", "--ros-args", "--params-file", str(file)])
@@ -130,19 +134,19 @@ def test_a_file_for_other_nodes_alone_is_told(capfd, monkeypatch, tmp_path):
     assert "no parameters of /machine, only of /a/b" in capfd.readouterr().err
 
 
-def test_a_node_without_parameters_refuses_them_all(capsys):
+def test_a_node_without_parameters_rejects_them_all(capsys):
     def run(_) -> None:
         declare_none(Node("machine"))
 
-    words = ["machine", "--ros-args", "-p", "speed_m_per_s:=1.0"]
+    arguments = ["machine", "--ros-args", "-p", "speed_m_per_s:=1.0"]
     with pytest.raises(SystemExit) as error:
-        run_node("machine", "", list, run, (), words)
+        run_node("machine", "", list, run, (), arguments)
     assert error.value.code == 2
     assert "machine: no parameter speed_m_per_s: " in capsys.readouterr().err
 
 
-def test_a_stray_argument_is_refused(capsys):
-    assert "stray" in refused(capsys, "stray")
+def test_a_stray_argument_is_rejected(capsys):
+    assert "stray" in rejected(capsys, "stray")
 
 
 def test_help_names_every_parameter_and_starts_nothing(capsys):
@@ -153,7 +157,7 @@ def test_help_names_every_parameter_and_starts_nothing(capsys):
     assert all(f"{name}  (default" in text for name in NAMES)
 
 
-def test_what_the_node_itself_refuses_is_one_line_too(capsys):
+def test_an_error_of_the_node_itself_is_one_line_too(capsys):
     def run(_) -> None:
         raise ZeroDivisionError("no\nway")
 
@@ -161,8 +165,8 @@ def test_what_the_node_itself_refuses_is_one_line_too(capsys):
     assert capsys.readouterr().err == "machine: no way\n"
 
 
-def node_with(*words: str) -> Node:
-    rclpy.init(args=["machine", *words])
+def node_with(*arguments: str) -> Node:
+    rclpy.init(args=["machine", *arguments])
     node = Node("machine")
     declare(node, rows)
     return node
@@ -180,8 +184,8 @@ def test_a_former_name_is_accepted_with_a_warning_at_the_start_and_later(capfd):
 
 
 def test_a_parameter_by_both_its_names_is_rejected(capsys):
-    words = ("--ros-args", "-p", "rate_Hz:=25.0", "-p", "rate_hz:=25.0")
-    line = refused(capsys, *words)
+    arguments = ("--ros-args", "-p", "rate_Hz:=25.0", "-p", "rate_hz:=25.0")
+    line = rejected(capsys, *arguments)
     assert "rate_hz" in line
     assert "remove rate_Hz" in line
 
@@ -191,13 +195,13 @@ def test_a_former_name_in_a_file_and_the_present_one_on_the_command_line_are_rej
 ):
     file = tmp_path / "robot.yaml"
     file.write_text("machine: {ros__parameters: {rate_Hz: 25.0}}\n")
-    line = refused(capsys, "--ros-args", "--params-file", str(file), "-p", "rate_hz:=20.0")
+    line = rejected(capsys, "--ros-args", "--params-file", str(file), "-p", "rate_hz:=20.0")
     assert "remove rate_Hz" in line
 
 
 def test_a_former_name_that_this_node_does_not_have_is_unknown(capsys):
-    words = ("--ros-args", "-p", "power_scale_w:=1.0")
-    assert "no parameter power_scale_w" in refused(capsys, *words).splitlines()[-1]
+    arguments = ("--ros-args", "-p", "power_scale_w:=1.0")
+    assert "no parameter power_scale_w" in rejected(capsys, *arguments).splitlines()[-1]
 
 
 def test_a_node_takes_its_own_values_and_no_other_for_what_is_read_only():

@@ -31,7 +31,7 @@ def test_what_is_no_report_is_passed_over():
         assert not ready()
 
 
-def test_nobody_needs_to_listen(monkeypatch):
+def test_a_missing_listener_is_no_error(monkeypatch):
     ready = Readiness()
     ready.close()
     monkeypatch.setenv("NOTIFY_SOCKET", ready.environment["NOTIFY_SOCKET"])

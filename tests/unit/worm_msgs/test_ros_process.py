@@ -23,7 +23,7 @@ def _signals_put_back() -> Iterator[None]:
 
 
 @pytest.mark.parametrize("number", SIGNALS)
-def test_a_signal_asks_to_end_and_leaves_the_context_usable(ros_domain, number):
+def test_a_signal_requests_the_end_and_leaves_the_context_usable(ros_domain, number):
     with ros_process(["test"]) as ended:
         assert not ended()
         os.kill(os.getpid(), number)
@@ -33,18 +33,18 @@ def test_a_signal_asks_to_end_and_leaves_the_context_usable(ros_domain, number):
     os.kill(os.getpid(), number)  # has no more effect
 
 
-def test_a_process_that_was_not_asked_gets_its_signals_back(ros_domain):
+def test_a_process_without_a_signal_gets_its_handlers_back(ros_domain):
     before = [signal.getsignal(number) for number in SIGNALS]
     with ros_process(["test"]):
         assert [signal.getsignal(number) for number in SIGNALS] != before
     assert [signal.getsignal(number) for number in SIGNALS] == before
 
 
-def test_only_a_later_ctrl_c_is_an_impatient_persons():
+def test_only_a_later_ctrl_c_forces_the_end():
     """launch and systemd escalate with SIGTERM by themselves; a terminal and launch both forward one Ctrl-C."""
-    now, told = [10.0], []
+    now, reported = [10.0], []
     ending = ShutdownRequest(lambda: now[0])
-    ending.again = lambda: told.append(now[0])
+    ending.again = lambda: reported.append(now[0])
     for time, number in (
         (10.0, signal.SIGINT),
         (11.0, signal.SIGINT),
@@ -54,11 +54,11 @@ def test_only_a_later_ctrl_c_is_an_impatient_persons():
         now[0] = time
         ending.on_signal(number, None)
     assert ending()
-    assert told == []
+    assert reported == []
     for time in (40.0, 41.0):
         now[0] = time
         ending.on_signal(signal.SIGINT, None)
-    assert told == [40.0, 41.0]
+    assert reported == [40.0, 41.0]
 
 
 def test_a_ros_argument_that_cannot_be_used_is_one_line_and_status_2(ros_domain, capsys):
@@ -71,7 +71,7 @@ def test_a_ros_argument_that_cannot_be_used_is_one_line_and_status_2(ros_domain,
         assert "/nope" in line
 
 
-def test_what_the_environment_asks_for_and_ros_has_not_is_one_line_and_status_2(
+def test_an_unavailable_setting_of_the_environment_is_one_line_and_status_2(
     ros_domain, capsys, monkeypatch, tmp_path
 ):
     with pytest.raises(SystemExit) as error, ros_process(["test"]):

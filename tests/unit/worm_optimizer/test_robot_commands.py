@@ -23,12 +23,12 @@ GAIT = Gait(0.07, 0.2, -1)
         ({"distance": -0.1}, "not a positive length"),
     ],
 )
-def test_an_impossible_end_is_refused(ends, complaint):
+def test_an_impossible_end_is_rejected(ends, complaint):
     with pytest.raises(InputError, match=complaint):
         GaitCommand(GAIT, **ends)
 
 
-def test_an_order_says_what_will_happen():
+def test_an_order_describes_the_run():
     text = str(GaitCommand(GAIT, cycles=9, distance=0.5))
     assert text == "stroke 70.0 mm, frequency 0.200 Hz, reverse, 9 cycles or 500 mm"
 
@@ -43,7 +43,7 @@ def test_an_order_names_a_waveform_that_is_not_the_papers():
     ]
 
 
-def test_progress_leaves_out_what_nobody_measures():
+def test_progress_leaves_out_missing_measurements():
     nan = math.nan
     assert str(RunProgress(0, -1.0, nan, nan, 0.8)) == "resting"
     assert str(RunProgress(2, 3.0, nan, nan, 2.5)) == "cycle 2, 2.50 W"

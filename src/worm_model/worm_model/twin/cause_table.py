@@ -147,7 +147,7 @@ class Cause:
         size: usual size of the change, relative or in the SI unit.
         unit: unit in messages.
         scale: factor from the size to that unit.
-        words: description, with ``{}`` for the size.
+        description: text, with ``{}`` for the size.
         hint: possible explanation, empty if the code says enough.
         trials: sizes that the benchmark simulates, in threes (small, middle, large).
         large: sizes, in usual ones, at which the effect is not proportional to the size; each has its own signature.
@@ -160,7 +160,7 @@ class Cause:
     size: float
     unit: str
     scale: float
-    words: str
+    description: str
     hint: str
     trials: tuple[tuple[float, float, float], ...]
     large: tuple[float, ...] = ()
@@ -178,7 +178,7 @@ class Cause:
         """Return the description of a change; size and standard deviation are in usual sizes."""
         unit = self.scale * self.size
         value = f"{unit * size:+.1f} ± {2.0 * unit * deviation:.1f} {self.unit}"
-        return self.words.format(value) + (f": {self.hint}" if self.hint else "")
+        return self.description.format(value) + (f": {self.hint}" if self.hint else "")
 
 
 #: lasting causes by name
@@ -193,7 +193,7 @@ LASTING = {
             size=0.05,
             unit="%",
             scale=100.0,
-            words="the gain from command to body length changed by {}",
+            description="the gain from command to body length changed by {}",
             hint="a cable that slips, is slack or stretched",
             trials=((-0.01, -0.03, -0.06),),
         ),
@@ -205,7 +205,7 @@ LASTING = {
             size=0.5,
             unit="%",
             scale=100.0,
-            words="friction changed by {}",
+            description="friction changed by {}",
             hint="",
             trials=((0.5, 1.0, 2.0), (-0.3, -0.6, -0.8)),
         ),
@@ -217,7 +217,7 @@ LASTING = {
             size=2.0,
             unit="N",
             scale=1.0,
-            words="the load on the rear module changed by {}",
+            description="the load on the rear module changed by {}",
             hint="tether; from power alone a slipped cable looks alike",
             trials=((1.0, 3.0, 6.0), (-1.0, -2.0, -4.0)),
             large=(-2.5, -2.0, -1.0, 1.0, 2.0, 3.0),
@@ -230,7 +230,7 @@ LASTING = {
             size=2.0,
             unit="N",
             scale=1.0,
-            words="the load on both modules together changed by {}",
+            description="the load on both modules together changed by {}",
             hint="slope of the pipe, or flow; from power alone a slipped cable looks alike",
             trials=((1.0, 3.0, 6.0), (-1.0, -2.0, -4.0)),
             large=(-2.5, -2.0, -1.0, 1.0, 2.0, 3.0),
@@ -243,7 +243,7 @@ LASTING = {
             size=0.005,
             unit="mm",
             scale=1e3,
-            words="the body is longer under the same command by {}",
+            description="the body is longer under the same command by {}",
             hint="a cable that slips, is slack or stretched",
             trials=((0.001, 0.003, 0.006),),
         ),
@@ -255,7 +255,7 @@ LASTING = {
             size=0.1,
             unit="%",
             scale=100.0,
-            words="the scale of the power changed by {}",
+            description="the scale of the power changed by {}",
             hint="supply or shunt",
             trials=((0.04, 0.10, 0.20),),
         ),
@@ -267,7 +267,7 @@ LASTING = {
             size=0.6,
             unit="W",
             scale=1.0,
-            words="the power's zero changed by {}",
+            description="the power's zero changed by {}",
             hint="power sensor, or something else that draws from the supply",
             trials=((0.1, 0.3, 0.6),),
         ),

@@ -32,14 +32,14 @@ class ActionGoal:
         name: name of the action.
         rejected: True if the server rejected the goal.
         reason: reason of the rejection; empty until it arrives.
-        heard_at: time of the latest feedback, or of the creation (s, monotonic).
+        received_at: time of the latest feedback, or of the creation (s, monotonic).
     """
 
     def __init__(self, node: Node, kind: Any, name: str, goal: Any) -> None:
         self.name = name
         self.rejected = False
         self.reason = ""
-        self.heard_at = time.monotonic()
+        self.received_at = time.monotonic()
         self._node = node
         self._client = ActionClient(node, kind, name)
         self._goal = goal
@@ -110,7 +110,7 @@ class ActionGoal:
             self.reason = message.reason
 
     def _on_feedback(self, message: Any) -> None:
-        self.heard_at = time.monotonic()
+        self.received_at = time.monotonic()
         self._take(message.feedback)
 
     def _take(self, feedback: Any) -> None:

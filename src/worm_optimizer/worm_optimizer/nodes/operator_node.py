@@ -429,7 +429,7 @@ class OperatorNode(ServiceCaller):
         """
         last = None
         while not run.done and not until():
-            if time.monotonic() > run.heard_at + SILENCE_S:
+            if time.monotonic() > run.received_at + SILENCE_S:
                 raise NoAnswerError(f"no feedback of the run for {SILENCE_S:g} s")
             self.spin()
             if run.progress is not None and run.progress is not last:

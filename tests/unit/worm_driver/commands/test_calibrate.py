@@ -76,9 +76,9 @@ class Bench:
         self.bus = ServoBus(self.port, retries=0)
         self.start = self.robot.servos[0].motor.position
         self.decision = "r"
-        self.said: list[str] = []
+        self.output: list[str] = []
         self.questions: list[tuple[str, bool]] = []
-        self.calibration = Calibration(self.bus, self.answer, self.said.append, self.wait)
+        self.calibration = Calibration(self.bus, self.answer, self.output.append, self.wait)
 
     def wait(self, duration: float) -> None:
         self.clock.now += duration
@@ -196,7 +196,7 @@ def test_a_garbled_answer_costs_one_reading_and_not_the_session(monkeypatch):
     assert spools[0].radius == pytest.approx(0.025, rel=0.02)
     readings = [question for question, _ in bench.questions if "ruler" in question]
     assert [q.split(":")[0] for q in readings] == [f"reading {n} of 4" for n in (1, 2, 3, 4)]
-    assert sum("readings so far are preserved" in line for line in bench.said) == 2
+    assert sum("readings so far are preserved" in line for line in bench.output) == 2
     assert all(armed for _, armed in bench.questions)
 
 
@@ -211,10 +211,10 @@ def test_a_person_may_give_up_after_a_garbled_answer(monkeypatch):
 def test_a_servo_that_lost_its_torque_meanwhile_is_not_read_on(monkeypatch):
     bench = Bench()
     lose_answers(bench, monkeypatch, 1)
-    say = bench.said.append
+    show = bench.output.append
 
     def restart(line: str) -> None:
-        say(line)
+        show(line)
         if "preserved" in line:
             bench.robot.servos[0].memory["torque_enable"] = 0
 
@@ -223,15 +223,15 @@ def test_a_servo_that_lost_its_torque_meanwhile_is_not_read_on(monkeypatch):
         calibrate(bench.calibration, turns=0.3, points=4)
 
 
-def test_nonsense_is_asked_again():
+def test_an_invalid_answer_repeats_the_question():
     bench = Bench()
     answers = iter(["x", "", "n"])
     bench.calibration._ask_operator = lambda *_: next(answers)
     assert bench.calibration.role(bench.calibration.find_servos()[0]) == "n"
-    assert bench.said == ["answer with one of c, f, n"] * 2
+    assert bench.output == ["answer with one of c, f, n"] * 2
 
 
-def test_without_servos_it_says_what_to_check():
+def test_without_servos_it_names_the_checks():
     clock = Clock()
     bus = ServoBus(SimulatedPort(Wire(clock, lambda *_: []), clock), retries=0)
     silent = Calibration(bus, lambda *_: "", lambda _: None, lambda _: None)
@@ -240,7 +240,7 @@ def test_without_servos_it_says_what_to_check():
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    ("arguments", "expected"),
     [
         (["{}/exists.yaml"], "already exists"),
         (["{}/no/folder.yaml"], "its folder does not exist"),
@@ -248,17 +248,17 @@ def test_without_servos_it_says_what_to_check():
         (["{}/new.yaml", "--turns", "nan"], "--turns"),
     ],
 )
-def test_a_bad_command_line_is_refused_before_anything_is_opened(
-    tmp_path, capsys, arguments, words
+def test_a_bad_command_line_is_rejected_before_anything_is_opened(
+    tmp_path, capsys, arguments, expected
 ):
     (tmp_path / "exists.yaml").touch()
     with pytest.raises(SystemExit) as ended:
         main([argument.format(tmp_path) for argument in arguments])
     assert ended.value.code == 2
-    assert words in capsys.readouterr().err
+    assert expected in capsys.readouterr().err
 
 
-def test_a_missing_port_is_said_in_one_line(tmp_path, capsys):
+def test_a_missing_port_is_reported_in_one_line(tmp_path, capsys):
     assert main([str(tmp_path / "new.yaml"), "--port", str(tmp_path / "ttyNO")]) == 1
     assert "does not exist" in capsys.readouterr().err
     assert not (tmp_path / "new.yaml").exists()

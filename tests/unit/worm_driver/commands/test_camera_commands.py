@@ -55,9 +55,9 @@ def test_track_writes_the_table(images, tmp_path, capsys):
     assert numbers[:, 2] == pytest.approx([LENGTH] * 3, abs=2e-4)
     assert np.isnan(numbers[2, [1, 3]]).all()
     assert [row["reason"] for row in rows] == ["", "", "rear marker 0 is not found"]
-    told = json.loads(capsys.readouterr().out)
-    assert (told["images"], told["seen"], told["output"]) == (3, 2, str(output))
-    assert told["reprojection_error_px"] < 0.2
+    reported = json.loads(capsys.readouterr().out)
+    assert (reported["images"], reported["seen"], reported["output"]) == (3, 2, str(output))
+    assert reported["reprojection_error_px"] < 0.2
 
 
 def test_track_shows_what_it_found(images, tmp_path, capsys):
@@ -68,9 +68,9 @@ def test_track_shows_what_it_found(images, tmp_path, capsys):
     assert read_image(picture).shape == (720, 1280)
     plain = read_image(images / "0.png").astype(int)
     assert (np.abs(read_image(picture).astype(int) - plain) > 60).sum() > 2000
-    told = capsys.readouterr().err
-    assert "6 markers found" in told
-    assert "L 295." in told
+    reported = capsys.readouterr().err
+    assert "6 markers found" in reported
+    assert "L 295." in reported
 
 
 def test_a_film_gives_what_its_images_give(images, tmp_path):
@@ -98,8 +98,8 @@ def test_a_film_gives_what_its_images_give(images, tmp_path):
         (["--output", "{tmp}/out.csv", "--images", "{tmp}"], "no images"),
     ],
 )
-def test_track_refuses_in_one_line(images, tmp_path, capsys, arguments, message):
-    given = [word.format(tmp=tmp_path, images=images) for word in arguments]
+def test_track_rejects_bad_input_in_one_line(images, tmp_path, capsys, arguments, message):
+    given = [expected.format(tmp=tmp_path, images=images) for expected in arguments]
     given = ["--images", str(images), "--setup", str(SETUP), *given]
     try:
         status = track.main(given)
@@ -153,7 +153,7 @@ def test_black_squares_and_the_ruler_have_their_true_size(tmp_path, monkeypatch)
     assert max(lengths) == pytest.approx(100.0, abs=1e-6)
 
 
-def test_markers_that_there_are_not_are_refused(tmp_path, capsys):
+def test_missing_markers_are_rejected(tmp_path, capsys):
     assert markers.main(["--ids", "50", "--output", str(tmp_path / "m.pdf")]) == 2
     assert "marker 50: DICT_4X4_50 has 0 to 49" in complaint(capsys)
     assert markers.main(["--ids", "1", "--size-m", "0.3", "--output", str(tmp_path / "m.pdf")]) == 2
@@ -201,15 +201,15 @@ def test_the_lens_is_found_again(board_views, tmp_path, capsys):
     output = tmp_path / "camera.yaml"
     arguments = ["--images", str(board_views), "--output", str(output), "--name", "webcam"]
     assert calibrate_camera.main(arguments) == 0
-    told = capsys.readouterr()
-    assert float(re.search(r"reprojection error ([\d.]+) px", told.out)[1]) < 0.3
+    reported = capsys.readouterr()
+    assert float(re.search(r"reprojection error ([\d.]+) px", reported.out)[1]) < 0.3
     camera = load_camera_info(output)
     assert camera.focal == pytest.approx((505.0, 505.0), rel=5e-3)
     assert camera.centre == pytest.approx((326.0, 176.0), abs=3.0)
     assert camera.distortion[0] == pytest.approx(SETTINGS.distortion[0], abs=0.05)
 
 
-def test_too_few_views_are_refused(images, tmp_path, capsys):
+def test_too_few_views_are_rejected(images, tmp_path, capsys):
     output = tmp_path / "camera.yaml"
     assert calibrate_camera.main(["--images", str(images), "--output", str(output)]) == 2
     assert "the board was found in 0 different images; at least 8" in complaint(capsys)

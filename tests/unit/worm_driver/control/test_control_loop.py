@@ -12,7 +12,7 @@ from worm_driver.control.control_loop import ControlLoop, PeriodicThread, PowerL
 from worm_driver.errors import DriverError, LimitError, PowerSensorError
 from worm_driver.power.ina219 import PowerSample, SampleStatus
 
-PATIENCE = 10.0  # s, only a failing test waits so long
+TIMEOUT_S = 10.0  # s, only a failing test waits so long
 
 
 class NotingRobot:
@@ -57,7 +57,7 @@ class NotingRobot:
 
 
 def wait_for(condition) -> None:
-    end = time.monotonic() + PATIENCE
+    end = time.monotonic() + TIMEOUT_S
     while not condition():
         assert time.monotonic() < end
         time.sleep(0.001)
@@ -74,7 +74,7 @@ def loop(robot):
     loop.start()
     yield loop
     loop.shutdown("the test is over")
-    loop.join(PATIENCE)
+    loop.join(TIMEOUT_S)
 
 
 def test_every_cycle_is_handed_over_in_order_and_one_thread_owns_the_robot(robot):
@@ -83,7 +83,7 @@ def test_every_cycle_is_handed_over_in_order_and_one_thread_owns_the_robot(robot
     loop.start()
     wait_for(lambda: robot.cycles >= 50)
     loop.shutdown("over")
-    assert loop.join(PATIENCE)
+    assert loop.join(TIMEOUT_S)
     assert len(seen) == robot.cycles
     assert seen == sorted(seen)
     assert robot.threads == {"servo_bus"}
@@ -91,29 +91,29 @@ def test_every_cycle_is_handed_over_in_order_and_one_thread_owns_the_robot(robot
 
 def test_a_command_runs_in_the_robots_thread_and_gives_its_result_back(loop):
     answer = loop.submit(lambda now: (threading.current_thread().name, now))
-    name, now = answer.result(PATIENCE)
+    name, now = answer.result(TIMEOUT_S)
     assert name == "servo_bus"
-    assert now == pytest.approx(time.monotonic(), abs=PATIENCE)
+    assert now == pytest.approx(time.monotonic(), abs=TIMEOUT_S)
 
 
-def test_a_commands_exception_goes_to_who_asked_and_not_into_the_loop(loop):
-    def refuse(_: float) -> None:
+def test_a_commands_exception_goes_to_the_caller_and_not_into_the_loop(loop):
+    def reject(_: float) -> None:
         raise LimitError("too long")
 
     with pytest.raises(LimitError, match="too long"):
-        loop.submit(refuse).result(PATIENCE)
+        loop.submit(reject).result(TIMEOUT_S)
     assert loop.alive
 
 
-def test_a_stale_command_is_refused_and_not_carried_out(loop):
+def test_a_stale_command_is_rejected_and_not_executed(loop):
     done: list[float] = []
     late = loop.submit(done.append, lifetime=-1.0)
     with pytest.raises(LimitError, match="stale"):
-        late.result(PATIENCE)
+        late.result(TIMEOUT_S)
     assert done == []
 
 
-def test_a_loop_that_does_not_respond_is_said_so(robot):
+def test_a_loop_that_does_not_respond_is_reported(robot):
     silent = ControlLoop(robot, lambda _: None)
     with pytest.raises(DriverError, match=r"did not respond within 0\.01 s"):
         silent.run(lambda _: 1, timeout=0.01)
@@ -130,7 +130,7 @@ class Slow:
 
     def activate(self, _: float) -> None:
         self.begun.set()
-        self.may_end.wait(PATIENCE)
+        self.may_end.wait(TIMEOUT_S)
         self.active = True
 
     def release(self, _: float) -> None:
@@ -138,32 +138,32 @@ class Slow:
         self.robot.release()
 
 
-def test_an_activation_that_takes_too_long_is_taken_back_when_it_ends(robot, loop):
+def test_an_activation_that_takes_too_long_is_undone_when_it_ends(robot, loop):
     slow = Slow(robot)
     with pytest.raises(DriverError, match="did not respond"):
         loop.run(slow.activate, timeout=0.05, undo=slow.release)
     after = loop.submit(lambda _: slow.active)
     slow.may_end.set()
-    assert after.result(PATIENCE) is False  # later commands find the robot released
+    assert after.result(TIMEOUT_S) is False  # later commands find the robot released
     assert robot.releases == 1
 
 
 def test_a_command_that_was_given_up_in_the_queue_is_not_carried_out(robot, loop):
     slow, done = Slow(robot), []
     first = loop.submit(slow.activate)
-    assert slow.begun.wait(PATIENCE)
+    assert slow.begun.wait(TIMEOUT_S)
     with pytest.raises(DriverError, match="did not respond"):
         loop.run(done.append, timeout=0.01, undo=done.append)
     slow.may_end.set()
-    first.result(PATIENCE)
-    loop.submit(lambda _: None).result(PATIENCE)
+    first.result(TIMEOUT_S)
+    loop.submit(lambda _: None).result(TIMEOUT_S)
     assert done == []
 
 
-def test_what_is_insisted_on_is_carried_out_however_late(robot, loop):
+def test_a_command_without_deadline_is_executed_however_late(robot, loop):
     slow, done = Slow(robot), []
     loop.submit(slow.activate)
-    assert slow.begun.wait(PATIENCE)
+    assert slow.begun.wait(TIMEOUT_S)
     with pytest.raises(DriverError, match="did not respond"):
         loop.run_without_deadline(done.append, timeout=0.01)
     slow.may_end.set()
@@ -173,7 +173,7 @@ def test_what_is_insisted_on_is_carried_out_however_late(robot, loop):
 def test_leaving_brings_the_robot_to_rest_and_releases_it_once(robot, loop):
     wait_for(lambda: robot.cycles > 3)
     loop.shutdown("over")
-    assert loop.join(PATIENCE)
+    assert loop.join(TIMEOUT_S)
     assert robot.releasing == "over"
     assert robot.until_rest <= 0
     assert robot.releases == 1
@@ -201,11 +201,11 @@ def test_leaving_twice_does_not_begin_a_second_return(robot, loop):
     loop.release_at_once()
 
 
-def test_a_person_who_lets_go_does_not_wait_for_rest(robot, loop):
+def test_an_immediate_release_does_not_wait_for_rest(robot, loop):
     robot.until_rest, robot.springs_back = 10**9, True
     loop.shutdown("over")
     loop.release_at_once()
-    assert loop.join(PATIENCE)
+    assert loop.join(TIMEOUT_S)
     assert robot.releases == 1
 
 
@@ -233,16 +233,16 @@ def test_an_exception_in_the_hand_over_releases_the_robot(robot):
 def test_a_command_after_the_end_is_answered(robot, loop):
     answers = [loop.submit(lambda _: 1) for _ in range(3)]
     loop.shutdown("over")
-    loop.join(PATIENCE)
+    loop.join(TIMEOUT_S)
     for answer in answers:
-        assert answer.result(PATIENCE) == 1 or answer.exception(PATIENCE)
+        assert answer.result(TIMEOUT_S) == 1 or answer.exception(TIMEOUT_S)
 
 
 def test_waiting_for_the_end_leaves_time_for_something_else(robot, loop):
     calls: list[int] = []
     robot.until_rest = 50
     loop.shutdown("over")
-    assert loop.join(PATIENCE, lambda: calls.append(1))
+    assert loop.join(TIMEOUT_S, lambda: calls.append(1))
     assert len(calls) > 3
 
 
@@ -258,7 +258,7 @@ def test_a_periodic_thread_reports_its_timing():
     report = thread.report()
     assert report.mean_period == pytest.approx(0.001, rel=0.5)
     assert report.missed >= 0
-    assert thread.end(PATIENCE)
+    assert thread.end(TIMEOUT_S)
 
 
 class SteppedClock(MachineClock):
@@ -295,14 +295,14 @@ def test_only_setting_up_and_letting_go_may_take_more_than_a_cycle(robot, active
         clock.now += 0.095
         robot.active = after
 
-    loop.submit(long, lifetime=PATIENCE)
+    loop.submit(long, lifetime=TIMEOUT_S)
     loop.start()
-    assert loop.join(PATIENCE)
+    assert loop.join(TIMEOUT_S)
     assert loop.report().missed == missed
     assert (loop.report().max_error < 0.001) == (missed == 0)
 
 
-def test_a_bus_that_only_fails_is_opened_anew():
+def test_a_bus_that_only_fails_is_opened_again():
     opened: list[int] = []
 
     def reopen() -> None:

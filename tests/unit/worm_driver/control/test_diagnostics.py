@@ -21,7 +21,7 @@ STATE = ServoState(0, 0.1, 0.2, 0.3, 12.0, 30.0, 1.0)
 
 
 @pytest.mark.parametrize(
-    ("state", "alert", "level", "words"),
+    ("state", "alert", "level", "expected"),
     [
         (STATE, False, Level.OK, "ok"),
         (SILENT, False, Level.ERROR, "does not answer"),
@@ -30,10 +30,10 @@ STATE = ServoState(0, 0.1, 0.2, 0.3, 12.0, 30.0, 1.0)
         (replace(STATE, temperature=75.0), False, Level.WARN, "75 degC, it shuts down at 80"),
     ],
 )
-def test_a_servo(state, alert, level, words):
+def test_a_servo(state, alert, level, expected):
     report = diagnostics.servo_report(SERVO, state, alert=alert)
     assert (report.level, report.name) == (level, "driver: servo 1")
-    assert words in report.message
+    assert expected in report.message
     assert report.hardware_id == "XM430-W350-T id 1 firmware 48"
     keys = {key for key, _ in report.values}
     assert keys == {"position_rad", "current_a", "voltage_v", "temperature_deg_c"}
@@ -46,7 +46,7 @@ def test_a_servo_without_a_current_sensor_reports_its_load_as_a_ratio():
     )
 
 
-def test_the_bus_tells_what_went_wrong_since_the_last_report():
+def test_the_bus_reports_errors_since_the_last_report():
     before = BusCounters(exchanges=100, timeouts=3)
     after = BusCounters(exchanges=200, timeouts=5, stale=1)
     report = diagnostics.bus_report("/dev/worm_bus", after, before, None)
@@ -79,7 +79,7 @@ def test_timing_warns_from_two_milliseconds_on():
 
 
 @pytest.mark.parametrize(
-    ("counts", "level", "words"),
+    ("counts", "level", "expected"),
     [
         ({SampleStatus.VALID: 100}, Level.OK, "ok"),
         ({SampleStatus.VALID: 90, SampleStatus.NOT_READY: 10}, Level.OK, "ok"),
@@ -90,10 +90,10 @@ def test_timing_warns_from_two_milliseconds_on():
         ({}, Level.ERROR, "no samples"),
     ],
 )
-def test_the_power_sensor(counts, level, words):
+def test_the_power_sensor(counts, level, expected):
     report = diagnostics.power_report(counts, "INA219 0x40 on 1")
     assert report.level is level
-    assert words in report.message
+    assert expected in report.message
 
 
 def test_the_gait():

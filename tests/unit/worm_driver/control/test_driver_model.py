@@ -53,7 +53,7 @@ SPRINGS_BACK = 2.5e-3
 #: m, largest error of a wrong sample that remains unnoticed: see docs/safety.md
 OFF = 0.006
 #: s, in which every return to rest ends; an operator with a shorter timeout does not wait for it
-PATIENT = 8.0
+REST_TIMEOUT_S = 8.0
 EMERGENCY = "the emergency stop is on"
 MAY_MOVE = (GaitPhase.RUNNING, GaitPhase.STOPPING, GaitPhase.RETURNING, GaitPhase.TENSIONING)
 
@@ -110,7 +110,7 @@ SHAPED = st.builds(
     ramp_share=st.sampled_from([0.1, 0.3, 0.5]),
 )
 GAITS = st.one_of(PAPERS, SHAPED)
-ODD_GAITS = st.builds(
+INVALID_GAITS = st.builds(
     Gait,
     st.sampled_from([0.03, math.nan, 0.0, 1e-300, 1.0]),
     st.sampled_from([math.inf, -0.2, 1e-300]),
@@ -158,7 +158,7 @@ class Life(RuleBasedStateMachine):
             if before.phase in MAY_MOVE or snapshot.player.phase in MAY_MOVE:
                 self.moved_until = self.clock.now
             self.check_motion()
-            self.check_words()
+            self.check_torques()
 
     @precondition(lambda self: self.alive and not self.rig.robot.active)
     @rule()
@@ -166,16 +166,16 @@ class Life(RuleBasedStateMachine):
         self.try_to(lambda now: self.rig.robot.activate(now))
 
     @precondition(lambda self: self.alive)
-    @rule(gait=GAITS, cycles=st.integers(1, 3), patience=st.integers(0, 60))
-    def goal(self, gait: Gait, cycles: int, patience: int) -> None:
+    @rule(gait=GAITS, cycles=st.integers(1, 3), wait=st.integers(0, 60))
+    def goal(self, gait: Gait, cycles: int, wait: int) -> None:
         number = self.try_to(lambda now: self.rig.robot.start(now, gait, cycles))
         if number is not None:
             self.goals.append(number)
-        self.time_passes(patience)
+        self.time_passes(wait)
 
     @precondition(lambda self: self.alive)
-    @rule(gait=ODD_GAITS, cycles=st.sampled_from([1, 0, 2_000_000]))
-    def odd_goal(self, gait: Gait, cycles: int) -> None:
+    @rule(gait=INVALID_GAITS, cycles=st.sampled_from([1, 0, 2_000_000]))
+    def invalid_goal(self, gait: Gait, cycles: int) -> None:
         with pytest.raises(DriverError):
             self.rig.robot.start(self.clock.now, gait, cycles)
 
@@ -185,15 +185,15 @@ class Life(RuleBasedStateMachine):
         self.rig.robot.cancel(self.clock.now)
 
     @precondition(lambda self: self.alive)
-    @rule(gait=GAITS, queued=st.integers(0, 3), patience=st.integers(1, 30))
-    def stop(self, gait: Gait, queued: int, patience: int) -> None:
+    @rule(gait=GAITS, queued=st.integers(0, 3), wait=st.integers(1, 30))
+    def stop(self, gait: Gait, queued: int, wait: int) -> None:
         """Stop, also with queued goals: none of them is played after the stop."""
         loop, robot = self.rig.loop, self.rig.robot
         goals = [loop.submit(lambda now: robot.start(now, gait, 1)) for _ in range(queued)]
         loop.submit(lambda now: robot.stop(now, "stop"), lifetime=math.inf)
         self.time_passes(1)
         self.goals += [goal.result() for goal in goals if goal.exception() is None]
-        for _ in range(patience):
+        for _ in range(wait):
             assert robot.player.active_run is None
             assert not gait_player.moving(robot.player) or not robot.active
             self.time_passes(1)
@@ -227,7 +227,7 @@ class Life(RuleBasedStateMachine):
         """
         robot, stopped = self.rig.robot, False
         self.rig.loop.shutdown("the driver ends")
-        end = self.clock.now + PATIENT
+        end = self.clock.now + REST_TIMEOUT_S
         passed = 0
         while not self.rig.ended and self.clock.now < end:
             if passed == stop_after:
@@ -254,9 +254,9 @@ class Life(RuleBasedStateMachine):
         self.restart(0.0)
 
     @precondition(lambda self: self.alive and self.rig.robot.active)
-    @rule(patience=st.sampled_from([0.0, 0.1, PATIENT]), again=st.booleans())
-    def deactivate(self, patience: float, again: bool) -> None:
-        self.bring_to_rest(patience)
+    @rule(max_wait=st.sampled_from([0.0, 0.1, REST_TIMEOUT_S]), again=st.booleans())
+    def deactivate(self, max_wait: float, again: bool) -> None:
+        self.bring_to_rest(max_wait)
         if again and self.alive and not self.rig.robot.active:
             self.activate()
 
@@ -264,7 +264,7 @@ class Life(RuleBasedStateMachine):
     @rule(fault=FAULTS, delay=st.floats(0.0, 0.5))
     def deactivate_with_a_fault_on_the_way(self, fault: tuple[str, dict], delay: float) -> None:
         self.inject(fault, delay)
-        self.bring_to_rest(PATIENT)
+        self.bring_to_rest(REST_TIMEOUT_S)
 
     @precondition(lambda self: self.alive and self.rig.robot.player.phase is GaitPhase.FAULT)
     @rule()
@@ -280,7 +280,7 @@ class Life(RuleBasedStateMachine):
                 self.home()
             self.activate()
 
-    def bring_to_rest(self, patience: float) -> None:
+    def bring_to_rest(self, max_wait: float) -> None:
         robot = self.rig.robot
         in_fault = robot.player.phase is GaitPhase.FAULT
         try:
@@ -289,13 +289,15 @@ class Life(RuleBasedStateMachine):
             assert self.latched
             assert robot.holding
             return  # deactivate fails
-        end = self.clock.now + patience
+        end = self.clock.now + max_wait
         while not robot.released and self.clock.now < end:
             self.time_passes(1)
-        if patience >= PATIENT and not robot.released:
+        if max_wait >= REST_TIMEOUT_S and not robot.released:
             assert robot.holding  # deactivate fails
             return
-        self.person = in_fault or patience < PATIENT  # deactivated in FAULT, or not waited for
+        self.person = (
+            in_fault or max_wait < REST_TIMEOUT_S
+        )  # deactivated in FAULT, or not waited for
         problems = robot.release()
         self.check_release()
         assert not robot.active
@@ -440,7 +442,7 @@ class Life(RuleBasedStateMachine):
         crept = abs(QUICK.spools[0].length_change(here - self.stood_at))
         assert crept <= CREEP, (self.rig.robot.player, crept)
 
-    def check_words(self) -> None:
+    def check_torques(self) -> None:
         robot = self.rig.robot
         if not robot.active and not robot.actuators.unreleased and not robot.actuators.left_on:
             assert not any(self.torques())

@@ -24,29 +24,29 @@ def test_a_parameter_file_gives_its_keys_and_the_rest_is_the_papers(tmp_path):
     "text",
     ["rear_mass: heavy", "rear_mass: -1", "rear_mass: .nan", "- 1", "a: [", "rear_mass: true"],
 )
-def test_a_bad_parameter_file_is_refused_by_name(tmp_path, text):
+def test_a_bad_parameter_file_is_rejected_by_name(tmp_path, text):
     file = tmp_path / "parameters.yaml"
     file.write_text(text)
     with pytest.raises(ConfigurationError, match=r"parameters\.yaml"):
         load_body(str(file))
 
 
-def test_a_missing_parameter_file_is_refused(tmp_path):
+def test_a_missing_parameter_file_is_rejected(tmp_path):
     with pytest.raises(ConfigurationError, match="cannot be read"):
         load_body(str(tmp_path / "none.yaml"))
 
 
-def test_a_robot_without_a_cable_servo_is_refused():
+def test_a_robot_without_a_cable_servo_is_rejected():
     with pytest.raises(ConfigurationError, match=r"cable_servos\.ids"):
         settings(spools=())
 
 
-def test_an_id_that_two_servos_have_is_refused():
+def test_an_id_that_two_servos_have_is_rejected():
     with pytest.raises(ConfigurationError, match="id 1 is given to two"):
         settings(spools=(Spool(1, 1, 0.012),), fins=(Fin(1, 0.0, 1.0),))
 
 
 @pytest.mark.parametrize("number", [-1, 253, 254])
-def test_an_id_that_no_servo_can_have_is_refused(number):
+def test_an_id_that_no_servo_can_have_is_rejected(number):
     with pytest.raises(ConfigurationError, match="not in 0 to 252"):
         settings(spools=(Spool(number, 1, 0.012),))

@@ -200,7 +200,7 @@ def test_no_gait_begins_while_it_shuts_down():
         rig.start()
 
 
-def test_a_person_lets_it_go_at_once():
+def test_an_operator_releases_it_at_once():
     rig = closing(0.2)
     stop(rig)
     rig.run(0.1)

@@ -25,11 +25,11 @@ from worm_driver.virtual_robot.virtual_settings import load_settings
 from worm_driver.virtual_robot.wire.faults import make_fault
 from worm_driver.virtual_robot.wire.robot_server import RobotServer
 
-PATIENCE = 20.0  # s, only a failing test waits so long
+TIMEOUT_S = 20.0  # s, only a failing test waits so long
 
 
 def wait_for(condition) -> None:
-    end = time.monotonic() + PATIENCE
+    end = time.monotonic() + TIMEOUT_S
     while not condition():
         assert time.monotonic() < end
         time.sleep(0.005)
@@ -51,10 +51,10 @@ def robot(tmp_path) -> Iterator[VirtualRobot]:
 @pytest.fixture
 def given(robot, tmp_path) -> DriverSettings:
     """Return settings with long timeouts: driver and robot share one interpreter here."""
-    doors = tmp_path / "robot"
+    ports = tmp_path / "robot"
     return settings(
-        port=str(doors / "servo_bus"),
-        power=PowerSettings(i2c_bus=str(doors / "i2c.sock")),
+        port=str(ports / "servo_bus"),
+        power=PowerSettings(i2c_bus=str(ports / "i2c.sock")),
         watchdog=2.0,
         limits=Limits(max_silence=1.0, following_error=0.1),
     )
@@ -74,7 +74,7 @@ def test_no_snapshot_and_no_sample_is_ever_dropped(hardware):
         assert waiting == sorted(set(waiting))
 
 
-def test_a_robot_that_nobody_listens_to_is_held(hardware, monkeypatch):
+def test_a_robot_without_a_reader_is_held(hardware, monkeypatch):
     monkeypatch.setattr(hardware_module, "_LISTENING_TIMEOUT", math.inf)
     hardware.loop.run(hardware.robot.activate)
     hardware.loop.run(lambda now: hardware.robot.start(now, Gait(0.05, 0.2), 5))
@@ -90,7 +90,7 @@ class Emptied(deque):
         self.clear()
 
 
-def test_a_snapshot_that_is_taken_at_once_does_not_end_the_loop(hardware):
+def test_a_snapshot_that_is_read_at_once_does_not_end_the_loop(hardware):
     hardware.snapshots = Emptied()
     done = hardware.loop.report().cycles
     wait_for(lambda: hardware.loop.report().cycles > done + 50 or not hardware.loop.alive)
@@ -131,7 +131,7 @@ def test_a_latency_timer_that_stays_long_fails_the_configuration_with_the_remedy
     Hardware(given).close("over")  # the port was closed
 
 
-def test_a_latency_timer_that_a_slow_rate_can_bear_is_told(given, monkeypatch):
+def test_a_latency_timer_that_a_slow_rate_tolerates_is_reported(given, monkeypatch):
     Adapter(monkeypatch, afterwards=16)
     hardware = Hardware(replace(given, rate=20.0))
     assert any("is 16 ms, not 1: install the udev rule" in x for x in hardware.description())
@@ -156,7 +156,7 @@ def test_what_fails_to_open_leaves_nothing_open(given, change):
     Hardware(given).close("over")
 
 
-def test_a_second_opener_is_refused_and_the_first_goes_on(hardware, given):
+def test_a_second_opener_is_rejected_and_the_first_continues(hardware, given):
     with pytest.raises(PortError, match="in use"):
         Hardware(given)
     count = len(hardware.snapshots)
@@ -178,14 +178,14 @@ def test_a_release_that_no_servo_acknowledges_is_reported_until_one_does(hardwar
 
     hardware.loop.run(hardware.robot.activate)
     robot.board.add(make_fault("no_answer", duration=1e6))
-    hardware.loop.run(lambda _: hardware.robot.release(), timeout=PATIENCE)
+    hardware.loop.run(lambda _: hardware.robot.release(), timeout=TIMEOUT_S)
     assert "torque may still be on: servo 1 does not answer" in released()[0]
     robot.board.clear()
-    hardware.loop.run(lambda _: hardware.robot.release(), timeout=PATIENCE)
+    hardware.loop.run(lambda _: hardware.robot.release(), timeout=TIMEOUT_S)
     assert released() == []
 
 
-def test_it_says_what_it_found(hardware):
+def test_it_reports_the_devices_found(hardware):
     lines = hardware.description()
     assert lines[0] == "servo 1: XM430-W350-T, firmware 48"
     assert "0.09 m, 0.4 Hz, 0.1198 m/s" in lines[3]

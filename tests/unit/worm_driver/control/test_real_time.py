@@ -23,34 +23,34 @@ def granted(_: int) -> None:
     return None
 
 
-def refused(*_: int) -> None:
+def rejected(*_: int) -> None:
     raise PermissionError(errno.EPERM, "Operation not permitted")
 
 
-def test_the_calling_thread_gets_what_was_asked_for():
-    asked: list[int] = []
-    scheduling = request_scheduling(40, asked.append, lambda: asked.append(-1))
-    assert asked == [40, -1]
+def test_the_calling_thread_gets_the_requested_scheduling():
+    requested: list[int] = []
+    scheduling = request_scheduling(40, requested.append, lambda: requested.append(-1))
+    assert requested == [40, -1]
     assert scheduling == Scheduling(granted=True, description="SCHED_FIFO 40, memory locked")
 
 
-def test_what_is_refused_is_named_with_a_remedy_and_the_rest_is_kept():
-    scheduling = request_scheduling(40, refused, lambda: None)
+def test_a_rejected_request_is_named_with_a_remedy_and_the_rest_is_kept():
+    scheduling = request_scheduling(40, rejected, lambda: None)
     assert not scheduling.granted
     assert scheduling.description.startswith("no SCHED_FIFO 40 (Operation not permitted): grant it")
     assert "locked memory" not in scheduling.description
-    both = request_scheduling(40, refused, refused)
+    both = request_scheduling(40, rejected, rejected)
     assert "no SCHED_FIFO 40" in both.description
     assert "no locked memory" in both.description
-    memory = request_scheduling(7, granted, refused)
+    memory = request_scheduling(7, granted, rejected)
     assert memory.description.startswith("no locked memory")
 
 
 def test_it_may_be_turned_off():
-    assert request_scheduling(0, refused, refused) is NOT_REQUESTED
+    assert request_scheduling(0, rejected, rejected) is NOT_REQUESTED
 
 
-def test_who_shares_the_interpreter_gets_half_until_it_is_given_back():
+def test_the_main_thread_gets_half_the_priority_until_the_end():
     def priorities() -> tuple[int, int]:
         main = threading.main_thread().native_id
         return os.sched_getparam(0).sched_priority, os.sched_getparam(main).sched_priority
@@ -71,7 +71,7 @@ def test_who_shares_the_interpreter_gets_half_until_it_is_given_back():
     assert found == [(10, 5), (0, 0)]
 
 
-def test_it_is_asked_for_by_the_thread_itself_before_its_first_step():
+def test_the_thread_itself_requests_it_before_its_first_step():
     seen: list[tuple[str, str]] = []
 
     class Thread(PeriodicThread):
@@ -91,8 +91,8 @@ def test_it_is_asked_for_by_the_thread_itself_before_its_first_step():
     assert seen == [("start", "servo"), ("step", "servo")]
 
 
-def test_the_diagnostics_tell_it_and_blame_it_only_for_a_late_loop():
-    missing = request_scheduling(40, refused, refused)
+def test_the_diagnostics_report_it_and_blame_it_only_for_a_late_loop():
+    missing = request_scheduling(40, rejected, rejected)
     fine = TimingReport(0.01, 0.0005, 0.001, 0.0005, 0.004, 0, 1000)
     late = TimingReport(0.01, 0.004, 0.02, 0.003, 0.006, 7, 1000)
     assert timing_report(fine, 0.01, missing).level is Level.OK

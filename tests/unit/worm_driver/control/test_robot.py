@@ -102,7 +102,7 @@ def test_no_servo_has_its_torque_before_every_one_has_its_limits(rig):
     assert last_speed < addresses.index(torques)
 
 
-def test_activation_refuses_a_supply_out_of_range(rig):
+def test_activation_rejects_a_supply_out_of_range(rig):
     rig.inject("input_voltage", target=CABLE, value=8.0)
     rig.run(0.1)
     with pytest.raises(ConfigurationError, match="servo 1 "):
@@ -139,7 +139,7 @@ def test_a_release_that_no_servo_acknowledges_still_takes_the_torque_off():
     assert [servo.memory["torque_enable"] for servo in rig.virtual.servos] == [0, 0, 0]
 
 
-def test_a_release_without_a_port_says_so_and_raises_nothing():
+def test_a_release_without_a_port_is_reported_and_raises_nothing():
     rig = moving()
     rig.wire.unplugged = True
     assert any("is gone" in problem for problem in rig.robot.release())
@@ -185,7 +185,7 @@ def test_a_reverse_gait_sets_the_fins_first_and_at_rest(rig):
     assert all(s.commanded == 0.0 for s in rig.snapshots if s.active)
 
 
-def test_a_gait_while_inactive_is_refused(rig):
+def test_a_gait_while_inactive_is_rejected(rig):
     with pytest.raises(LimitError, match="activate the driver first"):
         rig.start()
 
@@ -235,7 +235,7 @@ def test_stop_stops_at_once():
 
 
 @pytest.mark.parametrize(
-    ("fault", "arguments", "words"),
+    ("fault", "arguments", "expected"),
     [
         ("no_answer", {"target": 1, "duration": 5.0}, "servo 1 gives no state .* does not answer"),
         ("no_answer", {"target": 11, "duration": 5.0}, "servo 11 gives no state"),
@@ -254,7 +254,7 @@ def test_stop_stops_at_once():
         ("input_voltage", {"target": 12, "duration": 5.0}, "servo 12 reports input voltage"),
     ],
 )
-def test_a_fault_stops_the_motion_within_100_ms_and_is_named(fault, arguments, words):
+def test_a_fault_stops_the_motion_within_100_ms_and_is_named(fault, arguments, expected):
     rig = moving()
     if fault == "overheating":  # a servo warms up: only the time since its report counts
         rig.inject(fault, **arguments)
@@ -266,7 +266,7 @@ def test_a_fault_stops_the_motion_within_100_ms_and_is_named(fault, arguments, w
     player = rig.robot.player
     assert player.phase is Phase.FAULT
     assert player.run.ending is Ending.FAILED
-    assert re.search(words, player.message), player.message
+    assert re.search(expected, player.message), player.message
     with pytest.raises(LimitError, match="in fault"):
         rig.start()
 
@@ -282,7 +282,7 @@ def test_a_cable_servo_whose_supply_sags_stops_more_slowly_as_it_is_weak(cycles)
 
 
 @pytest.mark.parametrize("fault", ["vanished", "overload", "overheating"])
-def test_a_cable_servo_that_lets_go_is_a_fault_and_no_goal_is_sent_beyond(fault):
+def test_a_cable_servo_that_releases_torque_is_a_fault_and_no_goal_is_sent_beyond(fault):
     """The servo switched its torque off itself; the driver must notice, and stop playing."""
     rig = moving()
     rig.inject(fault, target=CABLE, duration=0.3)
@@ -480,7 +480,7 @@ def test_a_home_survives_a_restart_of_the_driver_in_the_middle_of_a_stroke():
     assert again.snapshots[-1].cable == pytest.approx(length, abs=5e-3)
 
 
-def test_a_robot_that_was_left_contracted_with_its_torque_on_says_so_until_it_is_taken_over():
+def test_a_contracted_robot_with_its_torque_on_is_reported_until_it_is_taken_over():
     rig = moving()
     again = rig.restarted_driver(settings(home_at_start=False))
     assert "the torque is on" in again.run(0.02).player.message
@@ -508,7 +508,7 @@ def test_homing_sets_the_position_to_zero_where_the_cable_is(rig):
     assert rig.run(0.02).servos[0].ticks == pytest.approx(0, abs=1)
 
 
-def test_homing_with_the_torque_on_is_refused(rig):
+def test_homing_with_the_torque_on_is_rejected(rig):
     rig.activate()
     with pytest.raises(HomingError, match="deactivate"):
         rig.robot.home()
@@ -551,7 +551,7 @@ def test_a_reboot_of_the_cable_servo_loses_its_home():
         rig.robot.activate(rig.clock.now)
 
 
-def test_a_reboot_with_the_torque_on_is_refused(rig):
+def test_a_reboot_with_the_torque_on_is_rejected(rig):
     rig.activate()
     with pytest.raises(ConfigurationError, match="deactivate"):
         rig.robot.reboot()

@@ -17,9 +17,9 @@ def test_silence_adds_up_over_the_looks_and_ends_with_an_answer():
     counts = supervision.silence(counts, [1], 0.002)
     fault = fault_in_counts(counts, LIMITS, problems)
     assert fault == "servo 1 gives no state for 36 ms: it does not answer intact"
-    beside = supervision.crowding(12.34, 2)
-    assert fault_in_counts(counts, LIMITS, problems, beside) == fault + beside
-    assert "busy (load 12.3 on 2 cores)" in beside
+    load_note = supervision.crowding(12.34, 2)
+    assert fault_in_counts(counts, LIMITS, problems, load_note) == fault + load_note
+    assert "busy (load 12.3 on 2 cores)" in load_note
     assert supervision.crowding(1.9, 2) == ""
     counts = supervision.silence(counts, [], 0.02)
     assert fault_in_counts(counts, LIMITS, problems) is None
@@ -52,7 +52,7 @@ def test_a_cable_that_does_not_follow_is_a_fault():
 
 
 @pytest.mark.parametrize(
-    ("health", "words"),
+    ("health", "expected"),
     [
         (Health(1, 1, 0b100000, 4), "reports overload"),
         (Health(1, 1, 0, -1), "bus watchdog of servo 1 has expired"),
@@ -61,8 +61,8 @@ def test_a_cable_that_does_not_follow_is_a_fault():
         (Health(1, 1, 0, 0), "has restarted: its torque is on, without its bus watchdog"),
     ],
 )
-def test_each_register_tells_its_fault(health, words):
-    assert words in fault_in_health(1, health, is_cable=True)
+def test_each_register_shows_its_fault(health, expected):
+    assert expected in fault_in_health(1, health, is_cable=True)
 
 
 def test_a_healthy_servo_has_no_fault_and_a_fins_led_does_not_matter():

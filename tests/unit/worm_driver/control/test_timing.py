@@ -23,7 +23,7 @@ def test_a_missed_deadline_is_skipped_not_caught_up_with():
     assert grid.next_after(0.0351) == pytest.approx(0.04)
 
 
-def test_the_report_tells_period_error_and_misses():
+def test_the_report_contains_period_error_and_misses():
     meter = PeriodMeter(0.01, window=100)
     time = 0.0
     for i in range(101):
@@ -38,7 +38,7 @@ def test_the_report_tells_period_error_and_misses():
     assert report.mean_period == pytest.approx(0.0101)
 
 
-def test_the_report_tells_a_late_start_from_a_long_cycle():
+def test_the_report_distinguishes_a_late_start_from_a_long_cycle():
     meter = PeriodMeter(0.01)
     for i in range(100):
         due = 0.01 * i

@@ -93,7 +93,7 @@ def test_the_constants_are_those_of_the_message_and_of_the_model():
 
 
 @pytest.mark.parametrize(
-    ("gait", "cycles", "words"),
+    ("gait", "cycles", "message"),
     [
         (Gait(math.nan, 0.2), 5, "stroke is nan"),
         (Gait(0.07, math.inf), 5, "frequency is inf"),
@@ -126,8 +126,8 @@ def test_the_constants_are_those_of_the_message_and_of_the_model():
         (Gait(0.09, 0.4), 5, "0.1131 m/s; the limit is 0.1000"),
     ],
 )
-def test_what_the_robot_cannot_bear_is_refused_with_the_reason(gait, cycles, words):
-    with pytest.raises(LimitError, match=re.escape(words)):
+def test_a_gait_beyond_the_limits_is_rejected_with_the_reason(gait, cycles, message):
+    with pytest.raises(LimitError, match=re.escape(message)):
         LIMITS.check(gait, cycles)
 
 

@@ -85,7 +85,7 @@ def test_without_a_tracker_there_is_no_speed_and_a_reason():
     assert found.reasons == ("no speed: no samples arrived on the topic tracker",)
 
 
-def test_a_marker_hidden_for_a_moment_is_bridged_and_told():
+def test_a_marker_hidden_for_a_moment_is_bridged_and_reported():
     """Around the end, x1 curves: a straight line over the gap would be 2 mm off."""
     seen = record()
     bend = [(t, x + 0.05 * (t - 20.0) ** 2) for t, x in seen.positions]

@@ -229,13 +229,13 @@ def test_after_a_stop_a_run_returns_to_rest_before_it_begins():
     assert states[-1][1].run.number == 2
 
 
-def test_a_second_run_is_refused_with_the_reason():
+def test_a_second_run_is_rejected_with_the_reason():
     now, state = running()
     with pytest.raises(LimitError, match=r"running already \(cycle 1 of 5\)"):
         gait_player.start(state, now, Gait(0.07, 0.4), 5)
 
 
-def test_a_fault_holds_and_refuses_until_the_next_activation():
+def test_a_fault_holds_and_rejects_until_the_next_activation():
     now, state = running()
     state = gait_player.fault(state, now, -0.01, "servo 1 is gone")
     assert state.run.ending is Ending.FAILED

@@ -43,7 +43,7 @@ def test_the_end_of_a_cycle_is_that_of_its_extension(share, begins):
         assert is_near_cycle_end(run, record) == (phase > begins)
 
 
-def test_what_the_fins_bend_is_no_groove():
+def test_deflection_of_the_fins_is_no_groove():
     """The displacement of the first cycle is 0.73 of a pitch where no groove was gained."""
     record = seen(0.99, per_cycle=0.73 * PITCH - 0.004)
     assert not RunEnd(grooves=1).is_reached(RUN, record, PITCH)
@@ -66,14 +66,14 @@ def test_cycles_bound_a_run_and_without_them_the_limits_do():
             RunEnd(distance=distance).most_cycles(GAIT, LIMITS)
 
 
-def test_a_cycle_whose_end_the_tracker_missed_is_named_once_its_word_is_near_cycle_end():
+def test_a_cycle_whose_end_the_tracker_missed_is_reported_once():
     assert unseen_cycle(RUN, judged=1, now=ONSET + 5.0 + 5.2) == 0
     assert unseen_cycle(RUN, judged=1, now=ONSET + 5.0 + 5.6) == 2
     assert unseen_cycle(RUN, judged=2, now=ONSET + 5.0 + 5.6) == 0
     assert not is_near_cycle_end(RUN, RunRecord())
 
 
-def test_three_cycles_without_a_groove_are_in_vain():
+def test_three_cycles_without_a_groove_make_no_progress():
     assert not makes_no_progress(RUN, seen(2.99, 0.0), PITCH)
     assert makes_no_progress(RUN, seen(3.99, 0.0), PITCH)
     assert not makes_no_progress(RUN, seen(3.99), PITCH)

@@ -25,13 +25,13 @@ def seen(
     return found
 
 
-def test_a_robot_that_stands_is_seen_to_after_most_of_a_span():
+def test_rest_is_detected_after_most_of_a_span():
     found = seen(lambda _: LENGTH, 3.0, noise=1e-4)
     assert not any(lasts for time, lasts in found if time < SPAN / 2)
     assert all(lasts for time, lasts in found if time > SPAN)
 
 
-def test_a_body_that_creeps_is_not_taken_for_one_that_stands():
+def test_a_body_that_creeps_is_not_mistaken_for_one_at_rest():
     """It starts 4.7 mm off, with a time constant of a second: the accepted length is within half a millimetre."""
 
     def creeping(time: float) -> float:
@@ -43,7 +43,7 @@ def test_a_body_that_creeps_is_not_taken_for_one_that_stands():
 
 
 @pytest.mark.parametrize("module", ["rear", "front"])
-def test_what_is_hidden_is_not_seen_to_stand(module: str):
+def test_a_hidden_module_is_not_at_rest(module: str):
     hidden = {"rear": (lambda _: math.nan), "front": (lambda _: 0.1)}[module]
     found = seen(lambda _: math.nan if module == "front" else LENGTH, 3.0, rear=hidden)
     assert not any(lasts for _, lasts in found)
@@ -53,7 +53,7 @@ def test_a_robot_that_slides_whole_does_not_stand():
     assert not any(lasts for _, lasts in seen(lambda _: LENGTH, 3.0, rear=lambda time: 2e-3 * time))
 
 
-def test_another_clock_begins_anew_and_keeps_no_more_than_a_span():
+def test_another_clock_starts_again_and_keeps_no_more_than_a_span():
     """A virtual robot's clock begins at 0, after samples by that of the computer."""
     still = Stillness()
     for index in range(100):

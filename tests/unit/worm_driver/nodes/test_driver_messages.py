@@ -40,7 +40,7 @@ def test_two_clocks_read_at_once_agree_with_themselves():
     assert stamp.sec + stamp.nanosec * 1e-9 == pytest.approx(time.time(), abs=0.5)
 
 
-def test_a_step_of_the_clock_is_told_from_drift():
+def test_a_step_of_the_clock_is_distinguished_from_drift():
     assert ClockPair(10**9).step_since(ClockPair(10**9 - 10**6)) == 0.0
     assert ClockPair(10**9).step_since(ClockPair(3 * 10**9)) == pytest.approx(-2.0)
 
@@ -106,7 +106,7 @@ def test_each_phase_has_its_state(phase, state):
     )
 
 
-def test_the_state_tells_gait_cycle_and_onset():
+def test_the_state_contains_gait_cycle_and_onset():
     player = PlayerState(phase=Phase.RUNNING, run=RUN)
     message = ros_messages.gait_state(snapshot(player), CLOCKS, emergency_stop=False)
     assert (message.gait.stroke, message.run, message.cycle, message.cycles) == (

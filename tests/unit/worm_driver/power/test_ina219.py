@@ -47,7 +47,7 @@ def chip() -> Chip:
     return chip
 
 
-class Words:
+class RegisterBus:
     """Bus whose registers are sent as 16-bit values, high byte first, or low byte first if it swaps."""
 
     def __init__(self, registers, swapping: bool = False) -> None:
@@ -65,9 +65,9 @@ class Words:
         return None
 
 
-def test_the_words_of_smbus_are_swapped():
+def test_the_bytes_of_smbus_values_are_swapped():
     """Unswapped, 12.000 V (0x5DC2) would read a plausible 24.876 V."""
-    device = I2CDevice(Words({2: 0x5DC2}), "1", 0x40)
+    device = I2CDevice(RegisterBus({2: 0x5DC2}), "1", 0x40)
     assert (device.read(2) >> 3) * 4e-3 == pytest.approx(12.0, abs=1e-9)
     assert (swap(0x5DC2) >> 3) * 4e-3 == pytest.approx(24.876, abs=0.01)
 
@@ -81,7 +81,7 @@ def test_a_sample_is_the_supplys_voltage_and_current(chip):
 
 
 def test_swapped_bytes_are_noticed_at_the_start():
-    device = I2CDevice(Words({0: 0x399F}, swapping=True), "1", 0x40)
+    device = I2CDevice(RegisterBus({0: 0x399F}, swapping=True), "1", 0x40)
     with pytest.raises(PowerSensorError, match="bytes swapped"):
         INA219(device, 0.1, 4194).start()
 
@@ -111,7 +111,7 @@ def test_an_adapter_that_swaps_is_named_whatever_the_chip_was_set_to(before):
 
 
 def test_a_memory_that_keeps_what_is_written_is_no_power_sensor():
-    class Memory(Words):
+    class Memory(RegisterBus):
         def write_word_data(self, i2c_addr, register, value):
             self.registers[register] = swap(value)
 
@@ -121,12 +121,12 @@ def test_a_memory_that_keeps_what_is_written_is_no_power_sensor():
 
 def test_another_chip_is_noticed_at_the_start():
     with pytest.raises(PowerSensorError, match=r"0x40 on I2C bus 1 is no INA219: .* 0x1234"):
-        INA219(I2CDevice(Words({0: 0x1234}), "1", 0x40), 0.1, 4194).start()
+        INA219(I2CDevice(RegisterBus({0: 0x1234}), "1", 0x40), 0.1, 4194).start()
 
 
 def test_settings_that_do_not_stick_are_noticed():
     with pytest.raises(PowerSensorError, match="loses its settings"):
-        INA219(I2CDevice(Words({0: 0x399F}), "1", 0x40), 0.1, 4194).start()
+        INA219(I2CDevice(RegisterBus({0: 0x399F}), "1", 0x40), 0.1, 4194).start()
 
 
 def test_a_wrong_address_is_named_with_the_remedy():
@@ -158,7 +158,7 @@ def test_an_overflow_is_no_number(chip, fault):
 def test_the_chips_overflow_bit_counts_even_where_the_shunt_is_in_range():
     """The current register overflows first if max_current_a is small."""
     registers = {0: RUNNING_CONFIGURATION, 1: 20_000, 2: 3000 << 3 | 0b11, 5: 4194}
-    sensor = INA219(I2CDevice(Words(registers), "1", 0x40), 0.1, 4194)
+    sensor = INA219(I2CDevice(RegisterBus(registers), "1", 0x40), 0.1, 4194)
     assert sensor.sample(1.0).status is SampleStatus.OVERFLOW
     registers[2] = 3000 << 3 | 0b10
     assert sensor.sample(1.0).current == pytest.approx(2.0)
@@ -180,7 +180,7 @@ def test_no_valid_sample_lies_between_a_brown_out_and_its_discovery(chip):
 
 
 @pytest.mark.parametrize(
-    "word",
+    "configuration",
     [
         RUNNING_CONFIGURATION & ~0x1800,  # range 40 mV: 4.8 W instead of 13.4 W
         RUNNING_CONFIGURATION & ~0x2000,  # range 16 V
@@ -188,9 +188,9 @@ def test_no_valid_sample_lies_between_a_brown_out_and_its_discovery(chip):
         RUNNING_CONFIGURATION & ~0x0078,  # 9 bit
     ],
 )
-def test_a_stray_write_to_the_configuration_yields_no_number_and_is_repaired(chip, word):
+def test_a_stray_write_to_the_configuration_yields_no_number_and_is_repaired(chip, configuration):
     usual = chip.sample().power
-    chip.robot.chip.write(0, word)
+    chip.robot.chip.write(0, configuration)
     seen = [chip.sample() for _ in range(6)]
     assert seen[0].status is SampleStatus.SENSOR_RESET
     assert math.isnan(seen[0].power)
@@ -218,7 +218,7 @@ def test_the_calibrations_lowest_bit_is_never_set():
         assert calibration_for(milliohm * 1e-3, 3.0) & 1 == 0
 
 
-def test_a_current_beyond_the_shunts_range_is_refused():
+def test_a_current_beyond_the_shunts_range_is_rejected():
     with pytest.raises(ConfigurationError, match=r"at most 3\.2 A, or a smaller shunt"):
         calibration_for(0.1, 5.0)
 
@@ -226,13 +226,13 @@ def test_a_current_beyond_the_shunts_range_is_refused():
 @pytest.mark.parametrize(
     ("resistance", "current"), [(0.0, 3.2), (-0.1, 3.2), (0.1, 0.0), (0.1, math.nan)]
 )
-def test_a_shunt_that_cannot_be_is_refused(resistance, current):
+def test_an_impossible_shunt_is_rejected(resistance, current):
     with pytest.raises(ConfigurationError):
         calibration_for(resistance, current)
 
 
-def test_a_bus_can_be_opened_anew(tmp_path):
-    device = I2CDevice(Words({}), str(tmp_path / "i2c-9"), 0x40)
+def test_a_bus_can_be_opened_again(tmp_path):
+    device = I2CDevice(RegisterBus({}), str(tmp_path / "i2c-9"), 0x40)
     with pytest.raises(PowerSensorError, match="does not exist"):
         device.reopen()
 
@@ -244,14 +244,14 @@ def test_a_missing_bus_is_named_with_the_remedy(tmp_path):
         open_device("99", 0x40)
 
 
-def test_a_file_that_is_no_bus_is_refused(tmp_path):
+def test_a_file_that_is_no_bus_is_rejected(tmp_path):
     (tmp_path / "i2c").touch()
     with pytest.raises(PowerSensorError, match="cannot be opened"):
         open_device(str(tmp_path / "i2c"), 0x40)
 
 
 @pytest.mark.parametrize(
-    ("number", "words"),
+    ("number", "expected"),
     [
         (errno.EREMOTEIO, "does not acknowledge"),
         (errno.ETIMEDOUT, "blocks the bus"),
@@ -259,18 +259,18 @@ def test_a_file_that_is_no_bus_is_refused(tmp_path):
         (errno.EIO, "failed"),
     ],
 )
-def test_each_failure_of_the_bus_has_its_words(number, words):
-    class Broken(Words):
+def test_each_failure_of_the_bus_has_its_message(number, expected):
+    class Broken(RegisterBus):
         def read_word_data(self, i2c_addr, register):
             raise OSError(number, "broken")
 
-    with pytest.raises(PowerSensorError, match=words):
+    with pytest.raises(PowerSensorError, match=expected):
         I2CDevice(Broken({}), "1", 0x40).read(0)
 
 
 def test_a_sensor_that_repeats_the_same_bits_is_not_valid_and_one_that_repeats_a_few_is():
     registers = {0: RUNNING_CONFIGURATION, 1: 2_000, 2: 3000 << 3 | 0b10, 3: 0, 5: 4194}
-    sensor = INA219(I2CDevice(Words(registers), "1", 0x40), 0.1, 4194)
+    sensor = INA219(I2CDevice(RegisterBus(registers), "1", 0x40), 0.1, 4194)
     seen = [sensor.sample(i * 0.01).status for i in range(465)]
     assert seen[: FROZEN - 1] == [SampleStatus.VALID] * (FROZEN - 1)
     assert set(seen[FROZEN:]) == {SampleStatus.NOT_READY}

@@ -16,7 +16,7 @@ def test_a_signed_register_survives_its_bytes(raw):
     assert unpack(POSITION, pack(POSITION, raw)) == raw
 
 
-def test_the_sdk_hands_minus_one_back_as_four_billion_and_this_does_not():
+def test_the_sdk_returns_minus_one_as_four_billion_and_this_does_not():
     assert unpack(POSITION, b"\xff\xff\xff\xff") == -1
     assert unpack(XM430_W350["present_current"], b"\xfe\xff") == -2
 
@@ -48,11 +48,11 @@ def test_units_are_those_of_the_manual():
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, 1e9])
-def test_a_value_that_is_none_or_too_large_is_refused(value):
+def test_a_missing_or_too_large_value_is_rejected(value):
     with pytest.raises(ValueError, match="goal_position"):
         to_raw(COMMON["goal_position"], value)
 
 
-def test_a_wrong_number_of_bytes_is_refused():
+def test_a_wrong_number_of_bytes_is_rejected():
     with pytest.raises(ValueError, match="4 bytes, not 3"):
         unpack(POSITION, b"abc")

@@ -68,7 +68,9 @@ def test_each_failure_to_open_has_its_remedy(tmp_path):
     os.close(slave)
 
 
-def test_what_is_no_port_is_refused_before_it_is_opened_in_one_line_with_the_remedy(tmp_path):
+def test_a_file_that_is_no_port_is_rejected_before_it_is_opened_in_one_line_with_the_remedy(
+    tmp_path,
+):
     (tmp_path / "notes.txt").touch()
     found = {
         "/dev/null": "no serial device",
@@ -77,14 +79,14 @@ def test_what_is_no_port_is_refused_before_it_is_opened_in_one_line_with_the_rem
         str(tmp_path / "notes.txt"): "a file, not a device",
         str(tmp_path): "a folder",
     }
-    for port, words in found.items():
-        with pytest.raises(ConfigurationError, match=words) as refused:
+    for port, expected in found.items():
+        with pytest.raises(ConfigurationError, match=expected) as rejected:
             ServoBus.open(port, 1_000_000)
-        assert "set the parameter port" in str(refused.value)
-        assert "\n" not in str(refused.value)
+        assert "set the parameter port" in str(rejected.value)
+        assert "\n" not in str(rejected.value)
 
 
-def test_the_terminal_of_the_driver_itself_is_refused(monkeypatch):
+def test_the_terminal_of_the_driver_itself_is_rejected(monkeypatch):
     master, slave = os.openpty()
     number = os.fstat(slave).st_rdev
     assert serial_port.why_no_port(os.ttyname(slave)) == ""

@@ -69,7 +69,7 @@ def line() -> Line:
 # --- the protocol --------------------------------------------------------------------------------
 
 
-def test_a_ping_is_the_manuals_and_tells_model_and_firmware(line):
+def test_a_ping_is_the_manuals_and_returns_model_and_firmware(line):
     assert line.bus.ping(1) == Identity(1020, 48)
     assert line.wire.sent == [bytes.fromhex("FFFFFD00010300 01 194E")]
 
@@ -190,7 +190,7 @@ def test_what_is_sent_is_what_a_receiver_unstuffs(data):
 # --- late, lost, garbled and doubled responses ----------------------------------------------------
 
 
-def test_a_late_answer_is_not_taken_for_the_next_ones(line):
+def test_a_late_answer_is_not_mistaken_for_the_next_one(line):
     """The response with the model number is late; the SDK returns it for the next request of the same length."""
     line.inject("late", count=1, value=0.006)
     bus = ServoBus(line.port, retries=0)
@@ -200,7 +200,7 @@ def test_a_late_answer_is_not_taken_for_the_next_ones(line):
     assert bus.read(1, voltage) == pytest.approx(120, abs=1)
 
 
-def test_a_servo_that_answers_late_but_once_is_asked_again(line):
+def test_a_servo_that_answers_late_once_gets_the_request_again(line):
     line.inject("late", count=1, value=0.006)
     assert line.bus.read(1, MODEL) == 1020
     assert line.bus.counters.retries == 1
@@ -266,14 +266,14 @@ def test_bytes_that_keep_coming_do_not_hang_the_bus():
 
 
 @pytest.mark.parametrize("number", range(1, 8))
-def test_each_error_number_is_an_error_in_words(line, number):
+def test_each_error_number_is_an_error_with_a_text(line, number):
     line.inject("error", count=2, value=number)
     with pytest.raises(StatusError, match="servo 1 ") as caught:
         line.bus.read(1, MODEL)
     assert caught.value.number == number
 
 
-def test_a_question_that_the_line_garbled_is_asked_again_and_no_other_error_is(line):
+def test_only_a_garbled_request_is_repeated(line):
     line.inject("error", count=1, value=3)
     assert line.bus.read(1, MODEL) == 1020
     line.inject("error", count=1, value=4)
@@ -340,7 +340,7 @@ def test_a_missing_port_is_named_with_the_remedy(tmp_path):
         ServoBus.open(str(tmp_path / "ttyNO"), 1_000_000)
 
 
-def test_a_baud_rate_that_the_sdk_cannot_set_is_refused(terminal):
+def test_a_baud_rate_that_the_sdk_cannot_set_is_rejected(terminal):
     with pytest.raises(ConfigurationError, match="4500000"):
         ServoBus.open(terminal, 4_500_000)
 
@@ -391,14 +391,14 @@ def test_two_threads_do_not_get_into_each_others_way(line):
     """The SDK's flag is no lock: one of two threads would get COMM_PORT_BUSY."""
     found: list[object] = []
 
-    def ask(servo: int) -> None:
+    def read_servo(servo: int) -> None:
         for _ in range(200):
             try:
                 found.append(line.bus.ping(servo).model_number)
             except BusError as error:
                 found.append(error)
 
-    threads = [threading.Thread(target=ask, args=(servo,)) for servo in (1, 11)]
+    threads = [threading.Thread(target=read_servo, args=(servo,)) for servo in (1, 11)]
     for thread in threads:
         thread.start()
     for thread in threads:

@@ -22,8 +22,8 @@ def answered(clock: TickClock, made: float, late: float = 0.0) -> TickClock:
 @given(st.floats(0.0, 1e5), st.floats(0.0, 0.2), st.floats(0.0, 0.25))
 def test_a_late_answer_is_older_than_its_question_by_what_it_is_late(start, gap, late):
     clock = begin(tick(start), start + WAY)
-    asked = start + gap + late
-    assert age(clock, tick(start + gap), asked) == pytest.approx(late - WAY, abs=0.0011)
+    request_time = start + gap + late
+    assert age(clock, tick(start + gap), request_time) == pytest.approx(late - WAY, abs=0.0011)
 
 
 def test_the_wrap_is_no_jump():
@@ -43,11 +43,11 @@ def test_slow_answers_do_not_hide_a_late_one():
 def test_a_drifting_clock_is_followed(rate):
     clock = begin(0.0, WAY)
     for i in range(1, 100_000):
-        asked = i * 0.01
-        shown = tick(asked * rate)
-        clock = update(clock, shown, asked + WAY)
-        assert age(clock, shown, asked) <= RESOLUTION
-        assert age(clock, shown, asked + 0.01) > RESOLUTION
+        request_time = i * 0.01
+        shown = tick(request_time * rate)
+        clock = update(clock, shown, request_time + WAY)
+        assert age(clock, shown, request_time) <= RESOLUTION
+        assert age(clock, shown, request_time + 0.01) > RESOLUTION
 
 
 def test_a_restart_is_further_off_than_any_late_answer():
@@ -66,7 +66,7 @@ def test_no_late_answers_make_a_later_good_one_look_old(answers, start):
         now += gap
         received = now + WAY + late
         clock = begin(tick(now), received) if clock is None else update(clock, tick(now), received)
-    asked = now + 0.3
-    clock = answered(clock, asked)
-    assert age(clock, tick(asked), asked) <= RESOLUTION
+    request_time = now + 0.3
+    clock = answered(clock, request_time)
+    assert age(clock, tick(request_time), request_time) <= RESOLUTION
     assert 0.0 <= clock.lead < WRAP_S

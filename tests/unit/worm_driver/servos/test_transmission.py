@@ -23,7 +23,7 @@ def test_one_turn_is_one_circumference():
 
 
 @pytest.mark.parametrize("change", [math.nan, math.inf, -20.0])
-def test_what_the_servo_cannot_count_is_refused(change):
+def test_a_position_beyond_the_counter_is_rejected(change):
     with pytest.raises(LimitError, match="cable servo 1"):
         Spool(1, 1, 0.012).ticks(change)
 
@@ -31,16 +31,16 @@ def test_what_the_servo_cannot_count_is_refused(change):
 @pytest.mark.parametrize(
     ("sign", "radius"), [(0, 0.012), (2, 0.012), (1, 0.0), (1, 12.0), (1, math.nan)]
 )
-def test_a_spool_that_cannot_be_is_refused(sign, radius):
+def test_an_impossible_spool_is_rejected(sign, radius):
     with pytest.raises(ConfigurationError, match="cable servo 1"):
         Spool(1, sign, radius)
 
 
-def test_fins_go_where_their_direction_says():
+def test_fins_turn_to_the_angle_of_their_direction():
     fin = Fin(11, math.pi / 2, 3 * math.pi / 2)
     assert (fin.ticks(1), fin.ticks(-1)) == (1024, 3072)
 
 
-def test_a_fin_angle_outside_a_turn_is_refused():
+def test_a_fin_angle_outside_a_turn_is_rejected():
     with pytest.raises(ConfigurationError, match=r"fin servo 11 .* 7"):
         Fin(11, 0.0, 7.0)

@@ -39,7 +39,7 @@ SPARSE = replace(
     ],
     ids=["straight", "left_above", "right_below", "sparse"],
 )
-def test_a_run_of_five_ridges_is_seen_to_a_tenth_of_a_millimetre(settings, yaw, pitch):
+def test_a_run_of_five_ridges_is_measured_to_a_tenth_of_a_millimetre(settings, yaw, pitch):
     rig = looking_at(replace(settings, yaw=yaw, pitch_angle=pitch), (0.2, -0.02, 0.0))
     done = video(rig, np.arange(0.0, 12.5, 1.0 / 6.0))  # every fifth image of 30 a second
     seen = np.isfinite(done.errors)
@@ -50,7 +50,7 @@ def test_a_run_of_five_ridges_is_seen_to_a_tenth_of_a_millimetre(settings, yaw, 
     assert np.ptp(done.truth[:, 0]) > 0.08  # five ridges
 
 
-def test_a_late_stamp_is_taken_back_by_the_delay():
+def test_a_late_stamp_is_corrected_by_the_delay():
     """At 44 mm/s, 20 ms are 0.9 mm."""
     from camera_rig import crawling, setup_of
 

@@ -42,7 +42,7 @@ def test_directions_are_the_inverse_of_projecting(camera: CameraModel):
     assert again == pytest.approx(pixels, abs=1e-4)
 
 
-def test_projecting_is_what_an_independent_camera_sees():
+def test_projection_agrees_with_an_independent_camera():
     points = np.random.default_rng(1).uniform(-0.4, 0.4, (50, 3))
     optical = np.column_stack([points[:, 0], -points[:, 2], points[:, 1] + 1.0])
     pixels = vision.project(BROWN, optical, np.eye(3), np.zeros(3))

@@ -135,7 +135,7 @@ def test_a_marker_that_moved_is_ignored():
     assert after.pose.position == pytest.approx(SETTINGS.position, abs=1e-5)
 
 
-def test_without_a_reference_marker_nothing_is_believed():
+def test_without_a_reference_marker_nothing_is_accepted():
     camera = fixed()
     camera.update(corners(PaperCamera()))
     assert "no reference marker in view" in camera.update({}).problem

@@ -51,7 +51,7 @@ def test_times_come_from_the_table(folder: Path):
         ("file,time_s\n,1\n", "there is no file ''"),
     ],
 )
-def test_a_wrong_table_is_refused(folder: Path, table: str, message: str):
+def test_a_wrong_table_is_rejected(folder: Path, table: str, message: str):
     (folder / "times.csv").write_text(table)
     with pytest.raises(ImageError, match=message):
         times_of_folder(folder, 30.0)
@@ -69,7 +69,7 @@ def test_without_times_or_images_nothing_is_guessed(folder: Path, tmp_path_facto
         list(frames_of_folder(folder, 30.0))
 
 
-def test_what_is_no_film_is_refused(folder: Path):
+def test_a_file_that_is_no_film_is_rejected(folder: Path):
     with pytest.raises(ImageError, match="is not a file"):
         next(frames_of_video(folder, 30.0))
     (folder / "video.mp4").write_bytes(b"no video")
@@ -77,7 +77,7 @@ def test_what_is_no_film_is_refused(folder: Path):
         next(frames_of_video(folder / "video.mp4", 30.0))
 
 
-def test_images_of_another_size_than_the_calibrations_are_refused():
+def test_images_of_another_size_than_the_calibrations_are_rejected():
     check_size(np.zeros((720, 1280), np.uint8), (1280, 720), "a.png")
     with pytest.raises(
         ImageError, match=r"a.png has 640 x 480 pixels, but camera_info is for 1280 x 720"

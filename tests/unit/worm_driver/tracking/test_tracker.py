@@ -34,7 +34,7 @@ def test_positions_are_exact_at_any_depth_of_the_line(rear, length, y, z):
     assert seen.reason == ""
 
 
-def test_a_wrong_depth_would_be_seen():
+def test_a_wrong_depth_would_be_detected():
     """If the depth had no effect, the test above would prove nothing: 20 mm of depth are 8 mm here."""
     y, z = SETTINGS.module_line
     tracker = Tracker(setup_of(SETTINGS, line=ModuleLine(y + 0.02, z)))
@@ -79,7 +79,7 @@ def test_what_cannot_be_is_hidden_with_a_reason(rear, reason):
     assert "front" not in seen.reason
 
 
-def test_a_jump_is_not_believed_until_the_module_can_have_come_there():
+def test_a_jump_is_rejected_until_the_module_can_have_moved_there():
     tracker = Tracker(setup_of(SETTINGS))
     see(*CAMERA.modules(), tracker=tracker, time=0.0)
     jump = see(*CAMERA.modules(rear=0.1), tracker=tracker, time=1 / 30)
@@ -92,7 +92,7 @@ def test_a_jump_is_not_believed_until_the_module_can_have_come_there():
     assert set_back.rear == pytest.approx(0.0, abs=1e-5)
 
 
-def test_the_delay_is_taken_off_the_stamp():
+def test_the_delay_is_subtracted_from_the_stamp():
     tracker = Tracker(setup_of(SETTINGS, delay=0.04))
     assert see(*CAMERA.modules(), tracker=tracker, time=2.0).time == pytest.approx(1.96)
 

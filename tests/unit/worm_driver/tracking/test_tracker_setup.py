@@ -88,12 +88,12 @@ def test_the_calibration_may_come_with_the_images(write):
         ("dictionary: DICT_4X4_50", "dictionary: [", ["YAML", "line"]),
     ],
 )
-def test_a_wrong_one_is_refused_in_one_line(write, old, new, facts):
+def test_an_invalid_setup_is_rejected_in_one_line(write, old, new, facts):
     assert old in GOOD
     path = write(GOOD.replace(old, new))
-    with pytest.raises(SetupError) as refused:
+    with pytest.raises(SetupError) as rejected:
         load_setup(path)
-    message = str(refused.value)
+    message = str(rejected.value)
     assert "\n" not in message
     assert message.startswith(str(path.parent))
     assert [fact for fact in facts if fact not in message.removeprefix(str(path))] == []

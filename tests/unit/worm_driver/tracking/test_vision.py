@@ -45,7 +45,7 @@ def test_red_green_and_blue_are_not_mixed_up():
     assert int(bgr[0, 0]) == round(0.114 * 10 + 0.587 * 100 + 0.299 * 200)
 
 
-def test_other_encodings_are_refused_by_name():
+def test_other_encodings_are_rejected_by_name():
     with pytest.raises(
         ImageError, match="'bayer_rggb8' are not supported: set the camera to one of mono8"
     ):
@@ -74,7 +74,7 @@ def test_corners_are_where_an_independent_camera_has_them():
         assert found[truth.number].edge_width < 0.5
 
 
-def test_the_width_of_edges_tells_how_blurred_they_are():
+def test_the_width_of_edges_measures_their_blur():
     """A ramp of w cells has 0.8 w from 10 to 90 %."""
     cells, pixels = framed(["1011", "0101", "0011", "0010"]), 12
     sharp = np.kron(np.pad(cells, 2, constant_values=1.0), np.ones((pixels, pixels))) * 200

@@ -97,7 +97,7 @@ def test_the_cable_carries_the_difference_between_front_fin_and_front_load(effec
     assert state.cable_force == pytest.approx(bellows + carried[1] - front, rel=1e-3)
 
 
-def test_a_load_that_the_fins_do_not_hold_lets_it_slide():
+def test_a_robot_slides_under_a_load_that_the_fins_do_not_hold():
     plant = plant_of(Conditions(tether_n=100.0))
     state = plant.at_rest()
     assert plant.positions(state)[0] == 0.0

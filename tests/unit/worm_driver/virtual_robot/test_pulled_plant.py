@@ -93,7 +93,7 @@ def test_without_load_the_gain_is_that_of_two_springs():
     assert state.length_change == pytest.approx(-0.05 * gain, rel=1e-3)
 
 
-def test_load_changes_the_length_which_the_model_cannot_know():
+def test_load_changes_the_length_of_a_pulled_plant_only():
     for effects, least, most in ((PULLED, 2e-4, 5e-3), (RIGID, 0.0, 1e-12)):
         held, free = (play(plant_of(effects), 0.07, 0.2, law=law) for law in (FORWARD, LOOSE))
         apart = max(abs(a.length_change - b.length_change) for a, b in zip(held, free, strict=True))

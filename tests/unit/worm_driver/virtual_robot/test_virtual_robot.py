@@ -94,7 +94,7 @@ def test_a_rehearsal_repeats_exactly_and_differs_with_the_seed(settings):
     assert not np.array_equal(first.current, other.current)
 
 
-def test_the_spread_moves_the_truth_but_not_what_a_ruler_tells(settings):
+def test_the_spread_changes_the_true_values_but_not_the_ruler_readings(settings):
     spread = replace(settings, parameter_spread=0.05)
     truths = [
         run_offline(spread.with_seed(seed), Gait(0.07, 0.2).length_change, 0.1, rest=0.1).truth
@@ -123,12 +123,12 @@ def test_what_the_instruments_of_a_rehearsal_see(settings):
 def test_the_same_bytes_at_the_same_times_give_the_same_answers(settings):
     def play():
         robot = VirtualRobot(settings)
-        heard = []
+        responses = []
         request = bytes.fromhex("FFFFFD0001070002840004001D15")  # read the cable's position
         for index in range(50):
-            heard += [answer.data for answer in robot.receive(request, index * 0.0123)]
-            heard.append(read(robot, SHUNT, index * 0.0123).to_bytes(2, "big"))
-        return heard
+            responses += [answer.data for answer in robot.receive(request, index * 0.0123)]
+            responses.append(read(robot, SHUNT, index * 0.0123).to_bytes(2, "big"))
+        return responses
 
     assert play() == play()
 
@@ -212,7 +212,7 @@ def test_another_address_is_not_acknowledged(settings):
     assert answer.errno == errno.EREMOTEIO
 
 
-def test_a_nack_strikes_as_often_as_it_is_asked_to(settings):
+def test_a_nack_occurs_as_often_as_requested(settings):
     robot = VirtualRobot(settings, FaultBoard([make_fault(faults.I2C_NACK, count=2)]))
     request = Request(frames.READ, ADDRESS, CONFIGURATION, 2)
     assert [robot.transact(request, 0.1).errno for _ in range(3)] == [121, 121, 0]

@@ -56,7 +56,7 @@ def test_its_truth_is_not_the_papers_table(settings):
         (lambda c: c["conditions"].update(flow=1), ["conditions", "'flow'"]),
     ],
 )
-def test_what_is_refused(tmp_path, change, facts):
+def test_invalid_values_are_rejected(tmp_path, change, facts):
     path = write(tmp_path, change)
     with pytest.raises(SettingsFileError) as caught:
         load_settings(path)

@@ -71,7 +71,7 @@ def test_a_short_run_is_averaged_as_a_whole():
     assert averaged_cycles(Run(gait_state=states), last_played_gait(states)) == (1, 2)
 
 
-def test_a_recording_without_a_gait_is_refused():
+def test_a_recording_without_a_gait_is_rejected():
     with pytest.raises(RecordingError, match="no run of a gait"):
         last_played_gait(gait_states([INACTIVE, RESTING], [0, 0], 5))
 
@@ -84,7 +84,7 @@ def test_a_recording_without_a_gait_is_refused():
         (IDLE, "ended (idle) after 2 of 5 cycles"),
     ],
 )
-def test_an_early_end_is_told_with_the_cycles_that_were_played(state, reason):
+def test_an_early_end_is_reported_with_the_cycles_that_were_played(state, reason):
     stamp = stamps([-1.0, 0.0, 5.0, 14.9])  # 5 s per cycle
     states = gait_states([RESTING, RUNNING, RUNNING, state], [0, EPOCH, EPOCH, EPOCH], 5)
     late = dataclasses.replace(states, stamp=stamp)
@@ -118,7 +118,7 @@ def test_the_end_of_a_whole_gait_is_no_early_end():
 # --- separation of runs ---------------------------------------------------------------------------
 
 
-def test_runs_are_told_apart_by_their_number_however_their_onsets_lie():
+def test_runs_are_distinguished_by_their_number_however_their_onsets_lie():
     near = [EPOCH, EPOCH + 1, EPOCH + 2, EPOCH + 3]
     numbered = gait_states([RUNNING] * 4, near, 5, run=np.array([1, 1, 2, 2]))
     assert [rows.tolist() for rows in numbered.rows_of_runs()] == [[0, 1], [2, 3]]
@@ -127,14 +127,14 @@ def test_runs_are_told_apart_by_their_number_however_their_onsets_lie():
     assert [rows.tolist() for rows in one.rows_of_runs()] == [[0, 1, 2, 3]]
 
 
-def test_a_driver_that_was_started_anew_counts_from_one_again():
+def test_a_restarted_driver_counts_from_one_again():
     states = gait_states(
         [RUNNING] * 4, [EPOCH] * 4, 5, run=np.ones(4, np.int64), cycle=np.array([1, 2, 1, 2])
     )
     assert [rows.tolist() for rows in states.rows_of_runs()] == [[0, 1], [2, 3]]
 
 
-def test_without_numbers_onsets_tell_runs_apart():
+def test_without_numbers_onsets_distinguish_runs():
     onsets = [EPOCH, EPOCH + 60_000_000, EPOCH + 60 * 10**9]
     states = gait_states([RUNNING] * 3, onsets, 5)
     assert not states.run.any()
@@ -199,7 +199,7 @@ def test_standing_still_has_no_finite_cost_of_transport():
 
 
 @pytest.mark.parametrize("name", ["position of x1", "power"])
-def test_a_recording_that_ends_too_early_is_refused(name):
+def test_a_recording_that_ends_too_early_is_rejected(name):
     long, short = np.arange(0.0, 30.0, 0.1), np.arange(0.0, 12.0, 0.1)
     series = {"position of x1": (stamps(long), long), "power": (stamps(long), long)}
     series[name] = (stamps(short), short)
@@ -260,7 +260,7 @@ def test_the_driver_measures_the_same_of_the_same_run(cycles: int):
     assert constants == (STANDARD_GRAVITY, AVERAGED_CYCLES, IDLE_SAMPLES)
 
 
-def test_idle_power_needs_ten_samples_and_a_rest_that_was_told():
+def test_idle_power_needs_ten_samples_and_a_rest_that_was_reported():
     run = simulated_run(2)
     played = last_played_gait(run.gait_state)
     assert idle_power(run, played) == pytest.approx(run.power.power[:10].mean(), rel=1e-12)

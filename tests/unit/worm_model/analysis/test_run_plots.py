@@ -36,7 +36,7 @@ def true_power(stamp):
     return trajectory.at(np.clip(time, 0.0, 3 * GAIT.period)).power, (time > 0.2) & (time < 7.0)
 
 
-def test_the_power_in_the_states_is_as_good_as_that_beside_the_sensor(followed):
+def test_the_power_in_the_states_is_as_accurate_as_settled_power(followed):
     """Both are computed when the lengths around them are known; the camera's noise of 0.1 mm remains."""
     run, replay = followed
     stamp, settled = settled_power(run, replay)

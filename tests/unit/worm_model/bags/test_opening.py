@@ -320,11 +320,11 @@ def test_memory_does_not_grow_with_the_length_of_a_bag(
     assert long < 30_000 * 1000 / 3
 
 
-def check_one_line(error: pytest.ExceptionInfo[BagError], *words: str) -> None:
+def check_one_line(error: pytest.ExceptionInfo[BagError], *facts: str) -> None:
     text = str(error.value)
     assert "\n" not in text
-    for word in words:
-        assert word in text
+    for fact in facts:
+        assert fact in text
 
 
 def test_a_bag_that_is_not_there(tmp_path: Path):
@@ -424,11 +424,11 @@ def test_a_message_index_that_points_elsewhere_does_no_harm(tmp_path: Path, offs
 def test_a_bag_without_metadata_is_made_whole(tmp_path: Path):
     by_worm_model(tmp_path / "bag")
     (tmp_path / "bag" / "metadata.yaml").unlink()
-    told: list[str] = []
-    with open_bag(tmp_path / "bag", told.append) as bag:
+    reported: list[str] = []
+    with open_bag(tmp_path / "bag", reported.append) as bag:
         assert numbers(bag) == list(range(COUNT))
     assert (tmp_path / "bag_recovered" / "metadata.yaml").exists()
-    assert len(told) == 1
+    assert len(reported) == 1
 
 
 def test_a_bag_is_recovered_from_inside_its_folder(tmp_path: Path, monkeypatch):
@@ -440,14 +440,14 @@ def test_a_bag_is_recovered_from_inside_its_folder(tmp_path: Path, monkeypatch):
         assert numbers(opened) == list(range(COUNT))
 
 
-def test_a_bag_on_a_read_only_medium_says_how_to_recover_it(tmp_path: Path, monkeypatch):
+def test_a_bag_on_a_read_only_medium_is_reported_with_the_remedy(tmp_path: Path, monkeypatch):
     by_worm_model(tmp_path / "bag")
     (tmp_path / "bag" / "metadata.yaml").unlink()
 
-    def refuse(*_: object, **__: object) -> None:
+    def reject(*_: object, **__: object) -> None:
         raise OSError(30, "Read-only file system")
 
-    monkeypatch.setattr(Path, "mkdir", refuse)
+    monkeypatch.setattr(Path, "mkdir", reject)
     with pytest.raises(BagError) as error:
         open_bag(tmp_path / "bag")
     check_one_line(error, "--output", "Read-only")
@@ -496,21 +496,21 @@ def without_definitions(path: Path, data: bytes, type_hash: str = "") -> Path:
     return path
 
 
-def test_a_bag_without_definitions_is_read_by_the_installed_ones_which_is_told(tmp_path: Path):
+def test_a_bag_without_definitions_is_read_by_the_installed_ones_which_is_reported(tmp_path: Path):
     (data,) = encode(topic_of("/worm/power", "worm_msgs/msg/Power"), 1, {"power": 2.5}, {})
     bag = without_definitions(tmp_path / "bag", data)
-    told: list[str] = []
-    with open_bag(bag, told.append) as opened:
+    reported: list[str] = []
+    with open_bag(bag, reported.append) as opened:
         assert read_run(opened).power.power.tolist() == [2.5]
         copy_power(opened, tmp_path / "copy")
-    assert any("carry no definition" in line for line in told)
+    assert any("carry no definition" in line for line in reported)
     with open_bag(tmp_path / "copy") as copy:
         assert "float64 bus_voltage" in copy.topics["/worm/power"].definition
         assert next(copy.messages()).data == data
 
 
 @pytest.mark.parametrize("surplus", [-8, 8])
-def test_messages_of_another_length_than_the_installed_definition_are_refused(
+def test_messages_of_another_length_than_the_installed_definition_are_rejected(
     tmp_path: Path, surplus: int
 ):
     (data,) = encode(topic_of("/worm/power", "worm_msgs/msg/Power"), 1, {"power": 2.5}, {})
@@ -590,15 +590,15 @@ def test_a_copy_carries_the_definitions_that_were_given(
     with open_bag(old_bag, lambda _: None, old_definitions) as bag:
         (before,) = bag.messages()
         copy_power(bag, tmp_path / "copy")
-    told: list[str] = []
-    with open_bag(tmp_path / "copy", told.append) as copy:
+    reported: list[str] = []
+    with open_bag(tmp_path / "copy", reported.append) as copy:
         assert copy.topics["/worm/power"].definition.startswith(OLD_POWER)
         assert copy.topics["/worm/power"].type_hash.startswith("RIHS01_")
         assert [message.data for message in copy.messages()] == [before.data]
-    assert told == []
+    assert reported == []
 
 
-def test_given_definitions_that_do_not_fit_are_refused(
+def test_given_definitions_that_do_not_fit_are_rejected(
     tmp_path: Path, old_bag: Path, old_definitions: Path
 ):
     others = folder_with(tmp_path / "other_msg", OLD_POWER + "float64 energy\n")
@@ -625,13 +625,13 @@ def test_definitions_of_two_times_do_not_mix(tmp_path: Path, old_bag: Path):
         open_bag(old_bag, lambda _: None, half)
 
 
-def test_a_folder_of_no_use_is_said(tmp_path: Path, old_bag: Path, old_definitions: Path):
+def test_an_unusable_folder_is_reported(tmp_path: Path, old_bag: Path, old_definitions: Path):
     with pytest.raises(BagError, match=r"holds no \.msg file"):
         open_bag(old_bag, lambda _: None, tmp_path / "nowhere")
-    told: list[str] = []
-    open_bag(by_worm_model(tmp_path / "whole"), told.append, old_definitions).close()
+    reported: list[str] = []
+    open_bag(by_worm_model(tmp_path / "whole"), reported.append, old_definitions).close()
     other = folder_with(tmp_path / "other", OLD_POWER, "Energy.msg")
-    open_bag(old_bag, told.append, other).close()
-    assert "its topics carry their definitions" in told[0]
-    assert "the installed ones are taken" in told[1]
-    assert told[2].endswith(f"it has none of {POWER}")
+    open_bag(old_bag, reported.append, other).close()
+    assert "its topics carry their definitions" in reported[0]
+    assert "the installed ones are taken" in reported[1]
+    assert reported[2].endswith(f"it has none of {POWER}")

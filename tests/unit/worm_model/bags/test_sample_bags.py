@@ -72,7 +72,7 @@ def test_the_twin_follows_them(bag: Path):
 
 
 @pytest.mark.parametrize("bag", NAMES, indirect=True)
-def test_a_live_twin_and_a_replay_say_the_same_to_the_bit(bag: Path):
+def test_a_live_twin_and_a_replay_agree_to_the_bit(bag: Path):
     """A few samples at a time, as in the node, or the whole recording at once."""
     with open_bag(bag, lambda _: None) as opened:
         run = read_run(opened)
@@ -89,7 +89,7 @@ def test_a_live_twin_and_a_replay_say_the_same_to_the_bit(bag: Path):
 
 
 @pytest.mark.parametrize("bag", ["faults"], indirect=True)
-def test_power_that_was_not_measured_says_so(bag: Path):
+def test_power_that_was_not_measured_is_nan(bag: Path):
     with open_bag(bag) as opened:
         power = read_run(opened).power
     failed = power.status > 2  # a bus error, and a sensor that lost its settings
@@ -100,11 +100,11 @@ def test_power_that_was_not_measured_says_so(bag: Path):
 
 @pytest.mark.parametrize("bag", ["killed"], indirect=True)
 def test_the_killed_one_is_recovered(bag: Path):
-    told: list[str] = []
-    with open_bag(bag, told.append) as opened:
+    reported: list[str] = []
+    with open_bag(bag, reported.append) as opened:
         assert opened.path == bag.with_name("killed_recovered")
         assert opened.message_count > 1000
-    assert len(told) == 1
+    assert len(reported) == 1
     assert {p.name: p.read_bytes() for p in bag.iterdir()} == {
         p.name: p.read_bytes() for p in (BAGS / "killed").iterdir()
     }

@@ -20,8 +20,8 @@ SAMPLES = Path(__file__).resolve().parents[4] / "bags"
 def run(monkeypatch, capsys, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
 
-    def call(*words):
-        monkeypatch.setattr("sys.argv", ["bags", *map(str, words)])
+    def call(*arguments):
+        monkeypatch.setattr("sys.argv", ["bags", *map(str, arguments)])
         try:
             status = bags.main()
         except SystemExit as left:
@@ -31,10 +31,10 @@ def run(monkeypatch, capsys, tmp_path):
     return call
 
 
-def test_the_table_tells_every_run_and_why_a_bag_has_none(run):
+def test_the_table_lists_every_run_and_why_a_bag_has_none(run):
     before = sorted(SAMPLES.rglob("*"))
-    status, told, _ = run(SAMPLES, "--json")
-    rows = {Path(row["bag"]).name: row for row in json.loads(told)["runs"]}
+    status, reported, _ = run(SAMPLES, "--json")
+    rows = {Path(row["bag"]).name: row for row in json.loads(reported)["runs"]}
     assert status == 0
     # and the recordings of the operator
     assert set(rows) >= {"faults", "forward", "killed", "reverse"}
@@ -89,23 +89,23 @@ def test_a_bag_that_changed_is_read_again(run, tmp_path):
     assert "damaged" in run(tmp_path / "bags")[1]
 
 
-def test_a_folder_without_bags_is_refused(run, tmp_path):
-    status, told, error = run(tmp_path)
-    assert (status, told) == (2, "")
+def test_a_folder_without_bags_is_rejected(run, tmp_path):
+    status, reported, error = run(tmp_path)
+    assert (status, reported) == (2, "")
     assert "holds no bag" in error
     assert run(tmp_path / "none")[0] == 2
 
 
-def test_info_tells_topics_and_metadata(run):
+def test_info_lists_topics_and_metadata(run):
     content = json.loads(run("info", SAMPLES / "forward", "--json")[1])
     assert {topic["name"] for topic in content["topics"]} >= {"/worm/tracker", "/worm/power"}
     assert sum(topic["messages"] for topic in content["topics"]) == content["messages"]
 
 
-def test_a_trimmed_bag_begins_with_what_latched_topics_had_said(run, tmp_path):
+def test_a_trimmed_bag_begins_with_the_last_messages_of_latched_topics(run, tmp_path):
     output = tmp_path / "part"
-    words = ("--start", 8, "--end", 9, "--output", output)
-    assert run("trim", SAMPLES / "forward", *words)[0] == 0
+    arguments = ("--start", 8, "--end", 9, "--output", output)
+    assert run("trim", SAMPLES / "forward", *arguments)[0] == 0
     with open_bag(SAMPLES / "forward") as whole, open_bag(output) as part:
         first = whole.start + 8 * 10**9
         expected = [m for m in whole.messages() if first <= m.log_time <= first + 10**9]
@@ -114,7 +114,7 @@ def test_a_trimmed_bag_begins_with_what_latched_topics_had_said(run, tmp_path):
         assert [m.topic for m in latched] == ["/worm/gait_state"]
         assert latched[0].log_time == first
         assert len(found) == len(expected) + 1
-    assert run("trim", SAMPLES / "forward", *words)[0] == 2
+    assert run("trim", SAMPLES / "forward", *arguments)[0] == 2
     assert run("trim", SAMPLES / "forward", "--start", 1e4, "--output", tmp_path / "no")[0] == 2
     assert run("trim", SAMPLES / "forward", "--output", tmp_path / "no")[0] == 2
 
@@ -140,6 +140,6 @@ def test_a_column_is_a_row_of_the_table_of_columns(run, monkeypatch):
     monkeypatch.setattr(bag_columns, "COLUMNS", (*bag_columns.COLUMNS, column))
     (row,) = json.loads(run("table", SAMPLES / "forward", "--json")[1])["runs"]
     assert row["strokes"] == row["gait"]["stroke"]
-    status, told, _ = run("table", SAMPLES / "forward")
-    assert (status, told.splitlines()[0].split()[-2:]) == (0, ["strokes", "mm"])
-    assert told.splitlines()[1].split()[-1] == "0.07"
+    status, reported, _ = run("table", SAMPLES / "forward")
+    assert (status, reported.splitlines()[0].split()[-2:]) == (0, ["strokes", "mm"])
+    assert reported.splitlines()[1].split()[-1] == "0.07"

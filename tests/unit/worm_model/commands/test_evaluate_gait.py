@@ -49,7 +49,7 @@ def test_json_is_one_object_with_the_contracts_keys(run) -> None:
     assert gait["groove_phase"] == pytest.approx(0.0011)
 
 
-def test_groove_phase_stands_beside_the_speed(run) -> None:
+def test_groove_phase_is_printed_next_to_the_speed(run) -> None:
     status, out, _ = run(command.main, "--stroke", "0.07", "--frequency", "0.2")
     assert status == 0
     speed = next(line for line in out.splitlines() if line.startswith("speed"))
@@ -63,7 +63,7 @@ def test_infinite_cost_of_transport_is_null_in_json(run) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    ("arguments", "message"),
     [
         ("--stroke 0.07 --frequency -0.2", "frequency: -0.2 Hz"),
         ("--stroke nan --frequency 0.2", "--stroke"),
@@ -76,10 +76,10 @@ def test_infinite_cost_of_transport_is_null_in_json(run) -> None:
         ("--gaits none.csv --output nowhere/out.csv", "nowhere does not exist"),
     ],
 )
-def test_bad_input_is_one_line_and_status_2(run, arguments: str, words: str) -> None:
+def test_bad_input_is_one_line_and_status_2(run, arguments: str, message: str) -> None:
     status, out, err = run(command.main, *arguments.split())
     assert (status, out) == (2, "")
-    assert words in err
+    assert message in err
     assert err.count("\n") == 1
 
 
@@ -114,7 +114,7 @@ def test_reference_table_comes_back_with_its_columns(run, shared: Path, tmp_path
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("text", "message"),
     [
         ("", "no column stroke_m"),
         ("stroke_m,frequency_Hz\n", "holds no gait"),
@@ -126,13 +126,13 @@ def test_reference_table_comes_back_with_its_columns(run, shared: Path, tmp_path
         ("stroke_m,frequency_Hz,pitch\n0.07,0.2,17\n", "pitch: 17 m is outside"),
     ],
 )
-def test_bad_tables_name_the_place(run, tmp_path: Path, text: str, words: str) -> None:
+def test_bad_tables_name_the_place(run, tmp_path: Path, text: str, message: str) -> None:
     source = tmp_path / "in.csv"
     source.write_text(text)
     output = tmp_path / "o.csv"
     status, _, err = run(command.main, "--gaits", str(source), "--output", str(output))
     assert status == 2
-    assert words in err
+    assert message in err
     assert not output.exists()
 
 
@@ -157,8 +157,8 @@ def test_phase_map_counts_grooves_and_draws(run, tmp_path: Path) -> None:
 def test_a_phase_map_of_a_shaped_gait_is_that_of_the_gait(run) -> None:
     shape = {"pretension": 0.012, "contraction_share": 0.7, "profile": "trapezoid"}
     options = [f"--{name.replace('_', '-')}={value}" for name, value in shape.items()]
-    words = ("--points", "8", "--lowest", "0.06", "--highest", "0.07", "--json")
-    content = json.loads(run(phase_map.main, *words, *options)[1])
+    box = ("--points", "8", "--lowest", "0.06", "--highest", "0.07", "--json")
+    content = json.loads(run(phase_map.main, *box, *options)[1])
     grooves, phases = content["grooves_per_cycle"], content["groove_phases"]
     for row, phase in enumerate(phases):
         robot = PAPER.replace(initial_length=17 * PAPER.pitch + phase)
@@ -168,7 +168,7 @@ def test_a_phase_map_of_a_shaped_gait_is_that_of_the_gait(run) -> None:
         assert cliff == pytest.approx(cliff_margin(robot, 1, 0.012))
 
 
-def test_phase_map_refuses_nonsense(run, tmp_path: Path) -> None:
+def test_phase_map_rejects_invalid_input(run, tmp_path: Path) -> None:
     assert run(phase_map.main, "--points", "1")[0] == 2
     assert run(phase_map.main, "--lowest", "0.05", "--highest", "0.04")[0] == 2
     assert run(phase_map.main, "--frequency", "-1", "--points", "4")[0] == 2

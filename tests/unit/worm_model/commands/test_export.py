@@ -193,13 +193,13 @@ def test_two_layouts_of_a_topic_are_one_table(tmp_path: Path, monkeypatch):
     assert (found["x"], found["run"]) == (["7", "8"], ["", "1"])
 
 
-def test_only_the_topics_asked_for(bag: Path, tmp_path: Path, monkeypatch):
+def test_only_the_requested_topics(bag: Path, tmp_path: Path, monkeypatch):
     target = tmp_path / "csv"
     assert command(monkeypatch, bag, "--output", target, "--topic", "/worm/power") == 0
     assert [p.name for p in target.iterdir()] == ["worm__power.csv"]
 
 
-def test_a_topic_that_cannot_be_decoded_is_left_out_and_told_by_the_status(
+def test_a_topic_that_cannot_be_decoded_is_left_out_and_reported_by_the_status(
     tmp_path: Path, monkeypatch, capsys
 ):
     power, bad = (topic_of(name, "worm_msgs/msg/Power") for name in ("/worm/power", "/worm/bad"))
@@ -210,9 +210,9 @@ def test_a_topic_that_cannot_be_decoded_is_left_out_and_told_by_the_status(
     assert command(monkeypatch, tmp_path / "bag", "--output", tmp_path / "csv", "--json") == 1
     files = {p.name for p in (tmp_path / "csv").iterdir()}
     assert files == {"worm__power.csv", "run.csv"}
-    told = capsys.readouterr()
-    assert "/worm/bad is left out" in told.err
-    assert "shorter" in json.loads(told.out)["left_out"]["/worm/bad"]
+    reported = capsys.readouterr()
+    assert "/worm/bad is left out" in reported.err
+    assert "shorter" in json.loads(reported.out)["left_out"]["/worm/bad"]
 
 
 @pytest.mark.parametrize(

@@ -127,7 +127,7 @@ def test_nothing_is_overwritten(outcome, monkeypatch, capsys):
         assert "exists already" in capsys.readouterr().err
 
 
-def test_two_runs_a_spoilt_one_and_a_validation_are_told_in_words(
+def test_two_runs_a_spoilt_one_and_a_validation_are_reported_as_text(
     shared, tmp_path, monkeypatch, capsys
 ):
     campaign = tmp_path / "campaign"
@@ -142,15 +142,15 @@ def test_two_runs_a_spoilt_one_and_a_validation_are_told_in_words(
     runs = [campaign / "run_06", campaign / "run_07"]
     validation = ("--validation", shared / "campaign" / "run_08")
     assert run_identify(monkeypatch, *runs, *validation) == 0
-    told = capsys.readouterr()
-    assert "run_07: 7" in told.err
-    assert "validation: run_08: 8 camera samples with a hidden marker" in told.err
-    assert "Validation runs:" in told.out
-    assert "| run_08 |" in told.out
-    assert "one run cannot separate c_b from α_P" in told.out
+    reported = capsys.readouterr()
+    assert "run_07: 7" in reported.err
+    assert "validation: run_08: 8 camera samples with a hidden marker" in reported.err
+    assert "Validation runs:" in reported.out
+    assert "| run_08 |" in reported.out
+    assert "one run cannot separate c_b from α_P" in reported.out
 
 
-def test_a_bag_says_what_the_folder_says(shared, tmp_path):
+def test_a_bag_gives_the_result_of_the_folder(shared, tmp_path):
     folder = shared / "campaign" / "run_07"
     import_lab(folder, tmp_path / "run_07", LabSettings(epoch=10**18), "/worm")
     bag, log = read_recordings([tmp_path / "run_07", folder])
@@ -166,7 +166,7 @@ def write_bag(path, run):
         write_run(writer, run)
 
 
-def test_a_bag_without_a_needed_topic_is_refused_in_one_line(tmp_path, monkeypatch, capsys):
+def test_a_bag_without_a_needed_topic_is_rejected_in_one_line(tmp_path, monkeypatch, capsys):
     run = exact_run(GAIT, PAPER, Instruments(), 0, 7.0)
     write_bag(tmp_path / "blind", type(run)(**{**vars(run), "tracker": type(run.tracker)()}))
     assert run_identify(monkeypatch, tmp_path / "blind") == 2
@@ -202,14 +202,14 @@ def test_bad_input_is_one_line_and_status_two(arguments, reason, tmp_path, monke
         ("compression_m,force_N\n", "has no rows"),
     ],
 )
-def test_a_bench_test_that_cannot_be_read_is_refused(tmp_path, text, reason):
+def test_a_bench_test_that_cannot_be_read_is_rejected(tmp_path, text, reason):
     write_bag(tmp_path / "x", exact_run(GAIT, PAPER, Instruments(), 0, 7.0))
     (tmp_path / "bellows.csv").write_text(text, encoding="utf-8")
     with pytest.raises(IdentificationError, match=reason):
         read_inputs([tmp_path / "x"], tmp_path / "bellows.csv")
 
 
-def test_two_runs_of_one_name_are_refused(tmp_path):
+def test_two_runs_of_one_name_are_rejected(tmp_path):
     for folder in ("a", "b"):
         (tmp_path / folder).mkdir()
         write_bag(tmp_path / folder / "run", exact_run(GAIT, PAPER, Instruments(), 0, 7.0))
@@ -217,7 +217,7 @@ def test_two_runs_of_one_name_are_refused(tmp_path):
         read_inputs([tmp_path / "a" / "run", tmp_path / "b" / "run"])
 
 
-def test_runs_of_one_lab_use_what_lies_beside_them(shared):
+def test_runs_of_one_lab_use_the_files_next_to_them(shared):
     campaign = shared / "campaign"
     paths = [campaign / "run_07", campaign / "run_08"]
     inputs = read_inputs(paths)
@@ -232,7 +232,7 @@ def test_runs_of_one_lab_use_what_lies_beside_them(shared):
     assert read_inputs(paths[:1]).folder == campaign.resolve()
 
 
-def test_runs_of_several_labs_say_that_nothing_beside_them_is_used(shared, tmp_path):
+def test_runs_of_several_labs_report_that_no_files_next_to_them_are_used(shared, tmp_path):
     for name in ("runs.json", "fin.csv"):
         shutil.copy(shared / "campaign" / name, tmp_path)
     shutil.copytree(shared / "campaign" / "run_07", tmp_path / "run_07")
@@ -269,7 +269,7 @@ def test_a_readme_may_give_bounds_and_leave_keys_out(tmp_path):
     assert reference.estimate("slack").note == "as given by the paper"
 
 
-def test_what_a_readme_says_is_given(tmp_path):
+def test_values_of_a_readme_are_used(tmp_path):
     text = "Known: M1 = 433 g, M2 = 0.424 kg, L_free = 301 mm, pitch d = 0.0175 m."
     (tmp_path / "README.md").write_text(text, encoding="utf-8")
     reference = reference_by_folder(tmp_path)

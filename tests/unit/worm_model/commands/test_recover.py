@@ -35,7 +35,7 @@ def command(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
     return recover.main()
 
 
-def test_it_says_what_it_saved(cut: Path, tmp_path: Path, monkeypatch, capsys):
+def test_it_reports_the_saved_messages(cut: Path, tmp_path: Path, monkeypatch, capsys):
     before = (cut / "bag_0.mcap").read_bytes()
     assert command(monkeypatch, cut, "--output", tmp_path / "saved", "--json") == 0
     report = json.loads(capsys.readouterr().out)
@@ -65,7 +65,7 @@ def test_the_second_recovery_overwrites_nothing(cut: Path, monkeypatch, capsys):
 
 
 @pytest.mark.parametrize("name", ["no", "empty"])
-def test_nothing_to_save_is_said_in_one_line(tmp_path: Path, monkeypatch, capsys, name: str):
+def test_nothing_to_save_is_reported_in_one_line(tmp_path: Path, monkeypatch, capsys, name: str):
     (tmp_path / "empty").mkdir()
     assert command(monkeypatch, tmp_path / name) == 2
     assert capsys.readouterr().err.count("\n") == 1

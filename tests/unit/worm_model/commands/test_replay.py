@@ -51,7 +51,7 @@ def test_the_twin_follows_a_robot_of_its_own_kind(bag: Path, monkeypatch, capsys
     assert sum(c["grooves"] for c in report["cycles"]) > CYCLES
 
 
-def test_another_robot_is_seen_to_differ(bag: Path, tmp_path: Path, monkeypatch, capsys):
+def test_another_robot_differs(bag: Path, tmp_path: Path, monkeypatch, capsys):
     parameters = tmp_path / "robot.yaml"
     parameters.write_text("idle_power: 1.82\ngain: 0.80\n")
     assert command(monkeypatch, bag, "--parameters", parameters, "--json") == 0
@@ -67,7 +67,9 @@ def test_the_same_bag_gives_the_same_bytes(bag: Path, tmp_path: Path, monkeypatc
     assert one == other
 
 
-def test_the_twins_topics_lie_beside_the_original_ones(bag: Path, tmp_path: Path, monkeypatch):
+def test_the_twins_topics_are_written_next_to_the_original_ones(
+    bag: Path, tmp_path: Path, monkeypatch
+):
     assert command(monkeypatch, bag, "--output", tmp_path / "both") == 0
     offline = replay_run(RUN, PAPER)
     with open_bag(bag) as before, open_bag(tmp_path / "both") as after:
@@ -96,7 +98,7 @@ def test_a_replayed_bag_is_replayed_again(bag: Path, tmp_path: Path, monkeypatch
     assert (tmp_path / "a/a_0.mcap").read_bytes() == (tmp_path / "b/b_0.mcap").read_bytes()
 
 
-def test_two_robots_in_a_bag_are_told_apart(tmp_path: Path, monkeypatch, capsys):
+def test_two_robots_in_a_bag_are_distinguished(tmp_path: Path, monkeypatch, capsys):
     from worm_model.bags.formats.bag_writer import new_bag
     from worm_model.bags.run_writer import write_run
 

@@ -25,8 +25,8 @@ COLUMNS = (
 
 @pytest.fixture
 def run(monkeypatch, capsys):
-    def call(*words):
-        monkeypatch.setattr("sys.argv", ["simulate", *map(str, words)])
+    def call(*arguments):
+        monkeypatch.setattr("sys.argv", ["simulate", *map(str, arguments)])
         try:
             status = command.main()
         except SystemExit as left:
@@ -38,8 +38,8 @@ def run(monkeypatch, capsys):
 
 def test_the_table_holds_the_gait_from_its_onset_to_its_end(run, tmp_path):
     path = tmp_path / "gait.csv"
-    words = ("--stroke", 0.07, "--frequency", 0.2, "--json", "--output", path)
-    status, told, _ = run(*words)
+    arguments = ("--stroke", 0.07, "--frequency", 0.2, "--json", "--output", path)
+    status, reported, _ = run(*arguments)
     assert status == 0
     assert path.read_text().splitlines()[0] == COLUMNS
     rows = np.array(list(csv.reader(path.open()))[1:], float)
@@ -48,22 +48,22 @@ def test_the_table_holds_the_gait_from_its_onset_to_its_end(run, tmp_path):
     result = evaluate_gait(Gait(0.07, 0.2))
     assert (rows[-1, 2] - rows[1000, 2]) / 15.0 == pytest.approx(result.speed, rel=1e-9)
     assert (rows[-1, 8] - rows[1000, 8]) / 15.0 == pytest.approx(result.power, rel=1e-9)
-    assert json.loads(told)["speed"] == pytest.approx(result.speed)
-    status, _, error = run(*words)
+    assert json.loads(reported)["speed"] == pytest.approx(result.speed)
+    status, _, error = run(*arguments)
     assert status == 2
     assert "exists already" in error
 
 
 def test_a_period_that_is_no_multiple_of_the_step_does_not_run_over_the_end(run, tmp_path):
     path = tmp_path / "gait.csv"
-    words = ("--stroke", 0.07, "--frequency", 0.3, "--cycles", 1, "--rate", 7, "--output", path)
-    assert run(*words)[0] == 0
+    arguments = ("--stroke", 0.07, "--frequency", 0.3, "--cycles", 1, "--rate", 7, "--output", path)
+    assert run(*arguments)[0] == 0
     times = np.array([row.split(",")[0] for row in path.read_text().splitlines()[1:]], float)
     assert times == pytest.approx(np.arange(24) / 7.0)
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("arguments", "expected"),
     [
         (("--output", "x.txt"), "end its name in .csv, .mcap"),
         (("--output", "x.csv", "--cycles", "0"), "--cycles 0"),
@@ -74,11 +74,11 @@ def test_a_period_that_is_no_multiple_of_the_step_does_not_run_over_the_end(run,
         (("--output", "x.gif", "--cycles", "100"), "6250 frames"),
     ],
 )
-def test_bad_input_is_one_line(run, tmp_path, monkeypatch, words, said):
+def test_bad_input_is_one_line(run, tmp_path, monkeypatch, arguments, expected):
     monkeypatch.chdir(tmp_path)
-    status, told, error = run("--stroke", 0.07, "--frequency", 0.2, *words)
-    assert (status, told) == (2, "")
-    assert said in error
+    status, reported, error = run("--stroke", 0.07, "--frequency", 0.2, *arguments)
+    assert (status, reported) == (2, "")
+    assert expected in error
     assert error.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
 
@@ -91,8 +91,19 @@ def test_a_figure_is_drawn(run, tmp_path):
 
 def test_an_animation_plays_in_real_time(run, tmp_path):
     path = tmp_path / "gait.gif"
-    words = ("--stroke", 0.07, "--frequency", 0.4, "--cycles", 1, "--rate", 10, "--output", path)
-    assert run(*words)[0] == 0
+    arguments = (
+        "--stroke",
+        0.07,
+        "--frequency",
+        0.4,
+        "--cycles",
+        1,
+        "--rate",
+        10,
+        "--output",
+        path,
+    )
+    assert run(*arguments)[0] == 0
     with Image.open(path) as animation:
         frames = [frame.convert("RGB") for frame in ImageSequence.Iterator(animation)]
         assert animation.n_frames == 26  # one cycle of 2.5 s at 10 Hz, with both ends
@@ -121,8 +132,8 @@ def test_ffmpeg_receives_every_frame(run, tmp_path, monkeypatch):
     fake.chmod(0o755)
     monkeypatch.setenv("PATH", str(tmp_path))
     path = tmp_path / "x.mp4"
-    words = ("--stroke", 0.07, "--frequency", 0.4, "--cycles", 1, "--rate", 4, "--output", path)
-    assert run(*words)[0] == 0
+    arguments = ("--stroke", 0.07, "--frequency", 0.4, "--cycles", 1, "--rate", 4, "--output", path)
+    assert run(*arguments)[0] == 0
     assert path.stat().st_size == 11 * 840 * 480 * 4  # RGBA
 
 

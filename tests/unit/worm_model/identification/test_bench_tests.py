@@ -39,7 +39,7 @@ def test_outliers_and_missing_points_do_not_move_the_bellows():
     assert fit.stiffness.value == pytest.approx(plain.stiffness.value, rel=3e-3)
 
 
-def test_the_bellows_interval_covers_as_often_as_it_says():
+def test_the_bellows_interval_covers_with_its_probability():
     fits = [fit_bellows(COMPRESSION, 968.8 * COMPRESSION + noise(s, 36, 0.3)) for s in range(300)]
     covered = np.mean([fit.stiffness.low <= 968.8 <= fit.stiffness.high for fit in fits])
     assert 0.92 <= covered <= 0.98
@@ -66,7 +66,7 @@ def test_the_bellows_interval_also_holds_when_residuals_wander():
         (COMPRESSION, -900.0 * COMPRESSION, "decreases with compression"),
     ],
 )
-def test_a_bellows_test_that_tells_nothing_is_refused(x, y, reason):
+def test_a_bellows_test_without_information_is_rejected(x, y, reason):
     with pytest.raises(IdentificationError, match=reason):
         fit_bellows(x, y)
 
@@ -83,7 +83,7 @@ def test_every_sign_convention_of_the_fin_test_is_recognised(mirrored, reaction)
     assert fit.force_at(fit.displacement) == pytest.approx(fit.force, abs=0.5)
 
 
-def test_all_of_the_fins_intervals_cover_as_often_as_they_say():
+def test_all_of_the_fins_intervals_cover_with_their_probability():
     fits = [fit_fin(X, fin_force(X) + noise(s, 97, 0.12)) for s in range(150)]
     for index, name in enumerate(("clearance", "engaged_stiffness", "disengaged_stiffness")):
         estimates = [getattr(fit, name) for fit in fits]
@@ -114,7 +114,7 @@ def test_any_fin_is_found(clearance, engaged, share):
     assert fit.values == pytest.approx([clearance, engaged, share * engaged], rel=0.03)
 
 
-def test_a_fin_test_that_does_not_tell_which_side_engages_asks():
+def test_a_fin_test_that_does_not_show_the_engaged_side_requires_it():
     force = fin_force(X, engaged=1000.0, disengaged=1000.0) + noise(7, 97, 0.05)
     with pytest.raises(IdentificationError, match="--fin-engages"):
         fit_fin(X, force)
@@ -122,6 +122,6 @@ def test_a_fin_test_that_does_not_tell_which_side_engages_asks():
 
 
 @pytest.mark.parametrize("x", [X[:6], np.abs(X)])
-def test_a_fin_test_of_one_side_is_refused(x):
+def test_a_fin_test_of_one_side_is_rejected(x):
     with pytest.raises(IdentificationError, match="both sides"):
         fit_fin(x, fin_force(x))

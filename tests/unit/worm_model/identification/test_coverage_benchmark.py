@@ -36,14 +36,14 @@ def test_every_robot_counts_once_and_no_row_is_nan(coverage):
     assert all(row.value == "1 of 2" and "nan" not in row.how for row in rows)
     assert coverage.row("gain", cases[2:]).value == "no interval"
     assert "missed: initial_length" in coverage.comment(cases[1])
-    assert "refused: nothing" in coverage.comment(cases[3])
+    assert "rejected: nothing" in coverage.comment(cases[3])
 
 
-def test_a_robot_that_is_refused_does_not_end_the_benchmark(coverage, monkeypatch):
-    def refuse(*_):
+def test_a_robot_that_is_rejected_does_not_end_the_benchmark(coverage, monkeypatch):
+    def reject(*_):
         raise IdentificationError("nothing explains the motion")
 
-    monkeypatch.setattr(coverage, "identify", refuse)
+    monkeypatch.setattr(coverage, "identify", reject)
     campaign = coverage.virtual_campaign(7, SHORT[:1])
     monkeypatch.setattr(coverage, "virtual_campaign", lambda _seed: campaign)
-    assert coverage.case(7).refused == "nothing explains the motion"
+    assert coverage.case(7).rejected == "nothing explains the motion"

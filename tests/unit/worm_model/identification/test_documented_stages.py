@@ -31,8 +31,8 @@ def test_the_example_runs(tmp_path, monkeypatch, capsys):
     )
     names: dict[str, object] = {}
     exec(example, names)
-    told = capsys.readouterr().out
-    assert "k_b = 9" in told
-    assert "δ_s = 8." in told or "δ_s = 7.9" in told
-    assert "η = " in told
+    reported = capsys.readouterr().out
+    assert "k_b = 9" in reported
+    assert "δ_s = 8." in reported or "δ_s = 7.9" in reported
+    assert "η = " in reported
     assert names["locomotion"].viscous_friction.identifiable

@@ -38,7 +38,7 @@ def test_imports_are_followed_in_every_form(tmp_path):
     assert found == ["__init__.py", "one.py", "start.py", "three.py", "two.py"]
 
 
-def test_the_version_tells_both():
+def test_the_version_contains_both():
     version = code_version()
     assert version.startswith("worm_model ")
     assert version == code_version()

@@ -103,13 +103,13 @@ def test_limits_are_those_of_a_chart_for_individuals():
     assert "Montgomery" in limits.source
 
 
-def test_limits_are_not_nearer_than_a_bag_can_tell():
+def test_limits_are_not_nearer_than_the_uncertainty_of_a_bag():
     limits = limits_of_bags(np.array([1.0, 1.001, 1.0, 1.001, 1.0]), resolution=0.2)
     assert limits.high - limits.centre == pytest.approx(0.2)
     assert "widened" in limits.source
 
 
-def test_four_bags_make_no_limits_and_say_so():
+def test_four_bags_give_no_limits_which_is_reported():
     chart = chart_of("gain", estimates([0.86, 0.85, 0.87, 0.5]), PAPER_FILE)
     assert chart.state is State.TOO_FEW
     assert (chart.limits, chart.began, chart.advice) == (None, None, "")
@@ -159,7 +159,7 @@ def test_eight_on_one_side_are_a_trend_only_beyond_what_the_file_leaves_open():
     assert find_signals(values[:-1], narrow) == ()
 
 
-def test_a_trend_that_no_bag_can_tell_is_none():
+def test_a_trend_within_the_uncertainty_of_a_bag_is_none():
     values = 90.0 + 0.1 * np.arange(6.0)
     assert chart_of("viscous_friction", estimates(values, 3.0), PAPER_FILE).state is State.WITHIN
     assert (
@@ -167,7 +167,7 @@ def test_a_trend_that_no_bag_can_tell_is_none():
     )
 
 
-def test_a_bag_that_cannot_tell_is_skipped():
+def test_a_bag_without_an_estimate_is_skipped():
     rows = estimates([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
     rows.insert(3, Estimate(99.0, np.nan, np.nan, False, "no power at rest"))
     chart = chart_of("idle_power", rows, PAPER_FILE)
@@ -231,7 +231,7 @@ def test_a_falling_gain_is_found_and_what_is_no_bag_of_a_run_left_out(tmp_path: 
     assert "health: 100%" in err
 
 
-def test_few_bags_say_so_and_a_file_of_intervals_helps(tmp_path: Path, capsys):
+def test_few_bags_are_reported_and_a_file_of_intervals_helps(tmp_path: Path, capsys):
     bag = write_bag(tmp_path / "only", robot_run(1, 0))
     status, out, _ = run_health(capsys, bag)
     assert status == 0
@@ -314,7 +314,7 @@ def test_a_command_that_is_not_a_number_is_left_out_of_its_run():
     assert len(recording.command) == len(recording.command_time)
 
 
-def test_runs_are_known_by_what_was_seen_and_not_by_stamps_that_an_import_made(tmp_path: Path):
+def test_runs_are_recognised_by_their_measurements_and_not_by_stamps_of_an_import(tmp_path: Path):
     paths = [write_bag(tmp_path / f"bag{seed}", robot_run(seed, 0)) for seed in (1, 2)]
     used, left_out = estimate_bags([*paths, paths[0]], PAPER)
     assert [bag.name for bag in used] == ["bag1", "bag2"]

@@ -79,7 +79,7 @@ def test_the_intervals_hold_under_a_pitch_that_was_read_off_wrongly(campaigns):
     assert max(error.x1_rmse for error in result.held_out.values()) < 1e-3
 
 
-def test_the_intervals_tell_something(results):
+def test_the_intervals_are_informative(results):
     widest = {
         key: max(r.estimates[key].spread / r.estimates[key].value for r in results)
         for key in IDENTIFIED
@@ -140,7 +140,7 @@ def test_the_outputs_agree_with_each_other(campaigns, results):
     assert np.isfinite(found["runs"]["run_1"]["energy_error"])
 
 
-def test_a_cable_that_cannot_push_is_identified_as_such_and_said_to_be(tmp_path):
+def test_a_cable_that_cannot_push_is_identified_as_such_and_reported(tmp_path):
     truth = PAPER.replace(one_sided_cable=True, bellows_damping=950.0, power_factor=2.9)
     recordings = tuple(
         recording_of(simulated_run(gait, truth, 5, 60.0).as_recorded(), f"run_{k}")
@@ -198,12 +198,12 @@ def without_power_after(recording, time):
     return replace(recording, power_time=recording.power_time[kept], power=recording.power[kept])
 
 
-@pytest.mark.parametrize(("time", "said"), [(0.0, "0 power samples"), (1.5, "to 1.5 s")])
-def test_power_that_ends_early_is_named(campaigns, time, said):
+@pytest.mark.parametrize(("time", "expected"), [(0.0, "0 power samples"), (1.5, "to 1.5 s")])
+def test_power_that_ends_early_is_named(campaigns, time, expected):
     spoilt = without_power_after(campaigns[0].inputs.recordings[0], time)
     (run,), seen = prepared([spoilt], PAPER.pitch)
     assert not run.powered
-    assert said in " ".join(seen)
+    assert expected in " ".join(seen)
     error = run_errors(run, PAPER, 0.0)
     assert np.isnan(error.energy_error)
     assert np.isnan(error.power_rmse) == (time == 0.0)
@@ -248,7 +248,7 @@ def test_without_any_power_all_else_is_identified(campaigns):
     assert np.isnan(summary(result)["clock_offsets"]["run_1"]["power_behind_camera"])
 
 
-def test_a_fin_that_is_given_as_exact_is_taken_as_exact(campaigns):
+def test_a_fin_that_is_given_as_exact_is_used_as_exact(campaigns):
     campaign = campaigns[0]
     fins = {key: getattr(campaign.truth, key) for key in FIN}
     exact = {key: (value, value) for key, value in fins.items()}
@@ -271,7 +271,7 @@ def test_naming_the_softer_side_as_engaging_is_worth_a_warning(campaigns):
     assert "--fin-engages" in bench_warnings(wrong)[0]
 
 
-def test_an_odd_fin_test_is_named_where_nothing_fits(campaigns, monkeypatch):
+def test_an_implausible_fin_test_is_named_where_nothing_fits(campaigns, monkeypatch):
     def fail(*_):
         raise IdentificationError("nothing fits")
 
@@ -282,7 +282,7 @@ def test_an_odd_fin_test_is_named_where_nothing_fits(campaigns, monkeypatch):
         identify(inputs, campaigns[0].reference, 0, -engages)
 
 
-def test_the_initial_length_is_a_mean_and_says_how_runs_scatter(campaigns, results):
+def test_the_initial_length_is_a_mean_with_the_scatter_of_the_runs(campaigns, results):
     for result in results:
         lengths = np.array([run.length.initial_length for run in result.runs])
         estimate = result.estimates["initial_length"]

@@ -46,7 +46,7 @@ def recording(**instruments):
         ("gait_state", GaitStates(), "gait_state"),
     ],
 )
-def test_a_run_without_a_needed_topic_is_refused_by_its_name(field, nothing, topic):
+def test_a_run_without_a_needed_topic_is_rejected_by_its_name(field, nothing, topic):
     with pytest.raises(IdentificationError, match=f"r: has no {topic}"):
         recording_of(run(**{field: nothing}), "r")
 
@@ -95,13 +95,13 @@ def test_a_later_gait_of_a_robot_that_was_put_back_is_a_run_of_its_own():
     assert not first.remarks
     assert second.x1[:100] == pytest.approx(first.x1[:100], nan_ok=True)
     assert not starts_apart([first, second])
-    (said,) = starts_apart([first, replace(second, start=0.1)])
-    assert all(fact in said for fact in ("r and r_gait_2", "100 mm"))
+    (message,) = starts_apart([first, replace(second, start=0.1)])
+    assert all(fact in message for fact in ("r and r_gait_2", "100 mm"))
 
 
-def test_an_onset_that_is_told_anew_with_each_cycle_is_one_run():
+def test_an_onset_that_is_published_again_with_each_cycle_is_one_run():
     states = run().gait_state
-    told = replace(
+    reported = replace(
         states,
         **{
             name: np.concatenate([getattr(states, name), getattr(states, name)[1:]])
@@ -110,7 +110,7 @@ def test_an_onset_that_is_told_anew_with_each_cycle_is_one_run():
         stamp=np.concatenate([states.stamp, states.stamp[1:] + 4 * 10**9]),
         onset=np.concatenate([states.onset, states.onset[1:] + 700]),
     )
-    assert recording_of(run(gait_state=told), "r").gait == GAIT
+    assert recording_of(run(gait_state=reported), "r").gait == GAIT
 
 
 def test_only_the_rest_before_the_gait_and_the_gait_count():
@@ -146,14 +146,14 @@ def test_a_power_sensor_that_pauses_is_named():
     assert "without a power sample" in " ".join(texts)
 
 
-def test_commands_that_are_not_the_gait_are_refused():
+def test_commands_that_are_not_the_gait_are_rejected():
     states = run().gait_state
     wrong = replace(states, stroke=np.full(2, 0.06))
     with pytest.raises(IdentificationError, match=r"are not the gait of 0\.06 m"):
         recording_of(run(gait_state=wrong), "r")
 
 
-def test_a_run_that_does_not_rest_is_refused():
+def test_a_run_that_does_not_rest_is_rejected():
     with pytest.raises(IdentificationError, match=r"only \d+ camera samples"):
         recording(rest=0.2)
 
@@ -186,7 +186,7 @@ def test_a_slow_sensor_does_not_bill_motion_as_idle_power():
     assert slow.value == pytest.approx(PAPER.idle_power, abs=0.05)
 
 
-def test_a_sensor_that_starts_with_the_gait_says_nothing_of_idle_power():
+def test_a_sensor_that_starts_with_the_gait_gives_no_idle_power():
     late = recording()
     late = replace(
         late, power=late.power[late.power_time > 0], power_time=late.power_time[late.power_time > 0]
@@ -272,17 +272,17 @@ def stuck(found, time):
     return replace(found, x2=x2)
 
 
-def test_a_tracker_that_sees_no_length_after_the_onset_is_named():
+def test_a_tracker_without_a_length_after_the_onset_is_named():
     found = recording()
     blind = with_hidden_marker(found, 0.0, np.inf)
     assert "no length after the gait's onset" in follows_command(blind, measured_length(found))
 
 
 @pytest.mark.parametrize("time", [0.3, 2.0, 4.0])
-def test_a_stuck_servo_is_left_out_or_refused_and_never_averaged(time):
-    sound, spoilt = recording(), stuck(recording(), time)
-    lengths = [measured_length(sound), measured_length(spoilt)]
-    kept, reasons = usable([sound, spoilt], lengths)
+def test_a_stuck_servo_is_left_out_or_rejected_and_never_averaged(time):
+    healthy, spoilt = recording(), stuck(recording(), time)
+    lengths = [measured_length(healthy), measured_length(spoilt)]
+    kept, reasons = usable([healthy, spoilt], lengths)
     assert kept == [0]
     assert "stuck servo" in reasons[0]
     with pytest.raises(IdentificationError, match="stuck servo"):

@@ -116,7 +116,7 @@ def test_a_pitch_that_was_read_off_wrongly_is_put_right(off):
     assert solution.shared[4] == pytest.approx(TRUTH.pitch, abs=1e-5)
 
 
-def test_runs_that_never_pass_a_groove_tell_friction_but_no_threshold():
+def test_runs_that_never_pass_a_groove_determine_friction_but_no_threshold():
     gaits = [Gait(0.03, 0.15), Gait(0.03, 0.25)]
     runs = []
     for seed, gait in enumerate(gaits):
@@ -161,7 +161,7 @@ def test_the_scales_error_does_not_show_in_friction():
     assert moved[1] == pytest.approx(plain[1], abs=2e-6)
 
 
-def test_clock_offsets_come_with_how_well_they_are_told():
+def test_clock_offsets_have_standard_deviations():
     found = recordings(camera_noise=2e-4, camera_behind=0.007)
     result = identify_actuation(found, np.random.default_rng(0))
     off = np.abs(result.fit.clock_offset - 0.007)
@@ -169,13 +169,13 @@ def test_clock_offsets_come_with_how_well_they_are_told():
     assert np.all(result.clock_deviation < 0.005)
 
 
-def test_a_clock_offset_that_nothing_tells_is_not_told():
+def test_a_clock_offset_without_information_is_not_identifiable():
     slow = recordings(gaits=[Gait(0.012, 0.1)], camera_noise=2e-3)
     result = identify_actuation(slow, np.random.default_rng(0))
     assert np.isnan(result.clock_deviation).all()
 
 
-def test_less_than_a_cycle_of_one_run_tells_no_actuation():
+def test_less_than_a_cycle_of_one_run_determines_no_actuation():
     short = [recording_of(exact_run(GAITS[0], TRUTH, Instruments(), 0, 0.9 / 0.15), "short")]
     result = identify_actuation(short, np.random.default_rng(0))
     for estimate in (result.slack, result.gain, result.time_constant):
@@ -192,7 +192,7 @@ def test_a_cable_without_slack_is_not_given_an_interval_at_the_bound():
     assert "bound" in slack.note
 
 
-def test_commands_that_never_reach_the_slack_do_not_tell_it():
+def test_commands_that_never_reach_the_slack_do_not_determine_it():
     found = [replace(r, command=r.command - 0.002) for r in recordings(TRUTH.replace(slack=0.0))]
     result = identify_actuation(found, np.random.default_rng(0))
     assert not result.slack.identifiable
@@ -200,7 +200,7 @@ def test_commands_that_never_reach_the_slack_do_not_tell_it():
     assert result.gain.identifiable
 
 
-def test_a_fit_that_never_settles_is_refused(monkeypatch):
+def test_a_fit_that_never_settles_is_rejected(monkeypatch):
     runs = traverses(camera_noise=1e-4)
     solution = locomotion_stage.solve(
         locomotion_problem(runs, KNOWN),
@@ -216,7 +216,7 @@ def test_a_fit_that_never_settles_is_refused(monkeypatch):
         locomotion_stage.identify_locomotion(runs, KNOWN)
 
 
-def test_what_no_worm_does_is_refused():
+def test_an_impossible_motion_is_rejected():
     runs = traverses(camera_noise=1e-4)
     wrong = [replace(run, x1=run.x1 - 40.0) for run in runs]
     landscape = search(wrong, KNOWN)
@@ -248,7 +248,7 @@ def test_dry_friction_is_not_booked_as_viscous():
     assert solution.shared[2:4] == pytest.approx([0.4, 0.2], abs=0.05)
 
 
-def test_grooves_that_differ_are_told_apart():
+def test_grooves_that_differ_are_distinguished():
     random = np.random.default_rng(3)
     rear, front = (
         np.stack([random.normal(0.0, 2e-4, 10), random.normal(0.0, 0.03, 10)], axis=1)
@@ -338,7 +338,7 @@ def test_a_wrong_idle_power_does_not_pass_for_a_clock_offset():
     assert np.abs(result.fit.clock_offset[~known]).max() > 0.004
 
 
-def test_one_frequency_cannot_tell_damping_from_power_factor():
+def test_one_frequency_cannot_distinguish_damping_from_power_factor():
     result = energy_of([Gait(stroke, 0.2) for stroke in (0.06, 0.07, 0.08, 0.09)])
     for estimate in (result.bellows_damping, result.power_factor):
         assert not estimate.identifiable
@@ -347,5 +347,5 @@ def test_one_frequency_cannot_tell_damping_from_power_factor():
     assert result.bellows_damping.value == 862.4  # as entered, without false digits
 
 
-def test_one_run_cannot_tell_them_either():
+def test_one_run_cannot_distinguish_them_either():
     assert "several frequencies" in energy_of(GAITS[:1]).power_factor.note

@@ -86,7 +86,7 @@ def test_range_is_that_of_the_periodic_state(stroke: float, frequency: float) ->
     assert highest == pytest.approx(change.max(), abs=1e-7)
 
 
-def test_mismatched_samples_are_refused() -> None:
+def test_mismatched_samples_are_rejected() -> None:
     with pytest.raises(ValueError, match="equally long"):
         actuation.length_change_of_command([0.0, 1.0], [0.0], PAPER)
 

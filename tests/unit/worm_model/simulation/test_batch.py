@@ -83,7 +83,7 @@ def test_an_exception_of_the_progress_cancels() -> None:
     assert len(calls) == 1
 
 
-def test_bad_rows_are_refused() -> None:
+def test_bad_rows_are_rejected() -> None:
     with pytest.raises(GaitError, match="stroke"):
         evaluate_gaits([0.07, -0.07], 0.2)
     with pytest.raises(GaitError, match="direction"):

@@ -57,11 +57,13 @@ def test_the_cable_pays_for_what_friction_and_damping_take():
     time = np.linspace(6 * gait.period, 7 * gait.period, 200_001)
     motions = trajectory.at(time)
     p = parameters
-    taken = p.viscous_friction * (motions.v1**2 + motions.v2**2)
-    taken += p.bellows_damping * motions.length_rate**2
-    taken += p.rear_dry_friction * np.abs(motions.v1) + p.front_dry_friction * np.abs(motions.v2)
+    dissipated = p.viscous_friction * (motions.v1**2 + motions.v2**2)
+    dissipated += p.bellows_damping * motions.length_rate**2
+    dissipated += p.rear_dry_friction * np.abs(motions.v1) + p.front_dry_friction * np.abs(
+        motions.v2
+    )
     given = -motions.cable_force * motions.length_rate
-    assert np.trapezoid(given, time) == pytest.approx(np.trapezoid(taken, time), rel=1e-5)
+    assert np.trapezoid(given, time) == pytest.approx(np.trapezoid(dissipated, time), rel=1e-5)
 
 
 def test_with_equal_frictions_the_directions_are_mirror_images():

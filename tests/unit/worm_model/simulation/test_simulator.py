@@ -228,7 +228,7 @@ def test_resonant_response_solves_its_equation(
     assert left == pytest.approx(np.exp(q * times[1:-1]), abs=2e-3)
 
 
-def test_parameters_that_would_chatter_are_refused() -> None:
+def test_parameters_that_would_chatter_are_rejected() -> None:
     with pytest.raises(ParameterError, match="switch back at once"):
         PAPER.replace(switching_threshold=0.4999 * PAPER.pitch)
     gait = Gait(0.07, 0.2)
@@ -236,7 +236,7 @@ def test_parameters_that_would_chatter_are_refused() -> None:
     assert math.isfinite(result.speed)
 
 
-def test_times_outside_the_run_are_refused() -> None:
+def test_times_outside_the_run_are_rejected() -> None:
     trajectory = simulate(Gait(0.07, 0.2))
     with pytest.raises(ValueError, match="ascend within 0 to 25 s"):
         trajectory.at([0.0, 26.0])
@@ -245,7 +245,7 @@ def test_times_outside_the_run_are_refused() -> None:
     assert trajectory.at([]).x1.shape == (0,)
 
 
-def test_lengths_that_are_not_finite_are_refused() -> None:
+def test_lengths_that_are_not_finite_are_rejected() -> None:
     model = Locomotion()
     with pytest.raises(ValueError, match="must be finite"):
         model.follow(model.start(), [0.1, 0.2], [-0.001, math.nan])

@@ -51,7 +51,7 @@ def test_causal_window_uses_no_later_sample() -> None:
     assert one.rate == pytest.approx(other.rate, abs=1e-12)
 
 
-def test_times_that_do_not_ascend_are_refused() -> None:
+def test_times_that_do_not_ascend_are_rejected() -> None:
     with pytest.raises(ValueError, match="ascend"):
         smooth([0.0, 1.0, 0.5], [1.0, 2.0, 3.0])
 

@@ -56,7 +56,7 @@ def robots() -> Robots:
     return run_robots(GAIT, FAULTS, seed=5)
 
 
-def told(fault: Fault, **instruments: bool) -> list[Event]:
+def reported(fault: Fault, **instruments: bool) -> list[Event]:
     """Return the twin's events about a fault."""
     rows = robots().rows(FAULTS.index(fault), **instruments)
     twin = Twin()
@@ -70,7 +70,7 @@ def cycles_late(event: Event, fault: Fault) -> float:
 
 @pytest.mark.parametrize("fault", FAULTS, ids=lambda f: f"{f.kind} {f.size:g}")
 def test_with_a_tracker_each_cause_is_named_within_two_cycles_and_no_other(fault: Fault):
-    found = told(fault, tracker=True)
+    found = reported(fault, tracker=True)
     assert (
         [event.code for event in found]
         == [CODES[fault.kind]] * (int(fault.size) if fault.kind in ("rear", "front") else 1)
@@ -89,7 +89,7 @@ def test_with_a_tracker_each_cause_is_named_within_two_cycles_and_no_other(fault
     ids=lambda f: f"{f.kind} {f.size:g}",
 )
 def test_power_alone_names_the_fin_the_slipped_cable_and_the_sensor(fault: Fault):
-    found = told(fault, tracker=False)
+    found = reported(fault, tracker=False)
     if fault.kind in ("healthy", "camera"):
         assert not found
     else:
@@ -99,8 +99,8 @@ def test_power_alone_names_the_fin_the_slipped_cable_and_the_sensor(fault: Fault
 @pytest.mark.parametrize(
     "fault", [f for f in FAULTS if f.kind in ("gain", "scale", "viscous_friction")]
 )
-def test_what_power_alone_cannot_tell_is_not_called_a_missed_groove(fault: Fault):
-    assert not any("groove" in event.code for event in told(fault, tracker=False))
+def test_a_cause_that_power_alone_cannot_distinguish_is_not_called_a_missed_groove(fault: Fault):
+    assert not any("groove" in event.code for event in reported(fault, tracker=False))
 
 
 @pytest.mark.parametrize("size", [3.0, 4.0])
@@ -116,7 +116,7 @@ def test_much_more_friction_does_not_change_the_scale_of_the_power_too(size: flo
 
 @pytest.mark.parametrize("fault", [f for f in FAULTS if f.size == 2])
 def test_two_misses_running_do_not_move_l0_though_the_front_marker_is_hidden(fault: Fault):
-    found = told(fault, tracker=True, front_marker=False)
+    found = reported(fault, tracker=True, front_marker=False)
     assert [event.cycle for event in found] == [3, 4]
     assert all(event.code.startswith("missed_groove") for event in found)
 
@@ -152,8 +152,8 @@ def test_of_a_recording_that_begins_in_a_gait_the_first_whole_cycle_is_not_judge
     assert [cycle.number for cycle in whole if cycle.not_judged] == [begin_cycle + 1]
 
 
-def test_the_time_of_a_step_is_told():
-    (event,) = told(Fault("camera", 0.008, 3, 0.3), tracker=True)
+def test_the_time_of_a_step_is_reported():
+    (event,) = reported(Fault("camera", 0.008, 3, 0.3), tracker=True)
     assert event.code == "camera_moved"
     assert event.text.startswith("cycle 3: the camera was moved")
 
@@ -168,7 +168,7 @@ def test_the_time_of_a_step_is_told():
     ],
     ids=("camera at 10 Hz", "noisy camera", "noisy camera at 10 Hz", "noisy power"),
 )
-def test_a_slow_camera_and_noise_make_no_sound_robot_suspect(lab: Lab):
+def test_a_slow_camera_and_noise_make_no_healthy_robot_suspect(lab: Lab):
     seen = run_robots(GAIT, [Fault(), Fault()], seed=8, lab=lab)
     for robot in range(2):
         power = {}
@@ -230,7 +230,7 @@ def test_the_bayes_factor_is_that_of_the_integral():
     assert found.evidence[1] == pytest.approx(math.log(likelihood(1.0) / none), abs=1e-6)
 
 
-def test_a_wrong_l0_is_told_from_misses_by_one_marker():
+def test_one_marker_distinguishes_a_wrong_l0_from_misses():
     """The twin assumes 295.2 mm; 293 mm gain another number of grooves and change the shape of x1."""
     truth = PAPER.replace(initial_length=0.293)
     one = run_robots(Gait(0.07, 0.2), [Fault()], seed=6, truth=truth)

@@ -124,7 +124,7 @@ def test_without_the_memory_the_start_is_estimated_before_anything_is_judged(num
     assert not report.events
 
 
-def test_a_start_that_nothing_tells_is_not_judged():
+def test_an_unknown_start_is_not_judged():
     """Neither camera nor memory is available: power alone cannot show the fins' grooves."""
     session = mixed()
     _, report = replayed(session, session.played[6], memory=False)

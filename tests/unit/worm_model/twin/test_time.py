@@ -21,7 +21,7 @@ SECOND = 10**9
 
 
 @lru_cache
-def sound() -> np.ndarray:
+def healthy() -> np.ndarray:
     """Return the samples of a healthy robot in order of reception."""
     return run_robots(GAIT, [Fault()], seed=9).rows(0, tracker=True)
 
@@ -51,7 +51,7 @@ def replayed(rows: np.ndarray) -> Replay:
 
 @pytest.mark.parametrize(("time", "by"), [(12.3, -3.0), (12.3, -100.0), (9.9, -3.0), (12.3, 500.0)])
 def test_a_gait_in_which_the_clock_was_set_is_rejected_with_that_reason(time: float, by: float):
-    rows = jumped(sound(), time, by)
+    rows = jumped(healthy(), time, by)
     assert {event.code for event in live(rows) if event.code} == {"clock_jump"}
     run = run_of_rows(rows)
     found = replay_run(run, PAPER)
@@ -65,7 +65,7 @@ def test_a_gait_in_which_the_clock_was_set_is_rejected_with_that_reason(time: fl
 @pytest.mark.parametrize("by", [-3.0, -1.2])
 def test_two_times_that_were_merged_into_one_are_no_grooves(by: float):
     """Stamps and log times were set back together: a bag's messages are read as if both times had been one."""
-    rows = jumped(sound(), 12.3, by)
+    rows = jumped(healthy(), 12.3, by)
     rows = rows[np.argsort(rows["stamp"], kind="stable")]
     found = replayed(rows)
     assert {event.code for event in found.notices if event.code} == {"clock_jump"}
@@ -74,17 +74,17 @@ def test_two_times_that_were_merged_into_one_are_no_grooves(by: float):
 
 @pytest.mark.parametrize("late", [7.3, 11.0, 14.9])
 def test_a_twin_that_comes_late_claims_no_grooves(late: float):
-    rows = sound()
+    rows = healthy()
     first = ONSET + round(late * SECOND)
-    words = rows[(rows["kind"] == Kind.GAIT) & (rows["stamp"] < first)][-1:]
-    events = live(np.concatenate([words, rows[rows["stamp"] >= first]]))
+    latched = rows[(rows["kind"] == Kind.GAIT) & (rows["stamp"] < first)][-1:]
+    events = live(np.concatenate([latched, rows[rows["stamp"] >= first]]))
     assert [event.code for event in events if event.code] == []
     assert any("the twin resets its position to the tracker's" in e.text for e in events)
 
 
 @pytest.mark.parametrize("lasts", [3.0, 7.0])
 def test_a_gap_in_all_topics_is_a_gap_in_knowledge(lasts: float):
-    rows = sound()
+    rows = healthy()
     time = (rows["stamp"] - ONSET) / SECOND
     events = live(rows[(time < 8.2) | (time > 8.2 + lasts)])
     codes = {event.code for event in events if event.code}
@@ -96,7 +96,7 @@ def test_a_gap_in_all_topics_is_a_gap_in_knowledge(lasts: float):
 @pytest.mark.parametrize("lag", [0.1, 0.24, 0.9])
 def test_offline_no_sample_is_late(kind: Kind, lag: float):
     """Samples are late by a time (s): live, those beyond the delay are excluded; a recording is sorted by stamp."""
-    rows = sound()
+    rows = healthy()
     late = (rows["kind"] == kind) & (np.random.default_rng(4).random(len(rows)) < 0.3)
     order = np.argsort(rows["stamp"] + round(lag * SECOND) * late, kind="stable")
     twin = Twin()

@@ -14,8 +14,8 @@ from twin_samples import (
     GaitSample,
     MeasuredLength,
     PowerSample,
-    Told,
     TrackerSample,
+    TwinOutput,
     follow,
 )
 
@@ -66,12 +66,12 @@ def in_order(*streams: list) -> list:
     return sorted((sample for stream in streams for sample in stream), key=lambda s: s.stamp_ns)
 
 
-def run(samples: list, twin: Twin | None = None) -> Told:
+def run(samples: list, twin: Twin | None = None) -> TwinOutput:
     """Pass all samples at once."""
     return follow(samples, twin)
 
 
-def texts(output: Told) -> str:
+def texts(output: TwinOutput) -> str:
     return "\n".join(notice.text for notice in output.notices)
 
 
@@ -214,7 +214,7 @@ def test_a_pause_of_a_measured_length_is_survived(one_by_one: bool):
     assert all(math.isfinite(e) for e in energy)
 
 
-def test_a_clock_that_jumps_back_starts_the_twin_anew():
+def test_a_clock_that_jumps_back_restarts_the_twin():
     first = in_order(announcements(GAIT), commands(GAIT, 6.0))
     output = run(first + first)
     assert texts(output).count("clock jumped back") == 1
@@ -260,7 +260,7 @@ def later(samples: list, seconds: float) -> list:
     return [moved(sample) for sample in samples]
 
 
-def test_a_clock_that_jumps_ahead_starts_the_twin_anew():
+def test_a_clock_that_jumps_ahead_restarts_the_twin():
     first = full_run()
     output = run(first + later(first, 1000.0))
     assert [n.code for n in output.notices].count("clock_jump") == 1
@@ -310,8 +310,8 @@ def test_health_does_not_flicker_with_what_comes_and_goes_in_each_cycle(gait, ch
     output = run(in_order(announcements(gait), commands(gait, end), seen))
     health = [r.health for r in output.residuals if r.stamp_ns > ONSET]
     # each makes the health suspect for a cycle
-    told = sum(bool(notice.code) for notice in output.notices)
-    assert np.count_nonzero(np.diff(health)) <= 2 * (1 + told)
+    reports = sum(bool(notice.code) for notice in output.notices)
+    assert np.count_nonzero(np.diff(health)) <= 2 * (1 + reports)
 
 
 @pytest.mark.parametrize(("grooves", "word"), [(-1, "missed"), (1, "gained")])
@@ -382,7 +382,7 @@ def test_a_run_that_is_stopped_in_a_cycle_does_not_judge_it():
     assert "cycle" not in texts(output)
 
 
-def test_a_tracker_that_jumps_for_a_moment_is_not_believed():
+def test_a_short_jump_of_the_tracker_is_rejected():
     seen = [
         replace(s, rear_position=s.rear_position + 0.2)
         if isinstance(s, TrackerSample) and at(3.0) < s.stamp_ns < at(3.3)
@@ -423,7 +423,7 @@ def test_without_any_gait_state_a_run_begins_with_the_command():
     assert last.rear_position == pytest.approx(exact.x1[0], abs=1e-6)
 
 
-def test_before_a_run_the_twin_stands_still_and_says_so():
+def test_before_a_run_the_twin_stands_still_and_reports_it():
     output = run(in_order(commands(GAIT, 0.0), observed(GAIT, 0.0)))
     assert output.states[0].length_rate == 0.0
     assert all(math.isfinite(state.power) for state in output.states)
@@ -472,7 +472,7 @@ def test_a_second_run_starts_from_rest_with_no_energy():
     assert second[-1].energy == pytest.approx(run(full_run()).states[-1].energy, rel=1e-6)
 
 
-def test_settings_out_of_range_are_refused():
+def test_settings_out_of_range_are_rejected():
     with pytest.raises(ValueError, match="measured_stale_s: 0 is not between"):
         TwinSettings(measured_stale_s=0)
 

@@ -53,7 +53,7 @@ def test_a_forecast_begins_where_the_twin_is():
 
 
 @pytest.mark.parametrize("horizon", [-1.0, math.nan, 1000.0])
-def test_an_impossible_horizon_is_refused(horizon):
+def test_an_impossible_horizon_is_rejected(horizon):
     twin = Twin()
     with pytest.raises(ForecastError, match="horizon"):
         forecast(twin, twin.start(), GAIT, horizon)
@@ -83,7 +83,7 @@ def test_the_scene_shows_robot_and_ghost_on_the_pipes_lattice():
         PositionSample(0.01, 0.31, ONSET + 1_100_000_000),
     ],
 )
-def test_a_robot_that_is_not_seen_is_not_drawn(sighting):
+def test_a_robot_that_is_not_measured_is_not_drawn(sighting):
     drawn = {s.name for s in scene(record(stamp_ns=ONSET), sighting, PAPER)}
     assert "twin rear module" in drawn
     assert not any(name.startswith("robot") for name in drawn)

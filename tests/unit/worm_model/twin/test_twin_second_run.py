@@ -12,8 +12,8 @@ from twin_samples import (
     CommandedLength,
     GaitSample,
     MeasuredLength,
-    Told,
     TrackerSample,
+    TwinOutput,
     follow,
 )
 
@@ -76,14 +76,14 @@ def session(second: Gait, release_s: float = 0.5) -> list:
     return sorted(samples, key=lambda sample: sample.stamp_ns)
 
 
-def positions(samples: list) -> tuple[float, Told]:
+def positions(samples: list) -> tuple[float, TwinOutput]:
     """Return the twin's estimate of the rear module's displacement, and all its output."""
     output = follow(samples)
     return output.states[-1].rear_position - output.states[0].rear_position, output
 
 
 @pytest.mark.parametrize("second", [FIRST, Gait(0.08, 0.2), Gait(0.07, 0.2, REVERSE)])
-def test_the_command_alone_tells_where_a_second_run_ends(second):
+def test_the_command_alone_predicts_where_a_second_run_ends(second):
     samples = session(second)
     seen = [s.rear_position for s in samples if isinstance(s, TrackerSample)]
     moved, output = positions([s for s in samples if isinstance(s, CommandedLength | GaitSample)])
@@ -95,7 +95,7 @@ def test_the_command_alone_tells_where_a_second_run_ends(second):
 
 @pytest.mark.parametrize("second", [FIRST, Gait(0.07, 0.2, REVERSE)])
 @pytest.mark.parametrize("carried_mm", [0.0, 1000.0 * PAPER.pitch])
-def test_a_camera_sees_the_twin_right_through_a_second_run(second, carried_mm):
+def test_a_camera_confirms_the_twin_through_a_second_run(second, carried_mm):
     samples = session(second)
     again = at(CYCLES * FIRST.period + PAUSE_S)
     shift = 1e-3 * carried_mm
@@ -132,7 +132,7 @@ def test_a_robot_that_was_moved_by_hand_starts_in_its_grooves():
 
 
 @pytest.mark.parametrize("second", [FIRST, Gait(0.08, 0.2)])
-def test_slack_that_is_still_taken_up_is_not_another_l0(second):
+def test_slack_that_is_still_being_taken_up_is_not_another_l0(second):
     samples = session(second, release_s=100.0)
     again = at(CYCLES * FIRST.period + PAUSE_S)
     _, output = positions(samples)
@@ -145,7 +145,7 @@ def test_slack_that_is_still_taken_up_is_not_another_l0(second):
     assert max(abs(r.rear_position) for r in rows if math.isfinite(r.rear_position)) < 1.5e-3
 
 
-def test_the_slack_that_comes_back_after_a_run_makes_nobody_suspect():
+def test_the_slack_that_returns_after_a_run_leaves_the_robot_healthy():
     """The body grows by 7 mm at a constant command, and the twin continues to publish its agreement with the run."""
     rows = follow(session(Gait(0.07, 0.2))).residuals
     end = at(CYCLES * FIRST.period)

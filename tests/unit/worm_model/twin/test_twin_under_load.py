@@ -50,7 +50,7 @@ def climbed(slope: float, tether: float) -> Session:
 
 
 @pytest.mark.parametrize(("slope", "tether"), SLOPES)
-def test_a_twin_that_knows_its_load_follows_the_robot_live_and_in_replay(slope, tether):
+def test_a_twin_with_the_right_load_follows_the_robot_live_and_in_replay(slope, tether):
     session = climbed(slope, tether)
     loaded = under(Conditions(slope_deg=slope, tether_N=tether), PAPER)
     live = live_twin(session.rows, Twin(loaded))

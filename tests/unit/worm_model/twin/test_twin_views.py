@@ -64,7 +64,7 @@ def test_a_narrow_pane_wraps_what_would_be_cut_off():
     assert "cycle 2 of 5" in " ".join(" ".join(text(VIEW, 40)[:3]).split())
 
 
-def test_a_trend_tells_its_range_and_shows_a_gap():
+def test_a_trend_shows_its_range_and_gaps():
     trend = Trend((0.0, float("nan"), -0.0173), (1.0, 1.0, 1.0))
     lines = [ANSI.sub("", line) for line in render(VIEW, PAPER.pitch, 40, trend)]
     row = lines.index("x1, robot−twin, 3 s: -17.30 to 0.00 mm")
@@ -85,7 +85,7 @@ def test_what_matters_is_on_the_screen():
     assert measured.count("█") == 2 * predicted.count("█")
 
 
-def test_before_anything_has_come_it_says_so():
+def test_missing_data_is_shown_as_missing():
     assert "no driver" in text(View())[0]
     assert "(no twin yet)" in text(View())
     unseen = text(replace(VIEW, robot=(float("nan"), float("nan"))))

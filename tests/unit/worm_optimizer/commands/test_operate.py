@@ -29,8 +29,8 @@ class Robot:
         return Conditions(slope_deg=self.parameters.get("slope_deg", 0.0), tether_N=1.0)
 
 
-def options_of(*words: str):
-    return operate._parser().parse_args(["run", *words])
+def options_of(*arguments: str):
+    return operate._parser().parse_args(["run", *arguments])
 
 
 def test_only_the_given_conditions_are_set_and_those_that_hold_are_returned():

@@ -37,43 +37,45 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
 
 def test_optimize_prints_the_contracts_keys(run):
     status, out, err = run(optimize, *QUICK, "--json")
-    told = json.loads(out)
+    reported = json.loads(out)
     assert (status, err) == (0, "")
-    assert "hypervolume_share" not in told
-    assert all(set(gait) >= GAIT_KEYS - FULL_KEYS for gait in told["front"])
-    assert all(set(told[name]) >= GAIT_KEYS for name in ("min_power", "cruise", "max_speed"))
-    assert told["verification"]["power_rises"] is True
-    assert told["cruise"]["cost_of_transport"] < 61.5015
-    assert told["min_power"]["power"] == min(gait["power"] for gait in told["front"])
-    assert told["max_speed"]["speed"] == max(gait["speed"] for gait in told["front"])
-    costs = [gait["cost_of_transport"] for gait in told["front"]]
-    assert told["cruise"]["cost_of_transport"] == min(costs)
-    assert told["nominal"]["cruise"]["margin"] == 0.0
+    assert "hypervolume_share" not in reported
+    assert all(set(gait) >= GAIT_KEYS - FULL_KEYS for gait in reported["front"])
+    assert all(set(reported[name]) >= GAIT_KEYS for name in ("min_power", "cruise", "max_speed"))
+    assert reported["verification"]["power_rises"] is True
+    assert reported["cruise"]["cost_of_transport"] < 61.5015
+    assert reported["min_power"]["power"] == min(gait["power"] for gait in reported["front"])
+    assert reported["max_speed"]["speed"] == max(gait["speed"] for gait in reported["front"])
+    costs = [gait["cost_of_transport"] for gait in reported["front"]]
+    assert reported["cruise"]["cost_of_transport"] == min(costs)
+    assert reported["nominal"]["cruise"]["margin"] == 0.0
 
 
 def test_the_papers_method_is_compared_with_the_exact_front(run):
     small = ["--method", "nsga2", "--population", "20", "--generations", "5"]
     status, out, err = run(optimize, *QUICK, *small, "--json")
-    told = json.loads(out)
+    reported = json.loads(out)
     assert status == 0
     assert "NSGA-II" in err
-    assert 0.5 < told["hypervolume_share"] < 1.0
-    assert set(told["missed_branches"]) <= {1.0, 2.0}
-    assert told["largest_excess_power"] > 0.0
+    assert 0.5 < reported["hypervolume_share"] < 1.0
+    assert set(reported["missed_branches"]) <= {1.0, 2.0}
+    assert reported["largest_excess_power"] > 0.0
     exact = json.loads(run(optimize, *QUICK, "--json")[1])
     for name in ("min_power", "cruise"):
-        assert told[name]["cost_of_transport"] > exact[name]["cost_of_transport"]
+        assert reported[name]["cost_of_transport"] > exact[name]["cost_of_transport"]
     assert "more power; branches missed" in run(optimize, *QUICK, *small)[1]
 
 
 def test_optimize_keeps_the_limits_of_the_drivers_servos(run):
     driver = Path(__file__).resolve().parents[4] / "src" / "worm_driver" / "config" / "driver.yaml"
     limited = ["--limits-from", str(driver), "--servo-model", "XM430-W350", "--max-power", "9"]
-    free, told = (json.loads(run(optimize, *QUICK, *more, "--json")[1]) for more in ([], limited))
+    free, reported = (
+        json.loads(run(optimize, *QUICK, *more, "--json")[1]) for more in ([], limited)
+    )
     assert free["limits"] == {}
-    assert told["limits"]["cable_speed"] == pytest.approx(0.1199, abs=1e-4)
-    assert told["limits"]["electrical_power"] == 9.0
-    assert told["max_speed"]["speed"] < free["max_speed"]["speed"]
+    assert reported["limits"]["cable_speed"] == pytest.approx(0.1199, abs=1e-4)
+    assert reported["limits"]["electrical_power"] == 9.0
+    assert reported["max_speed"]["speed"] < free["max_speed"]["speed"]
     assert "limits             cable speed 0.12 m/s, " in run(optimize, *QUICK, *limited)[1]
 
 
@@ -89,18 +91,20 @@ def test_optimize_for_people_names_margin_phase_and_what_was_verified(run):
 
 def test_scan_margin_prints_the_contracts_keys(run):
     status, out, _ = run(scan_margin, "--lowest", "0.003", "--highest", "0.0036", "--json")
-    told = json.loads(out)
+    reported = json.loads(out)
     assert status == 0
-    assert told["margins"] == pytest.approx([0.003, 0.0031, 0.0032, 0.0033, 0.0034, 0.0035, 0.0036])
-    assert len(told["cost_of_transport"]) == 7
-    assert told["cliff_margin"] == pytest.approx(0.003419, abs=1e-6)
-    assert told["chosen_margin"] == 0.0034
-    assert told["lost_branch"] == 2
-    assert told["closed_form_cliff_margin"] == pytest.approx(0.003419, abs=1e-6)
-    assert told["groove_phase"] == pytest.approx(0.0011)
+    assert reported["margins"] == pytest.approx(
+        [0.003, 0.0031, 0.0032, 0.0033, 0.0034, 0.0035, 0.0036]
+    )
+    assert len(reported["cost_of_transport"]) == 7
+    assert reported["cliff_margin"] == pytest.approx(0.003419, abs=1e-6)
+    assert reported["chosen_margin"] == 0.0034
+    assert reported["lost_branch"] == 2
+    assert reported["closed_form_cliff_margin"] == pytest.approx(0.003419, abs=1e-6)
+    assert reported["groove_phase"] == pytest.approx(0.0011)
 
 
-def test_scan_margin_without_a_cliff_says_so(run):
+def test_scan_margin_reports_a_missing_cliff(run):
     status, out, _ = run(scan_margin, "--highest", "0.0002")
     assert status == 0
     assert "cliff        none among these margins" in out
@@ -127,23 +131,23 @@ def test_request_defaults_to_cruise(run):
     assert plain == named
 
 
-def test_request_for_people_shows_the_phase_beside_the_speed(run):
+def test_request_for_people_shows_the_phase_next_to_the_speed(run):
     status, out, _ = run(request, *QUICK, "--objective", "max_speed")
     assert status == 0
     assert "groove phase +1.10 mm" in out
 
 
-def test_an_unreachable_request_is_refused_with_the_nearest(run):
+def test_an_unreachable_request_is_rejected_with_the_nearest(run):
     status, out, err = run(request, *QUICK, "--power", "0.9", "--json")
-    told = json.loads(out)
+    reported = json.loads(out)
     assert status == 2
-    assert set(told) == {"error", "nearest"}
-    assert told["nearest"]["power"] == pytest.approx(1.2544, abs=1e-4)
-    assert err == f"request: {told['error']}\n"
+    assert set(reported) == {"error", "nearest"}
+    assert reported["nearest"]["power"] == pytest.approx(1.2544, abs=1e-4)
+    assert err == f"request: {reported['error']}\n"
 
 
 @pytest.mark.parametrize(
-    ("arguments", "says"),
+    ("arguments", "expected"),
     [
         (["--margin", "-1"], "margin: -1.0 m is not between 0 and 0.1 m"),
         (["--margin", "nan"], "not a finite number"),
@@ -163,10 +167,10 @@ def test_an_unreachable_request_is_refused_with_the_nearest(run):
         (["--robustness", "chance", "--probability", "2"], "probability: 2.0 is not above 0"),
     ],
 )
-def test_bad_input_is_one_line_and_status_2(run, arguments, says):
+def test_bad_input_is_one_line_and_status_2(run, arguments, expected):
     status, out, err = run(optimize, *arguments)
     assert (status, out) == (2, "")
-    assert says in err
+    assert expected in err
     assert err.count("\n") == 1
 
 
@@ -189,7 +193,7 @@ def test_a_figure_is_drawn_once_and_never_over_another_file(run, tmp_path, comma
     assert path.read_bytes() == drawn
 
 
-def test_a_figure_of_an_unknown_kind_is_refused(run, tmp_path):
+def test_a_figure_of_an_unknown_kind_is_rejected(run, tmp_path):
     status, _, err = run(optimize, *QUICK, "--figure", str(tmp_path / "figure.txt"))
     assert status == 2
     assert "end its name in .png, .pdf, .svg" in err
@@ -197,14 +201,14 @@ def test_a_figure_of_an_unknown_kind_is_refused(run, tmp_path):
 
 def test_optimize_searches_shaped_gaits_under_conditions(run):
     few = "--frequencies", "0.14", "0.16", "--waveform", "shaped", "--slope", "5", "--margin-n", "1"
-    told = json.loads(run(optimize, *few, "--samples", "5", "--json")[1])
-    cruise = told["cruise"]
-    assert told["waveform"] == "shaped"
-    assert told["conditions"]["slope_deg"] == 5.0
-    assert told["margin"] == pytest.approx(1.0 / 2275.1)
+    reported = json.loads(run(optimize, *few, "--samples", "5", "--json")[1])
+    cruise = reported["cruise"]
+    assert reported["waveform"] == "shaped"
+    assert reported["conditions"]["slope_deg"] == 5.0
+    assert reported["margin"] == pytest.approx(1.0 / 2275.1)
     assert cruise["profile"] == "trapezoid"
     assert cruise["stroke"] + cruise["pretension"] <= 0.09 + 1e-12
-    assert told["nominal"]["cruise"]["cost_of_transport"] < cruise["cost_of_transport"]
+    assert reported["nominal"]["cruise"]["cost_of_transport"] < cruise["cost_of_transport"]
 
 
 def test_nsga2_searches_the_sinusoid_alone(run):
@@ -214,17 +218,17 @@ def test_nsga2_searches_the_sinusoid_alone(run):
 
 
 def test_capability_prints_the_contracts_keys(run):
-    words = "--stroke", "0.0754", "--frequency", "0.147", "--tether-per-metre", "0.5"
+    options = "--stroke", "0.0754", "--frequency", "0.147", "--tether-per-metre", "0.5"
     few = "--frequencies", "0.1", "0.2"
-    status, out, _ = run(capability, *QUICK, *few, *words, "--json")
-    told = json.loads(out)
+    status, out, _ = run(capability, *QUICK, *few, *options, "--json")
+    reported = json.loads(out)
     assert status == 0
-    names = [each["name"] for each in told["gaits"]]
+    names = [each["name"] for each in reported["gaits"]]
     assert names == ["given", "min_power", "cruise", "max_speed"]
-    for each in (*told["gaits"], told["best"]):
+    for each in (*reported["gaits"], reported["best"]):
         assert set(each) >= {"gait", "largest_load", "largest_slope_deg"}
         assert each["tether_m"] == pytest.approx(each["largest_load"] / 0.5)
-        assert told["best"]["largest_load"] >= each["largest_load"] - 0.02
-    assert 60.0 < told["gaits"][0]["largest_slope_deg"] < 90.0
-    assert told["closed_form_largest_load"] == told["best"]["closed_form_largest_load"]
-    assert told["loads"][0]["load"] == 0.0
+        assert reported["best"]["largest_load"] >= each["largest_load"] - 0.02
+    assert 60.0 < reported["gaits"][0]["largest_slope_deg"] < 90.0
+    assert reported["closed_form_largest_load"] == reported["best"]["closed_form_largest_load"]
+    assert reported["loads"][0]["load"] == 0.0

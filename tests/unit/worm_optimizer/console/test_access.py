@@ -37,17 +37,17 @@ def test_only_pages_of_the_console_are_of_its_origin(origin: str | None, same: b
 
 
 @pytest.mark.parametrize("host", ["localhost:8080", "127.0.0.1:8080", "[::1]:8080", "localhost"])
-def test_without_a_secret_this_computer_is_let_in(host: str, clock: Clock):
+def test_without_a_secret_this_computer_has_access(host: str, clock: Clock):
     assert Access("", clock).admits({"host": host, "origin": f"http://{host}"}, "")
 
 
 @pytest.mark.parametrize("host", ["evil.example:8080", "", "127.0.0.1.evil.example", "192.168.0.4"])
-def test_without_a_secret_another_name_of_this_computer_is_not(host: str, clock: Clock):
+def test_without_a_secret_another_name_of_this_computer_has_no_access(host: str, clock: Clock):
     """Otherwise a page of a foreign server whose name resolves to 127.0.0.1 would have access (DNS rebinding)."""
     assert not Access("", clock).admits({"host": host}, "")
 
 
-def test_with_a_secret_only_sessions_are_let_in(clock: Clock):
+def test_with_a_secret_only_sessions_have_access(clock: Clock):
     access = Access("right", clock)
     assert not access.admits({"host": "robot"}, "")
     assert not access.admits({"host": "robot"}, "invented")

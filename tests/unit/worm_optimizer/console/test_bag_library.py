@@ -56,13 +56,13 @@ def test_a_missing_folder_is_created_and_has_no_rows(tmp_path: Path):
     assert asyncio.run(BagLibrary(tmp_path / "new").rows()) == []
 
 
-def test_a_row_matches_words_that_its_table_shows():
+def test_a_row_matches_texts_that_its_table_shows():
     gait = {"direction": 1, "stroke": 0.07, "frequency": 0.2}
     row = {"name": "run_1", "start": "2026-11-21", "gait": gait, "health": "healthy", "state": ""}
-    for words in ("", "RUN forward", "11-21 healthy", "70", "70.0 mm", "0.200 hz"):
-        assert matches(row, words), words
-    for words in ("reverse", "faulty", "71"):
-        assert not matches(row, words), words
+    for query in ("", "RUN forward", "11-21 healthy", "70", "70.0 mm", "0.200 hz"):
+        assert matches(row, query), query
+    for query in ("reverse", "faulty", "71"):
+        assert not matches(row, query), query
     assert matches({**row, "gait": {**gait, "direction": -1}}, "reverse")
     assert matches({**row, "gait": None, "notes": "a new fin"}, "new FIN")
 
@@ -95,9 +95,9 @@ def test_a_report_has_another_name_after_a_change_of_bags_parameters_or_code(
 ):
     made: list[list[str]] = []
 
-    async def run(command: list[str], *words: str) -> str:
-        made.append(list(words))
-        folder = Path(words[words.index("--output") + 1])
+    async def run(command: list[str], *arguments: str) -> str:
+        made.append(list(arguments))
+        folder = Path(arguments[arguments.index("--output") + 1])
         folder.mkdir()
         (folder / "report.html").touch()
         return ""

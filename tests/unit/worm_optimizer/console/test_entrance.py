@@ -23,7 +23,7 @@ class Site:
         self.reached.append(scope["path"])
         await send({"type": "http.response.start", "status": 200, "headers": []})
 
-    def ask(
+    def request(
         self,
         path: str,
         *,
@@ -63,11 +63,11 @@ def site() -> Site:
     return Site("right")
 
 
-def test_strangers_are_sent_to_sign_in(site: Site):
-    sent = site.ask("/")
+def test_unknown_clients_are_sent_to_sign_in(site: Site):
+    sent = site.request("/")
     assert sent[0]["status"] == 303
     assert header(sent, "location") == "/login"
-    assert site.ask("/login")[0]["status"] == 200
+    assert site.request("/login")[0]["status"] == 200
     assert site.reached == []
 
 
@@ -80,8 +80,8 @@ def test_strangers_are_sent_to_sign_in(site: Site):
         {"path": "/login", "method": "POST", "body": "token=right&x=" + 5000 * "x"},
     ],
 )
-def test_a_wrong_token_is_refused(site: Site, request_: dict[str, str]):
-    sent = site.ask(**request_)
+def test_a_wrong_token_is_rejected(site: Site, request_: dict[str, str]):
+    sent = site.request(**request_)
     assert sent[0]["status"] == 403
     assert b"Wrong token" in sent[1]["body"]
     assert site.reached == []
@@ -97,46 +97,46 @@ def test_a_wrong_token_is_refused(site: Site, request_: dict[str, str]):
 def test_the_right_one_opens_a_session_that_scripts_and_other_sites_cannot_use(
     site: Site, request_: dict[str, str]
 ):
-    sent = site.ask(**request_)
+    sent = site.request(**request_)
     assert (sent[0]["status"], header(sent, "location")) == (303, "/")
     cookie = header(sent, "set-cookie")
     assert "HttpOnly" in cookie
     assert "SameSite=strict" in cookie
     session = cookie.split(";")[0]
-    assert site.ask("/", cookie=session)[0]["status"] == 200
-    site.ask("/logout", cookie=session)
-    assert site.ask("/", cookie=session)[0]["status"] == 303
+    assert site.request("/", cookie=session)[0]["status"] == 200
+    site.request("/logout", cookie=session)
+    assert site.request("/", cookie=session)[0]["status"] == 303
 
 
 @pytest.mark.parametrize("secret", ["", "right"])
 def test_a_socket_from_another_site_is_closed(secret: str):
     site = Site(secret)
-    sent = site.ask("/_nicegui_ws/", kind="websocket", host="localhost", origin="http://evil")
+    sent = site.request("/_nicegui_ws/", kind="websocket", host="localhost", origin="http://evil")
     assert [message["type"] for message in sent] == ["websocket.close"]
     assert site.reached == []
 
 
-def test_a_request_from_another_site_is_refused():
+def test_a_request_from_another_site_is_rejected():
     site = Site("")
-    assert site.ask("/", host="localhost", origin="http://evil")[0]["status"] == 403
-    assert site.ask("/", host="evil")[0]["status"] == 403
+    assert site.request("/", host="localhost", origin="http://evil")[0]["status"] == 403
+    assert site.request("/", host="evil")[0]["status"] == 403
     assert site.reached == []
 
 
 def test_pages_cannot_be_framed_by_other_sites():
     site = Site("")
-    sent = site.ask("/", host="localhost")
+    sent = site.request("/", host="localhost")
     assert header(sent, "content-security-policy") == "frame-ancestors 'self'"
 
 
 def test_a_broken_cookie_is_none(site: Site):
-    assert site.ask("/", cookie="worm_console")[0]["status"] == 303
+    assert site.request("/", cookie="worm_console")[0]["status"] == 303
 
 
 def test_the_lock_is_stated_to_a_right_token(site: Site):
     for _ in range(10):
-        site.ask("/login", method="POST", body="token=wrong")
-    sent = site.ask("/login", method="POST", body="token=right")
+        site.request("/login", method="POST", body="token=wrong")
+    sent = site.request("/login", method="POST", body="token=right")
     assert sent[0]["status"] == 403
     assert b"try again in 60 s" in sent[1]["body"]
 
@@ -154,11 +154,11 @@ def test_only_the_error_of_a_client_that_left_is_ignored(message: str, ignored: 
 
     async def send(message: Any) -> None: ...
 
-    def ask() -> None:
+    def request() -> None:
         asyncio.run(IgnoreDisconnects(app)({"type": "http"}, receive, send))
 
     if ignored:
-        ask()
+        request()
     else:
         with pytest.raises(RuntimeError):
-            ask()
+            request()

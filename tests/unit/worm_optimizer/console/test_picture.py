@@ -40,7 +40,7 @@ def test_the_pipe_is_as_wide_as_it_is():
     assert math.isclose(lower - (upper + number(walls[0], "height")), 2e3 * PIPE_RADIUS)
 
 
-def test_a_robot_that_is_not_seen_is_not_drawn():
+def test_a_robot_that_is_not_measured_is_not_drawn():
     text = picture(TWIN, PositionSample(), PAPER)
     assert boxes(text, "robot") == []
     assert "not seen" in text

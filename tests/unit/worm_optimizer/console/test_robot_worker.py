@@ -132,7 +132,7 @@ def test_wishes_for_control_reach_the_driver_in_their_order(bench: Bench):
     assert bench.stopper.wishes == wishes
 
 
-def test_without_a_driver_nobody_has_control_and_there_is_no_state(bench: Bench):
+def test_without_a_driver_no_page_has_control_and_there_is_no_state(bench: Bench):
     bench.stopper.known = Snapshot(control=Control("a page"), power=2.0)
     bench.wait_for(lambda: bench.worker.snapshot().control == Control("a page"))
     bench.stopper.has_driver = False
@@ -219,9 +219,9 @@ def test_an_unexpected_error_is_reported_and_ends_all_commands_but_stop(bench: B
         return {}["a fault of the console"]  # type: ignore[index]
 
     bench.submit(fail)
-    words = "restart the console, it has failed: KeyError('a fault of the console')"
-    assert not bench.notice(words).good
-    assert bench.worker.hindrance == words
+    message = "restart the console, it has failed: KeyError('a fault of the console')"
+    assert not bench.notice(message).good
+    assert bench.worker.hindrance == message
     assert not bench.worker.submit("more", lambda node: "more")
     assert "Traceback" in capsys.readouterr().err
     bench.worker.stop()
@@ -233,9 +233,9 @@ def test_no_command_is_executed_if_stop_does_not_work(request):
     bench.stopper.broken = "no service stop"
     bench.worker.start()
     request.addfinalizer(bench.close)
-    words = "STOP does not work, so no command is executed: no service stop"
-    assert not bench.notice(words).good
-    assert bench.worker.hindrance == words
+    message = "STOP does not work, so no command is executed: no service stop"
+    assert not bench.notice(message).good
+    assert bench.worker.hindrance == message
 
 
 def test_the_end_waits_for_a_run():

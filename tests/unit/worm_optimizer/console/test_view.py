@@ -38,10 +38,10 @@ def test_a_topic_is_live_for_a_second():
 
 
 def test_missing_sources_are_named_with_their_silence():
-    heard = {**RECEIVED, "tracker": NOW - 7.0}
-    del heard["power"]
+    receptions = {**RECEIVED, "tracker": NOW - 7.0}
+    del receptions["power"]
     assert missing_sources(snapshot(), NOW) == []
-    silent = replace(snapshot(), received=heard)
+    silent = replace(snapshot(), received=receptions)
     assert missing_sources(silent, NOW) == ["power: no message yet", "tracker: silent for 7 s"]
 
 

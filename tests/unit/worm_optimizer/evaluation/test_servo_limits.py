@@ -72,7 +72,7 @@ def test_the_former_names_are_those_of_the_driver():
     } == DRIVER_RENAMED
 
 
-def test_the_models_are_those_that_the_driver_knows():
+def test_the_models_are_those_of_the_driver():
     known = {model.name.removesuffix("-T"): model for model in registers.MODELS.values()}
     assert set(servo_models()) == set(known) == set(control_table.MODELS)
     for name, model in servo_models().items():
@@ -145,7 +145,7 @@ def test_a_driver_that_takes_less_narrows_the_box_and_a_stricter_limit_stays(dri
 
 
 @pytest.mark.parametrize(
-    ("content", "says"),
+    ("content", "expected"),
     [
         ("{", "YAML"),
         ("a: 1", "contains no ros__parameters of a node named driver"),
@@ -160,15 +160,15 @@ def test_a_driver_that_takes_less_narrows_the_box_and_a_stricter_limit_stays(dri
         ),
     ],
 )
-def test_a_file_that_is_none_is_refused_with_its_path(tmp_path, content, says):
+def test_an_invalid_file_is_rejected_with_its_path(tmp_path, content, expected):
     path = tmp_path / "driver.yaml"
     path.write_text(content)
-    with pytest.raises(OptimizerError, match=says) as told:
+    with pytest.raises(OptimizerError, match=expected) as reported:
         load_driver_file(path)
-    assert str(told.value).startswith(str(path))
+    assert str(reported.value).startswith(str(path))
 
 
-def test_what_says_nothing_is_refused():
+def test_incomplete_or_invalid_limits_are_rejected():
     with pytest.raises(OptimizerError, match="'XM1' is none of XL330-M288"):
         within(Bounds(), NO_LIMITS, str(DRIVER_FILE), "XM1", None)
     with pytest.raises(OptimizerError, match="without the driver's parameter file"):
@@ -190,7 +190,7 @@ def front_under(limits: ActuatorLimits):
         (ActuatorLimits(pushing_force=15.0), "push"),
     ],
 )
-def test_a_front_keeps_a_limit_that_only_a_simulation_can_tell(limits, peak):
+def test_a_front_satisfies_a_limit_that_needs_a_simulation(limits, peak):
     free, limited = front_under(NO_LIMITS), front_under(limits)
     bound = {
         "force": limits.cable_force,

@@ -20,18 +20,18 @@ from worm_optimizer.search.pareto import front_of
     "bounds",
     [(0.09, 0.01, 0.08, 0.4), (0.0, 0.09, 0.08, 0.4), (0.01, 0.09, -0.1, 0.4), (0.01, 90, 0.1, 1)],
 )
-def test_a_box_that_is_none_is_refused(bounds):
+def test_an_invalid_box_is_rejected(bounds):
     with pytest.raises(OptimizerError, match=r"bounds: (stroke|frequency)"):
         Bounds(*bounds)
 
 
 @pytest.mark.parametrize("margin", [-1e-3, math.nan, 1.0])
-def test_a_margin_that_is_none_is_refused(margin):
+def test_an_invalid_margin_is_rejected(margin):
     with pytest.raises(OptimizerError, match="margin"):
         MarginTask(margin=margin)
 
 
-def test_a_direction_that_is_none_is_refused():
+def test_an_invalid_direction_is_rejected():
     with pytest.raises(OptimizerError, match=r"neither 1 .* nor -1"):
         MarginTask(direction=0)
 
@@ -68,7 +68,7 @@ def test_a_branch_is_whole_grooves_and_a_given_up_gait_has_none():
     assert branch_of(table).tolist() == [1, 2, 0, 0]
 
 
-def test_limits_exclude_gaits_and_tell_by_how_much():
+def test_limits_exclude_gaits_and_report_the_excess():
     stroke, frequency = np.array([0.0754, 0.09]), np.array([0.1, 0.4])
     limits = ActuatorLimits(cable_force=100.0, electrical_power=38.4)
     free = MarginTask().points(stroke, frequency)

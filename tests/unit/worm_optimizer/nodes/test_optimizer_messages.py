@@ -71,14 +71,14 @@ def test_an_answer_carries_its_gait():
     assert response.prediction.power == 2.6
 
 
-def test_a_goal_leaves_open_what_it_does_not_say():
+def test_settings_missing_in_a_goal_keep_their_defaults():
     """The seed is an exception, as 0 is seed 0."""
     settings = settings_of_goal(QUICK, OptimizeGaits.Goal(margin=math.nan))
     assert QUICK.seed != 0
     assert settings == dataclasses.replace(QUICK, seed=0)
 
 
-def test_a_goal_says_what_it_wants():
+def test_a_goal_sets_its_settings():
     goal = OptimizeGaits.Goal(margin=1e-3, seed=5, robustness="chance", probability=0.9)
     settings = settings_of_goal(QUICK, goal)
     assert settings.margin == 1e-3
@@ -88,15 +88,15 @@ def test_a_goal_says_what_it_wants():
 
 
 @pytest.mark.parametrize(
-    ("goal", "says"),
+    ("goal", "expected"),
     [
         ({"margin": -1.0}, "margin"),
         ({"seed": 2**40}, "seed"),
         ({"robustness": "luck"}, "none of margin, chance, any_phase"),
     ],
 )
-def test_a_goal_that_is_none_is_refused(goal, says):
-    with pytest.raises(OptimizerError, match=says):
+def test_an_invalid_goal_is_rejected(goal, expected):
+    with pytest.raises(OptimizerError, match=expected):
         settings_of_goal(QUICK, OptimizeGaits.Goal(**goal))
 
 

@@ -24,12 +24,12 @@ class Node:
     """Fake node that passes messages on, by topic."""
 
     def __init__(self) -> None:
-        self.say: dict[str, Callable[[Any], None]] = {}
+        self.publish: dict[str, Callable[[Any], None]] = {}
 
     def create_subscription(
         self, kind: type, topic: str, callback: Callable[[Any], None], qos: object
     ) -> None:
-        self.say[topic] = callback
+        self.publish[topic] = callback
 
 
 def residuals(**measured: float) -> TwinResiduals:
@@ -45,24 +45,24 @@ def test_each_residual_is_that_of_the_last_sample_which_measured_it(
     telemetry = Telemetry(node)
     telemetry.subscribe_to_all()
     assert telemetry.snapshot().residuals is None
-    node.say["twin/residuals"](residuals(rear_position=1e-3, length=2e-3))
-    node.say["twin/residuals"](residuals(power=0.5))
+    node.publish["twin/residuals"](residuals(rear_position=1e-3, length=2e-3))
+    node.publish["twin/residuals"](residuals(power=0.5))
     shown = telemetry.snapshot().residuals
     assert shown is not None
     assert (shown.rear_position, shown.length, shown.power) == (1e-3, 2e-3, 0.5)
     now += 2.0 * STALE_S  # the tracker measures nothing, the power sensor does
-    node.say["twin/residuals"](residuals(power=0.25))
+    node.publish["twin/residuals"](residuals(power=0.25))
     shown = telemetry.snapshot().residuals
     assert shown is not None
     assert math.isnan(shown.rear_position)
     assert shown.power == 0.25
 
 
-def test_the_twin_is_as_old_as_its_state_beside_the_command():
+def test_the_twin_is_as_old_as_its_state_relative_to_the_command():
     node = Node()
     telemetry = Telemetry(node)
     telemetry.subscribe_to_all()
-    node.say["twin/state"](TwinState(header=Header(stamp=Time(sec=7, nanosec=600_000_000))))
+    node.publish["twin/state"](TwinState(header=Header(stamp=Time(sec=7, nanosec=600_000_000))))
     assert math.isnan(telemetry.snapshot().twin_age)
-    node.say["body_length/commanded"](BodyLength(header=Header(stamp=Time(sec=8))))
+    node.publish["body_length/commanded"](BodyLength(header=Header(stamp=Time(sec=8))))
     assert telemetry.snapshot().twin_age == pytest.approx(0.4)

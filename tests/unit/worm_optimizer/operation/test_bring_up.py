@@ -22,21 +22,21 @@ class Operator:
 
     def __init__(self, failures: int, late_cycles: int = 0) -> None:
         self.failures, self.late_cycles = failures, late_cycles
-        self.asked: list[str] = []
+        self.requests: list[str] = []
 
     def run(self, order: GaitCommand, progress) -> None:
         assert order == GaitCommand(GAIT, 5)
-        self.asked.append("run")
+        self.requests.append("run")
         progress(RunProgress(1, 0.0, 0.0, 0.0, 0.0))
         if self.failures:
             self.failures -= 1
             raise GaitFailedError("the gait failed: fault: servo 1 gives no state")
 
     def activate(self) -> None:
-        self.asked.append("activate")
+        self.requests.append("activate")
 
     def deactivate(self) -> None:
-        self.asked.append("deactivate")
+        self.requests.append("deactivate")
 
 
 @pytest.fixture
@@ -45,23 +45,23 @@ def idle(monkeypatch):
 
 
 def run(operator: Operator, folder: Path) -> list[str]:
-    told: list[str] = []
+    reported: list[str] = []
     system = System("worm", ())
-    Session(ProcessGroup(folder), operator, system, told.append).run_gait(GaitCommand(GAIT, 5))
-    return told
+    Session(ProcessGroup(folder), operator, system, reported.append).run_gait(GaitCommand(GAIT, 5))
+    return reported
 
 
 def test_a_gait_that_succeeds_is_run_once(idle, tmp_path):
     operator = Operator(0)
     assert run(operator, tmp_path) == ["cycle 1 of 5"]
-    assert operator.asked == ["run"]
+    assert operator.requests == ["run"]
 
 
-def test_a_gait_that_fails_is_run_once_more_and_that_is_said(idle, tmp_path):
+def test_a_gait_that_fails_is_run_once_more_which_is_reported(idle, tmp_path):
     operator = Operator(1)
-    told = run(operator, tmp_path)
-    assert "the gait failed: fault: servo 1 gives no state: once more" in told
-    assert operator.asked == ["run", "deactivate", "activate", "run"]
+    reported = run(operator, tmp_path)
+    assert "the gait failed: fault: servo 1 gives no state: once more" in reported
+    assert operator.requests == ["run", "deactivate", "activate", "run"]
 
 
 def test_a_gait_that_fails_twice_has_failed(idle, tmp_path):
@@ -72,8 +72,8 @@ def test_a_gait_that_fails_twice_has_failed(idle, tmp_path):
 def test_a_failure_names_the_load_and_the_late_cycles(monkeypatch, tmp_path):
     monkeypatch.setattr(os, "getloadavg", lambda: (9.0, 1.0, 1.0))
     monkeypatch.setattr(os, "cpu_count", lambda: 2)
-    words = r"twice \(the computer was busy: load average 9.0 on 2 processors, 31 cycles of the driver late\)"
-    with pytest.raises(GaitFailedError, match=words):
+    expected = r"twice \(the computer was busy: load average 9.0 on 2 processors, 31 cycles of the driver late\)"
+    with pytest.raises(GaitFailedError, match=expected):
         run(Operator(2, late_cycles=31), tmp_path)
 
 

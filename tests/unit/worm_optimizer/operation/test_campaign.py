@@ -158,8 +158,8 @@ def test_bad_input_is_one_line_and_leaves_nothing_behind(
     except SystemExit as end:  # of argparse
         status = end.code
     assert status == 2
-    told = capsys.readouterr()
-    assert complaint in told.err.splitlines()[-1]
+    reported = capsys.readouterr()
+    assert complaint in reported.err.splitlines()[-1]
     assert not (tmp_path / "folder").exists()
 
 
@@ -201,10 +201,12 @@ def test_a_gait_counts_as_recorded_from_its_onset_to_the_end_of_its_last_cycle(b
 def test_what_is_recorded_is_not_run_again(bag, tmp_path: Path):
     """No node is started: none is configured."""
     nothing = dataclasses.replace(FILE, nodes={})
-    told: list[str] = []
+    reported: list[str] = []
     orders = {"cruise": GaitCommand(GAIT, 5)}
-    run_gaits(Robot(nothing, "virtual", {}), orders, bag.parent, tmp_path / "no_logs", told.append)
-    assert told == ["cruise: recorded already"]
+    run_gaits(
+        Robot(nothing, "virtual", {}), orders, bag.parent, tmp_path / "no_logs", reported.append
+    )
+    assert reported == ["cruise: recorded already"]
 
 
 def test_an_unfinished_recording_is_kept_under_another_name(tmp_path: Path):

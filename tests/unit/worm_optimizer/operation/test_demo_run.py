@@ -27,7 +27,7 @@ def test_the_table_shows_differences_to_the_measurement():
     assert cells == ["twin", "5.50 mm/s", "+10.0 %", "1.90 W", "-5.0 %", "45.0", "-10.0 %"]
 
 
-def test_a_number_that_is_missing_is_refused_of_the_twin_too():
+def test_a_missing_number_is_rejected_of_the_twin_too():
     seen, nothing = Band(1.0, 1.0, 1.0), Band(math.nan, math.nan, math.nan)
     gait = SimpleNamespace(early_end="", missing=(), twin=Bands(seen, nothing, nothing))
     with pytest.raises(RecordingError, match="the twin did not follow"):

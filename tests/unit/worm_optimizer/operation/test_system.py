@@ -76,7 +76,7 @@ def test_command_arguments_keep_the_types_of_parameters():
     assert "__ns:=/worm" in arguments
     assert "__node:=driver" in arguments
     assert "power:=supply" in arguments
-    given = dict(word.split(":=") for word in arguments if ":=" in word)
+    given = dict(argument.split(":=") for argument in arguments if ":=" in argument)
     assert yaml.safe_load(given["i2c_bus"]) == "1"
     assert isinstance(yaml.safe_load(given["rate"]), float)
     assert yaml.safe_load(given["ids"]) == [1, 2]
@@ -87,7 +87,7 @@ def test_a_parameter_without_a_value_is_left_to_the_nodes_file(tmp_path):
     assert driver.parameters == {"rate": 100.0}
 
 
-def test_what_the_drivers_file_says_holds_unless_an_argument_was_given():
+def test_values_of_the_drivers_file_hold_unless_an_argument_was_given():
     content = load_system_file(SHIPPED)
     assert not {"port", "i2c_bus"} & set(content.system("robot").node("driver").parameters)
     given = content.system("robot", port="/dev/b", i2c_bus="none").node("driver").parameters
@@ -130,14 +130,14 @@ def test_an_argument_without_a_value_is_left_out(tmp_path):
         ({"more": 1}, "no key 'more'"),
     ],
 )
-def test_a_malformed_file_is_refused_with_its_path(tmp_path, change, message):
+def test_a_malformed_file_is_rejected_with_its_path(tmp_path, change, message):
     path = written(tmp_path, {**MINIMAL, **change})
     with pytest.raises(SystemFileError, match=message) as error:
         load_system_file(path)
     assert str(path) in str(error.value)
 
 
-def test_unknown_modes_and_settings_are_refused(tmp_path):
+def test_unknown_modes_and_settings_are_rejected(tmp_path):
     content = load_system_file(written(tmp_path, MINIMAL))
     with pytest.raises(SystemFileError, match="mode 'simulation': choose one of robot"):
         content.system("simulation")
@@ -185,15 +185,15 @@ def test_the_shipped_file_fills_every_setting(mode):
     nodes = load_system_file(SHIPPED).system(mode).nodes
     assert nodes
     for node in nodes:
-        assert not any("{" in word for word in node.command_arguments("worm"))
+        assert not any("{" in argument for argument in node.command_arguments("worm"))
 
 
 def test_on_a_robot_gaits_keep_the_limits_of_its_driver():
     system = load_system_file(SHIPPED)
     robot = system.system("robot", driver_file="/etc/driver.yaml", servo_model="XM430-W350")
-    told = robot.node("optimizer").parameters
-    assert told["limits.driver_file"] == "/etc/driver.yaml"
-    assert told["limits.servo_model"] == "XM430-W350"
+    reported = robot.node("optimizer").parameters
+    assert reported["limits.driver_file"] == "/etc/driver.yaml"
+    assert reported["limits.servo_model"] == "XM430-W350"
     assert not system.system("virtual").node("optimizer").parameters  # the paper's values are used
 
 

@@ -134,7 +134,7 @@ def test_a_short_run_is_held_against_the_same_cycles_of_the_model(tmp_path: Path
     assert gait.early_end == ""
 
 
-def test_a_fault_is_said_first_and_standing_still_is_not_averaged(tmp_path: Path):
+def test_a_fault_is_reported_first_and_standing_still_is_not_averaged(tmp_path: Path):
     """The recording continues after the fault; only the played part counts."""
     run = simulated_run(CYCLES)
     states, onset = run.gait_state, int(run.gait_state.onset[1])
@@ -152,7 +152,7 @@ def test_a_fault_is_said_first_and_standing_still_is_not_averaged(tmp_path: Path
     assert page.index("ended in FAULT") < page.index("<nav")
 
 
-def test_without_a_tracker_power_is_told_and_the_reason_of_the_rest(tmp_path: Path):
+def test_without_a_tracker_power_is_reported_and_the_reason_of_the_rest(tmp_path: Path):
     run = dataclasses.replace(simulated_run(CYCLES), tracker=TrackerSamples())
     gait = read(tmp_path / "blind", run)
     assert math.isnan(gait.measured.speed.value)
@@ -163,7 +163,7 @@ def test_without_a_tracker_power_is_told_and_the_reason_of_the_rest(tmp_path: Pa
     build_report(Report("blind", [gait]), tmp_path / "report")
 
 
-def test_a_recording_without_a_gait_is_refused(tmp_path: Path):
+def test_a_recording_without_a_gait_is_rejected(tmp_path: Path):
     run = dataclasses.replace(simulated_run(2), gait_state=GaitStates())
     with pytest.raises(InputError, match=r"idle: .*gait_state"):
         read(tmp_path / "idle", run)
@@ -199,7 +199,7 @@ def test_powers_of_two_forms_are_not_compared(tmp_path: Path):
     )
 
 
-def test_events_tell_states_and_gaps(gait: RecordedGait):
+def test_events_contain_states_and_gaps(gait: RecordedGait):
     texts = [event.text for event in gait.events]
     assert "running" in texts
     assert any("rear marker hidden in 4 of" in text for text in texts)
@@ -216,7 +216,7 @@ def test_invalid_power_samples_are_counted(tmp_path: Path):
     assert any(f"3 of {status.size} power samples" in event.text for event in gait.events)
 
 
-def test_five_ridges_are_passed_when_the_tracker_says_so(gait: RecordedGait):
+def test_five_ridges_are_passed_according_to_the_tracker(gait: RecordedGait):
     passed = ridges_passed_at(gait)
     tracker = gait.run.tracker
     time = (tracker.stamp - gait.played.onset) * 1e-9
@@ -234,15 +234,15 @@ def test_five_ridges_are_passed_when_the_tracker_says_so(gait: RecordedGait):
 def two(tmp_path_factory: pytest.TempPathFactory):
     """Return the gaits of one bag that contains both, and the messages."""
     bag = write_bag(tmp_path_factory.mktemp("bags") / "two", joined_session())
-    told: list[str] = []
-    return read_recorded_gaits([bag], "", told.append), told
+    reported: list[str] = []
+    return read_recorded_gaits([bag], "", reported.append), reported
 
 
-def test_each_gait_of_a_recording_is_reported_and_that_is_said(two):
-    gaits, told = two
+def test_each_gait_of_a_recording_is_reported_with_a_message(two):
+    gaits, reported = two
     assert [(gait.name, gait.played.cycles) for gait in gaits] == [("two_1", 4), ("two_2", CYCLES)]
-    assert len(told) == 1
-    assert "holds 2 gaits" in told[0]
+    assert len(reported) == 1
+    assert "holds 2 gaits" in reported[0]
     for gait in gaits:
         assert gait.missing == ()
         assert gait.measured.speed.value == pytest.approx(evaluate_gait(GAIT).speed, rel=0.02)
@@ -269,7 +269,7 @@ def test_the_start_of_a_bag_without_the_memory_of_a_twin_is_estimated(tmp_path: 
         assert codes <= {"power_scale", "power_offset"}  # its power sensor is a dummy
 
 
-def test_gaits_of_one_name_are_told_apart(tmp_path: Path):
+def test_gaits_of_one_name_are_distinguished(tmp_path: Path):
     paths = [write_bag(tmp_path / f"{k}" / "same", simulated_run(2)) for k in range(2)]
     gaits = read_recorded_gaits(paths, "", silent)
     assert [gait.name for gait in gaits] == ["same (1)", "same (2)"]
@@ -286,7 +286,7 @@ def test_intervals_hold_the_prediction_and_are_the_same_each_time():
         assert low <= value <= high
 
 
-def test_a_file_that_knows_its_parameters_narrows_the_interval():
+def test_a_file_with_intervals_of_its_parameters_narrows_the_interval():
     wide = expect(GAIT, ParameterFile()).bands.power
     exact = {key: (value, value) for key, value in PAPER.as_dict().items()}
     narrow = expect(GAIT, ParameterFile(PAPER, exact)).bands.power
@@ -296,7 +296,7 @@ def test_a_file_that_knows_its_parameters_narrows_the_interval():
 # --- several gaits --------------------------------------------------------------------------------
 
 
-def test_order_is_preserved_or_not_or_not_told(gait: RecordedGait):
+def test_order_is_preserved_or_not_or_uncertain(gait: RecordedGait):
     slow, fast = with_speed(gait, "slow", 1.0, 1.1), with_speed(gait, "fast", 2.0, 1.9)
     assert orders([gait]) == ()
     assert orders([fast, slow])[0].preserved is True
@@ -396,7 +396,7 @@ def test_next_to_shaped_gaits_the_page_names_the_waveform_of_the_front(gait: Rec
 
 
 @pytest.mark.usefixtures("coarse")
-def test_gaits_of_different_margins_get_the_cliffs_and_the_page_says_so(
+def test_gaits_of_different_margins_get_the_cliffs_which_the_page_reports(
     gait: RecordedGait, tmp_path: Path
 ):
     gaits = [made_with(gait, 0.002), made_with(gait, 0.003)]
@@ -419,27 +419,27 @@ def test_gaits_without_a_front_in_common_are_shown_without(gait: RecordedGait, t
 
 
 @pytest.mark.parametrize(
-    ("difference", "told"),
+    ("difference", "reported"),
     [(-0.0004, "+0.0 %"), (-0.0006, "-0.1 %"), (0.25, "+25.0 %"), (math.nan, "")],
 )
-def test_differences_have_a_sign_but_nothing_has_none_below_zero(difference: float, told: str):
-    assert percent(difference) == told
+def test_differences_have_a_sign_but_nothing_has_none_below_zero(difference: float, reported: str):
+    assert percent(difference) == reported
 
 
 # --- the page -------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
-def odd(gait: RecordedGait) -> RecordedGait:
+def special(gait: RecordedGait) -> RecordedGait:
     return dataclasses.replace(gait, name="<b>odd & name</b>")
 
 
 @pytest.fixture(scope="module")
-def page(odd: RecordedGait, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return build_report(Report("A <title>", [odd]), tmp_path_factory.mktemp("page") / "report")
+def page(special: RecordedGait, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return build_report(Report("A <title>", [special]), tmp_path_factory.mktemp("page") / "report")
 
 
-def test_the_page_needs_nothing_else_and_figures_lie_beside_it(page: Path):
+def test_the_page_needs_nothing_else_and_figures_are_next_to_it(page: Path):
     text = page.read_text(encoding="utf-8")
     sources = re.findall(r'src="([^"]{0,40})', text)
     assert len(sources) == 4
@@ -458,8 +458,8 @@ def test_the_page_needs_nothing_else_and_figures_lie_beside_it(page: Path):
     }
 
 
-def test_the_same_recording_gives_the_same_bytes(page: Path, odd: RecordedGait, tmp_path: Path):
-    again = build_report(Report("A <title>", [odd]), tmp_path / "report")
+def test_the_same_recording_gives_the_same_bytes(page: Path, special: RecordedGait, tmp_path: Path):
+    again = build_report(Report("A <title>", [special]), tmp_path / "report")
     files = [path for path in page.parent.rglob("*") if path.is_file()]
     assert len(files) == 9
     for path in files:
@@ -467,7 +467,7 @@ def test_the_same_recording_gives_the_same_bytes(page: Path, odd: RecordedGait, 
         assert path.read_bytes() == other.read_bytes(), path.name
 
 
-def test_identified_parameters_stand_beside_the_papers(tmp_path: Path):
+def test_identified_parameters_are_next_to_the_papers(tmp_path: Path):
     content = ParameterFile(
         PAPER.replace(gain=0.9, rear_dry_friction=0.28),  # the paper has none
         {"gain": (0.88, 0.92), "rear_dry_friction": (0.24, 0.32)},
@@ -525,7 +525,7 @@ def test_fits_of_the_bench_tests_and_the_report_of_identify_are_on_the_page(
     assert "0.88 to 0.92" in text
 
 
-def test_the_page_fits_narrow_screens_and_calls_the_campaigns_gaits_by_words(
+def test_the_page_fits_narrow_screens_and_names_the_campaigns_gaits(
     gait: RecordedGait, tmp_path: Path
 ):
     named = dataclasses.replace(gait, name="min_power")
@@ -571,11 +571,11 @@ def test_what_was_recorded_last_may_be_a_campaign(tmp_path: Path):
     for name, closed in times.items():
         write_bag(tmp_path / name, simulated_run(1))
         os.utime(tmp_path / name / "metadata.yaml", (0, closed))
-    told: list[str] = []
-    assert newest_recording(tmp_path, told.append) == tmp_path / "campaign"
+    reported: list[str] = []
+    assert newest_recording(tmp_path, reported.append) == tmp_path / "campaign"
     os.utime(tmp_path / "single" / "metadata.yaml", (0, 50))
-    assert newest_recording(tmp_path, told.append) == tmp_path / "single"
-    assert not told
+    assert newest_recording(tmp_path, reported.append) == tmp_path / "single"
+    assert not reported
 
 
 def test_a_recording_without_a_gait_or_a_broken_one_is_passed_over(tmp_path: Path):
@@ -587,11 +587,11 @@ def test_a_recording_without_a_gait_or_a_broken_one_is_passed_over(tmp_path: Pat
     for number, name in enumerate(("good", "failed", "broken")):
         (tmp_path / name / "metadata.yaml").touch()
         os.utime(tmp_path / name / "metadata.yaml", (0, 10 + number))
-    told: list[str] = []
-    assert newest_recording(tmp_path, told.append) == tmp_path / "good"
-    assert [line.startswith("passed over: ") for line in told] == [True, True]
-    assert "is not rosbag2's" in told[0]
-    assert told[1].endswith("failed no gait was run")
+    reported: list[str] = []
+    assert newest_recording(tmp_path, reported.append) == tmp_path / "good"
+    assert [line.startswith("passed over: ") for line in reported] == [True, True]
+    assert "is not rosbag2's" in reported[0]
+    assert reported[1].endswith("failed no gait was run")
 
 
 @pytest.mark.parametrize(
@@ -614,10 +614,10 @@ def test_bad_input_is_one_line_and_status_2(
 ):
     monkeypatch.chdir(tmp_path)
     assert run_command(monkeypatch, *arguments) == 2
-    told = capsys.readouterr()
-    assert told.out == ""
-    assert complaint in told.err
-    assert told.err.count("\n") == 1
+    reported = capsys.readouterr()
+    assert reported.out == ""
+    assert complaint in reported.err
+    assert reported.err.count("\n") == 1
 
 
 @pytest.mark.parametrize(

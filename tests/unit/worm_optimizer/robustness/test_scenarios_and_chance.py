@@ -65,7 +65,7 @@ def test_a_files_intervals_replace_the_defaults_on_each_side():
     assert np.quantile(draws["slack"], [0.025, 0.975]) == pytest.approx([0.0079, 0.0090], abs=6e-5)
 
 
-def test_what_is_assumed_is_told_apart_from_what_the_file_says():
+def test_assumed_values_are_distinguished_from_those_of_the_file():
     assert description(FILE).startswith(
         "assumed at 95 %: rear_mass ±1 %, front_mass ±1 %, pitch ±0.5 %"
     )
@@ -100,7 +100,7 @@ def test_the_next_run_has_a_phase_of_its_own():
     assert np.quantile(spread, [0.025, 0.975]) == pytest.approx([-5e-4, 5e-4], abs=4e-5)
 
 
-def test_draws_correlate_as_the_file_says_and_keep_their_widths():
+def test_draws_correlate_as_in_the_file_and_keep_their_widths():
     file = ParameterFile(
         intervals={"slack": (0.0076, 0.0084)},
         correlations={("slack", "gain"): -0.9, ("bellows_damping", "power_factor"): -0.99},
@@ -186,7 +186,7 @@ def test_a_gait_that_promises_nothing_keeps_it():
 # --- edges ----------------------------------------------------------------------------------------
 
 
-def test_the_branch_ends_at_the_told_distances():
+def test_the_branch_ends_at_the_computed_distances():
     task = MarginTask(margin=3.4e-3)
     stroke, frequency = np.array([0.0754, 0.0550, 0.06]), np.array([0.147, 0.08, 0.3])
     lower, upper = stroke_to_edges(task, stroke, frequency)
@@ -260,7 +260,7 @@ def test_the_edge_of_a_promise_is_the_shortest_stroke_that_keeps_it():
             assert dense - 5e-5 <= found[0] <= dense + 1e-7
 
 
-def test_a_gait_stands_the_told_margin_and_no_more():
+def test_a_gait_tolerates_the_computed_margin_and_no_more():
     task = MarginTask()
     front = task.points([0.0754, 0.0754, 0.0550], [0.147, 0.2, 0.08])
     margins = tolerated_margins(task, front)
@@ -278,6 +278,6 @@ def test_a_promise_that_the_nominal_robot_breaks_stands_no_margin():
 
 
 @pytest.mark.parametrize("probability", [0.0, 1.1, -1.0])
-def test_a_probability_that_is_none_is_refused(probability):
+def test_an_invalid_probability_is_rejected(probability):
     with pytest.raises(OptimizerError, match="probability"):
         PromiseTask(MarginTask(), every_phase(PAPER), probability)

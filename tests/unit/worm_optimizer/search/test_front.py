@@ -132,7 +132,7 @@ def test_thinning_keeps_the_ends_and_the_cheapest():
     assert thinned(front, PAPER, 1000).tolist() == list(range(len(front)))
 
 
-def test_the_table_shows_fragile_nominal_and_sound_robust_gaits():
+def test_the_table_shows_fragile_nominal_and_reliable_robust_gaits():
     settings = dataclasses.replace(QUICK, margin=3.4e-3, samples=100)
     robust = make_front(FILE, settings, 1).three
     nominal = nominal_gaits(FILE, settings, 1)

@@ -84,7 +84,7 @@ def test_a_value_read_off_the_front_is_reachable():
     assert at_power(SLOWEST.power).status is RequestStatus.DONE
 
 
-def test_a_speed_of_zero_asks_for_the_lowest_power():
+def test_a_speed_of_zero_requests_the_lowest_power():
     assert at_speed(0.0).prediction.power == pytest.approx(SLOWEST.power, rel=1e-9)
 
 

@@ -34,7 +34,7 @@ def test_every_generation_reports_and_the_front_only_grows():
     assert areas[-1] > areas[0] > 0.0
 
 
-def test_nobody_forces_the_search_to_its_end():
+def test_the_search_may_end_early():
     endless = generations(TASK, SearchSettings(population=10, generations=100_000), 10.0)
     assert [step.number for step in itertools.islice(endless, 3)] == [1, 2, 3]
 
@@ -47,7 +47,7 @@ def test_all_of_the_front_moves_within_the_bounds():
 
 
 @pytest.mark.parametrize("wrong", [{"population": 1}, {"generations": 0}, {"seed": -1}])
-def test_settings_that_are_none_are_refused(wrong):
+def test_invalid_settings_are_rejected(wrong):
     with pytest.raises(OptimizerError, match="search:"):
         SearchSettings(**wrong)
 

@@ -126,6 +126,6 @@ def test_the_default_margins_are_tenths_of_millimetres():
 @pytest.mark.parametrize(
     "wrong", [(1e-3, 0.0, 1e-4), (0.0, 1.0, 1e-4), (0.0, 8e-3, 0.0), (0, 8e-3, 1e-9)]
 )
-def test_margins_that_are_none_are_refused(wrong):
+def test_invalid_margins_are_rejected(wrong):
     with pytest.raises(OptimizerError, match="scan:"):
         ScanSettings(*wrong)

@@ -15,7 +15,7 @@ import dask
 import pytest
 from distributed import Client, LocalCluster
 from study_cases import SMALL, contents
-from worker_jobs import refuse, suicide
+from worker_jobs import reject, suicide
 
 from worm_optimizer.study.engine import ClusterError, LostError, connected, spread
 from worm_optimizer.study.store import locked_store
@@ -61,7 +61,7 @@ def test_an_error_of_the_work_is_passed_on(cluster):
         connected(cluster.scheduler_address, 0, print) as client,
         pytest.raises(ValueError, match="piece"),
     ):
-        list(spread(client, refuse, [(1,)], print))
+        list(spread(client, reject, [(1,)], print))
 
 
 def test_a_killed_client_goes_on_where_it_was_with_the_same_bytes(whole, tmp_path, cluster):
@@ -158,14 +158,14 @@ def test_a_worker_of_another_version_is_rejected_by_name(tmp_path):
     with foreign_worker(tmp_path, "worm_model", "worm_msgs") as client:
         name = next(iter(client.scheduler_info(n_workers=-1)["workers"]))
         with pytest.raises(ClusterError, match=f"worker {name}.*another version"):
-            list(spread(client, refuse, [(1,)], print))
+            list(spread(client, reject, [(1,)], print))
 
 
 def test_a_worker_without_the_packages_is_rejected_by_name(tmp_path):
     with foreign_worker(tmp_path) as client:
         name = next(iter(client.scheduler_info(n_workers=-1)["workers"]))
         with pytest.raises(ClusterError, match=f"worker {name}.*cannot import"):
-            list(spread(client, refuse, [(1,)], print))
+            list(spread(client, reject, [(1,)], print))
 
 
 def test_no_scheduler_is_one_line():

@@ -238,7 +238,7 @@ def test_an_invalid_study_is_rejected_in_one_line(facts, changes, tmp_path):
     assert [fact for fact in facts if fact not in message.removeprefix(str(tmp_path))] == []
 
 
-def test_a_broken_file_tells_its_line(tmp_path):
+def test_a_broken_file_is_reported_with_its_line(tmp_path):
     file = tmp_path / "study.yaml"
     file.write_text("title: a\nvary: [\n")
     with pytest.raises(StudyError, match="is not valid YAML at line 3"):

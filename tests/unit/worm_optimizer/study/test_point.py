@@ -60,7 +60,7 @@ def test_the_gaits_are_those_of_the_front_of_the_point():
     )
 
 
-def test_a_point_that_is_not_admissible_says_why_and_the_others_stay():
+def test_a_point_that_is_not_admissible_has_a_reason_and_the_others_stay():
     results = compute_block(STUDY, POINTS)
     assert results["state"].tolist() == [FAILED, DONE] * 3
     assert "less than half the pitch" in results["reason"][0]

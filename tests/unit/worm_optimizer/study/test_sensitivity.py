@@ -53,14 +53,14 @@ def test_the_speed_of_a_branch_is_decided_by_the_pitch():
 
 
 def test_the_command(monkeypatch, capsys, tmp_path):
-    def run(*words):
-        monkeypatch.setattr("sys.argv", ["sensitivity", *words])
+    def run(*arguments):
+        monkeypatch.setattr("sys.argv", ["sensitivity", *arguments])
         return command.main(), *capsys.readouterr()
 
     gait = ("--stroke", "0.0755", "--frequency", "0.15", "--samples")
     figure = tmp_path / "sensitivity.svg"
-    status, told, _ = run(*gait, "16", "--json", "--figure", str(figure))
-    content = json.loads(told)
+    status, reported, _ = run(*gait, "16", "--json", "--figure", str(figure))
+    content = json.loads(reported)
     assert status == 0
     assert set(content["power"]["indices"]) == set(content["parameters"])
     assert figure.stat().st_size > 1000

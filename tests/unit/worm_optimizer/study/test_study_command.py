@@ -21,26 +21,26 @@ ROOT = Path(__file__).resolve().parents[4]
 pytestmark = pytest.mark.timeout(300)
 
 
-def run(monkeypatch, capsys, *words: str) -> tuple[int, str, str]:
+def run(monkeypatch, capsys, *arguments: str) -> tuple[int, str, str]:
     """Return exit status, standard output and error of `study`."""
-    monkeypatch.setattr(sys, "argv", ["study", *words])
+    monkeypatch.setattr(sys, "argv", ["study", *arguments])
     status = command.main()
-    said = capsys.readouterr()
-    return status, said.out, said.err
+    captured = capsys.readouterr()
+    return status, captured.out, captured.err
 
 
 def test_a_study_on_this_machine_and_its_page(tmp_path, monkeypatch, capsys):
     file, output, page = tmp_path / "s.yaml", tmp_path / "s.zarr", tmp_path / "s.html"
     file.write_text(SMALL)
-    words = (str(file), "--output", str(output), "--workers", "1", "--json")
-    status, out, err = run(monkeypatch, capsys, *words)
+    arguments = (str(file), "--output", str(output), "--workers", "1", "--json")
+    status, out, err = run(monkeypatch, capsys, *arguments)
     assert status == 0
     assert json.loads(out) == {"points": 6, "done": 6, "failed": 3, "output": str(output)}
     assert "100%" in err
     assert "http://127.0.0.1:" in err
     before = contents(output)
     status, out, _ = run(
-        monkeypatch, capsys, *words, "--page", str(page)
+        monkeypatch, capsys, *arguments, "--page", str(page)
     )  # nothing is left to compute
     assert status == 0
     assert contents(output) == before
@@ -51,7 +51,7 @@ def test_a_study_on_this_machine_and_its_page(tmp_path, monkeypatch, capsys):
     assert (
         text.count("data:image/png;base64,") == 1
     )  # one quantity varies among the computed points
-    status, _, err = run(monkeypatch, capsys, *words, "--page", str(page))
+    status, _, err = run(monkeypatch, capsys, *arguments, "--page", str(page))
     assert status == 2
     assert "exists already" in err
 
@@ -60,15 +60,15 @@ def test_a_dry_run_prints_points_blocks_and_time_and_leaves_nothing(tmp_path, mo
     file = tmp_path / "s.yaml"
     file.write_text(SMALL)
     status, out, _ = run(monkeypatch, capsys, str(file), "--dry-run", "--json")
-    told = json.loads(out)
+    reported = json.loads(out)
     assert status == 0
-    assert (told["points"], told["blocks"]) == (6, 6)
-    assert told["seconds"] > 0.0
+    assert (reported["points"], reported["blocks"]) == (6, 6)
+    assert reported["seconds"] > 0.0
     assert list(tmp_path.iterdir()) == [file]
 
 
 @pytest.mark.parametrize(
-    ("words", "message"),
+    ("arguments", "message"),
     [
         ((), "give one of STUDY.yaml"),
         (("s.yaml", "--verify", "s.zarr"), "give one of STUDY.yaml"),
@@ -86,10 +86,10 @@ def test_a_dry_run_prints_points_blocks_and_time_and_leaves_nothing(tmp_path, mo
         (("s.yaml", "--parameters", "absent.yaml", "--dry-run"), "cannot be read"),
     ],
 )
-def test_bad_input_is_one_line_and_status_2(words, message, tmp_path, monkeypatch, capsys):
+def test_bad_input_is_one_line_and_status_2(arguments, message, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     Path("s.yaml").write_text(SMALL)
-    status, out, err = run(monkeypatch, capsys, *words)
+    status, out, err = run(monkeypatch, capsys, *arguments)
     assert status == 2
     assert message in err
     assert err.count("\n") == 1
@@ -101,8 +101,8 @@ def test_a_fleet_is_a_table_with_a_row_for_the_broken_bag(tmp_path, monkeypatch,
     write_bag(folder / "good", simulated_run(5, 1))
     (folder / "broken").mkdir()
     (folder / "broken" / "x.mcap").write_bytes(b"junk")
-    words = ("--bags", str(folder), "--output", str(output), "--workers", "1", "--json")
-    status, out, err = run(monkeypatch, capsys, *words, "--page", str(page))
+    arguments = ("--bags", str(folder), "--output", str(output), "--workers", "1", "--json")
+    status, out, err = run(monkeypatch, capsys, *arguments, "--page", str(page))
     assert status == 1
     assert "1 of 2 failed" in err
     assert json.loads(out) == {"points": 2, "done": 2, "failed": 1, "output": str(output)}
@@ -112,13 +112,13 @@ def test_a_fleet_is_a_table_with_a_row_for_the_broken_bag(tmp_path, monkeypatch,
     assert rows["good"]["speed_m_s"] == pytest.approx(rows["good"]["expected_speed_m_s"], rel=0.1)
     assert "is not an MCAP file" in page.read_text()
     assert not list(tmp_path.glob("*.part"))
-    assert run(monkeypatch, capsys, *words)[0] == 1  # nothing is left to read
-    assert run(monkeypatch, capsys, *words, "--accept-failures")[0] == 0
+    assert run(monkeypatch, capsys, *arguments)[0] == 1  # nothing is left to read
+    assert run(monkeypatch, capsys, *arguments, "--accept-failures")[0] == 0
     before = output.read_bytes()
-    assert run(monkeypatch, capsys, *words, "--retry-failed", "--accept-failures")[0] == 0
+    assert run(monkeypatch, capsys, *arguments, "--retry-failed", "--accept-failures")[0] == 0
     assert output.read_bytes() == before
     write_bag(folder / "new", simulated_run(5, 2))
-    status, _, err = run(monkeypatch, capsys, *words)
+    status, _, err = run(monkeypatch, capsys, *arguments)
     assert status == 2
     assert "nothing is overwritten" in err
 
@@ -163,12 +163,12 @@ def test_a_study_that_fails_everywhere_has_status_1(tmp_path, monkeypatch, capsy
     workers = ("--scheduler", cluster.scheduler_address)
     file = tmp_path / "s.yaml"
     file.write_text(SMALL.replace("[0.008, 0.0175]", "[0.008]"))
-    words = (str(file), "--output", str(tmp_path / "s.zarr"), *workers, "--json")
-    status, out, err = run(monkeypatch, capsys, *words)
+    arguments = (str(file), "--output", str(tmp_path / "s.zarr"), *workers, "--json")
+    status, out, err = run(monkeypatch, capsys, *arguments)
     assert status == 1
     assert json.loads(out)["failed"] == 3
     assert "3 of 3 failed" in err
-    assert run(monkeypatch, capsys, *words, "--accept-failures")[0] == 0
+    assert run(monkeypatch, capsys, *arguments, "--accept-failures")[0] == 0
 
 
 def test_a_saltelli_study_has_sobol_indices(tmp_path, monkeypatch, capsys, cluster):
@@ -180,14 +180,14 @@ def test_a_saltelli_study_has_sobol_indices(tmp_path, monkeypatch, capsys, clust
         "fixed: {margin_m: 0.002}\ncompute: [gaits]\n"
         "resolution: {strokes: 9, frequencies: 5}\n"
     )
-    words = (str(file), "--output", str(tmp_path / "s.zarr"), *workers)
-    status, out, _ = run(monkeypatch, capsys, *words, "--json", "--page", str(page))
+    arguments = (str(file), "--output", str(tmp_path / "s.zarr"), *workers)
+    status, out, _ = run(monkeypatch, capsys, *arguments, "--json", "--page", str(page))
     assert status == 0
     cost = json.loads(out)["indices"]["cost of transport"]
     assert set(cost) == {"idle_power", "rear_mass"}
     assert cost["idle_power"]["total"] > cost["rear_mass"]["total"]
     assert "Sobol indices" in page.read_text()
-    assert "idle_power" in run(monkeypatch, capsys, *words)[1]
+    assert "idle_power" in run(monkeypatch, capsys, *arguments)[1]
 
 
 def test_the_examples_are_studies(monkeypatch, capsys):

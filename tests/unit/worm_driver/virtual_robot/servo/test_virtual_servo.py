@@ -42,7 +42,7 @@ class Bench:
         row = self.servo.model.registers[name]
         self.servo.write(row.address, row.encode(value))
 
-    def refused(self, name, value):
+    def rejected(self, name, value):
         with pytest.raises(RegisterError) as caught:
             self.write(name, value)
         return caught.value.number
@@ -104,12 +104,12 @@ def test_only_the_xl430_has_no_current():
         ("torque_enable", 2, Error.DATA_RANGE),
     ],
 )
-def test_what_is_refused(name, value, number):
-    assert Bench().refused(name, value) == number
+def test_invalid_values_are_rejected(name, value, number):
+    assert Bench().rejected(name, value) == number
 
 
 def test_the_xl430_has_no_current_modes():
-    assert Bench(XL430_W250).refused("operating_mode", 5) == Error.DATA_RANGE
+    assert Bench(XL430_W250).rejected("operating_mode", 5) == Error.DATA_RANGE
 
 
 @pytest.mark.parametrize(
@@ -137,7 +137,7 @@ def test_a_block_is_written_whole_or_not_at_all():
 
 def test_torque_locks_the_eeprom():
     bench = extended()
-    assert bench.refused("operating_mode", 3) == Error.ACCESS
+    assert bench.rejected("operating_mode", 3) == Error.ACCESS
     bench.write("torque_enable", 0)
     bench.write("operating_mode", 3)
     assert bench.read("operating_mode") == 3
@@ -262,7 +262,7 @@ def test_a_registered_write_waits_for_action():
     assert bench.read("registered_instruction") == 0
 
 
-def test_a_factory_reset_needs_torque_off_and_keeps_what_it_is_told():
+def test_a_factory_reset_needs_torque_off_and_keeps_the_requested_values():
     bench = extended(return_delay_time=0)
     with pytest.raises(RegisterError) as caught:
         bench.servo.factory_reset(b"\x02", bench.time)
@@ -274,7 +274,7 @@ def test_a_factory_reset_needs_torque_off_and_keeps_what_it_is_told():
     assert bench.read("return_delay_time") == 250
 
 
-def test_the_watchdog_stops_the_motor_and_refuses_goals_until_it_is_cleared():
+def test_the_watchdog_stops_the_motor_and_rejects_goals_until_it_is_cleared():
     bench = extended()
     bench.write("profile_velocity", 50)
     bench.write("bus_watchdog", 5)  # 100 ms
@@ -288,8 +288,8 @@ def test_the_watchdog_stops_the_motor_and_refuses_goals_until_it_is_cleared():
     assert bench.servo.motor.position == stopped_at
     assert bench.read("torque_enable") == 1
     assert bench.read("profile_velocity") == 0
-    assert bench.refused("goal_position", 1100) == Error.DATA_RANGE
-    assert bench.refused("bus_watchdog", 5) == Error.DATA_RANGE
+    assert bench.rejected("goal_position", 1100) == Error.DATA_RANGE
+    assert bench.rejected("bus_watchdog", 5) == Error.DATA_RANGE
     bench.write("bus_watchdog", 0)
     bench.run(0.5)
     assert bench.servo.motor.position == stopped_at
@@ -325,7 +325,7 @@ def test_a_blocked_shaft_overloads_and_only_a_reboot_helps():
     assert bench.read("hardware_error_status") == OVERLOAD_ERROR
     assert bench.servo.alert() == ALERT
     assert bench.read("torque_enable") == 0
-    assert bench.refused("torque_enable", 1) == Error.RESULT_FAIL
+    assert bench.rejected("torque_enable", 1) == Error.RESULT_FAIL
     bench.servo.surroundings.blocked = False
     bench.servo.reboot(bench.time)
     bench.write("torque_enable", 1)

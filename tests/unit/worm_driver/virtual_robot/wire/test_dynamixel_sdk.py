@@ -27,7 +27,7 @@ CABLE, REAR, FRONT = 1, 11, 12
 TORQUE, GOAL, POSITION, BLOCK = 64, 116, 132, 126
 
 
-class PatientPort(PortHandler):
+class WaitingPort(PortHandler):
     """The SDK's port without polling, so that the serving thread gets to run."""
 
     def readPort(self, length):
@@ -45,7 +45,7 @@ def set_timeout(monkeypatch, seconds):
 @pytest.fixture
 def port(served, monkeypatch) -> Iterator[PortHandler]:
     set_timeout(monkeypatch, 5.0)  # only a failing test waits so long
-    handler = PatientPort(served.port)
+    handler = WaitingPort(served.port)
     assert handler.openPort()
     assert handler.setBaudRate(1_000_000)
     yield handler
@@ -223,7 +223,7 @@ def test_a_status_with_each_error_number(port, sdk, served):
 
 
 def test_unplugged_and_plugged_in_again(served, sdk):
-    handler = PatientPort(served.port)
+    handler = WaitingPort(served.port)
     handler.openPort()
     inject(served, faults.UNPLUGGED, duration=0.3)
     # Not an OSError where the SDK clears the line: a driver has to catch both.
@@ -231,7 +231,7 @@ def test_unplugged_and_plugged_in_again(served, sdk):
         sdk.ping(handler, CABLE)
     handler.closePort()
     wait_until(lambda: (served.directory / "servo_bus").exists(), "port")
-    again = PatientPort(served.port)
+    again = WaitingPort(served.port)
     assert again.openPort()
     assert sdk.ping(again, CABLE)[1] == COMM_SUCCESS
     again.closePort()

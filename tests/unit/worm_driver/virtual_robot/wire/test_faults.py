@@ -30,7 +30,7 @@ def test_faults_as_text(text, fault):
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("text", "expected"),
     [
         ("fire", "no fault 'fire': choose one of no_answer"),
         ("late@soon", "write NAME"),
@@ -42,13 +42,13 @@ def test_faults_as_text(text, fault):
         ("error:value=1.5", "error number from 1 to 7"),
     ],
 )
-def test_what_is_refused(text, words):
-    with pytest.raises(FaultError, match=words):
+def test_invalid_values_are_rejected(text, expected):
+    with pytest.raises(FaultError, match=expected):
         parse_fault(text)
 
 
 @pytest.mark.parametrize("name", KINDS)
-def test_every_kind_can_be_asked_for_by_its_name_alone(name):
+def test_every_kind_can_be_requested_by_its_name_alone(name):
     fault = make_fault(name)
     assert fault.count > 0 or fault.duration < math.inf
 

@@ -76,7 +76,7 @@ def test_packets_are_found_however_the_stream_is_cut(bodies, noise, data):
     assert [packet.parameters for packet in found] == bodies
 
 
-def test_a_wrong_checksum_is_told():
+def test_a_wrong_checksum_is_reported():
     packet = bytearray(instruction_packet(3, Instruction.PING))
     packet[-1] ^= 1
     (found,) = InstructionReader(1.0).feed(bytes(packet), 0.0)

@@ -70,7 +70,7 @@ def test_a_path_too_long_for_a_socket(make, tmp_path):
         make(tmp_path / ("x" * 120)).open()
 
 
-def test_the_camera_is_heard(served):
+def test_samples_of_the_camera_arrive(served):
     while len(served.samples) < 4:
         pass
     times = [sample.time for sample in served.samples[:4]]

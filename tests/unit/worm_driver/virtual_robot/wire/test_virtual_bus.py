@@ -27,16 +27,16 @@ def robot(*requests):
     return VirtualRobot(SETTINGS, FaultBoard(requests))
 
 
-def word(value):
+def two_bytes(value):
     return value.to_bytes(2, "little")
 
 
 def read(servo, address, length):
-    return instruction_packet(servo, Instruction.READ, word(address) + word(length))
+    return instruction_packet(servo, Instruction.READ, two_bytes(address) + two_bytes(length))
 
 
 def write(servo, address, data):
-    return instruction_packet(servo, Instruction.WRITE, word(address) + data)
+    return instruction_packet(servo, Instruction.WRITE, two_bytes(address) + data)
 
 
 def replies(virtual, data, time=0.0):
@@ -50,25 +50,25 @@ def test_a_broadcast_ping_is_answered_in_the_order_of_ids():
 
 def test_a_sync_read_is_answered_in_the_order_of_the_request():
     request = instruction_packet(
-        BROADCAST_ID, Instruction.SYNC_READ, word(0) + word(2) + bytes([FRONT, 7, CABLE])
+        BROADCAST_ID, Instruction.SYNC_READ, two_bytes(0) + two_bytes(2) + bytes([FRONT, 7, CABLE])
     )
     assert replies(robot(), request) == [
-        status_packet(FRONT, 0, word(1060)),
-        status_packet(CABLE, 0, word(1020)),
+        status_packet(FRONT, 0, two_bytes(1060)),
+        status_packet(CABLE, 0, two_bytes(1020)),
     ]
 
 
 def test_bulk_writes_reach_several_addresses():
     virtual = robot()
-    items = bytes([CABLE]) + word(65) + word(1) + b"\x01"
-    items += bytes([REAR]) + word(108) + word(4) + b"\x07\x00\x00\x00"
+    items = bytes([CABLE]) + two_bytes(65) + two_bytes(1) + b"\x01"
+    items += bytes([REAR]) + two_bytes(108) + two_bytes(4) + b"\x07\x00\x00\x00"
     assert replies(virtual, instruction_packet(BROADCAST_ID, Instruction.BULK_WRITE, items)) == []
     cable, rear, _ = virtual.servos
     assert (cable.memory["led"], rear.memory["profile_acceleration"]) == (1, 7)
 
 
 @pytest.mark.parametrize("instruction", [Instruction.READ, Instruction.REBOOT + 1, 0x55, 0xA0])
-def test_nobody_answers_a_broadcast_of_what_is_no_broadcast(instruction):
+def test_no_servo_answers_a_broadcast_of_another_instruction(instruction):
     assert replies(robot(), instruction_packet(BROADCAST_ID, instruction, b"\0\0\2\0")) == []
 
 
@@ -133,7 +133,7 @@ def test_the_watchdog_counts_from_the_last_packet_for_the_servo():
     for tick in range(20):
         virtual.receive(instruction_packet(REAR, Instruction.PING), tick * 0.01)
     assert replies(virtual, read(CABLE, 98, 1), 0.2) == [status_packet(CABLE, 0, b"\xff")]
-    goal = write(CABLE, 116, word(3300) + word(0))
+    goal = write(CABLE, 116, two_bytes(3300) + two_bytes(0))
     assert replies(virtual, goal, 0.21) == [status_packet(CABLE, 4)]
     assert replies(virtual, write(CABLE, 98, b"\x00"), 0.22) == [status_packet(CABLE, 0)]
     assert replies(virtual, goal, 0.23) == [status_packet(CABLE, 0)]
@@ -206,7 +206,7 @@ def test_hardware_alerts_last_until_a_reboot(name, bit, shuts_down):
 def test_a_servo_that_vanishes_comes_back_folded_and_limp():
     virtual = robot(make_fault(faults.VANISHED, target=CABLE, start=6.0, duration=1.0))
     virtual.receive(write(CABLE, 64, b"\x01"), 0.0)
-    virtual.receive(write(CABLE, 116, word(4700) + word(0)), 0.0)
+    virtual.receive(write(CABLE, 116, two_bytes(4700) + two_bytes(0)), 0.0)
     assert replies(virtual, PING, 5.9) == [PONG]
     assert replies(virtual, PING, 6.5) == []
     assert replies(virtual, PING, 7.1) == []  # the servo is booting
@@ -220,7 +220,7 @@ def test_a_servo_that_vanishes_comes_back_folded_and_limp():
 def test_a_stalled_servo_stays_where_it_is():
     virtual = robot(make_fault(faults.STALLED, target=CABLE, start=0.5, duration=0.8))
     virtual.receive(write(CABLE, 64, b"\x01"), 0.6)
-    virtual.receive(write(CABLE, 116, word(3500) + word(0)), 0.6)
+    virtual.receive(write(CABLE, 116, two_bytes(3500) + two_bytes(0)), 0.6)
     stuck = virtual.servos[0].motor.position
     virtual.advance(1.29)
     assert virtual.servos[0].motor.position == stuck
@@ -243,7 +243,7 @@ def test_rubbish_never_disturbs_what_follows(rubbish, tail):
     st.integers(0, 255),
     st.binary(max_size=24),
 )
-def test_any_instruction_gets_sound_answers(servo, instruction, parameters):
+def test_any_instruction_gets_valid_answers(servo, instruction, parameters):
     virtual = robot()
     for answer in replies(virtual, instruction_packet(servo, instruction, parameters)):
         assert answer[:4] == b"\xff\xff\xfd\x00"

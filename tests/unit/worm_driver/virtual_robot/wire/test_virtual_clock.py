@@ -56,7 +56,7 @@ def test_a_minute_passes_at_once_and_to_the_moment(fast):
     clock.close()
 
 
-def test_while_somebody_works_no_time_passes(fast):
+def test_while_a_client_works_no_time_passes(fast):
     clock = VirtualClock(fast.directory, I2C)
     now = clock()
     end = time.monotonic() + 0.3
@@ -115,7 +115,7 @@ def test_a_thousand_questions_are_answered_however_the_line_dawdles(fast):
     clock.close()
 
 
-def test_whoever_is_gone_keeps_nobody(fast):
+def test_an_ended_client_delays_no_other(fast):
     gone, stays = VirtualClock(fast.directory, I2C), VirtualClock(fast.directory, I2C)
     gone.close()
     due = stays() + 1.0
@@ -143,7 +143,7 @@ def test_in_real_time_and_on_real_devices_the_clock_is_the_machines(settings, tm
 
 
 @pytest.mark.parametrize(("device", "port"), [("servo_bus", SERIAL), ("i2c.sock", I2C)])
-def test_the_clock_is_found_by_whatever_link_leads_to_the_device(settings, tmp_path, device, port):
+def test_the_clock_is_found_through_any_link_to_the_device(settings, tmp_path, device, port):
     robot = _Robot(settings, tmp_path / "robot", 1.0)
     link, chain = tmp_path / "link", tmp_path / "chain"
     link.symlink_to(tmp_path / "robot" / device)

@@ -31,7 +31,7 @@ def bus(served):
         yield bus
 
 
-def test_a_word_is_low_byte_first(bus):
+def test_a_16_bit_value_is_low_byte_first(bus):
     assert bus.read_word_data(ADDRESS, 0) == 0x9F39
 
 
@@ -65,7 +65,7 @@ def test_a_robot_that_is_gone_is_an_input_output_error(bus, served):
     assert caught.value.errno == errno.EIO
 
 
-def test_a_closed_bus_says_so(bus):
+def test_a_closed_bus_is_reported(bus):
     bus.close()
     bus.close()
     with pytest.raises(OSError) as caught:

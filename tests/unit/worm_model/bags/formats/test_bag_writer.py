@@ -121,7 +121,7 @@ def test_an_entirely_empty_bag(tmp_path: Path):
         assert (list(bag.messages()), bag.topics, bag.start, bag.end) == ([], {}, 0, 0)
 
 
-def test_a_disk_that_is_full_in_the_middle_is_said_and_nothing_is_left(tmp_path: Path):
+def test_a_disk_that_is_full_in_the_middle_is_reported_and_nothing_is_left(tmp_path: Path):
     """A limit of the process ends writing as on a full disk."""
     draw = np.random.default_rng(4)
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -135,17 +135,17 @@ def test_a_disk_that_is_full_in_the_middle_is_said_and_nothing_is_left(tmp_path:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_disk_that_takes_no_file_at_all_is_said_and_nothing_is_left(tmp_path: Path, monkeypatch):
-    def refuse(path: Path, mode: str):
+def test_a_disk_that_accepts_no_file_is_reported_and_nothing_is_left(tmp_path: Path, monkeypatch):
+    def reject(path: Path, mode: str):
         raise OSError(errno.ENOSPC, "No space left on device", path)
 
-    monkeypatch.setattr(Path, "open", refuse)
+    monkeypatch.setattr(Path, "open", reject)
     with pytest.raises(UnwritableError, match="bag cannot be written: No space left on device"):
         write(tmp_path / "bag", [])
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_summary_that_is_not_what_was_written_is_not_believed_and_that_is_told(tmp_path: Path):
+def test_a_damaged_summary_is_not_used_and_reported(tmp_path: Path):
     """With any of its bits flipped, all messages are read, in their order, of their topics."""
     messages = [message(TOPICS[i % 3], i, bytes(40), i) for i in range(60)]
     file = file_of(write(tmp_path / "bag", messages))
@@ -154,23 +154,23 @@ def test_a_summary_that_is_not_what_was_written_is_not_believed_and_that_is_told
     for place in np.random.default_rng(1).integers(summary, len(data) - 37, 40):
         data[place] ^= 0x40
         file.write_bytes(data)
-        told: list[str] = []
-        with open_bag(file, told.append) as bag:
+        reported: list[str] = []
+        with open_bag(file, reported.append) as bag:
             assert list(bag.messages()) == messages
-        assert any("summary" in line for line in told)
+        assert any("summary" in line for line in reported)
         data[place] ^= 0x40
 
 
-def test_metadata_of_a_bag_beside_and_inside_its_file(tmp_path: Path):
+def test_metadata_of_a_bag_next_to_and_inside_its_file(tmp_path: Path):
     """Also with texts that YAML has to quote or to fold."""
-    odd = {"state": "a: b # c", "lines": "one\n\n  two\n", "long": "word " * 60 + "é"}
-    with new_bag(tmp_path / "bag", odd) as writer:
+    custom = {"state": "a: b # c", "lines": "one\n\n  two\n", "long": "word " * 60 + "é"}
+    with new_bag(tmp_path / "bag", custom) as writer:
         for topic in TOPICS:
             writer.add_topic(topic)
         writer.write(TOPICS[1], b"12", 7, 7)
         writer.write(TOPICS[1], b"12", 5, 7)
-    beside = yaml.safe_load((tmp_path / "bag" / "metadata.yaml").read_text(encoding="utf-8"))
-    content = beside["rosbag2_bagfile_information"]
+    bag_metadata = yaml.safe_load((tmp_path / "bag" / "metadata.yaml").read_text(encoding="utf-8"))
+    content = bag_metadata["rosbag2_bagfile_information"]
     reader = make_reader(BytesIO(file_of(tmp_path / "bag").read_bytes()))
     copies = [yaml.safe_load(m.metadata["serialized_metadata"]) for m in reader.iter_metadata()]
     extent = {
@@ -178,7 +178,7 @@ def test_metadata_of_a_bag_beside_and_inside_its_file(tmp_path: Path):
         "starting_time": {"nanoseconds_since_epoch": 5},
         "message_count": 2,
     }
-    assert content["custom_data"] == odd
+    assert content["custom_data"] == custom
     assert content["relative_file_paths"] == ["bag_0.mcap"]
     assert content["files"] == [{"path": "bag_0.mcap", **extent}]
     counts = {

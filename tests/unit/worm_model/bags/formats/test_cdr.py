@@ -160,12 +160,12 @@ def test_arrays_are_encoded_row_by_row():
     assert all(m.name == [] and len(m.effort) == 0 for m in decoded)
 
 
-def test_a_stamp_from_before_the_epoch_is_refused():
+def test_a_stamp_from_before_the_epoch_is_rejected():
     with pytest.raises(BagError, match="before 1970"):
         stamped_messages(topic_of("/x", "worm_msgs/msg/Tracker"), np.array([5, -1]), {})
 
 
-def test_a_field_that_the_type_lacks_is_refused():
+def test_a_field_that_the_type_lacks_is_rejected():
     for path in ("speed", "header.speed", "no.speed"):
         with pytest.raises(BagError, match=f"no field {path}"):
             encode(topic_of("/x", "worm_msgs/msg/Tracker"), 1, {path: 1.0}, {})
@@ -191,13 +191,13 @@ def test_every_message_is_read_by_the_definition_of_its_own_channel():
     assert columns.numbers["run"].tolist() == [0 if i % 2 else None for i in range(9)]
 
 
-@pytest.mark.parametrize(("surplus", "refused"), [(0, False), (3, False), (4, True), (8, True)])
-def test_a_message_has_the_length_that_its_definition_says(surplus: int, refused: bool):
+@pytest.mark.parametrize(("surplus", "rejected"), [(0, False), (3, False), (4, True), (8, True)])
+def test_a_message_has_the_length_of_its_definition(surplus: int, rejected: bool):
     """Padding that a middleware may append is accepted."""
     (data,) = encode(OLD, 1, {}, {})
-    said = refusal(lambda: decode([data + bytes(surplus)], OLD))
-    assert bool(said) == refused
-    assert "shorter" in refusal(lambda: decode([data[:-1]], OLD))
+    complaint = rejection(lambda: decode([data + bytes(surplus)], OLD))
+    assert bool(complaint) == rejected
+    assert "shorter" in rejection(lambda: decode([data[:-1]], OLD))
 
 
 def test_messages_of_an_older_definition_become_those_of_the_installed_one():
@@ -215,12 +215,12 @@ def test_messages_of_an_older_definition_become_those_of_the_installed_one():
 
 
 @pytest.mark.parametrize("definition", ["float64 x\n", "float32 x\nint32 sec\n"])
-def test_a_definition_that_lacks_a_field_or_has_another_type_is_refused(definition: str):
+def test_a_definition_that_lacks_a_field_or_has_another_type_is_rejected(definition: str):
     with pytest.raises(BagError, match="is not what the installed definition says"):
         Converter(OLD, bare("a/msg/B", definition))
 
 
-def refusal(call: Callable[[], object]) -> str:
+def rejection(call: Callable[[], object]) -> str:
     """Return the message of a BagError, or an empty string without one; any other exception fails the test."""
     try:
         call()
@@ -231,16 +231,16 @@ def refusal(call: Callable[[], object]) -> str:
 
 @settings(max_examples=200, deadline=None)
 @given(st.binary(max_size=80), st.sampled_from(TYPES))
-def test_random_bytes_are_decoded_or_refused(data: bytes, type_name: str):
-    assert "\n" not in refusal(lambda: decode([data], topic_of("/x", type_name)))
+def test_random_bytes_are_decoded_or_rejected(data: bytes, type_name: str):
+    assert "\n" not in rejection(lambda: decode([data], topic_of("/x", type_name)))
 
 
 @settings(max_examples=150, deadline=None)
 @given(st.text(max_size=200) | st.binary(max_size=100).map(lambda b: b.decode("latin-1")))
-def test_random_definitions_are_read_or_refused(text: str):
+def test_random_definitions_are_read_or_rejected(text: str):
     data = b"\0\1\0\0" + bytes(64)
     for kind in ("ros2msg", "ros2idl"):
-        assert "\n" not in refusal(
+        assert "\n" not in rejection(
             lambda kind=kind: decode([data], bare("a/msg/B", text or " ", kind))
         )
 

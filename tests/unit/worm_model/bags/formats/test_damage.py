@@ -93,18 +93,18 @@ def read(path: Path) -> None:
         list(bag.attachments())
 
 
-def read_or_refuse(data: bytes, name: str) -> None:
-    refusal = "nothing is wrong"
+def read_or_reject(data: bytes, name: str) -> None:
+    rejection = "nothing is wrong"
     with TemporaryDirectory() as folder:
         path = Path(folder, name)
         path.write_bytes(data)
         try:
             read(path)
         except BagError as error:
-            refusal = str(error)
+            rejection = str(error)
         assert path.read_bytes() == data
-    assert refusal
-    assert "\n" not in refusal
+    assert rejection
+    assert "\n" not in rejection
 
 
 @pytest.mark.parametrize("chunked", [True, False])
@@ -112,7 +112,7 @@ def read_or_refuse(data: bytes, name: str) -> None:
 @settings(max_examples=60, deadline=None)
 @given(edits=EDITS)
 def test_damaged_mcap(compression: CompressionType, chunked: bool, edits):
-    read_or_refuse(edit(mcap_bytes(compression, chunked), edits), "a.mcap")
+    read_or_reject(edit(mcap_bytes(compression, chunked), edits), "a.mcap")
 
 
 @settings(max_examples=60, deadline=None)
@@ -120,13 +120,13 @@ def test_damaged_mcap(compression: CompressionType, chunked: bool, edits):
 @example(edits=[(0.98828125, "flip", 128)])  # a time before 1970
 @example(edits=[(0.625, "cut", 0), (0.1875, "flip", 128)])  # a column's name that is not UTF-8
 def test_damaged_sqlite3(edits):
-    read_or_refuse(edit(sqlite_bytes(), edits), "a.db3")
+    read_or_reject(edit(sqlite_bytes(), edits), "a.db3")
 
 
 @settings(max_examples=60, deadline=None)
 @given(st.binary(max_size=200))
 def test_random_bytes_behind_the_magic(data: bytes):
-    read_or_refuse(b"\x89MCAP0\r\n" + data, "a.mcap")
+    read_or_reject(b"\x89MCAP0\r\n" + data, "a.mcap")
 
 
 @settings(max_examples=80, deadline=None)
@@ -253,7 +253,9 @@ DAMAGES = [
 
 @pytest.mark.parametrize("damage", DAMAGES, ids=lambda d: d.__name__)
 @pytest.mark.parametrize("compression", ["none", "zstd", "lz4"])
-def test_what_is_read_is_right_or_refused_or_told(tmp_path: Path, compression: str, damage):
+def test_messages_are_right_or_rejected_or_damage_is_reported(
+    tmp_path: Path, compression: str, damage
+):
     data = (make_bag(tmp_path / "whole", compression) / "bag_0.mcap").read_bytes()
     original = independent(data)
     for seed in range(25):
@@ -261,19 +263,19 @@ def test_what_is_read_is_right_or_refused_or_told(tmp_path: Path, compression: s
         damage(spoilt, random.Random(seed))
         path = tmp_path / f"bag_{seed}.mcap"
         path.write_bytes(spoilt)
-        told: list[str] = []
+        reported: list[str] = []
         try:
-            with open_bag(path, told.append) as bag:
+            with open_bag(path, reported.append) as bag:
                 found = Counter(
                     (m.topic, m.log_time, m.data, m.publish_time) for m in bag.messages()
                 )
                 list(bag.attachments())
         except BagError as error:
-            told.append(str(error))
+            reported.append(str(error))
             found = Counter()
         assert set(found) <= set(original), f"seed {seed}: a message that never was"
-        assert found == original or told, f"seed {seed}: a difference without a word"
-        assert all("\n" not in line for line in told)
+        assert found == original or reported, f"seed {seed}: a difference without a word"
+        assert all("\n" not in line for line in reported)
 
 
 @pytest.mark.parametrize("compression", ["none", "zstd"])
@@ -361,7 +363,7 @@ def test_a_topic_without_messages_is_not_lost_with_the_end_of_a_file(tmp_path: P
     ],
     ids=["merge keys", "depth", "aliases", "size"],
 )
-def test_a_hostile_metadata_file_is_refused_at_once(tmp_path: Path, text: str):
+def test_a_hostile_metadata_file_is_rejected_at_once(tmp_path: Path, text: str):
     bag = make_bag(tmp_path / "bag", "none")
     (bag / "metadata.yaml").write_text(text)
     with pytest.raises(BagError, match=r"metadata\.yaml"):
@@ -369,7 +371,7 @@ def test_a_hostile_metadata_file_is_refused_at_once(tmp_path: Path, text: str):
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_a_metadata_file_that_says_something_else_is_refused_or_told(tmp_path: Path, seed: int):
+def test_a_contradicting_metadata_file_is_rejected_or_reported(tmp_path: Path, seed: int):
     """Lines are missing, doubled, or have another digit: the messages are right nevertheless."""
     bag = make_bag(tmp_path / "bag", "zstd")
     original = independent((bag / "bag_0.mcap").read_bytes())
@@ -378,7 +380,7 @@ def test_a_metadata_file_that_says_something_else_is_refused_or_told(tmp_path: P
     place = draw.randrange(len(lines))
     lines[place : place + 1] = draw.choice([[], [lines[place]] * 2, [lines[place] + "7"]])
     (bag / "metadata.yaml").write_text("\n".join(lines) + "\n")
-    refusal = ""
+    rejection = ""
     try:
         with open_bag(bag, lambda _: None) as opened:
             found = Counter(
@@ -386,20 +388,20 @@ def test_a_metadata_file_that_says_something_else_is_refused_or_told(tmp_path: P
             )
         assert found == original
     except BagError as error:
-        refusal = str(error)
-    assert "\n" not in refusal
+        rejection = str(error)
+    assert "\n" not in rejection
 
 
 def test_counts_that_metadata_claims_are_compared(tmp_path: Path):
     bag = make_bag(tmp_path / "bag", "zstd")
     text = (bag / "metadata.yaml").read_text().replace("message_count: 133", "message_count: 134")
     (bag / "metadata.yaml").write_text(text)
-    told: list[str] = []
-    open_bag(bag, told.append).close()
-    assert any("134 messages of /worm/b, the bag holds 133" in line for line in told)
+    reported: list[str] = []
+    open_bag(bag, reported.append).close()
+    assert any("134 messages of /worm/b, the bag holds 133" in line for line in reported)
 
 
-def test_a_file_that_is_listed_twice_is_refused(tmp_path: Path):
+def test_a_file_that_is_listed_twice_is_rejected(tmp_path: Path):
     bag = make_bag(tmp_path / "bag", "zstd")
     text = (bag / "metadata.yaml").read_text()
     text = text.replace("  - bag_0.mcap\n", "  - bag_0.mcap\n  - bag_0.mcap\n")

@@ -79,46 +79,46 @@ def later(message: Message, log_s: int, stamp_s: int) -> Message:
     return message._replace(log_time=message.log_time + log_s * 10**9, data=bytes(data))
 
 
-def told_of(path: Path) -> list[str]:
-    told: list[str] = []
-    with open_bag(path, told.append) as bag:
+def reports_of(path: Path) -> list[str]:
+    reported: list[str] = []
+    with open_bag(path, reported.append) as bag:
         read_run(bag)
-    return told
+    return reported
 
 
-def test_nothing_is_told_of_a_bag_that_is_right(tmp_path: Path, recorded: list[Message]):
-    assert told_of(by_mcap(tmp_path / "a.mcap", recorded)) == []
+def test_nothing_is_reported_about_a_valid_bag(tmp_path: Path, recorded: list[Message]):
+    assert reports_of(by_mcap(tmp_path / "a.mcap", recorded)) == []
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("change", "expected"),
     [
         (of_power(type_name="foo_msgs/msg/Power"), f"{POWER} is not read: it is a foo_msgs/msg/"),
         (of_power(type_name="", definition=""), f"{POWER} is not read: it is a message without a"),
         (of_power(name="/power"), "topics of /, /worm/ are taken for those of one robot"),
     ],
 )
-def test_topics_that_are_not_what_they_are_called_are_told(
-    tmp_path: Path, recorded: list[Message], change: Change, words: str
+def test_unexpected_topics_are_reported(
+    tmp_path: Path, recorded: list[Message], change: Change, expected: str
 ):
     assert any(
-        words in line for line in told_of(by_mcap(tmp_path / "a.mcap", map(change, recorded)))
+        expected in line for line in reports_of(by_mcap(tmp_path / "a.mcap", map(change, recorded)))
     )
 
 
-def test_stamps_that_go_back_are_told(tmp_path: Path, recorded: list[Message]):
+def test_stamps_that_go_back_are_reported(tmp_path: Path, recorded: list[Message]):
     merged = by_mcap(tmp_path / "a.mcap", [*recorded, *(later(m, 1000, -1000) for m in recorded)])
-    assert any(f"1 stamps of {POWER} go back" in line for line in told_of(merged))
+    assert any(f"1 stamps of {POWER} go back" in line for line in reports_of(merged))
     in_order = by_mcap(tmp_path / "b.mcap", [*recorded, *(later(m, 1000, 1000) for m in recorded)])
-    assert told_of(in_order) == []
+    assert reports_of(in_order) == []
 
 
-def test_a_recording_merged_with_itself_counts_once_which_is_told(
+def test_a_recording_merged_with_itself_counts_once_which_is_reported(
     tmp_path: Path, recorded: list[Message]
 ):
     path = by_mcap(tmp_path / "a.mcap", [m for m in recorded for _ in range(2)])
-    told: list[str] = []
-    with open_bag(path, told.append) as bag:
+    reported: list[str] = []
+    with open_bag(path, reported.append) as bag:
         found = read_run(bag)
     for name in ("commanded", "measured", "tracker", "power", "gait_state"):
         for mine, right in zip(
@@ -126,8 +126,8 @@ def test_a_recording_merged_with_itself_counts_once_which_is_told(
         ):
             np.testing.assert_array_equal(mine, right)
     repeated = f"{path}: {len(RUN.power.stamp)} messages of {POWER} "
-    assert sum(line.startswith(repeated) for line in told) == 1
-    assert len(told) == 5
+    assert sum(line.startswith(repeated) for line in reported) == 1
+    assert len(reported) == 5
 
 
 def test_the_twin_follows_it_as_if_it_were_there_once(
@@ -153,21 +153,21 @@ def test_samples_of_one_stamp_that_differ_all_count(tmp_path: Path):
 
 
 @pytest.mark.parametrize("value", [math.inf, -math.inf])
-def test_samples_that_are_infinite_are_left_out_which_is_told(tmp_path: Path, value: float):
+def test_infinite_samples_are_left_out_which_is_reported(tmp_path: Path, value: float):
     power = RUN.power.power.copy()
     power[7] = value
     path = write_bag(tmp_path / "bag", replace(RUN, power=replace(RUN.power, power=power)))
-    told: list[str] = []
-    with open_bag(path, told.append) as bag:
+    reported: list[str] = []
+    with open_bag(path, reported.append) as bag:
         found = read_run(bag).power
     np.testing.assert_array_equal(found.power, np.delete(RUN.power.power, 7))
     np.testing.assert_array_equal(found.stamp, np.delete(RUN.power.stamp, 7))
-    (line,) = told
+    (line,) = reported
     assert line.startswith(f"{path}: 1 messages of {POWER} ")
     assert "infinite" in line
 
 
-def test_runs_that_overlap_are_refused(tmp_path: Path):
+def test_runs_that_overlap_are_rejected(tmp_path: Path):
     """Two recordings merged by time are rejected; one after the other they are two runs."""
     longer = simulated_run(cycles=2)
     with new_bag(tmp_path / "late") as writer:
@@ -196,21 +196,21 @@ def later_run(run: Run, by: int) -> Run:
     return replace(run, gait_state=replace(states, stamp=states.stamp + by, onset=onset), **moved)
 
 
-def test_a_file_that_metadata_does_not_name_is_told(tmp_path: Path, whole: Path):
+def test_a_file_that_metadata_does_not_name_is_reported(tmp_path: Path, whole: Path):
     bag = tmp_path / "bag"
     shutil.copytree(whole, bag)
     shutil.copy(next(whole.glob("*.mcap")), bag / "other.mcap")
-    assert any("other.mcap not read" in line for line in told_of(bag))
+    assert any("other.mcap not read" in line for line in reports_of(bag))
 
 
-def test_a_file_behind_a_file_is_told(tmp_path: Path, recorded: list[Message]):
+def test_a_file_appended_to_a_file_is_reported(tmp_path: Path, recorded: list[Message]):
     one = by_mcap(tmp_path / "a.mcap", recorded).read_bytes()
     (tmp_path / "both.mcap").write_bytes(one + one)
-    told = told_of(tmp_path / "both.mcap")
-    assert any(f"behind its end lie {len(one)} bytes" in line for line in told)
+    reported = reports_of(tmp_path / "both.mcap")
+    assert any(f"behind its end lie {len(one)} bytes" in line for line in reported)
 
 
-def test_what_metadata_tells_differently_is_part_of_the_outcome_of_recover(
+def test_contradictions_of_metadata_are_part_of_the_outcome_of_recover(
     tmp_path: Path, whole: Path, monkeypatch, capsys
 ):
     bag = tmp_path / "bag"
@@ -221,7 +221,7 @@ def test_what_metadata_tells_differently_is_part_of_the_outcome_of_recover(
     assert json.loads(capsys.readouterr().out)["undeclared"][POWER] == -len(RUN.power.stamp)
 
 
-def test_a_definition_that_contains_itself_is_refused(
+def test_a_definition_that_contains_itself_is_rejected(
     tmp_path: Path, recorded: list[Message], monkeypatch, capsys
 ):
     channel = Topic("/w", "x/msg/W", 0, "x/W data\n", "ros2msg", "cdr")

@@ -81,7 +81,7 @@ def test_the_layout_is_that_of_rosbag2(tmp_path: Path, monkeypatch):
 
 
 @pytest.mark.parametrize("name", ["Tracker", "worm_msgs/Tracker", "worm_msgs//Tracker", ""])
-def test_what_is_no_message_type_is_refused(name: str):
+def test_an_invalid_message_type_is_rejected(name: str):
     with pytest.raises(DefinitionError, match="not a message type"):
         installed_definition(name)
 
@@ -104,6 +104,6 @@ def test_a_topic_without_definition_gets_the_installed_one():
         assert (topic.count, topic.offered_qos) == (3, "- depth: 1\n")
 
 
-def test_a_topic_whose_hash_is_not_that_of_the_installed_type_is_refused():
+def test_a_topic_whose_hash_is_not_that_of_the_installed_type_is_rejected():
     with pytest.raises(DefinitionError, match="another one by its type hash"):
         with_definition(without_definition("RIHS01_" + "0" * 64))

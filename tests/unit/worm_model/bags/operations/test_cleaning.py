@@ -47,10 +47,10 @@ def record(path: Path) -> Path:
         writer.add_metadata("worm_run", run)
         parameters = b"port: /dev/ttyUSB0  # of labpc7\npitch: 0.0173\n"
         writer.add_attachment(AttachedFile("parameters.yaml", "application/yaml", parameters))
-        (told,) = encode(status, 1, {}, {"message": "/dev/ttyUSB0 of labpc7 is gone"})
+        (reported,) = encode(status, 1, {}, {"message": "/dev/ttyUSB0 of labpc7 is gone"})
         (plain,) = encode(status, 1, {}, {"message": "all well"})
         (sample,) = encode(power, 1, {"power": 2.5}, {"header.frame_id": "pipe"})
-        for i, (topic, data) in enumerate([(status, told), (status, plain), (power, sample)]):
+        for i, (topic, data) in enumerate([(status, reported), (status, plain), (power, sample)]):
             writer.write(topic, data, i, i)
     return path
 

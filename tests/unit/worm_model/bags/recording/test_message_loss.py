@@ -50,11 +50,11 @@ def test_a_second_publisher_that_is_far_ahead_has_lost_nothing():
     assert counter.lost == 0
 
 
-def test_a_publisher_that_starts_anew_has_lost_nothing():
+def test_a_restarted_publisher_has_lost_nothing():
     assert observe([1, 2, 3, 1, 2]) == 0
 
 
-def test_what_a_publisher_sent_before_it_was_heard_is_told_if_it_came_later():
+def test_messages_before_the_first_received_one_are_missed_and_not_lost():
     counter = LossCounter(lambda: 1)
     for sequence in (4, 5):
         counter.observe(sequence)

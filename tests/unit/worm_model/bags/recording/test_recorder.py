@@ -108,7 +108,7 @@ def test_metadata_is_that_of_rosbag2_version_9(tmp_path: Path):
     assert counter["type_description_hash"] == UINT64_HASH
 
 
-def test_metadata_is_there_from_the_start_and_says_so(tmp_path: Path):
+def test_metadata_exists_from_the_start_and_shows_the_state(tmp_path: Path):
     recorder = record(tmp_path / "bag", count=0)
     assert metadata(tmp_path / "bag")["custom_data"] == {"state": "being recorded"}
     recorder.close()
@@ -159,7 +159,7 @@ def test_every_file_of_a_split_bag_stands_alone(tmp_path: Path):
     assert records(tmp_path / "bag" / files[-1])[0]["worm_gait"] == {"stroke": "0.07"}
 
 
-def test_a_bag_is_split_at_the_size_asked_for(tmp_path: Path):
+def test_a_bag_is_split_at_the_requested_size(tmp_path: Path):
     options = WriteOptions(compression="none", split_bytes=20_000, chunk_bytes=2_000)
     record(tmp_path / "bag", count=2000, options=options).close()
     files = metadata(tmp_path / "bag")["files"]

@@ -87,21 +87,21 @@ def test_a_killed_recorder_loses_nothing_that_was_synchronised(tmp_path: Path, s
         process.kill()
         safe = max([safe, *map(int, process.stdout.read().split())])
     before = {path.name: path.read_bytes() for path in bag.iterdir()}
-    told: list[str] = []
-    with open_bag(bag, told.append) as recovered:
+    reported: list[str] = []
+    with open_bag(bag, reported.append) as recovered:
         found = counters(recovered)
         assert recovered.metadata["worm_run"] == {"seed": "4"}
     assert found == list(range(len(found)))
     assert len(found) >= safe > 0
-    assert len(told) == 1
-    assert "was not closed" in told[0]
-    assert str(tmp_path / "bag_recovered") in told[0]
+    assert len(reported) == 1
+    assert "was not closed" in reported[0]
+    assert str(tmp_path / "bag_recovered") in reported[0]
     assert {path.name: path.read_bytes() for path in bag.iterdir()} == before
     with AnyReader([tmp_path / "bag_recovered"]) as reader:
         assert reader.message_count == len(found)
 
 
-def test_a_recovery_is_found_again_and_another_bag_is_not_taken_for_it(tmp_path: Path):
+def test_a_recovery_is_found_again_and_another_bag_is_not_mistaken_for_it(tmp_path: Path):
     for name in ("bag", "longer"):
         with start(tmp_path / name) as process:
             while int(process.stdout.readline()) == 0:
@@ -110,14 +110,14 @@ def test_a_recovery_is_found_again_and_another_bag_is_not_taken_for_it(tmp_path:
                 for _ in range(3):
                     process.stdout.readline()
             process.kill()
-    told: list[str] = []
+    reported: list[str] = []
     for _ in range(2):
-        with open_bag(tmp_path / "bag", told.append) as bag:
+        with open_bag(tmp_path / "bag", reported.append) as bag:
             first = counters(bag)
-    assert "recovered before" in told[1]
+    assert "recovered before" in reported[1]
     shutil.rmtree(tmp_path / "bag")
     (tmp_path / "longer").rename(tmp_path / "bag")
-    with open_bag(tmp_path / "bag", told.append) as bag:
+    with open_bag(tmp_path / "bag", reported.append) as bag:
         assert bag.path.name == "bag_recovered_2"
         assert counters(bag) != first
 

@@ -99,7 +99,7 @@ def test_a_split_goes_on_in_a_new_file(tmp_path: Path):
     assert seconds(tmp_path / "bag") == [1, 2]
 
 
-def test_what_cannot_be_done_is_refused(tmp_path: Path):
+def test_impossible_requests_are_rejected(tmp_path: Path):
     recording = session(tmp_path / "bag")
     recording.stop()
     for act in (recording.stop, recording.split):

@@ -131,7 +131,7 @@ def test_a_parameter_file_that_is_missing_is_named(tmp_path: Path):
         run_manifest(tmp_path / "robot.yaml", None, [], ["record"], NOW)
 
 
-def test_a_note_that_is_not_text_is_refused():
+def test_a_note_that_is_not_text_is_rejected():
     with pytest.raises(ManifestError, match="UTF-8"):
         run_manifest(None, None, ["pipe=\udcff"], ["record"], NOW)
 

@@ -8,7 +8,7 @@ from worm_model.bags.recording.topic_selection import TopicSelection
 
 
 @pytest.mark.parametrize(
-    ("selection", "taken"),
+    ("selection", "selected"),
     [
         ({"names": frozenset({"/worm/power"})}, {"/worm/power"}),
         ({"everything": True}, {"/worm/power", "/worm/tracker", "/rosout"}),
@@ -22,13 +22,13 @@ from worm_model.bags.recording.topic_selection import TopicSelection
         ),
     ],
 )
-def test_selection(selection: dict, taken: set[str]):
+def test_selection(selection: dict, selected: set[str]):
     topics = {"/worm/power", "/worm/tracker", "/rosout", "/worm/run_gait/_action/feedback"}
     chosen = TopicSelection(**selection)
-    assert {topic for topic in topics if chosen.takes(topic)} == taken
+    assert {topic for topic in topics if chosen.takes(topic)} == selected
 
 
 @pytest.mark.parametrize("selection", [{}, {"regex": "("}, {"everything": True, "exclude": "*"}])
-def test_nothing_and_nonsense_are_refused(selection: dict):
+def test_empty_and_invalid_selections_are_rejected(selection: dict):
     with pytest.raises(BagError):
         TopicSelection(**selection)

@@ -363,10 +363,10 @@ def test_every_flip_in_a_metadata_record_is_reported(tmp_path: Path):
         damaged[place] ^= 1
         path = tmp_path / f"{place}.mcap"
         path.write_bytes(damaged)
-        told: list[str] = []
-        with open_bag(path, told.append) as bag:
+        reported: list[str] = []
+        with open_bag(path, reported.append) as bag:
             assert bag.message_count == 300
-        assert told
+        assert reported
 
 
 def test_the_checksum_of_the_data_section_is_written(tmp_path: Path):
@@ -384,13 +384,13 @@ def test_a_damaged_copy_in_the_summary_does_not_replace_a_definition(tmp_path: P
     data[place] ^= 1
     path = tmp_path / "a.mcap"
     path.write_bytes(data)
-    told: list[str] = []
-    with open_bag(path, told.append) as bag:
+    reported: list[str] = []
+    with open_bag(path, reported.append) as bag:
         assert {topic.definition for topic in bag.topics.values()} == {"uint64 data\n"}
         assert bag.message_count == COUNT
-    assert told
+    assert reported
     recover(path, tmp_path / "saved")
-    with open_bag(tmp_path / "saved", told.append) as bag:
+    with open_bag(tmp_path / "saved", reported.append) as bag:
         assert {topic.definition for topic in bag.topics.values()} == {"uint64 data\n"}
 
 
@@ -418,9 +418,9 @@ def test_the_loss_is_repeated_whenever_the_recovered_bag_is_opened(tmp_path: Pat
     file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
     lines = []
     for path in (bag, bag, tmp_path / "bag_recovered"):
-        told: list[str] = []
-        open_bag(path, told.append).close()
-        (line,) = told
+        reported: list[str] = []
+        open_bag(path, reported.append).close()
+        (line,) = reported
         lines.append(line)
     with open_bag(tmp_path / "bag_recovered", lambda _: None) as opened:
         loss = opened.metadata["worm_recovery"]["loss"]
@@ -488,13 +488,13 @@ def test_a_damaged_page_costs_its_own_rows(sqlite_bag: Path, tmp_path: Path):
     place = data.index(b"\0\1\0\0" + struct.pack("<Q", 2500)) // 4096 * 4096
     data[place : place + 4096] = bytes(4096)
     file.write_bytes(data)
-    told: list[str] = []
-    with open_bag(sqlite_bag, told.append) as bag:
+    reported: list[str] = []
+    with open_bag(sqlite_bag, reported.append) as bag:
         found = [struct.unpack_from("<Q", m.data, 4)[0] for m in bag.messages()]
     assert 4700 < len(found) < 5000
     missing = sorted(set(range(5000)) - set(found))
     assert missing == list(range(missing[0], missing[-1] + 1))  # a page of consecutive rows
-    assert "5000" in told[0] or str(5000 - len(found)) in told[0]
+    assert "5000" in reported[0] or str(5000 - len(found)) in reported[0]
 
 
 @pytest.mark.parametrize("share", [0.3, 0.6, 0.95])
@@ -539,10 +539,10 @@ def test_a_journal_is_read_too(tmp_path: Path):
 def test_a_wrong_count_in_metadata_is_reported_for_sqlite3_as_for_mcap(sqlite_bag: Path):
     metadata = sqlite_bag / "metadata.yaml"
     metadata.write_text(metadata.read_text().replace("message_count: 5000", "message_count: 5001"))
-    told: list[str] = []
-    with open_bag(sqlite_bag, told.append) as bag:
+    reported: list[str] = []
+    with open_bag(sqlite_bag, reported.append) as bag:
         assert sum(1 for _ in bag.messages()) == 5000
-    assert any("5001" in line and "5000" in line and "/a" in line for line in told)
+    assert any("5001" in line and "5000" in line and "/a" in line for line in reported)
 
 
 def test_a_row_with_another_type_is_left_out(sqlite_bag: Path):
@@ -585,11 +585,11 @@ def test_a_time_after_all_clocks_is_no_duration(tmp_path: Path):
     struct.pack_into("<Q", data, data.index(by_stream_reader(bytes(data))[-1][2]) - 16, 2**64 - 1)
     path = tmp_path / "a.mcap"
     path.write_bytes(data)
-    told: list[str] = []
-    with open_bag(path, told.append) as bag:
+    reported: list[str] = []
+    with open_bag(path, reported.append) as bag:
         assert bag.end == 1_000_000 * (COUNT - 1)
         assert bag.message_count == COUNT
-    assert any("2262" in line for line in told)
+    assert any("2262" in line for line in reported)
 
 
 def test_a_folder_whose_name_is_not_utf_8(tmp_path: Path, monkeypatch, capsys):
@@ -598,8 +598,8 @@ def test_a_folder_whose_name_is_not_utf_8(tmp_path: Path, monkeypatch, capsys):
     bag = make_bag(folder)
     (bag / "metadata.yaml").unlink()
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    for words in (["table", str(tmp_path)], ["info", str(bag)], ["table", str(tmp_path)]):
-        monkeypatch.setattr("sys.argv", ["bags", *words])
+    for arguments in (["table", str(tmp_path)], ["info", str(bag)], ["table", str(tmp_path)]):
+        monkeypatch.setattr("sys.argv", ["bags", *arguments])
         assert bags.main() == 0
     assert "lat\\udce9in" in capsys.readouterr().out
     with open_bag(bag, lambda _: None) as opened:
@@ -621,8 +621,8 @@ def test_metadata_with_a_million_keys_is_rejected(tmp_path: Path):
 @pytest.mark.parametrize("end", ["8", "8.0000001"])
 def test_a_span_without_messages_is_not_trimmed(tmp_path: Path, monkeypatch, capsys, end: str):
     output = tmp_path / "part"
-    words = ["trim", str(SAMPLES / "forward"), "--start", "8", "--end", end]
-    monkeypatch.setattr("sys.argv", ["bags", *words, "--output", str(output)])
+    arguments = ["trim", str(SAMPLES / "forward"), "--start", "8", "--end", end]
+    monkeypatch.setattr("sys.argv", ["bags", *arguments, "--output", str(output)])
     assert bags.main() == 2
     assert "8.000 s" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []

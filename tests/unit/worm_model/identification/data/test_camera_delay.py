@@ -32,7 +32,7 @@ def delay_of(runs: list[Recording]):
     return camera_delay(runs, identify_actuation(runs, np.random.default_rng(0)))
 
 
-def test_a_late_camera_is_told_and_the_lag_of_the_servo_is_not_booked_on_it():
+def test_a_late_camera_is_reported_without_the_lag_of_the_servo():
     late = delay_of(recordings(LAG, LATE))
     assert late.low < LATE < late.high
     assert late.value == pytest.approx(LATE, abs=2e-3)

@@ -91,7 +91,7 @@ def test_without_a_list_of_gaits_none_is_claimed(folder: Path):
 
 
 @pytest.mark.parametrize(
-    ("file", "text", "words"),
+    ("file", "text", "message"),
     [
         ("camera.csv", "", "no column time_s"),
         ("camera.csv", "time_s,x1_m\n0,0\n", "no column x2_m"),
@@ -109,11 +109,11 @@ def test_without_a_list_of_gaits_none_is_claimed(folder: Path):
         ("../runs.json", '{"run_07": 3}', "not a list of gaits"),
     ],
 )
-def test_what_is_wrong_is_named_with_its_place(folder: Path, file: str, text: str, words: str):
+def test_what_is_wrong_is_named_with_its_place(folder: Path, file: str, text: str, message: str):
     (folder / file).write_text(text)
     with pytest.raises(LabError) as error:
         read_lab_run(folder, SETTINGS)
-    assert words in str(error.value)
+    assert message in str(error.value)
     assert "\n" not in str(error.value)
 
 
@@ -122,7 +122,7 @@ def test_a_file_with_a_byte_order_mark_and_spaces_is_read(folder: Path):
     assert len(read_lab_run(folder, SETTINGS).run.commanded.stamp) == 2
 
 
-def test_folders_that_hold_no_run_are_refused(tmp_path: Path):
+def test_folders_that_hold_no_run_are_rejected(tmp_path: Path):
     with pytest.raises(LabError, match="none of camera"):
         read_lab_run(tmp_path, SETTINGS)
     with pytest.raises(LabError, match="not a folder"):
@@ -209,7 +209,7 @@ def played(
 
 
 @pytest.mark.parametrize(("radius", "onset"), [(0.012, 2.0), (0.0125, 1.37), (0.025, 3.0)])
-def test_spool_and_onset_are_found_and_told(folder: Path, radius: float, onset: float):
+def test_spool_and_onset_are_found_and_reported(folder: Path, radius: float, onset: float):
     found = read_lab_run(played(folder, radius, onset), SETTINGS).transmission
     assert found.spool_radius == pytest.approx(radius, rel=1e-12)  # a tenth of a millimetre
     assert found.onset == pytest.approx(onset, abs=0.01)
@@ -238,7 +238,7 @@ def test_spool_and_onset_of_shaped_gaits_are_found(folder: Path, gait: Gait, ten
     assert lab.initial_length == pytest.approx(0.296 - resting_change(gait, PAPER), abs=2e-3)
 
 
-def test_a_given_spool_that_contradicts_the_stroke_is_told(folder: Path):
+def test_a_given_spool_that_contradicts_the_stroke_is_reported(folder: Path):
     given = LabSettings(epoch=EPOCH, onset=2.0, spool_radius=1.02 * 0.012)
     found = read_lab_run(played(folder, 0.012, 2.0), given).transmission
     assert found.spool_radius == given.spool_radius
@@ -249,7 +249,7 @@ def test_a_given_spool_that_contradicts_the_stroke_is_told(folder: Path):
     assert read_lab_run(folder, right).transmission.remarks == ()
 
 
-def test_what_no_log_tells_is_assumed_and_told(folder: Path):
+def test_values_in_no_log_are_assumed_and_reported(folder: Path):
     (folder / "servo.csv").unlink()
     found = read_lab_run(folder, SETTINGS).transmission
     assert (found.onset, found.spool_radius) == (2.0, 0.012)

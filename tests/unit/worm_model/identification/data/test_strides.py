@@ -22,7 +22,7 @@ def campaign() -> VirtualCampaign:
 
 
 @pytest.mark.parametrize("off", [-0.06, -0.01, 0.0, 0.01, 0.06])
-def test_strides_tell_the_pitch_whatever_was_given(campaign, off):
+def test_strides_determine_the_pitch_regardless_of_the_given_one(campaign, off):
     truth = campaign.truth.pitch
     for recording in campaign.inputs.recordings:
         found = pitch_of_strides(recording, truth * (1.0 + off))
@@ -30,21 +30,21 @@ def test_strides_tell_the_pitch_whatever_was_given(campaign, off):
 
 
 @pytest.mark.parametrize("off", [-0.06, -0.04, -0.02, 0.02, 0.04, 0.06])
-def test_a_wrong_pitch_is_refused_by_health_and_identify_with_what_was_seen(campaign, off):
+def test_a_wrong_pitch_is_rejected_by_health_and_identify_with_the_measured_one(campaign, off):
     wrong = campaign.reference.parameters.replace(pitch=campaign.truth.pitch * (1.0 + off))
-    said = f"pitch: given as {1e3 * wrong.pitch:.2f} mm, but the rear module gains 17.[23]"
-    with pytest.raises(IdentificationError, match=said):
+    expected = f"pitch: given as {1e3 * wrong.pitch:.2f} mm, but the rear module gains 17.[23]"
+    with pytest.raises(IdentificationError, match=expected):
         estimate_bag(campaign.inputs.recordings[0], 0, wrong)
-    with pytest.raises(IdentificationError, match=said):
+    with pytest.raises(IdentificationError, match=expected):
         identify(campaign.inputs, replace(campaign.reference, parameters=wrong))
 
 
 @pytest.mark.parametrize("off", [-4e-5, 0.0, 4e-5])
-def test_what_a_ruler_may_be_off_is_not_refused(campaign, off):
+def test_an_error_within_the_rulers_is_not_rejected(campaign, off):
     check_pitch(campaign.inputs.recordings, campaign.truth.pitch + off, DEVIATION)
 
 
-def test_a_run_without_strides_says_nothing(campaign):
+def test_a_run_without_strides_gives_no_pitch(campaign):
     recording, _ = campaign.inputs.recordings
     late = recording.camera_time > 1.5 * recording.gait.period
     short = replace(recording, x1=np.where(late, np.nan, recording.x1))

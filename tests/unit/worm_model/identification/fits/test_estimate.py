@@ -21,15 +21,15 @@ def test_a_cost_that_never_rises_has_no_end():
     assert follow_profile(lambda _: 0.0, 3.0, 4.0, -0.1) == -np.inf
 
 
-def test_nothing_is_asked_beyond_the_reach():
-    asked = []
+def test_nothing_is_evaluated_beyond_the_reach():
+    evaluated = []
 
     def cost(value):
-        asked.append(value)
+        evaluated.append(value)
         return 0.0
 
     assert follow_profile(cost, 3.0, 4.0, -1.0, reach=2.0) == -np.inf
-    assert min(asked) >= 1.0
+    assert min(evaluated) >= 1.0
 
 
 def test_an_end_within_the_reach_is_found_from_a_guess_beyond_it():
@@ -43,19 +43,19 @@ def test_where_a_cost_jumps_the_far_side_counts():
 
 
 @pytest.mark.parametrize(("low", "high"), [(-np.inf, 2.0), (np.nan, np.nan), (0.2, 1.8)])
-def test_an_open_or_vague_interval_is_not_told(low, high):
+def test_an_open_or_vague_interval_is_not_identifiable(low, high):
     found = if_identifiable(Estimate(1.0, low, high))
     assert not found.identifiable
     assert np.isnan([found.low, found.high]).all()
     assert found.note
 
 
-def test_next_to_nothing_is_told_if_it_is_little_against_what_is_usual():
+def test_a_value_near_zero_is_identifiable_if_its_interval_is_small_for_its_kind():
     assert if_identifiable(Estimate(1e-4, -1e-4, 3e-4), usual=8e-3).identifiable
     assert not if_identifiable(Estimate(1e-4, -1e-4, 3e-4)).identifiable
 
 
-def test_one_unit_tells_no_spread():
+def test_one_unit_gives_no_spread():
     found = estimates(np.array([1.0]), np.zeros((120, 1)), 1)[0]
     assert not if_identifiable(found).identifiable
 
