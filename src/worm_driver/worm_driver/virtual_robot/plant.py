@@ -26,7 +26,8 @@ REVERSE = -1
 LOOSE = 0  # the fins are between their two angles: neither bar touches the wall
 
 _GROOVES = 512  # number of different grooves; the pattern repeats after them
-_SLOW = 1e-3  # m/s; dry friction is regularised below this speed, so that the robot can rest
+# m/s; dry friction is regularised below this speed. A robot at rest creeps that slowly
+_SLOW = 1e-6
 _STANDARD_GRAVITY = 9.80665  # m/s^2
 _WATER_DENSITY = 998.2  # kg/m^3 at 20 degrees Celsius
 # Limits of a robot that holds its position under a load: settling time, speed and motion.

@@ -42,22 +42,20 @@ from worm_model.identification.fits.locomotion import (
     Landscape,
     Traverse,
     find_locomotion,
+    follow,
     locomotion_problem,
     search,
     shared_quantities,
-    slide,
-    with_values,
+    with_means,
     worm_of,
 )
 from worm_model.identification.identification_errors import IdentificationError
 from worm_model.parameters import PAPER, Parameters
-from worm_model.simulation.kernel.stepped_dry_friction import (
-    HOLDING_FORCE,
-    STIFFNESS,
-    THRESHOLD,
-)
+from worm_model.simulation.kernel.grooves import STIFFNESS, THRESHOLD
+from worm_model.simulation.kernel.march import FORCE
 
 Progress = Callable[[float], None]
+Variants = tuple[tuple[Parameters, GrooveFit], ...]
 
 FRICTION, SWITCHING, REAR_DRY, FRONT_DRY, PITCH, ONSET = range(6)  # entries of the means
 USUAL_DRY = 0.3  # N, equals η at 3.5 mm/s; an interval wider than half of it has no information
@@ -88,7 +86,7 @@ class LocomotionResult:
     """``viscous_friction`` N·s/m, ``switching_threshold`` m and ``pitch`` m with intervals; the rest are diagnostics.
 
     ``dry_friction`` N of the rear and the front module with intervals; ``onset`` as in
-    `simulation.kernel.stepped_dry_friction.Worm`; ``initial_length`` (runs,) m;
+    `simulation.kernel.whole_run.run_from_rest`; ``initial_length`` (runs,) m;
     ``inflation`` of the variance for what is not white in the residuals; ``correlation`` of (η, p_sw, rear, front dry
     friction, pitch, onset); ``variants``: fits under a fin test that is one standard deviation off, one a direction of
     its covariance; ``stiffer``: a fit whose η is one standard deviation higher; ``as_printed``: (η, p_sw) that minimise
@@ -105,7 +103,7 @@ class LocomotionResult:
     correlation: Array
     landscape: Landscape
     fit: GrooveFit
-    variants: tuple[tuple[Parameters, GrooveFit], ...]
+    variants: Variants
     stiffer: GrooveFit
     as_printed: tuple[float, float]
 
@@ -157,8 +155,8 @@ def identify_locomotion(
         switching_threshold=if_identifiable(threshold, PAPER.switching_threshold),
         pitch=if_identifiable(pitch),
         dry_friction=(
-            _dry_estimate(fit.means[REAR_DRY], deviation[REAR_DRY]),
-            _dry_estimate(fit.means[FRONT_DRY], deviation[FRONT_DRY]),
+            _dry_estimate(fit, REAR_DRY, deviation[REAR_DRY], variants),
+            _dry_estimate(fit, FRONT_DRY, deviation[FRONT_DRY], variants),
         ),
         onset=float(fit.means[ONSET]),
         initial_length=fit.solution.own[:, 0],
@@ -172,11 +170,17 @@ def identify_locomotion(
     )
 
 
-def _dry_estimate(value: float, deviation: float) -> Estimate:
-    """Return the dry friction with an interval from the curvature of the cost, limited to values from 0 on."""
-    reach = NORMAL * float(deviation)
-    estimate = Estimate(float(value), max(float(value) - reach, 0.0), float(value) + reach)
-    return if_identifiable(estimate, USUAL_DRY)
+def _dry_estimate(fit: GrooveFit, entry: int, deviation: float, variants: Variants) -> Estimate:
+    """Return a dry friction: the curvature of the cost widened by the fin test's uncertainty, from 0 on."""
+    value = float(fit.means[entry])
+    reach = float(np.hypot(NORMAL * deviation, _from_reference(fit, entry, variants)))
+    return if_identifiable(Estimate(value, max(value - reach, 0.0), value + reach), USUAL_DRY)
+
+
+def _from_reference(fit: GrooveFit, entry: int, variants: Variants) -> float:
+    """Return the part of a mean's 95 % interval that the fin test's uncertainty causes, in the mean's unit."""
+    changes = [other.means[entry] - fit.means[entry] for _, other in variants]
+    return NORMAL * float(np.linalg.norm(changes))
 
 
 def refit(
@@ -186,7 +190,7 @@ def refit(
     own: Array,
     iterations: int = 10,
 ) -> GrooveFit:
-    """Return the fit to other runs or with other parameters, from a known fit and its scatter; ``own`` (runs, 1)."""
+    """Return the fit to other runs or with other parameters, from a known fit and its scatter; ``own`` (runs, 2)."""
     problem = groove_problem(traverses, known, like.places, like.scatter)
     return replace(like, solution=solve(problem, like.solution.shared, own, iterations=iterations))
 
@@ -198,10 +202,10 @@ def holding_forces(
     grooves = tables_of(fit.solution.shared[MEANS:], fit.places)
     forces = []
     for traverse, own in zip(traverses, fit.solution.own, strict=True):
-        worm = with_values(worm_of(parameters, traverse.direction), fit.means, own[0])
-        samples = slide(traverse, worm, *grooves)
+        worm = with_means(worm_of(parameters), fit.means, own)
+        samples = follow(traverse, worm, traverse.length.time, *grooves)
         assert samples is not None, "the fitted motion switches endlessly"
-        forces.append(samples[:, HOLDING_FORCE])
+        forces.append(samples[:, FORCE])
     return tuple(forces)
 
 
@@ -262,7 +266,7 @@ def _estimate(
     fit: GrooveFit,
     entry: int,
     interval: tuple[float, float],
-    variants: tuple[tuple[Parameters, GrooveFit], ...],
+    variants: Variants,
 ) -> Estimate:
     """Return an estimate: the profile widened by Student's t for few grooves and by the fin test's uncertainty."""
     value = float(fit.means[entry])
@@ -272,16 +276,14 @@ def _estimate(
         deviation = 0.5 * (interval[1] - interval[0]) / NORMAL
         share = min((_scattered(fit, entry) / deviation) ** 2, 1.0)
         widening = quantile((grooves - 1) / max(share, 1e-3) ** 2) / NORMAL
-    from_reference = NORMAL * float(
-        np.sqrt(sum((v.means[entry] - value) ** 2 for _, v in variants))
-    )
+    from_reference = _from_reference(fit, entry, variants)
     low, high = (float(np.hypot((end - value) * widening, from_reference)) for end in interval)
     return Estimate(value, value - low, value + high)
 
 
 def _variants(
     traverses: Sequence[Traverse], known: Known, fit: GrooveFit, fin: FinKnowledge | None
-) -> tuple[tuple[Parameters, GrooveFit], ...]:
+) -> Variants:
     if fin is None:
         return ()
 

@@ -33,8 +33,8 @@ from worm_model.identification.fits.grooves import (
 from worm_model.identification.fits.locomotion import (
     LOST,
     Traverse,
+    Worm,
     own_quantities,
-    slide,
     worm_of,
     x1_residuals,
 )
@@ -48,23 +48,22 @@ from worm_model.identification.locomotion_stage import (
 )
 from worm_model.identification.reference_values import ReferenceValues
 from worm_model.parameters import ParameterFile, Parameters
-from worm_model.simulation.kernel.stepped_dry_friction import Worm
 from worm_msgs.robot_parameters import ROWS
 
 KEY = "rear_load"
-#: step of the numerical derivative by parameter, in its unit; field of the kernel's `Worm`
+#: step of the numerical derivative by parameter, in its unit
 NUISANCES = {
-    "viscous_friction": (1.0, "friction"),
-    "switching_threshold": (3e-5, "threshold"),
-    "rear_dry_friction": (0.02, "rear_dry"),
-    "front_dry_friction": (0.02, "front_dry"),
-    "pitch": (2e-6, "pitch"),
-    "clearance": (3e-5, "clearance"),
-    "engaged_stiffness": (10.0, "engaged_stiffness"),
-    "disengaged_stiffness": (4.0, "disengaged_stiffness"),
+    "viscous_friction": 1.0,
+    "switching_threshold": 3e-5,
+    "rear_dry_friction": 0.02,
+    "front_dry_friction": 0.02,
+    "pitch": 2e-6,
+    "clearance": 3e-5,
+    "engaged_stiffness": 10.0,
+    "disengaged_stiffness": 4.0,
 }
 DRY = ("rear_dry_friction", "front_dry_friction")
-ONSET = Quantity(0.1, 0.0, 1.0, 0.5, 0.5)  # see `Worm.onset`
+ONSET = Quantity(0.1, 0.0, 1.0, 0.5, 0.5)  # see `Worm`
 EXACT = 1e-7  # standard deviation of an exact parameter, relative to its value
 LOAD_STEP, MOST_LOAD = 0.05, 50.0  # N
 SEARCHED = np.linspace(-12.0, 12.0, 13)  # N, loads from which fits start
@@ -127,7 +126,7 @@ def _quantity(reference: ReferenceValues, key: str) -> Quantity:
     if not np.isfinite(spread):
         spread = USUAL_DRY if key in DRY else 0.0
     spread = max(spread, EXACT * max(abs(estimate.value), row["low"], EXACT))
-    return Quantity(NUISANCES[key][0], row["low"], row["high"], estimate.value, spread)
+    return Quantity(NUISANCES[key], row["low"], row["high"], estimate.value, spread)
 
 
 def _problem(
@@ -139,7 +138,7 @@ def _problem(
     """Return the problem of x1: load, onset, parameters and deviations are shared, L0 and the pose at rest are not."""
     parameters = reference.parameters
     unloaded = parameters.replace(rear_load=0.0, front_load=0.0)
-    worms = [worm_of(unloaded, t.direction) for t in traverses]
+    worm = worm_of(unloaded)
     shared = [
         Quantity(LOAD_STEP, -MOST_LOAD, MOST_LOAD),
         ONSET,
@@ -149,32 +148,18 @@ def _problem(
     first = len(shared) - len(places)
 
     def residuals(run: int, values: Array, own: Array) -> Array:
-        worm = _worm(worms[run], values, own)
-        return x1_residuals(
-            traverses[run], slide(traverses[run], worm, *tables_of(values[first:], places))
-        )
+        robot = _loaded(worm, values[:first], own)
+        return x1_residuals(traverses[run], robot, *tables_of(values[first:], places))
 
-    pose = Quantity(
-        5e-5,
-        -parameters.switching_threshold,
-        parameters.switching_threshold,
-        0.0,
-        parameters.clearance,
-    )
-    return Problem(residuals, shared, [[*own_quantities(t), pose] for t in traverses], jumps=True)
+    own = [own_quantities(t, parameters, parameters.clearance) for t in traverses]
+    return Problem(residuals, shared, own, jumps=True)
 
 
-def _worm(worm: Worm, values: Array, own: Array) -> Worm:
-    fields = dict(
-        zip((field for _, field in NUISANCES.values()), values[2:].tolist(), strict=False)
-    )
-    return worm._replace(
-        load=float(values[LOAD]),
-        onset=float(values[1]),
-        initial_length=float(own[0]),
-        start=float(own[1]),
-        **fields,
-    )
+def _loaded(worm: Worm, values: Array, own: Array) -> Worm:
+    """Return the robot with the load of both modules and the other shared parameters, and a run's own ones."""
+    load, onset, *others = values
+    robot = worm.with_values((KEY, *NUISANCES), np.array([load, *others]), own[0])
+    return robot._replace(deflection=float(own[1]), onset=float(onset))
 
 
 def _start(

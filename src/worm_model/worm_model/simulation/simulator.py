@@ -29,7 +29,6 @@ Array = NDArray[np.float64]
 
 CYCLES = 5  # cycles of a run, from the start
 AVERAGED = 3  # the last cycles of the run
-SETTLING_TIME = 1.0  # s for a change of the length, and s for the motion to decay afterwards
 
 _NO_ROWS = np.empty((0, march.SAMPLE_COLUMNS))
 
@@ -362,11 +361,11 @@ class Locomotion:
         """
         if length_change == 0.0 and not (self.parameters.rear_load or self.parameters.front_load):
             return self.start(time)
-        return self.settled(self.start(time - 2.0 * SETTLING_TIME), length_change)
+        return self.settled(self.start(time - 2.0 * run.SETTLING_TIME), length_change)
 
     def settled(self, state: LocomotionState, length_change: float) -> LocomotionState:
-        """Return the state after the body has moved to a ΔL in m and come to rest, 2·`SETTLING_TIME` later."""
-        times = [state.time + SETTLING_TIME, state.time + 2.0 * SETTLING_TIME]
+        """Return the state after the body has moved to a ΔL in m and come to rest, 2·`run.SETTLING_TIME` later."""
+        times = [state.time + run.SETTLING_TIME, state.time + 2.0 * run.SETTLING_TIME]
         return self.follow(state, times, [length_change, length_change])[0]
 
     def x1(self, state: LocomotionState) -> float:
@@ -414,7 +413,7 @@ class Locomotion:
         samples[:, march.TIME] = _ascending(times, knots[0], knots[-1])
         totals = np.zeros(march.TOTALS_SIZE)
         after = run.run_sampled(
-            knots, forms, _motion_of(state), self._constants(), totals, samples, _NO_ROWS
+            knots, forms, _motion_of(state), self._constants(), None, totals, samples, _NO_ROWS
         )
         _check(totals[march.FAILURE], f"at {state.time:g} s", self.parameters)
         last = knots[-1] - knots[-2] if knots.size > 1 else 0.0

@@ -7,7 +7,7 @@ The script prints the folder of the cache.
 import numpy as np
 
 from worm_model.gait import FORWARD, Gait
-from worm_model.identification.fits.locomotion import ALIKE, worm_of
+from worm_model.identification.fits.locomotion import EVEN
 from worm_model.parameters import PAPER
 from worm_model.run import (
     RUNNING,
@@ -20,7 +20,9 @@ from worm_model.run import (
 from worm_model.simulation.actuation import length_change_of_command
 from worm_model.simulation.batch import evaluate_gaits, sample_cycle
 from worm_model.simulation.kernel import cache_directory
-from worm_model.simulation.kernel import stepped_dry_friction as dry_friction
+from worm_model.simulation.kernel.march import SAMPLE_COLUMNS
+from worm_model.simulation.kernel.whole_run import run_from_rest
+from worm_model.simulation.rows import parameter_rows
 from worm_model.simulation.simulator import Locomotion, evaluate_gait, play_gait, simulate
 from worm_model.twin.offline_replay import replay_run
 
@@ -39,9 +41,9 @@ def main() -> None:
     model.follow(model.start(), [0.1, 0.2], [-0.001, -0.002])
     play_gait(gait, PAPER, model.start(), [0.1])
     length_change_of_command([0.0, 0.1], [0.0, -0.01], PAPER)
-    samples = np.empty((2, dry_friction.SAMPLE_COLUMNS))
     replay_run(_recording(gait), PAPER)
-    dry_friction.slide(0.01, np.zeros(2), worm_of(PAPER, FORWARD), ALIKE, ALIKE, samples)
+    samples, still, row = np.zeros((1, SAMPLE_COLUMNS)), np.zeros((4, 1)), parameter_rows(PAPER)[0]
+    run_from_rest(np.arange(2.0), still, row, 1.0, 0.0, 0.0, EVEN, EVEN, samples)
 
 
 def _recording(gait: Gait) -> Run:

@@ -20,17 +20,19 @@ from worm_model.identification.fits.grooves import MEANS, fit_grooves
 from worm_model.identification.fits.locomotion import (
     Known,
     find_locomotion,
+    first_own,
+    follow,
     locomotion_problem,
     search,
-    slide,
     traverse_of,
     valleys,
-    with_values,
+    with_means,
     worm_of,
 )
 from worm_model.identification.identification_errors import IdentificationError
 from worm_model.parameters import PAPER
-from worm_model.simulation.kernel import stepped_dry_friction as dry_friction
+from worm_model.simulation.kernel.grooves import FIRST_GROOVE
+from worm_model.simulation.kernel.march import X1
 from worm_model.simulation.simulator import simulate
 
 TRUTH = PAPER.replace(
@@ -133,7 +135,7 @@ def test_how_the_body_sets_in_is_found(onset):
     alike = np.zeros((10, 2))
     runs = rough_traverses((0.1, 0.1), alike, alike, onset)
     start = np.array([90.0, 0.0172, 0.05, 0.05, TRUTH.pitch, 0.5])
-    own = np.array([[run.length.initial_length] for run in runs])
+    own = first_own(runs)
     solution = solve(locomotion_problem(runs, KNOWN), start, own)
     assert solution.shared[5] == pytest.approx(onset, abs=0.25)
     assert solution.shared[0] == pytest.approx(95.0, rel=0.02)
@@ -142,7 +144,7 @@ def test_how_the_body_sets_in_is_found(onset):
 def test_a_pitch_that_is_given_as_exact_stays():
     runs = traverses(camera_noise=1e-4)
     start = np.array([90.0, 0.0172, 0.05, 0.05, TRUTH.pitch, 0.5])
-    own = np.array([[run.length.initial_length] for run in runs])
+    own = first_own(runs)
     solution = solve(locomotion_problem(runs, Known(TRUTH, 0.0)), start, own)
     assert solution.shared[4] == pytest.approx(TRUTH.pitch, abs=1e-7)
 
@@ -150,7 +152,7 @@ def test_a_pitch_that_is_given_as_exact_stays():
 def test_the_scales_error_does_not_show_in_friction():
     """So masses need not be nuisances: a gram changes η by less than a thousandth."""
     runs = traverses(camera_noise=1e-4)
-    own = np.array([[run.length.initial_length] for run in runs])
+    own = first_own(runs)
     start = np.array([90.0, 0.0172, 0.05, 0.05, TRUTH.pitch, 0.5])
     heavier = TRUTH.replace(rear_mass=TRUTH.rear_mass + 1e-3, front_mass=TRUTH.front_mass - 1e-3)
     plain, moved = (
@@ -205,7 +207,7 @@ def test_a_fit_that_never_settles_is_rejected(monkeypatch):
     solution = locomotion_stage.solve(
         locomotion_problem(runs, KNOWN),
         np.array([90.0, 0.0172, 0.05, 0.05, TRUTH.pitch, 0.5]),
-        np.array([[run.length.initial_length] for run in runs]),
+        first_own(runs),
     )
     fit = fit_grooves(runs, KNOWN, solution)
     monkeypatch.setattr(locomotion_stage, "search", lambda *_: None)
@@ -229,11 +231,10 @@ def rough_traverses(dry, rear_grooves, front_grooves, onset=0.0):
     random = np.random.default_rng(8)
     found = []
     for run in traverses(camera_noise=1e-4):
-        worm = with_values(
-            worm_of(TRUTH, 1), np.array([95.0, 0.0171, *dry, TRUTH.pitch, onset]), 0.2952
-        )
-        samples = slide(run, worm, rear_grooves, front_grooves)
-        x1 = np.interp(run.time, run.length.time, samples[:, dry_friction.X1])
+        means = np.array([95.0, 0.0171, *dry, TRUTH.pitch, onset])
+        worm = with_means(worm_of(TRUTH), means, np.array([0.2952, 0.0]))
+        samples = follow(run, worm, run.sampled, rear_grooves, front_grooves)
+        x1 = samples[1:, X1]
         found.append(replace(run, x1=x1 + random.normal(0.0, 1e-4, x1.size), noise=1e-4))
     return found
 
@@ -242,10 +243,21 @@ def test_dry_friction_is_not_booked_as_viscous():
     alike = np.zeros((10, 2))
     runs = rough_traverses((0.4, 0.2), alike, alike)
     problem = locomotion_problem(runs, KNOWN)
-    own = np.array([[run.length.initial_length] for run in runs])
+    own = first_own(runs)
     solution = solve(problem, np.array([80.0, 0.0172, 0.05, 0.05, TRUTH.pitch, 0.5]), own)
     assert solution.shared[0] == pytest.approx(95.0, rel=0.02)
     assert solution.shared[2:4] == pytest.approx([0.4, 0.2], abs=0.05)
+
+
+def test_the_intervals_cover_the_dry_friction_of_the_simulator():
+    """Identification writes to a parameter file the law that the simulator reads from it."""
+    truth = TRUTH.replace(rear_dry_friction=0.3, front_dry_friction=0.3)
+    runs = traverses(truth, [Gait(0.07, 0.3), *GAITS], camera_noise=2e-4)
+    result = locomotion_stage.identify_locomotion(runs, KNOWN)
+    assert result.viscous_friction.low < truth.viscous_friction < result.viscous_friction.high
+    for estimate in result.dry_friction:
+        assert estimate.low < 0.3 < estimate.high
+        assert estimate.spread < 0.1
 
 
 def test_grooves_that_differ_are_distinguished():
@@ -256,15 +268,15 @@ def test_grooves_that_differ_are_distinguished():
     )
     runs = rough_traverses((0.2, 0.2), rear, front)
     problem = locomotion_problem(runs, KNOWN)
-    own = np.array([[run.length.initial_length] for run in runs])
+    own = first_own(runs)
     flat = solve(problem, np.array([90.0, 0.0172, 0.05, 0.05, TRUTH.pitch, 0.5]), own)
     fit = fit_grooves(runs, KNOWN, flat)
     assert fit.solution.cost < 0.8 * flat.cost
     assert 1e-4 < fit.scatter.threshold < 4e-4
     assert 0.01 < fit.scatter.stiffness < 0.06
-    first = [tuple(place) for place in fit.places].index((0, dry_friction.FIRST_GROOVE, 0))
+    first = [tuple(place) for place in fit.places].index((0, FIRST_GROOVE, 0))
     found = fit.means[1] + fit.solution.shared[MEANS + first]
-    assert found == pytest.approx(0.0171 + rear[dry_friction.FIRST_GROOVE, 0], abs=6e-5)
+    assert found == pytest.approx(0.0171 + rear[FIRST_GROOVE, 0], abs=6e-5)
 
 
 def power_runs(gaits, random, factor_scatter=0.01, truth=TRUTH, one_sided_cable=False):

@@ -30,14 +30,13 @@ from worm_model.identification.fits.block_least_squares import (
 from worm_model.identification.fits.locomotion import (
     Known,
     Traverse,
-    own_quantities,
+    own_of_unloaded,
     shared_quantities,
-    slide,
-    with_values,
+    with_means,
     worm_of,
     x1_residuals,
 )
-from worm_model.simulation.kernel.stepped_dry_friction import GROOVE_COLUMNS, STIFFNESS, THRESHOLD
+from worm_model.simulation.kernel.grooves import GROOVE_COLUMNS, STIFFNESS, THRESHOLD
 
 ROWS = 10  # grooves of each module: FIRST_GROOVE behind the start, the rest ahead
 MEANS = 6  # shared parameters before the deviations
@@ -66,7 +65,7 @@ class GrooveFit:
     """``solution`` of a `groove_problem` under a ``scatter``.
 
     ``places`` (k, 3) has module, row and column of each deviation after the means, as in the tables of
-    `worm_model.simulation.kernel.stepped_dry_friction`.
+    `worm_model.simulation.kernel.grooves`.
     """
 
     solution: Solution
@@ -96,16 +95,15 @@ def groove_problem(
     scatter: Scatter,
 ) -> Problem:
     """Return the problem of x1 with means and deviations; the scatter is the prior of the deviations."""
-    worms = [worm_of(known.parameters, t.direction) for t in traverses]
+    worm = worm_of(known.parameters)
 
     def residuals(run: int, values: Array, own: Array) -> Array:
-        worm = with_values(worms[run], values, own[0])
-        samples = slide(traverses[run], worm, *tables_of(values[MEANS:], places))
-        return x1_residuals(traverses[run], samples)
+        robot = with_means(worm, values[:MEANS], own)
+        return x1_residuals(traverses[run], robot, *tables_of(values[MEANS:], places))
 
     deviations = deviation_quantities(places, scatter, known.parameters.pitch)
     shared = [*shared_quantities(known), *deviations]
-    return Problem(residuals, shared, [own_quantities(t) for t in traverses], jumps=True)
+    return Problem(residuals, shared, own_of_unloaded(traverses, known), jumps=True)
 
 
 def deviation_quantities(

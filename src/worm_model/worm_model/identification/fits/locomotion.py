@@ -6,13 +6,14 @@ refines the deepest valleys. The nuisance parameters are:
 
 - the dry friction of each module, which would otherwise count as η
 - L0 of each run, which the camera measures at rest
+- the pose at rest of each run with pretension, because dry friction holds the modules anywhere near the balance of
+  the bent fins: up to (D1 + D2)/(k_eng + k_dis) from it
 - the pitch: the front fin starts L0/d ≈ 17 grooves ahead of the rear one, so that an error of 0.05 mm in d moves its
   start by almost 1 mm
 - the onset: the length starts with a finite rate (eq:slack_clip). With the paper's v1(0) = 0 the centre of mass is
   0.1 mm away from that of a robot, whose modules share that rate
 
-The stepped kernel computes x1, because it supports uneven grooves and takes 0.09 µs per sample of the length. The exact
-kernel takes 0.21 µs, with dry friction 0.27 µs. Predictions and held-out errors use the exact model.
+The kernel computes x1 without steps. Cubics between every fourth sample of the length suffice for it (`KNOTS`).
 """
 
 from __future__ import annotations
@@ -20,6 +21,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.ndimage import median_filter
@@ -31,8 +34,11 @@ from worm_model.identification.fits.block_least_squares import Problem, Quantity
 from worm_model.identification.fits.robust import noise_of
 from worm_model.identification.identification_errors import IdentificationError
 from worm_model.parameters import ParameterError, Parameters
-from worm_model.simulation.kernel import stepped_dry_friction as dry_friction
-from worm_model.simulation.simulator import SETTLING_TIME
+from worm_model.simulation.kernel import march
+from worm_model.simulation.kernel.grooves import GROOVE_COLUMNS
+from worm_model.simulation.kernel.whole_run import run_from_rest
+from worm_model.simulation.rows import parameter_rows
+from worm_model.simulation.smoothing import Smoothed
 
 RIDGES = 5  # number of ridges of a traverse
 LEAST_NOISE = 2e-5  # m, noise of a position from a perfect camera
@@ -40,13 +46,13 @@ SEARCHED_FRICTION = np.geomspace(4.0, 1500.0, 14)  # N·s/m
 SEARCHED_THRESHOLD_STEP = 2e-4  # m
 MOST_THRESHOLD = 1.7  # pitches
 VALLEYS = 6  # number of valleys from which fits start
-COARSE = 2  # steps of the length combined into one, where half the resolution suffices
 ROUGH_ITERATIONS = 10  # iterations of the fit from each start
 REFINED = 4  # number of these fits that are completed
 FIRST_DRY = (0.05, 0.05)  # N, start of the search for dry friction
 FIRST_ONSET = 0.5
 LOST = 1e3  # residual of each sample if the anchors switch endlessly
-ALIKE = np.zeros((1, dry_friction.GROOVE_COLUMNS))  # even grooves
+EVEN = np.zeros((1, GROOVE_COLUMNS))
+KNOTS = 4  # samples of the length between the knots of its cubics, 32 ms
 SHARED = (
     "viscous_friction",
     "switching_threshold",
@@ -55,7 +61,7 @@ SHARED = (
     "pitch",
     "onset",
 )
-LEAST_PITCH_DEVIATION = 1e-8  # m, for a pitch given as exact
+LEAST_DEVIATION = 1e-8  # m, of a pitch or a pose given as exact
 TRIED_PITCHES = (-1.5, 0.0, 1.5)  # starts of a fit, in standard deviations from the given pitch
 
 
@@ -86,6 +92,24 @@ class Traverse:
     end: float
     complete: bool
 
+    @cached_property
+    def sampled(self) -> Array:
+        """Times at which x1 is compared, after that of the rest, shape (n + 1,)."""
+        return np.append(self.length.time[0], self.time)
+
+    @property
+    def tensioned(self) -> bool:
+        """True if a pretension has bent the fins before the run."""
+        return bool(self.length.length_change[0] != 0.0)
+
+    @cached_property
+    def form(self) -> tuple[Array, Array]:
+        """Breaks (m,) in s and coefficients (4, m − 1) of ΔL as cubics, constant term first."""
+        length = self.length
+        knots = np.append(np.arange(0, length.time.size - 1, KNOTS), length.time.size - 1)
+        cubics = Smoothed(length.time[knots], length.length_change[knots], length.rate[knots])
+        return cubics.cubic()
+
 
 def traverse_of(recording: Recording, length: MeasuredLength, pitch: float) -> Traverse:
     """Return the part of a run from the onset until x1 has advanced by five pitches."""
@@ -108,83 +132,73 @@ def traverse_of(recording: Recording, length: MeasuredLength, pitch: float) -> T
     )
 
 
-def worm_of(parameters: Parameters, direction: int) -> dry_friction.Worm:
-    """Return the parameters in the kernel's form, without dry friction; raise `ParameterError` under a load."""
+class Worm(NamedTuple):
+    """Robot before a run: its ``parameters`` as a row for the kernel, and how the run begins.
+
+    For ``deflection`` in m and ``onset`` see `worm_model.simulation.kernel.whole_run.run_from_rest`.
+    """
+
+    parameters: Any
+    deflection: float = 0.0
+    onset: float = 0.0
+
+    def with_values(self, keys: Sequence[str], values: Array, initial_length: float) -> Worm:
+        """Return the robot with other values of some parameters and another L0 (m)."""
+        row = self.parameters.copy()
+        for key, value in zip(keys, values, strict=True):
+            row[key] = value
+        row["initial_length"] = initial_length
+        return self._replace(parameters=row)
+
+
+def worm_of(parameters: Parameters) -> Worm:
+    """Return a robot without dry friction, on whose cable the body exerts no force.
+
+    Raises `ParameterError` under a load.
+    """
     for key in ("rear_load", "front_load"):
         if getattr(parameters, key) != 0.0:
             raise ParameterError(f"{key}: the fit of the motion does not include loads; use 0 N")
-    return dry_friction.Worm(
-        direction=float(direction),
-        rear_mass=parameters.rear_mass,
-        front_mass=parameters.front_mass,
-        initial_length=parameters.initial_length,
-        friction=parameters.viscous_friction,
-        pitch=parameters.pitch,
-        engaged_stiffness=parameters.engaged_stiffness,
-        disengaged_stiffness=parameters.disengaged_stiffness,
-        threshold=parameters.switching_threshold,
-        clearance=parameters.clearance,
-        rear_dry=0.0,
-        front_dry=0.0,
-    )
+    absent = ("rear_dry_friction", "front_dry_friction", "bellows_stiffness", "bellows_damping")
+    worm = Worm(parameter_rows(parameters)[0])
+    return worm.with_values(absent, np.zeros(len(absent)), parameters.initial_length)
 
 
-def with_values(worm: dry_friction.Worm, values: Array, initial_length: float) -> dry_friction.Worm:
-    """Return the worm with other (η, p_sw, both dry frictions, pitch, onset) and L0.
-
-    It has no loop over names, because a fit calls it 10⁵ times.
-    """
-    return worm._replace(
-        friction=float(values[0]),
-        threshold=float(values[1]),
-        rear_dry=float(values[2]),
-        front_dry=float(values[3]),
-        pitch=float(values[4]),
-        onset=float(values[5]),
-        initial_length=float(initial_length),
-    )
+def with_means(worm: Worm, means: Array, own: Array) -> Worm:
+    """Return the robot with (η, p_sw, both dry frictions, pitch, onset), and a run's L0 and pose at rest (m)."""
+    robot = worm.with_values(SHARED[:-1], means[:-1], own[0])
+    return robot._replace(onset=float(means[-1]), deflection=float(own[1]))
 
 
-def slide(
+def follow(
     traverse: Traverse,
-    worm: dry_friction.Worm,
-    rear_grooves: Array = ALIKE,
-    front_grooves: Array = ALIKE,
-    stride: int = 1,
+    worm: Worm,
+    times: Array,
+    rear_grooves: Array = EVEN,
+    front_grooves: Array = EVEN,
 ) -> Array | None:
-    """Return samples of the stepped kernel at every ``stride``-th time of the length; None on chatter.
-
-    A run under pretension begins with straight fins, before the cable is tensioned. x1 counts from the rest after that.
-    """
-    step = traverse.length.step * stride
-    length_changes = traverse.length.length_change
-    tensioning = _tensioning(length_changes[0], step)
-    if stride > 1 or tensioning.size:
-        length_changes = np.concatenate([tensioning, length_changes[::stride]])
-    samples = np.empty((length_changes.size, dry_friction.SAMPLE_COLUMNS))
-    switches = dry_friction.slide(step, length_changes, worm, rear_grooves, front_grooves, samples)
-    if switches < 0:
-        return None
-    samples = samples[tensioning.size :]
-    samples[:, dry_friction.X1] -= samples[0, dry_friction.X1]
-    return samples
-
-
-def _tensioning(length_change: float, step: float) -> Array:
-    """Return the ΔL (m) at every ``step`` (s) of a body that is shortened to its rest under pretension and settles.
-
-    It has no samples if that rest is ΔL = 0.
-    """
-    if length_change == 0.0:
-        return np.empty(0)
-    share = np.arange(round(2.0 * SETTLING_TIME / step)) * step / SETTLING_TIME
-    return length_change * np.minimum(share, 1.0)
+    """Return the kernel's samples at ascending ``times`` (n,) in s of the length; None on chatter."""
+    breaks, coefficients = traverse.form
+    samples = np.empty((times.size, march.SAMPLE_COLUMNS))
+    samples[:, march.TIME] = times
+    completed = run_from_rest(
+        breaks[: np.searchsorted(breaks, times[-1]) + 1],
+        coefficients,
+        worm.parameters,
+        float(traverse.direction),
+        worm.deflection,
+        worm.onset,
+        rear_grooves,
+        front_grooves,
+        samples,
+    )
+    return samples if completed else None
 
 
 def shared_quantities(known: Known) -> list[Quantity]:
     """Return the quantities η, p_sw, rear and front dry friction, pitch and onset."""
     pitch = known.parameters.pitch
-    deviation = max(known.pitch_deviation, LEAST_PITCH_DEVIATION)
+    deviation = max(known.pitch_deviation, LEAST_DEVIATION)
     low = least_threshold(known.parameters)
     return [
         Quantity(1.0, 1.0, 1e4),
@@ -196,30 +210,53 @@ def shared_quantities(known: Known) -> list[Quantity]:
     ]
 
 
-def own_quantities(traverse: Traverse) -> list[Quantity]:
-    """Return the nuisance parameter L0 of a run; its prior is the length that the camera measured at rest."""
-    length = traverse.length
-    return [Quantity(5e-5, 0.0, np.inf, length.initial_length, length.initial_spread)]
+def own_quantities(
+    traverse: Traverse, parameters: Parameters, pose_deviation: float
+) -> list[Quantity]:
+    """Return the nuisance parameters of a run: L0, with the length at rest as its prior, and the pose at rest.
+
+    The pose (m) is `Worm.deflection`; 0 with a standard deviation of ``pose_deviation`` is its prior.
+    """
+    length, pitch = traverse.length, parameters.pitch
+    return [
+        Quantity(5e-5, 0.0, np.inf, length.initial_length, length.initial_spread),
+        Quantity(5e-5, -pitch, pitch, 0.0, pose_deviation),
+    ]
 
 
-def x1_residuals(traverse: Traverse, samples: Array | None, stride: int = 1) -> Array:
-    """Return measured minus predicted x1 in units of the camera's noise."""
+def own_of_unloaded(traverses: Sequence[Traverse], known: Known) -> list[list[Quantity]]:
+    """Return the nuisance parameters of runs without load, in which only a pretension bends the fins at rest."""
+    tensioned = known.parameters.clearance
+    return [
+        own_quantities(t, known.parameters, tensioned if t.tensioned else LEAST_DEVIATION)
+        for t in traverses
+    ]
+
+
+def first_own(traverses: Sequence[Traverse]) -> Array:
+    """Return the nuisance parameters of runs from which fits start, shape (runs, 2)."""
+    return np.array([[t.length.initial_length, 0.0] for t in traverses])
+
+
+def x1_residuals(
+    traverse: Traverse, worm: Worm, rear_grooves: Array = EVEN, front_grooves: Array = EVEN
+) -> Array:
+    """Return measured minus predicted x1, both from the rest on, in units of the camera's noise."""
+    samples = follow(traverse, worm, traverse.sampled, rear_grooves, front_grooves)
     if samples is None:
         return np.full(traverse.time.size, LOST)
-    time = traverse.length.time[::stride]
-    predicted = np.interp(traverse.time, time, samples[:, dry_friction.X1])
+    predicted = samples[1:, march.X1] - samples[0, march.X1]
     return (traverse.x1 - predicted) / traverse.noise
 
 
-def locomotion_problem(traverses: Sequence[Traverse], known: Known, stride: int = 1) -> Problem:
+def locomotion_problem(traverses: Sequence[Traverse], known: Known) -> Problem:
     """Return the problem with even grooves; all other parameters are given."""
-    worms = [worm_of(known.parameters, t.direction) for t in traverses]
+    worm = worm_of(known.parameters)
 
     def residuals(run: int, values: Array, own: Array) -> Array:
-        worm = with_values(worms[run], values, own[0])
-        return x1_residuals(traverses[run], slide(traverses[run], worm, stride=stride), stride)
+        return x1_residuals(traverses[run], with_means(worm, values, own))
 
-    own = [own_quantities(t) for t in traverses]
+    own = own_of_unloaded(traverses, known)
     return Problem(residuals, shared_quantities(known), own, jumps=True)
 
 
@@ -244,8 +281,8 @@ def search(
 ) -> Landscape:
     """Return J_loc without dry friction over all admissible pairs, with the given pitch and the measured L0."""
     parameters = known.parameters
-    problem = locomotion_problem(traverses, known, COARSE)
-    own = np.array([[t.length.initial_length] for t in traverses])
+    problem = locomotion_problem(traverses, known)
+    own = first_own(traverses)
     threshold = np.arange(
         least_threshold(parameters), MOST_THRESHOLD * parameters.pitch, SEARCHED_THRESHOLD_STEP
     )
@@ -291,7 +328,7 @@ def find_locomotion(traverses: Sequence[Traverse], known: Known, landscape: Land
 
     Raises `IdentificationError` if nothing explains the motion.
     """
-    own = np.array([[t.length.initial_length] for t in traverses])
+    own = first_own(traverses)
     tried = TRIED_PITCHES if known.pitch_deviation > 0.0 else (0.0,)
     pitches = [known.parameters.pitch + z * known.pitch_deviation for z in tried]
     starts = [
@@ -299,10 +336,9 @@ def find_locomotion(traverses: Sequence[Traverse], known: Known, landscape: Land
         for valley in valleys(landscape)
         for pitch in pitches
     ]
-    rough = locomotion_problem(traverses, known, COARSE)
     problem = locomotion_problem(traverses, known)
     with ThreadPoolExecutor() as pool:
-        near = list(pool.map(lambda s: solve(rough, s, own, iterations=ROUGH_ITERATIONS), starts))
+        near = list(pool.map(lambda s: solve(problem, s, own, iterations=ROUGH_ITERATIONS), starts))
         near.sort(key=lambda solution: solution.cost)
         solutions = list(pool.map(lambda s: solve(problem, s.shared, s.own), near[:REFINED]))
     best = min(solutions, key=lambda solution: solution.cost)

@@ -107,7 +107,8 @@ def _judge(
     rear -= (motion.rear_region - 1.0) * c.half_clearance
     front -= (motion.front_region - 1.0) * c.half_clearance
     fins = (
-        fin_stiffness(motion.rear_region, c) * rear + fin_stiffness(motion.front_region, c) * front
+        fin_stiffness(motion.rear_region, c.rear_fin) * rear
+        + fin_stiffness(motion.front_region, c.front_fin) * front
     )
     load = -fins - c.load - c.friction * rate - (c.mass - c.rear_mass) * bend
     rear_rests = c.rear_dry > 0.0 and abs(rear_velocity) <= 2.0 * STILL
@@ -138,9 +139,9 @@ def _held(mode: Mode, grip: Grip, motion: Motion, wave: Wave, c: Constants) -> C
     bend = derivative(rate, mode.roots, wave)
     fins = combine(
         -1.0,
-        fin_force(mode.rear, motion.rear_region, c),
+        fin_force(mode.rear, motion.rear_region, c.rear_fin, c.half_clearance),
         -1.0,
-        fin_force(mode.front, motion.front_region, c),
+        fin_force(mode.front, motion.front_region, c.front_fin, c.half_clearance),
     )
     if grip.rear == 0:
         moved = combine(-c.friction, rate, c.rear_mass - c.mass, bend)

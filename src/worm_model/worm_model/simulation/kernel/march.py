@@ -22,6 +22,7 @@ from worm_model.simulation.kernel.dry_friction import (
     locate_grip,
     look_for_grip,
 )
+from worm_model.simulation.kernel.grooves import Grooves, in_grooves
 from worm_model.simulation.kernel.guard import (
     END,
     FORCE_SIGN,
@@ -56,6 +57,7 @@ from worm_model.simulation.kernel.mode import (
     BELOW,
     CLEAR,
     Constants,
+    Fin,
     Mode,
     Motion,
     cable_force,
@@ -140,13 +142,13 @@ def is_dry(c: Constants) -> bool:
 
 
 @inlined
-def _borders(region: int, c: Constants) -> tuple[float, float]:
+def _borders(region: int, fin: Fin, half_clearance: float) -> tuple[float, float]:
     """Return the displacements at which a fin leaves its region."""
     if region == CLEAR:
-        return -c.half_clearance, c.half_clearance
+        return -half_clearance, half_clearance
     if region == BELOW:
-        return -c.threshold, -c.half_clearance
-    return c.half_clearance, c.threshold
+        return -fin.threshold, -half_clearance
+    return half_clearance, fin.threshold
 
 
 @inlined
@@ -157,8 +159,8 @@ def _open_stage(motion: Motion, segment: Segment, offset: float, b: Basis, c: Co
     else:
         mode = enter_mode(motion, segment.length_change, wave, c, b, 0.0)
         force, grip = cable_force(mode, motion.rear_region, wave, c), Grip(0, 0)
-    rear_low, rear_high = _borders(motion.rear_region, c)
-    front_low, front_high = _borders(motion.front_region, c)
+    rear_low, rear_high = _borders(motion.rear_region, c.rear_fin, c.half_clearance)
+    front_low, front_high = _borders(motion.front_region, c.front_fin, c.half_clearance)
     return Stage(
         offset,
         mode,
@@ -278,11 +280,12 @@ def _crossed(motion: Motion, stop: int, y: float, y_rate: float, c: Constants) -
     direction = 1 if stop in (REAR_HIGH, FRONT_HIGH) else -1
     region = motion.front_region if front else motion.rear_region
     groove = motion.front_groove if front else motion.rear_groove
+    threshold = c.front_fin.threshold if front else c.rear_fin.threshold
     if region == CLEAR:
         region = ABOVE if direction > 0 else BELOW
     elif (region == ABOVE) == (direction > 0):
         groove += direction
-        region = region_of(direction * (c.threshold - c.pitch), c.half_clearance)
+        region = region_of(direction * (threshold - c.pitch), c.half_clearance)
     elif c.half_clearance > 0.0:
         region = CLEAR
     else:  # Without clearance there is no region CLEAR: a fin could enter and leave it endlessly.
@@ -308,10 +311,10 @@ def _write_sample(
     row[LENGTH_CHANGE] = length_change
     row[LENGTH_RATE] = length_rate
     row[FORCE] = value(stage.force.position, b)
-    row[REAR_FORCE] = fin_stiffness(motion.rear_region, c) * (
+    row[REAR_FORCE] = fin_stiffness(motion.rear_region, c.rear_fin) * (
         rear - (motion.rear_region - 1.0) * c.half_clearance
     )
-    row[FRONT_FORCE] = fin_stiffness(motion.front_region, c) * (
+    row[FRONT_FORCE] = fin_stiffness(motion.front_region, c.front_fin) * (
         front - (motion.front_region - 1.0) * c.half_clearance
     )
     row[REAR_GROOVE] = motion.rear_groove
@@ -400,7 +403,8 @@ def _follow_mode(
 def march(
     segment: Segment,
     motion: Motion,
-    c: Constants,
+    even: Constants,
+    grooves: Grooves | None,
     totals: np.ndarray,
     samples: np.ndarray,
     events: np.ndarray,
@@ -412,13 +416,15 @@ def march(
     Args:
         segment: piece of the length signal.
         motion: motion at its start.
-        c: constants of the robot.
+        even: constants of the robot in even grooves.
+        grooves: grooves that differ; None for even ones.
         totals: (TOTALS_SIZE,); accumulates the positive cable work in J (only of a gait's length, because a sampled
             length has no usable rate), switches, steps, and the numbers of used rows of ``samples`` and ``events``.
             Its entry FAILURE becomes CHATTERS if the march gives up.
         samples: (n, SAMPLE_COLUMNS), to be filled; the TIME column is given, ascending.
         events: (m, EVENT_COLUMNS), to be filled; further events are only counted.
     """
+    c = even if grooves is None else in_grooves(even, motion, grooves)
     totals[STEPS] = 0.0
     b = basis_at(0.0, 0.0, roots_of(c.mass, c.friction, 0.0), segment.wave, False)
     offset = 0.0
@@ -442,7 +448,9 @@ def march(
                 continue
             totals[FAILURE] = CHATTERS if stop == NOTHING else totals[FAILURE]
             return motion
-        grooves = motion.rear_groove + motion.front_groove
+        passed = motion.rear_groove + motion.front_groove
         motion = _crossed(motion, stop, y, y_rate, c)
-        switched = motion.rear_groove + motion.front_groove != grooves
+        switched = motion.rear_groove + motion.front_groove != passed
+        if grooves is not None:
+            c = in_grooves(even, motion, grooves)
         _write_event(segment.start + offset, stop, switched, totals, events)

@@ -32,16 +32,23 @@ from worm_model.simulation.kernel.linear import (
 BELOW, CLEAR, ABOVE = 0, 1, 2  # region of a fin: the bar that touches the ridge, or none
 
 
+class Fin(NamedTuple):
+    """Parameters of a fin. The stiffnesses are stated by region and thus contain the direction."""
+
+    stiffness_below: float
+    stiffness_above: float
+    threshold: float
+
+
 class Constants(NamedTuple):
-    """Parameters as the kernel uses them. The stiffnesses are stated by region and thus contain the direction."""
+    """Parameters as the kernel uses them."""
 
     mass: float
     mu: float
     friction: float
-    stiffness_below: float
-    stiffness_above: float
+    rear_fin: Fin
+    front_fin: Fin
     half_clearance: float
-    threshold: float
     pitch: float
     initial_length: float
     rear_mass: float
@@ -98,18 +105,20 @@ def region_of(displacement: float, half_clearance: float) -> int:
 
 
 @inlined
-def fin_stiffness(region: int, c: Constants) -> float:
+def fin_stiffness(region: int, fin: Fin) -> float:
     """Return the stiffness of a fin in its region, N/m."""
     if region == CLEAR:
         return 0.0
-    return c.stiffness_below if region == BELOW else c.stiffness_above
+    return fin.stiffness_below if region == BELOW else fin.stiffness_above
 
 
 @inlined
-def fin_force(displacement: Coefficients, region: int, c: Constants) -> Coefficients:
+def fin_force(
+    displacement: Coefficients, region: int, fin: Fin, half_clearance: float
+) -> Coefficients:
     """Return the force f of a fin that stays in its region (eq:fin_force_piecewise)."""
-    k = fin_stiffness(region, c)
-    touched = shifted(displacement, -(region - 1.0) * c.half_clearance)
+    k = fin_stiffness(region, fin)
+    touched = shifted(displacement, -(region - 1.0) * half_clearance)
     return combine(k, touched, 0.0, touched)
 
 
@@ -188,8 +197,8 @@ def enter_mode(
 
     ``push`` in N is a constant force on both modules together, that of dry friction on modules that slide.
     """
-    rear_k = fin_stiffness(motion.rear_region, c)
-    front_k = fin_stiffness(motion.front_region, c)
+    rear_k = fin_stiffness(motion.rear_region, c.rear_fin)
+    front_k = fin_stiffness(motion.front_region, c.front_fin)
     rear_anchor = motion.rear_groove * c.pitch
     front_anchor = motion.front_groove * c.pitch
     k = rear_k + front_k
@@ -227,4 +236,5 @@ def cable_force(mode: Mode, rear_region: int, wave: Wave, c: Constants) -> Coeff
     constant = c.bellows_stiffness * (c.unstressed_length - c.initial_length) + c.rear_load
     body = shifted(body, constant)
     held = combine(1.0, inertial, 1.0, body)
-    return combine(1.0, held, 1.0, fin_force(mode.rear, rear_region, c))
+    fin = fin_force(mode.rear, rear_region, c.rear_fin, c.half_clearance)
+    return combine(1.0, held, 1.0, fin)

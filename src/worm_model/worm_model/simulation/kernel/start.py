@@ -31,7 +31,7 @@ def _balance(offset: float, c: Constants) -> tuple[float, int, int]:
     best, deflection, regions = NEVER, 0.0, 0
     for pair in range(REGIONS * REGIONS):
         rear, front = pair // REGIONS, pair % REGIONS
-        rear_k, front_k = fin_stiffness(rear, c), fin_stiffness(front, c)
+        rear_k, front_k = fin_stiffness(rear, c.rear_fin), fin_stiffness(front, c.front_fin)
         if rear_k + front_k == 0.0:
             continue
         rear_rest = (rear - 1.0) * c.half_clearance
@@ -74,9 +74,9 @@ def start_of(g: Any, c: Constants, a: Actuator) -> tuple[bool, float, Motion]:
             rear = -rear_groove * c.pitch
             rear_region = region_of(rear, c.half_clearance)
             front_region = region_of(rear + offset, c.half_clearance)
-        if abs(rear) > c.threshold:
+        if abs(rear) > c.rear_fin.threshold:
             rear_groove += 1 if rear > 0.0 else -1
-        elif abs(rear + offset) > c.threshold:
+        elif abs(rear + offset) > c.front_fin.threshold:
             front_groove += 1 if rear + offset > 0.0 else -1
         else:
             y = rear + rear_groove * c.pitch + c.mu * length_change

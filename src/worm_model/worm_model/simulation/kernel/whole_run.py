@@ -10,8 +10,10 @@ import numpy as np
 
 from worm_model.simulation.kernel.actuation_law import Actuator, value_at
 from worm_model.simulation.kernel.compiled import compiled, entry, inlined, unlocked
+from worm_model.simulation.kernel.grooves import Grooves
 from worm_model.simulation.kernel.linear import Coefficients, Wave
 from worm_model.simulation.kernel.march import (
+    EVENT_COLUMNS,
     FAILURE,
     FORCE,
     LENGTH_RATE,
@@ -24,7 +26,14 @@ from worm_model.simulation.kernel.march import (
     Segment,
     march,
 )
-from worm_model.simulation.kernel.mode import Constants, Motion
+from worm_model.simulation.kernel.mode import (
+    CLEAR,
+    Constants,
+    Fin,
+    Motion,
+    nearest_groove_of,
+    region_of,
+)
 from worm_model.simulation.kernel.start import start_of
 from worm_model.simulation.kernel.waveform import PARTS, answer_to_part, borders_of
 
@@ -37,6 +46,7 @@ SLIDES = 2.0  # the fins do not hold the load at rest
 REACHED, CABLE_WORK, SWITCHED = range(3)
 BOUNDARY_COLUMNS = 3
 
+SETTLING_TIME = 1.0  # s for a change of the length, and s for the motion to decay afterwards
 STEADY = 1e-14  # m, m/s; states are equal within this, the accuracy with which events are located
 
 
@@ -47,14 +57,14 @@ def constants_of(p: Any, direction: float, margin: float) -> Constants:
     below, above = p.engaged_stiffness, p.disengaged_stiffness
     if direction < 0:
         below, above = above, below
+    fin = Fin(below, above, p.switching_threshold + margin)
     return Constants(
         mass=mass,
         mu=p.front_mass / mass,
         friction=p.viscous_friction,
-        stiffness_below=below,
-        stiffness_above=above,
+        rear_fin=fin,
+        front_fin=fin,
         half_clearance=0.5 * p.clearance,
-        threshold=p.switching_threshold + margin,
         pitch=p.pitch,
         initial_length=p.initial_length,
         rear_mass=p.rear_mass,
@@ -103,7 +113,7 @@ def play(
                 continue
             form, omega = answer_to_part(part, begin, start, length_change, g, a)
             segment = Segment(start, end - start, form, Wave(c.mass, omega, -1.0 / a.time_constant))
-            motion = march(segment, motion, c, totals, samples, events)
+            motion = march(segment, motion, c, None, totals, samples, events)
             length_change = value_at(form, end - start, omega, a.time_constant)
             start = end
         cycle += 1
@@ -264,14 +274,15 @@ def run_sampled(
     coefficients: np.ndarray,
     motion: Motion,
     c: Constants,
+    grooves: Grooves | None,
     totals: np.ndarray,
     samples: np.ndarray,
     events: np.ndarray,
 ) -> Motion:
     """Run under a piecewise cubic ΔL from breaks[0] to breaks[-1], and return the motion at the end.
 
-    ``breaks`` (n + 1,) in s, ascending; ``coefficients`` (4, n), constant term first, of the time since
-    the segment's break; the other arrays are those of `march`.
+    ``breaks`` (n + 1,) in s, ascending; ``coefficients`` (4, n or more), constant term first, of the time since
+    the segment's break; the grooves and the other arrays are those of `march`.
     """
     still = Wave(c.mass, 0.0, 0.0)
     for k in range(breaks.size - 1):
@@ -291,10 +302,95 @@ def run_sampled(
             0.0,
         )
         segment = Segment(breaks[k], duration, form, still)
-        motion = march(segment, motion, c, totals, samples, events)
+        motion = march(segment, motion, c, grooves, totals, samples, events)
         if totals[FAILURE] != 0.0:
             break
     return motion
+
+
+@compiled
+def rest_at(length_change: float, c: Constants) -> Motion:
+    """Return the motion of a robot at rest at a ΔL in m, whose fins were straight at ΔL = 0.
+
+    Loads and dry friction are left out, so that the fins alone balance each other.
+    """
+    groove = int(nearest_groove_of(c.initial_length, c.pitch))
+    front = region_of(c.initial_length - groove * c.pitch, c.half_clearance)
+    straight = Motion(0.0, 0.0, 0, groove, CLEAR, front)
+    if length_change == 0.0:
+        return straight
+    fins_alone = Constants(
+        c.mass,
+        c.mu,
+        c.friction,
+        c.rear_fin,
+        c.front_fin,
+        c.half_clearance,
+        c.pitch,
+        c.initial_length,
+        c.rear_mass,
+        c.bellows_stiffness,
+        c.bellows_damping,
+        c.unstressed_length,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        c.one_sided_cable,
+    )
+    coefficients = np.zeros((4, 2))
+    coefficients[1, 0], coefficients[0, 1] = length_change / SETTLING_TIME, length_change
+    breaks = SETTLING_TIME * np.arange(3.0)
+    samples, events = np.empty((0, SAMPLE_COLUMNS)), np.empty((0, EVENT_COLUMNS))
+    totals = np.zeros(TOTALS_SIZE)
+    return run_sampled(breaks, coefficients, straight, fins_alone, None, totals, samples, events)
+
+
+@unlocked
+def run_from_rest(
+    breaks: np.ndarray,
+    coefficients: np.ndarray,
+    p: Any,
+    direction: float,
+    deflection: float,
+    onset: float,
+    rear_grooves: np.ndarray,
+    front_grooves: np.ndarray,
+    samples: np.ndarray,
+) -> bool:
+    """Run a robot from rest under a piecewise cubic ΔL, and return True unless the march gives up.
+
+    Args:
+        breaks: as in `run_sampled`.
+        coefficients: as in `run_sampled`.
+        p: parameter row.
+        direction: direction of the fins, ±1.
+        deflection: distance of both modules at rest from `rest_at`, which dry friction or a load may hold, m.
+        onset: velocities after ΔL has begun with a step of its rate. 0: the centre of mass stays at rest, as the
+            modules share the rate by their masses. 1: the rear module stays at rest, as in the paper's initial values.
+        rear_grooves: see `Grooves`.
+        front_grooves: see `Grooves`.
+        samples: those of `march`.
+    """
+    c = constants_of(p, direction, 0.0)
+    change, totals = coefficients[0, 0], np.zeros(TOTALS_SIZE)
+    rest = rest_at(change, c)
+    rear = rest.y - c.mu * change + deflection
+    front = rear + c.initial_length + change
+    motion = Motion(
+        rest.y + deflection,
+        onset * c.mu * coefficients[1, 0],
+        rest.rear_groove,
+        rest.front_groove,
+        region_of(rear - rest.rear_groove * c.pitch, c.half_clearance),
+        region_of(front - rest.front_groove * c.pitch, c.half_clearance),
+    )
+    first = int(nearest_groove_of(c.initial_length, c.pitch))
+    grooves = Grooves(rear_grooves, front_grooves, first)
+    run_sampled(
+        breaks, coefficients, motion, c, grooves, totals, samples, np.empty((0, EVENT_COLUMNS))
+    )
+    return totals[FAILURE] == 0.0
 
 
 @compiled
@@ -304,7 +400,7 @@ def step(
     """Return the motion at a segment's end; ``sample`` (1, SAMPLE_COLUMNS) receives its quantities. See `march`."""
     totals[SAMPLED] = 0.0
     sample[0, TIME] = segment.start + segment.duration
-    return march(segment, motion, c, totals, sample, sample[:0])
+    return march(segment, motion, c, None, totals, sample, sample[:0])
 
 
 @entry

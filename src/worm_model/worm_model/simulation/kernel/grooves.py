@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Grooves of a pipe that differ from the parameters of the robot, which are their means.
+
+Identification estimates them. Everything else assumes even grooves.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from worm_model.simulation.kernel.compiled import inlined
+from worm_model.simulation.kernel.mode import Constants, Fin, Motion
+
+# Columns of a row of grooves
+THRESHOLD, STIFFNESS = range(2)
+GROOVE_COLUMNS = 2
+FIRST_GROOVE = 2  # row of the groove in which a module starts
+
+
+class Grooves(NamedTuple):
+    """Grooves that the modules pass, (m, GROOVE_COLUMNS), in the order of +x.
+
+    Each row differs from the robot's parameters by a threshold in m and a relative stiffness. A module starts in the
+    row FIRST_GROOVE, which is the groove 0 of the rear and ``front_start`` of the front module. The outer rows also
+    stand for the grooves beyond them.
+    """
+
+    rear: np.ndarray
+    front: np.ndarray
+    front_start: int
+
+
+@inlined
+def _fin_in(groove: int, grooves: np.ndarray, fin: Fin) -> Fin:
+    row = min(max(groove + FIRST_GROOVE, 0), grooves.shape[0] - 1)
+    factor = 1.0 + grooves[row, STIFFNESS]
+    return Fin(
+        factor * fin.stiffness_below,
+        factor * fin.stiffness_above,
+        fin.threshold + grooves[row, THRESHOLD],
+    )
+
+
+@inlined
+def in_grooves(even: Constants, motion: Motion, grooves: Grooves) -> Constants:
+    """Return the constants of a robot whose fins are in the grooves of a motion's anchors."""
+    return Constants(
+        even.mass,
+        even.mu,
+        even.friction,
+        _fin_in(motion.rear_groove, grooves.rear, even.rear_fin),
+        _fin_in(motion.front_groove - grooves.front_start, grooves.front, even.front_fin),
+        even.half_clearance,
+        even.pitch,
+        even.initial_length,
+        even.rear_mass,
+        even.bellows_stiffness,
+        even.bellows_damping,
+        even.unstressed_length,
+        even.rear_dry,
+        even.front_dry,
+        even.rear_load,
+        even.load,
+        even.one_sided_cable,
+    )
