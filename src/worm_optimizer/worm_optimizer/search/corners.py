@@ -100,6 +100,11 @@ class Columns:
     count: Index
     profile: Array
 
+    @property
+    def has_ramps(self) -> Mask:
+        """True for profiles with a ramp share."""
+        return self.profile != Profile.COSINE
+
     def take(self, rows: Index | Mask) -> Columns:
         """Return the rows (integers or a mask)."""
         return Columns(*(getattr(self, row.name)[rows] for row in dataclasses.fields(self)))
@@ -137,6 +142,16 @@ def corners(
     return points, found & (points.count >= columns.count)
 
 
+def most_gained(task: MarginTask, bounds: ShapeBounds, columns: Columns, shares: Array) -> Index:
+    """Return the most grooves (n,) that gaits with ``shares`` (n, 2) gain from any start; the counts do not matter."""
+    problem, size = _Problem(task, bounds, columns, shares), len(shares)
+    gained = np.zeros(size, dtype=np.int64)
+    for above, reach in _starts(task, bounds):
+        found = problem.gained(np.arange(size), np.full(size, above), np.full(size, reach))
+        gained = np.maximum(gained, found)
+    return gained
+
+
 @dataclass(frozen=True)
 class _Problem:
     """Gaits with the given shares, as functions of the tightness and the reach in m.
@@ -154,8 +169,7 @@ class _Problem:
     def loosest(self) -> Array:
         """Tightness (n,) with the longest ramps; 0 for a cosine, which has none."""
         longest = self.bounds.ramp_share[1]
-        has_ramps = self.columns.profile != Profile.COSINE
-        return np.where(has_ramps, self.shares[:, 1] - longest, 0.0) / _RAMP_PER_METRE
+        return np.where(self.columns.has_ramps, self.shares[:, 1] - longest, 0.0) / _RAMP_PER_METRE
 
     def shape_of(self, rows: Index, tightness: Array) -> Shapes:
         """Return the shapes of the rows with a tightness, (m,) each."""
@@ -169,13 +183,15 @@ class _Problem:
             ramp_share=np.minimum(ramp, self.bounds.ramp_share[1]),
         )
 
-    def keeps(self, rows: Index, tightness: Array, reach: Array) -> Mask:
-        """Return True for the rows that gain their grooves, (m,) each."""
+    def gained(self, rows: Index, tightness: Array, reach: Array) -> Index:
+        """Return the grooves that the rows gain in all averaged cycles together, (m,) each."""
         own, shape = self.columns.take(rows), self.shape_of(rows, tightness)
         stroke = reach - shape["pretension"]
-        return (
-            gained_of(self.task.table(stroke, own.frequency, own.margin, shape=shape)) >= own.count
-        )
+        return gained_of(self.task.table(stroke, own.frequency, own.margin, shape=shape))
+
+    def keeps(self, rows: Index, tightness: Array, reach: Array) -> Mask:
+        """Return True for the rows that gain their grooves, (m,) each."""
+        return self.gained(rows, tightness, reach) >= self.columns.count[rows]
 
     def started(self) -> tuple[Mask, Array, Array]:
         """Return (mask of the rows for which a gait is found, its tightness, its reach), (n,) each."""
@@ -229,29 +245,28 @@ def _places(task: MarginTask, bounds: ShapeBounds) -> list[Array]:
     A place is (part of the range of longer ramps, pretension above the least one in m, reach in m). The first place is
     enough for most gaits.
     """
-    low = bounds.pretension[0]
-    places = [(0.0, pretension - low, reach) for pretension, reach in starts_of(task, bounds)]
+    places = [(0.0, *start) for start in _starts(task, bounds)]
     longer = [
         (part, 0.0, reach)
         for part in _RAMP_PARTS
-        for reach in _reaches(task, low, _REACHES_OF_RAMPS)
+        for reach in _reaches(task, bounds.pretension[0], _REACHES_OF_RAMPS)
     ]
     groups = places[:1], places[1:_REACHES], places[_REACHES:], longer
     return [np.array(group) for group in groups if group]
 
 
-def starts_of(task: MarginTask, bounds: ShapeBounds) -> list[tuple[float, float]]:
-    """Return (pretension, reach) in m, rising and falling, at which a gait is tried.
+def _starts(task: MarginTask, bounds: ShapeBounds) -> list[tuple[float, float]]:
+    """Return (pretension above the least one, reach) in m, rising and falling, at which a gait is tried.
 
     Shorter reaches and higher pretensions are needed because near the highest frequency or the largest margin of a
     branch, a long stroke loses the grooves.
     """
-    (low, high), pitch = bounds.pretension, task.parameters.pitch
-    pretensions = low + np.arange(_PRETENSIONS) * pitch / _PRETENSIONS
+    low, high = bounds.pretension
+    above = np.arange(_PRETENSIONS) * task.parameters.pitch / _PRETENSIONS
     return [
         (pretension, reach)
-        for pretension in pretensions[pretensions <= high].tolist()
-        for reach in _reaches(task, pretension, _REACHES)
+        for pretension in above[low + above <= high].tolist()
+        for reach in _reaches(task, low + pretension, _REACHES)
     ]
 
 

@@ -20,10 +20,9 @@ from numpy.typing import ArrayLike
 
 from worm_model.gait import Profile
 from worm_model.parameters import Parameters
-from worm_model.simulation.batch import GaitTable
 from worm_model.simulation.simulator import AVERAGED
 from worm_optimizer.evaluation.actuator_limits import NO_LIMITS
-from worm_optimizer.evaluation.command_shape import SINUSOID, Shapes, shapes_of
+from worm_optimizer.evaluation.command_shape import SINUSOID, Shapes
 from worm_optimizer.evaluation.task import (
     Array,
     Bounds,
@@ -32,7 +31,6 @@ from worm_optimizer.evaluation.task import (
     MarginTask,
     Mask,
     Points,
-    gained_of,
 )
 from worm_optimizer.search.corners import (
     COARSE,
@@ -41,7 +39,7 @@ from worm_optimizer.search.corners import (
     Columns,
     ShapeBounds,
     corners,
-    starts_of,
+    most_gained,
 )
 from worm_optimizer.search.pattern_search import (
     FORBIDDEN,
@@ -258,6 +256,12 @@ class Solved:
         key = float(own.margin[0]), int(own.count[0]), float(own.profile[0])
         return Track(*key, own.frequency, self.shares)
 
+    def interpolated(self, frequency: Array) -> tuple[Columns, Array]:
+        """Return the problems of one group at other frequencies (m,) in Hz, with interpolated shares (m, 2)."""
+        rows = np.zeros(frequency.size, dtype=np.int64)
+        columns = dataclasses.replace(self.columns.take(rows), frequency=frequency)
+        return columns, self.track().shares_at(frequency)
+
 
 @dataclass(frozen=True)
 class _Search:
@@ -274,8 +278,7 @@ class _Search:
         self, columns: Columns, shares: Array, step: float, least: float = LEAST_STEP
     ) -> Solved:
         """Search for cheaper shares, from given ones."""
-        has_ramps = columns.profile != Profile.COSINE
-        found, costs = self._improved(columns, has_ramps, shares, (step, least))
+        found, costs = self._improved(columns, columns.has_ramps, shares, (step, least))
         return Solved(columns, found, costs.total)
 
     def within_limits(self, columns: Columns, shares: Array) -> Array:
@@ -342,11 +345,7 @@ class _Search:
         )
         profile, shares = starts[start.astype(np.int64), 0], starts[start.astype(np.int64), 1:]
         columns = Columns(frequency, margin, np.ones(margin.size, np.int64), profile)
-        gained = np.zeros(margin.size, dtype=np.int64)
-        for place in starts_of(self.task, self.shapes):
-            table = self._swing(columns, shares, margin, place)
-            gained = np.maximum(gained, gained_of(table))
-        return columns, shares, gained
+        return columns, shares, most_gained(self.task, self.shapes, columns, shares)
 
     def continued(self, known: Solved) -> Solved:
         """Search from the shares of neighbouring frequencies, where these are cheaper."""
@@ -401,9 +400,7 @@ class _Search:
             lacking = np.setdiff1d(
                 frequencies[(frequencies > own[0]) & (frequencies < own[-1])], own
             )
-            rows = np.zeros(lacking.size, dtype=np.int64)
-            columns = dataclasses.replace(group.take(rows).columns, frequency=lacking)
-            parts.append((columns, group.track().shares_at(lacking)))
+            parts.append(group.interpolated(lacking))
         return Solved.join(known, self._improved_together(parts))
 
     def with_ends(self, known: Solved, highest: float) -> Solved:
@@ -414,9 +411,7 @@ class _Search:
             if own.size < 3 or own[-1] == highest:
                 continue
             frequency = own[-3] + (own[-1] - own[-3]) * np.array(_END_PARTS)
-            rows = np.zeros(frequency.size, dtype=np.int64)
-            columns = dataclasses.replace(group.take(rows).columns, frequency=frequency)
-            parts.append((columns, group.track().shares_at(frequency)))
+            parts.append(group.interpolated(frequency))
         best = Solved.join(known, self._improved_together(parts)).best()
         return best.take(best.cost < FORBIDDEN)
 
@@ -425,22 +420,6 @@ class _Search:
         columns = Columns.join(NO_COLUMNS, *(columns for columns, _ in parts))
         shares = np.concatenate([np.empty((0, 2)), *(shares for _, shares in parts)])
         return self.improved(columns, shares, _SMALL_STEP)
-
-    def _swing(
-        self, columns: Columns, shares: Array, margin: Array, place: tuple[float, float]
-    ) -> GaitTable:
-        """Return the table of the gaits with a pretension and a reach in m."""
-        share, ramp = shares.T
-        low, reach = place
-        shape = shapes_of(
-            len(shares),
-            pretension=low,
-            contraction_share=share,
-            profile=columns.profile,
-            ramp_share=ramp,
-        )
-        stroke = np.full(len(shares), reach - low)
-        return self.task.table(stroke, columns.frequency, margin, shape=shape)
 
     def cliff_nodes(self, known: Solved, margins: Array) -> Array:
         """Return further margins in m for branches that are lost between two of the ``margins``, rising, in m."""
