@@ -19,8 +19,8 @@ from worm_model.commands.replay import write_replay
 from worm_model.gait import Gait
 from worm_model.parameters import PAPER
 from worm_model.run import GaitStates, LengthSamples, PowerSamples, Run, TrackerSamples
-from worm_model.simulation import warm_up
 from worm_model.simulation.simulator import simulate
+from worm_model.twin import warm_up
 from worm_model.twin.offline_replay import OfflineReplay, replay_run
 
 TITLE = "times real time of reading a bag and replaying it into the twin"

@@ -16,6 +16,7 @@ from hypothesis import HealthCheck, settings
 # Before the first import of messages: fields of a wrong type then fail where they are set.
 os.environ.setdefault("ROS_PYTHON_CHECK_FIELDS", "1")
 with contextlib.suppress(ImportError):  # ROS is not installed, or the workspace is not built yet
+    import worm_model  # noqa: F401 - before NumPy, whose threads it limits
     from worm_msgs import network
 
     network.bind(os.environ, os.environ.get("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp"))

@@ -20,7 +20,7 @@ EXECUTABLES: list[str] = [  # "executable = module:function", each installed in 
 setup(
     name=NAME,
     version="0.1.0",
-    description="Driver, recorder and virtual robot of the worm: servos, power sensor, bags.",
+    description="Driver, tracker and virtual robot of the worm: servos, power sensor, camera.",
     license="Apache-2.0",
     maintainer="The worm robot maintainers",
     maintainer_email="maintainers@worm.example",

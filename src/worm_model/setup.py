@@ -6,7 +6,7 @@ from glob import glob
 from setuptools import find_packages, setup
 
 NAME = "worm_model"
-EXECUTABLES: list[str] = [  # "executable = module:function", each lands in lib/NAME
+EXECUTABLES: list[str] = [  # "executable = module:function", each is installed in lib/NAME
     "evaluate_gait = worm_model.commands.evaluate_gait:main",
     "simulate = worm_model.commands.simulate:main",
     "phase_map = worm_model.commands.phase_map:main",
@@ -44,6 +44,6 @@ setup(
         (f"share/{NAME}/foxglove", sorted(glob("foxglove/*"))),
         (f"share/{NAME}/launch", sorted(glob("launch/*.launch.py"))),
     ],
-    extras_require={"test": ["pytest"]},  # colcon test takes pytest for it
+    extras_require={"test": ["pytest"]},  # colcon test runs pytest because of this entry
     entry_points={"console_scripts": EXECUTABLES},
 )

@@ -12,12 +12,15 @@ from harness import Probe, Processes
 def pytest_runtest_makereport(item: pytest.Item):
     """Show the output of the started processes with a failure."""
     report = yield
-    processes = getattr(item, "funcargs", {}).get("processes")
-    if report.failed and processes is not None:
-        report.sections += [
-            (f"output of {process.name}", process.output())
-            for process in processes.processes.values()
-        ]
+    if report.failed:
+        page = getattr(item, "funcargs", {}).get("page")
+        if page is not None and not page.is_closed():
+            report.sections.append(("text of the page", page.locator("body").inner_text()))
+        for given in getattr(item, "funcargs", {}).values():
+            report.sections += [
+                (f"output of {process.name}", process.output())
+                for process in getattr(given, "processes", {}).values()
+            ]
     return report
 
 

@@ -27,7 +27,8 @@ TOPICS = {
     "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
 }
 
-pytestmark = pytest.mark.timeout(300)
+# one process runs all, so that they share one demo
+pytestmark = [pytest.mark.timeout(300), pytest.mark.xdist_group("demo")]
 
 
 def processes_with(text: str) -> list[str]:

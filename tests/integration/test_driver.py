@@ -760,13 +760,15 @@ def test_a_silent_servo_is_a_fault_that_is_named_and_cleared(driver, commander):
     commander.inject(name="no_answer", target=1, duration=3600.0)
     answer = commander.result(goal)
     assert answer.status == ABORTED
-    assert "fault: servo 1 gives no state" in answer.result.message
+    assert "fault: servo 1 has returned no state" in answer.result.message
     assert "servo 1" in commander.wait_for_state(GaitState.FAULT, "fault").message
     (line,) = [line for line in driver.output().splitlines() if "FAULT: " in line]
     assert "[ERROR]" in line
-    assert "servo 1 gives no state" in line
+    assert "servo 1 has returned no state" in line
     assert "then deactivate and activate" in line
-    commander.wait_for_report("worm/driver: gait", DiagnosticStatus.ERROR, "servo 1 gives no state")
+    commander.wait_for_report(
+        "worm/driver: gait", DiagnosticStatus.ERROR, "servo 1 has returned no state"
+    )
     commander.wait_for_report("worm/driver: servo bus", DiagnosticStatus.WARN, "timeouts")
     assert "in fault" in commander.probe.rejection(commander.send())
     commander.inject(name="clear")

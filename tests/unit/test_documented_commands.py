@@ -55,7 +55,7 @@ ELSEWHERE = {
     ("worm_optimizer", "operate"): "tests/integration/test_operate.py",
     ("worm_optimizer", "campaign"): "tests/integration/test_campaign.py",
     ("worm_optimizer", "demo"): "tests/integration/test_demo.py",
-    ("worm_optimizer", "console"): "tests/integration/test_console.py",
+    ("worm_optimizer", "console"): "tests/integration/console/test_end_of_console.py",
     ("worm_optimizer", "study"): "tests/unit/worm_optimizer/study/test_study_command.py",
 }
 NODES = {  # executables whose only arguments are those of ROS

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Driver, recorder and virtual robot of the worm: servos, power sensor, bags."""
+"""Driver, tracker and virtual robot of the worm: servos, power sensor, camera."""

@@ -2,8 +2,8 @@
 """Clocks of the threads that work with a robot: that of the machine, or that of a virtual robot.
 
 A virtual robot has its own time, which passes only while every thread that works with the robot waits
-(virtual_robot/wire/virtual_clock.py). A thread that waits only on such a clock meets its deadlines on a slow machine,
-too.
+(virtual_robot/wire/virtual_clock.py). A thread that waits only on the virtual robot's clock meets its deadlines on a
+slow machine, too.
 """
 
 import select
@@ -26,7 +26,7 @@ class Clock(Protocol):
     Attributes:
         traffic: bytes on the serial line of the thread, which the thread updates.
         epoch_ns: ROS time of the clock's zero, ns; None if the ROS clock can be set independently.
-        least_timeout: shortest timeout of a call to another thread, s. It covers time of the machine, not of the robot.
+        least_timeout: lower bound of the timeouts of calls to other threads, s of the machine's time.
     """
 
     traffic: Traffic

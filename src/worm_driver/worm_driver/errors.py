@@ -11,7 +11,7 @@ class ConfigurationError(DriverError):
 
 
 class LimitError(DriverError):
-    """A gait or a goal is outside the robot's limits."""
+    """A gait or a goal is outside the robot's limits, or the driver does not permit a command now."""
 
 
 class StoppedError(DriverError):
@@ -23,7 +23,7 @@ class ReleaseError(DriverError):
 
 
 class HomingError(DriverError):
-    """The turn count of a cable servo is unknown, and so is its cable length."""
+    """Homing is not possible now, or is required because the cable length is unknown or out of its range."""
 
 
 class BusError(DriverError):
@@ -51,7 +51,7 @@ class StatusError(BusError):
 
     @property
     def is_noise(self) -> bool:
-        """True if noise corrupted the request. The servo did not execute it, so it may be repeated."""
+        """True if noise corrupted the request. The servo did not execute the request, so it may be repeated."""
         return self.number == 3
 
 

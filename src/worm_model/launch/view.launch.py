@@ -2,8 +2,9 @@
 """Launch file for RViz with a robot and its twin: ros2 launch worm_model view.launch.py namespace:=worm.
 
 robot_state_publisher publishes the frames of urdf/worm.urdf: those of the modules from the joint states of the twin,
-those of spool and fins from the driver's. With camera:= it adds camera and, for its images, camera_optical_frame.
-Frames are on the topics tf and tf_static of the robot's namespace, because each robot has its own pipe.
+those of spool and fins from the joint states of the driver. The argument camera:= adds the frames camera and, for its
+images, camera_optical_frame. Frames are published on the topics tf and tf_static of the robot's namespace, because each
+robot has its own pipe.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ def generate_launch_description() -> LaunchDescription:
                 "camera",
                 default_value="",
                 description="pose of the camera in the pipe's frame, 'x y z yaw pitch roll' in m and rad; empty: "
-                "no frame for it",
+                "no camera frames",
             ),
             OpaqueFunction(function=_start),
         ]
@@ -83,7 +84,7 @@ def _frames(namespace: str, robot: str, name: str, topic: str) -> Node:
 
 
 def _camera(namespace: str, pose: str) -> list[Node]:
-    """Return the frames of the camera's body (x in viewing direction) and of its images (z there, x right; REP 103)."""
+    """Return publishers of the camera frame (x in viewing direction) and the optical frame (REP 103: z there)."""
     values = pose.split()
     if len(values) != len(_POSE):
         raise ValueError(

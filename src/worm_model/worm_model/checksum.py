@@ -9,7 +9,7 @@ _PIECE = 1 << 20  # bytes read at a time
 
 
 def sha256_of(files: Iterable[Path]) -> str:
-    """Return the SHA-256 of the content of files, one after the other."""
+    """Return a single SHA-256 of the concatenated content of files."""
     digest = hashlib.sha256()
     for file in files:
         with file.open("rb") as stream:

@@ -29,13 +29,13 @@ def _row(option: str, unit: str, low: float, high: float, meaning: str) -> float
 class Conditions:
     """Slope, tether and flow of a pipe. All forces count positive towards −x, against a forward gait.
 
-    The tether hangs on the rear module. Its force is ``tether_N`` plus ``tether_N_per_m`` for each metre of
-    ``distance_m``, the length of tether that already lies in the pipe. The growth during a run is neglected.
+    The tether is attached to the rear module. Its force is ``tether_N`` plus ``tether_N_per_m`` for each metre of
+    ``distance_m``, the length of tether that already lies in the pipe. The increase during a run is neglected.
 
     The water flows towards −x with ``flow_m_per_s``. ``drag_area_m2`` is C_d·A of each module. Drag is linearised about
     the resting robot, see `under`.
 
-    Raises `ConditionsError` if a value is not finite or not in its range, or has no effect without another one.
+    Raises `ConditionsError` if a value is not finite or not in its range, or has no effect because another one is 0.
     """
 
     slope_deg: float = _row("--slope", "deg", -90.0, 90.0, "slope of the pipe, uphill towards +x")
@@ -85,21 +85,21 @@ LEVEL = Conditions()
 CONDITION_ROWS: Mapping[str, Mapping[str, Any]] = {
     row.name: row.metadata for row in dataclasses.fields(Conditions)
 }
-#: field of `Conditions` by the ROS parameter, setting of system.yaml and key of a recording's manifest that states it
+#: field of `Conditions` by its name in lower case, as in ROS parameters, system.yaml and the manifest of a recording
 CONDITION_PARAMETERS: Mapping[str, str] = {name.lower(): name for name in CONDITION_ROWS}
 
 
 def conditions_of(source: Any) -> Conditions:
-    """Return the conditions with the fields of parsed options or another object, by name; missing ones are 0."""
+    """Return the conditions in the attributes of parsed options or another object; missing attributes count as 0."""
     return Conditions(**{name: getattr(source, name, 0.0) for name in CONDITION_ROWS})
 
 
 def under(conditions: Conditions, parameters: Parameters) -> Parameters:
-    """Return the parameters of a robot under conditions; level ground without tether and flow returns its own.
+    """Return the parameters of a robot under conditions; `LEVEL` leaves them unchanged.
 
-    The loads grow by the weight of each module along the pipe, the tether and the drag of the resting modules. Drag of
-    a module that moves with x′ is ρ/2·C_dA·(U + x′)·|U + x′|. Its derivative at x′ = 0, ρ·C_dA·|U|, is added to the
-    viscous friction. The neglected part is ρ/2·C_dA·x′². Buoyancy is neglected, too.
+    The loads increase by the weight of each module along the pipe, the tether and the drag of the resting modules. The
+    drag of a module that moves with x′ is ρ/2·C_dA·(U + x′)·|U + x′|. Its derivative at x′ = 0, ρ·C_dA·|U|, is added to
+    the viscous friction. The neglected part is ρ/2·C_dA·x′². Buoyancy is neglected, too.
 
     Raises `ParameterError` if a sum is outside the range of its parameter.
     """
@@ -117,7 +117,7 @@ def under(conditions: Conditions, parameters: Parameters) -> Parameters:
 
 
 def content_under(conditions: Conditions, content: ParameterFile) -> ParameterFile:
-    """Return a parameter file under conditions; the intervals move with their values.
+    """Return a parameter file under conditions; each interval is shifted by the change of its value.
 
     Raises `ParameterError` if a load is outside of its range.
     """

@@ -9,5 +9,5 @@ class InputError(ValueError):
 
 
 def printable(text: str) -> str:
-    """Return a text with an escape for each byte of a path or an argument that is not UTF-8."""
+    """Return a text in which each byte of a path or argument that is not UTF-8 is replaced by an escape sequence."""
     return text.encode(errors="backslashreplace").decode()

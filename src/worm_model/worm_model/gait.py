@@ -39,8 +39,8 @@ def _row(unit: str, meaning: str, default: Any = dataclasses.MISSING) -> Any:
 class Profile(enum.IntEnum):
     """Shape of a half cycle: a half wave of a cosine, or a trapezoidal velocity profile.
 
-    Messages and arrays contain the number; JSON, CSV, YAML and command lines the name (``str(profile)``).
-    `Profile` of either returns the member and raises `GaitError` for anything else.
+    Messages and arrays contain the number; JSON, CSV, YAML and command lines contain the name (``str(profile)``).
+    ``Profile(value)`` accepts both, and raises `GaitError` for any other value.
     """
 
     COSINE = 0
@@ -71,12 +71,12 @@ class Gait:
     gait, u_cmd(t) = −S/2 (1 − cos 2πft).
 
     ``stroke`` S in m, ``frequency`` in Hz, ``direction`` FORWARD (+x) or REVERSE (fins flipped),
-    ``margin`` the robustness margin δ_m in m by which the switching threshold is enlarged
-    (eq:A1_switch_robust); 0 is the nominal prediction. ``pretension`` o in m: least contraction of the command.
+    ``margin`` the robustness margin δ_m in m, which is added to the switching threshold (eq:A1_switch_robust);
+    0 is the nominal prediction. ``pretension`` o in m: smallest contraction that the command contains.
     ``contraction_share`` s: part of a cycle in which the body contracts.
 
-    The fields are those of the message worm_msgs/msg/Gait. Tables, messages, bags and the kernel read them from here by
-    name. The default of a new field must be the value that gaits recorded before the field existed had.
+    The message worm_msgs/msg/Gait has the same fields. Tables, messages, bags and the kernel use these fields by name.
+    The default of a new field must describe the gaits that were recorded before the field existed.
 
     Raises `GaitError` if a value is not finite or not in its range.
     """
@@ -121,7 +121,7 @@ class Gait:
 
     @property
     def peak_speed(self) -> float:
-        """Largest speed of the cable in m/s, that of the faster half."""
+        """Largest commanded speed of the cable in m/s, which occurs in the faster half of the cycle."""
         cosine = self.profile is Profile.COSINE
         peak = 0.5 * math.pi if cosine else 1.0 / (1.0 - self.ramp_share)
         faster = min(self.contraction_share, 1.0 - self.contraction_share)
@@ -138,7 +138,7 @@ class Gait:
         return -self.pretension - self.stroke * np.where(extending, 1.0 - progress, progress)
 
     def _progress(self, part: Any) -> Any:
-        """Return g, the share of the stroke after a part of a half cycle, both within 0 and 1."""
+        """Return g, the fraction of the stroke after the fraction ``part`` of a half cycle."""
         import numpy as np
 
         if self.profile is Profile.COSINE:
@@ -174,7 +174,7 @@ GAIT_DEFAULTS: Mapping[str, Any] = {
     if row.default is not dataclasses.MISSING
 }
 GAIT_TYPES: Mapping[str, Any] = get_type_hints(Gait)
-#: column of a table by field: its name and, unless that is 1, its unit
+#: column of a table by field: name of the field, followed by its unit unless the unit is 1
 GAIT_COLUMNS: Mapping[str, str] = {
     name: name if unit == "1" else f"{name}_{unit}" for name, unit in GAIT_UNITS.items()
 }

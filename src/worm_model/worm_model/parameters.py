@@ -2,8 +2,8 @@
 """Parameters of the worm robot and the parameter file.
 
 The keys are those of the parameter table of the paper (``tab1``) in SI units, and some that the table lacks, such as
-``initial_length``, which was calibrated, and the dry friction of both modules (see `Parameters`). One key is not a
-number: ``one_sided_cable``, the form of the power.
+``initial_length``, which was calibrated, and the dry friction of both modules (see `Parameters`). The value of one key
+is not a number: ``one_sided_cable`` selects the power model.
 """
 
 from __future__ import annotations
@@ -42,8 +42,9 @@ class Parameters(RobotParameters):
     ``rear_dry_friction`` and ``front_dry_friction`` (D1, D2) are not in the paper's model, which has viscous friction
     alone. The default 0 is the paper's model.
 
-    ``one_sided_cable``: the power is that of a cable that cannot push, with max(F_c, 0) instead of F_c in
-    eq:power_model. c_b and α_P are valid only for the form with which they were fitted. The motion is the same in both.
+    ``one_sided_cable`` selects the power model of a cable that cannot push: max(F_c, 0) replaces F_c in
+    eq:power_model. c_b and α_P are valid only for the power model with which they were fitted. Both models have the
+    same motion.
 
     Raises `ParameterError` if a value is not a finite number, is outside its admissible range (orders of magnitude, to
     detect wrong units), or if values exclude each other.
@@ -102,12 +103,13 @@ def _checked(row: dataclasses.Field[float], value: Any) -> float:
     return float(value)
 
 
-KEYS: tuple[str, ...] = tuple(row.name for row in rows_of(Parameters))  # of numbers
+KEYS: tuple[str, ...] = tuple(row.name for row in rows_of(Parameters))  # all except FORM
 UNITS: Mapping[str, str] = {row.name: row.metadata["unit"] for row in rows_of(Parameters)}
 SYMBOLS: Mapping[str, str] = {row.name: row.metadata["paper"] for row in rows_of(Parameters)}
-FORM = "one_sided_cable"  # key of the form of the power, also in a file's provenance
+FORM = "one_sided_cable"  # key of the power model, also in a file's provenance
 POWER_ONLY = frozenset(row.name for row in rows_of(Parameters) if row.metadata["power_only"])
-NOT_OF_PAPER = tuple(row.name for row in rows_of(Parameters) if not row.default)  # ours, default 0
+# not in the paper's model; default 0
+NOT_OF_PAPER = tuple(row.name for row in rows_of(Parameters) if not row.default)
 FITTED_WITH_FORM = ("bellows_damping", "power_factor")
 MADE_BY = "worm_model identify"  # beginning of the provenance's made_by in files of `identify`
 PAPER = Parameters()
@@ -137,7 +139,7 @@ def _unknown_key(key: str) -> str:
 def _check_form(
     parameters: Parameters, keys: Container[str], provenance: Mapping[str, Any]
 ) -> None:
-    """Raise `ParameterError` if c_b and α_P were fitted with another form of the power than the file's."""
+    """Raise `ParameterError` if c_b and α_P were fitted with another power model than the file selects."""
     form = parameters.one_sided_cable
     if form and not all(key in keys for key in FITTED_WITH_FORM):
         raise ParameterError(
@@ -157,7 +159,7 @@ def parse_parameter_file(content: Any) -> ParameterFile:
     """Return the `ParameterFile` of a parsed YAML document. A missing key means the paper's value.
 
     Raises `ParameterError` on an unknown key, a value that is not admissible, a malformed section, or c_b and α_P that
-    were fitted with another form of the power than the file's ``one_sided_cable``.
+    were fitted with another power model than ``one_sided_cable`` selects.
     """
     content = {} if content is None else content
     try:
@@ -171,9 +173,9 @@ def parse_parameter_file(content: Any) -> ParameterFile:
 
 
 def load_parameter_file(path: str | Path) -> ParameterFile:
-    """Return the content of a parameter file (YAML). An empty path means the paper's values.
+    """Return the content of a parameter file (YAML), or the paper's values if the path is empty.
 
-    Raises `ParameterError` whose message starts with the path.
+    Raises `ParameterError` with a message that starts with the path.
     """
     if not str(path):
         return ParameterFile()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One run of the robot as typed arrays: commands, measurements and states of the driver, from any recorder.
+"""Recording of the robot as typed arrays: commands, measurements and states of the driver, from any recorder.
 
 Stamps are acquisition stamps in ns since the epoch (int64, shape (n,)), in the order of reception. Other quantities
 are in SI units, float64 of shape (n,) unless stated otherwise. A topic that was not recorded has no samples.
@@ -42,11 +42,11 @@ def power_status_name(status: int) -> str:
 
 
 def is_another_run(before: tuple[Any, Any, Any], after: tuple[Any, Any, Any]) -> Any:
-    """Return True where a gait state is of another run than the state before it.
+    """Return True where a gait state belongs to another run than the previous state.
 
-    Each is (number of the run, number of the cycle, onset in ns), numbers or arrays of one shape. The driver's number
-    of the run decides. A driver that was restarted counts runs and cycles from 1. In a recording without numbers, runs
-    differ if their onsets differ by more than `SAME_ONSET_NS`.
+    ``before`` and ``after`` are (number of the run, number of the cycle, onset in ns), each a number or arrays of one
+    shape. Runs differ if the driver's run numbers differ, or if the cycle number decreases, because a restarted driver
+    counts from 1. In a recording without run numbers, runs differ if their onsets differ by more than `SAME_ONSET_NS`.
     """
     (run, cycle, onset), (next_run, next_cycle, next_onset) = before, after
     restarted, moved = next_cycle < cycle, abs(next_onset - onset) > SAME_ONSET_NS
@@ -54,7 +54,7 @@ def is_another_run(before: tuple[Any, Any, Any], after: tuple[Any, Any, Any]) ->
 
 
 def seconds(stamp: Stamps, origin: int) -> Array:
-    """Return stamps as s since an origin (ns since the epoch), exact to a ns for months around it."""
+    """Return stamps as s since an origin (ns since the epoch), exact to a ns within months of the origin."""
     return (stamp - origin).astype(np.float64) * 1e-9
 
 
@@ -101,7 +101,7 @@ class LengthSamples:
 
 @dataclass(frozen=True)
 class TrackerSamples:
-    """Positions along the pipe, x1 of the rear and x2 of the front module, m; NaN while a marker is occluded."""
+    """Positions of the rear module (x1) and the front module (x2) along the pipe, m; NaN while a marker is occluded."""
 
     stamp: Stamps = field(default_factory=_stamps)
     rear_position: Array = field(default_factory=_array)
@@ -139,8 +139,8 @@ _GaitColumns: Any = make_dataclass(
 class GaitStates(_GaitColumns):
     """States of the driver: `state` as in GaitState, the gait, and its `onset` (ns since the epoch, 0: unknown).
 
-    The fields of `Gait` are arrays of the same names; those that a recording lacks have the gait's defaults.
-    `run` is the driver's number of the run, 0 in recordings without it.
+    The fields of `Gait` are arrays with the same names. Fields that a recording lacks have the defaults of `Gait`.
+    `run` is the driver's number of the run, 0 in recordings without run numbers.
     """
 
     stamp: Stamps = field(default_factory=_stamps)
@@ -174,7 +174,7 @@ class GaitStates(_GaitColumns):
 
     @property
     def mixed(self) -> bool:
-        """True if a run continues after another one has begun: states of several drivers, or merged recordings."""
+        """True if a run continues after another one has begun, as with several drivers or in merged recordings."""
         onset = self.onset[self._played_rows]
         first = np.append(True, np.abs(np.diff(onset)) > SAME_ONSET_NS)[: onset.size]
         return bool((np.diff(np.sort(onset[first])) <= SAME_ONSET_NS).any())
@@ -227,7 +227,7 @@ class MemorySamples:
 
 @dataclass(frozen=True)
 class Run:
-    """Recorded run; `origin` is its least stamp (ns since the epoch), 0 without any sample."""
+    """Recording of one or several gaits; `origin` is its smallest stamp (ns since the epoch), 0 without samples."""
 
     origin: int = 0
     commanded: LengthSamples = field(default_factory=LengthSamples)

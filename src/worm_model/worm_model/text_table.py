@@ -8,10 +8,10 @@ _NUMBER = re.compile(r"[-+−]?(\d|nan|inf|none$)")
 
 
 def text_table(rows: Sequence[Sequence[str]]) -> str:
-    """Return rows of equal length as aligned text, the heads first.
+    """Return rows of equal length as aligned text; the first row contains the column heads.
 
-    A column of numbers is aligned to the right, any other column to the left. "none" and an empty cell count as
-    numbers.
+    A column of numbers is aligned to the right, any other column to the left. Cells with "none" and empty cells count
+    as numbers.
     """
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     numbers = [

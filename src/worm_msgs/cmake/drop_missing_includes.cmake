@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 # Only for the ROS wheels of PyPI, passed as CMAKE_PROJECT_worm_msgs_INCLUDE by ./worm build.
 # The Python targets that those wheels export name include folders of the machine that built the
-# wheels. CMake rejects a target whose include folder does not exist. Those folders are not needed,
-# as CMake finds this machine's Python and NumPy, so this file drops the ones that do not exist.
+# wheels. CMake rejects a target whose include folder does not exist. CMake finds this machine's
+# Python and NumPy and does not need these folders, so this file drops folders that do not exist.
 
 cmake_policy(SET CMP0057 NEW)
 find_package(ament_cmake REQUIRED)

@@ -2,8 +2,8 @@
 """Exclusive use of a namespace: one driver and one node graph for each robot on this computer.
 
 A claim is a listening socket in Linux's abstract socket namespace. The kernel allows one socket per name, for all
-users, and removes it when its process ends, for whatever reason. So a claim is never stale. It is not visible on other
-computers; the driver looks for their drivers in the ROS graph.
+users, and removes the socket when its process ends, for whatever reason. So a claim is never stale. A claim is not
+visible on other computers. The driver searches the ROS graph for drivers on these.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ DRIVER = "driver"
 GRAPH = "node graph"
 #: service that only drivers have, whatever their names
 DRIVER_SERVICE = "run_gait/_action/send_goal"
-#: s, for which DDS still announces a driver that was killed: a silent participant counts as alive for 20 s
+#: s, time after which DDS no longer announces a killed driver. A silent participant counts as alive for 20 s
 ANNOUNCED_S = 25.0
 _CREDENTIALS = struct.Struct("3i")  # pid, uid, gid: struct ucred, unix(7)
 
 
 class ClaimedError(RuntimeError):
-    """Another process has the claim. The message names it."""
+    """Another process has the claim. The message contains the process id if it is known."""
 
 
 def claim(role: str, namespace: str, domain: int) -> socket.socket:
@@ -64,13 +64,13 @@ def claim_graph(namespace: str, domain: int) -> socket.socket:
 
 
 def domain_of(environment: Mapping[str, str]) -> int:
-    """Return the ROS domain that an environment selects. A value that is no number gives 0; ROS rejects it later."""
+    """Return the ROS domain that an environment selects. Return 0 for an invalid value, which ROS rejects later."""
     text = environment.get("ROS_DOMAIN_ID", "")
     return int(text) if text.isdecimal() else 0
 
 
 def _address(role: str, namespace: str, domain: int) -> bytes:
-    """Return the address of the socket. It contains a hash, as the length of a socket's name is limited."""
+    """Return the address of the socket. It contains a hash, because the length of an address is limited."""
     digest = hashlib.sha256(namespace.strip("/").encode()).hexdigest()[:32]
     return f"\0worm {role} {domain} {digest}".encode()
 
@@ -84,6 +84,6 @@ def _holder(role: str, namespace: str, domain: int) -> str:
             credentials = client.getsockopt(
                 socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size
             )
-        except OSError:  # It has just ended, or its queue of connections is full.
+        except OSError:  # The process has just ended, or its queue of connections is full.
             return "another process"
     return f"process {_CREDENTIALS.unpack(credentials)[0]}"

@@ -9,7 +9,7 @@ from importlib import import_module
 
 
 def deferred(module: str) -> Callable[[], int | None]:
-    """Return the ``main`` of a module, which the first call imports.
+    """Return a function that imports a module and calls its ``main``.
 
     Until `ros_process` handles signals, SIGINT ends the process silently. A KeyboardInterrupt could get lost in an
     imported module that catches it.
@@ -24,7 +24,10 @@ def deferred(module: str) -> Callable[[], int | None]:
 
 
 def deferred_command(module: str) -> Callable[[], int | None]:
-    """Like `deferred`, for a command. Once it is imported, SIGINT raises KeyboardInterrupt again."""
+    """Return a function that imports the module of a command and calls its ``main``, see `deferred`.
+
+    After the import, SIGINT raises KeyboardInterrupt again.
+    """
 
     def main() -> int | None:
         previous = signal.signal(signal.SIGINT, signal.SIG_DFL)

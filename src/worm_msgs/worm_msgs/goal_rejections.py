@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reasons of rejected goals on a topic, as the response of ROS 2 to a goal has no field for them."""
+"""Topic with the reasons of rejected goals. The response of ROS 2 to a goal has no field for a reason."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from worm_msgs.msg import GoalRejection
 
-#: Latched, for a client that the publisher discovers only after the rejection.
+#: Latched, so that a client also receives a rejection that was published before the publisher discovered the client.
 REJECTIONS_QOS = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 

@@ -13,7 +13,7 @@ from collections.abc import Mapping, MutableMapping
 from dataclasses import dataclass
 from pathlib import Path
 
-#: Environment variable. 1: other hosts can reach this process.
+#: Environment variable. Its value 1 opens the network: other hosts can reach this process.
 DECISION = "WORM_NETWORK"
 
 _RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
@@ -25,13 +25,13 @@ _CYCLONE_DDS = (
     '<Peers><Peer address="127.0.0.1"/></Peers></Discovery></Domain></CycloneDDS>'
 )
 
-#: Variables that bind a middleware to the loopback interface, by the start of its name.
+#: Variables that bind a middleware to the loopback interface, by the start of the middleware's name.
 _BINDINGS: Mapping[str, Mapping[str, str]] = {
     "rmw_fastrtps": {
         "FASTRTPS_DEFAULT_PROFILES_FILE": str(_FAST_DDS),
         "FASTDDS_DEFAULT_PROFILES_FILE": str(_FAST_DDS),
         "SKIP_DEFAULT_XML": "1",  # Otherwise a file in the working folder could open the network again.
-        # The profile defines all transports. For LOCALHOST the rmw would add one with sockets on every address.
+        # The profile defines all transports. For LOCALHOST the rmw would add a transport with sockets on every address.
         _RANGE: "SYSTEM_DEFAULT",
     },
     "rmw_cyclonedds": {"CYCLONEDDS_URI": _CYCLONE_DDS, _RANGE: "LOCALHOST"},
@@ -41,7 +41,7 @@ _PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE", 
 
 
 class NetworkError(Exception):
-    """The middleware cannot be bound to this machine, or the variable has an unknown value."""
+    """The middleware cannot be bound to this machine, or WORM_NETWORK has an unknown value."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Reach:
     """Hosts that can reach a process.
 
     Attributes:
-        opened_by: variable and value that open the network; empty: this machine only.
+        opened_by: environment variable and value that open the network; empty if the network is closed.
     """
 
     opened_by: str = ""
@@ -69,10 +69,11 @@ class Reach:
 
 
 def reach(environment: Mapping[str, str], middleware: str) -> Reach:
-    """Return which hosts can reach a process with this environment and middleware (name of the rmw) after `bind`.
+    """Return the hosts that can reach a process with this environment and middleware (name of the rmw) after `bind`.
 
     Raises:
-        NetworkError: The network was not opened, and this module cannot bind the middleware to this machine.
+        NetworkError: WORM_NETWORK has an unknown value, or the network was not opened and this module cannot bind the
+            middleware to this machine.
     """
     decided = environment.get(DECISION, "")
     if decided not in ("", "0", "1"):
@@ -103,9 +104,9 @@ def reach(environment: Mapping[str, str], middleware: str) -> Reach:
 
 
 def bind(environment: MutableMapping[str, str], middleware: str) -> Reach:
-    """Bind a process to this machine, unless its environment opens the network. Return which hosts can reach it.
+    """Bind this process to this machine, unless the environment opens the network. Return the hosts that can reach it.
 
-    Call it before the first context of ROS is created. Child processes inherit the environment.
+    Call this function before the first context of ROS is created. Child processes inherit the environment.
 
     Raises:
         NetworkError: See `reach`.

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Command line and declaration of the parameters of a node.
 
-A node rejects an argument, a parameter or a file that it cannot use, with one line and exit status 2. If it ignored
-them, it could run the robot with wrong values, for example with the parameter file of another robot.
+A node rejects an argument, a parameter or a file that it cannot use, with one line and exit status 2. A node that
+ignored them could run the robot with wrong values, for example with the parameter file of another robot.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from worm_msgs.parameter_rows import ParameterRow, present_names
 from worm_msgs.ros_process import ShutdownRequest, own_arguments, ros_process
 
 BAD_INPUT = 2
-#: Parameters that rclpy itself reads, in addition to those that it declares.
+#: Starts of the names of parameters that rclpy reads without declaring them.
 _ALLOWED = ("qos_overrides.",)
 _FILE_OPTION = "--params-file"
-_CONTENT = "ros__parameters"  # key in such a file
+_CONTENT = "ros__parameters"  # key of a node's parameters in a parameter file
 
 Rows = Callable[[], Sequence[ParameterRow]]
 
@@ -42,17 +42,17 @@ class ParameterRejectedError(ValueError):
 def declare(node: Node, rows: Rows) -> None:
     """Declare the parameters of a node.
 
-    A parameter of type float accepts an integer. A former name is accepted with a warning. Both rules
-    also apply to later changes. Setting a parameter to its present value succeeds.
+    A parameter of type float accepts an integer. A former name is accepted with a warning. Both rules also apply to
+    later changes. Setting a parameter to its present value succeeds, also if it is read-only.
 
     Raises:
-        ParameterRejectedError: A value has the wrong type or is out of range, no row has its name, a parameter is given
-            by both its names, or a file is for a node with a similar name.
+        ParameterRejectedError: A value has the wrong type or is out of range, a name is unknown, a parameter is given
+            by its former and its present name, or a parameter file is for a node with a similar name.
     """
     _check_files(node)
     table = rows()
     floats = frozenset(row.name for row in table if _is_float(row.default))
-    # Only this mapping of rclpy contains the parameters of the command line.
+    # Only this private mapping of rclpy contains the parameters of the command line and of the parameter files.
     overrides: dict[str, Parameter] = node._parameter_overrides
     given = list(overrides.values())
     overrides.clear()
@@ -121,10 +121,11 @@ def _reject_unknown(node: Node, overrides: dict[str, Parameter]) -> None:
 
 
 def declare_none(node: Node) -> None:
-    """Like `declare`, for a node without parameters of its own.
+    """Reject all given parameters, for a node without parameters of its own.
 
     Raises:
-        SystemExit: A parameter was given. The reason is on standard error.
+        SystemExit: A parameter was given, or a parameter file is for a node with a similar name. The reason is on
+            standard error.
     """
     try:
         declare(node, list)
@@ -134,7 +135,7 @@ def declare_none(node: Node) -> None:
 
 
 def _check_files(node: Node) -> None:
-    """Check that parameter files are for this node: rcl silently ignores the sections of other names."""
+    """Check that the parameter files are for this node, because rcl silently ignores sections with other names."""
     name = node.get_fully_qualified_name()
     files = (file for option, file in pairwise(sys.argv) if option == _FILE_OPTION)
     for file in files:
@@ -164,7 +165,7 @@ def _node_names(content: Any, prefix: str = "") -> Iterator[str]:
 
 
 def _pattern(name: str) -> str:
-    """Return a name with rcl's wildcards as a regular expression. * is one part of a name, ** any number of parts."""
+    """Return a name with rcl's wildcards as a regular expression: * is one part of a name, ** any number of parts."""
     parts = name.split("/")[1:]
     return "".join(
         "(/[^/]+)*" if part == "**" else "/" + re.escape(part).replace(r"\*", "[^/]+")
@@ -205,7 +206,7 @@ def run_node(
         rows: parameters, for ``--help``.
         run: creates and serves the node. Returns the exit status; None: 0.
         rejections: exceptions of ``run`` on bad input.
-        arguments: command line with the program's name; None: that of the process.
+        arguments: command line with the program's name; None: the command line of the process.
 
     Returns:
         Exit status.
@@ -222,7 +223,7 @@ def run_node(
 
 
 class _Parser(argparse.ArgumentParser):
-    """Parser whose only own option is --help, as a node accepts ROS arguments only."""
+    """Parser whose only option is --help, because a node otherwise accepts ROS arguments only."""
 
     def __init__(self, name: str, description: str, rows: Rows) -> None:
         table = "\n".join(

@@ -11,7 +11,8 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 
 T = TypeVar("T")
 
-#: Former name of a parameter: present name. Accepted with a warning; the next version rejects it.
+#: Present names of renamed parameters, by former name. A former name is accepted with a warning; the next version
+#: rejects it.
 RENAMED: Mapping[str, str] = {
     "rate_Hz": "rate_hz",
     "ina219.max_current_A": "ina219.max_current_a",
@@ -30,9 +31,9 @@ class ParameterRow:
 
     Attributes:
         name: lower snake case, with the unit as its last part.
-        default: default value. Its type is that of the parameter.
+        default: default value, of the type of the parameter.
         description: for --help and ``ros2 param describe``.
-        low: lower limit of a number; None: no limits.
+        low: lower limit of a number; None without limits.
         high: upper limit, given together with ``low``.
         read_only: True if it can only be set at the start.
     """
@@ -74,7 +75,7 @@ def present_names(values: Mapping[str, T], warn: Callable[[str], None]) -> dict[
                 f"parameter {name} is also given by its former name {former}: remove {former}"
             )
         warn(
-            f"parameter {former} is now named {name}: rename it, as the next version rejects {former}"
+            f"parameter {former} is now named {name}: rename it, because the next version rejects {former}"
         )
         result[name] = values[former]
     return result

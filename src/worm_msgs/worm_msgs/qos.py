@@ -3,5 +3,6 @@
 
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-#: A late subscriber receives the latest message, too. `gait_state` and `emergency_stop` use this profile.
+#: A late subscriber also receives the latest message. The topics `gait_state`, `control`, `emergency_stop` and
+#: `twin/memory` use this profile.
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Report of a node to its parent process that it is ready, in the protocol of systemd, sd_notify(3).
 
-Unlike the ROS graph, this needs no discovery and cannot confuse nodes of the same name.
+Unlike a look at the ROS graph, the report needs no discovery and cannot confuse nodes of the same name.
 """
 
 from __future__ import annotations
@@ -26,13 +26,17 @@ def announce() -> None:
         socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender,
         contextlib.suppress(
             OSError
-        ),  # the parent no longer listens, as for a node that was restarted
+        ),  # The parent no longer listens, for example to a restarted node.
     ):
         sender.sendto(_MESSAGE, address)
 
 
 class Readiness:
-    """Receiver of the report of one process, which needs ``environment`` in addition to its other variables."""
+    """Receiver of the report of one process.
+
+    Attributes:
+        environment: variables to add to the environment of the process that reports.
+    """
 
     def __init__(self) -> None:
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)

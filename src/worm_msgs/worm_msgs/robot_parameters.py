@@ -2,8 +2,9 @@
 """Table of the robot's parameters: key, default, unit, range and symbol, and the content of the parameter file.
 
 No other module declares them. The model, identification, the optimizer, the driver and the virtual robot read the
-parameters from here by key. To add a parameter,
-add a row and, if it acts on the robot, a term in the equations of the simulator's kernel and of the plant.
+parameters from here by key. To add a parameter, add a row. If the parameter acts on the robot, also add a term to the
+equations of the simulator's kernel (`worm_model.simulation.kernel`) and
+of the virtual robot's motion (`worm_driver.virtual_robot.plant`).
 """
 
 from __future__ import annotations
@@ -27,11 +28,12 @@ def _row(
     """Return a row of the table.
 
     Args:
-        default: the paper's value, 0 for an effect that the paper's model does not have.
-        unit: of the value, SI.
-        low, high: admissible range, a range of orders of magnitude that detects wrong units; `settings_file` checks it.
-        paper: symbol.
-        power_only: the value decides about power and not about motion.
+        default: the paper's value, except for L0; 0 for an effect that the paper's model does not contain.
+        unit: SI unit of the value.
+        low, high: admissible range, which `settings_file` checks. It is several orders of magnitude wide, and detects
+            wrong units.
+        paper: symbol in the paper.
+        power_only: True if the value affects the power, but not the motion.
     """
     metadata = {"unit": unit, "low": low, "high": high, "paper": paper, "power_only": power_only}
     of_file = {"ge": low, "le": high, "description": f"{paper}, {unit}"}  # names of pydantic
@@ -40,7 +42,11 @@ def _row(
 
 @dataclass(frozen=True)
 class RobotParameters:
-    """Parameters of the worm in its pipe, SI units. The defaults are the values of the paper's table ``tab1``."""
+    """Parameters of the worm in its pipe, SI units.
+
+    The defaults are the values of the paper's table ``tab1``, except L0, which this project calibrated (docs/model.md),
+    and 0 for dry friction and loads.
+    """
 
     rear_mass: float = _row(0.429, "kg", 1e-3, 1e2, "M1")
     front_mass: float = _row(0.429, "kg", 1e-3, 1e2, "M2")
@@ -71,7 +77,7 @@ class RobotParameters:
 
 
 def rows_of(table: type[RobotParameters]) -> list[Field[float]]:
-    """Return the rows of the table that are numbers."""
+    """Return the fields of a table that are parameters of the robot, without other content of a parameter file."""
     return [row for row in fields(table) if row.metadata]
 
 
@@ -81,15 +87,15 @@ _Name = Annotated[str, OneOf(tuple(ROWS))]
 
 @dataclass(frozen=True)
 class ParameterFileContent(RobotParameters):
-    """Content of a parameter file. A missing key means the paper's value.
+    """Content of a parameter file. A missing key means the default value.
 
     Attributes:
         one_sided_cable: form of the power for which c_b and α_P were fitted, see `worm_model.parameters`.
         intervals: 95 % intervals (low, high) by key, in the key's unit.
         correlations: (key, key, correlation) of the errors of two keys.
-        run_to_run: standard deviations of the robot itself from run to run by key, in the key's unit, which an interval
-            of the mean does not contain.
-        provenance: free (bags and their hashes, code version, seed).
+        run_to_run: standard deviations of the robot's values from run to run, by key, in the key's unit. The intervals
+            hold for the mean values and do not include these deviations.
+        provenance: any content, such as bags and their hashes, code version and seed.
     """
 
     one_sided_cable: bool = False
@@ -102,7 +108,7 @@ class ParameterFileContent(RobotParameters):
         """Raise ValueError if two values exclude each other."""
         for name, (low, high) in self.intervals.items():
             if not low <= high:
-                raise ValueError(f"intervals: {name}: low {low:g} is not below high {high:g}")
+                raise ValueError(f"intervals: {name}: low {low:g} is above high {high:g}")
         for first, second, _ in self.correlations:
             if first == second:
-                raise ValueError(f"correlations: {first}, {second}: give two keys")
+                raise ValueError(f"correlations: {first}, {second}: give two different keys")

@@ -25,9 +25,9 @@ from worm_msgs import network
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 #: s, longest time until a signal takes effect
 SPIN_S = 0.1
-#: s after the first signal, in which further ones belong to the same Ctrl-C: the terminal and launch may both send it
+#: s, time after the first signal in which a SIGINT belongs to the same Ctrl-C. The terminal and launch may both send it
 _SAME_PRESS_S = 1.5
-#: Start of rcl's message if the environment allows no node: a middleware without security, or no network.
+#: Start of rcl's message if no node can be created: the middleware lacks security, or there is no network.
 _NO_NODE = "error creating node"
 
 
@@ -35,9 +35,10 @@ class ShutdownRequest:
     """Request to end the process, made by a signal.
 
     Attributes:
-        first: called in the handler of the first signal, before any code that polls the request can react.
-        again: called in the handler of every later SIGINT, from an impatient operator. Later SIGTERMs do not count:
-            launch and systemd send them to escalate.
+        first: called in the handler of the first signal, before code of the main thread that polls the request can
+            react.
+        again: called in the handler of every SIGINT more than 1.5 s after the first signal (a second Ctrl-C of the
+            operator). Later SIGTERMs do not count, because launch and systemd send them to escalate.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -62,13 +63,13 @@ class ShutdownRequest:
 
 @contextlib.contextmanager
 def ros_process(arguments: Sequence[str] | None = None) -> Iterator[ShutdownRequest]:
-    """Initialise ROS for the duration of the context. SIGINT, SIGTERM and SIGHUP only set the yielded request.
+    """Initialise ROS for the duration of the context. SIGINT, SIGTERM and SIGHUP then only set the yielded request.
 
     rclpy's own handlers would shut down the context while a node still works. Only this machine can reach the process,
-    unless the environment opens the network, which is printed (module network).
+    unless the environment opens the network. In this case, a line on standard error states it (module network).
 
     Args:
-        arguments: command line with the program's name; None: that of the process.
+        arguments: command line with the program's name; None: the command line of the process.
 
     Raises:
         SystemExit: The middleware cannot be bound to this machine, or ROS rejects an argument or the environment. The
@@ -99,7 +100,7 @@ def ros_process(arguments: Sequence[str] | None = None) -> Iterator[ShutdownRequ
     finally:
         rclpy.try_shutdown()
         for number, handler in before.items():
-            # After a request the process ends now. Another Ctrl-C must not turn that into a failure.
+            # After a request the process ends now. Another Ctrl-C must not turn this end into a failure.
             signal.signal(number, signal.SIG_IGN if ending() else handler)
 
 
@@ -118,7 +119,7 @@ def own_arguments(arguments: Sequence[str]) -> list[str]:
     """Return a command line without its ROS arguments.
 
     Raises:
-        SystemExit: ROS rejects one of them, such as a parameter file. The reason is on standard error.
+        SystemExit: ROS rejects a ROS argument, such as a parameter file. The reason is on standard error.
     """
     try:
         return list(remove_ros_args(list(arguments)))
@@ -127,7 +128,7 @@ def own_arguments(arguments: Sequence[str]) -> list[str]:
 
 
 def one_line_of(error: Exception) -> str:
-    """Return a message of rcl in one line, without the positions in its source."""
+    """Return a message of rcl in one line, without positions in the source code of rcl."""
     return " ".join(re.sub(r",? at [./]\S+:\d+", "", str(error)).split())
 
 
@@ -137,7 +138,7 @@ def _exit(error: Exception) -> SystemExit:
 
 
 def spare_pauses() -> None:
-    """Exempt all present objects from garbage collection. Call it once a node is complete.
+    """Exempt all present objects from garbage collection. To be called when a node is complete.
 
     A collection through the modules, the compiled kernel and ROS takes some 60 ms, and blocks every thread.
     """
@@ -156,7 +157,7 @@ def spin(node: Node, ended: Callable[[], bool]) -> None:
 
 
 class PolledGroup(CallbackGroup):
-    """Callback group of subscriptions that the node polls, so that the executor must not read them."""
+    """Callback group of subscriptions that the node polls. The executor must not read them."""
 
     def can_execute(self, _: object) -> bool:
         """Return False."""

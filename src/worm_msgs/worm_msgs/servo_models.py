@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Table of the servo models, the one place that has their data: one row per model.
+"""Data of the servo models in one table, with one row per model.
 
 The driver's control tables, the virtual robot's servos and the optimizer's limits on gaits are built from these rows.
 Source: ROBOTIS e-manual, sections Specifications and Control Table of each model.
@@ -23,19 +23,19 @@ class ServoRow:
     """Data of a servo model. Motor data hold at the nominal voltage and are proportional to the voltage.
 
     Attributes:
-        name: without the connector's suffix (-T, -R).
+        name: name of the model without the connector's suffix (-T, -R).
         number: model number that a ping returns.
         minimum_firmware: first version with a bus watchdog.
-        modes: operating modes.
-        supply_range: V.
-        nominal_voltage: V, the supply that the manual recommends.
-        no_load_speed: rpm.
-        stall_torque: N·m, momentary.
-        stall_current: A.
-        velocity_limit: initial value of the register, raw.
+        modes: supported values of the register operating_mode.
+        supply_range: smallest and largest supply voltage, V.
+        nominal_voltage: supply voltage that the manual recommends, V.
+        no_load_speed: speed without load, rpm.
+        stall_torque: momentary torque at standstill, N·m.
+        stall_current: current at standstill, A.
+        velocity_limit: initial value and range of the register velocity_limit, raw.
         current_unit: A per unit of the current registers; 0: the model reports a load instead.
-        current_limit: largest value of the register, raw.
-        initial: further registers whose values differ from those of the other models.
+        current_limit: largest value of the register current_limit, raw; 0 without this register.
+        initial: further registers whose initial values or ranges differ between the models, by name.
     """
 
     name: str

@@ -27,7 +27,7 @@ _YAML_TERMS = {"an object": "a mapping", "valid array": "list", " after validati
 
 
 def key(name: str | None = None, **bounds: Any) -> Any:
-    """Return the annotation of a field: its key in the file if that is not its name, and bounds such as gt and le."""
+    """Return the annotation of a field: its key in the file (default: its name), and bounds such as gt and le."""
     return Field(alias=name, **bounds)
 
 
@@ -51,13 +51,13 @@ class OneOf(Generic[T]):
 
 
 def _reject_boolean(value: Any) -> Any:
-    if isinstance(value, bool):  # which Python compares equal to 1 or 0
+    if isinstance(value, bool):  # Python compares True and False equal to 1 and 0.
         raise ValueError(f"must not be {value}")
     return value
 
 
 class Converted:
-    """Annotation of a field whose value is validated as one type and then converted by a function."""
+    """Annotation of a field. A function converts its value, after the value was validated as a type."""
 
     def __init__(self, kind: Any, function: Callable[[Any], Any]) -> None:
         self._kind, self._function = kind, function
@@ -114,7 +114,7 @@ def _adapter(kind: type[T]) -> TypeAdapter[tuple[T]]:
 
 
 def _message(errors: list[ErrorDetails], kind: type[Any]) -> str:
-    """Return the message of the first error. A misspelt key comes before the key that is missing because of it."""
+    """Return the message of one error. An unknown key is preferred, because a misspelt key also makes a key missing."""
     first = min(errors, key=lambda error: error["type"] != "unexpected_keyword_argument")
     path, value, words = first["loc"][1:], first["input"], first["msg"]
     if first["type"] == "unexpected_keyword_argument":
@@ -139,7 +139,7 @@ def _message(errors: list[ErrorDetails], kind: type[Any]) -> str:
 
 
 def _place(path: Iterable[str | int]) -> str:
-    """Return the keys and indices that lead to a value, as in servos: [0]: sign."""
+    """Return the keys and indices that lead to a value as text, for example ``servos: [0]: sign``."""
     parts = [f"[{part}]" if isinstance(part, int) else part for part in path]
     return ": ".join(parts) or "the file"
 

@@ -10,7 +10,7 @@ import yaml
 
 
 class SettingsFileError(ValueError):
-    """A file or its content is invalid; the message is one line with the key, the value and what is allowed."""
+    """A file or its content is invalid. The message is one line that names the fault and, if known, key and value."""
 
 
 def read_yaml(path: Path, error: type[Exception] = SettingsFileError) -> Any:
@@ -44,11 +44,11 @@ def parse_yaml(text: str) -> Any:
         raise SettingsFileError(f"is not valid YAML{line}: {problem}") from None
 
 
-_MERGE = "tag:yaml.org,2002:merge"  # of the key <<
+_MERGE = "tag:yaml.org,2002:merge"  # tag of the key <<
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML loader that rejects duplicate keys, of which PyYAML would silently drop the first."""
+    """YAML loader that rejects duplicate keys. PyYAML would silently drop the first of two equal keys."""
 
 
 def _unique_mapping(loader: _Loader, node: yaml.MappingNode) -> dict[Hashable, Any]:
@@ -69,7 +69,7 @@ _Loader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _unique_
 
 
 def unknown_name(kind: str, name: str, known: Iterable[str]) -> str:
-    """Return a message that a name is unknown, with the nearest known name."""
+    """Return a message that a name is unknown, with the nearest known name, or all known names if none is near."""
     near = difflib.get_close_matches(name, known, n=1)
     hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(known)}"
     return f"no {kind} {name!r}: {hint}"

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Launch of the nodes of config/system.yaml: ros2 launch worm_optimizer worm.launch.py mode:=virtual.
+"""Launch file of the nodes in config/system.yaml: ros2 launch worm_optimizer worm.launch.py mode:=virtual.
 
-Every setting of system.yaml is a launch argument. Other launch files can include this one, also under a
-PushRosNamespace, which is then a prefix of ``namespace``.
+Every setting of system.yaml is a launch argument. Other launch files can include this one. A namespace that they push
+with PushRosNamespace is then a prefix of ``namespace``.
 
-Launch calls no service and publishes nothing. It starts nothing in a namespace in which a node graph or a driver runs.
-The driver configures and activates itself after it has verified that it is the only one.
+This file calls no service and publishes nothing. It starts no node in a namespace in which a node graph or a driver
+runs. The driver configures and activates itself after it has verified that it is the only driver.
 """
 
 from __future__ import annotations
@@ -90,9 +90,9 @@ def generate_launch_description() -> LaunchDescription:
 
 
 def _reject_unknown(context: LaunchContext, known: list[str]) -> None:
-    """Raise SystemFileError if an argument of the command line is unknown.
+    """Raise `SystemFileError` if an argument of the command line is unknown.
 
-    If another launch file includes this one, nothing is rejected, because both files share all arguments.
+    If another launch file includes this one, all arguments are accepted, because some may be those of the other file.
     """
     if not any(Path(argument).name == Path(__file__).name for argument in sys.argv):
         return
@@ -107,7 +107,7 @@ def _start(context: LaunchContext, content: SystemFile) -> list[LaunchDescriptio
         return LaunchConfiguration(name).perform(context)
 
     mode, namespace = value("mode"), _full_namespace(context, value("namespace"))
-    # The system file inserts the namespace in default values.
+    # Defaults are omitted, because `SystemFile.system` inserts the namespace into them.
     settings = {
         name: value(name) for name, row in content.settings.items() if value(name) != row.default
     }
@@ -121,13 +121,13 @@ def _start(context: LaunchContext, content: SystemFile) -> list[LaunchDescriptio
 
 
 def _full_namespace(context: LaunchContext, namespace: str) -> str:
-    """Return the namespace below those that including launch files have pushed, without the first slash."""
+    """Return the namespace, with the namespaces pushed by including launch files as prefix, without the first slash."""
     pushed = context.launch_configurations.get("ros_namespace", "")
     return prefix_namespace(pushed, namespace).strip("/")
 
 
 def _sim_time(mode: str, requested: str) -> dict[str, bool]:
-    """Return the parameter use_sim_time of all nodes. Robots, also virtual ones, run in real time."""
+    """Return the parameter use_sim_time if it is requested. Raise `SystemFileError` for true outside of a replay."""
     if requested == "true" and mode != "replay":
         raise SystemFileError(
             f"use_sim_time:=true with mode:={mode}: a robot runs in real time; remove use_sim_time"
@@ -136,16 +136,13 @@ def _sim_time(mode: str, requested: str) -> dict[str, bool]:
 
 
 class _Ready(Event):
-    """Event: a node has reported that it is ready."""
+    """Event that a node has reported readiness."""
 
     name = "worm.Ready"
 
 
 class _Graph:
-    """Nodes of one robot.
-
-    The claim of the namespace lasts as long as this object exists, which is as long as launch runs.
-    """
+    """Nodes of one robot. The object exists while launch runs, and with it the claim of the namespace."""
 
     def __init__(
         self, claim: socket, namespace: str, log_level: str, sim_time: dict[str, bool]
@@ -158,7 +155,7 @@ class _Graph:
         self._failure = ""
 
     def start(self, nodes: Iterable[NodeDescription]) -> list[LaunchDescriptionEntity]:
-        """Start nodes up to the first awaited one, and the others when it is ready."""
+        """Start nodes up to the first awaited one, and the following nodes when that one is ready."""
         entities: list[LaunchDescriptionEntity] = []
         waiting = list(nodes)
         while waiting:
@@ -243,9 +240,9 @@ class _Graph:
     def _on_exit(
         self, description: NodeDescription, event: ProcessExited, context: LaunchContext
     ) -> list[LaunchDescriptionEntity]:
-        """End all nodes after a required node, or restart any other node.
+        """End all nodes if a required node has ended. Any other node is restarted by launch; report this.
 
-        A failure is raised when all nodes have ended, so that it is the last line of launch, whose exit status is 1.
+        A failure is raised when all nodes have ended. It is then the last line of launch, whose exit status is 1.
         """
         name, status = description.name, event.returncode
         self._running.discard(name)
@@ -270,9 +267,9 @@ class _Graph:
 
 
 def _end_with_launch() -> list[Substitution | str]:
-    """Return a prefix of commands with which Linux terminates the process when launch dies.
+    """Return a prefix of commands that makes Linux send SIGTERM to a process when launch dies.
 
-    On SIGTERM, launch does not end its processes (ros2/launch#666), so that a gait would continue.
+    On SIGTERM, launch itself does not end its processes (ros2/launch#666), so that a gait would continue.
     """
     tool = shutil.which("setpriv")  # util-linux
     own = [f"{tool} --pdeathsig TERM "] if tool else []

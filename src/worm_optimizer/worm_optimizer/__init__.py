@@ -1,4 +1,4 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Robust gaits for the robot, and bring-up of its node graph."""
+"""Search for robust gaits, start and operation of the node graph, studies, reports and the console."""
 
-import worm_model  # noqa: F401  # Before NumPy, because it limits NumPy's threads.
+import worm_model  # noqa: F401  # before NumPy, whose number of threads this import limits

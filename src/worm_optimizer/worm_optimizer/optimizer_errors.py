@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The one error of this package."""
+"""Error of inadmissible settings and requests."""
 
 from __future__ import annotations
 
@@ -7,4 +7,4 @@ from worm_model.errors import InputError
 
 
 class OptimizerError(InputError):
-    """A setting or a request is not admissible. The message names it, the reason and what to do."""
+    """A setting or a request is inadmissible. The message contains its name, the reason and what to do."""

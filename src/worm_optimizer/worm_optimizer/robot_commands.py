@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Commands to a robot and to the optimizer, with their progress and results, as values that do not depend on ROS."""
+"""Commands to a robot and to the optimizer, their progress and their results, as values that do not depend on ROS."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ MOST_CYCLES = 1000  # of one run; the driver has the same limit
 
 @dataclass(frozen=True)
 class GaitCommand:
-    """Gait to run until the first of the given ends; 0 stands for no such end.
+    """Gait to run until the first of the given ends is reached; 0 means that an end is not given.
 
     Attributes:
         gait: the gait.
@@ -24,7 +24,7 @@ class GaitCommand:
         distance: distance along the gait's direction, m.
 
     Raises:
-        InputError: A value is impossible, or there is no end at all.
+        InputError: A value is inadmissible, or no end is given.
     """
 
     gait: Gait
@@ -34,11 +34,11 @@ class GaitCommand:
 
     def __post_init__(self) -> None:
         if not 0 <= self.cycles <= MOST_CYCLES:
-            raise InputError(f"cycles: {self.cycles} is not between 1 and {MOST_CYCLES}")
+            raise InputError(f"cycles: {self.cycles} is not between 0 and {MOST_CYCLES}")
         if not 0 <= self.grooves <= MOST_CYCLES:
-            raise InputError(f"grooves: {self.grooves} is not between 1 and {MOST_CYCLES}")
+            raise InputError(f"grooves: {self.grooves} is not between 0 and {MOST_CYCLES}")
         if not 0.0 <= self.distance < math.inf:
-            raise InputError(f"distance: {self.distance} m is not a positive length")
+            raise InputError(f"distance: {self.distance} m is not a finite length of at least 0")
         if not (self.cycles or self.grooves or self.distance):
             raise InputError("a run needs an end: cycles, grooves or a distance")
 
@@ -67,8 +67,8 @@ class RunProgress:
     """Progress of a run.
 
     Attributes:
-        cycle: number of the present cycle; 0 while resting.
-        elapsed: time since the onset, s; negative while resting.
+        cycle: number of the present cycle; 0 while the robot rests before the gait.
+        elapsed: time since the onset, s; negative before the onset.
         grooves: grooves so far; NaN without a measurement.
         distance: distance so far, m; NaN without a measurement.
         power: mean power, W; NaN without a measurement.
@@ -96,7 +96,7 @@ Progress = Callable[[RunProgress], None]
 
 @dataclass(frozen=True)
 class ScanRequest:
-    """Margin scan of the optimizer; margins in m, with ``highest`` and ``step`` 0 for the optimizer's own values."""
+    """Request for a margin scan, in m. If ``highest`` or ``step`` is 0, the optimizer uses its own value."""
 
     direction: int
     lowest: float = 0.0
@@ -106,9 +106,9 @@ class ScanRequest:
 
 @dataclass(frozen=True)
 class FrontRequest:
-    """Optimisation; ``margin`` in m, NaN for the one at the cliff.
+    """Request for an optimisation; ``margin`` in m, NaN for the margin at the cliff.
 
-    ``probability`` 0 and an empty ``waveform`` stand for the optimizer's own values.
+    If ``probability`` is 0 or ``waveform`` is empty, the optimizer uses its own value.
     """
 
     direction: int
@@ -120,10 +120,10 @@ class FrontRequest:
 
 @dataclass(frozen=True)
 class SearchResult:
-    """Result of a search; the ``message`` describes it or the reason of a failure.
+    """Result of a search. The ``message`` describes the result, or the reason of a failure.
 
-    A scan has ``margins`` (m) with their lowest ``costs`` of transport, and the margin of the ``cliff`` (m, NaN
-    without one).
+    A scan also has ``margins`` (m), the lowest ``costs`` of transport at these, and the margin at the ``cliff`` (m; NaN
+    without a cliff).
     """
 
     success: bool
@@ -135,7 +135,7 @@ class SearchResult:
 
 @dataclass(frozen=True)
 class RunResult:
-    """Measured result of a run, in SI units, NaN without a measurement; the ``message`` describes its end."""
+    """Result of a run, in SI units. Values without a measurement are NaN. The ``message`` describes how it ended."""
 
     gait: Gait
     success: bool

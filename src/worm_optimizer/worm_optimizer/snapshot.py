@@ -18,15 +18,15 @@ class DriverState:
 
     Attributes:
         state: activity of the driver.
-        homed: True if the length of the cable is known.
+        homed: True if homing has defined the zero of the cable length.
         emergency_stop: True if the emergency stop is on.
         run: number of the latest run; 0 before the first.
-        cycle: number of the present cycle; 0 before the first.
+        cycle: number of the present cycle of the run; 0 before the first.
         cycles: number of requested cycles.
         stroke: m; 0 without a gait.
         frequency: Hz.
         direction: FORWARD or REVERSE.
-        holding: True from a stop until a person acts.
+        holding: True from a stop until a person commands otherwise.
         message: reason of the state.
         stamp_ns: stamp of the message.
         onset_ns: stamp of the gait's onset; 0 without one.
@@ -57,7 +57,7 @@ class Wish(enum.IntEnum):
 
 @dataclass(frozen=True)
 class Control:
-    """Client that has control of the robot, and client that requests it; empty: none."""
+    """Client that has control of the robot (``holder``), and client that requests it; empty if there is none."""
 
     holder: str = ""
     requester: str = ""
@@ -65,20 +65,20 @@ class Control:
 
 @dataclass(frozen=True)
 class Snapshot:
-    """Latest message of each topic; None or NaN before the first.
+    """Latest messages of the robot's topics; None or NaN before the first message.
 
     Attributes:
         driver: state of the driver.
-        control: client that has control.
+        control: clients that have and request control.
         twin: state of the twin.
         residuals: residuals of the twin; NaN where no sensor measures them.
         robot: latest sample of the tracker.
         robot_at_twin: sample of the tracker that is nearest to the stamp of ``twin``.
         lengths: body lengths by source, m.
         power: measured power, W.
-        twin_age: difference between the stamps of command and twin, s of the robot's time.
-        received: receive time of each topic, s (monotonic). Topics without a message are missing.
-        grooves: stamps (ns) and rear grooves (since the onset) of the twin's states of the last seconds.
+        twin_age: stamp of the latest command minus stamp of the twin's state, s of the robot's time.
+        received: time at which the latest message of each topic was received, s (monotonic clock).
+        grooves: stamp (ns) and rear grooves since the onset of each state of the twin in the last seconds.
     """
 
     driver: DriverState | None = None

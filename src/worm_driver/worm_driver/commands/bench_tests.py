@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Command ``bench_tests``: simulate the bellows and fin tests of the virtual robot, as CSV files for ``identify``."""
+"""Command ``bench_tests``: simulate a bellows and a fin test of the virtual robot; write CSV files for ``identify``."""
 
 import argparse
 import csv
@@ -12,9 +12,9 @@ from worm_driver.virtual_robot.virtual_robot import body_of
 from worm_driver.virtual_robot.virtual_settings import load_settings
 from worm_msgs.robot_parameters import RobotParameters
 
-#: Noise of the force sensor in the bellows and in the fin test, N.
+#: Standard deviation of the force sensor's noise in the bellows test and in the fin test, N.
 _NOISE = 0.35, 0.12
-#: Points of the two tests, m.
+#: Compressions of the bellows test and displacements of the fin test, m.
 _COMPRESSION = [0.002 * k for k in range(36)]
 _DISPLACEMENT = [0.00025 * (k - 48) for k in range(97)]
 
@@ -22,13 +22,13 @@ Rows = Iterable[tuple[float, float]]
 
 
 def bellows_test(body: RobotParameters, random: Random) -> Rows:
-    """Yield compression (m) and force (N) with sensor noise."""
+    """Yield compression (m) and force (N) of the bellows, with sensor noise."""
     for x in _COMPRESSION:
         yield x, body.bellows_stiffness * x + random.gauss(0.0, _NOISE[0])
 
 
 def fin_test(body: RobotParameters, random: Random) -> Rows:
-    """Yield fin displacement (m) from the anchor and force (N) with sensor noise; negative displacements engage."""
+    """Yield displacement of the fin from its anchor (m; negative: the fin engages) and force (N), with sensor noise."""
     half = 0.5 * body.clearance
     for x in _DISPLACEMENT:
         force = body.engaged_stiffness * min(x + half, 0.0)
@@ -58,7 +58,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the command and return the exit status."""
     parser = Parser(
         prog="bench_tests",
-        description="Simulate the bellows and the fin test of the virtual robot: bellows.csv and fin.csv for identify.",
+        description="Simulate a bellows and a fin test of the virtual robot. Write bellows.csv and fin.csv.",
     )
     parser.add_argument("folder", type=Path, metavar="FOLDER", help="folder for the two files")
     parser.add_argument(

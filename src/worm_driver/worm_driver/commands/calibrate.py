@@ -2,9 +2,9 @@
 """Command ``calibrate``: find the servos, and measure signs, spool radii and fin angles with an operator.
 
 Ids and models are read from the bus. Signs and spool radii follow from ruler readings at a few positions, and fin
-angles from fins that the operator turns. The servos move slowly, and only after the operator has answered a question.
-Their torque is off at the end. While it is on, the bus watchdog is armed, and reset while a question waits for its
-answer.
+angles from positions to which the operator turns the fins. The servos move slowly, and only after the operator has
+answered a question. At the end, the torque is released. While the torque of a servo is on, its bus watchdog is armed.
+While a question waits for its answer, the command resets the watchdog.
 """
 
 import argparse
@@ -38,17 +38,17 @@ from worm_driver.servos.transmission import Fin, Spool
 
 #: rad/s, speed of the spool during the calibration
 _SPEED = 0.5
-#: ticks, first small motion, which shows the direction
+#: ticks, size of the first small motion, which shows the direction
 _PROBE = 256
-#: ticks, tolerance of a position
+#: ticks, distance from a goal within which the servo has arrived
 _ARRIVED = 20
 #: s, longest duration of a motion
 _MOTION_TIMEOUT = 20.0
-#: s without packets after which a servo stops by itself, in case this command is killed
+#: s, time without packets after which a servo stops by itself, for example because this command was killed
 _WATCHDOG = 1.0
-#: s, period of packets while a question waits for its answer
+#: s, period of resets of the watchdog while a question waits for its answer
 _FEEDING = 0.2
-#: repetitions of a failed exchange before the operator must decide
+#: number of repetitions of a failed exchange before the operator must decide
 _RETRIES = 3
 
 Ask = Callable[[str, Callable[[], object]], str]
@@ -60,7 +60,8 @@ class Calibration:
 
     Args:
         bus: open servo bus.
-        ask: prints a question and returns the answer. Meanwhile it calls its second argument several times a second.
+        ask: prints a question and returns the answer. While it waits, it calls its second argument several times a
+            second.
         say: prints a line.
         wait: waits for a time (s).
     """
@@ -75,7 +76,7 @@ class Calibration:
         self._goals = GoalGate(bus, self._track)
 
     def find_servos(self) -> list[Servo]:
-        """Return all servos of known models that answer. Print the others."""
+        """Return all servos that answer and have a supported model. Print the ids of servos with other models."""
         answering = []
         for number in range(253):
             try:
@@ -85,14 +86,16 @@ class Calibration:
             if model in MODELS:
                 answering.append(servos.identify(self._bus, number))
             else:
-                self._say(f"servo {number}: unknown model number {model}; the servo is excluded")
+                self._say(
+                    f"servo {number}: model number {model} is not supported; the servo is excluded"
+                )
         return answering
 
     def role(self, servo: Servo) -> str:
-        """Ask the operator for the use of a servo (c, f or n), while its LED is lit.
+        """Ask the operator for the role of a servo, with its LED lit. Return c (cable), f (fin) or n (none).
 
-        A lit LED also marks that a cable servo is homed. In position mode a driver ignores this mark, so the mode is
-        set first, in case the dialogue is interrupted.
+        A lit LED is also the home mark of a cable servo. If the dialogue is interrupted, the LED may stay lit. Position
+        mode is set before, because a driver ignores the mark of a servo in this mode.
         """
         with self._bus.retrying():
             servos.prepare(self._bus, servo, POSITION_MODE)
@@ -104,9 +107,9 @@ class Calibration:
             self._bus.write(servo.number, servo["led"], 0)
 
     def cable(self, servo: Servo, turns: float, points: int) -> Spool:
-        """Return a cable servo's spool, from ruler readings while it winds the cable up. Raises DriverError."""
+        """Return the spool of a cable servo, from ruler readings while it winds the cable up. Raises DriverError."""
         self._say(
-            f"cable servo {servo.number}: turn the spool manually until the cable is just taut"
+            f"cable servo {servo.number}: turn the spool manually until the cable is just taut,"
         )
         self._ask("then do not touch the robot, and press Enter ")
         with self._bus.retrying():
@@ -137,7 +140,7 @@ class Calibration:
         return spool
 
     def fin(self, servo: Servo) -> Fin:
-        """Return a fin servo's two angles, to which the operator turns the fins. Raises DriverError."""
+        """Return a fin servo with its two angles, to which the operator turns the fins. Raises DriverError."""
         with self._bus.retrying():
             servos.prepare_fin(self._bus, servo)
         register = servo["present_position"]
@@ -154,7 +157,7 @@ class Calibration:
         return self._ask_operator(question, self._meanwhile)
 
     def _torque_on(self, servo: Servo) -> None:
-        """Hold the servo at its position. Arm its bus watchdog first, and reset it from now on."""
+        """Arm the bus watchdog of a servo, and hold the servo where it is. Questions then reset the watchdog."""
         with self._bus.retrying():
             servos.limit_motion(self._bus, servo, _SPEED, _WATCHDOG)
             position = servos.standing_position(self._bus, servo)
@@ -164,12 +167,12 @@ class Calibration:
         self._meanwhile = functools.partial(self._reset_watchdog, servo)
 
     def _reset_watchdog(self, servo: Servo) -> None:
-        """Reset the bus watchdog. A lost answer does not matter, as the servo then stops."""
+        """Reset the bus watchdog. Ignore lost answers: if the servo receives no packets, it stops."""
         with contextlib.suppress(NoReplyError, CorruptReplyError):
             self._bus.read(servo.number, servo["torque_enable"])
 
     def _reach(self, servo: Servo, ticks: int) -> None:
-        """Move a servo. If an answer is lost, the operator may repeat the motion. Raises DriverError."""
+        """Move a servo to a position (ticks). After a lost answer, the operator may repeat. Raises DriverError."""
         interrupted = False
         while True:
             try:
@@ -201,7 +204,7 @@ class Calibration:
         servos.disable(self._bus, servo)
 
     def _move(self, servo: Servo, ticks: int) -> None:
-        """Move a servo and wait until it arrives. Raises DriverError if it does not."""
+        """Move a servo to a position (ticks), and wait until it arrives. Raises DriverError if it does not."""
         self._goals.write(servo.number, ticks)
         for _ in range(round(_MOTION_TIMEOUT / 0.05)):
             position = self._bus.read(servo.number, servo["present_position"])
@@ -209,7 +212,7 @@ class Calibration:
                 return
             self._wait(0.05)
         raise DriverError(
-            f"servo {servo.number} stopped at {position} ticks and does not reach {ticks}: the cable is blocked"
+            f"servo {servo.number} stopped at {position} ticks and does not reach {ticks} ticks: the cable is blocked"
         )
 
     def _choice(self, question: str, letters: str) -> str:
@@ -274,8 +277,10 @@ def _torque_released_at_the_end(port: str, baud_rate: int) -> Iterator[ServoBus]
     try:
         yield bus
     finally:
-        with contextlib.suppress(BusError):
+        try:
             bus.torque_off_all()
+        except BusError as error:
+            _say(f"{error}: the torque may still be on; switch the power of the servos off")
         bus.close()
 
 
@@ -300,13 +305,13 @@ def main(arguments: list[str] | None = None) -> int:
     except (DriverError, OSError) as error:
         return _fail(error, 1)
     except (KeyboardInterrupt, EOFError):
-        return _fail("cancelled: the torque is off, and no file was written", 1)
+        return _fail("cancelled: no file was written", 1)
     _say(f"written: {options.output}")
     return 0
 
 
 def _ask(question: str, meanwhile: Callable[[], object]) -> str:
-    """Return a line of standard input, and call ``meanwhile`` until it arrives. Raises EOFError at its end."""
+    """Return a line of standard input. Call ``meanwhile`` until it arrives. Raises EOFError at the end of the input."""
     print(question, end="", flush=True)  # noqa: T201 (a dialogue)
     while not select.select([sys.stdin], [], [], _FEEDING)[0]:
         meanwhile()

@@ -18,16 +18,16 @@ from worm_driver.tracking.vision import Board, Calibration, Image, VideoSource, 
 FEWEST_VIEWS = 8
 _MOST_VIEWS = 60
 _FEWEST_CORNERS = 12
-_MOVED = 25.0  # pixels; images in which the board has moved less add no information
-_GOOD = 0.6  # pixels rms; a flat board and sharp images stay well below
-_BAD = 2.0  # pixels rms
-_COVERED = 0.5  # of the image's width and height that the corners should reach over
+_MOVED = 25.0  # pixels; an image in which the board has moved less since the last view adds no information
+_GOOD = 0.6  # pixels rms; reprojection error above which a warning follows. Sharp images of a flat board are below
+_BAD = 2.0  # pixels rms; reprojection error at which the calibration is rejected
+_COVERED = 0.5  # smallest share of the image's width and height that the corners should span
 
 View = tuple[Array, Array]
 
 
 def find_views(images: Iterator[Image], board: Board) -> tuple[list[View], tuple[int, int]]:
-    """Return views of the board that differ, and the image size (width, height).
+    """Return views of the board that differ, and the image size (width, height), pixels.
 
     Raises:
         ImageError: The images differ in size.
@@ -39,7 +39,7 @@ def find_views(images: Iterator[Image], board: Board) -> tuple[list[View], tuple
         size = size or (width, height)
         if size != (width, height):
             raise ImageError(
-                f"image {index} has {width} x {height} pixels, the first one {size[0]} x {size[1]}"
+                f"image {index} has {width} x {height} pixels, the first image {size[0]} x {size[1]}"
             )
         view = board.find(image)
         if len(view[1]) >= _FEWEST_CORNERS and _is_new(view, views):
@@ -68,14 +68,14 @@ def warnings_of(calibration: Calibration, views: list[View], size: tuple[int, in
         worst = int(np.argmax(calibration.view_errors)) + 1
         warnings.append(
             f"the reprojection error is {calibration.error:.2f} px (view {worst} is worst). Check that the board is "
-            "flat, the images are sharp and --square-m is the size measured on the print"
+            "flat, the images are sharp and --square-m is the side of a square measured on the print"
         )
     corners = np.concatenate([view_corners for _, view_corners in views])
     reach = np.ptp(corners, axis=0) / np.array(size)
     if reach.min() < _COVERED:
         warnings.append(
-            f"the board covers only {reach[0]:.0%} of the width and {reach[1]:.0%} of the height. Outside, the lens "
-            "model is extrapolated: add views with the board in the corners"
+            f"the board covers only {reach[0]:.0%} of the width and {reach[1]:.0%} of the height. Elsewhere in "
+            "the image, the lens model is extrapolated: add views with the board in the corners"
         )
     deviation = calibration.focal_deviation / calibration.camera.focal[0]
     if deviation > 0.005:
@@ -87,7 +87,7 @@ def warnings_of(calibration: Calibration, views: list[View], size: tuple[int, in
 
 def _images(options: argparse.Namespace) -> Iterator[Image]:
     if options.images is not None:
-        # The times of the images are not used, so that any rate serves.
+        # The times of the images are not used, so the rate does not matter.
         yield from (frame.image for frame in frames_of_folder(options.images, 1.0))
         return
     video = VideoSource(options.video)
@@ -105,7 +105,7 @@ def _parser() -> Parser:
     source.add_argument(
         "--video",
         metavar="FILE",
-        help=f"a video of the board, or a camera such as /dev/video0, until {_MOST_VIEWS} views differ",
+        help=f"a video of the board, or a camera such as /dev/video0; it is read until {_MOST_VIEWS} views differ",
     )
     parser.add_argument("--output", type=new_file, required=True, metavar="FILE.yaml")
     parser.add_argument(
@@ -119,7 +119,7 @@ def _parser() -> Parser:
         "--model",
         choices=("plumb_bob", "rational_polynomial"),
         default="plumb_bob",
-        help="rational_polynomial for wide lenses",
+        help="distortion model; rational_polynomial for wide-angle lenses (default plumb_bob)",
     )
     parser.add_argument("--name", default="camera", help="name of the camera in the file")
     return parser

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Shared parts of the camera's commands: exit status, one-line errors, no overwritten files."""
+"""Shared parts of the driver's commands: exit status, one-line errors, no overwritten files."""
 
 import argparse
 import math
@@ -51,7 +51,7 @@ def _one_line(error: BaseException) -> str:
 
 
 def new_file(text: str) -> Path:
-    """Return a path that does not exist yet, in an existing folder; for argparse."""
+    """Return a path that does not exist yet, in an existing folder. Type of an argument for argparse."""
     path = Path(text)
     if path.exists():
         raise argparse.ArgumentTypeError(f"{path} already exists; use another name")
@@ -61,7 +61,7 @@ def new_file(text: str) -> Path:
 
 
 def positive(text: str) -> float:
-    """Return a finite number above 0; for argparse."""
+    """Return a finite number above 0. Type of an argument for argparse."""
     value = float(text)
     if not (math.isfinite(value) and value > 0.0):
         raise argparse.ArgumentTypeError(f"{text} must be above 0")

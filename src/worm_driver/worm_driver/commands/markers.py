@@ -15,15 +15,15 @@ from worm_driver.tracking.vision import Board, marker_cells
 
 #: Paper sizes: width and height, m.
 PAPERS = {"a4": (0.210, 0.297), "letter": (0.2159, 0.2794)}
-#: Calibration board: columns and rows of squares, side of a square (m), dictionary. Fits both papers.
+#: Calibration board: columns and rows of squares, side of a square (m), dictionary. It fits on both papers.
 BOARD = (7, 9, 0.025, "DICT_5X5_100")
 
 _INCH = 0.0254
-_MARGIN = 0.015  # m; unprintable margin
-_HEAD = 0.035  # m; height of the ruler and its text
-_RULER = 0.1  # m
-_BOARD_PIXELS = 200  # pixels per square of the board, for an error of the cells below 0.01 mm
-_TEXT = 8  # points
+_MARGIN = 0.015  # m; margin of the page, which printers may leave empty
+_HEAD = 0.035  # m; height of the title, the ruler and its text
+_RULER = 0.1  # m; length of the line for checking the scale
+_BOARD_PIXELS = 200  # pixels per square of the board
+_TEXT = 8  # points; size of the text
 _MARKER_REMEDY = "set marker_size_m of the setup file to its side"
 
 
@@ -53,7 +53,7 @@ def _prints(options: argparse.Namespace) -> tuple[str, float, list[Print]]:
 def _pages(
     prints: Sequence[Print], size: float, paper: tuple[float, float]
 ) -> Iterator[list[tuple[Print, float, float]]]:
-    """Yield the prints of each page with the lower left corners of their black squares, m from the page's corner."""
+    """Yield the prints of each page with positions of their black squares: lower left corner (x, y) on the page, m."""
     pitch_x, pitch_y = max(1.6 * size, 0.045), 1.5 * size + 0.012
     width, height = paper[0] - 2.0 * _MARGIN, paper[1] - 2.0 * _MARGIN - _HEAD
     columns, rows = int(width / pitch_x), int(height / pitch_y)
@@ -109,7 +109,7 @@ class _Sheet:
 
         cells = marker_cells(dictionary, item.number)
         side = size / len(cells)
-        # White runs on one black square leave no seams between neighbouring cells.
+        # White rectangles, one per run of white cells, on one black square leave no seams between cells.
         self._axes.add_patch(Rectangle((x, y), size, size, facecolor="black", linewidth=0))
         for row, line in enumerate(cells):
             for start, end in _runs(line):
@@ -126,7 +126,7 @@ class _Sheet:
         )
 
     def _marks(self, x: float, y: float, size: float) -> None:
-        """Draw the cutting line, one and a half cells from the square, and the alignment marks."""
+        """Draw the cutting line, a quarter of the side away from the black square, and the alignment marks."""
         low, high, middle, tick = -0.25 * size, 1.25 * size, 0.5 * size, 0.08 * size
         self._axes.plot(
             [x + low, x + high, x + high, x + low, x + low],
@@ -191,22 +191,24 @@ def _write(path: Path, sheets: Sequence[_Sheet]) -> None:
 def _parser() -> Parser:
     parser = Parser(prog="markers", description=__doc__)
     what = parser.add_mutually_exclusive_group(required=True)
-    what.add_argument("--setup", type=Path, metavar="FILE", help="the markers of this rig (YAML)")
-    what.add_argument("--ids", type=int, nargs="+", metavar="N", help="these markers")
-    what.add_argument("--board", action="store_true", help="the board of calibrate_camera")
+    what.add_argument(
+        "--setup", type=Path, metavar="FILE", help="markers of the rig in this setup file (YAML)"
+    )
+    what.add_argument("--ids", type=int, nargs="+", metavar="N", help="markers with these ids")
+    what.add_argument("--board", action="store_true", help="calibration board for calibrate_camera")
     parser.add_argument("--output", type=new_file, required=True, metavar="FILE.pdf")
     parser.add_argument(
         "--dictionary", choices=DICTIONARIES, default="DICT_4X4_50", metavar="NAME",
-        help="of --ids (default DICT_4X4_50)",
+        help="dictionary of the markers of --ids (default DICT_4X4_50)",
     )  # fmt: skip
     parser.add_argument(
         "--size-m",
         type=positive,
         default=0.02,
         metavar="M",
-        help="black square of --ids (default 0.02)",
+        help="side of the black square of the markers of --ids (default 0.02)",
     )
-    parser.add_argument("--paper", choices=PAPERS, default="a4", help="default a4")
+    parser.add_argument("--paper", choices=PAPERS, default="a4", help="paper size (default a4)")
     return parser
 
 

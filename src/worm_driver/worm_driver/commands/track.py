@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Command ``track``: measure module positions in a video or a folder of images, without ROS.
 
-The table has one row per image: time_s, rear_position_m, front_position_m, length_m and the reason for NaN.
+The table has one row per image: time_s, rear_position_m, front_position_m, length_m and reason (for NaN).
 """
 
 import argparse
@@ -25,9 +25,9 @@ from worm_driver.tracking.tracking_errors import TrackingError
 from worm_driver.tracking.vision import MarkerDetector, write_image
 
 COLUMNS = ("time_s", "rear_position_m", "front_position_m", "length_m", "reason")
-LAB_COLUMNS = ("time_s", "x1_m", "x2_m")  # of import_lab's camera.csv
+LAB_COLUMNS = ("time_s", "x1_m", "x2_m")  # columns of import_lab's camera.csv
 PICTURES = (".png", ".jpg", ".jpeg")
-_PROGRESS_INTERVAL = 300  # images
+_PROGRESS_INTERVAL = 300  # images between two lines of progress
 
 
 def follow(tracker: Tracker, frames: Iterable[Frame]) -> Iterator[TrackedPositions]:
@@ -48,7 +48,7 @@ def follow(tracker: Tracker, frames: Iterable[Frame]) -> Iterator[TrackedPositio
 
 
 def write_table(path: Path, samples: Iterable[TrackedPositions]) -> list[TrackedPositions]:
-    """Write the table row by row, so that a cancelled run keeps its rows, and return the samples."""
+    """Write the table and return the samples. Write row by row, so that a cancelled command leaves complete rows."""
     kept = []
     with path.open("x", encoding="utf-8", newline="") as stream:
         writer = csv.writer(stream)
@@ -63,7 +63,7 @@ def write_table(path: Path, samples: Iterable[TrackedPositions]) -> list[Tracked
 def write_bag(path: Path, samples: Iterable[TrackedPositions]) -> list[TrackedPositions]:
     """Write a bag with the topics tracker and body_length/measured, and return the samples.
 
-    worm_model's command import_lab creates the bag from a table in the format of lab logs.
+    The command import_lab of worm_model creates the bag from a table in the format of lab logs.
 
     Raises:
         TrackingError: import_lab is not installed or fails.
@@ -104,23 +104,25 @@ def _parser() -> Parser:
         "--images",
         type=Path,
         metavar="FOLDER",
-        help="images in the order of times.csv, or by name",
+        help="folder of images, in the order of its times.csv, or sorted by name without this file",
     )
-    source.add_argument("--video", type=Path, metavar="FILE", help="a video")
-    parser.add_argument("--setup", type=Path, required=True, metavar="FILE", help="the rig (YAML)")
+    source.add_argument("--video", type=Path, metavar="FILE", help="video")
+    parser.add_argument(
+        "--setup", type=Path, required=True, metavar="FILE", help="setup file of the rig (YAML)"
+    )
     parser.add_argument(
         "--output",
         type=new_file,
         metavar="FILE.csv|BAG",
-        help="a CSV table, or a bag for any other name",
+        help="CSV table to write; with any other ending, a bag",
     )
     parser.add_argument(
         "--preview",
         type=new_file,
         metavar="FILE.png",
-        help="the first image with the detected markers",
+        help="picture to write: the first image with the detected markers",
     )
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.add_argument("--json", action="store_true", help="print the summary as one JSON object")
     return parser
 
 

@@ -21,7 +21,7 @@ _FIN_TOLERANCE = 40
 _FIN_STILL = 0.1
 #: Contraction below which a robot without torque does not noticeably spring back, m.
 _SPRINGS_BACK = 2e-3
-#: Smallest ratio of a servo's effort to its fault level at which it counts as blocked. Gaits need less effort.
+#: Smallest ratio of effort to fault level at which a servo counts as blocked. Gaits need less effort.
 _STRAIN = 0.85
 #: Distance beyond both ends of the stroke range within which the robot may still be activated and held, m.
 PAYOUT_TOLERANCE = 0.01
@@ -30,8 +30,8 @@ PAYOUT_TOLERANCE = 0.01
 class Actuators:
     """All servos of a robot, identified and set up, with the torque off.
 
-    If an earlier driver left the torque of a contracted robot on, it stays on, as the robot would spring back. See
-    left_on.
+    If an earlier driver left the torque of a contracted robot on, the torque stays on, as the robot would spring back.
+    See left_on.
 
     Attributes:
         settings: settings of this robot. `apply_settings` replaces them.
@@ -70,9 +70,9 @@ class Actuators:
         if contraction is not None:
             self.homed = True
             self.left_on = (
-                f"the torque is on, as an earlier driver left it, with the robot contracted by "
-                f"{contraction * 1e3:.1f} mm: it would spring back if it were released; activate to control it, "
-                "then deactivate to bring it to rest"
+                f"an earlier driver left the torque on, with the robot contracted by {contraction * 1e3:.1f} mm: the "
+                "robot would spring back without torque; activate the driver, then deactivate it to bring the robot "
+                "to rest"
             )
             return
         for servo in self.cables:
@@ -82,7 +82,10 @@ class Actuators:
             self.home()
 
     def _held_contraction(self) -> float | None:
-        """Return the contraction (m) that servos with torque from an earlier driver hold, None without torque."""
+        """Return the contraction (m) that cable servos hold with torque that an earlier driver left on.
+
+        Return None if a cable servo has no such torque, or if the robot would not spring back.
+        """
         longest = 0.0
         for spool, servo in zip(self.settings.spools, self.cables, strict=True):
             limit = own_limit(servo, self.settings.limits)
@@ -108,7 +111,7 @@ class Actuators:
     # --- torque off ----------------------------------------------------------------------------
 
     def home(self) -> None:
-        """Define the present cable length as the initial one.
+        """Define the present cable length as the initial length.
 
         Raises:
             HomingError: A torque was left on, or a servo did not accept its new zero.
@@ -187,7 +190,7 @@ class Actuators:
         return position
 
     def apply_settings(self, settings: DriverSettings) -> None:
-        """Apply other limits. The range of the goals does not shrink before the next activation."""
+        """Apply new limits. The range of the goals does not shrink before the next activation."""
         self.settings = settings
         self._longest_stroke = max(self._longest_stroke, settings.max_stroke)
         self._bound_goals()
@@ -210,8 +213,8 @@ class Actuators:
     def release(self) -> list[str]:
         """Release the torque of every servo and return the failures, one sentence each.
 
-        After an error of one servo, the others are still released. A robot with a torque that was left on is
-        not released, as it was never activated and would spring back.
+        After an error of one servo, the others are still released. While `left_on` is not empty, no servo is released,
+        as the robot would spring back.
         """
         if self.left_on:
             return [self.left_on]
@@ -244,7 +247,7 @@ class Actuators:
     def send(self, length_change: float, direction: int) -> None:
         """Send the goals of all servos in one packet.
 
-        Before homing, a length has no meaning, and the cable servos keep the goals that `hold` stored.
+        Before homing, a length has no meaning, and the cable servos keep the goals that `enable` or `hold` stored.
 
         Args:
             length_change: ΔL, m.
@@ -261,14 +264,14 @@ class Actuators:
         self._goals.send(goals)
 
     def hold(self) -> None:
-        """Keep the last goals of all servos."""
+        """Store the last goals of all servos for the next calls of `send`."""
         for servo in self.servos:
             goal = self._goals.last_sent(servo.number)
             if goal is not None:
                 self._held[servo.number] = goal
 
     def stop_fins(self) -> None:
-        """Stop fins that are flipping at their last plausible positions."""
+        """Replace the stored goals of the fins by their last plausible positions, which stops a flip."""
         for servo in self.fins:
             position = self.track.last(servo.number)
             if position is not None:
@@ -277,7 +280,7 @@ class Actuators:
     # --- evaluation of states ----------------------------------------------------------------------
 
     def length_change(self, states: tuple[ServoState, ...]) -> float:
-        """Return the mean length change by the encoders (m); NaN if a cable servo is silent or before homing."""
+        """Return the mean length change by the encoders (m); NaN if a cable servo is silent, and before homing."""
         cables = states[: len(self.cables)]
         if not self.homed or any(state is SILENT for state in cables):
             return math.nan
@@ -289,7 +292,10 @@ class Actuators:
         return math.fsum(changes) / len(changes)
 
     def strains(self, states: tuple[ServoState, ...], error: float) -> bool:
-        """Return True if a cable servo works nearly at its limit to change the length by an error (m; NaN: False)."""
+        """Return True if a cable servo works nearly at its limit to reduce an error of the length.
+
+        error: commanded minus measured length change, m. NaN yields False.
+        """
         limits = self.settings.limits
         return any(
             -spool.sign * state.effort * error > 0.0

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Control of the robot as a lease: one client has it, and loses it when its requests stop."""
+"""Control of the robot as a lease: one client has control, and loses it when its requests stop."""
 
 from worm_driver.control.heartbeat import HeartbeatMonitor
 
-#: longest lease of a client, s; a client that crashed has control for so long
+#: longest lease, s: longest time for which a client that has crashed keeps control
 MAX_LEASE = 600.0
 
 
@@ -23,9 +23,9 @@ class ControlLease:
         self._owners: dict[str, HeartbeatMonitor] = {}
 
     def request(self, client: str, lease: float, now: float) -> None:
-        """Give control to a client if it is free, renew the client's lease, or note that it requests control.
+        """Give control to a client if no client has it. Otherwise renew the client's lease or store its request.
 
-        Of several requesters the first one stays until it withdraws or falls silent.
+        Only the first of several requesters is stored, until it withdraws or falls silent.
 
         Args:
             client: name of the client; an empty one changes nothing.
@@ -64,6 +64,6 @@ class ControlLease:
             self.holder, self.requester = self.requester, ""
 
     def expire(self, now: float) -> None:
-        """Release the clients that have been silent for their lease. Call this every `heartbeat.PERIOD`."""
+        """Release the clients that have been silent for longer than their lease. Call this every `heartbeat.PERIOD`."""
         for client in [name for name, owner in self._owners.items() if owner.is_silent(now)]:
             self.release(client)

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Threads that own the robot and the power sensor.
 
-Other threads submit commands, which run between two cycles. A callback receives the snapshots. Whenever the thread
-ends, it first releases the robot over the serial bus, without ROS. A robot that would spring back keeps its torque.
+Other threads submit commands to the robot's thread, which executes them between two cycles. A callback receives the
+snapshots. Before the robot's thread ends, it releases the robot over the serial bus, without ROS. A robot that would
+spring back keeps its torque.
 """
 
 import contextlib
@@ -53,7 +54,7 @@ class PeriodicThread:
         self._meter = PeriodMeter(period)
         self._report = self._meter.report()
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
-        self._excused = False  # Set in a step that takes long on purpose: no missed deadline.
+        self._excused = False  # True if the step took long on purpose: no missed deadline
 
     def _step(self, now: float) -> bool:
         """Do the work of one cycle at a time (s, monotonic). Return False to end the thread."""
@@ -224,7 +225,7 @@ class ControlLoop(PeriodicThread):
 
         Later calls have no effect. Safe in a signal handler.
 
-        A stop ends the return to rest. The thread then ends while the robot holds its position.
+        A stop interrupts the return to rest. The thread then ends while the robot holds its position.
         """
         if self._shutdown_reason is None:
             self._robot.closing = True
@@ -239,7 +240,7 @@ class ControlLoop(PeriodicThread):
         self.request_end()
 
     def join(self, timeout: float, meanwhile: Callable[[], None] = lambda: None) -> bool:
-        """Wait for the thread to end. After the timeout it ends with its present step, wherever the robot is.
+        """Wait for the thread to end. After the timeout, end the thread after its present step, wherever the robot is.
 
         Args:
             timeout: longest wait, s.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Diagnostic reports (REP 107) that the driver publishes once a second, without ROS."""
+"""Diagnostic reports (REP 107), which the driver publishes once a second. Free of ROS."""
 
 import enum
 import math
@@ -57,10 +57,10 @@ def servo_report(
         level, message = Level.ERROR, "reports a hardware error"
     elif not low <= state.voltage <= high:
         level = Level.WARN
-        message = f"supply {state.voltage:.1f} V is not {low:.1f} to {high:.1f} V"
+        message = f"the supply is {state.voltage:.1f} V, outside {low:.1f} to {high:.1f} V"
     elif state.temperature > servo.temperature_limit - _WARM:
         level = Level.WARN
-        message = f"{state.temperature:.0f} degC, it shuts down at {servo.temperature_limit:.0f}"
+        message = f"{state.temperature:.0f} degC; the servo shuts down at {servo.temperature_limit:.0f} degC"
     else:
         level, message = Level.OK, "ok"
     return Report(
@@ -177,7 +177,7 @@ def power_report(counts: dict[SampleStatus, int], where: str) -> Report:
 
 def release_report(problems: Sequence[str]) -> Report:
     """Return the report on a release that some servos did not acknowledge."""
-    message = f"the torque may still be on: {'; '.join(problems)}: switch the supply off before you reach in"
+    message = f"the torque may still be on: {'; '.join(problems)}: switch the supply off before you touch the robot"
     return Report("driver: release", Level.ERROR, message)
 
 
@@ -209,11 +209,11 @@ def gait_report(player: PlayerState, *, active: bool, homed: bool, left_on: str 
 
 
 def network_report(text: str, *, is_local: bool) -> Report:
-    """Return the report on which computers can receive the driver's topics."""
+    """Return the report on the reach of the driver's topics: this computer alone, or the network."""
     return Report("driver: network", Level.OK if is_local else Level.WARN, text)
 
 
 def offline_report(failure: Exception | None) -> Report:
-    """Return the report while nothing is open, with the error if opening failed."""
+    """Return the report of a driver that has no open devices, with the error if a transition failed."""
     level = Level.OK if failure is None else Level.ERROR
     return Report("driver: gait", level, "not configured" if failure is None else str(failure))

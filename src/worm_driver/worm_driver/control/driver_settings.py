@@ -14,7 +14,7 @@ from worm_msgs.settings_file import read_settings
 
 @dataclass(frozen=True)
 class PowerSettings:
-    """Location of the INA219 and its shunt, in SI units. An empty bus means that there is no sensor."""
+    """I2C bus, address, shunt and range of the INA219, in SI units. An empty bus means that there is no sensor."""
 
     i2c_bus: str = "1"
     i2c_address: int = 0x40
@@ -30,7 +30,7 @@ class DriverSettings:
         watchdog: time without packets after which the servos stop by themselves, s.
         home_at_start: True if the robot stands at its initial length when the driver is configured.
         rate: rate of commands and telemetry, Hz.
-        real_time_priority: priority of the servo thread (SCHED_FIFO), half of it for the others; 0 for none.
+        real_time_priority: SCHED_FIFO priority of the servo thread, half of it for the other threads; 0 for none.
     """
 
     port: str
@@ -58,7 +58,7 @@ class DriverSettings:
             if not 0 <= number <= 252:
                 raise ConfigurationError(f"servo id {number} is not in 0 to 252")
             if ids.count(number) > 1:
-                raise ConfigurationError(f"servo id {number} is given to two servos")
+                raise ConfigurationError(f"two servos have the id {number}")
 
     @property
     def period(self) -> float:

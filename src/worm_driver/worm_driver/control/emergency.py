@@ -13,19 +13,19 @@ from worm_driver.virtual_robot.wire.virtual_clock import last_link
 SHARED_FOLDER = Path("/var/lib/worm")
 
 _REASON = (
-    "the emergency stop is on: see to the robot, then reset it with the service reset_emergency_stop "
+    "the emergency stop is on: check the robot, then reset the stop with the service reset_emergency_stop "
     "(./worm operate emergency_stop off)"
 )
 _VIRTUAL = "emergency_stop_virtual"
-#: Number of stored publishers from which absent ones are dropped.
+#: Number of stored publishers at which the absent ones are forgotten.
 _MANY = 1000
 
 
 def state_folder(environment: Mapping[str, str], shared: Path = SHARED_FOLDER) -> Path:
     """Return the folder in which an emergency stop is stored.
 
-    It is ``shared`` where that exists, and the folder of the user (XDG base directories) on a machine without it.
-    WORM_STATE_DIRECTORY names another one, and so does systemd's STATE_DIRECTORY.
+    The environment variable WORM_STATE_DIRECTORY names the folder, or else systemd's STATE_DIRECTORY. Without both,
+    it is ``shared`` if that exists, and otherwise a folder of the user (XDG base directories).
     """
     for variable in ("WORM_STATE_DIRECTORY", "STATE_DIRECTORY"):
         if environment.get(variable):
@@ -41,9 +41,9 @@ def state_folder(environment: Mapping[str, str], shared: Path = SHARED_FOLDER) -
 def latch_names(namespace: str, servos: Iterable[int], port: str) -> tuple[str, ...]:
     """Return the file names of a robot's emergency stop: one for the robot, one for its device.
 
-    A stop holds if either file exists, so neither another name of the port nor another namespace evades it. A virtual
-    robot is identified by the link in its own directory, whatever other links lead there. The number of its
-    pseudo-terminal is reused later, and several robots of one namespace may run in different ROS domains.
+    A stop is on if either file exists, so neither another name of the port nor another namespace evades it. A virtual
+    robot has one file, named after the link in its own directory. The number of its pseudo-terminal does not identify
+    it, because it is reused; nor does its namespace, because robots in other ROS domains may have an equal one.
 
     Args:
         namespace: namespace of the driver.
@@ -173,9 +173,9 @@ class StopPublishers:
     def stopping(self, present: Collection[bytes]) -> set[bytes]:
         """Return the present publishers whose last message is true.
 
-        The stop of an absent publisher is latched, and no client could revoke it, so it does not count. Some
-        middleware identifies publishers differently in messages and in the graph. Then all of them count while any
-        publisher is present.
+        An absent publisher does not count: its stop is latched, and it cannot publish false any more. Some middleware
+        identifies publishers differently in messages and in the graph. Then all stored publishers count as present
+        while the graph shows any publisher.
         """
         stopping = {publisher for publisher, last in self._last.items() if last.stops}
         if self._identified:

@@ -18,7 +18,7 @@ _REMEMBERED = 0.5
 
 
 class FaultWatch:
-    """Fault detection, evaluated once per cycle. A lost turn count clears the home of the actuators.
+    """Fault detection, evaluated once per cycle. A lost turn count sets `Actuators.homed` to False.
 
     Args:
         actuators: the servos.
@@ -88,7 +88,7 @@ class FaultWatch:
         return supervision.lateness(self._away, self._actuators.settings.watchdog, self._load())
 
     def _fault_of_suspect(self) -> str | None:
-        """Return a fault in the health registers of a suspect servo, read again on a quiet line.
+        """Read the health registers of a suspect servo again and return a fault that they show.
 
         Only one servo per cycle is read, to keep the cycle short.
         """
@@ -111,7 +111,7 @@ class FaultWatch:
     def _fault_of_position(self) -> str | None:
         """Return the fault of a servo whose position jumped.
 
-        Its turn count or its encoder is wrong, so the home of a cable servo is lost.
+        Its turn count or its encoder is wrong, so a cable servo is no longer homed.
         """
         robot = self._actuators
         lost = robot.track.lost

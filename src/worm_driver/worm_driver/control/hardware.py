@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Resources of a configured driver: the robot in its loop and the power sensor in its own. Free of ROS."""
+"""Resources of a configured driver: the robot and the power sensor, each with its own thread. Free of ROS."""
 
 import contextlib
 import math
@@ -25,7 +25,7 @@ from worm_driver.virtual_robot.wire.virtual_clock import I2C, SERIAL, clock_of
 
 #: Answers per cycle that an adapter may delay: those of the state and of the health register.
 _ANSWERS = 2
-#: Factor by which late cycles may prolong a return to rest, as it does not catch up.
+#: Factor by which late cycles may prolong a return to rest, which does not catch up.
 _LATENESS = 2.0
 #: Age of the oldest unread snapshot beyond which the robot is held, s.
 _LISTENING_TIMEOUT = 3.0
@@ -56,7 +56,7 @@ class Hardware:
         robot: the robot, owned by the loop.
         loop: control loop.
         snapshots: queue of the snapshots of all cycles, oldest first. The reader removes them; none is ever dropped.
-        samples: queue of the power sensor's samples, likewise.
+        samples: queue of the power sensor's samples, oldest first. The reader removes them; none is ever dropped.
 
     Raises:
         DriverError: A device is missing or does not match the settings. Everything is closed again.
@@ -69,16 +69,17 @@ class Hardware:
         why_not_start: Callable[[], str] = lambda: "",
     ):
         self.settings = settings
-        self._longest_stroke = settings.max_stroke  # that a run may have been begun with
+        # Longest of all settings so far, because a run may have begun with it.
+        self._longest_stroke = settings.max_stroke
         self.snapshots: deque[Snapshot] = deque()
         self.samples: deque[PowerSample] = deque()
         self._power_counts: Counter[SampleStatus] = Counter(dict.fromkeys(SampleStatus, 0))
         self._power: PowerLoop | None = None
         with contextlib.ExitStack() as opened:
-            # First, as its lock also protects the sensor, which has no lock, from being reset by a second driver.
+            # The bus is opened first: its lock keeps a second driver from resetting the sensor, which has no lock.
             self._bus = ServoBus.open(settings.port, settings.baud_rate)
             opened.callback(self._bus.close)
-            # Before the clock: a thread that shares a virtual robot's time may wait only by that clock.
+            # The sensor precedes the clock: once a thread uses a virtual robot's clock, it may wait only by that clock.
             sensor = _open_sensor(settings.power)
             if sensor is not None:
                 opened.callback(sensor.device.close)
@@ -122,7 +123,7 @@ class Hardware:
         return _LATENESS * math.pi / 2 * travel / self.settings.player.return_speed + 1.0
 
     def apply_settings(self, settings: DriverSettings) -> str:
-        """Apply other limits. Return a message if the present run ends because of them, else an empty string."""
+        """Apply new limits. Return a message if the present run ends because of them, else an empty string."""
         self._longest_stroke = max(self._longest_stroke, settings.max_stroke)
         self.settings = settings
         return self.loop.run(lambda now: self.robot.apply_settings(now, settings))
@@ -139,8 +140,8 @@ class Hardware:
         ]
         limits = self.robot.limits
         lines.append(
-            f"gaits to {limits.max_stroke:g} m, {limits.max_frequency:g} Hz, "
-            f"{limits.max_cable_speed:.4f} m/s of cable"
+            f"limits of gaits: stroke {limits.max_stroke:g} m, frequency {limits.max_frequency:g} Hz, "
+            f"cable speed {limits.max_cable_speed:.4f} m/s"
         )
         latency = self._bus.port.latency
         if latency > 1e-3:
@@ -155,7 +156,7 @@ class Hardware:
         return lines
 
     def close(self, reason: str, meanwhile: Callable[[], None] = lambda: None) -> list[str]:
-        """Bring the robot to rest, release it and close all devices.
+        """Bring the robot to rest, release it unless it would spring back, and close all devices.
 
         Args:
             reason: reason for the end, shown to the operator.
@@ -222,7 +223,7 @@ class Hardware:
         return 0 if self._power is None else self._power.valid_samples
 
     def _on_snapshot(self, snapshot: Snapshot) -> None:
-        """Queue a snapshot, in the loop's thread. Hold the robot if the node no longer reads the queue."""
+        """Queue a snapshot, in the loop's thread. Report a fault of the robot if the node no longer reads the queue."""
         self.snapshots.append(snapshot)
         unread = snapshot.command_time - self._oldest(snapshot).command_time
         if snapshot.active and unread > _LISTENING_TIMEOUT:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Supervision of the heartbeats that a run's owner sends."""
+"""Supervision of the heartbeats that the owner of a run or of a lease sends."""
 
 import math
 
@@ -8,9 +8,9 @@ PERIOD = 0.1
 
 
 class HeartbeatMonitor:
-    """Heartbeat monitor of one run. One thread records heartbeats, another one checks them.
+    """Heartbeat monitor of one run or lease. One thread may record heartbeats while another one checks them.
 
-    Time in which the driver itself was late does not count as silence, as the heartbeats wait in its queues.
+    Time in which the driver itself was late does not count as silence, as heartbeats may wait in its queues.
 
     Args:
         timeout: heartbeat timeout, s; infinite if no heartbeats are required.

@@ -36,7 +36,7 @@ VIRTUAL = Scheduling(granted=True, description="not needed: the virtual robot's 
 def _set_priority(priority: int) -> None:
     """Set the priority of the calling thread, and half of it for the other threads of the interpreter.
 
-    A thread of normal priority that holds the interpreter and waits for a processor would also block the first one.
+    A thread of normal priority that holds the interpreter and waits for a processor would block the calling thread.
 
     Raises:
         OSError: Linux does not permit it.

@@ -35,7 +35,7 @@ _ATTEMPTS = 5
 _HOLDS = (Phase.HOLDING, Phase.FAULT)
 #: Largest lag of a freely moving cable behind its command, s.
 _LAG = 0.05
-#: Time after which a stopped robot stands still, s.
+#: Time after a stop for which the robot may still move, s.
 _STANDS = 0.5
 #: Largest difference between two agreeing readings of the cable length, m. It is not 0, because the body may be
 #: springing back.
@@ -57,7 +57,7 @@ class Robot:
     Attributes:
         player: state of the gait player.
         active: True while the torque is on.
-        closing: True while the driver shuts down. No run begins any more.
+        closing: True while the driver shuts down. No run can then begin.
 
     Raises:
         BusError: A servo does not answer.
@@ -113,7 +113,7 @@ class Robot:
     # --- commands: each between two cycles -----------------------------------------------------
 
     def home(self) -> None:
-        """Define the present cable length as the initial one.
+        """Define the present cable length as the initial length.
 
         Raises:
             HomingError: The torque is on, or a servo did not accept its new zero.
@@ -187,7 +187,7 @@ class Robot:
             before = cable
         problems = "; ".join(f"servo {servo} {why}" for servo, why in self._reader.problems.items())
         raise NoReplyError(
-            f"no length of the cable: {problems or 'its servo gives another position each time'}"
+            f"cannot measure the length of the cable: {problems or 'its servo reports another position each time'}"
         )
 
     def start(self, now: float, gait: Gait, cycles: int) -> int:
@@ -205,10 +205,9 @@ class Robot:
         return self.player.run.number
 
     def apply_settings(self, now: float, settings: DriverSettings) -> str:
-        """Apply other limits.
+        """Apply new limits.
 
-        A run that violates them ends at its next point of rest. The returned message reports that; otherwise it is
-        empty.
+        A run that violates them ends at its next point of rest. Return a message in this case, else an empty string.
         """
         self.actuators.apply_settings(settings)
         run = self.player.active_run
@@ -291,15 +290,15 @@ class Robot:
     def is_closed(self, now: float) -> bool:
         """Return True if the driver may end at a time (s).
 
-        The robot is then at rest, or was stopped on the way and stands still.
+        It may end if the torque is off, if the robot is at rest, or some time after a stop on the way to rest.
         """
         stands = self.player.phase in _HOLDS and now - self.player.phase_start >= _STANDS
         return not self.active or gait_player.at_rest(self.player) or stands
 
     def shutdown(self) -> list[str]:
-        """Release the robot at the end of the driver, unless it would spring back. Return the sentences to report.
+        """Release the robot at the end of the driver, unless it would spring back. Return the failures.
 
-        Only an operator may let a contracted robot spring back, through `release`.
+        Only `release`, at an operator's request, makes a contracted robot spring back.
         """
         if self.active and not gait_player.at_rest(self.player) and self.actuators.springs_back:
             self.active = False
@@ -307,14 +306,14 @@ class Robot:
         return self.release()
 
     def release(self) -> list[str]:
-        """Release the torque whatever fails, and return the failures, one sentence each. See `Actuators.release`."""
+        """Release the torque and return the failures, one sentence each. See `Actuators.release`."""
         self.active = False
         return self.actuators.release()
 
     # --- the cycle -----------------------------------------------------------------------------
 
     def cycle(self, now: float) -> Snapshot:
-        """Play one step and read the robot at a time (s). Never raises an error of a servo or of the port."""
+        """Execute one cycle at a time (s) and return its result. Never raises an error of a servo or of the port."""
         self._step(now)
         read_time = now
         try:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Result of one cycle of the robot, as a frozen value that passes from the I/O thread to other threads."""
+"""Result of one cycle of the robot, as a frozen value that passes from the servo thread to other threads."""
 
 from dataclasses import dataclass
 
@@ -18,7 +18,7 @@ class Snapshot:
         homed: True if the length of the cable is known.
         player: state of the gait player.
         commanded: commanded length change of the cable, m; NaN with the torque off.
-        cable: length change by the encoders, m; NaN if a cable servo is silent or before homing.
+        cable: length change by the encoders, m; NaN if a cable servo is silent, and before homing.
         servos: states in the order of the robot's servos; SILENT for one that did not answer.
         alerts: ids of the servos whose last answer reported a hardware error.
     """

@@ -33,7 +33,7 @@ class Limits:
 
 
 def own_limit(servo: Servo, limits: Limits) -> float:
-    """Return a cable servo's own output limit, A, or a ratio of the load if it measures no current."""
+    """Return the limit (A) that a cable servo enforces itself; a load ratio if the servo measures no current."""
     if servo.model.measures_current:
         return min(_HEADROOM * limits.max_current, servo.model.strongest_current)
     return min(_HEADROOM * limits.max_load, 1.0)
@@ -70,7 +70,7 @@ class Health:
 
 
 def silence(counts: Counts, silent: Iterable[int], watched: float) -> Counts:
-    """Return the counts after a reading in which some servos gave no state.
+    """Return the counts after a reading in which some servos returned no state.
 
     Args:
         counts: counts before the reading.
@@ -106,11 +106,12 @@ def lateness(away: float, watchdog: float, load: float) -> str:
 def crowding(load: float, cores: int) -> str:
     """Return a further explanation of a silence if the load average exceeds the number of cores, else an empty string.
 
-    The kernel forwards the bytes of a serial line in a thread without real-time priority, whatever priority ours has.
+    The kernel forwards the bytes of a serial line in a thread without real-time priority, even if the servo thread has
+    real-time priority.
     """
     if load <= cores:
         return ""
-    return f"; or its answers are held up in this computer, which is busy (load {load:.1f} on {cores} cores)"
+    return f"; or this busy computer delays its answers (load {load:.1f} on {cores} cores)"
 
 
 def overload(counts: Counts, efforts: Mapping[int, float], levels: Mapping[int, float]) -> Counts:
@@ -148,7 +149,7 @@ def fault_in_counts(
     for servo, duration in counts.silence.items():
         if duration >= limits.max_silence:
             why = problems.get(servo, "does not answer")
-            return f"servo {servo} gives no state for {duration * 1e3:.0f} ms: it {why}{otherwise}"
+            return f"servo {servo} has returned no state for {duration * 1e3:.0f} ms: it {why}{otherwise}"
     for servo, cycles in counts.overload.items():
         if cycles >= limits.overload_cycles:
             return (

@@ -91,7 +91,7 @@ class PeriodMeter:
         self._last = None
 
     def report(self) -> TimingReport:
-        """Return the timing so far."""
+        """Return the timing of the last `window` cycles, and the numbers of cycles and missed deadlines so far."""
         periods = tuple(self._periods)
         if not periods:
             unknown = (math.nan,) * 5

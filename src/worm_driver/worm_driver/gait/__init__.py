@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Gaits: what they ask for, how they are played, what was measured of them. Pure."""
+"""Gaits: waveform, limits, the state machine that plays them, and metrics of runs. Time is always an argument."""

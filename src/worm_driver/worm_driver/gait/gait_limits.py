@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Gait of the driver (paper, eq:problem_formulation_gait), and the robot's limits for gaits."""
+"""Gait as the driver plays it (paper, eq:problem_formulation_gait), and the limits of a robot for gaits."""
 
 import math
 from dataclasses import dataclass
@@ -11,29 +11,30 @@ REVERSE = -1
 
 _CONTRACTION_SHARES = (0.01, 0.99)
 _RAMP_SHARES = (0.1, 0.5)
-_ROUNDING = 1e-9  # m; 0.01 m + 0.08 m are 0.09 m
+_ROUNDING = 1e-9  # m; tolerance, because 0.02 + 0.07 exceeds 0.09 in floating point
 
 
-#: Values of `Gait.profile`, those of the message worm_msgs/msg/Gait.
+#: Values of `Gait.profile`, the same as in the message worm_msgs/msg/Gait.
 COSINE = 0
 TRAPEZOID = 1
 
 
 @dataclass(frozen=True)
 class Gait:
-    """Gait of the driver, SI. `GaitLimits` checks it for a robot.
+    """Gait, SI. `GaitLimits` checks a gait for a robot.
 
-    The fields are those of worm_msgs/msg/Gait. The defaults are the paper's sinusoid.
+    The message worm_msgs/msg/Gait has the same fields. The defaults are the paper's sinusoid.
 
     Attributes:
         stroke: S, m.
         frequency: f, cycles per second, Hz.
         direction: FORWARD or REVERSE.
         margin: robustness margin with which the gait was designed, m; it does not change the motion.
-        pretension: o, m. The contraction never falls below it.
-        contraction_share: part of a cycle in which the body contracts.
-        profile: COSINE or TRAPEZOID, shape of both halves of a cycle.
-        ramp_share: part of a half in which a TRAPEZOID accelerates, and in which it decelerates.
+        pretension: o, m; smallest contraction during the gait.
+        contraction_share: part of a cycle in which the body contracts; in the rest of the cycle it extends.
+        profile: COSINE or TRAPEZOID, waveform of the contraction and of the extension.
+        ramp_share: part of the contraction in which a TRAPEZOID accelerates, and part in which it decelerates; the same
+            for the extension.
     """
 
     stroke: float
@@ -59,7 +60,7 @@ class Gait:
         return (phase - self.contraction_share) / (1.0 - self.contraction_share)
 
     def _progress(self, part: float) -> float:
-        """Return g, the share of the stroke after a part (0 to 1) of a half cycle."""
+        """Return g, the share of the stroke that is done after a part (0 to 1) of the contraction or extension."""
         if self.profile == COSINE:
             return 0.5 * (1.0 - math.cos(math.pi * part))
         ramp = self.ramp_share
@@ -81,7 +82,7 @@ class Gait:
 
     @property
     def peak_speed(self) -> float:
-        """Largest speed of the cable, that of the faster half, m/s."""
+        """Largest commanded speed of the cable, m/s, reached in the shorter one of contraction and extension."""
         slope = math.pi / 2 if self.profile == COSINE else 1.0 / (1.0 - self.ramp_share)
         faster = min(self.contraction_share, 1.0 - self.contraction_share)
         return slope * self.stroke * self.frequency / faster
@@ -94,11 +95,11 @@ class GaitLimits:
     Attributes:
         max_stroke: largest sum of stroke and pretension, m.
         max_frequency: highest frequency, Hz.
-        max_cable_speed: minimum of the parameter and the velocity limits of the servos, m/s.
-        max_cycles: most cycles of one run.
-        min_stroke: smallest stroke, m, a few steps of the encoder.
-        min_frequency: lowest frequency, Hz. A cancelled gait completes its cycle, in at most 1 / min_frequency.
-        max_duration: longest duration of one run, s.
+        max_cable_speed: largest peak speed of the cable, m/s.
+        max_cycles: largest number of cycles of one run.
+        min_stroke: smallest stroke, m.
+        min_frequency: lowest frequency, Hz. It bounds the time in which a cancelled gait completes its cycle.
+        max_duration: longest duration of the cycles of one run, s.
     """
 
     max_stroke: float
@@ -110,7 +111,7 @@ class GaitLimits:
     max_duration: float = 7200.0
 
     def most_cycles(self, gait: Gait) -> int:
-        """Return the largest number of cycles of a run with a gait, at least 1."""
+        """Return the largest number of cycles that a run with a gait may have, at least 1."""
         if not (math.isfinite(gait.frequency) and gait.frequency > 0.0):
             return 1  # `check` rejects the gait.
         return max(1, min(self.max_cycles, math.floor(self.max_duration * gait.frequency)))

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Metrics of a run by the paper's protocol: the last three complete cycles, and idle power from the first ten samples.
+"""Metrics of a run by the paper's protocol.
 
-Times are monotonic, in s. Metrics that cannot be computed are NaN, with a reason. No metric is estimated from part of
-the data, as data is seldom missing at random: a sensor overflows where the power is largest.
+Speed and power are means over the last three complete cycles. The idle power is the mean of the first ten valid samples
+at rest. Times are monotonic, in s. Metrics that cannot be computed are NaN, with a reason. A metric is NaN, too, if its
+data contain an overflow or a gap that is too long to bridge, because data are seldom missing at random: a sensor
+overflows where the power is largest.
 """
 
 import math
@@ -21,11 +23,13 @@ STANDARD_GRAVITY = 9.80665
 AVERAGED_CYCLES = 3
 IDLE_SAMPLES = 10
 
-#: s, longest gap between two tracker samples for linear interpolation (30 Hz, two lost)
+#: s, longest gap between two tracker samples for linear interpolation (two lost samples at 30 Hz)
 _TRACKER_GAP = 0.12
-#: s, longest gap of the tracker that is bridged, and the time on either side whose samples are used for it
+#: s, longest gap between two tracker samples that is bridged
 _LONGEST_BRIDGE = 0.5
+#: s, time before a gap, and after it, whose samples are used for the bridge
 _BRIDGE_SIDE = 0.25
+#: smallest number of samples on each side of a bridge
 _LEAST_SAMPLES = 4
 #: s, longest time without a valid power sample within the averaged cycles
 _POWER_GAP = 0.25
@@ -36,18 +40,20 @@ class RunRecord:
     """Measurements of a run.
 
     Attributes:
-        positions: (time s, x1 m) of the tracker in order, without occluded samples.
-        power: all samples of the power sensor in order.
+        positions: tracker samples (time in s, x1 in m) in order of time; occluded samples are omitted.
+        power: all samples of the power sensor in order of time.
     """
 
     positions: list[tuple[float, float]] = field(default_factory=list)
     power: list[PowerSample] = field(default_factory=list)
 
     def position_at(self, time: float) -> tuple[float, float]:
-        """Return x1 (m) at a time, and the duration (s) of the tracker's gap there; NaN if the gap is too long.
+        """Return x1 (m) at a time (s), and the duration (s) of the tracker's gap that contains this time.
 
-        x1 is interpolated linearly between neighbouring samples. A short gap is bridged by a cubic through the samples
-        of a quarter second on either side, as x1 is curved at the start of a cycle.
+        x1 is interpolated linearly between neighbouring samples at most 0.12 s apart; the duration is then 0. A gap up
+        to 0.5 s is bridged by a cubic, fitted to the samples of 0.25 s on either side, because x1 is curved at the
+        start of a cycle. x1 is NaN in a longer gap, and in a gap with fewer than 4 of these samples on a side. Before
+        the first sample and after the last one, x1 is NaN and the duration is infinite.
         """
         after = bisect_left(self.positions, (time, -math.inf))
         if after == len(self.positions):
@@ -82,11 +88,17 @@ class RunRecord:
 
 @dataclass(frozen=True)
 class RunMetrics:
-    """Measured metrics of a run, SI.
+    """Measured metrics of a run, SI. A metric that cannot be computed is NaN.
 
     Attributes:
+        cycles_completed: number of complete cycles.
+        cycles_averaged: number of last complete cycles over which speed and power are averaged.
         distance: displacement of x1 along the gait's direction over all complete cycles, m.
-        reasons: reasons of missing or less certain metrics.
+        speed: mean speed of x1 along the gait's direction, m/s.
+        power: mean source power, W.
+        cost_of_transport: power divided by weight and absolute speed, without unit.
+        idle_power: mean source power at rest before the onset, W.
+        reasons: reasons of missing or less certain metrics, one each.
     """
 
     cycles_completed: int
@@ -119,7 +131,10 @@ def run_metrics(run: Run, record: RunRecord, body: RobotParameters) -> RunMetric
 
 
 def distance(run: Run, record: RunRecord) -> float:
-    """Return the displacement of x1 along the gait's direction since the onset, m; NaN without a tracker."""
+    """Return the displacement of x1 along the gait's direction from the onset to the latest sample, m.
+
+    It is NaN before the onset, without samples, or if x1 at the onset is unknown.
+    """
     if run.onset is None or not record.positions:
         return math.nan
     return run.gait.direction * (record.positions[-1][1] - record.position_at(run.onset)[0])
@@ -146,7 +161,10 @@ def _speed(run: Run, record: RunRecord, start: float, end: float) -> tuple[float
 
 
 def _mean_power(samples: Sequence[PowerSample], start: float, end: float) -> tuple[float, str]:
-    """Return the mean over time, and a reason if it is NaN. Each valid sample counts until the next one."""
+    """Return the mean power over time (W), and a reason if it is NaN.
+
+    A valid sample counts until the next valid sample. The first valid sample counts from the start.
+    """
     window = [sample for sample in samples if start <= sample.time <= end]
     if not window:
         return math.nan, "no power: no samples of the power sensor arrived"
@@ -166,7 +184,7 @@ def _mean_power(samples: Sequence[PowerSample], start: float, end: float) -> tup
 
 
 def _cost_of_transport(power: float, speed: float, body: RobotParameters) -> tuple[float, str]:
-    """Return COT = P / (m g |v|), and a reason if only the speed prevents it."""
+    """Return COT = P / (m g |v|), and a reason if the speed is 0. A NaN of power or speed has its own reason."""
     if math.isnan(power) or math.isnan(speed):
         return math.nan, ""
     if speed == 0.0:
@@ -175,7 +193,7 @@ def _cost_of_transport(power: float, speed: float, body: RobotParameters) -> tup
 
 
 def _idle_power(run: Run, samples: Sequence[PowerSample]) -> tuple[float, str]:
-    """Return the mean of the first ten valid samples at rest (eq:Pidle_est), and a reason if it is NaN."""
+    """Return the mean power (W) of the first ten valid samples at rest (eq:Pidle_est), and a reason if it is NaN."""
     if run.rest_start is None:
         return math.nan, "no idle power: the rest did not begin"
     end = math.inf if run.onset is None else run.onset

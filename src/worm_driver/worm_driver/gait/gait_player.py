@@ -1,11 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """State machine that computes the commands of the cable and the fins.
 
-A run passes through RETURNING (only if the cable is not at rest), FLIPPING (the fins are set, the robot settles),
-RESTING (idle power is sampled), RUNNING and IDLE. A gait with pretension tensions the cable once the fins are set
-(FLIPPING -> TENSIONING -> FLIPPING), and returns to delta L = 0 after its end (RUNNING -> RETURNING -> IDLE). A
-cancelled run passes through STOPPING to its next point of rest, where every cycle begins and ends: delta L = 0, or the
-pretension. stop and fault hold the cable at its position. Times are monotonic, in s.
+A run has these phases:
+
+- RETURNING: the cable returns to delta L = 0. The phase ends at once if the cable is there already.
+- FLIPPING: the fins are set, and the robot settles.
+- RESTING: the robot is at rest, and idle power is sampled.
+- RUNNING: the cycles, each from the point of rest (delta L = 0, or the pretension) back to it.
+- IDLE.
+
+With a pretension, the cable is tensioned once the fins are set (FLIPPING -> TENSIONING -> FLIPPING). After the end of
+such a run, the cable returns to delta L = 0 (RUNNING -> RETURNING -> IDLE).
+
+A run that is cancelled in RETURNING or RUNNING passes through STOPPING, and ends at the next point of rest. A run that
+is cancelled in another phase ends at once, and the cable returns to delta L = 0. `stop` and `fault` hold the cable.
+Times are monotonic, in s.
 """
 
 import enum
@@ -49,13 +58,13 @@ class Run:
     Attributes:
         number: number of the run, counted since the start of the driver.
         gait: the gait.
-        cycles: requested cycles.
-        stop_cycle: cycle after which the run stops, at most ``cycles``.
-        rest_start: start of the rest, s; None before it.
-        onset: start of the first cycle, s; None before it.
-        end: end of the run, s; None before it.
-        ending: kind of the end; None before it.
-        reason: reason of an early end.
+        cycles: requested number of cycles; `finish` lowers it.
+        stop_cycle: number of the cycle after which the run stops, at most ``cycles``.
+        rest_start: start of the rest, s; None before the rest.
+        onset: start of the first cycle, s; None before the onset.
+        end: end of the run, s; None during the run.
+        ending: kind of the end; None during the run.
+        reason: reason of an early end; empty otherwise.
     """
 
     number: int
@@ -69,14 +78,14 @@ class Run:
     reason: str = ""
 
     def cycles_completed(self, now: float) -> int:
-        """Return the number of complete cycles at a time (s)."""
+        """Return the number of complete cycles at a time (s), or at the end of a run that has ended."""
         if self.onset is None:
             return 0
         elapsed = (now if self.end is None else self.end) - self.onset
         return min(self.stop_cycle, math.floor(elapsed * self.gait.frequency + 1e-9))
 
     def cycle(self, now: float) -> int:
-        """Return the number of the present cycle, 1 in the first; 0 before the onset."""
+        """Return the number of the cycle at a time (s); the first cycle has the number 1. Return 0 before the onset."""
         if self.onset is None or now < self.onset:
             return 0
         return min(self.stop_cycle, math.floor((now - self.onset) * self.gait.frequency + 1e-9) + 1)
@@ -90,12 +99,12 @@ class PlayerState:
         phase: present phase.
         phase_start: start of the phase, s.
         length_change: commanded length change, m.
-        ramp_from: length change at the start of a return to rest or of the tensioning, m.
-        direction: commanded direction of the fins; 0 before the first run, and after a hold that stopped the fins.
+        ramp_from: commanded length change at the start of the phase, m, from which a ramp starts.
+        direction: commanded direction of the fins, 1 or -1; 0 before the first run and after a hold.
         stepped: time of the last step, s.
         still_start: time of the last commanded motion, or of the last observation of fins that are not set, s.
-        run: present run, or the last one if its ending is set.
-        message: reason of a hold or a fault.
+        run: present run; after its end, the last run.
+        message: message for the operator, such as the reason of a hold or a fault.
     """
 
     phase: Phase = Phase.IDLE
@@ -116,7 +125,7 @@ class PlayerState:
 
 @dataclass(frozen=True)
 class Observation:
-    """Observation of the robot for a step.
+    """Observed facts that decide about a change of the phase.
 
     Attributes:
         fins_set: True if the fins have reached their goals.
@@ -136,12 +145,13 @@ class PlayerSettings:
     Attributes:
         rest_duration: shortest rest before a gait, s.
         settle_time: time between a motion and the rest, in which the robot settles, s.
-        rest_samples: idle power samples that the rest waits for.
-        rest_timeout: longest rest, after which the gait starts without an idle power or a tracker, s.
-        flip_timeout: longest motion of the fins, s.
+        rest_samples: number of valid power samples that the rest waits for.
+        rest_timeout: longest rest, s. The gait then starts even without an idle power, or without a tracker sample at
+            rest.
+        flip_timeout: longest motion of the fins, s. A longer motion is a fault.
         return_speed: peak cable speed of a return to rest and of the tensioning, m/s.
-        longest_step: longest time by which such a motion advances in one step, s. After a late step the cable does not
-            catch up, as that would exceed return_speed.
+        longest_step: longest time by which a return to rest or the tensioning advances in one step, s. After a late
+            step the cable does not catch up, because that would exceed return_speed.
     """
 
     rest_duration: float = 1.0
@@ -154,7 +164,7 @@ class PlayerSettings:
 
 
 def start(state: PlayerState, now: float, gait: Gait, cycles: int) -> PlayerState:
-    """Begin a run. From a hold, the cable returns to rest first.
+    """Begin a run. The cable first returns to delta L = 0 if it is elsewhere, for example after a hold.
 
     Raises:
         LimitError: A run is in progress, or the player is in fault.
@@ -174,7 +184,10 @@ def start(state: PlayerState, now: float, gait: Gait, cycles: int) -> PlayerStat
 
 
 def finish(state: PlayerState, now: float) -> PlayerState:
-    """End the run as completed with the present cycle."""
+    """Make the present cycle the last one of the run, and count the run as completed.
+
+    Outside of RUNNING, return the state unchanged.
+    """
     run = state.active_run
     if run is None or state.phase is not Phase.RUNNING:
         return state
@@ -183,7 +196,7 @@ def finish(state: PlayerState, now: float) -> PlayerState:
 
 
 def cancel(state: PlayerState, now: float, reason: str) -> PlayerState:
-    """End the run at its next point of rest."""
+    """End the run at its next point of rest; at once if it is neither in RETURNING nor in RUNNING."""
     run = state.active_run
     if run is None or state.phase is Phase.STOPPING:
         return state
@@ -203,21 +216,24 @@ def stop(state: PlayerState, now: float, length_change: float, reason: str) -> P
 
 
 def fault(state: PlayerState, now: float, length_change: float, reason: str) -> PlayerState:
-    """Hold the cable at once, until the driver is activated again. A later fault does not replace the reason."""
+    """Hold the cable at once at a length change (m), until the driver is activated again.
+
+    A later fault does not replace the reason.
+    """
     if state.phase is Phase.FAULT:
         return state
     return _hold(state, now, length_change, Phase.FAULT, Ending.FAILED, reason)
 
 
 def return_to_rest(state: PlayerState, now: float, reason: str) -> PlayerState:
-    """End the run and pay the cable out to delta L = 0."""
+    """End the run at once, and begin to return the cable to delta L = 0."""
     if state.active_run is not None:
         state = _end(state, now, Ending.STOPPED, Phase.IDLE, reason)
     return _enter(replace(state, message=reason), Phase.RETURNING, now)
 
 
 def at_rest(state: PlayerState) -> bool:
-    """Return True if nothing moves, and the cable is at delta L = 0."""
+    """Return True in IDLE with the cable at delta L = 0."""
     return state.phase is Phase.IDLE and abs(state.length_change) <= REST_TOLERANCE
 
 
@@ -229,7 +245,7 @@ def moving(state: PlayerState) -> bool:
 def step(
     state: PlayerState, now: float, observation: Observation, settings: PlayerSettings
 ) -> PlayerState:
-    """Return the state at a time (s). Call it in every control cycle while the torque is on."""
+    """Return the next state, at a time (s). The caller steps in every control cycle while the torque is on."""
     handler = _STEPS.get(state.phase)
     if handler is None:
         return state
@@ -241,7 +257,7 @@ def step(
 
 
 def _delayed(state: PlayerState, now: float, settings: PlayerSettings) -> PlayerState:
-    """Return the state with its ramp delayed by the lateness of this step."""
+    """Return the state with its ramp delayed by the time by which this step is late."""
     is_ramp = state.phase in (Phase.RETURNING, Phase.TENSIONING) or (
         state.phase is Phase.STOPPING and state.run is not None and state.run.onset is None
     )
@@ -270,7 +286,7 @@ def _tensioning(
 
 
 def _ramp(state: PlayerState, now: float, target: float, settings: PlayerSettings) -> PlayerState:
-    """Move on a half cosine from the start of the ramp to a target (m), without steps of the speed."""
+    """Return the state on a ramp of the length change to a target (m): a half cosine, whose speed has no steps."""
     way = state.ramp_from - target
     duration = math.pi / 2 * abs(way) / settings.return_speed
     elapsed = now - state.phase_start
@@ -356,7 +372,7 @@ def _end(
 
 
 def _come_to_rest(state: PlayerState, now: float, ending: Ending, end: float) -> PlayerState:
-    """End a run as of the time ``end`` (s), and begin to pay out its pretension."""
+    """End a run at the time ``end`` (s). If the cable is not at delta L = 0, begin to return it there."""
     state = _end(state, end, ending, Phase.IDLE)
     return _enter(state, Phase.RETURNING, now) if state.length_change else state
 

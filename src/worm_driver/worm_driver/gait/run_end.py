@@ -9,19 +9,19 @@ from worm_driver.gait.gait_limits import Gait, GaitLimits
 from worm_driver.gait.gait_metrics import RunRecord, distance
 from worm_driver.gait.gait_player import Run
 
-#: part of the extension after which x1 has its final value of the cycle, except for the spring-back of the fins
+#: part of the extension after which x1 hardly changes in this cycle; only the fins still spring back
 _NEAR_END = 0.8
-#: part of a groove that may be missing, as the deflection of the fins also moves x1
+#: part of a pitch that may be missing from a number of grooves, because the deflection of the fins also moves x1
 _TOLERANCE = 0.25
-#: cycles without a gained groove after which a run makes no progress
+#: number of cycles without a gained groove after which a run makes no progress
 _CYCLES_WITHOUT_PROGRESS = 3
-#: s, latest arrival of a tracker sample after the end of a cycle
+#: s, time after the end of a cycle within which the tracker samples of the cycle arrive
 _LATENCY = 0.5
 
 
 @dataclass(frozen=True)
 class RunEnd:
-    """Requested end of a run. The condition that is reached first ends it; 0: no condition.
+    """Requested end of a run. The condition that is reached first ends the run; 0: no condition.
 
     Attributes:
         cycles: number of cycles.
@@ -53,7 +53,7 @@ class RunEnd:
 
         Args:
             run: run in progress.
-            record: its measurements.
+            record: measurements of the run.
             pitch: distance between two grooves, m.
         """
         travelled = distance(run, record)
@@ -64,7 +64,7 @@ class RunEnd:
 
 
 def is_near_cycle_end(run: Run, record: RunRecord) -> bool:
-    """Return True if the latest tracker sample is from the end of a cycle."""
+    """Return True if the latest tracker sample is from the last fifth of an extension."""
     if run.onset is None or not record.positions or record.positions[-1][0] < run.onset:
         return False
     phase = (record.positions[-1][0] - run.onset) * run.gait.frequency % 1.0
@@ -72,7 +72,10 @@ def is_near_cycle_end(run: Run, record: RunRecord) -> bool:
 
 
 def makes_no_progress(run: Run, record: RunRecord, pitch: float) -> bool:
-    """Return True if the robot no longer gains grooves. The latest tracker sample must be near a cycle's end."""
+    """Return True if the robot gained less than half a pitch in the last three cycles.
+
+    The latest tracker sample must be near the end of a cycle (`is_near_cycle_end`).
+    """
     newest, before = record.positions[-1], _CYCLES_WITHOUT_PROGRESS / run.gait.frequency
     if run.onset is None or newest[0] - before < run.onset:
         return False
@@ -81,11 +84,11 @@ def makes_no_progress(run: Run, record: RunRecord, pitch: float) -> bool:
 
 
 def unseen_cycle(run: Run, judged: int, now: float) -> int:
-    """Return the number of the cycle whose end the tracker missed; 0 if there is none.
+    """Return the number of the last complete cycle if the tracker missed its end; else 0.
 
     Args:
         run: run in progress.
-        judged: last cycle whose end the tracker saw.
+        judged: number of the last cycle whose end the tracker saw.
         now: present time, s.
     """
     if run.onset is None:

@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Detection of rest by the tracker. After a stop, a contracted body still creeps when its cable has been paid out."""
+"""Detection of rest by the tracker. A body still extends slowly after its cable has been paid out."""
 
 import math
 from collections import deque
 from collections.abc import Iterable
 
-#: s at rest before a gait. The twin determines the initial length from the samples of this span.
+#: s, duration of the rest before a gait. The twin determines the initial length from the samples of this span.
 SPAN = 1.0
-#: m, largest difference between the mean positions in the halves of that span, about a tracker's noise
+#: m, largest difference between the mean positions in the two halves of the span, about the noise of a tracker
 TOLERANCE = 3e-4
-#: samples for a mean, at least
+#: smallest number of samples for a mean
 FEWEST = 3
 
 
@@ -17,7 +17,7 @@ class Stillness:
     """Detector of rest.
 
     Attributes:
-        lasts: True if both modules were at rest for the SPAN before the latest sample; False with too few samples.
+        lasts: True if both modules were at rest during the SPAN before the latest sample. False with too few samples.
     """
 
     def __init__(self) -> None:
@@ -25,7 +25,7 @@ class Stillness:
         self._samples: deque[tuple[float, float, float]] = deque()
 
     def observe(self, time: float, rear: float, front: float) -> None:
-        """Add a sample: time (s) and positions (m), NaN while a marker is hidden.
+        """Add a sample: time of reception (s) and positions (m); a position is NaN while its marker is hidden.
 
         A time before that of the previous sample is from another clock. It clears the previous samples.
         """

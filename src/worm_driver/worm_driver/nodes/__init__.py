@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The driver, the virtual robot and their ROS interfaces: convert, one call, publish."""
+"""ROS nodes of the driver, the tracker and the virtual robot, with their interfaces."""

@@ -31,13 +31,13 @@ _STATE = {
     Phase.FAULT: GaitState.FAULT,
 }
 
-#: s, smallest change between two clocks that counts as a step of one of them
+#: s, smallest change of the difference between two clocks that counts as a step of one of them
 _CLOCK_STEP = 0.02
 
 
 @dataclass(frozen=True)
 class ClockPair:
-    """Simultaneous readings of the monotonic and the ROS clock, which convert times between them.
+    """Difference between the ROS clock and the monotonic clock, which converts times of one to times of the other.
 
     Attributes:
         offset_ns: ROS time minus monotonic time, ns.
@@ -76,8 +76,8 @@ def joint_state(
 ) -> JointState:
     """Return positions (rad), velocities (rad/s) and torques (N*m) of all servos; NaN for a servo that did not answer.
 
-    The torque is computed from the current. It is NaN for a servo that does not measure its current. If no servo does,
-    ``effort`` is empty.
+    The torque is computed from the current. It is NaN for a servo that does not measure its current. If no servo
+    measures its current, ``effort`` is empty.
     """
     torques = [
         state.effort * model.torque_constant
@@ -116,7 +116,7 @@ def power(sample: PowerSample, clocks: ClockPair) -> Power:
 
 
 def gait_from(message: GaitMessage) -> Gait:
-    """Return the gait of a message, unchecked."""
+    """Return the gait of a message without checking it."""
     return Gait(**{row.name: getattr(message, row.name) for row in fields(Gait)})
 
 
@@ -143,7 +143,7 @@ def gait_state(snapshot: Snapshot, clocks: ClockPair, *, emergency_stop: bool) -
 
 
 def diagnostics(reports: Sequence[Report], stamp: Time, robot: str) -> DiagnosticArray:
-    """Return the message for /diagnostics. All robots share this topic, so each name begins with the robot's."""
+    """Return the message for /diagnostics. All robots share this topic, so each name begins with that of the robot."""
     return DiagnosticArray(
         header=Header(stamp=stamp),
         status=[

@@ -53,7 +53,7 @@ _RELEASE = 5.0
 #: servo thread.
 _PUBLISH_PERIOD = 0.04
 
-#: s, timeout of the results of goals, and time for sending them, as DDS does not acknowledge responses
+#: s, timeout until all goals have results, and further time to send the results, as DDS does not acknowledge responses
 _ANSWERS = 1.0
 _LINGER = 0.3
 
@@ -65,7 +65,7 @@ _SERVICES: tuple[tuple[str, _Action, str], ...] = (
     (
         "home",
         lambda hardware, _: hardware.robot.home(),
-        "the present cable length is the initial one",
+        "the present cable length is now the initial length",
     ),
     (
         "reboot",
@@ -232,7 +232,7 @@ class DriverNode(LifecycleNode):
         return problems
 
     def answer_goals(self, executor: SingleThreadedExecutor) -> None:
-        """Serve until all clients have the results of their goals, as they would wait for ever."""
+        """Serve for a short time, so that all clients receive the results of their goals and do not wait for ever."""
         if not self._action.busy:
             return
         end = time.monotonic() + _ANSWERS
@@ -247,7 +247,7 @@ class DriverNode(LifecycleNode):
         self._lifecycle.reject_all()
 
     def begin_shutdown(self) -> None:
-        """Begin to bring the robot to rest, before any later stop. Safe in a signal handler."""
+        """Begin to bring the robot to rest and to end the control loop. Safe in a signal handler."""
         if self._hardware is not None:
             self._hardware.loop.shutdown(_END)
 
@@ -385,10 +385,10 @@ class DriverNode(LifecycleNode):
 
 
 def main(args: list[str] | None = None) -> int:
-    """Run the driver until SIGINT, SIGTERM or SIGHUP. The servos are released however it ends.
+    """Run the driver until SIGINT, SIGTERM or SIGHUP.
 
-    The first signal brings the robot to rest; a later Ctrl-C releases it at once. A robot that was stopped on the way
-    to rest keeps its torque, as it would spring back. The exit status is then 1.
+    The first signal brings the robot to rest and releases it; a later Ctrl-C releases it at once. After a stop on the
+    way to rest, a robot that would spring back keeps its torque. The exit status is then 1.
     """
     sys.setswitchinterval(_SWITCH_INTERVAL)
     about = "Run gaits on the robot and publish its measurements, as a lifecycle node."

@@ -17,7 +17,7 @@ from worm_driver.servos.transmission import Fin, Spool
 from worm_msgs.parameter_rows import ParameterRow
 
 HEARTBEAT = "heartbeat_s"
-#: Parameters that take effect at once. The limits of a motion can then only be lowered.
+#: Parameters that take effect at once, and those of them that can only be lowered while the driver is configured.
 _LIVE = ("limits.", "rest_duration_s", "return_speed_m_per_s", HEARTBEAT)
 _BOUNDS = ("limits.", "return_speed_m_per_s")
 _SIMULATED_TIME = "use_sim_time"
@@ -116,7 +116,7 @@ _ROWS = (
     _Row(
         "limits.max_servo_load",
         Limits.max_load,
-        "Like max_servo_current_a, for a model without a current sensor (XL430): ratio of its load.",
+        "Highest load ratio of a cable servo without a current sensor (XL430); more for 50 ms is a fault.",
         0.1,
         1.0,
     ),
@@ -140,8 +140,8 @@ _ROWS = (
     _Row(
         HEARTBEAT,
         0.0,
-        "Heartbeat timeout of every run, after which it ends at its next point of rest; 0: only the timeout of each "
-        "goal.",
+        "Heartbeat timeout of every run. A run without heartbeats ends at its next point of rest; 0: only the timeout "
+        "in the goal counts.",
         0.0,
         60.0,
     ),

@@ -15,14 +15,14 @@ from worm_driver.errors import DriverError, LimitError
 QUEUE = 4
 #: The middleware drops no request, however many wait.
 _EVERY_REQUEST = QoSProfile(history=HistoryPolicy.KEEP_ALL)
-#: s, for which the result of a goal is stored. A client requests the result as soon as its goal is accepted.
+#: s, time for which the result of a goal is stored. A client requests the result as soon as its goal is accepted.
 _RESULT_STORED = 60
 
 
 class GoalServer(ActionServer):
     """Action server in the node's executor that handles all waiting requests at once.
 
-    A goal is accepted once it has begun, and rejected otherwise.
+    A goal is accepted when its execution has begun, and rejected if it cannot begin.
 
     Args:
         node: node of the action.

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Service of the lifecycle requests in a thread of its own.
+"""Server of the lifecycle requests in a thread of its own.
 
 rclpy (7.1) serves these requests in the node's executor. A transition blocks the executor for seconds, in which the
-middleware stores ten requests and drops the others. A transition that the present state does not have raises out of
-the executor, which ends the node with a traceback. This module answers every request in both cases.
+middleware stores ten requests and drops all further ones. A request for a transition that is impossible in the present
+state raises an exception in the executor, which ends the node. This module answers every request in both cases.
 """
 
 import queue
@@ -51,8 +51,8 @@ class _Transition:
 class LifecycleRequests:
     """Server of a node's lifecycle in a thread of its own. Transitions run in the node's thread.
 
-    The response to a change that the state does not have, or that arrives during another one, has success False. The
-    reason is logged, at most once a second.
+    A request has the response success False if its transition is impossible in the present state, or if another
+    transition is in progress. The reason is logged; the log is rate-limited.
     """
 
     def __init__(self, node: LifecycleNode):
@@ -73,7 +73,7 @@ class LifecycleRequests:
         self._rejects_all = True
 
     def close(self) -> None:
-        """End the thread. Changes that still wait are rejected."""
+        """End the thread. Transitions that still wait are rejected."""
         self._closing.set()
         self._side.close()
 
@@ -90,7 +90,7 @@ class LifecycleRequests:
     def _on_change(
         self, request: ChangeState.Request, response: ChangeState.Response
     ) -> ChangeState.Response:
-        """Pass a change to the node's thread, and answer other requests until it is done. Runs in the side thread."""
+        """Pass a transition to the node's thread, and answer other requests meanwhile. Runs in the side thread."""
         if why := self._why_impossible(request):
             return self._reject(response, why)
         transition = _Transition(request, response)
@@ -106,7 +106,7 @@ class LifecycleRequests:
         """Execute the waiting transitions. Runs in the node's thread."""
         while not self._waiting.empty():
             transition = self._waiting.get()
-            # The state may have changed in the meantime, as by autostart.
+            # The state may have changed in the meantime, for example by autostart.
             why = (
                 "the driver ends" if self._rejects_all else self._why_impossible(transition.request)
             )

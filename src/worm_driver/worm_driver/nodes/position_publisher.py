@@ -10,7 +10,7 @@ from std_msgs.msg import Header
 from worm_msgs.msg import BodyLength, Tracker
 
 FRAME = "pipe"  # x forward along the axis, z up (REP 103)
-_SAMPLES = 30  # first samples, at rest; length changes are relative to their mean length
+_SAMPLES = 30  # length changes are relative to the mean length of so many first samples, at rest
 
 
 class PositionPublisher:

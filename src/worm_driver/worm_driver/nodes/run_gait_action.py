@@ -36,8 +36,9 @@ from worm_msgs.msg import Heartbeat
 
 #: s between two feedback messages
 _FEEDBACK_PERIOD = 0.2
-#: s after a run's end. The metrics wait for a tracker sample at or after the first time, but not beyond the second.
+#: s after a run's end that the tracker's samples must reach before the result is computed
 _TRACKER_AFTERWARDS = 0.3
+#: s after a run's end at which the result is computed without them
 _TRACKER_TIMEOUT = 1.0
 
 
@@ -286,7 +287,7 @@ def _id(goal: ServerGoalHandle) -> bytes:
 
 
 def _elapsed(run: Run, snapshot: Snapshot) -> float:
-    """Return the time (s) since the onset; before it, minus the time at rest."""
+    """Return the time (s) since the onset. Before the onset, return minus the time spent in the rest before it."""
     if run.onset is not None:
         return snapshot.command_time - run.onset
     resting = snapshot.player.phase is Phase.RESTING

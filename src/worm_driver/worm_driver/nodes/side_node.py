@@ -14,7 +14,7 @@ _PERIOD = 0.5
 
 
 class SideNode:
-    """Node in addition to the main one, in its namespace and with the same remappings.
+    """Node in addition to the main node, with the namespace and the remappings of the main node.
 
     Attributes:
         node: the node. Create its services etc. before `start`. Its callbacks run in its own thread.

@@ -16,7 +16,7 @@ _PERIOD = 0.05
 
 
 class SoleDriver:
-    """Claim of a namespace: exact on this computer, and by the ROS graph on the network.
+    """Check of a namespace for other drivers: by a claim on this computer, by the ROS graph on the network.
 
     Args:
         node: node of the driver.
@@ -42,7 +42,9 @@ class SoleDriver:
         self._claim.close()
 
     def wait(self, ended: Callable[[], bool]) -> None:
-        """Wait until no other driver is announced on the network. Return at once if the network is not open.
+        """Wait until no other driver is announced on the network.
+
+        Return at once if no other computer can reach the driver.
 
         Raises:
             ConfigurationError: There is another driver.

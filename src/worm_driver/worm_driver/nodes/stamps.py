@@ -23,7 +23,7 @@ class Stamps:
         self.robot_clock: Clock | None = None
 
     def clocks(self) -> ClockPair:
-        """Return the relation of both clocks. Log a step of the ROS clock (by NTP, or a Pi without a battery).
+        """Return the difference between ROS clock and robot's clock. Log a step of the ROS clock, for example by NTP.
 
         The robot uses the monotonic clock. Stamps jump with the ROS clock; motion and metrics do not.
         """
@@ -34,7 +34,7 @@ class Stamps:
         step = 0.0 if self._clocks is None else clocks.step_since(self._clocks)
         if step:
             self._node.get_logger().warning(
-                f"the system clock was set by {step:.3f} s; the stamps jump by as much"
+                f"the system clock has jumped by {step:.3f} s, and the stamps with it"
             )
         self._clocks = clocks
         return clocks

@@ -126,7 +126,7 @@ class StopServices:
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Clear the emergency stop, unless a publisher still holds it."""
-        for subscription in self._emergencies:  # Messages from before the request count.
+        for subscription in self._emergencies:  # Messages that arrived before the request count.
             subscription.drain()
         present = self._present()
         stopping = self._publishers.stopping(present)
@@ -147,7 +147,7 @@ class StopServices:
 
 
 class _ControlTopics:
-    """Topics of the control lease, requests of clients and the holder, in the node's executor thread.
+    """Topics of the control lease: requests of clients, and the present holder. Runs in the node's executor thread.
 
     Args:
         node: node of the subscription, the publisher and the timer.

@@ -29,7 +29,7 @@ _OPEN = QoSOverridingOptions.with_default_policies()
 
 
 class TelemetryPublisher:
-    """Publisher of telemetry, which also passes the data to the action.
+    """Publisher of telemetry. It also passes the data to the action.
 
     Attributes:
         latest: latest snapshot of the open robot; None while none is open.
@@ -77,7 +77,7 @@ class TelemetryPublisher:
         self._gait_state.publish(message)
 
     def deliver(self) -> None:
-        """Wait until the subscribers have the last messages, which are lost when the node ends."""
+        """Wait for the delivery of the last messages, because the end of the node discards messages in transit."""
         for publisher in (self._joint_states, self._cable, self._power, self._gait_state):
             publisher.wait_for_all_acked(_DELIVERY)
 

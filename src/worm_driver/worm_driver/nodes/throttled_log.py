@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable
 from typing import Protocol
 
-#: lines that may be logged at once, and s until one more may be logged
+#: number of lines that may be logged at once, and time until one more line may be logged, s
 _BURST = 5
 _PERIOD = 1.0
 
@@ -21,7 +21,7 @@ class Logger(Protocol):
 
 
 class ThrottledLog:
-    """Logger of a few lines, then of at most one a second, with the number of lines that were omitted before it.
+    """Logger of a few lines at once, then of one line a second. A line ends with the number of lines omitted before it.
 
     Args:
         logger: logger of a node.
@@ -53,6 +53,6 @@ class ThrottledLog:
         if self._allowed < 1.0:
             self._omitted += 1
             return ""
-        more = f" ({self._omitted} similar lines were omitted)" if self._omitted else ""
+        more = f" ({self._omitted} lines before this one were omitted)" if self._omitted else ""
         self._allowed, self._omitted = self._allowed - 1.0, 0
         return message + more

@@ -11,7 +11,7 @@ from worm_driver.gait.stillness import Stillness
 from worm_driver.nodes.stamps import Stamps
 from worm_msgs.msg import Tracker
 
-#: s, maximum age of the latest sample at the start of a gait, and timeout of the first one (discovery takes up to 3 s)
+#: s, largest age of the latest sample at the start of a gait, and timeout of the first sample (discovery takes 3 s)
 _FRESH = 0.2
 _DISCOVERY = 5.0
 
@@ -33,17 +33,17 @@ class TrackerListener:
         node.create_subscription(Tracker, "tracker", self._on_sample, 100)
 
     def forget(self) -> None:
-        """Forget all samples, as the clock of the next robot may be another one."""
+        """Forget the time of the latest sample, as the next robot may have another clock."""
         self._last_received = -math.inf
 
     def is_ready(self) -> bool:
-        """Return True if the tracker sees the robot at rest, or if there is no tracker."""
+        """Return True if the tracker sees the robot at rest, or if no sample has arrived within the timeout."""
         if math.isinf(self._last_received):
             return time.monotonic() - self._created > _DISCOVERY
         return self.sees_robot() and self._stillness.lasts
 
     def sees_robot(self) -> bool:
-        """Return True if samples arrive."""
+        """Return True if the latest sample is recent."""
         return self._stamps.monotonic() - self._last_received < _FRESH
 
     def _on_sample(self, message: Tracker) -> None:

@@ -115,7 +115,7 @@ class TrackerNode(Node):
     def _open(self, source: str) -> None:
         if self._tracker is None:
             raise SetupError(
-                "camera_info: topic needs images from a topic; name a file of camera_info instead"
+                f"camera_info is topic, but the images come from {source}: name a calibration file in camera_info"
             )
         camera = self._tracker.camera
         arrival = self.create_guard_condition(self._on_arrival)
@@ -143,7 +143,7 @@ class TrackerNode(Node):
             if self._tracker is None or self._tracker.camera != camera:
                 self._tracker = ModuleTracker(self._setup, camera)
         elif _differ(self._setup.camera, camera):
-            text = "the calibration on camera_info differs from that of the setup file; the latter is used"
+            text = "the tracker uses the calibration of the setup file, which differs from that on camera_info"
             self.get_logger().warning(text, once=True)
 
     def _on_image(self, message: Image) -> None:

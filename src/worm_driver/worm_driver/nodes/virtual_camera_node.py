@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Node ``virtual_camera``, which renders and publishes the images of a camera next to the pipe of the virtual robot.
 
-virtual_robot starts it as a process of its own, as an image takes longer than the deadline of an answer on the bus.
+virtual_robot starts the node as a separate process, as rendering an image takes longer than an answer on the servo bus
+may take.
 Each line of standard input is an exposure: stamp in ns, x1 and x2 in m, nan while out of sight. Each line of standard
 output reports that an image was published or lost, so that the virtual time can wait for the camera.
 """
@@ -114,7 +115,7 @@ class CameraProcess:
     def __init__(self, file: Path, seed: int, namespace: str) -> None:
         command = [sys.executable, "-m", __name__, "--parameters", str(file), "--seed", str(seed)]
         command += ["--ros-args", "-r", f"__ns:={namespace}"]
-        # It has its own session, as the virtual robot handles Ctrl-C and ends it.
+        # The process has its own session, so that Ctrl-C does not reach it: the virtual robot ends the process.
         self._process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True
         )
@@ -129,7 +130,7 @@ class CameraProcess:
     def expose(self, stamp: int, rear: float, front: float, timeout: float) -> None:
         """Send an exposure (ns, m, m), after waiting up to ``timeout`` s for the publication of the previous one.
 
-        If the process is too slow, the exposure is lost.
+        If the process is too slow, an exposure is lost: the oldest that waits, or this one if the pipe is full.
 
         Raises:
             ChildProcessError: The process has ended.
@@ -168,7 +169,7 @@ class CameraProcess:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run until standard input is closed. Return the exit status."""
+    """Run until standard input is closed or a signal arrives. Return the exit status."""
     command_line = sys.argv if arguments is None else ["virtual_camera", *arguments]
     parser = Parser(prog="virtual_camera", description=__doc__)
     parser.add_argument("--parameters", type=Path, metavar="FILE")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Node ``virtual_robot``: serial and I2C ports for the driver, camera and fault injection by ROS."""
+"""Node ``virtual_robot``: serial and I2C ports for the driver, and topics of the camera and fault injection by ROS."""
 
 import argparse
 import logging
@@ -50,7 +50,7 @@ _SWITCH_INTERVAL = 0.0002  # s
 _CONDITIONS = (
     ("slope_deg", "--slope", "DEG", "slope of the pipe, uphill positive"),
     ("tether_n", "--tether", "N", "pull of the tether on the rear module"),
-    ("tether_n_per_m", "--tether-per-metre", "N_PER_M", "growth of this pull with the distance"),
+    ("tether_n_per_m", "--tether-per-metre", "N_PER_M", "additional pull per metre of tether"),
     ("distance_m", "--tether-length", "M", "length of tether in the pipe at the start"),
     ("flow_m_per_s", "--flow", "M_PER_S", "velocity of the water towards -x"),
     ("drag_area_m2", "--drag-area", "M2", "drag coefficient times area of each module"),
@@ -101,7 +101,7 @@ class VirtualRobotNode(Node):
             self._camera.close()
 
     def _publish_samples(self, samples: list[TrackerSample]) -> None:
-        """Publish tracker samples. Runs in the serving thread, as the executor's may be late."""
+        """Publish tracker samples. Runs in the serving thread, as the executor's thread may be late."""
         for sample in samples:
             stamp, places = self._stamp(sample.time), (sample.rear_position, sample.front_position)
             if self._camera is None:

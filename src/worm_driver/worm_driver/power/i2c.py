@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""16-bit registers of a device on the I2C bus, through smbus2. Only this module imports it.
+"""16-bit registers of a device on the I2C bus, through smbus2. No other module imports smbus2.
 
 SMBus transmits the low byte of a word first; the chips of this robot send the high byte first. This module swaps the
-bytes in both directions. A bus belongs to one thread, as smbus2 has no lock.
+bytes in both directions. Only one thread may use a bus, because smbus2 has no lock.
 """
 
 import contextlib
@@ -19,7 +19,7 @@ from worm_driver.virtual_robot.wire.virtual_smbus import SocketSMBus
 
 
 class WordBus(Protocol):
-    """Used methods of smbus2.SMBus."""
+    """Methods of smbus2.SMBus that this module uses."""
 
     def read_word_data(self, i2c_addr: int, register: int) -> int:
         """Read a word, low byte first."""
@@ -33,7 +33,7 @@ class WordBus(Protocol):
 
 @dataclass
 class I2CDevice:
-    """A device of big-endian 16-bit registers at an address of a bus.
+    """Device with big-endian 16-bit registers at an address of a bus.
 
     Attributes:
         bus: open bus.
@@ -46,12 +46,12 @@ class I2CDevice:
     address: int
 
     def reopen(self) -> None:
-        """Open the bus again, as an unplugged adapter leaves an invalid handle. Raises PowerSensorError."""
+        """Close the bus and open it again. An unplugged adapter leaves an invalid handle. Raises PowerSensorError."""
         self.close()
         self.bus = open_device(self.bus_name, self.address).bus
 
     def read(self, register: int) -> int:
-        """Return a register, unsigned. Raises PowerSensorError."""
+        """Return the content of a register, unsigned. Raises PowerSensorError."""
         try:
             return swap(self.bus.read_word_data(self.address, register))
         except OSError as error:
@@ -65,7 +65,7 @@ class I2CDevice:
             raise PowerSensorError(self._explain(error)) from error
 
     def close(self) -> None:
-        """Close the bus. Errors, as of an unplugged adapter, are ignored."""
+        """Close the bus. Ignore errors, for example of an unplugged adapter."""
         with contextlib.suppress(OSError):
             self.bus.close()
 
@@ -75,7 +75,7 @@ class I2CDevice:
             errno.EREMOTEIO: "does not acknowledge: check its power, wiring and address "
             f"(i2cdetect -y {self.bus_name})",
             errno.ENXIO: "does not acknowledge: check its power, wiring and address",
-            errno.ETIMEDOUT: "timed out, as a device blocks the bus: switch its power off and on",
+            errno.ETIMEDOUT: "timed out: a device may block the bus. Switch its power off and on",
             errno.EBUSY: "is in use by a kernel driver: unbind ina2xx (hwmon)",
         }.get(error.errno or 0, f"failed: {error}")
         return f"{where} {remedy}"

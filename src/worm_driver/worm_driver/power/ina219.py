@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """INA219 power sensor (TI SBOS448G), with checks of every sample.
 
-The current is the shunt voltage divided by the shunt's resistance, which does not need the calibration register. The
-driver still writes this register, as the chip's overflow bit depends on it and it reads 0 after a brown-out. Every
-sample includes a check of both settings, as a corrupted configuration changes the range of the shunt without any other
-sign.
+The driver computes the current from the shunt voltage and the shunt's resistance. This does not need the calibration
+register. The driver still writes this register, for two reasons: the chip's overflow bit depends on it, and a value of
+0 reveals a brown-out. Every sample includes a check of the calibration and the configuration register. A corrupted
+configuration would change the range of the shunt voltage without any other sign.
 """
 
 import enum
@@ -18,16 +18,16 @@ CONFIGURATION, SHUNT, BUS, POWER, CALIBRATION = 0, 1, 2, 3, 5  # register addres
 
 RESET = 0x8000
 POWER_ON_CONFIGURATION = 0x399F
-#: 32 V range, shunt +-320 mV, 8 samples each (8.5 ms per pair of conversions), continuous
+#: bus range 32 V, shunt range +-320 mV, mean of 8 conversions each (8.5 ms for both values), continuous
 RUNNING_CONFIGURATION = 0b0011_1101_1101_1111
 
 SHUNT_LSB_V = 10e-6
 BUS_LSB_V = 4e-3
-#: full scale of the shunt voltage at +-320 mV
+#: raw shunt voltage at the ends of the range +-320 mV
 SHUNT_FULL_SCALE = 32_000
 
-#: consecutive samples with identical bits after which the chip counts as frozen. A quiet supply repeats a few samples,
-#: but seldom so many at steps of 0.1 mA and 4 mV.
+#: number of consecutive samples with identical bits at which the chip counts as frozen. A quiet supply repeats a few
+#: samples, but seldom so many at a resolution of 4 mV and 0.1 mA (shunt of 0.1 ohm).
 FROZEN = 100
 
 _OVERFLOW_BIT = 0b01
@@ -39,9 +39,9 @@ class SampleStatus(enum.Enum):
 
     VALID = "valid"
     OVERFLOW = "overflow"
-    NOT_READY = "not ready"
+    NOT_READY = "not ready"  # no new conversion, or the chip is frozen
     BUS_ERROR = "bus error"
-    SENSOR_RESET = "sensor reset"  # the chip had lost its settings, and was set up again
+    SENSOR_RESET = "sensor reset"  # the chip had lost its settings; the driver set it up again
 
 
 @dataclass(frozen=True)
@@ -51,8 +51,8 @@ class PowerSample:
     Attributes:
         time: time of the sample, s, monotonic.
         status: VALID, or the reason for missing values.
-        bus_voltage: bus voltage, V.
-        current: current, A.
+        bus_voltage: voltage of the supply, V.
+        current: current through the shunt, A.
     """
 
     time: float
@@ -126,7 +126,7 @@ class INA219:
         )
 
     def sample(self, time: float) -> PowerSample:
-        """Return a sample with the stamp ``time`` (s, monotonic). Set the chip up again if it lost its settings."""
+        """Return a sample with the stamp ``time`` (s, monotonic). If the chip lost its settings, set it up again."""
         try:
             return self._sample(time)
         except PowerSensorError:
@@ -149,14 +149,14 @@ class INA219:
         return PowerSample(time, SampleStatus.VALID, (bus >> 3) * BUS_LSB_V, current)
 
     def _is_frozen(self, bits: tuple[int, int]) -> bool:
-        """Return True if the bits have been identical for so long that the chip must be frozen."""
+        """Return True if the bits of FROZEN consecutive samples are identical."""
         self._repeats = self._repeats + 1 if bits == self._bits else 1
         self._bits = bits
         return self._repeats >= FROZEN
 
 
 def calibration_for(shunt_resistance: float, max_current: float) -> int:
-    """Return the calibration register for a shunt (ohm) and the largest current (A) without overflow.
+    """Return the value of the calibration register for a shunt (ohm) and the largest current (A) without overflow.
 
     Cal = trunc(0.04096 / (Current_LSB R)) with Current_LSB = max_current / 32768; bit 0 is always 0.
 

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Servo bus at the level of bytes, packets and registers, without any knowledge of a robot."""
+"""Servo bus: packets, registers, setup and states of the servos; conversion of ticks into lengths and angles."""

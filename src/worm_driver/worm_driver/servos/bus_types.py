@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Values that pass over the servo bus and counters of its failures, independent of the SDK."""
+"""Answers of the servos, texts of their errors, and counters of failures. Independent of dynamixel_sdk."""
 
 from dataclasses import dataclass
 
 _ERROR_TEXT = {
     1: "could not carry the instruction out",
     2: "does not support the instruction",
-    3: "received a garbled question (wrong CRC): check its cable",
+    3: "received a garbled request (wrong CRC): check its cable",
     4: "rejects the value: out of range, or its bus watchdog has expired",
     5: "rejects the length of the data",
     6: "rejects the value: beyond its limit register",
@@ -24,13 +24,13 @@ class Identity:
 
 @dataclass(frozen=True)
 class Reply:
-    """Part of one servo in a sync read.
+    """Answer of one servo to a request (status packet).
 
     Attributes:
-        data: requested block, in register order.
+        data: bytes of the requested registers, in the order of their addresses; empty after a write.
         alert: True if the servo reports a hardware error (see hardware_error_status).
         error: error number of the status packet, 0 for none.
-        received: time at which its last byte was received, s, monotonic.
+        received: time at which the driver had read the whole packet, s, monotonic.
     """
 
     data: bytes
@@ -39,7 +39,7 @@ class Reply:
     received: float
 
     def repeats(self, other: "Reply") -> bool:
-        """Return True if both replies have the same content, whatever the times at which they were received."""
+        """Return True if both replies have the same content. Their times of reception may differ."""
         return (self.data, self.alert, self.error) == (other.data, other.alert, other.error)
 
 
@@ -48,14 +48,14 @@ class BusCounters:
     """Numbers of exchanges and of failures since the port was opened.
 
     Attributes:
-        exchanges: exchanges on the bus.
-        timeouts: exchanges in which an answer is missing.
+        exchanges: requests to servos, with and without answers.
+        timeouts: requests for which at least one answer is missing.
         corrupt: garbled, unexpected or contradictory answers.
         errors: answers with an error number.
         stale: answers that are older than their request.
         implausible: positions that their servo cannot have reached.
         withheld: goals that were not written because they are out of bounds.
-        retries: repeated exchanges.
+        retries: repetitions of requests to a single servo.
     """
 
     exchanges: int = 0

@@ -12,44 +12,47 @@ from worm_driver.errors import ConfigurationError
 from worm_driver.servos.registers import TICKS_PER_TURN
 from worm_driver.servos.transmission import Fin, Spool
 
-#: Largest deviation of a ruler reading from the straight line, m.
+#: Largest accepted deviation of a ruler reading from the straight line through all readings, m.
 _SCATTER = 1.5e-3
-#: Smallest length change from which a radius is computed, m.
+#: Smallest difference between the longest and the shortest reading from which a radius is computed, m.
 _LEAST_CHANGE = 5e-3
 
 
 @dataclass(frozen=True)
 class Reading:
-    """Position of a servo (ticks) and the body length (m) that a ruler shows at it."""
+    """Position of a cable servo (ticks), and the body length (m) that the ruler shows at this position."""
 
     ticks: int
     length: float
 
 
 def spool_from(servo: int, readings: Sequence[Reading]) -> tuple[Spool, float]:
-    """Return the spool that fits the readings best, and the largest deviation from it (m).
+    """Return the spool that fits the readings best, and the largest deviation of a reading from the fit (m).
 
-    The length is fitted by a straight line over the position. The absolute slope is the radius. A falling line has
-    sign 1.
+    The fit is a straight line of the length (m) over the servo angle (rad). The absolute value of its slope is the
+    radius (m). If the length falls with rising ticks, the sign is 1, otherwise -1.
 
     Raises:
-        ConfigurationError: There are too few readings, too little motion, or readings off the straight line.
+        ConfigurationError: There are fewer than two positions, the body length hardly changed, or a reading is too far
+            from the straight line.
     """
     if len({reading.ticks for reading in readings}) < 2:
-        raise ConfigurationError(f"cable servo {servo}: two positions at least are needed")
+        raise ConfigurationError(
+            f"cable servo {servo}: at least two different positions are needed"
+        )
     angles = [reading.ticks * 2 * math.pi / TICKS_PER_TURN for reading in readings]
     lengths = [reading.length for reading in readings]
     if max(lengths) - min(lengths) < _LEAST_CHANGE:
         raise ConfigurationError(
-            f"cable servo {servo}: the body changed by less than {_LEAST_CHANGE * 1e3:g} mm: is the "
-            "cable attached and taut?"
+            f"cable servo {servo}: the body length changed by less than {_LEAST_CHANGE * 1e3:g} mm: "
+            "is the cable attached and taut?"
         )
     slope, start = linear_regression(angles, lengths)
     worst = max(abs(x - start - slope * a) for a, x in zip(angles, lengths, strict=True))
     if worst > _SCATTER:
         raise ConfigurationError(
-            f"cable servo {servo}: a reading is {worst * 1e3:.1f} mm off the straight line through the "
-            "others: start where the cable is taut, and read again"
+            f"cable servo {servo}: a reading is {worst * 1e3:.1f} mm off the straight line through all "
+            "readings: start where the cable is taut, and read again"
         )
     return Spool(servo, -1 if slope > 0 else 1, round(abs(slope), 5)), worst
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Conversions between the bytes, the raw integer and the SI value of a register.
+"""Conversions between the bytes of a register, its raw integer, and its value in the unit of the control table.
 
-The SDK returns every value unsigned. This module is the only place that decodes two's complement.
+The SDK returns every value unsigned. The driver decodes two's complement of registers of servos in this module only.
 """
 
 import math
@@ -38,7 +38,7 @@ def unpack_from(register: Register, block: bytes, start: int) -> int:
 
 
 def to_raw(register: Register, value: float) -> int:
-    """Return the raw value that is nearest to an SI value.
+    """Return the raw value that is nearest to a value in the register's unit.
 
     Raises:
         ValueError: The value is not finite, or does not fit the register.

@@ -18,9 +18,9 @@ class Bound:
     """Bounds of one servo's goals.
 
     Attributes:
-        low, high: range of the position, ticks. For a cable these are the limits of the stroke.
-        lead: largest distance of a goal from the last plausible position, ticks.
-        speed: growth of that distance with the age of the position, ticks/s, as the servo moves on unobserved.
+        low, high: smallest and largest goal, ticks. For a cable servo: the range of the stroke, with a tolerance.
+        lead: largest distance of a goal from a last plausible position of age 0, ticks.
+        speed: increase of this distance per second of the position's age, ticks/s. The servo moves on unobserved.
     """
 
     low: int
@@ -32,12 +32,14 @@ class Bound:
 class GoalGate:
     """Writer of goals that stay within their bounds.
 
-    A goal out of bounds is withheld. The servo keeps its previous goal, which was within the bounds. If a goal is too
-    far from the position, the following error also exceeds its limit, and the supervision reports that. A servo whose
-    position is lost gets no goal at all, as its ticks may now stand for another position.
+    A goal out of bounds is withheld. The servo keeps its previous goal, which was within the bounds. If a goal of a
+    cable servo is too far from the last plausible position, the following error (distance of the cable from its
+    command) also exceeds its limit, and `control.supervision` reports it. A servo gets no goal before its first
+    plausible position, and no goal after its position is lost (`PositionTrack.lost`), because its ticks may then stand
+    for another position.
 
     Attributes:
-        bounds: bounds by servo id. Servos without bounds get no goal.
+        bounds: bounds by servo id. A servo without bounds gets no goal.
     """
 
     def __init__(self, bus: ServoBus, track: PositionTrack):
@@ -47,28 +49,26 @@ class GoalGate:
         self.bounds: Mapping[int, Bound] = {}
 
     def write(self, servo: int, ticks: int) -> None:
-        """Write a goal with acknowledgement, outside of the cycle, for example before the torque is enabled.
+        """Write a goal (ticks) and wait for the acknowledgement. For use outside of the 100 Hz cycle.
 
         Raises:
-            LimitError: The goal is out of bounds.
-            BusError: The servo does not acknowledge it.
+            LimitError: The goal is withheld.
+            BusError: The servo does not acknowledge the goal.
         """
-        if not self._is_within(servo, ticks):
-            bound = self.bounds[servo]
-            raise LimitError(
-                f"servo {servo}: goal {ticks} ticks is out of its range of {bound.low} to {bound.high} ticks: bring "
-                "the cable to its initial length and call the service home, or turn the fin into its range"
-            )
+        if why := self._why_withheld(servo, ticks):
+            raise LimitError(f"servo {servo}: goal {ticks} ticks is withheld: {why}")
         self._bus.write(servo, _GOAL, ticks)
         self._sent[servo] = ticks
 
     def send(self, goals: Mapping[int, int]) -> None:
-        """Write goals (ticks by servo id) in one packet.
+        """Write goals (ticks by servo id) in one packet, without acknowledgement. Withheld goals are counted.
 
         Raises:
             BusError: The packet cannot be sent.
         """
-        within = {servo: ticks for servo, ticks in goals.items() if self._is_within(servo, ticks)}
+        within = {
+            servo: ticks for servo, ticks in goals.items() if not self._why_withheld(servo, ticks)
+        }
         self._bus.count_withheld(len(goals) - len(within))
         self._bus.sync_write(_GOAL, within)
         self._sent.update(within)
@@ -77,11 +77,19 @@ class GoalGate:
         """Return the last goal (ticks) that was written to a servo, None before the first one."""
         return self._sent.get(servo)
 
-    def _is_within(self, servo: int, ticks: int) -> bool:
+    def _why_withheld(self, servo: int, ticks: int) -> str:
+        """Return the reason why a goal is withheld; empty if it is within the bounds."""
         bound, last = self.bounds.get(servo), self._track.last(servo)
-        if bound is None or last is None or servo in self._track.lost:
-            return False
+        if bound is None:
+            return "the servo has no bounds"
+        if last is None or servo in self._track.lost:
+            return "the position of the servo is unknown"
         if not bound.low <= ticks <= bound.high:
-            return False
-        unseen = max(0.0, self._bus.now() - last.time)
-        return abs(ticks - last.ticks) <= bound.lead + bound.speed * unseen
+            return (
+                f"it is not within {bound.low} to {bound.high} ticks: bring the cable to its initial length and call "
+                "the service home, or turn the fin into its range"
+            )
+        reach = bound.lead + bound.speed * max(0.0, self._bus.now() - last.time)
+        if abs(ticks - last.ticks) > reach:
+            return f"it is more than {reach:.0f} ticks from the last position, {last.ticks} ticks"
+        return ""

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 from worm_driver.servos.registers import TICKS_PER_TURN
 
-#: Ratio of the fastest rotation of a shaft to its velocity limit, as a load may turn it faster than its motor does.
+#: Ratio of the highest plausible speed of a shaft to its velocity limit. A load may turn it faster than the motor does.
 _FASTER = 2.0
-#: Difference between two positions that is always plausible, ticks. A delay of 1 ms causes 3 ticks at full speed.
+#: Difference between two positions that is always plausible, ticks. At the velocity limits of the supported models, a
+#: delay of 1 ms causes 3 to 7 ticks.
 _SLACK = 64
 
 
@@ -29,15 +30,17 @@ class PositionSample:
 class PositionTrack:
     """Plausible positions of servos by id.
 
-    While the torque is on, a sample is rejected if the servo cannot have reached it since the last plausible one. With
-    the torque off every sample is accepted, as a person may turn the spool at any speed.
+    Between `begin` and `end`, while the torque is on, a sample is rejected if the servo cannot have moved to it since
+    the last plausible position. At other times every sample is accepted, because a person may turn the spool at any
+    speed.
 
     Args:
         fastest: velocity limits, rad/s by servo id.
 
     Attributes:
-        lost: distance from the last plausible position to a confirmed implausible one, ticks by servo id. No sample of
-            such a servo is accepted before the next `begin`, as with time every wrong position comes within reach.
+        lost: servos with an implausible position that a second reading confirmed. The value is this position minus the
+            last plausible position, ticks by servo id. All samples of such a servo are rejected until `begin` or
+            `end`, because every wrong position would become plausible with time.
     """
 
     def __init__(self, fastest: Mapping[int, float]):
@@ -47,13 +50,13 @@ class PositionTrack:
         self.lost: dict[int, int] = {}
 
     def begin(self, positions: Mapping[int, PositionSample]) -> None:
-        """Begin to reject implausible samples, starting from confirmed positions."""
+        """Begin to reject implausible samples, starting from positions on which two readings agreed, by servo id."""
         self._last.update(positions)
         self._watches = True
         self.lost.clear()
 
     def end(self) -> None:
-        """Accept every sample from now on, as the torque is off."""
+        """Accept every sample from now on, because the torque is off."""
         self._watches = False
         self.lost.clear()
 

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Control tables of the Dynamixel X series, as data.
 
-Each register is a frozen row, and each servo model is a table. Names are those of the e-manual in lower case. A scale
-converts a raw value into the unit of its row. Sources are the ROBOTIS e-manual (control table of each model) and the
-``.model`` files of DynamixelSDK. The latter give 0.0239691227 rad/s for the velocity unit, which the manual rounds to
-0.229 rpm.
+Each register is a row, and each servo model has a table of rows. Registers have the names of the e-manual, in lower
+case. The scale of a row converts a raw value into the unit of the row. Sources are the ROBOTIS e-manual (control table
+of each model) and the ``.model`` files of DynamixelSDK. These files give 0.0239691227 rad/s for the velocity unit; the
+manual rounds it to 0.229 rpm.
 """
 
 import math
@@ -15,7 +15,7 @@ from types import MappingProxyType
 from worm_msgs.servo_models import SERVO_MODELS, ServoRow
 
 TICKS_PER_TURN = 4096
-#: Goal range of extended position mode, ticks (e-manual, operating mode 4).
+#: Largest absolute value of a goal in extended position mode, ticks (e-manual, operating mode 4).
 EXTENDED_POSITION_LIMIT = 1_048_575
 
 VELOCITY_MODE = 1
@@ -25,7 +25,7 @@ EXTENDED_POSITION_MODE = 4
 #: Value of bus_watchdog once it has expired (e-manual, bus watchdog: -1).
 WATCHDOG_EXPIRED = -1
 
-#: Bits of hardware_error_status.
+#: Fault that each bit of hardware_error_status reports.
 HARDWARE_ERRORS: Mapping[int, str] = MappingProxyType(
     {
         0: "input voltage",
@@ -59,14 +59,13 @@ class ServoModel:
     """Servo model with its model number and its control table by register name.
 
     Attributes:
-        number: model number, as answered to a ping.
+        number: model number, as a ping returns it.
         name: name of the model.
         minimum_firmware: oldest firmware that has a bus watchdog.
         registers: control table.
         strongest_current: largest value that current_limit accepts, A; NaN without such a register.
-        torque_constant: stall torque over stall current (e-manual, Specifications), N*m/A; NaN if the servo measures
-            no
-            current.
+        torque_constant: stall torque divided by stall current (e-manual, Specifications), N*m/A; NaN if the servo
+            measures no current.
     """
 
     number: int
@@ -164,7 +163,7 @@ MODELS: Mapping[int, ServoModel] = MappingProxyType(
 )
 XL330_M288, XL430_W250, XM430_W350 = (MODELS[number] for number in (1200, 1060, 1020))
 
-#: Rows with the same address in every model, for exchanges with several models at once.
+#: Registers that have the same address in every model, for exchanges with several models at once.
 COMMON: Mapping[str, Register] = _table()
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Information from Linux about a serial port: its FTDI latency timer, its locks, and why it cannot be opened."""
+"""Serial port in Linux: FTDI latency timer, exclusive use, and reasons why a port cannot be opened."""
 
 import contextlib
 import errno
@@ -10,19 +10,20 @@ import termios
 from pathlib import Path
 
 _SYSFS = Path("/sys/bus/usb-serial/devices")
-#: Majors of the slave side of pseudo-terminals (Linux, Documentation/admin-guide/devices.txt).
+#: Major device numbers of the slave side of pseudo-terminals (Linux, Documentation/admin-guide/devices.txt).
 _PTY_MAJORS = range(136, 144)
-#: Majors of memory devices such as /dev/null, and of consoles, serial ports, /dev/tty, /dev/console and /dev/ptmx.
+#: Major device numbers of memory devices such as /dev/null.
 _MEMORY_MAJORS = (1,)
+#: Major device numbers of consoles, serial ports, /dev/tty, /dev/console and /dev/ptmx.
 _CONSOLE_MAJORS = (4, 5)
-#: Smallest minor of a serial port among the devices with a console's major.
+#: Smallest minor device number of a serial port under _CONSOLE_MAJORS. Smaller numbers are those of other devices.
 _SERIAL_MINORS = 64
 
 
 def latency_timer_ms(port: str, sysfs: Path = _SYSFS) -> int | None:
-    """Return the latency timer of the USB adapter behind a port (ms), None if it has none (a UART, a pseudo-terminal).
+    """Return the latency timer (ms) of a port's USB adapter; None for a port without timer (UART, pseudo-terminal).
 
-    An FTDI adapter delays answers by up to that time. The default is 16 ms; a rate of 100 Hz requires 1 ms.
+    An FTDI adapter delays answers by up to this time. Its default, 16 ms, is too long for a rate of 100 Hz.
     """
     try:
         return int(latency_timer_path(port, sysfs).read_text())
@@ -52,7 +53,7 @@ def why_no_port(port: str) -> str:
     if os.major(status.st_rdev) in _CONSOLE_MAJORS and os.minor(status.st_rdev) < _SERIAL_MINORS:
         return f"servo bus {port} is a console of this computer: {remedy}"
     if status.st_rdev in _own_terminals():
-        return f"servo bus {port} is the terminal that this runs in: {remedy}"
+        return f"servo bus {port} is the terminal of this process: {remedy}"
     return ""
 
 
@@ -71,7 +72,8 @@ def _own_terminals() -> set[int]:
 def open_exclusively(descriptor: int) -> None:
     """Make the kernel reject further opens of a tty, also by programs that ignore lock files.
 
-    A pseudo-terminal is excluded, because its other side keeps it open and the mark would outlive its opener.
+    The function does nothing for a pseudo-terminal. The other side keeps a pseudo-terminal open, so the kernel would
+    still reject opens after this process has ended.
     """
     if os.major(os.fstat(descriptor).st_rdev) not in _PTY_MAJORS:
         fcntl.ioctl(descriptor, termios.TIOCEXCL)

@@ -3,19 +3,19 @@
 
 This module corrects the following defects of version 4.1.0 of the SDK:
 
-- It computes a packet with byte stuffing (e-manual, Protocol 2.0, "Byte stuffing") and then sends the one without. It
-  removes stuffing while it overwrites bytes that it still reads. See ``_PacketHandler``.
-- It measures timeouts by the wall clock, spins while it waits, and never stops reading while bytes arrive. See
+- The SDK computes a packet with byte stuffing (e-manual, Protocol 2.0, "Byte stuffing"), but sends the packet without
+  stuffing. When it removes stuffing, it overwrites bytes before it reads them. See ``_PacketHandler``.
+- The SDK measures timeouts by the wall clock, spins while it waits, and never stops reading while bytes arrive. See
   ``BusPort``.
-- It mistakes a late answer for the answer to the next request. After a failed exchange the next request waits for a
-  quiet line, and an answer must have the requested length. In addition, ``tick_clock`` compares the servo's clock
-  in an answer with the time of the request, and detects answers that are too old.
-- Its timeout expires even if unread bytes have been received. This module reads such bytes first, for example
-  after the process was suspended. See ``BusPort.expects``.
-- Its GroupSyncRead drops error and alert bytes, and loses good answers together with a missing one. It also accepts
+- The SDK mistakes a late answer for the answer to the next request. In this module, the next request after a failed
+  exchange waits for a quiet line, and an answer must have the requested length. In addition, ``tick_clock`` compares
+  the servo's clock in an answer with the time of the request, and detects answers that are too old.
+- The SDK's timeout expires even if received bytes are unread. This module first reads such bytes, which exist for
+  example after the process was suspended. See ``BusPort.expects``.
+- The SDK's GroupSyncRead drops error and alert bytes, and all answers if one answer is missing. The class also accepts
   an answer with another servo's id. See ``sync_read`` and ``_attempt``.
-- Its busy flag stays set after an exception, and is not a lock. See ``_exchange``.
-- It opens a port that another program uses. See ``BusPort.setupPort``.
+- The SDK's busy flag stays set after an exception, and is not a lock. See ``_exchange``.
+- The SDK opens a port that another program uses. See ``BusPort.setupPort``.
 """
 
 import contextlib
@@ -47,21 +47,21 @@ from worm_driver.servos.registers import COMMON, Register
 BROADCAST = 254
 _HEADER = b"\xff\xff\xfd"  # start of a packet, apart from a zero byte
 
-#: Remedy for a silent servo. It names all possible causes, as silence does not distinguish them.
+#: Remedy for a silent servo. The text names all possible causes, because silence does not distinguish them.
 SILENCE_REMEDY = (
     "check its power, its cable, its id and the baud rate (of a virtual robot: that it runs, and that no fault was "
     "injected)"
 )
 
-#: Timeout of a write, s. pyserial would wait forever for an adapter that accepts no bytes.
+#: Timeout of a write, s. A write of pyserial would wait forever for an adapter that accepts no bytes.
 _WRITE_TIMEOUT = 0.05
-#: Repetitions of an exchange during setup.
+#: Largest number of repetitions of a failed exchange during setup.
 _SETUP_RETRIES = 8
 #: Largest delay of an answer during setup, s. It is shorter than the servos' bus watchdog.
 _LATEST = 0.06
-#: Largest number of bytes read after the timeout of a request. Unread answers to the request are never longer.
+#: Largest number of bytes that are read after the timeout of a request. All unread answers to a request are shorter.
 _LEFT_OVER = 4096
-# Indices of a packet's fields. Stuffing covers everything from the instruction on.
+# Indices of a packet's fields. Stuffing covers the fields from the instruction on, without the CRC.
 _ID, _LENGTH, _INSTRUCTION, _ERROR, _PARAMETERS = 4, 5, 7, 8, 9
 _ALERT = 0x80
 
@@ -99,7 +99,7 @@ class BusPort(PortHandler):
         self.setPacketTimeoutMillis(duration * 1e3)
 
     def answer_time(self, packet_length: int) -> float:
-        """Return the longest duration of an answer (s): its transmission time, twice the latency, and 2 ms."""
+        """Return how long (s) an answer of a length (bytes) may take: transmission, twice the latency, and 2 ms."""
         return self.tx_time_per_byte * packet_length * 1e-3 + self.quiet_time
 
     @property
@@ -109,7 +109,7 @@ class BusPort(PortHandler):
 
     @property
     def expects(self) -> bool:
-        """True if an answer may still arrive, or was received but not read while the process was suspended."""
+        """True before the timeout, and after it while received bytes are unread (the process was suspended)."""
         return self.remaining > 0.0 or (self._left_over > 0 and self._wait(0.0))
 
     def isPacketTimeout(self) -> bool:  # noqa: N802
@@ -135,13 +135,13 @@ class BusPort(PortHandler):
         """Send all bytes and return their number.
 
         Raises:
-            OSError: The device accepts no bytes for too long.
+            OSError: The device accepts no bytes for _WRITE_TIMEOUT.
         """
         left = memoryview(bytes(packet))
         device = self.ser.fileno()
         while left:
             if not select.select([], [device], [], _WRITE_TIMEOUT)[1]:
-                raise OSError(errno.ETIMEDOUT, "it accepts no bytes")
+                raise OSError(errno.ETIMEDOUT, "the device accepts no bytes")
             count = os.write(device, left)
             self._clock.traffic.written += count
             left = left[count:]
@@ -171,7 +171,7 @@ class BusPort(PortHandler):
         serial_port.open_exclusively(self.ser.fileno())
         with contextlib.suppress(
             OSError, ValueError, AttributeError
-        ):  # not every tty has the ioctl
+        ):  # Not every tty supports this ioctl.
             self.ser.set_low_latency_mode(True)
         self.ser.reset_input_buffer()
         self.tx_time_per_byte = 10 * 1000.0 / cflag_baud
@@ -196,7 +196,7 @@ def unstuff(body: bytes) -> bytes:
 
 
 class _PacketHandler(Protocol2PacketHandler):
-    """The SDK's packet handler with byte stuffing in the packets that are sent."""
+    """The SDK's packet handler with correct insertion and removal of byte stuffing."""
 
     def addStuffing(self, packet: list[int]) -> list[int]:  # noqa: N802
         """Stuff a packet in place. The SDK ignores the return value and sends the list that it passed as argument."""
@@ -207,7 +207,7 @@ class _PacketHandler(Protocol2PacketHandler):
         return packet
 
     def removeStuffing(self, packet: list[int]) -> list[int]:  # noqa: N802
-        """Return the packet without its stuffing and without the bytes that followed it."""
+        """Return the packet without its stuffing and without the bytes after its end."""
         end = _INSTRUCTION + (packet[_LENGTH] | packet[_LENGTH + 1] << 8) - 2
         body = unstuff(bytes(packet[_INSTRUCTION:end]))
         head = list(packet[:_INSTRUCTION])
@@ -219,7 +219,7 @@ class _PacketHandler(Protocol2PacketHandler):
 class ServoBus:
     """Exchanges with the servos on one port, with a limited number of retries. Values are raw.
 
-    Every method raises PortError if the port is gone. Threads may share the object, as a lock separates their
+    Every exchange raises PortError if the port is gone. Threads may share the object, because a lock separates their
     exchanges.
 
     Attributes:
@@ -246,8 +246,8 @@ class ServoBus:
         Args:
             path: path of the port.
             baud_rate: bit/s.
-            latency: longest time that the adapter delays an answer, s. None: the adapter's latency timer. It is read
-                after the port was opened, because opening the port requests a low latency.
+            latency: longest time that the adapter delays an answer, s. None: the adapter's latency timer, or 1 ms
+                without a timer. The timer is read after the port was opened, because opening it requests a low latency.
             retries: number of repetitions of a failed exchange.
 
         Raises:
@@ -260,7 +260,7 @@ class ServoBus:
         try:
             if not port.openPort():
                 raise ConfigurationError(
-                    f"baud rate {baud_rate} is not one that the SDK can set: see addr 8 (baud_rate)"
+                    f"the SDK cannot set the baud rate {baud_rate}: use a rate of the register baud_rate (e-manual)"
                 )
         # SerialException is an OSError, termios.error is not.
         except (OSError, termios.error) as error:
@@ -279,8 +279,8 @@ class ServoBus:
     def retrying(self, retries: int = _SETUP_RETRIES) -> Iterator[None]:
         """Enter a context for setup, in which exchanges may take longer but fail less often.
 
-        Failed exchanges are repeated more often. The first request, and each one after a failure, waits until no older
-        answer can arrive.
+        A failed exchange is repeated up to ``retries`` times, or up to ``self.retries`` times if this is more. Before
+        the first request, and before each request after a failure, the bus waits until no older answer can arrive.
         """
         before = self.retries, self._quiet
         self.retries, self._quiet = max(self.retries, retries), _LATEST
@@ -324,7 +324,7 @@ class ServoBus:
         """Write a register with acknowledgement by the servo.
 
         Raises:
-            BusError: The servo does not acknowledge it.
+            BusError: The servo does not acknowledge the write.
         """
         packet = [0] * (12 + register.size)
         packet[_ID], packet[_LENGTH], packet[_INSTRUCTION] = servo, 5 + register.size, 3
@@ -332,10 +332,10 @@ class ServoBus:
         self._command(servo, packet, 0)
 
     def reboot(self, servo: int) -> None:
-        """Restart a servo. It loses its torque and its turn count.
+        """Restart a servo. The servo loses its torque and its turn count.
 
         Raises:
-            BusError: The servo does not acknowledge it.
+            BusError: The servo does not acknowledge the request.
         """
         packet = [0] * 10
         packet[_ID], packet[_LENGTH], packet[_INSTRUCTION] = servo, 3, 8
@@ -364,9 +364,9 @@ class ServoBus:
     ) -> tuple[float, dict[int, Reply]]:
         """Return a block of the control table of several servos. Servos without an intact answer are omitted.
 
-        There is one attempt without retries, as only the caller can decide about a repetition. A reply with an error
-        has no data. Servos answer in the order of the request. An id is accepted once, and only in this order. If two
-        answers with the same id differ, neither is accepted.
+        There are no retries, because only the caller can decide about a repetition. The data of a reply with an error
+        number have no meaning. Servos answer in the order of the request. The bus accepts one answer per id, and only
+        in this order. If two answers have the same id and different contents, the bus accepts neither.
 
         Args:
             start: address of the block.
@@ -418,7 +418,7 @@ class ServoBus:
         return self.port.getCurrentTime() * 1e-3
 
     def answer_time(self, size: int, servos: int) -> float:
-        """Return how long (s) a sync read of ``size`` bytes waits for its answers."""
+        """Return how long (s) a sync read of ``size`` bytes from each of ``servos`` servos waits for its answers."""
         return self.port.answer_time((11 + size) * servos)
 
     def torque_off_all(self) -> None:
@@ -474,7 +474,9 @@ class ServoBus:
                 if answer is not None and answer[_ID] == servo:
                     return self._content(servo, self._reply(answer), size)
         if self._garbled:
-            raise CorruptReplyError(f"servo {servo} answers garbled on {self.port.port_name}")
+            raise CorruptReplyError(
+                f"the answer of servo {servo} on {self.port.port_name} is garbled"
+            )
         self._count(timeouts=1)
         raise NoReplyError(
             f"servo {servo} does not answer on {self.port.port_name} at {self.port.baudrate} baud: {SILENCE_REMEDY}"
@@ -492,7 +494,7 @@ class ServoBus:
         return reply.data
 
     def _receive(self, handler: _PacketHandler) -> list[int] | None:
-        """Return the next intact status packet before the timeout, or None."""
+        """Return the next status packet; None if it is garbled, or if none arrives before the timeout."""
         packet, result = handler.rxPacket(self.port, False)
         if result == COMM_SUCCESS and len(packet) >= _PARAMETERS + 2:
             return packet
@@ -510,17 +512,17 @@ class ServoBus:
             # termios.error is not an OSError. The SDK raises it when it clears the line before it sends.
             except (OSError, termios.error) as error:
                 raise PortError(
-                    f"servo bus {self.port.port_name} is gone ({error}). Connect it again (or start the virtual robot "
-                    "again). Then deactivate the driver if it is active: this fails, as no servo confirms that its "
-                    "torque is off, and leaves it unconfigured. If it is inactive, clean it up. Then configure and "
-                    "activate it"
+                    f"servo bus {self.port.port_name} is gone ({error}). Connect the adapter again (or start the "
+                    "virtual robot again). If the driver is active, deactivate it: the deactivation fails, because no "
+                    "servo confirms that its torque is off, and the driver becomes unconfigured. If the driver is "
+                    "inactive, call cleanup. Then configure and activate the driver"
                 ) from error
             finally:
                 self.port.is_using = False
 
     @contextlib.contextmanager
     def _question(self) -> Iterator[_PacketHandler]:
-        """Enter an exchange that expects answers. It begins on a quiet line."""
+        """Enter an exchange that expects answers. If a late answer may still arrive, first wait for a quiet line."""
         with self._exchange() as handler:
             if not self._settled:
                 quiet = max(self._quiet, self.port.quiet_time)
@@ -535,7 +537,7 @@ class ServoBus:
 
     def _check_sent(self, result: int) -> None:
         if result != COMM_SUCCESS:
-            cause = "bytes were left over" if result == COMM_TX_FAIL else f"SDK result {result}"
+            cause = "not all bytes were sent" if result == COMM_TX_FAIL else f"SDK result {result}"
             raise BusError(f"cannot send on {self.port.port_name}: {cause}")
 
     def _count(self, **more: int) -> None:

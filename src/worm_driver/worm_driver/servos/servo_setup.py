@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Functions that identify, check and set up one servo at a time, outside of the 100 Hz cycle.
 
-Values that decide something are read twice on a quiet line. Registers that change a meaning (mode, limits, home) are
-read back in the same way. A late answer must not pass for the answer to the present request. The callers use
-`ServoBus.retrying` meanwhile.
+A value on which a decision depends is read twice on a quiet line, because a late answer must not pass for the answer to
+the present request. Values written to the EEPROM, and the home mark, are read back in the same way. The callers enter
+the context `ServoBus.retrying`.
 
-The led register of a cable servo marks its home. It is lit while the turn count is valid. It is in RAM, so a reboot or
-a power cut, which fold the turn count, always clear it.
+The register led of a cable servo is its home mark: 1 means that position 0 is the cable's home. The register is in RAM.
+A reboot or a power failure reduces the position to a single turn, and always clears the mark.
 """
 
 from collections.abc import Mapping, Sequence
@@ -25,13 +25,13 @@ from worm_driver.servos.registers import (
 )
 from worm_driver.servos.servo_bus import ServoBus
 
-#: Pairs of readings, of which one must agree.
+#: Number of attempts to get two readings that agree.
 _PAIRS = 4
-#: Largest difference between two readings of a measured register, raw.
+#: Largest difference at which two readings of a register agree, raw; 0 for all other registers.
 _UNSTEADY = {"present_position": 3, "present_input_voltage": 3}
-#: Largest difference between two consecutive positions of a servo before it is enabled, ticks.
+#: Largest difference between two consecutive positions of a servo that stands still, ticks.
 _STANDS = 64
-#: Largest distance of a servo from 0 after homing, ticks, as a robot that was just released still creeps.
+#: Largest distance of a servo from 0 after homing, ticks. A robot that was just released still creeps.
 _HOME_TOLERANCE = 10
 #: Largest homing offset that the servos accept, ticks (e-manual, homing offset).
 _HOMING_OFFSET_LIMIT = 1_044_479
@@ -45,9 +45,9 @@ class Servo:
         number: id on the bus.
         model: model with its control table.
         firmware: firmware version.
-        velocity_limit: velocity limit of its register, rad/s.
+        velocity_limit: value of the register velocity_limit, rad/s.
         voltage_range: smallest and largest supply voltage that its registers allow, V.
-        temperature_limit: temperature at which it shuts down, degC.
+        temperature_limit: temperature above which the servo shuts down, degC.
     """
 
     number: int
@@ -66,15 +66,15 @@ def identify(bus: ServoBus, number: int) -> Servo:
 
     Raises:
         BusError: The servo does not answer.
-        ConfigurationError: The model has no control table here, or its firmware is too old.
+        ConfigurationError: The model is not supported, or its firmware is too old.
     """
     identity = bus.ping(number)
     model = MODELS.get(identity.model_number)
     if model is None:
         known = ", ".join(f"{m.name} ({m.number})" for m in MODELS.values())
         raise ConfigurationError(
-            f"servo {number} is of model number {identity.model_number}, which has no control table "
-            f"here; there are {known}"
+            f"servo {number} has model number {identity.model_number}, which is not supported; the supported "
+            f"models are {known}"
         )
     if identity.firmware < model.minimum_firmware:
         raise ConfigurationError(
@@ -89,7 +89,7 @@ def identify(bus: ServoBus, number: int) -> Servo:
 
 
 def registers(bus: ServoBus, servo: Servo, *names: str) -> Mapping[str, int]:
-    """Return raw values by name, on which two readings on a quiet line agree.
+    """Return raw values of registers by name. Two readings on a quiet line agree on them.
 
     Raises:
         BusError: The servo does not answer, or no two readings agree.
@@ -112,11 +112,13 @@ def _registers(
         first, second = read(), read()
         if all(abs(first[n] - second[n]) <= _UNSTEADY.get(n, 0) for n in names):
             return second
-    raise CorruptReplyError(f"servo {number} returns a different {', '.join(names)} in each answer")
+    raise CorruptReplyError(
+        f"servo {number} returns different values of {', '.join(names)} in each answer"
+    )
 
 
 def store(bus: ServoBus, servo: Servo, name: str, raw: int) -> None:
-    """Write a register that changes the meaning of others, and read it back.
+    """Write a register and read it back.
 
     Raises:
         BusError: The servo does not answer, or stores another value.
@@ -155,19 +157,19 @@ def check(bus: ServoBus, servo: Servo) -> None:
 def prepare(
     bus: ServoBus, servo: Servo, mode: int, settings: Mapping[str, int] = MappingProxyType({})
 ) -> None:
-    """Switch the torque off and set up the EEPROM: mode, direct drive, answers without delay.
+    """Switch the torque off and set up the EEPROM: operating mode, drive mode 0, and answers without delay.
 
-    A servo that was in another mode has folded its turn count, so its home mark is cleared. Only values that differ
-    are written, as the EEPROM wears out.
+    The home mark is cleared before a change of the operating mode or the drive mode, because the servo then reduces
+    its position to a single turn. Only values that differ are written, because the EEPROM wears out.
 
     Args:
         bus: servo bus.
         servo: the servo.
         mode: operating mode.
-        settings: further registers by name, raw.
+        settings: values of further registers by name, raw.
 
     Raises:
-        BusError: The servo does not answer, or keeps its torque.
+        BusError: The servo does not answer, keeps its torque, or stores another value.
     """
     bus.write(servo.number, servo["torque_enable"], 0)
     bus.write(servo.number, servo["status_return_level"], 2)
@@ -183,9 +185,10 @@ def prepare(
 
 
 def cable_settings(servo: Servo, limit: float) -> dict[str, int]:
-    """Return the registers that a cable servo needs in addition to its mode, raw by name.
+    """Return the settings that a cable servo needs in addition to its mode, raw values by register name.
 
-    This is the current limit (see `supervision.own_limit`) if the servo measures its current.
+    A servo that measures its current needs the current limit, ``limit`` in A (see `supervision.own_limit`). Other
+    servos need none.
     """
     if not servo.model.measures_current:
         return {}
@@ -193,7 +196,7 @@ def cable_settings(servo: Servo, limit: float) -> dict[str, int]:
 
 
 def prepare_cable(bus: ServoBus, servo: Servo, limit: float) -> None:
-    """Prepare a cable servo: extended position mode, and its own limit of the current (see `supervision.own_limit`)."""
+    """Prepare a cable servo: extended position mode, and the settings of `cable_settings`."""
     prepare(bus, servo, EXTENDED_POSITION_MODE, cable_settings(servo, limit))
 
 
@@ -203,9 +206,9 @@ def prepare_fin(bus: ServoBus, servo: Servo) -> None:
 
 
 def held_position(bus: ServoBus, servo: Servo, limit: float) -> int | None:
-    """Return the position (ticks from home) of a cable servo that an earlier driver left with torque, else None.
+    """Return the position (ticks from home) of a cable servo that an earlier driver left with its torque on.
 
-    The position has a meaning only if the servo is homed and has the settings of `prepare_cable`.
+    Return None if the torque is off, the servo is not homed, or its settings differ from those of `prepare_cable`.
     """
     wanted = {
         "operating_mode": EXTENDED_POSITION_MODE,
@@ -230,8 +233,8 @@ def is_homed(bus: ServoBus, servo: Servo) -> bool:
 def home(bus: ServoBus, cables: Sequence[Servo]) -> None:
     """Set the present positions of all cable servos to 0 and mark the servos as homed. Their torque must be off.
 
-    All marks are cleared before any other write, and set again after everything was read back. After a failure no
-    servo is marked unless its 0 is the home.
+    All home marks are cleared before any other write. They are set after the new zeros of all servos were read back. So
+    after a failure, only servos whose position 0 is the home have the mark.
 
     Raises:
         HomingError: A servo did not accept its new zero.
@@ -251,7 +254,7 @@ def _set_zero(bus: ServoBus, servo: Servo) -> None:
     if abs(offset) > _HOMING_OFFSET_LIMIT:
         raise HomingError(
             f"servo {servo.number} is too many turns from its encoder's zero: call the service reboot, "
-            "which folds it to one turn, then home"
+            "which reduces its position to a single turn, then call home"
         )
     bus.write(servo.number, servo["homing_offset"], offset)
     values = registers(bus, servo, "homing_offset", "present_position")
@@ -269,16 +272,17 @@ def limit_motion(
 
     Args:
         bus: servo bus.
-        servo: servo with its torque off, or left on by an earlier driver.
+        servo: servo whose torque is off, or was left on by an earlier driver.
         speed: speed limit, rad/s.
-        watchdog: time without packets, s.
-        limit: ratio of the load, see `supervision.own_limit`; without meaning if the servo measures its current.
+        watchdog: time without packets after which the servo stops, s.
+        limit: largest PWM output as a ratio of the maximum, see `supervision.own_limit`. Not used for a servo that
+            measures its current.
 
     Raises:
         BusError: The servo does not answer, or rejects a value.
     """
     number, profile = servo.number, servo["profile_velocity"]
-    bus.write(number, servo["bus_watchdog"], 0)  # an expired one rejects all other writes
+    bus.write(number, servo["bus_watchdog"], 0)  # an expired watchdog accepts only 0
     bus.write(number, servo["bus_watchdog"], to_raw(servo["bus_watchdog"], watchdog))
     bus.write(number, profile, max(1, to_raw(profile, min(speed, servo.velocity_limit))))
     if not servo.model.measures_current:
@@ -287,13 +291,13 @@ def limit_motion(
 
 
 def standing_position(bus: ServoBus, servo: Servo) -> int:
-    """Return the position of a servo (ticks) on which two consecutive readings agree.
+    """Return the position of a servo (ticks) on which two consecutive readings agree within 64 ticks.
 
-    A single wrong reading must not become a goal. A body that springs back moves between two readings.
+    A single wrong reading must not become a goal. The tolerance is needed because a body that springs back moves
+    between two readings.
 
     Raises:
-        BusError: The servo does not answer.
-        CorruptReplyError: No two readings agree.
+        BusError: The servo does not answer, or no two consecutive readings agree.
     """
     before = bus.read(servo.number, servo["present_position"])
     for _ in range(_PAIRS):
@@ -302,19 +306,20 @@ def standing_position(bus: ServoBus, servo: Servo) -> int:
             return position
         before = position
     raise CorruptReplyError(
-        f"servo {servo.number} gives another position each time ({before} ticks at last): check its cable and its "
-        "encoder"
+        f"servo {servo.number} reports a different position in each answer ({before} ticks in the last): check its "
+        "cable and its encoder"
     )
 
 
 def switch_on(bus: ServoBus, servo: Servo) -> None:
-    """Switch the torque on, after `limit_motion` has armed the bus watchdog and the goal is at the present position.
+    """Switch the torque on.
 
-    It is as short as possible, because the servos that are already enabled wait for their first goal.
+    The bus watchdog must be armed (`limit_motion`), and the goal must be the present position. The function makes
+    only two exchanges, because the servos that are already enabled wait for their first goal.
 
     Raises:
-        BusError: The servo does not answer, or rejects it.
-        ConfigurationError: The servo restarted during setup. It then has torque without limits, and must be disabled.
+        BusError: The servo does not answer, or rejects the write.
+        ConfigurationError: The servo restarted during setup. Its torque is on without limits: disable the servo.
     """
     bus.write(servo.number, servo["torque_enable"], 1)
     if not bus.read(servo.number, servo["bus_watchdog"]):
@@ -334,14 +339,16 @@ def disable(bus: ServoBus, servo: Servo) -> None:
 
 
 def release_all(bus: ServoBus, servos: Sequence[Servo]) -> list[str]:
-    """Switch the torque of every servo off, whatever fails on the way, and read it back.
+    """Switch the torque of every servo off, first by broadcast, then one by one with a check.
+
+    A failure of one servo does not end the function. A failure of the broadcast does.
 
     Returns:
         Failures, one sentence each; empty if every servo reports that its torque is off.
     """
     problems = []
     try:
-        bus.torque_off_all()  # immediate, but not acknowledged: each servo is checked below
+        bus.torque_off_all()  # Immediate, but not acknowledged. The loop below checks each servo.
     except BusError as error:
         return [str(error)]
     with bus.retrying(retries=2):

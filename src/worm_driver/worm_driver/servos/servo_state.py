@@ -20,10 +20,10 @@ class ServoState:
         ticks: present position, raw.
         position: present position, rad.
         velocity: present velocity, rad/s.
-        effort: current, A, or the ratio of the load if the servo measures no current.
+        effort: current, A; for a servo that measures no current, the load as a ratio of its maximum.
         voltage: supply voltage, V.
         temperature: temperature, degC.
-        tick: time of the servo's own clock, s.
+        tick: time of the servo's own clock (realtime_tick), s.
     """
 
     ticks: int
@@ -35,7 +35,7 @@ class ServoState:
     tick: float
 
 
-#: State of a servo that did not answer.
+#: State of a servo without a usable answer.
 SILENT = ServoState(0, math.nan, math.nan, math.nan, math.nan, math.nan, math.nan)
 
 

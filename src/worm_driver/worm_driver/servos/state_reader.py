@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reader of the states of all servos, once per cycle, with checks that they are fresh and plausible."""
+"""Reader of the states of all servos, once per cycle. It checks that answers are fresh and positions are plausible."""
 
 from collections.abc import Mapping, Sequence
 
@@ -13,17 +13,18 @@ from worm_driver.servos.servo_setup import Servo
 from worm_driver.servos.servo_state import SILENT, STATE_SIZE, STATE_START, ServoState, decode
 from worm_driver.servos.tick_clock import TickClock
 
-#: Registers outside of the state's block. Each cycle reads one of them in turn, in addition to the state.
+#: Health registers, which are not part of the block of the state. A cycle in which all states arrive reads one of them
+#: in turn.
 _HEALTH = tuple(COMMON[name] for name in ("torque_enable", "hardware_error_status", "bus_watchdog"))
 
-#: Block with a servo's health registers and its clock.
+#: Block that contains a servo's health registers and its clock.
 _HEALTH_START, _HEALTH_END = COMMON["torque_enable"].address, COMMON["realtime_tick"].end
 #: Number of exchanges from which a servo's clock is estimated.
 _FIRST_ANSWERS = 3
 
 
 class StateReader:
-    """Reader of states. It repeats a reading once if an answer is missing, garbled, late or implausible.
+    """Reader of states. It repeats a reading once if an answer is missing, garbled, late, implausible or an error.
 
     Args:
         bus: open servo bus.
@@ -31,10 +32,10 @@ class StateReader:
         track: decides which positions are plausible.
 
     Attributes:
-        problems: why a servo's state is SILENT, by id.
+        problems: reasons why states are SILENT, by servo id.
 
     Raises:
-        BusError: The port is gone.
+        BusError: A request cannot be sent, for example because the port is gone.
     """
 
     def __init__(self, bus: ServoBus, servos: Sequence[Servo], track: PositionTrack):
@@ -50,13 +51,13 @@ class StateReader:
         self.learn_clocks()
 
     def read(self) -> tuple[float, tuple[ServoState, ...]]:
-        """Return the time of the request (s, monotonic) and the states of the servos; SILENT without a fresh answer.
+        """Return the time of the request (s, monotonic) and the states, in the order of the servos.
 
-        A servo whose position is lost gets no request. Without packets its bus watchdog stops it at its position,
-        whatever its goal.
+        The state of a servo without a fresh and plausible answer is SILENT. A servo whose position is lost
+        (`PositionTrack.lost`) gets no request. Its bus watchdog then stops it where it is, whatever its goal.
 
         Raises:
-            BusError: The port is gone.
+            BusError: A request cannot be sent, for example because the port is gone.
         """
         requested_at, states = self._request()
         if len(states) < len(self._ids):
@@ -75,9 +76,9 @@ class StateReader:
         return [servo.number for servo in self._servos if servo.number not in lost]
 
     def pop_suspect(self) -> int | None:
-        """Remove and return a servo that showed a sign of a fault or a restart; None if there is none.
+        """Remove and return the id of a servo that showed a sign of a fault or a restart; None if there is none.
 
-        A sign is not yet a fault, because a late answer can look like one. The caller reads the servo again.
+        A sign does not prove a fault, because a late answer can show it, too. The caller reads the servo again.
         """
         return self._suspects.pop() if self._suspects else None
 
@@ -94,7 +95,7 @@ class StateReader:
         """Estimate the servos' clocks from scratch. Each request waits until no older answer can arrive.
 
         Raises:
-            BusError: The port is gone.
+            BusError: A request cannot be sent, for example because the port is gone.
         """
         self._clocks.clear()
         with self._bus.retrying():
@@ -104,12 +105,13 @@ class StateReader:
         self.forget_suspects()
 
     def look(self, servo: Servo, names: Sequence[str]) -> Mapping[str, int] | None:
-        """Return registers of a servo's health by name, read now on a quiet line; None without a fresh answer.
+        """Return raw values of a servo's health registers by name, read on a quiet line; None without a fresh answer.
 
-        One block contains the registers and the servo's clock, so that a late answer is never mistaken for a fault.
+        The registers and the servo's clock are read in one block, so that a late answer is never mistaken for a fault.
+        The result includes the clock, realtime_tick.
 
         Raises:
-            BusError: The port is gone.
+            BusError: A request cannot be sent, for example because the port is gone.
         """
         self._bus.unsettle()
         size = _HEALTH_END - _HEALTH_START
@@ -134,9 +136,11 @@ class StateReader:
         for servo in self._servos:
             reply = replies.get(servo.number)
             if servo.number not in ids:
-                self.problems[servo.number] = "gave a position that it cannot have reached"
+                self.problems[servo.number] = "reported a position that it cannot have reached"
             elif reply is None:
-                self.problems[servo.number] = f"does not answer intact: {SILENCE_REMEDY}"
+                self.problems[servo.number] = (
+                    f"does not answer, or its answers are garbled: {SILENCE_REMEDY}"
+                )
             elif reply.error:
                 self.problems[servo.number] = error_text(reply.error)
             else:
@@ -152,12 +156,13 @@ class StateReader:
     def _note_implausible(self, servo: int, ticks: int) -> None:
         self._bus.count_implausible()
         self._implausible[servo] = ticks
-        self.problems[servo] = f"gives a position that it cannot have reached ({ticks} ticks)"
+        self.problems[servo] = f"reports a position that it cannot have reached ({ticks} ticks)"
 
     def _is_fresh(self, servo: int, requested_at: float, received: float, tick: float) -> bool:
         """Return True if the servo's clock shows that an answer belongs to the present request.
 
-        A clock that jumped belongs to a servo that has restarted. Its answers are accepted from the next one on.
+        The first answer of a servo only starts the estimate of its clock. So does an answer whose clock has jumped: its
+        servo has restarted. Such answers are not fresh.
         """
         clock = self._clocks.get(servo)
         if clock is None or abs(tick_clock.jump(clock, tick, received)) >= tick_clock.RESTART:

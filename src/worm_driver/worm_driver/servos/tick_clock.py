@@ -2,21 +2,23 @@
 """Distinction between a fresh and a late answer by the servo's own clock.
 
 A status packet does not contain the request that it answers, so a late answer looks like the answer to the next
-request. Every block that the driver trusts contains the servo's Realtime Tick (addr 120, ms, wraps after 32767). The
-tick of an answer must not lie before its request. The clock restarts with the servo, which reveals a restart.
+request. Every block that the driver trusts contains the servo's Realtime Tick (address 120, ms, wraps after 32767).
+The tick of an answer must not lie before the request. The clock restarts with the servo, which reveals a restart.
 
-Every answer, also a late one, is a lower bound of the lead of the servo's clock over the host's. No answer is made
-after it was received. The largest bound is stored. It decreases only by the possible drift between the clocks, so a
-late answer can never make a later good one look old.
+The lead of the servo's clock over the host's is unknown. The tick of an answer minus its time of reception is a lower
+bound of the lead, also for a late answer, because an answer is made before it is received. The largest bound is stored.
+It decreases only by the possible drift between the clocks. So a late answer can never make a later, fresh answer look
+old.
 """
 
 from dataclasses import dataclass
 
 WRAP_S = 32.768
-#: Jump of a clock that reveals a restart, s. No answer is so late.
+#: Smallest jump of a clock that counts as a restart of its servo, s. No answer is so late.
 RESTART = 0.3
-#: Largest apparent age of a fresh answer before its request, s. The tick and the moment at which the servo updates its
-#: table are truncated to whole ms; half of the value is reserve. A late answer is older by a wait, at least 4 ms.
+#: Largest time by which a fresh answer may seem to be older than its request, s. The servo truncates the tick, and the
+#: moment at which it updates its control table, to whole ms. The rest is reserve. A late answer is at least 4 ms older
+#: than the request, because the wait for the previous answer lasted at least 4 ms.
 RESOLUTION = 3e-3
 #: Largest drift between two clocks, s/s.
 _DRIFT = 2e-3
@@ -24,10 +26,10 @@ _DRIFT = 2e-3
 
 @dataclass(frozen=True)
 class TickClock:
-    """Lead of a servo's clock over the host's.
+    """Estimated lead of a servo's clock over the host's.
 
     Attributes:
-        lead: largest observed (tick - host time of reception), modulo the wrap, s.
+        lead: largest observed (tick - host time of reception), reduced by the possible drift since, modulo WRAP_S, s.
         time: host time of the last update, s.
     """
 
@@ -41,7 +43,7 @@ def begin(tick_s: float, received: float) -> TickClock:
 
 
 def jump(clock: TickClock, tick_s: float, received: float) -> float:
-    """Return the lead of an answer over its clock so far (s); negative for a delayed answer."""
+    """Return the lead that an answer shows minus the estimated lead (s); negative for a delayed answer."""
     return _wrapped(tick_s - received - clock.lead)
 
 
@@ -53,7 +55,7 @@ def update(clock: TickClock, tick_s: float, received: float) -> TickClock:
 
 
 def age(clock: TickClock, tick_s: float, asked: float) -> float:
-    """Return the smallest possible age of an answer at its request (s); negative if it was made later."""
+    """Return how old (s) an answer was at least at the time ``asked`` of the request; negative if it was made later."""
     return _wrapped(asked - (tick_s - clock.lead))
 
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Conversion between servo angle and cable length.
 
-The position 0 of a servo is its home, with the cable at its initial length, ΔL = 0. Homing sets the servo's homing
-offset, so the home is stored in the servo and not in a file.
+Position 0 of a cable servo is its home: the body has its initial length, ΔL = 0. Homing writes the register
+homing_offset, so the home is stored in the servo and not in a file.
 """
 
 import math
@@ -44,13 +44,13 @@ class Spool:
         """
         if not math.isfinite(length_change):
             raise LimitError(
-                f"cable servo {self.servo}: length change {length_change} is no number"
+                f"cable servo {self.servo}: length change {length_change} is not a finite number"
             )
         ticks = round(-self.sign * length_change / self.radius * TICKS_PER_TURN / (2 * math.pi))
         if abs(ticks) > EXTENDED_POSITION_LIMIT:
             raise LimitError(
                 f"cable servo {self.servo}: length change {length_change:g} m is {ticks} ticks from home, "
-                f"the servo counts {EXTENDED_POSITION_LIMIT}"
+                f"the servo counts at most {EXTENDED_POSITION_LIMIT}"
             )
         return ticks
 

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Module positions from camera images of printed markers. Only ``vision`` imports OpenCV."""
+"""Module positions from camera images of printed markers. Of its modules, only ``vision`` imports OpenCV."""

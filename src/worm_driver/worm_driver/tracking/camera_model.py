@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Camera intrinsics in the terms of ROS's camera_info.
+"""Intrinsic parameters of a camera, with the names of ROS's camera_info.
 
 Distortion models and names follow sensor_msgs/CameraInfo and image_geometry: ``plumb_bob`` (Brown's radial and
 tangential distortion, 4 or 5 coefficients), ``rational_polynomial`` (8 coefficients) and ``equidistant`` (Kannala and
@@ -117,10 +117,12 @@ def make_camera_model(
             f"image size {width} x {height} is not valid: both must be positive integers"
         )
     if len(matrix) != 9 or not all(map(math.isfinite, [*matrix, *distortion])):
-        raise SetupError("camera_matrix must hold nine finite numbers")
+        raise SetupError(
+            "camera_matrix must have nine numbers, and all numbers of the calibration must be finite"
+        )
     if matrix[0] <= 0.0 or matrix[4] <= 0.0:
         raise SetupError(
-            "the focal length is 0: the camera is not calibrated. Calibrate it with calibrate_camera"
+            "the focal length is not positive: the camera is not calibrated. Calibrate it with calibrate_camera"
         )
     if matrix[1] != 0.0:
         raise SetupError("a camera_matrix with skew is not supported")

@@ -12,32 +12,32 @@ from worm_driver.tracking.camera_model import Array, CameraModel
 from worm_driver.tracking.tracker_setup import FEWEST_REFERENCES, TrackerSetup
 from worm_driver.tracking.tracking_errors import PoseError
 
-#: Largest rms distances of the reference corners from the setup file's positions (m): rejected above the first, a
-#: warning above the second. The fitted pose absorbs most of a wrong position: a marker that is 10 mm off along the
-#: pipe leaves a residual of 0.9 mm, one that is 2 mm off leaves 0.2 mm.
+#: Limits of the rms distance of the reference corners from their positions in the setup file (m). Above _MISPLACED, the
+#: pose is rejected; above DOUBTFUL, the tracker warns. Both are small because the fitted pose absorbs most of a wrong
+#: position: an error of 10 mm along the pipe leaves a residual of 0.9 mm, an error of 2 mm a residual of 0.2 mm.
 _MISPLACED, DOUBTFUL = 0.0007, 0.00015
-#: A second pose is ambiguous if its error is below this multiple of the best error and its viewing direction differs
-#: by more than this angle (rad).
+#: The pose is ambiguous if a second pose has an error below _ALMOST times the best error, and a viewing direction that
+#: differs by more than _OTHER_DIRECTION (rad).
 _ALMOST, _OTHER_DIRECTION = 1.5, 0.03
-#: Displacement of a marker that counts as motion (pixels): twenty times the noise of a marker's centre, and a quarter
-#: of a millimetre at 2 pixels per mm.
+#: Displacement of a marker in the image above which the marker counts as moved (pixels): twenty times the noise of its
+#: centre, and a quarter of a millimetre at 2 pixels per mm.
 _MOVED = 0.5
-#: Number of images averaged for a fixed camera. Beyond it, errors of the markers' positions dominate.
+#: Number of images averaged for a fixed camera. With more images, errors of the markers' positions dominate.
 _AVERAGED = 128
 
-_UNIT_CORNERS = np.array([[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]])  # right, up
+_UNIT_CORNERS = np.array([[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]])  # (right, up)
 
 Corners = Mapping[int, Array]
 
 
 @dataclass(frozen=True)
 class CameraPose:
-    """Camera pose: a point of the pipe's frame is at rotation @ point + shift (m) in the optical frame.
+    """Camera pose: a point of the pipe's frame is at rotation @ point + shift (m) in the camera's optical frame.
 
     Attributes:
         rotation: rotation matrix, shape (3, 3).
         shift: translation, shape (3,), m.
-        facing: -1 if the prints face the camera on the side of -y, 1 on the side of +y.
+        facing: direction of the prints, which face the camera: -1 towards -y, 1 towards +y.
         error: rms reprojection error of the corners, pixels.
         error_m: rms reprojection error at the distance of the markers, m.
     """
@@ -56,7 +56,13 @@ class CameraPose:
 
 
 def print_corners(centre: tuple[float, float, float], size: float, facing: int) -> Array:
-    """Return the corners (m), shape (4, 3), of an upright print that faces -y or +y, in the order of a Detection."""
+    """Return the corners (m) of an upright print in the pipe's frame, shape (4, 3), ordered as `Detection.corners`.
+
+    Args:
+        centre: centre of the print, m.
+        size: side of the black square, m.
+        facing: direction of the print, see `CameraPose`.
+    """
     corners = np.tile(np.array(centre), (4, 1))
     corners[:, 0] -= facing * size * _UNIT_CORNERS[:, 0]
     corners[:, 2] += size * _UNIT_CORNERS[:, 1]
@@ -68,7 +74,7 @@ def find_pose(setup: TrackerSetup, camera: CameraModel, corners_of: Corners) -> 
 
     Args:
         setup: the rig.
-        camera: its calibration.
+        camera: calibrated camera.
         corners_of: corners (pixels, shape (4, 2)) of each visible reference marker, by marker number.
 
     Raises:
@@ -152,7 +158,7 @@ class PoseEstimate:
 
 
 class FixedCamera:
-    """Pose estimator for a stationary camera: averages images and checks each new one against the average."""
+    """Pose estimator for a stationary camera. It averages images and checks each new image against the average."""
 
     def __init__(self, setup: TrackerSetup, camera: CameraModel):
         self._setup = setup
@@ -164,7 +170,7 @@ class FixedCamera:
         self._stray: set[int] = set()
 
     def update(self, corners_of: Corners) -> PoseEstimate:
-        """Add the reference markers of the next image and return the pose."""
+        """Add the reference markers of the next image, and return the estimate."""
         trusted = {
             number: corners for number, corners in corners_of.items() if number not in self._stray
         }
@@ -197,9 +203,7 @@ class FixedCamera:
             self._stray.add(number)
             self._forget()
             self._average({n: corners for n, corners in corners_of.items() if n not in self._stray})
-            event = (
-                f"reference marker {names} moved relative to the others. It is ignored from now on"
-            )
+            event = f"reference marker {names} moved relative to the other markers. It is ignored from now on"
             return PoseEstimate(None, f"reference marker {number} moved", event)
         self._forget()
         self._average(corners_of)
@@ -219,7 +223,7 @@ class FixedCamera:
                 self._counts[number] = self._counts.get(number, 0) + 1
 
     def _improve(self) -> None:
-        """Estimate the pose at the first image and again whenever the number of images has doubled."""
+        """Estimate the pose if it is unknown, and whenever the number of images has doubled, up to _AVERAGED images."""
         due = self._images <= _AVERAGED and self._images & (self._images - 1) == 0
         if due or self._pose is None:
             means = {n: total / self._counts[n] for n, total in self._sums.items()}
@@ -227,14 +231,14 @@ class FixedCamera:
 
 
 class MovingCamera:
-    """Pose estimator for a camera that may move: each image is evaluated independently."""
+    """Pose estimator for a camera that may move. It evaluates each image independently."""
 
     def __init__(self, setup: TrackerSetup, camera: CameraModel):
         self._setup = setup
         self._camera = camera
 
     def update(self, corners_of: Corners) -> PoseEstimate:
-        """Return the pose from the reference markers of one image."""
+        """Return the estimate from the reference markers of one image."""
         try:
             return PoseEstimate(find_pose(self._setup, self._camera, corners_of))
         except PoseError as error:

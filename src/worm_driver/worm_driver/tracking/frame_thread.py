@@ -12,8 +12,8 @@ from worm_driver.tracking.tracker_setup import TrackerSetup
 from worm_driver.tracking.tracking_errors import ImageError, TrackingError
 from worm_driver.tracking.vision import VideoSource
 
-_QUEUE_LENGTH = 2  # images; a tracker that is late drops the older ones
-_POLL_PERIOD = 0.05  # s, after which `close` is noticed at the latest
+_QUEUE_LENGTH = 2  # images; the oldest image is dropped if the tracker is late
+_POLL_PERIOD = 0.05  # s, longest time until the thread reacts to `close`
 
 
 def frames_of_device(device: str, size: tuple[int, int], rate: float) -> Iterator[Frame]:
@@ -37,9 +37,13 @@ class FrameThread:
 
     Args:
         source: a device under /dev, a video, or a folder of images.
-        setup: the rig, for the rate of a folder and of a device.
+        setup: the rig, for its rate (`Rig.rate`).
         size: (width, height) requested from a camera, pixels.
         arrived: called in the thread when an image is available or the source has ended.
+
+    Attributes:
+        ended: True if the source has ended or failed.
+        failure: error that ended the source; None without an error.
     """
 
     def __init__(

@@ -17,7 +17,7 @@ IMAGE_ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm")
 
 @dataclass(frozen=True)
 class Frame:
-    """One image with its name in the source and its time (s)."""
+    """Grey image with its name in the source and its time (s)."""
 
     name: str
     time: float
@@ -25,7 +25,7 @@ class Frame:
 
 
 def frames_of_folder(folder: Path, rate: float) -> Iterator[Frame]:
-    """Yield the images of a folder in the order of times.csv (file,time_s), else by name at a rate (Hz).
+    """Yield the images of a folder at the times of times.csv (file,time_s); without it, sorted by name at a rate (Hz).
 
     Raises:
         ImageError: The folder has no images, an image cannot be read, or the times are unknown.
@@ -94,7 +94,9 @@ def _time(text: str | None, place: str) -> float:
 
 
 def frames_of_video(path: Path, rate: float) -> Iterator[Frame]:
-    """Yield the images of a video at the times stored in it, else at a rate (Hz).
+    """Yield the images of a video at the times stored in it.
+
+    Images without times are spaced by the frame rate stored in the video; without it, by ``rate`` (Hz).
 
     Raises:
         ImageError: The video cannot be opened, has no images, or its times are unknown.
@@ -110,7 +112,7 @@ def frames_of_video(path: Path, rate: float) -> Iterator[Frame]:
         index = 0
         while (image_and_time := video.read()) is not None:
             image, time = image_and_time
-            # Some containers store no times, or the same time for all images: space those equally.
+            # Some containers store no times, or the same time for all images. Such images are spaced equally.
             time = time if time > before else (index / rate if index == 0 else before + 1.0 / rate)
             yield Frame(f"image {index}", time, image)
             before = time

@@ -12,19 +12,19 @@ from worm_driver.tracking.camera_pose import CameraPose
 from worm_driver.tracking.tracker_setup import ModuleLine, TrackerSetup
 from worm_driver.tracking.vision import Detection
 
-#: Largest distance of the centre from the line, relative to the marker's side: a module has some play in the pipe.
+#: Largest distance of a marker's centre from the modules' line, relative to the marker's side. A module has some play.
 _OFF_LINE = 0.3
 #: Largest relative deviation of a side from marker_size_m.
 _SIZE = 0.12
-#: Largest rotation of a side against the pipe's axis, rad.
+#: Largest rotation of a side of the marker against its direction in an upright print, rad.
 _TURNED = 0.2
-#: Largest width of an edge, cells. Beyond it, neighbouring cells merge.
+#: Largest width of an edge, cells of the marker. If edges are wider, neighbouring cells merge.
 BLURRED = 0.8
 
 
 @dataclass(frozen=True)
 class Fix:
-    """Position of a marker's centre along the pipe (m); NaN with the reason if the detection is rejected."""
+    """Position along the pipe (m) of a marker's centre or of a fin root; NaN with the reason if it is rejected."""
 
     position: float
     reason: str = ""
@@ -33,8 +33,8 @@ class Fix:
 def locate(setup: TrackerSetup, camera: CameraModel, pose: CameraPose, detection: Detection) -> Fix:
     """Return the position (m) of a module's marker on the line that the modules move along.
 
-    The centre is the intersection of the diagonals, which does not depend on the tilt of the print. The position is
-    the point of the line whose ray passes closest to the centre.
+    The marker's centre is the intersection of the diagonals, also if the print is tilted. The position is that of the
+    point of the line that is closest to the ray through the centre.
     """
     rays = vision.directions(camera, detection.corners)
     if not np.isfinite(rays).all():
@@ -49,7 +49,7 @@ def _rejected(reason: str) -> Fix:
 
 
 def _crossing(rays: Array) -> Array:
-    """Return the intersection of a quadrilateral's diagonals, shape (2,)."""
+    """Return the ray direction (x/z, y/z), shape (2,), of the intersection of a marker's diagonals."""
     corners = np.column_stack([rays, np.ones(4)])
     diagonals = np.cross(corners[0], corners[2]), np.cross(corners[1], corners[3])
     point = np.cross(*diagonals)
@@ -61,7 +61,8 @@ def _nearest_on_line(line: ModuleLine, pose: CameraPose, ray: Array) -> tuple[fl
     """Return the x (m) of the point of the line closest to a ray, and its distance (m) from the ray."""
     along = pose.rotation[:, 0]
     start = pose.rotation @ np.array([0.0, line.y, line.z]) + pose.shift
-    # The projection of (start + x * along) equals ray: two equations linear in x, in m at the depth of the point.
+    # If (start + x * along) is on the ray, its projection equals ray: two equations, linear in x. Their residual is the
+    # distance from the ray in m.
     slope = along[:2] - ray * along[2]
     offset = start[:2] - ray * start[2]
     x = -float(slope @ offset / (slope @ slope))

@@ -19,7 +19,7 @@ _REFERENCE, _MODULE, _UNKNOWN, _REJECTED = (
     (60, 60, 255),
 )
 _AXIS = (60, 200, 255)
-_MARGIN = 0.1  # m; length of the modules' line drawn beyond the reference markers
+_MARGIN = 0.1  # m; length by which the drawn modules' line extends beyond the reference markers on each side
 
 
 def preview(
@@ -52,7 +52,7 @@ def _label(tracker: Tracker, detection: Detection, sample: TrackedPositions) -> 
 
 
 def _line(tracker: Tracker, pose: CameraPose) -> list[Label]:
-    """Return the modules' line and the expected positions of the reference markers."""
+    """Return outlines of the modules' line and of the expected positions of the reference markers."""
     setup = tracker.setup
     along = [place[0] for place in setup.reference.values()]
     x = np.linspace(min(along) - _MARGIN, max(along) + _MARGIN, 60)
@@ -69,7 +69,7 @@ def _line(tracker: Tracker, pose: CameraPose) -> list[Label]:
 def summary(
     tracker: Tracker, detections: Sequence[Detection], sample: TrackedPositions
 ) -> list[str]:
-    """Return the result as lines of text."""
+    """Return a summary of the detections and of the measured positions, line by line."""
     missing = set(tracker.setup.reference) - {detection.number for detection in detections}
     lines = [f"{len(detections)} markers found"]
     if missing:

@@ -23,10 +23,10 @@ class TrackedPositions:
 
     Attributes:
         time: time of the exposure, s.
-        rear, front: x1 and x2, fin roots along +x from the first reference marker, m; NaN while hidden.
-        reason: why a position is NaN; empty if both are visible.
+        rear, front: x1 and x2, fin roots along +x from the first reference marker, m; NaN if hidden or rejected.
+        reason: why a position is NaN; empty if both positions are known.
         event: message to log once, for example that the camera was moved; usually empty.
-        pose: pose of the camera, None if unknown.
+        pose: pose of the camera; None if unknown.
     """
 
     time: float
@@ -38,7 +38,7 @@ class TrackedPositions:
 
     @property
     def length(self) -> float:
-        """Distance between the fin roots (m); NaN while a marker is hidden."""
+        """Distance between the fin roots (m); NaN if a position is NaN."""
         return self.front - self.rear
 
 
@@ -47,10 +47,10 @@ class Tracker:
 
     Args:
         setup: the rig.
-        camera: its calibration; required if the setup reads it from the camera_info topic.
+        camera: calibrated camera; required if the setup contains none (camera_info: topic).
 
     Raises:
-        SetupError: Neither contains a calibration.
+        SetupError: There is no calibrated camera.
     """
 
     def __init__(self, setup: TrackerSetup, camera: CameraModel | None = None):
@@ -67,7 +67,7 @@ class Tracker:
         self._last: dict[str, tuple[float, float]] = {}
 
     def see(self, detections: Sequence[Detection], stamp: float) -> TrackedPositions:
-        """Return the positions from the markers of an image with a stamp (s)."""
+        """Return the positions of the modules from the markers of an image with a stamp (s)."""
         time = stamp - self.setup.delay
         counts = Counter(detection.number for detection in detections)
         once = {d.number: d for d in detections if counts[d.number] == 1}
@@ -86,7 +86,7 @@ class Tracker:
         return TrackedPositions(time, *positions, "; ".join(reasons), event, estimate.pose)
 
     def _misfit_event(self, pose: CameraPose) -> str:
-        """Return a message, the first time that the reference markers fit their positions poorly."""
+        """Return a message the first time that the reference markers fit their positions poorly; empty otherwise."""
         if self._misfit_reported or pose.error_m < DOUBTFUL:
             return ""
         self._misfit_reported = True
@@ -102,7 +102,7 @@ class Tracker:
         counts: Counter[int],
         pose: CameraPose,
     ) -> Fix:
-        """Return the position of a module's fin root from this image alone."""
+        """Return the position of a module's fin root without regard to earlier images."""
         if counts[module.number] > 1:
             return Fix(math.nan, f"{module.number} is visible {counts[module.number]} times")
         if module.number not in once:

@@ -7,7 +7,7 @@ from collections import Counter
 from worm_driver.control.diagnostics import Level, Report
 from worm_driver.tracking.tracker import TrackedPositions
 
-_OFTEN = 0.1  # share of images without both modules above which the level is WARN
+_OFTEN = 0.1  # share of images with a hidden module above which the level is WARN
 
 
 class TrackerReport:
@@ -50,9 +50,7 @@ class TrackerReport:
             level, message = Level.WARN, self._event
         elif hidden > _OFTEN * self._images:
             level = Level.WARN
-            message = (
-                f"hidden in {hidden} of {self._images} images: {self._hidden.most_common(1)[0][0]}"
-            )
+            message = f"a module is hidden in {hidden} of {self._images} images: {self._hidden.most_common(1)[0][0]}"
         values = (
             ("images", str(self._images)),
             ("hidden", str(hidden)),

@@ -25,10 +25,11 @@ DICTIONARIES = {
     "DICT_APRILTAG_36h10": 2320,
     "DICT_APRILTAG_36h11": 587,
 }
-#: A single marker determines the camera's direction to one or two degrees only, about a centimetre at the modules.
+#: Smallest number of reference markers. A single marker determines the camera's direction only to one or two degrees,
+#: which is about a centimetre at the modules.
 FEWEST_REFERENCES = 2
-#: Largest marker side or offset, distance from the pipe's axis, and distance along it (m). Larger values are
-#: probably in mm.
+#: Largest side or offset of a marker, distance from the pipe's axis, and distance along this axis (m). Larger values
+#: are probably in mm.
 LARGEST_MARKER, LARGEST_SIDEWAYS, LARGEST_ALONG = 0.5, 3.0, 20.0
 
 POSES = ("fixed", "each_image")
@@ -42,7 +43,7 @@ Place = tuple[Along, Sideways, Sideways]
 
 @dataclass(frozen=True)
 class ModuleMarker:
-    """Marker on a module. offset: distance along x from the marker's centre to the fin root, m."""
+    """Marker on a module. offset: x of the fin root minus x of the marker's centre, m."""
 
     number: Annotated[int, key("id", ge=0)]
     offset: Annotated[float, key("offset_m", ge=-LARGEST_MARKER, le=LARGEST_MARKER)] = 0.0
@@ -64,9 +65,9 @@ class Rig:
         dictionary: a key of DICTIONARIES.
         marker_size: side of the black square, m.
         rear, front: markers of the modules.
-        line: line of the modules' markers.
+        line: line along which the centres of the modules' markers move.
         reference: centre (x, y, z) of each marker fixed to the pipe, m, by marker number.
-        rate: rate of images without times, Hz; 0 if not given.
+        rate: rate of images without times, and rate that is requested from a camera, Hz; 0 if not given.
         delay: delay from exposure to stamp, s.
         pose: one of POSES.
         max_speed: largest speed of a module, m/s; faster detections are rejected.
@@ -91,14 +92,14 @@ class Rig:
 
 @dataclass(frozen=True, kw_only=True)
 class SetupFile(Rig):
-    """Content of a setup file. camera_info: name of the calibration file, or topic."""
+    """Content of a setup file. camera_info: path of the calibration file relative to the setup file, or "topic"."""
 
     camera_info: Annotated[str, key(min_length=1)]
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrackerSetup(Rig):
-    """Validated setup of a tracker rig. camera: calibration; None if it comes with the images."""
+    """Validated setup of a tracker rig. camera: calibrated camera; None if the topic camera_info describes it."""
 
     camera: CameraModel | None
 
@@ -145,7 +146,7 @@ def _check_numbers(rig: Rig) -> None:
 
 
 def _check_places(rig: Rig) -> None:
-    """Raise SetupError if two markers overlap, which also happens if their positions are not in m."""
+    """Raise SetupError if two reference markers overlap. Positions in another unit than m can cause this, too."""
     for (other, other_place), (number, place) in itertools.combinations(rig.reference.items(), 2):
         distance = math.dist(place, other_place)
         if distance < rig.marker_size:

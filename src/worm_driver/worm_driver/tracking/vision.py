@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """OpenCV interface: marker detection, camera geometry, calibration, image files and drawing.
 
-The only module that imports cv2. Images are grey arrays of shape (height, width) unless stated otherwise. Pixels are
-(column, row) with (0, 0) at the centre of the first pixel.
+No other module imports cv2. Images are grey arrays of shape (height, width) unless stated otherwise. Coordinates in
+pixels are (column, row), with (0, 0) at the centre of the first pixel.
 """
 
 from collections.abc import Sequence
@@ -18,21 +18,20 @@ from worm_driver.tracking.tracking_errors import ImageError
 
 Image = NDArray[np.uint8]
 
-# Images arrive one by one, so that a second thread would have nothing to do.
+# Images are processed one by one; a second thread would bring little.
 cv2.setNumThreads(1)
 
 _UNIT = np.eye(3)
 _EXACT = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 50, 1e-9)
-_PROFILE = np.linspace(-0.9, 0.9, 19)  # cells from an edge, inwards to outwards
-_ALONG = np.linspace(
-    0.1, 0.9, 25
-)  # positions along an edge, away from the corners, which blur rounds
-_FEWEST = 8  # smallest number of those points that must lie on a line
-_LEAST_RISE = 12.0  # grey levels from the frame to the white
+_PROFILE = np.linspace(-0.9, 0.9, 19)  # positions across an edge, cells; negative: inside
+#: Positions along an edge, as shares of its length. They keep away from the corners, because blur rounds the corners.
+_ALONG = np.linspace(0.1, 0.9, 25)
+_FEWEST = 8  # smallest number of points of an edge that determine its line
+_LEAST_RISE = 12.0  # smallest difference between the frame and the white around it, grey levels
 _REFINEMENTS = 2
 _REJECTIONS = 3
-_USUAL = 0.1  # typical distance of a point from its line by noise alone, pixels
-_BORDER = 2  # cells of the frame, in addition to the bits
+_USUAL = 0.1  # distance of a point from its line that noise alone causes, pixels
+_BORDER = 2  # cells of the black frame in a row, in addition to the bits
 
 
 @dataclass(frozen=True)
@@ -42,7 +41,8 @@ class Detection:
     Attributes:
         number: marker id.
         corners: pixels, shape (4, 2): top left, top right, bottom right, bottom left of the print.
-        edge_width: width of the edges from 10 to 90 %, cells of the marker; well below 0.5 in a sharp image.
+        edge_width: width of the edges from 10 to 90 % of the rise, cells of the marker; well below 0.5 in a sharp
+            image, infinite without clear edges.
     """
 
     number: int
@@ -57,7 +57,7 @@ class MarkerDetector:
         markers = _dictionary(dictionary)
         self._cells = markers.markerSize + _BORDER
         settings = cv2.aruco.DetectorParameters()
-        # One threshold window, wider than a cell of a marker of 40 pixels.
+        # One threshold window (pixels), wider than a cell of a marker whose side is 40 pixels.
         settings.adaptiveThreshWinSizeMin = settings.adaptiveThreshWinSizeMax = 23
         self._detector = cv2.aruco.ArucoDetector(markers, settings)
 
@@ -81,11 +81,11 @@ class MarkerDetector:
 
 
 def _refined(image: Image, corners: Array, cells: int) -> tuple[Array, Array]:
-    """Return refined corners, shape (markers, 4, 2), and the width of the edges, cells.
+    """Return refined corners, shape (markers, 4, 2), and the width of each marker's edges, shape (markers,), cells.
 
-    A corner is the intersection of lines through adjacent edges. An edge point is where the grey level is half way
-    between the frame and the white around it, which blur does not move. A line through many such points is several
-    times more accurate than OpenCV's corners, which blur moves inwards.
+    A corner is the intersection of the lines through two adjacent edges. A point of an edge is where the grey level is
+    half way between the frame and the white around it. Blur does not move such points, but moves OpenCV's corners
+    inwards. A line through many such points is several times more accurate than OpenCV's corners.
     """
     sides = np.roll(corners, -1, axis=1) - corners
     lengths = np.hypot(sides[..., 0], sides[..., 1])
@@ -104,7 +104,7 @@ def _refined(image: Image, corners: Array, cells: int) -> tuple[Array, Array]:
 
 
 def _shares(profiles: Array) -> Array:
-    """Return profiles scaled from 0 (the frame) to 1 (the white around it); NaN where there is no edge."""
+    """Return grey levels scaled from 0 (the frame) to 1 (the white around it); NaN where there is no edge."""
     low, high = profiles[:3].mean(axis=0), profiles[-3:].mean(axis=0)
     rise = np.where(high - low > _LEAST_RISE, high - low, np.nan)
     shares: Array = (profiles - low) / rise
@@ -112,7 +112,7 @@ def _shares(profiles: Array) -> Array:
 
 
 def _crossings(shares: Array) -> Array:
-    """Return the positions where profiles first exceed 0.5, cells, shape (along, …); NaN where they do not."""
+    """Return the positions where profiles first exceed 0.5, cells from the edge, shape (along, …); NaN if never."""
     above = shares > 0.5
     index = np.clip(above.argmax(axis=0), 1, len(_PROFILE) - 1)
     before, after = (np.take_along_axis(shares, index[None] - back, axis=0)[0] for back in (1, 0))
@@ -123,8 +123,9 @@ def _crossings(shares: Array) -> Array:
 
 
 def _lines(places: Array) -> tuple[Array, Array]:
-    """Return offset and slope of a robust line through each edge's points (along, …).
+    """Return the offset (pixels, at the first corner) and the slope (pixels per edge) of a line through each edge.
 
+    ``places`` are the distances of the edge's points from the line between the corners, pixels, shape (along, …).
     Outliers are rejected. The result is NaN where too few points remain.
     """
     good = np.isfinite(places)
@@ -144,7 +145,7 @@ def _lines(places: Array) -> tuple[Array, Array]:
 
 
 def _meetings(begin: Array, end: Array) -> Array:
-    """Return the intersections of each line with the previous one, shape (markers, 4, 2)."""
+    """Return the intersection of each side's line with the line of the previous side, shape (markers, 4, 2)."""
     start, along = begin, end - begin
     other, across = np.roll(begin, 1, axis=1), np.roll(along, 1, axis=1)
     # start + s * along = other + r * across
@@ -156,7 +157,7 @@ def _meetings(begin: Array, end: Array) -> Array:
 
 
 def _rises(shares: Array) -> Array:
-    """Return the width of each marker's edges from 10 to 90 %, cells: the larger of its two directions."""
+    """Return the width of each marker's edges from 10 to 90 %, cells: the larger value of its two directions."""
     there = np.isfinite(shares)
     count = np.maximum(there.sum(axis=1), 1)
     mean = np.where(there, shares, 0.0).sum(axis=1) / count  # (profile, marker, side)
@@ -204,9 +205,9 @@ def directions(camera: CameraModel, pixels: Array) -> Array:
 
 
 def poses(points: Array, rays: Array) -> list[tuple[Array, Array]]:
-    """Return rotation and shift of each camera pose that maps points (n, 3) to directions (n, 2), refined.
+    """Return the refined rotation and shift of each camera pose that maps points (n, 3) to directions (n, 2).
 
-    Coplanar points can have two solutions; both are returned (IPPE, Collins and Bartoli 2014).
+    For coplanar points, two poses can fit; the function returns both (IPPE, Collins and Bartoli 2014).
     """
     centre = points.mean(axis=0)
     _, spread, axes = np.linalg.svd(points - centre)
@@ -239,7 +240,7 @@ def _dictionary(name: str) -> cv2.aruco.Dictionary:
 
 
 def marker_cells(dictionary: str, number: int) -> NDArray[np.bool_]:
-    """Return a marker's cells including its frame, shape (n, n), row by row from the top; true is white."""
+    """Return a marker's cells including its frame, shape (n, n), rows from the top; True is white."""
     markers = _dictionary(dictionary)
     side = markers.markerSize + _BORDER
     cells: NDArray[np.bool_] = cv2.aruco.generateImageMarker(markers, number, side) > 0
@@ -271,7 +272,7 @@ class Board:
         return np.asarray(self._board.generateImage(size), np.uint8)
 
     def find(self, image: Image) -> tuple[Array, Array]:
-        """Return the visible inner corners: on the board (n, 3) in m and in the image (n, 2) in pixels."""
+        """Return the visible inner corners: positions on the board (n, 3) in m, and in the image (n, 2) in pixels."""
         corners, numbers, _, _ = self._detector.detectBoard(image)
         if numbers is None or len(numbers) == 0:
             return np.empty((0, 3)), np.empty((0, 2))
@@ -281,7 +282,14 @@ class Board:
 
 @dataclass(frozen=True)
 class Calibration:
-    """Calibrated camera with its rms error, the error of each view and the focal length's deviation, all in pixels."""
+    """Result of a calibration.
+
+    Attributes:
+        camera: calibrated camera.
+        error: rms reprojection error of all views, pixels.
+        view_errors: rms reprojection error of each view, pixels, shape (views,).
+        focal_deviation: standard deviation of the focal length fx, pixels.
+    """
 
     camera: CameraModel
     error: float
@@ -336,7 +344,10 @@ def decode_image(data: bytes) -> Image:
 
 
 def write_image(path: Path, image: Image) -> None:
-    """Write an image, grey or (height, width, 3) blue, green, red, in the format of the file name's extension."""
+    """Write an image, grey or (height, width, 3) blue, green, red, in the format of the file name's extension.
+
+    Raises ImageError.
+    """
     if not cv2.imwrite(str(path), image):
         raise ImageError(f"{path} cannot be written")
 
@@ -400,7 +411,7 @@ class VideoSource:
         return float(self._capture.get(cv2.CAP_PROP_FPS))
 
     def request_format(self, width: int, height: int, rate: float) -> None:
-        """Request an image size and a rate (Hz, 0: default) from a camera, which may use others."""
+        """Request an image size (pixels) and a rate (Hz, 0: default) from a camera. The camera may use other values."""
         self._capture.set(cv2.CAP_PROP_FRAME_WIDTH, width)
         self._capture.set(cv2.CAP_PROP_FRAME_HEIGHT, height)
         self._capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
@@ -428,7 +439,7 @@ Colour = tuple[int, int, int]
 
 @dataclass(frozen=True)
 class Label:
-    """Outline with a text at its first point; colour is (blue, green, red)."""
+    """Outline, pixels, shape (n, 2), with a text above its upper left corner; colour is (blue, green, red)."""
 
     outline: Array
     text: str
@@ -436,7 +447,7 @@ class Label:
 
 
 def draw(image: Image, labels: Sequence[Label], title: Sequence[str]) -> Image:
-    """Return a colour image with labels, and lines of text in its corner."""
+    """Return a colour image with labels, and with the lines of ``title`` in its upper left corner."""
     drawn = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
     for label in labels:
         points = np.round(label.outline * 16).astype(np.int32)

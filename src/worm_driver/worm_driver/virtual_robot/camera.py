@@ -32,7 +32,7 @@ class Tracker:
         self.next_exposure = 0.0
 
     def expose(self, time: float, rear: float, front: float) -> TrackerSample:
-        """Return a sample of the true positions (m) at a time (s)."""
+        """Return a noisy sample of the true positions x1 and x2 (m) at a time (s)."""
         self._exposures += 1
         self.next_exposure = self._exposures / self._settings.rate
         positions = [self._see(marker, time, true) for marker, true in enumerate((rear, front))]

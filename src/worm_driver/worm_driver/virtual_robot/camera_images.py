@@ -2,8 +2,9 @@
 """Rendered camera images of the virtual robot.
 
 The geometry shares no code with the tracker that processes the images. Each pixel's ray is intersected with the plane
-of the prints, and the print is averaged over the pixel and over the exposure. A print consists of constant cells, so
-that both averages are differences of its integral: edges are exact to a fraction of a pixel, without sampling.
+of a print (a printed marker), whose reflectance is averaged over the pixel and over the exposure. The reflectance is
+constant in each cell of a print, so both averages are differences of its integral. Edges are therefore exact to a
+fraction of a pixel without sampling.
 """
 
 from collections.abc import Mapping, Sequence
@@ -48,7 +49,7 @@ class _Line:
 
 @dataclass(frozen=True)
 class ModulePrint:
-    """Marker on a module and its distance (m) to the fin root."""
+    """Marker on a module. offset: x of the fin root minus x of the marker's centre, m."""
 
     marker: Annotated[int, key(ge=0)]
     offset: Annotated[float, key("offset_m")]
@@ -93,17 +94,18 @@ def load_camera_settings(path: Path | None = None) -> CameraSettings:
 
 
 class Pattern:
-    """Print of rectangular cells (sizes along u and v in m) in its plane, centred at (0, 0), u right, v up."""
+    """Print of rectangular cells in its plane, centred at (0, 0), u right, v up."""
 
     def __init__(self, cells: Array, cell: tuple[float, float]) -> None:
+        """Create a print. cells: reflectances, row by row from the top; cell: size of a cell along u and v, m."""
         rows, columns = cells.shape
         self.half = (columns * cell[0] / 2.0, rows * cell[1] / 2.0)
         self._cell = cell
-        # Integral over the area to the left of and below each corner of the cells, in cells.
+        # For each corner of the cells: integral over the area to the left and below, in units of a cell's area.
         self._sums = np.pad(np.cumsum(np.cumsum(cells[::-1], axis=0), axis=1), ((1, 0), (1, 0)))
 
     def average(self, u: Array, v: Array, du: Array, dv: Array) -> tuple[Array, Array]:
-        """Return mean reflectance and area share of the print in each rectangle du x dv (m) around (u, v)."""
+        """Return the print's mean reflectance and covered share of each rectangle du x dv (m) around (u, v)."""
         left, right = (self._along(u + sign * du / 2.0, 0) for sign in (-1, 1))
         low, high = (self._along(v + sign * dv / 2.0, 1) for sign in (-1, 1))
         inside = (right - left) * (high - low)
@@ -121,7 +123,7 @@ class Pattern:
         return np.clip((place + self.half[axis]) / self._cell[axis], 0.0, count)
 
     def _at(self, column: Array, row: Array) -> Array:
-        """Return the integral, which is bilinear within each cell."""
+        """Return the integral up to positions in cells; it is bilinear within each cell."""
         c = np.minimum(column.astype(int), self._sums.shape[1] - 2)
         r = np.minimum(row.astype(int), self._sums.shape[0] - 2)
         fc, fr = column - c, row - r
@@ -278,7 +280,7 @@ class VirtualCamera:
         return self._digitise(levels)
 
     def _show(self, levels: NDArray[np.float32], number: int, centres: Array) -> None:
-        """Draw a module, averaged over its positions (m) during the exposure."""
+        """Draw a module and its marker, averaged over the positions (m) of the marker's centre during the exposure."""
         y, z = self.settings.module_line
         middle, sweep = float(centres.mean()), float(np.ptp(centres))
         part = sweep / max(len(centres) - 1, 1)
@@ -326,7 +328,7 @@ def exposure_path(
 
     Args:
         exposure: stamp (ns), x1 and x2 (m) at the middle of this exposure.
-        before: the same of the previous exposure; None for the first one.
+        before: stamp, x1 and x2 of the previous exposure; None for the first one.
         duration: duration of the exposure, s.
     """
     places = np.array(exposure[1:])

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Offline runs of the virtual robot, many times faster than real time.
 
-The same servos, plant, sensor and camera as in the process, driven at 100 Hz through registers instead of packets.
-Identification and benchmarks use them for hundreds of runs of robots with random parameters.
+A run uses the servos, plant, sensor and camera of `VirtualRobot`, and commands the servos at 100 Hz through registers
+instead of packets. Tests and benchmarks use such runs for hundreds of robots with random parameters.
 """
 
 import math
@@ -39,7 +39,8 @@ class Run:
 
     Attributes:
         onset: start of the gait.
-        servo_time, goal_ticks, encoder_ticks: first cable servo, pulses from its start in the direction of its sign.
+        servo_time, goal_ticks, encoder_ticks: first cable servo, positions relative to the start, pulses. They
+            increase with the contraction if the servo's sign is 1, and decrease if it is -1.
         tracker_time, rear_position, front_position: camera, m; NaN while a marker is hidden.
         power_time, bus_voltage, current: new conversions of the power sensor, V and A.
         truth: true parameters of the robot.
@@ -67,7 +68,7 @@ def run_offline(
 ) -> Run:
     """Simulate a run: a rest (s), then a command for a duration (s).
 
-    In the first half of the rest the cable moves to where the command begins, as for a gait with pretension.
+    If the command does not begin at 0, as with pretension, the cable moves there in the first half of the rest.
 
     Args:
         settings: the robot, with its seed.
@@ -97,7 +98,10 @@ def run_offline(
 
 
 def _tensioned(time: float, rest: float) -> float:
-    """Return the share of a gait's tension at a time (s) of the rest (s): a half cosine over the first half."""
+    """Return the ratio of the length change to its value at the onset, at a time (s) of a rest (s).
+
+    The ratio increases from 0 to 1 as a half cosine over the first half of the rest.
+    """
     return 0.5 * (1.0 - math.cos(math.pi * min(time / (0.5 * rest), 1.0))) if rest else 1.0
 
 
@@ -117,7 +121,7 @@ def _cable_ticks(servo: Servo, home: int) -> tuple[int, int]:
 
 
 def _power_sample(robot: VirtualRobot, time: float) -> list[tuple[float, float, float]]:
-    """Return time, bus voltage and current of the sensor's conversion if it is new, else an empty list."""
+    """Return one row (time, bus voltage, current) if the sensor has a new conversion, else an empty list."""
     bus = robot.chip.read(BUS)
     if not bus & _READY:
         return []

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Plant of the virtual robot: fixed-step integration of the two-mass model with loads and additional effects.
 
-The model follows the paper (eq:x1_ddot_full to eq:power_model) with its own parameters. Additional effects are dry
+The model follows the paper (eq:x1_ddot_full to eq:power_model). Additional effects are dry
 friction of both modules, fins whose threshold and stiffness differ from groove to groove, and optionally a compliant
 cable. The force of a compliant cable drives the two masses, so loads change the body length. In the paper's model the
 length depends on the command alone. The weight of the modules in a sloping pipe, the pull of a tether and the drag
@@ -26,13 +26,13 @@ REVERSE = -1
 LOOSE = 0  # the fins are between their two angles: neither bar touches the wall
 
 _GROOVES = 512  # number of different grooves; the pattern repeats after them
-# m/s; dry friction is regularised below this speed. A robot at rest creeps that slowly
+# m/s; dry friction is regularised below this speed. A loaded robot at rest creeps at a speed of this order.
 _SLOW = 1e-6
 _STANDARD_GRAVITY = 9.80665  # m/s^2
 _WATER_DENSITY = 998.2  # kg/m^3 at 20 degrees Celsius
-# Limits of a robot that holds its position under a load: settling time, speed and motion.
+# The fins hold a loaded robot if it slows down to _SETTLED within the time _SETTLING, and moves by at most _HELD.
 _SETTLING = 600.0  # s
-_SETTLING_STEP = 0.01  # s; the fin forces, which are explicit, are stable up to about 50 ms
+_SETTLING_STEP = 0.01  # s; the explicit integration of the fin forces is stable up to about 50 ms
 _SETTLED = 1e-7  # m/s
 _HELD = 2  # grooves
 
@@ -44,8 +44,8 @@ class PlantEffects:
     Attributes:
         threshold_scatter: standard deviation of the switching threshold from groove to groove, m.
         stiffness_scatter: relative standard deviation of the fin stiffness from groove to groove.
-        slack_engagement: cable displacement at which the slack is taken up, m.
-        slack_release: rest time after which the slack returns, s.
+        slack_engagement: contraction of the cable beyond which the slack is taken up, m.
+        slack_release: time without such a contraction after which the slack returns, s.
         cable_stiffness: stiffness of cable, servo and transmission, N/m; 0 means rigid, as in the paper. A
             compliant cable cannot push. It replaces gain and time constant by k_cable/(k_cable + k_b) and
             c_b/(k_cable + k_b).
@@ -64,8 +64,8 @@ class Conditions:
 
     Attributes:
         slope_deg: slope of the pipe, degrees; positive if +x leads uphill.
-        tether_n: pull of the tether on the rear module towards -x where the robot starts, N.
-        tether_n_per_m: increase of this pull with the length of tether in the pipe, N/m.
+        tether_n: pull of the tether on the rear module towards -x, without the part due to its length, N.
+        tether_n_per_m: additional pull per length of tether in the pipe, N/m.
         distance_m: length of tether in the pipe where the robot starts, m.
         flow_m_per_s: velocity of the water towards -x, m/s.
         drag_area_m2: drag coefficient times area of each module, m^2; 0 if the pipe is dry.
@@ -89,9 +89,13 @@ class Conditions:
         return 0.5 * _WATER_DENSITY * self.drag_area_m2 * relative
 
     def loads(self, parameters: RobotParameters, rear_position: float) -> tuple[float, float]:
-        """Return the loads of both modules without drag (N), with the rear one at a position (m).
+        """Return the loads of the rear and the front module (N) due to slope and tether.
 
         A tether does not push. Its length in the pipe never becomes shorter than at the start.
+
+        Args:
+            parameters: parameters of the robot, for the masses.
+            rear_position: x1, m.
         """
         along = self._gravity
         tether = max(
@@ -101,7 +105,7 @@ class Conditions:
 
     @cached_property
     def _gravity(self) -> float:
-        """Component along the pipe, m/s^2."""
+        """Component of gravity along the pipe, m/s^2; positive towards -x."""
         return _STANDARD_GRAVITY * math.sin(math.radians(self.slope_deg))
 
 
@@ -117,12 +121,12 @@ class PlantState(NamedTuple):
 
     Attributes:
         length_change: body length minus the initial length, m.
-        length_rate: its derivative, m/s.
+        length_rate: derivative of the length change, m/s.
         centre: centre of mass coordinate y, m.
-        centre_velocity: its derivative, m/s.
+        centre_velocity: derivative of y, m/s.
         rear_groove, front_groove: anchors in units of the pitch.
         slack_taken: True while the slack of the transmission is taken up.
-        cable_rest: time for which the cable has rested at its start, s.
+        cable_rest: time since the cable was last contracted by more than slack_engagement, s.
         cable_force: cable force, N; positive when the cable pulls.
         mechanical_power: power of the cable, W; never negative.
     """
@@ -163,25 +167,26 @@ class Plant:
 
     @cached_property
     def _share(self) -> float:
-        """Share of the front module in the mass."""
+        """Mass of the front module divided by the total mass."""
         return self.parameters.front_mass / (self.parameters.rear_mass + self.parameters.front_mass)
 
     @cached_property
     def _decay(self) -> float:
-        """Decay of the length's lag in one step."""
+        """Factor by which the length approaches its target in one step: remaining difference / present difference."""
         return math.exp(-self.step_s / self.parameters.time_constant)
 
     @cached_property
     def _unloaded(self) -> bool:
-        """True if nothing loads the robot, wherever it is."""
+        """True if no load acts on the robot, at any position."""
         p = self.parameters
         return self.conditions == Conditions() and p.rear_load == p.front_load == 0.0
 
     def at_rest(self, laws: tuple[int, int] = (FORWARD, FORWARD)) -> PlantState:
-        """Return the initial state: x1 = 0, both anchors in the grooves nearest to their fins.
+        """Return the initial state.
 
-        Under a load it is the equilibrium that the robot reaches from there. A robot that the fins do not hold starts
-        at x1 = 0 and slides.
+        Without a load, x1 is 0, and both anchors are in the grooves nearest to their fins. Under a load, the initial
+        state is the equilibrium that the robot reaches from there. If the fins do not hold the robot, it starts as
+        without a load, and slides.
 
         Args:
             laws: directions in which the rear and the front fins slide (FORWARD, REVERSE or LOOSE).
@@ -312,10 +317,14 @@ class Plant:
         )
 
     def _loads(self, x1: float, v1: float, v2: float) -> tuple[float, float]:
-        """Return the loads of the rear and the front module (N) with the rear one at x1 (m), at velocities in m/s.
+        """Return the loads of the rear and the front module (N).
 
-        They contain the part of the drag due to the velocity of the water; `_drags` contains the part due to that of
-        the modules.
+        They contain the part of the drag that is proportional to the velocity of the water. `_drags` contains the part
+        that is proportional to the velocity of the modules.
+
+        Args:
+            x1: position of the rear module, m.
+            v1, v2: velocities of the rear and the front module, m/s.
         """
         if self._unloaded:
             return 0.0, 0.0
@@ -328,7 +337,7 @@ class Plant:
         )
 
     def _drags(self, v1: float, v2: float) -> tuple[float, float]:
-        """Return friction and drag of the rear and the front module divided by velocity, N·s/m; see `_loads`."""
+        """Return friction and drag of each module, divided by its velocity, N·s/m; see `_loads`."""
         p, drag = self.parameters, self.conditions.drag
         return (
             p.viscous_friction + p.rear_dry_friction / (abs(v1) + _SLOW) + drag(v1),
@@ -350,11 +359,14 @@ class Plant:
         return new, (goal - new) / p.time_constant
 
     def _push(self, state: PlantState, length_rate: float, forces: float) -> tuple[float, float]:
-        """Return the velocity of the centre of mass one step later and the drag of the rear module (N*s/m).
+        """Return the velocity of the centre of mass one step later, and the rear module's drag from `_drags`.
 
-        forces: sum of the fin forces and loads, N, positive towards -x.
+        Friction and drag are integrated implicitly, which is stable for any step.
 
-        Viscous and dry friction are integrated implicitly, which is stable for any step.
+        Args:
+            state: the present state.
+            length_rate: derivative of the length change one step later, m/s.
+            forces: sum of the fin forces and loads, N, positive towards -x.
         """
         p = self.parameters
         share = self._share
@@ -367,7 +379,7 @@ class Plant:
         return velocity, drag1
 
     def _fin(self, x: float, groove: int, law: int, grooves: Grooves) -> tuple[int, float]:
-        """Return the anchor's groove (eq:A1_switch) and the fin force (eq:fin_force_piecewise)."""
+        """Return the anchor's groove (eq:A1_switch) and the fin force in N (eq:fin_force_piecewise)."""
         p = self.parameters
         if law == LOOSE:
             return round(x / p.pitch), 0.0

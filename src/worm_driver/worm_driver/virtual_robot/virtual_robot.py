@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Virtual robot: servos, plant, power sensor, camera and faults on a common simulated clock.
 
-Time is an argument. The same settings and the same bytes at the same times give exactly the same results.
+Time is an argument. Equal settings and equal bytes at equal times produce exactly equal results.
 """
 
 import math
@@ -157,7 +157,7 @@ class VirtualRobot:
             self.laws = (self._law("rear"), self._law("front"))
 
     def _law(self, module: str) -> int:
-        """Return the sliding direction of a module; LOOSE if its fins differ."""
+        """Return the direction in which a module's fins slide; LOOSE unless all its servos are set to one direction."""
         laws = {self._fin_law(item, servo) for item, servo in self._fins if item.module == module}
         return laws.pop() if len(laws) == 1 else LOOSE
 
@@ -172,7 +172,7 @@ class VirtualRobot:
         power = self.plant.electrical_power(self.state)
         power = max(power + self._ripple.gauss(0.0, supply.power_noise), 0.0)
         current = power / self.bus_voltage + self._extra_current
-        # The voltage uses the current of the previous step; this converges within a few steps.
+        # The current is computed from the voltage of the previous step; this converges within a few steps.
         self.bus_voltage = max(supply.voltage - supply.resistance * current, 0.5 * supply.voltage)
         shunt = current * self.settings.power_sensor.shunt
         self.chip.advance(time, shunt, self.bus_voltage)

@@ -28,7 +28,7 @@ Model = Annotated[ServoModel, OneOf(MODELS)]
 
 @dataclass(frozen=True)
 class LineSettings:
-    """Settings of the serial line and of all servos on it: bit/s, s, s."""
+    """Settings of the serial line and of all servos on it. Units are in the keys; the baud rate is in bit/s."""
 
     baud_rate: Annotated[int, OneOf(BAUD_RATES)]
     return_delay: Annotated[float, key("return_delay_s", ge=0.0)]
@@ -37,7 +37,7 @@ class LineSettings:
 
 @dataclass(frozen=True)
 class CableServoSettings:
-    """Servo of the cable. sign: 1 if an increasing position shortens the body; spool radius in m, angle in rad."""
+    """Servo of the cable. sign: 1 if an increasing position shortens the body, else -1."""
 
     id: ServoNumber
     model: Model
@@ -48,7 +48,7 @@ class CableServoSettings:
 
 @dataclass(frozen=True)
 class FinServoSettings:
-    """A servo that turns the fins of a module; angles in rad."""
+    """Servo that turns the fins of a module."""
 
     id: ServoNumber
     model: Model
@@ -60,7 +60,7 @@ class FinServoSettings:
 
 @dataclass(frozen=True)
 class SupplySettings:
-    """Electrical source: V, ohm, W."""
+    """Electrical source. power_noise: standard deviation of the noise in each step."""
 
     voltage: Annotated[float, key("voltage_V", gt=0.0)]
     resistance: Annotated[float, key("resistance_ohm", ge=0.0)]
@@ -69,7 +69,7 @@ class SupplySettings:
 
 @dataclass(frozen=True)
 class SensorSettings:
-    """INA219: 7-bit address, ohm, V, V."""
+    """INA219. address: 7 bit; shunt_noise, bus_noise: standard deviations of one conversion."""
 
     address: Annotated[int, key(ge=0, le=127)]
     shunt: Annotated[float, key("shunt_ohm", gt=0.0)]
@@ -79,7 +79,7 @@ class SensorSettings:
 
 @dataclass(frozen=True)
 class TrackerSettings:
-    """Camera: Hz, m, Hz, s, s."""
+    """Camera. occlusion_rate: occlusions of a marker per second; occlusion: duration of one occlusion."""
 
     rate: Annotated[float, key("rate_Hz", ge=0.0)]
     noise: Annotated[float, key("noise_m", ge=0.0)]
@@ -90,7 +90,7 @@ class TrackerSettings:
 
 @dataclass(frozen=True)
 class RobotSettings:
-    """Settings of a virtual robot. Each recording of it has its own noise, in the same pipe."""
+    """Settings of a virtual robot. The seed determines robot and pipe; seed and recording determine the noise."""
 
     seed: int
     step: Annotated[float, key("step_s", gt=0.0, le=0.001)]
@@ -108,12 +108,15 @@ class RobotSettings:
     recording: int = 0
 
     def with_seed(self, seed: int) -> "RobotSettings":
-        """Return the settings of the same robot with another seed."""
+        """Return these settings with another seed."""
         return replace(self, seed=seed)
 
 
 def perturbed(body: RobotParameters, spread: float, random: Random) -> RobotParameters:
-    """Return parameters of which those from an identification are perturbed by a relative spread (log-normal)."""
+    """Return the parameters with a random, log-normal error in each one that an identification estimates.
+
+    spread: standard deviation of the errors' logarithm.
+    """
     moved = {
         field.name: getattr(body, field.name) * math.exp(random.gauss(0.0, spread))
         for field in fields(body)
@@ -163,6 +166,6 @@ def _check_shared_line(
         low, high = servo.model.supply_range
         if not low <= voltage <= high:
             raise SettingsFileError(
-                f"servo {servo.id}: a {servo.model.name} takes {low} to {high} V, "
+                f"servo {servo.id}: a {servo.model.name} needs {low} to {high} V, "
                 f"but the supply has {voltage} V"
             )

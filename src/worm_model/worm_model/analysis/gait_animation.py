@@ -28,16 +28,16 @@ from worm_model.errors import InputError
 GIF_TICK_HZ = 100.0  # a GIF stores the duration of a frame in hundredths of a second
 MOST_FRAMES = 3000
 _SIZE, _DPI = (8.4, 4.8), 100  # inches; 840 by 480 pixels, both even as H.264 requires
-# Left, bottom, width and height of pipe, length and power as parts of the figure: fixed, so that no frame jumps.
+# Left, bottom, width and height of the axes of pipe, length and power, relative to the figure and equal in all frames.
 _PLACES = ((0.01, 0.55, 0.98, 0.37), (0.1, 0.325, 0.88, 0.17), (0.1, 0.11, 0.88, 0.17))
 _COLOURS = 128
-_DISTANCE = 8  # of 255, between two colours of a palette
+_DISTANCE = 8  # of 255, smallest difference between two colours of a palette
 _ROOM = 0.07  # m of pipe shown behind and before the robot
 _MOST_TRAVEL = 0.2  # m; the view follows a robot that crawls farther
 
 
 def check_animation(path: Path, rate: float, frames: float) -> None:
-    """Raise `InputError` unless an animation of so many frames at a rate in Hz can be written to ``path``."""
+    """Raise `InputError` unless an animation with a number of ``frames`` at a rate in Hz can be written to ``path``."""
     if frames > MOST_FRAMES:
         raise InputError(
             f"--output {path}: {frames:.0f} frames at --rate {rate:g} Hz; an animation may have {MOST_FRAMES}. "
@@ -51,7 +51,7 @@ def check_animation(path: Path, rate: float, frames: float) -> None:
         )
     if path.suffix.lower() == ".mp4" and not FFMpegWriter.isAvailable():
         raise InputError(
-            f"--output {path}: ffmpeg is not installed, which .mp4 needs. Install it, or write a .gif."
+            f"--output {path}: writing .mp4 requires ffmpeg, which is not installed. Install it, or write a .gif."
         )
 
 
@@ -78,7 +78,7 @@ def write_animation(run: SimulatedRun, path: Path, report: Callable[[float], Non
 
 
 def _write_gif(figure: Figure, shown: Iterator[int], rate: float, path: Path) -> None:
-    """Write the figure each time that an index is shown; all frames share the colours of the first."""
+    """Write a frame for each shown index; all frames use the palette of the first frame."""
     canvas = FigureCanvasAgg(figure)
 
     def frames() -> Iterator[Image.Image]:
@@ -98,7 +98,7 @@ def _write_gif(figure: Figure, shown: Iterator[int], rate: float, path: Path) ->
 def palette_of(image: Image.Image) -> Image.Image:
     """Return a palette for `Image.quantize`: the most frequent colours of an RGB image, without similar ones.
 
-    Flat colours stay what they are, which Pillow's own palettes do not guarantee.
+    The colours of large uniform areas stay unchanged, which Pillow's own palettes do not guarantee.
     """
     red, green, blue = np.moveaxis(np.asarray(image, np.int32), 2, 0)
     packed, counts = np.unique(red << 16 | green << 8 | blue, return_counts=True)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Grooves per cycle over stroke and groove phase, and the margin's cliff over the phase.
 
-It shows the effect of trimming L0. Turning a screw by millimetres moves the groove phase, and with it the strokes that
-gain one more groove and the largest margin.
+The map shows the effect of adjusting L0. A change of L0 by millimetres shifts the groove phase. This changes the
+largest margin, and the strokes from which a cycle gains one more groove.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from worm_model.simulation.closed_form import cliff_margin, front_groove, groove
 class PhaseMap:
     """``grooves`` (m, n) per cycle over ``phase`` (m,) and ``stroke`` (n,) in m, at one frequency in Hz.
 
-    ``cliff`` (m,) is the closed-form cliff of the margin in m. ``phase_now`` and ``cliff_now``, m, are those of the
-    parameters themselves.
+    ``cliff`` (m,) is the closed-form cliff of the margin in m. ``phase_now`` and ``cliff_now``, m, are phase and cliff
+    with the L0 of the parameters.
     """
 
     frequency: float

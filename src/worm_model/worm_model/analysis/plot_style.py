@@ -32,7 +32,7 @@ Style = Mapping[str, Any]
 MEASURED: Style = {"color": BLUE, "linewidth": 1.5}
 SAMPLES: Style = {"color": BLUE, "linestyle": "none", "marker": ".", "markersize": 3}
 PREDICTED: Style = {"color": VERMILION, "linewidth": 1.5, "linestyle": "--"}
-COMMANDED: Style = {"color": LIGHT_GREY, "linewidth": 4.0}  # broad: others lie on it
+COMMANDED: Style = {"color": LIGHT_GREY, "linewidth": 4.0}  # wide, because other curves cover it
 CABLE: Style = {"color": BLACK, "linewidth": 0.8}
 EFFECTIVE: Style = {"color": GREEN, "linewidth": 1.5, "linestyle": "-."}
 _AVERAGED = "#FFF3CF"  # behind the averaged cycles
@@ -42,7 +42,7 @@ FORMATS = (".png", ".pdf", ".svg")
 MM = 1e3  # mm per m
 MARGIN_SYMBOL = r"$\delta_\mathrm{m}$"
 
-_UNDATED: Mapping[str, dict[str, None]] = {  # so that the same data give the same bytes
+_UNDATED: Mapping[str, dict[str, None]] = {  # so that equal data produce equal bytes
     ".pdf": {"CreationDate": None},
     ".svg": {"Date": None},
 }
@@ -89,7 +89,7 @@ def finish(axes: Axes, ylabel: str, note: str = "") -> None:
 
 
 def legend_above(axes: Axes, columns: int = 5) -> None:
-    """Put the legend in rows above the axes, if there is anything to explain."""
+    """Put the legend in rows above the axes, if a curve has a label."""
     handles, _ = axes.get_legend_handles_labels()
     if handles:
         axes.legend(

@@ -52,11 +52,11 @@ class CycleReport:
     Attributes:
         number: number of the cycle in its run, from 1.
         start: s since the recording's first sample.
-        grooves: grooves that the twin's rear anchor gained in it, along +x; NaN if the recording begins in it.
+        grooves: grooves that the twin's rear anchor gained in the cycle, along +x; NaN without a state of the twin.
         measured_grooves: displacement of the rear module according to the tracker, in pitches.
         residuals: residuals over the cycle.
         complete: True if the recording contains the whole cycle.
-        not_judged: reason why the twin did not judge it; empty if it did.
+        not_judged: reason why the twin did not judge the cycle; empty if it did.
     """
 
     number: int
@@ -70,7 +70,7 @@ class CycleReport:
 
 @dataclass(frozen=True)
 class RunReport:
-    """One run of a recording; ``health`` is the worst in it, ``events`` are at times in s since the first sample.
+    """One run of a recording, with its worst ``health``, and ``events`` with times in s since the first sample.
 
     ``not_judged`` is the reason why the run could not be judged, or empty.
     """
@@ -85,9 +85,10 @@ class RunReport:
 
 @dataclass(frozen=True)
 class ReplayReport:
-    """Report on a recording: residuals from the last gait's onset on (of the whole recording without a gait).
+    """Report on a recording: residuals over the last run, or over the whole recording if it contains no gait.
 
-    `energy_error` is (measured − predicted) / measured at the last run's end; `cycles` are the last run's.
+    `energy_error` is (measured − predicted) / measured energy at the end of the last run. `cycles` are the cycles of
+    the last run.
     """
 
     residuals: Residuals
@@ -132,7 +133,7 @@ class _RunData:
 
 
 class ReplayReporter:
-    """Report on a replay that is added in parts. Only the samples of the current cycle are in memory.
+    """Builder of the report on a replay, which is added in parts. Memory holds only the samples of unfinished cycles.
 
     Args:
         samples: the recording.
@@ -246,10 +247,10 @@ class ReplayReporter:
         return float(np.interp(0.0, (stamp - when) * 1e-9, values))
 
     def _groove_at(self, when: int, resumed: int = 0) -> float:
-        """Return the twin's rear groove in the first state from a stamp on; it accounts for missed grooves.
+        """Return the twin's rear groove in the first state from a stamp (ns) on; missed grooves are accounted for.
 
-        If the stamp is just before the one at which a stored memory was ``resumed``, the first state after the latter
-        is used, because earlier states count from another groove. The result is NaN without a state.
+        If the replay resumed from a stored memory shortly after the stamp, the first state after ``resumed`` is used,
+        because earlier states count from another groove. The result is NaN without a state.
         """
         if 0 <= resumed - when <= RESUMED_AFTER_NS:
             when = resumed + 1
@@ -279,9 +280,9 @@ class ReplayReporter:
     def _cycle_report(self, run: _RunData, number: int, cycle: _CycleData) -> CycleReport:
         cut_off = ""
         if cycle.start < self._first:
-            cut_off = "the recording begins in it"
+            cut_off = "the recording begins within the cycle"
         elif cycle.end > run.end:
-            cut_off = "it was not played, or not recorded, to its end"
+            cut_off = "the cycle was not played, or not recorded, to its end"
         reasons = (
             closed.not_judged
             for closed in self._closed.get(number, ())
@@ -321,10 +322,10 @@ class _ResidualSums:
 
 
 class _Energy:
-    """Energy error at the last residual of the energy. The measured energy (J) is integrated by trapezoids.
+    """Energy error at the last energy residual. The measured energy (J) is integrated by the trapezoidal rule.
 
     Args:
-        start: stamp at which the integral begins, ns. The first sample of the power is used from there on.
+        start: stamp at which the integral begins, ns. Before the first power sample, its value is used.
     """
 
     def __init__(self, start: int) -> None:
@@ -362,7 +363,7 @@ def _appended(series: Series, more: Any, names: tuple[str, ...]) -> Series:
 
 
 def _since(series: Series, stamps: str, begin: int) -> Series:
-    """Return the rows from a stamp (ns) on, and at least the last one."""
+    """Return the rows from a stamp (ns) on, and at least the last row."""
     if not series or not len(series[stamps]) or series[stamps][0] >= begin:
         return series
     kept = series[stamps] >= begin
@@ -371,7 +372,7 @@ def _since(series: Series, stamps: str, begin: int) -> Series:
 
 
 def run_end(run: Run, played: PlayedGait) -> int:
-    """Return the stamp (ns) of the end of a run, as far as recorded: of its last cycle, or of an earlier stop."""
+    """Return the stamp (ns) at which a run ends: after its last cycle, at an earlier stop, or with the recording."""
     lasts = [s.stamp[-1] for s in (run.commanded, run.measured, run.tracker) if len(s.stamp)]
     return _end_of_run(run.gait_state, int(max(lasts, default=run.origin)), played)
 

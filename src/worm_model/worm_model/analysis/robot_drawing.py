@@ -59,7 +59,7 @@ def pose_at(motions: Motions, command: Array, parameters: Parameters, index: int
 def prepare_axes(
     axes: Axes, low: float, high: float, above: float = 4.0, below: float = 4.0
 ) -> None:
-    """Make axes without a frame that show the pipe from ``low`` to ``high`` (m), to scale.
+    """Set axes to show the pipe from ``low`` to ``high`` (m) to scale, without a frame.
 
     ``above`` and ``below`` are the room outside of the pipe's wall, mm.
     """
@@ -154,7 +154,7 @@ def _bent_fin(root: float, groove: float, side: float) -> tuple[Array, Array]:
 
 
 def explain_colours(figure: Figure | SubFigure, **place: Any) -> None:
-    """Add a legend of the fins' colours and of the anchors; ``place`` goes to `Figure.legend`."""
+    """Add a legend of the fins' colours and of the anchors; ``place`` is passed to `Figure.legend`."""
     meanings = (("holds", HOLDING), ("yields", YIELDING), ("touches nothing", FREE))
     handles = [Line2D([], [], color=c, linewidth=4.0, label=f"fin {name}") for name, c in meanings]
     handles.append(Line2D([], [], color=BLACK, marker="d", linestyle="none", label="anchor"))

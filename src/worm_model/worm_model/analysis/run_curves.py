@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Curves and figures of a recorded run with the twin, over the time since the gait's onset, and of a simulated one."""
+"""Curves and figures of a recorded run with its twin, and of a simulated run, over the time since the gait's onset."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def plot_simulated_run(run: SimulatedRun) -> Figure:
 
 
 def position_curves(run: Run, replay: Replay, onset: int) -> tuple[Curves, Curves]:
-    """Return x1 relative to its value at rest before the onset (ns), measured and of the twin; and their difference."""
+    """Return x1 (measured, and of the twin) relative to its value at rest before the onset (ns), and the difference."""
     time = seconds(run.tracker.stamp, onset)
     rest = value_at_onset(time, run.tracker.rear_position)
     measured = Curve("measured", time, run.tracker.rear_position - rest, plot_style.MEASURED)
@@ -90,7 +90,7 @@ def position_curves(run: Run, replay: Replay, onset: int) -> tuple[Curves, Curve
 def length_curves(run: Run, onset: int, parameters: Parameters) -> tuple[Curves, Curves]:
     """Return the length changes of cable and body, their prediction from the command, u_cmd and u_eff (eq:slack_clip).
 
-    The change is relative to each instrument's value at rest, which removes offsets.
+    The change is relative to the value that each instrument measured at rest, which removes offsets.
     """
     time, command = seconds(run.commanded.stamp, onset), run.commanded.length_change
     time, command = time[time >= 0.0], command[time >= 0.0]
@@ -113,7 +113,7 @@ def length_curves(run: Run, onset: int, parameters: Parameters) -> tuple[Curves,
 
 
 def power_curves(run: Run, replay: Replay, onset: int) -> Curves:
-    """Return the source power, measured and of the twin. The twin's is known from the onset on."""
+    """Return the source power, measured and of the twin. The twin's power is shown from the onset on."""
     known = np.isfinite(run.power.valid_power)
     measured = seconds(run.power.stamp[known], onset)
     stamp, power = settled_power(run, replay)
@@ -125,7 +125,7 @@ def power_curves(run: Run, replay: Replay, onset: int) -> Curves:
 
 
 def energy_curves(run: Run, replay: Replay, onset: int) -> tuple[Curves, Curves]:
-    """Return the energy since the onset, measured and of the twin; and their difference."""
+    """Return the energy since the onset (measured, and of the twin), and the difference."""
     stamp, energy = accumulated_energy((run.power.stamp, run.power.valid_power))
     time = seconds(stamp, onset)
     measured = Curve("measured", time, energy - value_at_onset(time, energy), plot_style.MEASURED)
@@ -149,7 +149,7 @@ def settled_power(run: Run, replay: Replay) -> Samples:
 
 
 def value_at_onset(time: Array, values: Array) -> float:
-    """Return the last known value before the onset, otherwise the first one after it; NaN without any."""
+    """Return the last known value up to the onset, otherwise the first one after it; NaN without known values."""
     known = np.isfinite(values)
     before = np.flatnonzero(known & (time <= 0.0))
     row = before[-1:] if before.size else np.flatnonzero(known)[:1]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Metrics of a run, each defined only here: averaged cycles, speed, power, cost of transport, rms.
+"""Metrics of a run: averaged cycles, mean rates such as speed and power, energy, idle power, rms.
 
 The protocol is the paper's: the last three of the played whole cycles are averaged. The driver does not depend on this
 package and computes its own metrics for the result of RunGait. A test compares both on one run.
@@ -37,7 +37,7 @@ class RecordingError(InputError):
 
 @dataclass(frozen=True)
 class Window:
-    """Span of whole cycles, from the point of rest before them to the one after, in ns since the epoch."""
+    """Span of whole cycles, from the point of rest before them to the point of rest after them, ns since the epoch."""
 
     start: int
     end: int
@@ -52,11 +52,10 @@ class Window:
 class PlayedGait:
     """Played gait: ``cycles`` is the requested number, from the ``onset`` on (ns since the epoch).
 
-    ``run`` is the driver's number of the run, 0 in recordings without it.
-    ``end`` is the stamp (ns) at which the driver reported the end of the gait. ``state_after`` is the state that it
-    reported then, an index of `worm_model.run.STATE_NAMES`, or STOPPING if the gait was stopped at its next point of
-    rest. Both are None if the recording ends before. ``rest_start`` is the stamp (ns) at which the rest before the
-    onset began, None if unknown.
+    ``run`` is the driver's number of the run, 0 in recordings without run numbers. ``end`` is the stamp (ns) at which
+    the driver reported the end of the gait. ``state_after`` is the state that the driver reported at the end, an index
+    of `worm_model.run.STATE_NAMES`, or STOPPING if the gait was stopped at its next point of rest. Both are None if the
+    recording ends earlier. ``rest_start`` is the stamp (ns) at which the rest before the onset began, None if unknown.
     """
 
     gait: Gait
@@ -73,14 +72,14 @@ class PlayedGait:
         return Window(self.onset + round((first - 1) * period), self.onset + round(last * period))
 
     def whole_cycles_until(self, stamp: int) -> int:
-        """Return how many of the requested cycles had been played at a stamp (ns)."""
+        """Return the number of the requested cycles that had been played completely at a stamp (ns)."""
         played_until = stamp if self.end is None else min(stamp, self.end + END_TOLERANCE_NS)
         cycles = math.floor((played_until - self.onset) / (1e9 * self.gait.period))
         return max(min(cycles, self.cycles), 0)
 
 
 def last_played_gait(states: GaitStates) -> PlayedGait:
-    """Return the last gait played; raise `RecordingError` if there is none, `GaitError` if it is inadmissible."""
+    """Return the last gait that was played; raise `RecordingError` if there is none, or if the gait is inadmissible."""
     runs = states.rows_of_runs()
     if not runs:
         raise RecordingError(
@@ -90,7 +89,7 @@ def last_played_gait(states: GaitStates) -> PlayedGait:
 
 
 def played_gaits(states: GaitStates) -> list[PlayedGait]:
-    """Return the gaits that were played, in order, without inadmissible ones."""
+    """Return the gaits that were played, in order; inadmissible gaits are omitted."""
     gaits = []
     for rows in states.rows_of_runs():
         with suppress(RecordingError):
@@ -142,16 +141,17 @@ def completed_cycles(run: Run, played: PlayedGait) -> int:
 
 
 def averaged_cycles(run: Run, played: PlayedGait) -> tuple[int, int]:
-    """Return the first and last averaged cycle, counted from 1: the last three whole ones played and recorded.
+    """Return the numbers (from 1) of the first and the last averaged cycle.
 
-    Without a completed cycle it is (1, 1), over which there is no speed and no power: see `completed_cycles`.
+    The averaged cycles are the last three that were completely played and recorded. Without such a cycle, the result is
+    (1, 1), and speed and power are unavailable; see `completed_cycles`.
     """
     last = max(completed_cycles(run, played), 1)
     return max(last - AVERAGED_CYCLES, 0) + 1, last
 
 
 def early_end(run: Run, played: PlayedGait) -> str:
-    """Return why fewer cycles were played or recorded than requested; empty if none is missing."""
+    """Return the reason why fewer cycles were played or recorded than requested; empty if none is missing."""
     if played.state_after is not None and played.end is not None:
         done = played.whole_cycles_until(_FOREVER)
         if played.state_after == FAULT:
@@ -194,7 +194,7 @@ def idle_power(run: Run, played: PlayedGait) -> float:
 
 
 def single_cycles(window: Window, cycles: int) -> Iterator[Window]:
-    """Return the single cycles of a window."""
+    """Yield the single cycles of a window."""
     borders = np.linspace(window.start, window.end, cycles + 1).round().astype(np.int64).tolist()
     for start, end in pairwise(borders):
         yield Window(start, end)

@@ -18,7 +18,7 @@ _SERIES = tuple(field.name for field in fields(Run) if field.name != "origin")
 
 @dataclass(frozen=True)
 class Part:
-    """Run of one gait, with the samples from ``start`` to before ``end`` (ns since the epoch)."""
+    """Part of a recording with one gait: the samples from ``start`` to before ``end`` (ns since the epoch)."""
 
     run: Run
     start: int
@@ -30,9 +30,9 @@ class Part:
 
 
 def parts_of(run: Run) -> list[Part]:
-    """Return one part for each played gait, in order. Each begins with the rest before its gait.
+    """Return one part for each played gait, in order. Each part begins with the rest before its gait.
 
-    A run of one gait or without a gait has one part, the run itself.
+    A recording with at most one gait has one part, which contains the whole recording.
     """
     states = run.gait_state
     onsets = [int(states.onset[rows].min()) for rows in states.rows_of_runs()]

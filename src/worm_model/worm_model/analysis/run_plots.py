@@ -18,7 +18,7 @@ from matplotlib.ticker import MultipleLocator
 from worm_model.analysis import plot_style
 from worm_model.arrays import Array
 
-WIDTH, _HEIGHT = 8.5, 1.75  # inches; the height is that of a panel of weight 1
+WIDTH, _HEIGHT = 8.5, 1.75  # inches; width of a figure, height of a panel of weight 2
 _TIME = "time since the gait's onset (s)"
 
 
@@ -93,7 +93,7 @@ def overview_figure(
     powers: Curves,
     pitch: float,
 ) -> Figure:
-    """Return a figure of a run: position, length, power and energy."""
+    """Return a figure of a run: x1, its residual, length change and source power."""
     return _figure(
         frame,
         [

@@ -22,7 +22,7 @@ _LENGTHS = ("commanded", "cable", "measured", "estimated")
 
 @dataclass(frozen=True)
 class RunTable:
-    """Columns of equal length by name, with the unit at the end of the name; nothing is interpolated.
+    """Columns of equal length by name, with the unit at the end of the name. Values are not interpolated.
 
     Each row is a moment at which something was measured or commanded, in the order of the stamps. Values without a
     sample at that moment are NaN, or None for texts. The first columns are
@@ -70,7 +70,7 @@ def _repetition(stamp: Stamps) -> Stamps:
 
 
 def _time_columns(run: Run, stamp: Stamps) -> dict[str, Column]:
-    """Return the columns that each row has."""
+    """Return the columns ``time_s``, ``gait``, ``cycle`` and ``stamp_ns``, which have a value in each row."""
     gait, cycle = np.zeros(stamp.size, np.int64), np.zeros(stamp.size, np.int64)
     time = seconds(stamp, run.origin)
     for number, part in enumerate(parts_of(run), 1):

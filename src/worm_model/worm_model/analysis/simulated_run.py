@@ -51,7 +51,7 @@ class SimulatedRun:
 
     @property
     def stamp(self) -> NDArray[np.int64]:
-        """Stamps (n,) in ns since the epoch, with an invented date."""
+        """Stamps (n,) in ns since the epoch, with the arbitrary date EPOCH_NS."""
         return EPOCH_NS + round(REST_S * 1e9) + np.round(1e9 * self.time).astype(np.int64)
 
     def provenance(self) -> dict[str, str]:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reading, writing, recording and recovery of bags in MCAP and other rosbag2 formats.
 
-Only these modules know the file formats; all other packages use typed arrays and records.
+Only these modules depend on the file formats; all other packages use typed arrays and records.
 
-`opening.open_bag` returns a `bag.Bag` for any supported format, whose messages are iterated lazily.
+`opening.open_bag` returns a `bag.Bag` for any supported format. Iteration over a bag reads its messages lazily.
 `run_reader.read_run` returns the worm's topics as arrays (`worm_model.run.Run`), and `run_writer` writes them.
 
 - `formats`: MCAP, sqlite3, metadata.yaml, message definitions, CDR. `bag_writer.new_bag` writes a complete bag.
@@ -11,5 +11,6 @@ Only these modules know the file formats; all other packages use typed arrays an
 - `recovery`: `recovery.recover` saves every readable message of a damaged bag.
 - `operations`: cut, join, clean, export, play.
 
-Defects of a bag raise a `bag_errors.BagError` with a message of one line, or pass one line to the caller's `notify`.
+If a defect prevents reading, the functions raise a `bag_errors.BagError` with a message of one line. They report any
+other defect by calling the caller's `notify` with one line.
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bag that is open for reading, whatever its format: one or several files, read lazily, extent by extent."""
+"""Bag in any supported format, open for reading. Its files are read lazily, one `contents.Extent` at a time."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ from worm_model.bags.formats.message_block import (
 from worm_model.bags.formats.message_types import PACKAGE, with_definition
 from worm_model.bags.formats.stored_file import LATEST_NS, StoredFile
 
-DECOMPRESSED_BYTES = 16 << 20  # of decompressed messages per block
+DECOMPRESSED_BYTES = 16 << 20  # size at which a block of decompressed messages ends
 
 Notify = Callable[[str], None]
 
 
 @dataclass(frozen=True)
 class MetadataRecord:
-    """Metadata record: text by key, under a name. Several records of a bag may have the same name."""
+    """Named metadata record with one text per key. Several records of a bag may have the same name."""
 
     name: str
     values: tuple[tuple[str, str], ...]
@@ -53,8 +53,8 @@ class Bag:
 
     Attributes:
         channels: topics with their layouts; a topic whose layout changes occurs several times.
-        start, end: smallest and largest log time, ns since the epoch; 0 in an empty bag.
-        records: all metadata records in their order, without the repetitions in further files. A recording has one
+        start, end: smallest log time and largest log time up to LATEST_NS, ns since the epoch; 0 in an empty bag.
+        records: metadata records in the order of the files; identical records occur once. A recording has one record
             ``worm_gait`` for each gait that was run.
         topics: topics by name, with the last layout and the number of messages of all layouts.
     """
@@ -82,7 +82,7 @@ class Bag:
         self._given: dict[Topic, Topic] = {}
 
     def _span(self) -> tuple[int, int]:
-        """Return the smallest and the largest plausible log time, ns; report implausible ones."""
+        """Return the smallest log time, and the largest one up to LATEST_NS, ns; report later log times."""
         extents = [(file, extent) for file in self._files for extent in file.contents.extents]
         start = min((extent.start for _, extent in extents), default=0)
         latest = max((extent.end for _, extent in extents), default=0)
@@ -105,32 +105,32 @@ class Bag:
         return iter(dict.fromkeys(attached))
 
     def define(self, definitions: Path | None) -> None:
-        """Use external definitions for topics that contain none, and report these topics.
+        """Set definitions for the topics without a definition in the bag, and report these topics.
 
         Args:
             definitions: folder with the ``.msg`` files of worm_msgs from the time of the recording. None: the
                 installed definitions are used later, for each topic that is decoded.
 
         Raises:
-            BagError: A definition in the folder is incomplete, or its hash shows that it is another type.
+            BagError: A definition in the folder is incomplete, or its type hash differs from the recorded one.
         """
         bare = [c for c in self.channels if c.count and not c.definition]
         defined = [c for c in bare if definitions and _is_defined(c, definitions)]
         self._given = {channel: with_definition(channel, definitions) for channel in defined}
         self.channels = tuple(self._given.get(channel, channel) for channel in self.channels)
         self.topics = _by_name(self.channels)
-        self._tell(defined, f"those in {definitions} are taken")
+        self._report_bare(defined, f"those in {definitions} are used")
         rest = [c for c in bare if c not in defined]
-        self._tell(
-            rest, "the installed ones are taken, if type hash and length of the messages allow it"
+        self._report_bare(
+            rest, "the installed definitions are used if type hash and length of the messages match"
         )
         if definitions and not defined:
-            self.notify(f"{self.path} has no use for {definitions}: {_why_useless(bare)}")
+            self.notify(f"{self.path}: {definitions} is not used: {_why_useless(bare)}")
 
-    def _tell(self, channels: Sequence[Topic], what: str) -> None:
+    def _report_bare(self, channels: Sequence[Topic], remedy: str) -> None:
         if channels:
             names = ", ".join(channel.name for channel in channels)
-            self.notify(f"{self.path}: {names} carry no definition; {what}")
+            self.notify(f"{self.path} contains no definitions of {names}; {remedy}")
 
     def __enter__(self) -> Bag:
         return self
@@ -145,7 +145,7 @@ class Bag:
 
     @property
     def metadata(self) -> dict[str, dict[str, str]]:
-        """Metadata by name, such as ``worm_run``, the last record of each; empty if the format has none."""
+        """Last metadata record of each name, such as ``worm_run``; empty if the format has no metadata."""
         return {record.name: dict(record.values) for record in self.records}
 
     def messages(self, topics: Iterable[str] | None = None) -> Iterator[Message]:
@@ -172,7 +172,7 @@ class Bag:
         return map(self._defined, blocks) if self._given else blocks
 
     def _defined(self, block: Messages) -> Messages:
-        """Return the messages with the external definitions. Raises BagError if these do not fit."""
+        """Return a block with the definitions set by `define`. Raises BagError if the length of a message differs."""
         taken = np.array([channel in self._given for channel in block.channels], bool)
         channels = tuple(self._given.get(channel, channel) for channel in block.channels)
         defined = replace(block, channels=channels)
@@ -183,11 +183,11 @@ class Bag:
     def _blocks(self, topics: frozenset[str]) -> Iterator[Messages]:
         """Yield the messages of some topics in order of log time.
 
-        The extents that overlap in time are in memory at the same time, or TOGETHER_BYTES of small ones, regardless
-        of the length of the files.
+        However long the files are, memory holds only the extents that overlap in time. Small successive extents are
+        read together (`mcap_file.TOGETHER_BYTES`).
         """
         extents = [(file, extent) for file in self._files for extent in file.contents.extents]
-        # Equal ones stay in the order of the files.
+        # Extents with equal times stay in the order of the files.
         extents.sort(key=lambda item: (item[1].start, item[1].end))
         runs = groupby(extents, key=itemgetter(0))
         count = 0
@@ -199,7 +199,7 @@ class Bag:
         expected = sum(channel.count for channel in self.channels if channel.name in topics)
         if count != expected:
             raise BagError(
-                f"{self.path} holds {count} messages instead of the {expected} that its summary declares; save those "
+                f"{self.path} holds {count} messages, but its summary declares {expected}; save the messages "
                 f"with: worm_model recover {self.path}"
             )
 
@@ -214,9 +214,9 @@ def _plausible_end(file: StoredFile, extent: Extent) -> int:
 
 
 def _decompressed(block: Messages) -> Iterator[Messages]:
-    """Yield a block with decompressed messages, which rosbag2 compresses in its compression mode MESSAGE.
+    """Yield a block with all messages decompressed; rosbag2's compression mode MESSAGE compresses each message.
 
-    No CDR begins like them. The block is divided where its messages grow to more than DECOMPRESSED_BYTES.
+    No CDR message begins like a compressed one. A block is divided where it grows beyond DECOMPRESSED_BYTES.
     """
     rows = np.flatnonzero(block.size >= len(zstandard.FRAME_HEADER))
     beginnings = cells(block.buffer, len(zstandard.FRAME_HEADER))[block.offset[rows]]
@@ -237,7 +237,10 @@ def _decompressed(block: Messages) -> Iterator[Messages]:
 
 
 def _payload(message: Message) -> bytes:
-    """Return the decompressed payload of a message; unchanged if it is not compressed, or damaged."""
+    """Return the decompressed payload of a message.
+
+    A payload that is not compressed, is damaged, or decompresses to more than LARGEST_CHUNK is returned unchanged.
+    """
     data = message.data
     if data.startswith(zstandard.FRAME_HEADER) and message.channel.encoding == "cdr":
         with suppress(zstandard.ZstdError):
@@ -257,12 +260,13 @@ def _by_name(channels: Iterable[Topic]) -> dict[str, Topic]:
 
 
 def _is_defined(channel: Topic, definitions: Path) -> bool:
-    """Return True if a folder of worm_msgs' definitions contains that of a topic."""
+    """Return True if a folder with definitions of worm_msgs contains the definition of a topic's type."""
     package, _, kind = channel.type_name.partition("/msg/")
     return package == PACKAGE and (definitions / f"{kind}.msg").is_file()
 
 
 def _why_useless(bare: Sequence[Topic]) -> str:
     if not bare:
-        return "its topics carry their definitions"
-    return f"it has none of {', '.join(sorted({channel.type_name for channel in bare}))}"
+        return "the bag contains the definitions of all its topics"
+    missing = ", ".join(sorted({channel.type_name for channel in bare}))
+    return f"the folder has no definition of {missing}"

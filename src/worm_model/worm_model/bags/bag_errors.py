@@ -11,7 +11,7 @@ class BagError(InputError):
 
 
 class ExistsError(BagError):
-    """Existing output; nothing is overwritten."""
+    """Output path that exists already; it is not overwritten."""
 
 
 class DefinitionError(BagError):
@@ -19,4 +19,4 @@ class DefinitionError(BagError):
 
 
 class UnwritableError(OSError):
-    """Location where the operating system does not permit to write a bag; the message is one line."""
+    """Bag that cannot be written because of an error of the operating system; the message is one line."""

@@ -19,7 +19,7 @@ _COPY = re.compile(r"(?P<source>.+)_recovered(?:_(?P<number>\d+))?")
 
 
 def check_readable(path: Path) -> None:
-    """Raise `BagError` unless a path is a file or a folder; to open a named pipe would block for ever."""
+    """Raise `BagError` unless a path is a file or a folder. Opening a named pipe would block forever."""
     try:
         mode = path.stat().st_mode
     except FileNotFoundError:
@@ -32,20 +32,21 @@ def check_readable(path: Path) -> None:
 
 
 def is_storage(name: str) -> bool:
-    """Return True if a file's name is that of a file of a bag, which rosbag2 may have compressed."""
+    """Return True if a name has the ending of a bag's file, also if rosbag2 has compressed this file."""
     return name.removesuffix(COMPRESSED).endswith(STORAGE)
 
 
 def recovered_path(bag: Path, number: int = 1) -> Path:
-    """Return the path to which a bag is recovered; it differs for ``pipe_0.25Hz`` and ``pipe_0.30Hz``."""
+    """Return the path of a bag's recovered copy. Only the ending ``.mcap`` is removed; ``pipe_0.25Hz`` stays."""
     return bag.with_name(f"{_plain(bag)}_recovered{'' if number == 1 else f'_{number}'}")
 
 
 def bags_below(folder: Path) -> dict[Path, list[Path]]:
     """Return all bags below a folder, sorted by path, each with its recovered copies, the highest number last.
 
-    A bag is a folder with a metadata.yaml, a folder with files that have its name, as a killed recorder leaves them,
-    or a single file. A folder that is itself a bag is the only result. Raises `InputError` if there is no bag.
+    A bag is a folder with a metadata.yaml, a single file, or a folder that a killed recorder left without
+    metadata.yaml. The files of such a folder have its name and a number. If ``folder`` itself is a bag, it is the only
+    result. Raises `InputError` if there is no bag.
     """
     check_readable(folder)
     bags = [folder] if folder.is_file() else _walked(folder)
@@ -57,12 +58,12 @@ def bags_below(folder: Path) -> dict[Path, list[Path]]:
 
 
 def name_below(folder: Path, bag: Path) -> str:
-    """Return the name of a bag in a table of a folder's bags; the folder may be the bag itself."""
+    """Return the path of a bag relative to a folder, as text; the bag's name if the folder itself is the bag."""
     return str(bag.relative_to(folder)) if bag != folder else bag.name
 
 
 def mark_of(bag: Path) -> str:
-    """Return a text that changes when the bag changes: names, sizes and times of its files."""
+    """Return a text that changes when the bag changes: names, sizes and modification times of its files."""
     files = [bag] if bag.is_file() else sorted(file for file in bag.iterdir() if file.is_file())
     stats = [(file.name, file.stat()) for file in files]
     return " ".join(f"{name}:{stat.st_size}:{stat.st_mtime_ns}" for name, stat in stats)
@@ -92,7 +93,7 @@ def _with_copies(bags: Sequence[Path]) -> dict[Path, list[Path]]:
     source_of = {copy: source for _, source, copy in copies}
     copies_of: dict[Path, list[Path]] = {bag: [] for bag in bags if bag not in source_of}
     for _, source, copy in sorted(copies):
-        while source in source_of:  # a copy of which another copy was recovered
+        while source in source_of:  # the source is itself a recovered copy
             source = source_of[source]
         copies_of[source].append(copy)
     return copies_of

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Opening of bags, with recovery of those that were not closed."""
+"""Opening of bags. Bags that were not closed or are damaged are recovered first."""
 
 from __future__ import annotations
 
@@ -48,12 +48,12 @@ def open_bag(path: Path, notify: Notify = _log.warning, definitions: Path | None
         definitions: folder of message definitions, see `Bag.define`.
 
     Raises:
-        BagError: The bag is missing, empty, of a foreign format, damaged beyond recovery, or still being recorded; or
-            the definitions do not fit.
+        BagError: The bag is missing, empty, of an unknown format, damaged beyond recovery, or still being recorded; or
+            the definitions do not match its messages.
     """
     if definitions is not None and not any(definitions.glob("*.msg")):
         raise BagError(
-            f"{definitions} holds no .msg file; give the folder with those of {PACKAGE}, such as {PACKAGE}/msg"
+            f"{definitions} holds no .msg file; give the folder with the .msg files of {PACKAGE}, such as {PACKAGE}/msg"
         )
     bag = _open(path, notify)
     try:
@@ -123,9 +123,7 @@ def _compared(bag: Bag, files: Sequence[Path]) -> Bag:
         {file.name for file in bag.path.glob("*.mcap")} - {file.name for file in files}
     )
     if unlisted and files[0].parent == bag.path:  # not for a recovered bag
-        bag.notify(
-            f"{bag.path}: {', '.join(unlisted)} not read: {METADATA_FILE} names no such file"
-        )
+        bag.notify(f"{bag.path}: {', '.join(unlisted)} not read: not listed in {METADATA_FILE}")
     counts = {topic.name: topic.count for topic in bag.topics.values()}
     for topic, missing in undeclared(bag.path, counts).items():
         bag.notify(
@@ -161,12 +159,12 @@ def _recovered(path: Path, notify: Notify) -> Bag:
     number = 1
     while (target := recovered_path(path, number)).exists():
         if _is_recovery(target, path, content):
-            return _instead(path, target, notify, "reading what was recovered before")
+            return _instead(path, target, notify, "an earlier recovery is read")
         number += 1
     try:
         report = recover(path, target)
     except ExistsError:
-        return _recovered(path, notify)  # another process recovers it at the same time
+        return _recovered(path, notify)  # another process has recovered the bag at the same time
     except UnwritableError as error:
         raise BagError(
             f"{path} was not closed, or is damaged, and {error}; "

@@ -23,8 +23,8 @@ from worm_model.run import GaitStates, Run, Stamps, concatenated
 
 RUN_TOPICS = tuple(SERIES)
 _INSTRUMENTS = TWIN_INPUTS[1:]  # without gait_state, which may have been published long before
-_LONGEST_DELAY_NS = 10**9  # of a message on its way to the recorder
-# messages of a bag that are decoded once, then stay in memory: a quarter of an hour
+_LONGEST_DELAY_NS = 10**9  # between the stamp of a message and its reception by the recorder
+# number of messages (a quarter of an hour) up to which the decoded samples stay in memory
 MOST_KEPT = 250_000
 
 
@@ -67,7 +67,7 @@ class RunReader:
         self._topics = {name: topic for name, topic in topic_of.items() if topic is not None}
         if not self._topics:
             raise _none_of_the_worms(bag, f" under {namespace}" if namespace else "")
-        _report_odd_topics(bag, topic_of, namespace)
+        _report_unexpected_topics(bag, topic_of, namespace)
         self._kept: list[Run] | None = None
         self._is_read = False
 
@@ -97,8 +97,8 @@ class RunReader:
             self._report(filters)
         if concatenated(GaitStates, states).mixed:
             raise BagError(
-                f"{self._bag.path}: runs of gaits overlap, as where recordings were merged or two drivers published at "
-                "once: give the recordings one by one, or name the robot with --namespace"
+                f"{self._bag.path}: runs of gaits overlap; recordings were merged, or two drivers published together: "
+                "give the recordings one by one, or name the robot with --namespace"
             )
         self._kept, self._is_read = kept, True
 
@@ -147,7 +147,7 @@ def _located(bag: Bag, topic: Topic | None) -> Iterator[None]:
         raise BagError(f"{bag.path}: {topic.name if topic else 'a topic'}: {error}") from None
 
 
-def _report_odd_topics(bag: Bag, topics: Mapping[str, Topic | None], namespace: str) -> None:
+def _report_unexpected_topics(bag: Bag, topics: Mapping[str, Topic | None], namespace: str) -> None:
     """Report topics with a worm's name but another type, and topics under several namespaces."""
     for name, topic in topics.items():
         ending = f"{namespace.rstrip('/')}/{name}"
@@ -158,8 +158,8 @@ def _report_odd_topics(bag: Bag, topics: Mapping[str, Topic | None], namespace: 
     roots = {topic.name.removesuffix(name) for name, topic in topics.items() if topic is not None}
     if len(roots) > 1:
         bag.notify(
-            f"{bag.path}: topics of {', '.join(sorted(roots))} are taken for those of one robot; "
-            "choose with --namespace if they are not"
+            f"{bag.path}: topics under {', '.join(sorted(roots))} are read as topics of one robot; "
+            "if they belong to several robots, choose one with --namespace"
         )
 
 
@@ -182,7 +182,7 @@ def _none_of_the_worms(bag: Bag, where: str = "") -> BagError:
 
 
 def received_at(bag: Bag, name: str) -> dict[int, int]:
-    """Return the log time of each message of one of the worm's topics by its stamp, both ns since the epoch."""
+    """Return the log times of the messages of one of the worm's topics, by stamp; both in ns since the epoch."""
     received: dict[int, int] = {}
     topic = find_topic(bag.topics.values(), name)
     for block in bag.blocks([topic.name] if topic else []):
@@ -208,12 +208,12 @@ def read_columns(bag: Bag, topics: Sequence[Topic]) -> dict[str, Columns]:
 
 
 class _Filter:
-    """Filter of one topic's messages: excludes repeated ones and those with an infinite number, and counts both.
+    """Filter of one topic's messages; it excludes and counts repeated messages and messages with an infinite number.
 
-    Messages repeat their predecessor in a recording that was merged with itself.
+    A message is repeated if it equals the previous one, as in a recording that was merged with itself.
 
     Attributes:
-        repeated, infinite: number of messages that were excluded.
+        repeated, infinite: number of excluded messages of each kind.
         backwards: number of stamps that are smaller than the previous one.
     """
 
@@ -223,7 +223,7 @@ class _Filter:
         self._last_stamp: Stamps = np.empty(0, np.int64)
 
     def filter(self, columns: Columns) -> Columns:
-        """Return the columns of the next messages without the excluded ones."""
+        """Return the columns of the next messages without the excluded messages."""
         rows = {
             path: values.reshape(len(values), -1)
             for path, values in columns.numbers.items()
@@ -270,9 +270,9 @@ def stamps_of(columns: Columns, path: str = "header.stamp") -> NDArray[np.int64]
 
 
 def clock_offset(bag: Bag, namespace: str) -> int:
-    """Return by how much log time is ahead of the instruments' stamps at the beginning of a bag, ns.
+    """Return the log time minus the stamp of the first message from an instrument in a bag, ns.
 
-    Less than a second is delay, and gives 0.
+    A difference of up to one second is a normal delay; the function then returns 0, as for a bag without such messages.
     """
     topics = [find_topic(bag.topics.values(), name, namespace) for name in _INSTRUMENTS]
     names = [topic.name for topic in topics if topic is not None]
@@ -287,19 +287,19 @@ def clock_offset(bag: Bag, namespace: str) -> int:
 def _numbers(columns: Columns, path: str, kind: type = np.float64) -> NDArray[Any]:
     if path not in columns.numbers:
         raise BagError(
-            f"the definition in the bag has no field {path}: it is not that of worm_msgs"
+            f"the definition in the bag has no field {path}: it is not a definition of worm_msgs"
         )
     values = columns.numbers[path]
     if values.dtype == object:
         raise BagError(
-            f"{path} is missing in some of its messages, or differs in length: its type changes within the bag; cut "
-            "the bag where it does: worm_model bags trim --help"
+            f"{path} is missing in some messages, or its length differs: the message type changes within the bag; cut "
+            "the bag where the type changes: worm_model bags trim --help"
         )
     return values.astype(kind)
 
 
 def _series(kind: type[Any], columns: Columns | None) -> Any:
-    """Return the columns as samples of a class of `worm_model.run`."""
+    """Return columns as samples of ``kind``, a class of `worm_model.run`; empty without columns."""
     nothing = kind()
     if columns is None or not columns.numbers:
         return nothing
@@ -317,7 +317,7 @@ def _series(kind: type[Any], columns: Columns | None) -> Any:
 
 
 def _numbers_or_default(columns: Columns, path: str, kind: type, default: float) -> NDArray[Any]:
-    """Return the numbers of a field, with a default for messages from before the field existed."""
+    """Return the numbers of a field, with a default for older messages, whose type lacks the field."""
     size = len(next(iter(columns.numbers.values())))
     values = columns.numbers.get(path, np.full(size, default))
     if values.dtype == object:

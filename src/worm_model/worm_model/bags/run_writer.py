@@ -25,7 +25,7 @@ LENGTH_SOURCES = {"commanded": 0, "cable": 1, "estimated": 2, "measured": 3}  # 
 
 
 def write_run(writer: BagFiles, run: Run, namespace: str = "/worm") -> None:
-    """Append a run's samples in order of stamp; publish and log time are equal to the stamp.
+    """Append a run's samples, except joint states, in order of stamp; publish and log time are equal to the stamp.
 
     Raises:
         BagError: The definitions of worm_msgs are not installed.
@@ -57,7 +57,7 @@ def stamped_messages(
         BagError: A stamp is before the epoch, or the type has no such field.
     """
     if len(stamp) and stamp.min() < 0:
-        raise BagError(f"a {topic.type_name} is from before 1970, which no bag can hold")
+        raise BagError(f"a {topic.type_name} has a stamp before 1970, which a bag cannot store")
     header = {"header.stamp.sec": stamp // 10**9, "header.stamp.nanosec": stamp % 10**9}
     data = encode(topic, len(stamp), {**header, **numbers}, texts or {})
     return [

@@ -57,7 +57,7 @@ SERIES: Mapping[str, tuple[str, type[Any]]] = {
     "twin/memory": ("memory", MemorySamples),
 }
 
-LATCHED = frozenset({"gait_state", "twin/memory"})  # published once, also for later subscribers
+LATCHED = frozenset({"gait_state", "twin/memory"})  # later subscribers get the last message
 TWIN_INPUTS = (
     "gait_state",
     "body_length/commanded",
@@ -75,7 +75,7 @@ def path_of(field: str) -> str:
 
 
 def offered_qos(name: str) -> str:
-    """Return the QoS of one of the worm's topics (a key of TYPES), as YAML like in a bag's channel."""
+    """Return the QoS of one of the worm's topics (a key of TYPES) as YAML, in the format of a bag's channel."""
     forever = "{sec: 9223372036, nsec: 854775807}"
     return (
         "- history: keep_last\n"

@@ -49,7 +49,7 @@ def state_of_bag(path: Path) -> tuple[str, str]:
 
 
 def rows_of_bag(path: Path, parameters: str) -> list[dict[str, Any]]:
-    """Return a row for each run of a closed bag, or one row that states that it has none.
+    """Return a row for each run of a closed bag, or a single row that states that the bag contains no run.
 
     Raises:
         InputError: The bag cannot be read.
@@ -92,12 +92,12 @@ class RunMetrics:
 
     @property
     def start(self) -> str:
-        """UTC of the onset by the recorder's clock, like the bag's name: a busy virtual robot's clock is behind it."""
+        """UTC of the onset by the recorder's clock, like the bag's name. A virtual robot's clock may lag behind it."""
         return utc_of(self.played.onset + self.clock_offset_ns)
 
     @property
     def duration_s(self) -> float:
-        """Duration of the complete cycles."""
+        """Duration of the complete cycles, s."""
         return sum(cycle.complete for cycle in self.report.cycles) * self.played.gait.period
 
     @property
@@ -141,7 +141,7 @@ class RunMetrics:
 
     @property
     def notes(self) -> str:
-        """Reasons of an early end and of missing verdicts, the operator's notes, and remarks on the bag."""
+        """Reasons for an early end and for missing judgements, the operator's notes, and remarks on the bag."""
         early = run_metrics.early_end(self.run, self.played)
         return "; ".join(filter(None, [early, *_not_judged(self.report), *self.remarks]))
 

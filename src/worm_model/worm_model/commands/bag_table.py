@@ -29,7 +29,7 @@ def bag_rows(
 ) -> tuple[list[Row], int]:
     """Return (the rows of all runs below a folder, or of one bag; the number of bags that were not in the index).
 
-    A recovered copy is listed instead of the bag itself. ``parameters`` is a parameter file; empty: the one in each
+    A recovered copy is listed instead of the bag itself. ``parameters`` is a parameter file; empty: the file in each
     bag, else the paper's values. Raises `InputError` if there is no bag.
     """
     bags = sorted(copies[-1] if copies else bag for bag, copies in bags_below(folder).items())

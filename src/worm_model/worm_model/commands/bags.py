@@ -66,7 +66,9 @@ def _parser() -> command_line.Parser:
     add_output(trim)
     trim.add_number("--start", "S", "start of the span, in s since the start of the bag")
     trim.add_number("--end", "S", "end of the span, in s since the start of the bag")
-    trim.add_argument("--run", type=int, metavar="N", help="n-th run, instead of a span")
+    trim.add_argument(
+        "--run", type=int, metavar="N", help="number of the run, from 1, instead of a span"
+    )
     split = add_verb("split", _split, help="write a bag for each run of a bag")
     add_output(split, "FOLDER", "folder for run_1, run_2, …; must not exist")
     add_output(add_verb("merge", _merge, "+", help="merge several bags into one, ordered by time"))
@@ -91,7 +93,7 @@ def _table(options: argparse.Namespace) -> None:
 
 
 def _opened(options: argparse.Namespace, path: Path | None = None) -> Bag:
-    """Open a bag, by default that of the options."""
+    """Open a bag, by default the bag of the options."""
     from worm_model.bags.opening import open_bag
 
     notify = command_line.notifier(f"bags {options.verb}")
@@ -126,7 +128,7 @@ def _trim(options: argparse.Namespace) -> None:
     from worm_model.bags.operations.cutting import trim
 
     if (options.run is None) == (options.start is None and options.end is None):
-        raise command_line.InputError("give --start, --end or both, or --run")
+        raise command_line.InputError("give a span (--start, --end or both) or --run, but not both")
     output = command_line.new_file(options.output)
     with _opened(options) as bag:
         first, last = bag.start, bag.end
@@ -152,7 +154,7 @@ def _spans(bag: Bag) -> list[tuple[int, int]]:
 
     played = played_gaits(read_run(bag, names=("gait_state",)).gait_state)
     received = received_at(bag, "gait_state")
-    # The state that ends a run is the first one of the next part, too, because its topic is latched.
+    # The state that ends a run is also the first state of the next part, because its topic is latched.
     ends = [received[gait.end] if gait.end else bag.end for gait in played[:-1]]
     starts = [bag.start, *(end + 1 for end in ends)]
     return list(zip(starts, [*ends, bag.end], strict=True)) if played else []

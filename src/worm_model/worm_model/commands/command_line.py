@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Common parts of all command lines: options, exit status, one-line errors, output, progress.
 
-The exit status is 0 after success, 2 for bad input, with one line on standard error that says what is wrong and how to
-correct it, and 1 otherwise. Standard output contains only the result. Progress and logs go to standard error.
+The exit status is 0 after success, 2 after bad input, and 1 otherwise. After bad input, one line on standard error
+states the mistake and its correction. Standard output contains only the result. Progress and logs are written to
+standard error.
 """
 
 from __future__ import annotations
@@ -60,7 +61,7 @@ class Parser(argparse.ArgumentParser):
     def add_gait(
         self, fields: Iterable[str] = tuple(GAIT_UNITS), *, required: bool = False
     ) -> None:
-        """Add an option for each of some fields of a gait; ``required``: those without a default must be given."""
+        """Add an option for each of the ``fields`` of a gait; ``required``: fields without a default are mandatory."""
         for name in fields:
             unit = GAIT_UNITS[name]
             if name == "direction":
@@ -95,7 +96,7 @@ class Parser(argparse.ArgumentParser):
         )
 
     def add_conditions(self, default: float | None = 0.0) -> None:
-        """Add an option for each field of `Conditions`; `conditions_of` makes the conditions of the parsed options."""
+        """Add an option for each field of `Conditions`; `conditions_of` converts the parsed options."""
         for name, row in CONDITION_ROWS.items():
             metavar = row["unit"].upper().replace("/", "_PER_")
             self.add_number(row["option"], metavar, row["meaning"], default, dest=name)
@@ -157,7 +158,7 @@ def run_command(
         notify(one_line(error))
         return BAD_INPUT
     except BrokenPipeError:
-        sys.stderr.close()  # The reader of the output has ended, as `head` does.
+        sys.stderr.close()  # The process that reads the output, such as `head`, has ended.
         return FAILED
     except OSError as error:  # a full disk, no permission
         notify(one_line(error))
@@ -171,7 +172,7 @@ def executable(
     parser: Callable[[], argparse.ArgumentParser],
     command: Callable[[argparse.Namespace], int | None],
 ) -> Callable[[], int]:
-    """Return the entry point of a command, which runs it with the arguments of the process."""
+    """Return an entry point that runs a command with the arguments of the process."""
     return lambda: run_command(parser(), command)
 
 
@@ -183,7 +184,7 @@ def one_line(error: BaseException) -> str:
 
 
 def notifier(program: str) -> Callable[[str], None]:
-    """Return a function that prints a line on standard error, after the program's name."""
+    """Return a function that prints a line, preceded by the program's name, on standard error."""
 
     def notify(line: str) -> None:
         sys.stderr.write(f"{program}: {printable(line)}\n")
@@ -243,7 +244,7 @@ def print_json(content: Any) -> None:
 
 
 def finite(content: Any) -> Any:
-    """Return a result for JSON: None instead of NaN and infinity, the name of a profile."""
+    """Return a result for JSON: NaN and infinity become None, and a profile becomes its name."""
     if isinstance(content, dict):
         return {key: finite(value) for key, value in content.items()}
     if isinstance(content, list | tuple):
@@ -260,7 +261,7 @@ def finite(content: Any) -> Any:
 
 
 class ProgressLine:
-    """Progress line on standard error with the time left: a bar on a terminal, a line every tenth elsewhere."""
+    """Progress with the time left, on standard error: a bar on a terminal, otherwise a line for every 10 %."""
 
     WIDTH = 40
 

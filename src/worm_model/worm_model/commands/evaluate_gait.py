@@ -40,7 +40,7 @@ def gait_json(result: GaitResult, conditions: Conditions) -> dict[str, Any]:
 
 
 def _waveform(gait: Gait) -> str:
-    """Return what differs from the paper's waveform, empty for the paper's gait."""
+    """Return the differences from the paper's waveform as text; empty for the paper's waveform."""
     parts = []
     if gait.pretension:
         parts.append(f"pretension {gait.pretension * 1e3:.2f} mm")
@@ -52,7 +52,7 @@ def _waveform(gait: Gait) -> str:
 
 
 def _load(parameters: Parameters) -> list[str]:
-    """Return the line about the load, none without a load."""
+    """Return one line about the load, or no line without a load."""
     if not (parameters.rear_load or parameters.front_load):
         return []
     return [
@@ -62,7 +62,7 @@ def _load(parameters: Parameters) -> list[str]:
 
 
 def describe(result: GaitResult, parameters: Parameters, cycles: int = 5) -> str:
-    """Return the lines that describe a gait after a number of cycles. Its speed holds only for its groove phase."""
+    """Return a gait's results after a number of cycles as text. The speed is valid only at the stated groove phase."""
     gait = result.gait
     way = "forward" if gait.direction == FORWARD else "reverse"
     return "\n".join(
@@ -97,7 +97,7 @@ def _parser() -> Parser:
 
 def _evaluate_table(options: argparse.Namespace, parameters: Parameters) -> None:
     if options.output is None:
-        raise InputError("--gaits needs --output, the file for the results")
+        raise InputError("--gaits requires --output, the file for the results")
     import numpy as np
 
     from worm_model.simulation.gait_table import evaluate_table, read_gaits, write_table
@@ -127,7 +127,9 @@ def _evaluate(options: argparse.Namespace) -> None:
         _evaluate_table(options, parameters)
         return
     if options.output is not None:
-        raise InputError("--output is for the results of --gaits; one gait is printed")
+        raise InputError(
+            "--output has no effect without --gaits; the results of one gait are printed"
+        )
     if options.stroke is None or options.frequency is None:
         raise InputError("give --stroke and --frequency, or --gaits IN.csv --output OUT.csv")
     gait = gait_of(options)

@@ -40,7 +40,7 @@ _RUN_TYPES = {TYPES[name] for name in RUN_TOPICS if name != "joint_states"}
 class CsvWriter:
     """Writer of a CSV file with the columns ``kinds``. CSV cannot contain ``lists``, the columns of arrays.
 
-    Reading the numbers gives the same values. Missing values and NaN are empty cells.
+    Numbers are written without loss of precision. Missing values and NaN are empty cells.
     """
 
     def __init__(self, path: Path, kinds: Kinds, lists: Kinds) -> None:
@@ -50,7 +50,7 @@ class CsvWriter:
         self._writer.writerow(self._columns)
         for name in lists:
             _NOTIFY(
-                f"{path.name}: {name} is not exported, its arrays have more than {MOST_ELEMENTS} elements; "
+                f"{path.name}: {name} is not exported, because its arrays have more than {MOST_ELEMENTS} elements; "
                 "use --format parquet"
             )
 
@@ -77,7 +77,7 @@ class ParquetWriter:
             from pyarrow import parquet
         except ImportError:
             raise command_line.InputError(
-                "Parquet needs pyarrow: pip install pyarrow, or use --format csv"
+                "Parquet requires pyarrow: pip install pyarrow, or use --format csv"
             ) from None
         types = {
             name: arrow.string() if kind == TEXT else arrow.from_numpy_dtype(kind)
@@ -117,7 +117,7 @@ def export(bag: Bag, output: Path, kind: str, topics: list[str], namespace: str 
 
     Raises:
         BagError: The bag lacks a topic or is damaged.
-        InputError: The format needs a package that is not installed.
+        InputError: The format requires a package that is not installed.
     """
     tables, failed = find_tables(bag, topics or bag.topics)
     stems = file_stems(table.topic.name for table in tables)
@@ -138,7 +138,7 @@ def export(bag: Bag, output: Path, kind: str, topics: list[str], namespace: str 
 
 
 def _export_merged(bag: Bag, path: Path, namespace: str, exported: Exported) -> None:
-    """Write the merged table, or store the reason why it is left out."""
+    """Write the merged table, or store the reason why it cannot be written."""
     try:
         columns = run_table(read_run(bag, namespace)).columns
     except BagError as error:
@@ -168,7 +168,7 @@ def file_stems(topics: Iterable[str]) -> dict[str, str]:
 
 
 def _file_stem(topic: str) -> str:
-    """Return a topic's name as a file name: writers other than ROS allow any character, file systems 255 bytes."""
+    """Return a topic's name as a file name. Bags may contain any name; file systems allow at most 255 bytes."""
     plain = "".join(c if c.isprintable() else "_" for c in topic.strip("/").replace("/", "__"))
     return plain.encode(errors="replace")[:STEM_BYTES].decode(errors="ignore") or "_"
 
@@ -189,7 +189,7 @@ def _parser() -> command_line.Parser:
     parser.add_argument(
         "--namespace",
         default="",
-        help="namespace of the merged table's robot; default: the one in the bag",
+        help="namespace of the merged table's robot; default: the only one in the bag",
     )
     parser.add_definitions()
     parser.add_json()

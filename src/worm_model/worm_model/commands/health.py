@@ -51,7 +51,7 @@ def _health(options: argparse.Namespace) -> None:
     if not bags:
         more = f" (and {len(left_out) - 1} more)" if len(left_out) > 1 else ""
         raise InputError(
-            f"no bag can be used: {_named(left_out[0])}{more}; give bags of one gait each, from rest"
+            f"no bag can be used: {_named(left_out[0])}{more}; give bags with one gait each that begins at rest"
         )
     charts = [chart_of(key, [bag.estimates[key] for bag in bags], known) for key in ADVICE]
     if figure is not None:
@@ -161,7 +161,7 @@ def _remarks(bags: Sequence[BagEstimates], charts: Sequence[Chart]) -> list[str]
 
 
 def _named(bag: ExcludedBag) -> str:
-    """Return the reason with the bag's name once."""
+    """Return the reason, with the bag's name in front unless the reason contains it."""
     return bag.reason if bag.name in bag.reason else f"{bag.name}: {bag.reason}"
 
 

@@ -51,8 +51,8 @@ def _parser() -> Parser:
     parser = Parser(
         prog="identify",
         description="Identify the robot's parameters from recorded runs, each from rest over five ridges.",
-        epilog="Masses, pitch and unstressed length are read from --parameters, else from the README.md of a "
-        "lab's folder, else they are the paper's.",
+        epilog="Masses, pitch and unstressed length come from --parameters, else from the README.md of a lab's folder, "
+        "else from the paper.",
     )
     parser.add_argument(
         "runs",
@@ -61,8 +61,10 @@ def _parser() -> Parser:
         metavar="BAG",
         help="bags with one run each, a lab's folder of runs, or some runs of it",
     )
-    parser.add_argument("--bellows", type=Path, metavar="CSV", help="compression_m, force_N")
-    parser.add_argument("--fin", type=Path, metavar="CSV", help="displacement_m, force_N")
+    parser.add_argument(
+        "--bellows", type=Path, metavar="CSV", help="bellows test: compression_m, force_N"
+    )
+    parser.add_argument("--fin", type=Path, metavar="CSV", help="fin test: displacement_m, force_N")
     parser.add_argument(
         "--fin-engages",
         choices=sorted(SIDES),
@@ -84,18 +86,18 @@ def _parser() -> Parser:
     parser.add_argument(
         "--literal",
         action="store_true",
-        help="run the paper's procedure for comparison: its costs as printed, no nuisances, no intervals",
+        help="run the paper's procedure for comparison: costs as printed, no nuisance parameters, no intervals",
     )
     parser.add_argument(
         "--estimate",
         choices=[pull_test.KEY],
-        help="estimate this alone, on the known robot of --parameters: the load of a tether in N, a pull test",
+        help="pull test: estimate only the load of a tether in N, for the known robot of --parameters",
     )
     parser.add_argument(
         "--one-sided-cable",
         action="store_true",
-        help="fit the power of a cable that cannot push, and state it in the parameter file; default: the form of "
-        "--parameters, else the paper's form",
+        help="fit the power model of a cable that cannot push, and store this choice in the parameter file; default: "
+        "the power model of --parameters, else the paper's",
     )
     parser.add_transmission()
     parser.add_definitions()
@@ -136,11 +138,11 @@ def _literal(options: argparse.Namespace, inputs: Inputs, output: Path | None) -
     """Run the paper's procedure; see `worm_model.identification.paper_procedure`."""
     if options.report or options.validation:
         raise InputError(
-            "--literal has no report and no validation; remove --report and --validation"
+            "--literal supports neither report nor validation; remove --report and --validation"
         )
     if options.one_sided_cable:
         raise InputError(
-            "--literal has the paper's form of the power; remove --one-sided-cable or --literal"
+            "--literal uses the paper's power model; remove --one-sided-cable or --literal"
         )
     reference = _reference(options, inputs)
     parameters, costs = literal(inputs, reference.parameters, StageProgress())
@@ -175,9 +177,11 @@ def _pull_test(options: argparse.Namespace, inputs: Inputs, output: Path | None)
     }
     given = [name for name, value in others.items() if value]
     if given:
-        raise InputError(f"{given[0]} has no effect with --estimate {pull_test.KEY}; leave it out")
+        raise InputError(f"{given[0]} has no effect with --estimate {pull_test.KEY}; remove it")
     if not options.parameters:
-        raise InputError(f"--estimate {pull_test.KEY} needs a known robot; give --parameters FILE")
+        raise InputError(
+            f"--estimate {pull_test.KEY} requires a known robot; give --parameters FILE"
+        )
     robot = load_parameter_file(options.parameters)
     result = pull_test.estimate_rear_load(inputs, _reference(options, inputs))
     if output is not None:
@@ -204,7 +208,7 @@ def _describe(result: Identification, advice: str) -> str:
     ]
     if result.validation:
         parts.append("Validation runs:\n" + error_table(result.validation, {}))
-    parts += [delay_text(result.camera_delay), f"What next: {advice}."]
+    parts += [delay_text(result.camera_delay), f"Recommended measurement: {advice}."]
     return "\n\n".join(parts)
 
 

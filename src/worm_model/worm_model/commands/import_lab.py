@@ -16,14 +16,14 @@ from worm_model.identification.data.lab_logs import LabRun, LabSettings, read_la
 from worm_model.parameters import Parameters, load_parameters
 
 _notify = command_line.notifier("import_lab")
-EPOCH_S = 1767225600  # 2026-01-01 00:00 UTC: the logs carry no date, and a stamp of 0 means "unknown" in ROS
+EPOCH_S = 1767225600  # 2026-01-01 00:00 UTC; logs contain no date, and a stamp of 0 means "unknown" in ROS
 
 _LARGEST_SPOOL = 0.2  # m
 _LONGEST_BODY = 2.0  # m
 
 
 def import_lab(folder: Path, output: Path, settings: LabSettings, namespace: str) -> LabRun:
-    """Convert a run's folder to a bag. The same files give the same bytes.
+    """Convert a run's folder to a bag. Equal files and settings produce equal bytes.
 
     Raises:
         LabError: The folder cannot be used.
@@ -57,8 +57,8 @@ def _gait(lab: LabRun, settings: LabSettings) -> dict[str, str]:
 def _parser() -> command_line.Parser:
     parser = command_line.Parser(
         prog="import_lab",
-        description="Convert a lab's run to a bag: camera.csv, power.csv and servo.csv in FOLDER, the gait in "
-        "runs.json in it or in its parent folder.",
+        description="Convert a lab's run to a bag: camera.csv, power.csv and servo.csv in FOLDER, and the gait in "
+        "runs.json in FOLDER or in its parent folder.",
     )
     parser.add_argument("folder", type=Path, metavar="FOLDER", help="the run's folder")
     parser.add_argument("--output", required=True, metavar="BAG", help="new bag; must not exist")

@@ -30,11 +30,11 @@ def _parser() -> Parser:
         "They show the effect of trimming the initial length.",
     )
     parser.add_number("--frequency", "HZ", "frequency in Hz", 0.15)
-    parser.add_number("--lowest", "M", "least stroke in m", STROKE_RANGE[0])
+    parser.add_number("--lowest", "M", "smallest stroke in m", STROKE_RANGE[0])
     parser.add_number("--highest", "M", "largest stroke in m", STROKE_RANGE[1])
     parser.add_gait(SHAPE)
     parser.add_argument(
-        "--points", type=int, default=161, metavar="N", help="per axis (default 161)"
+        "--points", type=int, default=161, metavar="N", help="points per axis (default 161)"
     )
     parser.add_conditions()
     parser.add_figure()
@@ -81,7 +81,7 @@ def _map(options: argparse.Namespace) -> None:
     parameters = under(conditions_of(options), load_parameters(options.parameters))
     figure = figure_file(options)
     pitch = parameters.pitch
-    # (−d/2, d/2]: the lower end is the upper end of the next groove.
+    # (−d/2, d/2]: the lower end is equivalent to the upper end.
     phase = np.linspace(-0.5 * pitch, 0.5 * pitch, options.points + 1)[1:]
     stroke = np.linspace(options.lowest, options.highest, options.points)
     content = compute_phase_map(parameters, gait, stroke, phase, ProgressLine("phase map"))

@@ -47,7 +47,7 @@ from worm_model.commands.command_line import (
 from worm_model.conditions import under
 from worm_model.parameters import load_parameters
 from worm_model.run import Stamps
-from worm_model.simulation import warm_up
+from worm_model.twin import warm_up
 from worm_model.twin.offline_replay import OfflineReplay
 from worm_model.twin.records import (
     NANOSECONDS,
@@ -58,15 +58,15 @@ from worm_model.twin.records import (
 from worm_model.twin.twin import Output, residual_messages
 
 DRIVES = ("body_length/commanded", "body_length/measured")
-DISORDER_NS = 10 * NANOSECONDS  # by which an event may be older than the states before it
+DISORDER_NS = 10 * NANOSECONDS  # largest age of an event relative to the states before it
 _notify = notifier("replay")
 
 
 def write_replay(bag: Bag, output: Path, replay: OfflineReplay, namespace: str) -> None:
-    """Write a bag with the original messages and the twin's; the same replay gives the same bytes.
+    """Write a bag with the original messages and the twin's messages; equal replays produce equal bytes.
 
-    The twin's topics in the original bag are replaced. The twin's messages get log times like the original ones: their
-    stamp, plus the offset between log time and stamps in the original bag.
+    The twin's topics in the original bag are replaced. The log time of a twin's message is its stamp, plus the offset
+    between log times and stamps in the original bag.
 
     Raises:
         BagError: The output exists or cannot be written.
@@ -88,7 +88,7 @@ def write_replay(bag: Bag, output: Path, replay: OfflineReplay, namespace: str) 
 
 
 def _in_order(batches: Iterable[list[Message]]) -> Iterator[Message]:
-    """Yield messages in order of log time; those of a batch are at most DISORDER_NS older than those before."""
+    """Yield messages in order of log time; a batch contains none more than DISORDER_NS older than earlier batches."""
     waiting: list[Message] = []
     for batch in batches:
         waiting = sorted([*waiting, *batch], key=attrgetter("log_time"))
@@ -143,7 +143,7 @@ def twin_columns(
 def report_json(
     report: ReplayReport, dropped: Mapping[str, int], duration: float, elapsed: float
 ) -> dict[str, Any]:
-    """Return the report in machine-readable form; ``dropped`` samples by reason."""
+    """Return the report in machine-readable form; ``dropped`` is the number of excluded samples by reason."""
     return {
         **asdict(report.residuals),
         "energy_error": report.energy_error,
@@ -193,7 +193,7 @@ def _cycle_json(cycle: CycleReport) -> dict[str, Any]:
 def describe(
     report: ReplayReport, dropped: Mapping[str, int], duration: float, elapsed: float
 ) -> str:
-    """Return the report as text; ``dropped`` samples by reason."""
+    """Return the report as text; ``dropped`` is the number of excluded samples by reason."""
     lines = _total_lines(report)
     for number, run in enumerate(report.runs, 1):
         gait = run.played.gait
@@ -213,7 +213,7 @@ def describe(
 
 
 def _total_lines(report: ReplayReport) -> list[str]:
-    """Return the residuals of the whole recording, or the reasons why they are missing."""
+    """Return a line for each residual of the report, or the reason why the residual is missing."""
     total = report.residuals
     energy = 100 * report.energy_error
     rows = (
@@ -266,14 +266,14 @@ def _cycle_line(cycle: CycleReport, events: Sequence[Event]) -> str:
 def _parser() -> Parser:
     parser = Parser(
         prog="replay",
-        description="Let the twin follow a bag, and report its residuals.",
+        description="Run the twin on the samples of a bag, and report the residuals (measured minus predicted).",
     )
     parser.add_argument("bag", type=Path, metavar="BAG")
     parser.add_argument(
         "--output", metavar="BAG2", help="new bag with the original topics and the twin's"
     )
     parser.add_argument(
-        "--namespace", default="", help="namespace of the robot; default: the one in the bag"
+        "--namespace", default="", help="namespace of the robot; default: the only one in the bag"
     )
     parser.add_definitions()
     parser.add_json()
@@ -310,12 +310,12 @@ def _replay(options: argparse.Namespace) -> None:
 
 
 def _check_drive(bag: Bag, namespace: str) -> None:
-    """Raise BagError if a bag contains no length of the body, which drives the twin."""
+    """Raise BagError if a bag contains neither commanded nor measured lengths; the twin requires one of them."""
     topics = [find_topic(bag.topics.values(), name, namespace) for name in DRIVES]
     if not any(topic is not None and topic.count for topic in topics):
         raise BagError(
-            f"{bag.path}: the twin cannot follow it: it has no body_length/commanded and no body_length/measured; "
-            "record them, with gait_state"
+            f"{bag.path} contains neither body_length/commanded nor body_length/measured, one of which the twin "
+            "requires; record both, and gait_state"
         )
 
 

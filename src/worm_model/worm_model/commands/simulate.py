@@ -109,7 +109,7 @@ def _writer_of(path: Path) -> Callable[[SimulatedRun, Path], None]:
 
 
 def _checked_rate(options: argparse.Namespace, gait: Gait, output: Path) -> float:
-    """Return the sampling rate in Hz; raise `InputError` if so many samples or frames cannot be written."""
+    """Return the sampling rate in Hz; raise `InputError` if the number of samples or frames is out of range."""
     animated = output.suffix.lower() in ANIMATIONS
     rate: float = options.rate
     if rate is None:
@@ -117,7 +117,7 @@ def _checked_rate(options: argparse.Namespace, gait: Gait, output: Path) -> floa
     samples = options.cycles * gait.period * rate
     if not 1.0 <= samples <= MOST_SAMPLES:
         raise InputError(
-            f"--rate {rate:g}: {samples:.0f} samples; 1 to {MOST_SAMPLES} can be written"
+            f"--rate {rate:g}: {samples:.0f} samples; a file may have 1 to {MOST_SAMPLES}. Change --rate or --cycles"
         )
     if animated:
         from worm_model.analysis.gait_animation import check_animation

@@ -27,8 +27,9 @@ from worm_model.identification.fits.resampling import correlation, estimates, re
 from worm_model.parameters import PAPER
 
 USUAL = (PAPER.slack, PAPER.gain, PAPER.time_constant)
-LEAST_INFORMATION = 1e-9  # information on a parameter's step, in units of the squared camera noise
-NO_BEARING = "it has no effect on these runs"
+# smallest effect of a parameter's derivative step: sum of squares of the changed lengths, in squared camera noises
+LEAST_INFORMATION = 1e-9
+NO_BEARING = "the parameter has no effect on these runs"
 AT_BOUND = "the fit is at a bound, where no interval is valid"
 FEWEST_RUNS = 4  # smallest number of runs for a bootstrap over runs
 LEAST_STEP = 1e-9  # m; smaller steps are rounding errors
@@ -60,7 +61,7 @@ class ActuationResult:
 def identify_actuation(
     recordings: Sequence[Recording], random: np.random.Generator
 ) -> ActuationResult:
-    """Estimate the three parameters from all runs; ``random`` draws the bootstrap weights."""
+    """Estimate slack, gain and time constant from all runs; ``random`` draws the bootstrap weights."""
     fit = actuation_fit.fit_actuation(recordings)
     labels = _units(recordings)
     units = int(max(label.max() for label in labels)) + 1
@@ -71,7 +72,7 @@ def identify_actuation(
         return actuation_fit.fit_actuation(recordings, fit, drawn).values
 
     refits = refitted(refit)
-    # A run whose pretension takes the slack up does not inform it.
+    # A run whose pretension takes up the slack contains no information about the slack.
     slack_units = sum(
         np.unique(label).size
         for recording, label in zip(recordings, labels, strict=True)
@@ -93,7 +94,7 @@ def identify_actuation(
 
 
 def _checked(estimate: Estimate, entry: int, information: float) -> Estimate:
-    """Return the estimate; not identifiable without ``information``, at a bound, or with an open interval."""
+    """Return the estimate; not identifiable with too little ``information``, at a bound, or if its interval is wide."""
     bounds = actuation_fit.SHARED[entry]
     if information * bounds.step**2 < LEAST_INFORMATION:
         return not_identifiable(estimate.value, NO_BEARING)
@@ -105,7 +106,7 @@ def _checked(estimate: Estimate, entry: int, information: float) -> Estimate:
 def command_resolution(recording: Recording) -> float:
     """Return the quantisation step of the recorded command in m; 0 if it was not quantised.
 
-    A servo's goal is quantised to ticks, so that its zero has an error of up to half a tick, equal in all runs.
+    A servo's goal is quantised to ticks, so that its zero has the same error of up to half a tick in all runs.
     """
     steps = np.abs(np.diff(recording.command))
     steps = steps[steps > LEAST_STEP]

@@ -33,10 +33,10 @@ class BellowsFit:
 
 
 def fit_bellows(compression: Array, force: Array) -> BellowsFit:
-    """Fit a straight line by least squares without outliers.
+    """Fit a straight line by least squares; outliers are excluded.
 
-    The interval is that of Student's t, exact for white noise. For correlated residuals (hysteresis) the number of
-    samples is replaced by the effective number of independent ones. The load cell's scale factor is assumed correct.
+    The interval follows from Student's t distribution and is exact for white noise. Correlated residuals (hysteresis)
+    count as a smaller number of independent samples. The load cell's scale factor is assumed correct.
 
     Args:
         compression: m, shape (n,), in the order of measurement.

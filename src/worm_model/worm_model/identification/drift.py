@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Drift of parameters from bag to bag: control charts with one estimate per bag, in the order of time.
 
-Charts for individual measurements with sensitizing rules, as in D. C. Montgomery, Introduction to Statistical
-Quality Control (chapters on Shewhart charts and on individual measurements).
+The charts are those for individual measurements with sensitizing rules in D. C. Montgomery, Introduction to
+Statistical Quality Control (chapters on Shewhart charts and on individual measurements).
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from worm_model.parameters import ParameterFile
 
 FEWEST_BAGS = 5  # smallest number of bags for limits from moving ranges
 ONE_SIDE = 8  # bags in a row on one side of the centre
-MONOTONE = 6  # bags in a row, each above, or each below, the one before
-SIGMAS = 3.0  # distance of a limit from the centre, standard deviations
-INDIVIDUALS = 2.66  # SIGMAS / 1.128: distance of a limit from the centre, mean moving ranges of two
+MONOTONE = 6  # bags in a row, each above, or each below, the previous bag
+SIGMAS = 3.0  # distance of a limit from the centre, in standard deviations
+INDIVIDUALS = 2.66  # SIGMAS / 1.128: distance of a limit from the centre, in mean moving ranges
 
 
 class State(str, Enum):
@@ -167,7 +167,7 @@ def limits_of_file(interval: tuple[float, float], resolution: float) -> Limits:
     """
     centre, half = 0.5 * (interval[0] + interval[1]), 0.5 * (interval[1] - interval[0])
     reach = SIGMAS / quantile(np.inf) * float(np.hypot(half, resolution))
-    source = "the parameter file: its 95 % interval and that of a bag, at three standard deviations"
+    source = "the parameter file: its 95 % interval and the interval of a bag, at three standard deviations"
     return Limits(centre - reach, interval[0], interval[1], centre + reach, resolution, source)
 
 
@@ -192,8 +192,9 @@ def limits_of_bags(value: Array, resolution: float) -> Limits | None:
 def find_signals(value: Array, limits: Limits) -> tuple[Signal, ...]:
     """Return the violations of ``value`` (n,); NaN values are skipped.
 
-    A run rule counts only if the change exceeds the resolution of the bags: from first to last bag for a monotone run,
-    from the centre to the mean for a run on one side.
+    A run of bags counts only if its change exceeds the uncertainty that follows from the resolution. The change is
+    the difference of its first and last value (monotone run), or the distance of its mean from the parameter's
+    interval (run on one side).
     """
     index = np.flatnonzero(np.isfinite(value))
     known = value[index]
@@ -231,8 +232,8 @@ def _stretches(broken: NDArray[np.bool_], least: int) -> list[tuple[int, int]]:
 # Likely cause and remedy by key and direction.
 ADVICE: Mapping[str, Mapping[int, str]] = {
     "viscous_friction": {
-        1: "the pipe is dirty or the fins are worn and rub: clean the pipe, look at the fins",
-        -1: "the pipe is wet or greasy, or fins have lost touch: dry the pipe, look at the fins",
+        1: "the pipe is dirty or the fins are worn and rub: clean the pipe, inspect the fins",
+        -1: "the pipe is wet or greasy, or fins touch no wall: dry the pipe, inspect the fins",
     },
     "switching_threshold": {
         1: "the fins bend further before they slip: look for stiffened, swapped or tilted fins",
@@ -244,10 +245,10 @@ ADVICE: Mapping[str, Mapping[int, str]] = {
     },
     "slack": {
         1: "the cable has become slack: re-tension it",
-        -1: "the cable is tighter than before: look whether it was re-tensioned or has jammed",
+        -1: "the cable is tighter than before: check whether it was re-tensioned or has jammed",
     },
     "idle_power": {
         1: "something draws power at rest: look for a servo that holds a load, check the sensor's zero",
-        -1: "less is drawn at rest: look for a device that is off, check the sensor's zero",
+        -1: "the robot draws less power at rest: look for a device that is off, check the sensor's zero",
     },
 }

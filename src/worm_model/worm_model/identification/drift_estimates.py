@@ -29,7 +29,7 @@ from worm_model.parameters import Parameters
 from worm_model.run import utc_of
 from worm_model.simulation.simulator import SimulationError
 
-SEED = 0  # seed of the bootstrap, so that the same bags give the same intervals
+SEED = 0  # fixed seed of the bootstrap, so that equal bags result in equal intervals
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class BagEstimates:
     Attributes:
         name: name of the bag.
         start: start of the bag, ns since the epoch.
-        gait: its gait.
+        gait: gait of the run.
         estimates: estimates by key.
         remarks: remarks on the data.
     """
@@ -98,7 +98,7 @@ def estimate_bags(
         except InputError:
             raise
         except (ValueError, np.linalg.LinAlgError) as error:
-            # An unforeseen problem in one bag must not prevent the evaluation of the others.
+            # An unforeseen problem in one bag must not prevent the evaluation of the other bags.
             excluded.append(
                 ExcludedBag(path.name, f"the fit failed ({error}); check the bag's data")
             )
@@ -107,7 +107,7 @@ def estimate_bags(
 
 
 def _content(recording: Recording) -> str:
-    """Return a hash of the measurements, which identifies a run even if an import has invented its stamps."""
+    """Return a hash of the measurements, which identifies a run even if an import has assigned arbitrary stamps."""
     digest = hashlib.sha256()
     for values in (recording.camera_time, recording.x1, recording.x2, recording.command):
         digest.update(np.ascontiguousarray(values).tobytes())
@@ -141,14 +141,14 @@ def estimate_bag(recording: Recording, start: int, parameters: Parameters) -> Ba
 
 
 def _check_seen(recording: Recording) -> None:
-    """Raise IdentificationError if a marker was hidden for too long, as no other run can compensate."""
+    """Raise IdentificationError if a marker was hidden for too long; a single run cannot compensate for the gap."""
     time = recording.camera_time
     times = time[np.isfinite(recording.length) & (time > 0.0) & (time < recording.end)]
     gap = float(np.diff(np.concatenate([[0.0], times, [recording.end]])).max())
     if gap > LONGEST_GAP:
         raise IdentificationError(
             f"{recording.name}: a marker is hidden for {gap:.1f} s of the gait, {LONGEST_GAP:g} s at most are allowed; "
-            "record it again with both markers visible"
+            "record the run again with both markers visible"
         )
 
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Stage 7: c_b and α_P with intervals from a bootstrap over runs.
 
-Each refit draws weights of the runs and values of k_b, L_free and the locomotion fit (with friction and fins) within
-their uncertainty. Gaits of a single frequency cannot separate c_b from α_P, whose effects are then proportional; the
-result reports this.
+Each refit draws weights of the runs, and values of k_b, L_free and the locomotion fit (with friction and fins) within
+their uncertainty. Gaits of a single frequency cannot separate c_b from α_P, because the effects of both are then
+proportional. The notes of the result report this.
 """
 
 from __future__ import annotations
@@ -27,9 +27,7 @@ from worm_model.parameters import Parameters
 LEAST_FREQUENCY_RATIO = 1.4  # smallest ratio of highest to lowest gait frequency
 FEWEST_RUNS = 2
 LEAST_SCATTER = 1e-6  # J
-NO_POWER = (
-    "no run has power samples over its five ridges: let the power sensor log until the run ends"
-)
+NO_POWER = "no run has power samples over its five ridges: record the power until the run ends"
 
 
 @dataclass(frozen=True)
@@ -38,8 +36,8 @@ class EnergyResult:
 
     Attributes:
         bellows_damping, power_factor: estimates, N·s/m and 1.
-        correlation: correlation of the two, shape (2, 2).
-        inherited: shares of their variances that come from earlier stages and given values.
+        correlation: correlation of both estimates, shape (2, 2).
+        inherited: for each estimate, the fraction of its variance due to earlier stages and given values.
         fit: the fit with the nuisance parameters; c_b is the given value if the estimates are not identifiable.
         clock_deviation: standard deviations of the clock offsets, s, shape (runs,); NaN where the data do not determine
             the offset.
@@ -154,7 +152,10 @@ def _clocks(runs: Sequence[energy.PowerRun], fit: energy.EnergyFit) -> Array:
 
 
 def _shift_by_idle(run: energy.PowerRun, fit: energy.EnergyFit, offset: float) -> float:
-    """Return the change of the fitted offset per error of idle power, s/W: a ramp of energy resembles a shift."""
+    """Return the error of the fitted clock offset per error of the idle power, s/W.
+
+    An error of the idle power adds a ramp to the energy, which resembles the effect of a clock offset.
+    """
     sides = [
         energy.predicted_energy(run, fit.damping, fit.factor, offset + half)
         for half in (-5e-4, 5e-4)

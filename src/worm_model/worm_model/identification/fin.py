@@ -2,7 +2,7 @@
 """Stage 3: clearance δ_c and stiffnesses k_eng, k_dis from the fin test (eq:fin_force_piecewise).
 
 The fit is a piecewise linear force with two knees. The sign convention is detected: the stiffer side is the engaging
-one, and a force recorded as reaction is negated.
+side, and a force that was recorded as reaction is negated.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class FinFit:
 
     Attributes:
         clearance, engaged_stiffness, disengaged_stiffness: estimates, m, N/m, N/m.
-        covariance: covariance of the three, shape (3, 3).
+        covariance: covariance of the three estimates, shape (3, 3).
         centre: centre of the clearance in the test's coordinate, m.
         engages: sign of the displacement that engages, −1 or +1.
         displacement, force: samples, m and N, shape (n,); the force is negated if it was recorded as reaction.
@@ -87,7 +87,8 @@ def fit_fin(displacement: Array, force: Array, engages: int = 0) -> FinFit:
         engages: sign of the displacement that engages, −1 or +1; 0 detects it.
 
     Raises:
-        IdentificationError: The test does not show two stiffnesses, or not which of them engages.
+        IdentificationError: There are too few points on both sides of 0, a side shows no force, or the two stiffnesses
+            are too similar to detect the engaging side.
     """
     known = np.isfinite(displacement) & np.isfinite(force)
     x, y = displacement[known], force[known]
@@ -137,7 +138,7 @@ class _BrokenLine:
         self.noise = max(SIGMA_PER_MAD * float(np.median(np.abs(y - _force(start, x)))), 1e-9)
 
     def start(self) -> Array:
-        """Return the best of a grid of clearances, as the cost has several local minima."""
+        """Return the best start values for a grid of clearances, because the cost has several local minima."""
         x, y = self.x, self.y
         tried = []
         for clearance in np.linspace(0.02, 1.9, 48) * min(-x.min(), x.max()):
@@ -149,7 +150,7 @@ class _BrokenLine:
         return min(tried, key=lambda pair: pair[0])[1]
 
     def fit(self, start: Array, free: list[bool]) -> tuple[Array, Array]:
-        """Return values (4,) and covariance (4, 4) of a fit with some free entries; the others keep their start."""
+        """Return values (4,) and covariance (4, 4) of a fit of the ``free`` entries; other entries are fixed."""
         index = np.flatnonzero(free)
         result = self._solve(start, index)
         values = start.copy()

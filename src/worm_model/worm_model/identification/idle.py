@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Stage 6: idle power P_idle of each run from its first ten samples (eq:Pidle_est).
 
-The rule requires that the robot rests during these samples. With a slow sensor, or one that starts with the gait, some
-of them contain motion; then only the samples before the onset are used. A run without such samples gives no estimate.
+The rule requires that the robot rests during these samples. If the sensor is slow or starts with the gait, some of the
+samples contain motion. Then only the samples before the onset are used. A run with fewer than three of these has no
+estimate.
 
-The servo may need power to hold a pretension. The idle power of such a run is used for this run alone.
+The servo may need power to hold a pretension. The idle power of a run with pretension is used for this run alone.
 """
 
 from __future__ import annotations
@@ -19,10 +20,12 @@ from worm_model.identification.fits.estimate import Estimate, half_of_mean, quan
 
 SAMPLES = 10
 FEWEST_SAMPLES = 3
-SETTLED = 5.0  # largest difference of the ten from all samples at rest, standard errors
+SETTLED = 5.0  # largest difference of the ten samples from all samples at rest, in standard errors
 LEAST_DIFFERENCE = 0.02  # smallest relative difference for a warning
 NO_IDLE = "no run has power samples at rest without pretension: record at least 2 s before the gait starts"
-HOLDING = "the idle power includes that for holding the pretension and is used for this run alone"
+HOLDING = (
+    "the idle power includes the power that holds the pretension and is used for this run alone"
+)
 
 
 @dataclass(frozen=True)
@@ -39,7 +42,7 @@ class IdlePower:
 
 
 def idle_power_of(recording: Recording) -> IdlePower:
-    """Return the mean of those of the run's first ten samples that were measured at rest."""
+    """Return the mean of the samples at rest among the run's first ten; NaN if there are fewer than three."""
     first = recording.power[:SAMPLES]
     resting = recording.power_time[:SAMPLES] < 0.0
     count = int(resting.sum())
@@ -48,7 +51,7 @@ def idle_power_of(recording: Recording) -> IdlePower:
             np.nan,
             np.nan,
             f"{recording.name}: {count} of the first ten power samples were measured at rest, so that the run "
-            "gives no idle power; start the sensor before the gait",
+            "has no idle power; start the sensor before the gait",
         )
     value = float(first[resting].mean())
     deviation = float(first[resting].std(ddof=1) / np.sqrt(count))
@@ -59,11 +62,11 @@ def idle_power_of(recording: Recording) -> IdlePower:
     if count < SAMPLES:
         remarks.append(
             f"the robot was not at rest in {SAMPLES - count} of the first ten power samples: "
-            f"only the other {count} are used"
+            f"only the {count} samples at rest are used"
         )
     elif off > SETTLED * max(deviation, 1e-6) and off > LEAST_DIFFERENCE * later:
         remarks.append(
-            f"the first ten power samples ({value:.3f} W) differ from the rest at rest "
+            f"the mean of the first ten power samples ({value:.3f} W) differs from the median at rest "
             f"({later:.3f} W): the power was still settling"
         )
     warning = f"{recording.name}: {'; '.join(remarks)}" if remarks else ""
@@ -71,9 +74,9 @@ def idle_power_of(recording: Recording) -> IdlePower:
 
 
 def idle_power(runs: Sequence[IdlePower]) -> Estimate | None:
-    """Return the mean over runs without pretension, None if none of them rested.
+    """Return the mean over runs without pretension, or None if no such run has an idle power.
 
-    For a single run the interval is that of its samples.
+    For a single run, the interval follows from the scatter of its samples.
     """
     known = [run for run in runs if np.isfinite(run.value) and not run.holding]
     if not known:

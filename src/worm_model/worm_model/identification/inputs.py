@@ -26,7 +26,7 @@ from worm_model.run import utc_of
 
 RUN_FILE = "camera.csv"  # file that marks a run of a lab
 BELLOWS_FILE, FIN_FILE = "bellows.csv", "fin.csv"
-EPOCH = 10**9  # ns; logs of a lab carry no date, and a stamp of 0 means "unknown"
+EPOCH = 10**9  # ns; a lab's logs contain no date, and a stamp of 0 would mean "unknown"
 LOGS = LabSettings(epoch=EPOCH)
 TOPICS = (
     "body_length/commanded",
@@ -36,7 +36,7 @@ TOPICS = (
     "gait_state",
 )
 SEVERAL_LABS = (
-    "runs of several folders ({}): their README.md and bench tests are not used; name --parameters, --bellows "
+    "runs of several folders ({}): their README.md and bench tests are not used; give --parameters, --bellows "
     "and --fin"
 )
 
@@ -120,7 +120,7 @@ def _grouped_remarks(recordings: Sequence[Recording]) -> list[str]:
 def read_recordings(
     paths: Sequence[Path], definitions: Path | None = None, logs: LabSettings = LOGS
 ) -> list[Recording]:
-    """Read all runs in bags and a lab's folders, which may contain several each, ordered by name."""
+    """Read all runs in bags and in a lab's folders; each path may contain several runs."""
     recordings = []
     for path in paths:
         if is_lab_folder(path):
@@ -149,7 +149,7 @@ def run_folders(folder: Path) -> list[Path]:
 
 
 def _read_bag(path: Path, definitions: Path | None) -> tuple[Recording, ...]:
-    """Read the runs in a bag. Raises IdentificationError if it states a slope, a tether or flow."""
+    """Read the runs in a bag. Raises IdentificationError if they were recorded on a slope, with a tether or in flow."""
     with open_bag(path, definitions=definitions) as bag:
         conditions = recorded_conditions(bag)
         if conditions != LEVEL:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stage 4 as a whole: search, grooves, and the intervals of η, p_sw and the pitch.
+"""Stage 4 of `identification.stages`, the fit of the motion: search, grooves, and intervals of η, p_sw and the pitch.
 
 The intervals are profiles, because the cost jumps: one value is fixed and all others are fitted again, until the cost
 has risen to the 95 % level. The intervals are widened by Student's t for a small number of grooves, by the correlation
@@ -58,7 +58,7 @@ Progress = Callable[[float], None]
 Variants = tuple[tuple[Parameters, GrooveFit], ...]
 
 FRICTION, SWITCHING, REAR_DRY, FRONT_DRY, PITCH, ONSET = range(6)  # entries of the means
-USUAL_DRY = 0.3  # N, equals η at 3.5 mm/s; an interval wider than half of it has no information
+USUAL_DRY = 0.3  # N, viscous friction of the paper's robot at 3.5 mm/s; see `if_identifiable`
 SOUGHT = (FRICTION, SWITCHING, PITCH)
 FIRST_REACH = {
     FRICTION: 1.0,
@@ -83,14 +83,21 @@ class FinKnowledge:
 
 @dataclass(frozen=True)
 class LocomotionResult:
-    """``viscous_friction`` N·s/m, ``switching_threshold`` m and ``pitch`` m with intervals; the rest are diagnostics.
+    """Result of stage 4.
 
-    ``dry_friction`` N of the rear and the front module with intervals; ``onset`` as in
-    `simulation.kernel.whole_run.run_from_rest`; ``initial_length`` (runs,) m;
-    ``inflation`` of the variance for what is not white in the residuals; ``correlation`` of (η, p_sw, rear, front dry
-    friction, pitch, onset); ``variants``: fits under a fin test that is one standard deviation off, one a direction of
-    its covariance; ``stiffer``: a fit whose η is one standard deviation higher; ``as_printed``: (η, p_sw) that minimise
-    J_loc as it is printed, without dry friction and with grooves that are alike, at the fit's pitch and onset.
+    Attributes:
+        viscous_friction, switching_threshold, pitch: estimates, N·s/m, m and m.
+        dry_friction: estimates for the rear and the front module, N.
+        onset: how the modules share the first rate of ΔL, see `simulation.kernel.whole_run.run_from_rest`.
+        initial_length: L0 of each run, m, shape (runs,).
+        inflation: factor on the variances for correlated residuals.
+        correlation: correlation of (η, p_sw, rear and front dry friction, pitch, onset), shape (6, 6).
+        landscape: J_loc on the grid of the search.
+        fit: the fit with all nuisance parameters.
+        variants: fits with fin values one standard deviation off, one for each direction of their covariance.
+        stiffer: fit with an η that is one standard deviation higher.
+        as_printed: (η, p_sw) that minimise J_loc as the paper prints it, without dry friction and with even grooves.
+            The pitch and the onset are those of the fit with even grooves.
     """
 
     viscous_friction: Estimate
@@ -116,9 +123,8 @@ def identify_locomotion(
 ) -> LocomotionResult:
     """Estimate η, p_sw and the pitch from all runs.
 
-    ``known`` has the other parameters, ``fin`` the uncertainty of those of the fins. Without ``fin`` the intervals
-    are valid for the given fins only. Raises `IdentificationError` if the fit
-    does not settle.
+    ``known`` contains the other parameters, ``fin`` the uncertainty of the fin parameters. Without ``fin``, the
+    intervals are valid only for the given fins. Raises `IdentificationError` if the fit does not settle.
     """
     landscape = search(traverses, known, lambda done: progress(0.3 * done))
     start = find_locomotion(traverses, known, landscape)
@@ -133,10 +139,10 @@ def identify_locomotion(
         fit = replace(fit, solution=better)
     else:
         raise IdentificationError(
-            "viscous_friction, switching_threshold: the fit kept finding a better solution far from the last, so "
-            "that no interval holds: a value that was given may be wrong (check the pitch first, then masses and "
-            "lengths), runs may not have begun in the same grooves with straight fins, or markers were hidden for "
-            "long; correct it, leave such runs out, or add runs"
+            "viscous_friction, switching_threshold have no valid interval: each fit found a better solution far from "
+            "the previous one. A given value may be wrong (check the pitch first, then masses and lengths), runs may "
+            "not have begun in the same grooves with straight fins, or markers were hidden for long. Correct the "
+            "value, exclude such runs, or add runs"
         )
     progress(0.9)
     variants = _variants(traverses, known, fit, fin)
@@ -171,14 +177,17 @@ def identify_locomotion(
 
 
 def _dry_estimate(fit: GrooveFit, entry: int, deviation: float, variants: Variants) -> Estimate:
-    """Return a dry friction: the curvature of the cost widened by the fin test's uncertainty, from 0 on."""
+    """Return the estimate of a dry friction.
+
+    Its interval follows from the curvature of the cost and the fin test's uncertainty, and does not extend below 0.
+    """
     value = float(fit.means[entry])
     reach = float(np.hypot(NORMAL * deviation, _from_reference(fit, entry, variants)))
     return if_identifiable(Estimate(value, max(value - reach, 0.0), value + reach), USUAL_DRY)
 
 
 def _from_reference(fit: GrooveFit, entry: int, variants: Variants) -> float:
-    """Return the part of a mean's 95 % interval that the fin test's uncertainty causes, in the mean's unit."""
+    """Return the 95 % half-width of a mean that is due to the fin test's uncertainty, in the mean's unit."""
     changes = [other.means[entry] - fit.means[entry] for _, other in variants]
     return NORMAL * float(np.linalg.norm(changes))
 
@@ -198,7 +207,7 @@ def refit(
 def holding_forces(
     traverses: Sequence[Traverse], parameters: Parameters, fit: GrooveFit
 ) -> tuple[Array, ...]:
-    """Return the force (n,) in N by which friction and fin hold the rear module, at the times of each run's length."""
+    """Return H (n,) in N (see `worm_model.identification.fits.energy`) at the times of each run's length."""
     grooves = tables_of(fit.solution.shared[MEANS:], fit.places)
     forces = []
     for traverse, own in zip(traverses, fit.solution.own, strict=True):
@@ -210,7 +219,7 @@ def holding_forces(
 
 
 def variance_inflation(traverses: Sequence[Traverse], solution: Solution) -> float:
-    """Return the factor on the variance of the camera's noise for correlated residuals, at least 1."""
+    """Return the factor on the variance of the camera's noise for large or correlated residuals, at least 1."""
     power, memory = 0.0, 0.0
     for residuals in solution.residuals:
         r = np.clip(residuals, -5.0, 5.0)
@@ -268,7 +277,7 @@ def _estimate(
     interval: tuple[float, float],
     variants: Variants,
 ) -> Estimate:
-    """Return an estimate: the profile widened by Student's t for few grooves and by the fin test's uncertainty."""
+    """Return an estimate. Student's t (for few grooves) and the fin test's uncertainty widen the profile's interval."""
     value = float(fit.means[entry])
     widening = 1.0
     if entry in SCATTERED:

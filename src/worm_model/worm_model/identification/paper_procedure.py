@@ -40,7 +40,7 @@ THRESHOLD_STEP = 2.5e-4  # m, step of the grid
 REFINED = 3  # number of best grid points that are refined by a simplex search
 PRETENSION = (
     "{}: the gait has a pretension, but the paper's procedure assumes a slack cable at rest; "
-    "omit --literal, or this run"
+    "omit --literal or exclude this run"
 )
 LOST = 1.0  # m², cost of a run whose anchors switch infinitely often
 
@@ -67,7 +67,7 @@ def literal(
         The parameters, and the minimal costs: J_loc and J_act in m², J_E in J².
 
     Raises:
-        IdentificationError: No run has power samples, or a run has a pretension.
+        IdentificationError: No run has enough power samples, or a run has a pretension.
     """
     for recording in inputs.recordings:
         if recording.gait.pretension > 0.0:
@@ -82,7 +82,7 @@ def literal(
     p = p.replace(**dict(zip(ACTUATION, actuation, strict=True)))
     powered = [run for run in runs if run.recording.power_time.size >= SAMPLES]
     if not powered:
-        raise IdentificationError("no run has power samples: J_E needs them")
+        raise IdentificationError(f"no run has the {SAMPLES} power samples that J_E requires")
     idle = float(np.mean([run.recording.power[:SAMPLES].mean() for run in powered]))
     (damping, factor), j_e = _energy(powered, p)
     progress("J_E", 1.0)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pull test: the load on the rear module of a known robot, from x1 under the measured length.
 
-Only the sum of both loads affects x1, so that the load of the front module must be known. The robot's parameters are
-nuisance parameters with their intervals as priors, and so are differences between grooves, L0, and the pose of the fins
-at rest. A parameter without an interval counts as exact, except for dry friction, which acts much like a load.
+Only the sum of both loads affects x1, so that the load of the front module must be known. Nuisance parameters are the
+robot's parameters with their intervals as priors, the differences between grooves, L0, and the pose at rest. A
+parameter without an interval counts as exact. Dry friction acts much like a load and therefore always has a prior.
 """
 
 from __future__ import annotations
@@ -72,8 +72,8 @@ MOST_RESTARTS = 10
 LOAD = 0  # entry of the load among the shared parameters
 NO_FIT = "no load between -12 and 12 N explains the motion of x1; check the parameter file and the starts of the runs"
 NOT_SETTLED = (
-    "the fit kept finding a better load far from the last, so that no interval holds; check the parameter file, the "
-    "pitch first, and add a run"
+    "the load has no valid interval: each fit found a better load far from the previous one; check the parameter "
+    "file, the pitch first, and add a run"
 )
 
 
@@ -108,7 +108,7 @@ def estimate_rear_load(inputs: Inputs, reference: ReferenceValues) -> PullTest:
         raise IdentificationError(NOT_SETTLED)
     value = float(fit.solution.shared[LOAD])
     exact = [key for key in NUISANCES if key not in (*DRY, *reference.intervals)]
-    note = f"the interval takes {', '.join(exact)} as exact" if exact else ""
+    note = f"the interval assumes exact values of {', '.join(exact)}" if exact else ""
     residuals = tuple(
         float(np.sqrt(np.mean(r**2))) * t.noise
         for r, t in zip(fit.solution.residuals, traverses, strict=True)
@@ -135,7 +135,7 @@ def _problem(
     places: NDArray[np.int64],
     scatter: Scatter,
 ) -> Problem:
-    """Return the problem of x1: load, onset, parameters and deviations are shared, L0 and the pose at rest are not."""
+    """Return the problem of x1: shared load, onset, parameters and deviations; L0 and pose at rest of each run."""
     parameters = reference.parameters
     unloaded = parameters.replace(rear_load=0.0, front_load=0.0)
     worm = worm_of(unloaded)
@@ -156,7 +156,7 @@ def _problem(
 
 
 def _loaded(worm: Worm, values: Array, own: Array) -> Worm:
-    """Return the robot with the load of both modules and the other shared parameters, and a run's own ones."""
+    """Return the robot with the shared parameters, both loads acting on its rear module, and a run's own parameters."""
     load, onset, *others = values
     robot = worm.with_values((KEY, *NUISANCES), np.array([load, *others]), own[0])
     return robot._replace(deflection=float(own[1]), onset=float(onset))
@@ -165,7 +165,7 @@ def _loaded(worm: Worm, values: Array, own: Array) -> Worm:
 def _start(
     traverses: Sequence[Traverse], build: partial[Problem], parameters: Parameters
 ) -> Solution:
-    """Return the best fit with even grooves of those that start from the searched loads."""
+    """Return the best of the fits with even grooves that start from the searched loads."""
     problem = build(np.empty((0, 3), np.int64), Scatter(0.0, 0.0))
     centres = np.array([quantity.centre for quantity in problem.shared])
 

@@ -2,7 +2,7 @@
 """Stage 1: given masses, pitch and unstressed length, with their uncertainty.
 
 The source is a parameter file, or a lab's README with statements such as ``M1 = 0.433 kg`` or ``M1 = 0.433 ± 0.001
-kg``. Missing bounds are those of a ruler and a scale.
+kg``. A value without bounds gets the bounds of a ruler or a scale.
 """
 
 from __future__ import annotations
@@ -44,9 +44,9 @@ class ReferenceValues:
         parameters: start values of the identification.
         intervals: known 95 % intervals by key.
         source: source of the values, as text.
-        others: sources of single keys, where they differ from ``source``.
-        fitted_otherwise: True if the given c_b and α_P were fitted with another power model than that of
-            ``parameters``.
+        others: sources of keys whose source differs from ``source``.
+        fitted_otherwise: True if the given c_b and α_P were fitted with another power model than the one that
+            ``parameters`` selects.
     """
 
     parameters: Parameters

@@ -43,7 +43,7 @@ from worm_model.parameters import FITTED_WITH_FORM, KEYS, Parameters
 
 Progress = Callable[[str, float], None]
 
-NO_FIN = "x1 determines only its ratio to the fin stiffness; fitted for the given stiffness; add a fin test"
+NO_FIN = "x1 determines only the ratio to the fin stiffness; fitted for the given stiffness; add a fin test"
 UNDER_GIVEN_FINS = "fitted for the given fins; add a fin test"
 NOT_OF_PAPER = "not in the paper's model; without it η would be {:.1f} N·s/m"
 NO_BELLOWS = "no bellows test, and c_b and α_P depend on k_b"
@@ -71,7 +71,7 @@ class Identification:
         bellows, fin: bench tests, None if missing.
         locomotion, actuation, energy: results of the stages.
         power_runs: runs with power samples.
-        held_out: errors of each run with the parameters of the others; empty with one run.
+        held_out: errors of each run with the parameters fitted to the other runs; empty with one run.
         paper: errors of each run with the paper's table.
         validation: errors of the validation runs with ``parameters``.
         camera_delay: remaining delay of the camera's stamps, s.
@@ -97,7 +97,7 @@ class Identification:
     seed: int
 
     def power_clock(self, name: str) -> tuple[float, float]:
-        """Return delay and standard deviation (s) of a run's power sensor relative to the camera; NaN if unknown."""
+        """Return a run's power clock delay relative to the camera, and its standard deviation, s; NaN if unknown."""
         for run, offset, deviation in zip(
             self.power_runs,
             self.energy.fit.clock_offset,
@@ -119,11 +119,11 @@ def identify(
 ) -> Identification:
     """Identify all parameters from recordings and bench tests.
 
-    The same inputs and ``seed`` give the same numbers. c_b and α_P are fitted with the power model of the reference's
-    parameters.
+    Equal inputs and seeds produce equal results. c_b and α_P are fitted with the power model that the parameters of
+    ``reference`` select.
 
     Raises:
-        IdentificationError: The data do not suffice.
+        IdentificationError: The data are not sufficient.
     """
     random = np.random.default_rng(seed)
     estimates = {key: reference.estimate(key) for key in KEYS}
@@ -244,7 +244,7 @@ def _bench_estimates(bellows: BellowsFit | None, fin: FinFit | None) -> dict[str
 
 
 def _fin_knowledge(estimates: Mapping[str, Estimate], fin: FinFit | None) -> FinKnowledge | None:
-    """Return the fin values from the fin test or the given bounds; None if there are neither."""
+    """Return the fin values from the fin test, else from the given bounds; None without either."""
     if fin is not None:
         return FinKnowledge(fin.values, fin.covariance)
     known = [estimates[key] for key in FIN]
@@ -279,7 +279,7 @@ def _locomotion_estimates(
 
 
 def _energy_estimates(energy: EnergyResult, reference: ReferenceValues) -> dict[str, Estimate]:
-    """Return c_b and α_P for the selected power model. Raises IdentificationError if they are unknown for it."""
+    """Return c_b and α_P. Raises IdentificationError if both are unknown for the selected power model."""
     fitted = dict(zip(FITTED_WITH_FORM, (energy.bellows_damping, energy.power_factor), strict=True))
     if not reference.parameters.one_sided_cable:
         return fitted

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Single key presses of a terminal, without waiting for them."""
+"""Reading of single key presses from a terminal, without blocking."""
 
 from __future__ import annotations
 

@@ -52,9 +52,10 @@ def _latched_depth(topic: Topic) -> int:
 
 
 def play_qos(topic: Topic) -> QoSProfile:
-    """Return the quality of service with which a topic is played: that of its first recorded publisher.
+    """Return the quality of service of a played topic, which is that of its first recorded publisher.
 
-    If the bag lacks it, the topic is reliable and latched, which is compatible with every subscriber.
+    If the bag contains no quality of service, the topic is reliable and latched. This is compatible with every
+    subscriber.
     """
     offered = first_qos_profile(topic)
     latched = is_latched(topic) or not offered
@@ -90,7 +91,7 @@ class PlayNode(Node):
         self._timeline = Timeline(self._first_ns, time.monotonic(), options.rate, paused=True)
         self._begun = False
         self._subscribers: dict[str, tuple[int, int]] = {}
-        self._changed = time.monotonic()  # when subscribers came or went
+        self._changed = time.monotonic()  # time of the last change of the subscribers
         self._wanted = not options.paused
         self._awaited: list[str] = list(options.wait_for)
         self._reminder = time.monotonic() + REMINDER_S
@@ -147,7 +148,7 @@ class PlayNode(Node):
                 yield topic
 
     def begin(self) -> None:
-        """Go to the start time, set the clock to it, and publish the latched messages from before it."""
+        """Go to the start time, publish the last earlier message of each latched topic, and set the clock."""
         self._begun = True
         self._messages = self._bag.messages(self._publishers_by_topic)
         self._pending = None
@@ -183,9 +184,9 @@ class PlayNode(Node):
         return due
 
     def _is_connected(self, wall: float) -> bool:
-        """Return True if all known subscribers are connected, and none has appeared for the delay.
+        """Return True if the subscribers have not changed for the delay, plus MATCHING_S if some are not connected.
 
-        Both sides of a connection discover it at different times, and subscribers are discovered one by one.
+        The two sides of a connection discover each other at different times, and subscribers are discovered one by one.
         """
         publishers = [self._clock_publisher, *self._publishers_by_topic.values()]
         counts = {
@@ -199,7 +200,7 @@ class PlayNode(Node):
         return wall >= self._changed + delay
 
     def _is_awaiting(self, wall: float) -> bool:
-        """Return True while a node of --wait-for does not subscribe yet, and log it every REMINDER_S."""
+        """Return True while a node of --wait-for does not subscribe yet, and log its name every REMINDER_S."""
         if not self._awaited:
             return False
         subscribers = {
@@ -319,7 +320,9 @@ def _parser() -> Parser:
         f"Services ~/pause, ~/resume, ~/step; on a terminal {HELP}.",
     )
     parser.add_argument("bag", type=Path, metavar="BAG")
-    parser.add_argument("-r", "--rate", type=_positive, default=1.0, help="default 1")
+    parser.add_argument(
+        "-r", "--rate", type=_positive, default=1.0, help="bag time per wall time (default 1)"
+    )
     parser.add_argument("-l", "--loop", action="store_true", help="start again at the end")
     parser.add_argument(
         "--start", type=not_negative, default=0.0, metavar="S", help="play from this time on, in s"
@@ -330,14 +333,14 @@ def _parser() -> Parser:
         type=not_negative,
         default=1.0,
         metavar="S",
-        help="publish the first message when no subscriber has appeared for this time (default 1 s)",
+        help="publish the first message when the subscribers have not changed for this time (default 1 s)",
     )
     parser.add_argument(
         "--wait-for",
         action="append",
         default=[],
         metavar="NODE",
-        help="publish the first message when this node of the namespace subscribes to a played topic; "
+        help="publish the first message only when this node, in the player's namespace, subscribes to a played topic; "
         "may be repeated",
     )
     parser.add_argument(

@@ -2,8 +2,8 @@
 """Raw subscriptions to any topics, for recording.
 
 The node polls its subscriptions and services, including those of its parameters, instead of spinning. An executor
-spends some 0.2 ms of Python per message, a poll that takes all waiting messages a hundredth of it. Polling costs no
-accuracy, because the stamps come from the middleware.
+needs about 0.2 ms of Python per message. A poll that reads all waiting messages needs a hundredth of this time.
+Polling does not affect the accuracy of stamps, because they come from the middleware.
 """
 
 from __future__ import annotations
@@ -39,10 +39,10 @@ from worm_model.bags.worm_topics import GAIT_STATE, TWIN_EVENT
 from worm_model.run import INACTIVE
 from worm_msgs.node_command import declare_none
 
-# Polls of both subscriptions: publishers discover the second one later than it discovers them.
+# Number of polls with both subscriptions: publishers discover the second one later than it discovers them.
 OVERLAP_POLLS = 50
 
-SETTLING_S = 3.0  # A publisher that appears later than this started after the recorder.
+SETTLING_S = 3.0  # A publisher that appears later than this counts as started after the recorder.
 
 _Identity = tuple[int, int]
 
@@ -50,9 +50,9 @@ _Identity = tuple[int, int]
 class _RawSubscription:
     """Subscription that is polled.
 
-    If a new publisher is not compatible with it, a second, compatible subscription is created. The first one stays
-    until the second is connected to all publishers, so that nothing is lost in between. Messages that both receive are
-    returned once.
+    If a new publisher is not compatible with the subscription, a second, compatible subscription is created. The first
+    one stays until the second is connected to all publishers, so that no message is lost in between. Messages that both
+    receive are returned once.
     """
 
     def __init__(self, node: Node, topic: Topic, message: type, depth: int) -> None:
@@ -118,7 +118,8 @@ class _RawSubscription:
     def resubscribe(self) -> None:
         """Adapt to the present publishers."""
         if self._old is not None:
-            self._node.destroy_subscription(self._subscription)  # The old one receives the same.
+            # The old subscription receives the same messages.
+            self._node.destroy_subscription(self._subscription)
         else:
             self._old = self._subscription
         self._connected_polls = 0
@@ -126,15 +127,15 @@ class _RawSubscription:
 
 
 def _identity(info: dict[str, int]) -> _Identity:
-    """Return the publisher's number and time of sending, which identify a message of a topic."""
+    """Return sequence number and time of sending, which identify a message of a topic."""
     return info["publication_sequence_number"], info["source_timestamp"]
 
 
 def _subscription_qos(offered: Sequence[QoSProfile], depth: int) -> QoSProfile:
     """Return the strictest quality of service that is compatible with every publisher.
 
-    A best-effort publisher does not connect to a reliable subscription, nor a volatile one to a transient-local
-    subscription. A volatile subscription would miss latched messages.
+    A best-effort publisher does not connect to a reliable subscription, and a volatile publisher does not connect to a
+    transient-local subscription. A volatile subscription would miss latched messages.
 
     Args:
         offered: profiles of the present publishers.
@@ -226,7 +227,7 @@ class RecordNode(Node):
 
     @property
     def missed(self) -> dict[str, int]:
-        """Messages, by topic, that later publishers had sent before the recorder was connected to them."""
+        """Number of messages, by topic, that publishers sent before their connection, if they started later."""
         by_name = self._subscriptions_by_name.items()
         return {name: s.loss.missed for name, s in by_name if s.loss.missed}
 
@@ -291,7 +292,7 @@ class RecordNode(Node):
         ]
 
     def new_gaits(self, samples: Sequence[Message]) -> Iterator[dict[str, str]]:
-        """Return the gaits that have begun according to the messages, each once per run."""
+        """Yield the fields of each gait that has begun according to the messages, once per run."""
         for sample in samples:
             if sample.channel.type_name == GAIT_STATE:
                 state: Any = deserialize_message(sample.data, message_class(GAIT_STATE))
@@ -302,7 +303,7 @@ class RecordNode(Node):
 
     @property
     def awaits_rest(self) -> bool:
-        """True while a driver that has published its state is present and has not released its robot."""
+        """True while a driver that has published its state is present and is not INACTIVE (torque released)."""
         return any(
             state != INACTIVE and self.count_publishers(topic) > 0
             for topic, state in self._drivers.items()
@@ -318,7 +319,7 @@ class RecordNode(Node):
         return next((e.message or e.code for e in reversed(events) if e.code), "")
 
     def _is_known(self, state: Any) -> bool:
-        """Return True if a gait's state is of the last reported run. A driver that restarts counts runs from 1."""
+        """Return True if a state belongs to the last reported run. The onset identifies the run after a restart."""
         onset = state.onset.sec * 10**9 + state.onset.nanosec
         same_onset = onset == self._onset or not self._onset
         known = self._reported and state.run == self._run and same_onset

@@ -62,7 +62,7 @@ def _parser() -> command_line.Parser:
         "--output",
         type=Path,
         default=Path(f"worm_{TIME_FIELD}"),
-        help=f"the bag, a directory that must not exist; {TIME_FIELD} stands for the time at which it begins "
+        help=f"the bag, a directory that must not exist; {TIME_FIELD} is replaced by the time at which it begins "
         "(default: %(default)s)",
     )
     parser.add_argument("-a", "--all", action="store_true", help="all topics that are not hidden")
@@ -85,7 +85,11 @@ def _parser() -> command_line.Parser:
     parser.add_conditions()
     parser.add_argument("--seed", type=int, help="seed of the run")
     parser.add_argument(
-        "--note", action="append", default=[], metavar="KEY=VALUE", help="a line for the manifest"
+        "--note",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="entry for the bag's metadata; may be repeated",
     )
     parser.add_argument(
         "--compression",
@@ -94,7 +98,12 @@ def _parser() -> command_line.Parser:
         help="compression of the chunks (default: zstd)",
     )
     parser.add_argument(
-        "-b", "--max-bag-size", type=_whole, default=0, metavar="BYTES", help="split at this size"
+        "-b",
+        "--max-bag-size",
+        type=_whole,
+        default=0,
+        metavar="BYTES",
+        help="begin a new file at this size",
     )
     parser.add_argument(
         "-d",
@@ -102,14 +111,14 @@ def _parser() -> command_line.Parser:
         type=command_line.not_negative,
         default=0.0,
         metavar="S",
-        help="split after this time",
+        help="begin a new file after this time",
     )
     parser.add_argument(
         "--duration",
         type=command_line.not_negative,
         default=0.0,
         metavar="S",
-        help="stop after this time",
+        help="end the recording after this time",
     )
     parser.add_argument(
         "--depth",
@@ -133,7 +142,8 @@ def _parser() -> command_line.Parser:
     parser.add_argument(
         "--to-rest",
         action="store_true",
-        help="after Ctrl-C, continue until the driver has released the robot or has ended; a second Ctrl-C ends it",
+        help="after Ctrl-C, continue until the driver has released the robot's torque or has ended; a second Ctrl-C "
+        "ends the recording at once",
     )
     parser.add_argument(
         "--after-crash",
@@ -164,11 +174,14 @@ class _Recording:
         return time.monotonic() - self._start
 
     def request_immediate_end(self) -> None:
-        """Do not wait for the driver. Safe in a signal handler."""
+        """End the recording without waiting for the driver. Safe in a signal handler."""
         self._end_at_once = True
 
     def to_rest(self, ended: Callable[[], bool]) -> bool:
-        """Return True if the end is requested and the driver has released the robot. Replaces ``ended``."""
+        """Return True if the end is requested and the driver has released the robot, or an immediate end is requested.
+
+        With --to-rest, `run` uses this function instead of ``ended``.
+        """
         if not ended():
             return False
         self.take()  # The driver may have published its state since the last poll.
@@ -182,7 +195,7 @@ class _Recording:
             now = time.monotonic()
             if now >= discovery:
                 self._node.discover()
-                self._session.know(self._node.topics)
+                self._session.add_topics(self._node.topics)
                 self._node.serve()
                 discovery = now + DISCOVERY_S
             self.take()
@@ -211,7 +224,7 @@ class _Recording:
     def _cleaned(self, messages: Sequence[Message]) -> Sequence[Message]:
         if self._cleaner is None:
             return messages
-        self._cleaner.know(message.topic for message in messages)
+        self._cleaner.add_topics(message.topic for message in messages)
         cleaned = []
         for message in messages:
             try:
@@ -219,7 +232,7 @@ class _Recording:
             except BagError as error:
                 self._uncleaned += 1
                 self._node.get_logger().error(
-                    f"a message is not recorded, as it cannot be cleaned: {error}"
+                    f"a message is not recorded, because it cannot be cleaned: {error}"
                 )
         return cleaned
 
@@ -258,7 +271,7 @@ def _session_options(
         )
         return cleaner.manifest(content) if cleaner else content
 
-    manifest()  # Raises its errors before anything is created.
+    manifest()  # An invalid note or file raises its error before a bag is created.
     return SessionOptions(
         output=after_crash(output) if arguments.after_crash else output,
         manifest=manifest,
@@ -286,7 +299,7 @@ def _run(arguments: argparse.Namespace, command: Sequence[str], ended: ShutdownR
     session = RecordingSession(options)
     for name in SERVICES:
         node.offer_service(name, getattr(session, name))
-    what = f"the last {options.ring_s:g} s for snapshots" if options.ring_s else "to"
+    what = f"the last {options.ring_s:g} s for snapshots of" if options.ring_s else "to"
     if options.output != output:
         node.get_logger().warning(
             f"{output} was not closed by its recorder; the recording continues in {options.output}"
@@ -330,7 +343,8 @@ def _report(
         notify(f"{session.failed} was removed while it was recorded: {lost} messages are lost")
     elif error is not None:
         notify(
-            f"{session.failed} could not be written: {error}. Recover the part that was written with recover"
+            f"{session.failed} could not be written: {error}. Recover the written part: worm_model recover "
+            f"{session.failed}"
         )
     return command_line.DONE if error is None else command_line.FAILED
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Conversion of the twin's records and scene to ROS messages and back, and of its settings to ROS parameters."""
+"""Conversion of messages to samples, of the twin's output to messages, and of ROS parameters to the twin's settings."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ Row = tuple[int | float, ...]
 
 
 def gait_sample(message: Any) -> Row:
-    """Return the sample of a GaitState."""
+    """Return the sample of a GaitState, a row of SAMPLE."""
     stamp, gait = nanoseconds(message.header.stamp), message.gait
     identity = nanoseconds(message.onset), message.state, message.run, message.cycle
     values = (float(getattr(gait, name)) for name in GAIT_VALUES)
@@ -75,10 +75,10 @@ def _row(kind: int, message: Any, a: float, b: float = 0.0) -> Row:
     return (stamp, kind, 0, 0, 0, 0, stamp, a, b, *[0.0] * (len(VALUES) - 2))
 
 
-#: of urdf/worm.urdf: x1, and x2 - x1
+#: joints of urdf/worm.urdf, with the values x1 and x2 − x1
 JOINTS = ("rear_position", "body_length")
 
-#: message type and conversion by topic that the twin subscribes to
+#: topics to which the twin subscribes, each with message type and conversion
 INPUTS: Mapping[str, tuple[type, Callable[[Any], Row]]] = {
     "gait_state": (GaitState, gait_sample),
     "body_length/commanded": (BodyLength, lambda m: _row(Kind.COMMAND, m, m.length_change)),
@@ -104,7 +104,7 @@ def state_message(row: Any) -> TwinState:
 
 
 def residuals_message(row: Any, warnings: Mapping[int, str]) -> TwinResiduals:
-    """Return the TwinResiduals of a row of RESIDUAL_ROW; ``warnings`` has the texts to which it refers."""
+    """Return the TwinResiduals of a row of RESIDUAL_ROW; ``warnings`` contains the texts of the warnings by number."""
     message = _filled(TwinResiduals(), row, RESIDUAL_FIELDS)
     if message.health > TwinResiduals.HEALTHY:
         message.message = residual_message(row, warnings)
@@ -144,7 +144,7 @@ def joint_state(row: Any) -> JointState:
 
 
 def _filled(message: Any, row: Any, names: Sequence[str]) -> Any:
-    """Return a message with the fields of a row, which have the same names."""
+    """Fill the stamp of a message and the named fields from a row with the same names; return the message."""
     message.header.stamp = time_message(int(row["stamp_ns"]))
     for name in names:
         setattr(message, name, row[name].item())
@@ -185,8 +185,10 @@ PARAMETER_FILE = "parameter_file"
 
 
 def rows() -> list[ParameterRow]:
-    """Return every parameter."""
-    file = ParameterRow(PARAMETER_FILE, "", "The model's parameters (YAML); empty: the paper's.")
+    """Return the declarations of all ROS parameters of the node."""
+    file = ParameterRow(
+        PARAMETER_FILE, "", "Parameter file (YAML) of the model; empty: the paper's values."
+    )
     settings = dataclasses.fields(TwinSettings)
     return [
         file,
@@ -200,10 +202,10 @@ def rows() -> list[ParameterRow]:
 
 
 def robot_of(value: Callable[[str], Any]) -> Parameters:
-    """Return the robot under the conditions that parameters of the node state.
+    """Return the model's parameters from the node's parameter file, under the node's conditions.
 
     Args:
-        value: returns the value of a parameter by name.
+        value: returns the value of a ROS parameter by name.
 
     Raises:
         ParameterError, ConditionsError: The parameter file is invalid, or the conditions are not admissible.
@@ -213,7 +215,7 @@ def robot_of(value: Callable[[str], Any]) -> Parameters:
 
 
 def settings_of(node: Any) -> TwinSettings:
-    """Return the settings from the node's parameters."""
+    """Return the settings of the twin from the ROS parameters of a node."""
     names = [row.name for row in dataclasses.fields(TwinSettings)]
     return TwinSettings(**{name: node.get_parameter(name).value for name in names})
 
@@ -227,11 +229,11 @@ _MARKER_TYPES = {
 }
 _UPRIGHT = Quaternion(x=0.0, y=0.0, z=0.0, w=1.0)
 _ALONG_X = Quaternion(x=0.0, y=math.sqrt(0.5), z=0.0, w=math.sqrt(0.5))
-_MARKER_LIFETIME_S = 1  # so that a robot that the tracker has lost disappears
+_MARKER_LIFETIME_S = 1  # time after which a marker disappears if it is not published again
 
 
 def marker_array(shapes: Sequence[scene.Shape], stamp: Time) -> MarkerArray:
-    """Return one marker per shape, each in its own namespace so that viewers can hide it."""
+    """Return one marker per shape. Each has its own namespace, so that viewers can hide single shapes."""
     return MarkerArray(markers=[_marker(shape, stamp) for shape in shapes])
 
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Digital twin as a ROS node: receives samples, advances the twin and publishes its output.
 
-The node polls its subscriptions every ``POLL_S``, because a callback of the executor costs some 0.2 ms of Python per
-message. A SingleThreadedExecutor handles parameters, services and timers. Polling adds no delay, because the twin
-processes samples when they are ``delay_s`` old.
+The node polls its subscriptions every ``POLL_S``, because a callback of the executor costs about 0.2 ms of Python per
+message. A SingleThreadedExecutor handles parameters, services and timers. The delay by polling hardly matters, because
+the twin processes samples only when they are older than ``delay_s``.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from worm_model.gait import (
 )
 from worm_model.nodes import twin_messages
 from worm_model.parameters import ParameterError
-from worm_model.simulation import warm_up
+from worm_model.twin import warm_up
 from worm_model.twin.forecast import ForecastError, forecast
 from worm_model.twin.records import Event, Severity, StateRecord
 from worm_model.twin.samples import SAMPLE, Kind
@@ -50,8 +50,8 @@ from worm_msgs.srv import PredictGait
 POLL_S = 0.02
 MARKER_PERIOD_S = 0.1
 SIGHTINGS = 100  # stored samples of the tracker: 3 s of a camera at 30 Hz
-BURST = 200  # records that one poll may yield after the machine stalled
-DEPTH = 1000  # samples of each topic that may wait
+BURST = 200  # queue length of publishers that publish many messages per poll after a stall of the machine
+DEPTH = 1000  # queue length of each subscription except gait_state
 
 _LATCHED = QoSProfile(
     depth=10,
@@ -66,7 +66,7 @@ _LEVELS = {
 
 
 class TwinNode(Node):
-    """Node that subscribes to `twin_messages.INPUTS`; raises `ParameterError` for an invalid parameter file."""
+    """Node of the twin. Raises ParameterError for an invalid parameter file, ConditionsError for invalid conditions."""
 
     def __init__(self) -> None:
         super().__init__("twin")
@@ -91,9 +91,8 @@ class TwinNode(Node):
         self._markers = self.create_publisher(MarkerArray, "twin/markers", 10)
         self._shown: np.void | None = None
         self._residual: np.void | None = None
-        self._received = self._moved = (
-            time.monotonic()
-        )  # times of the last input and of the last state
+        # Monotonic times of the last input and of the last state.
+        self._received = self._moved = time.monotonic()
         self._sightings: deque[PositionSample] = deque([PositionSample()], maxlen=SIGHTINGS)
         self.create_service(PredictGait, "predict_gait", self._predict)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -103,7 +102,8 @@ class TwinNode(Node):
     def poll(self) -> None:
         """Process all samples received so far, and publish the output."""
         received: list[twin_messages.Row] = []
-        # Repeat until all queues are empty: after a stall between two topics, samples of the first would be late.
+        # Repeat until all queues are empty. Otherwise, after a stall between the reading of two topics, samples of the
+        # first topic would be late.
         while fresh := [row for read in self._inputs for row in read()]:
             received += fresh
         if not received:
@@ -162,7 +162,7 @@ class TwinNode(Node):
             self._log(event)
 
     def _log(self, event: Event) -> None:
-        # One call each: rclpy raises an error if one line logs with different severities.
+        # Three separate calls, because rclpy raises an error if one line of code logs with different severities.
         if event.severity is Severity.ERROR:
             self.get_logger().error(event.text)
         elif event.severity is Severity.WARNING:
@@ -185,7 +185,7 @@ class TwinNode(Node):
         return SetParametersResult(successful=True)
 
     def _apply_parameters(self, _: Sequence[Parameter]) -> None:
-        """Use the new values from the next sample on; the state remains."""
+        """Use the new parameters from the next sample on, with the present state of the twin."""
         self._twin = self._make_twin()
 
     # --- forecast and markers -------------------------------------------------------------------
@@ -202,13 +202,13 @@ class TwinNode(Node):
         return twin_messages.fill_forecast(response, prediction)
 
     def _publish_markers(self) -> None:
-        # If the twin does not advance, the markers expire.
+        # While the twin does not advance, no markers are published, so that the previous markers expire.
         silent = time.monotonic() - self._moved > LOST_S
         if self._shown is None or silent or not self._markers.get_subscription_count():
             return
         parameters = self._twin.effective_parameters(self._state)
         shown = StateRecord(*self._shown.item())
-        # The twin lags by its delay: show the robot at the twin's time.
+        # The twin lags behind. The robot is shown at the measured position whose stamp is nearest to the twin's.
         nearest = min(self._sightings, key=lambda sighting: abs(sighting.stamp_ns - shown.stamp_ns))
         shapes = scene(shown, nearest, parameters, self._state.direction)
         stamp = twin_messages.time_message(shown.stamp_ns)
@@ -242,7 +242,7 @@ def _spin(node: TwinNode, ended: Callable[[], bool]) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the twin until SIGINT or SIGTERM; return the exit status."""
-    about = "Follows the robot with the model, compares both, and reports changes."
+    about = "Simulates the robot during a run, compares simulation and measurements, and reports changes."
     return run_node(
         "twin_node", about, twin_messages.rows, _run, (ConditionsError, ParameterError), arguments
     )

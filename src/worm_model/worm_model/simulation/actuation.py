@@ -36,7 +36,7 @@ def length_change_of_command(
     at: ArrayLike | None = None,
     engaged: float | None = None,
 ) -> Array:
-    """Return ΔL in m of a sampled command that is linear between its samples, exact.
+    """Return the exact ΔL in m for a sampled command that is linear between its samples.
 
     Args:
         times: times of the samples (n,), s, not decreasing.
@@ -107,7 +107,7 @@ def _cycle(
 
 
 def _least(function: Callable[[Array], Array], low: float, high: float) -> float:
-    """Return the least value of a function of an array, with a grid that narrows around the best point."""
+    """Return the smallest value of a vectorised function, by a grid that narrows around the best point."""
     for _ in range(4):  # each pass narrows the bracket 200-fold
         points = np.linspace(low, high, 401)
         values = function(points)

@@ -33,8 +33,8 @@ CHUNK = 256  # gaits in one task of a thread: some milliseconds
 class GaitTable:
     """Results of many gaits, each field an array of the broadcast shape; see `simulator.GaitResult`.
 
-    ``gait`` maps the fields of `Gait` to such arrays. The results are NaN if the fins chatter, and under a load that
-    the fins do not hold at rest.
+    ``gait`` maps the fields of `Gait` to such arrays. Speed, power, cost and grooves are NaN if the fins chatter, or if
+    they do not hold the load at rest.
     """
 
     gait: Mapping[str, Array]
@@ -48,7 +48,7 @@ class GaitTable:
 
 
 def _gait_rows(fields: Mapping[str, ArrayLike], shape: tuple[int, ...]) -> Rows:
-    """Return the gaits as rows (n,) of GAIT_ROW. The errors are those of `evaluate_gaits`."""
+    """Return the gaits as rows (n,) of GAIT_ROW. Raises the errors of `evaluate_gaits`."""
     rows = np.empty(int(np.prod(shape)), GAIT_ROW)
     for name in GAIT_ROW.names or ():
         rows[name] = np.broadcast_to(np.asarray(fields[name], dtype=float), shape).ravel()
@@ -60,7 +60,7 @@ def _gait_rows(fields: Mapping[str, ArrayLike], shape: tuple[int, ...]) -> Rows:
         raise GaitError("direction: every direction must be 1 (forward) or -1 (reverse)")
     if not np.all(np.isin(rows["profile"], list(Profile))):
         raise GaitError(f"profile: every profile must be one of {', '.join(map(str, Profile))}")
-    for extreme in (np.min, np.max):  # the limits of a gait bound each column on its own
+    for extreme in (np.min, np.max):  # each column has its own limits, so that its extremes suffice
         Gait(**{name: extreme(rows[name]).item() for name in GAIT_ROW.names or ()})
     return rows
 
@@ -111,12 +111,13 @@ def evaluate_gaits(
     progress: Callable[[float], None] | None = None,
     **further: ArrayLike,
 ) -> GaitTable:
-    """Return the results of every gait, the same as `simulator.evaluate_gait` returns for one.
+    """Return for every gait the results that `simulator.evaluate_gait` returns for a single gait.
 
     ``stroke`` m, ``frequency`` Hz, ``margin`` m, ``direction`` ±1, ``further`` fields of `Gait` (by default the gait's
     own defaults) and the values of ``overrides`` (parameter key to array, SI) are broadcast against each other.
     ``progress`` is called with the fraction done, in the calling thread; an exception that it raises cancels the rest.
-    Strokes must be shorter than the body, unless ``overrides`` contain its length, because a scenario may draw any.
+    Stroke plus pretension must be below the body length. This is not checked if ``overrides`` contain that length,
+    because a scenario may draw any length.
 
     Raises:
         GaitError: A field of a gait is out of its limits.
@@ -201,8 +202,8 @@ def sample_cycle(
 
     ``stroke`` m and ``frequency`` Hz of shape (n,); ``cycle`` counts from 0; ``phases`` in [0, 1], ascending, are
     shares of the cycle, (m,) or (n, m); ``further`` as in `evaluate_gaits`.
-    Both results have the shape (n, m) and equal those of
-    `simulator.simulate`. They are NaN for a gait whose fins chatter.
+    Both results have the shape (n, m) and equal those of `simulator.simulate`. They are NaN for a gait whose fins
+    chatter or do not hold the load.
     """
     gaits = {"stroke": stroke, "frequency": frequency, "direction": direction}
     columns = _columns({**GAIT_DEFAULTS, **gaits, **further})

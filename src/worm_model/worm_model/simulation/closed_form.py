@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Closed forms of the slow limit: groove phase, groove count and the cliff of the margin.
 
-They are this project's, not the paper's. In the slow limit the viscous friction is negligible: the module whose fins
-are engaged holds while the other is dragged. The grooves gained are the number of times that the dragged fin passes
-its threshold. This number agrees with the simulator in 99 % of the paper's box.
+These formulas are not in the paper. In the slow limit the viscous friction is negligible: the module whose fins are
+engaged holds while the other module is dragged. The grooves gained are the number of times that the dragged fin passes
+its threshold. This number agrees with the simulator for 99 % of the gaits in the paper's box.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ def switching_travel(
 ) -> float:
     """Return the length change c in m from one threshold to the other.
 
-    c = δ_c + (p_sw + δ_m − δ_c/2)(1 + k_dis/k_eng) + Q/k_eng: the dragged fin must go from the middle to its threshold
-    while the engaged fin, which carries its force and the load Q against the direction, deflects. Under a load along
-    the direction that exceeds the force of the dragged fin, the other fin does not engage but is dragged as well.
+    c = δ_c + (p_sw + δ_m − δ_c/2)(1 + k_dis/k_eng) + Q/k_eng. The dragged fin moves across its clearance to its
+    threshold. Meanwhile the engaged fin deflects under the dragged fin's force and the load Q against the direction.
+    If a load along the direction exceeds the dragged fin's force, the other fin does not engage but is dragged as well.
     """
     half = 0.5 * parameters.clearance
     threshold = parameters.switching_threshold + margin
@@ -52,7 +52,7 @@ def _load(parameters: Parameters, direction: int) -> float:
 def grooves_per_cycle(gait: Gait, parameters: Parameters) -> int:
     """Return the grooves that a cycle gains after the transient, in the slow limit.
 
-    The load must be one that the engaged fin holds.
+    The engaged fin must be able to hold the load.
     """
     lowest, highest = length_change_range(gait, parameters)
     travel = switching_travel(parameters, gait.margin, gait.direction)
@@ -65,8 +65,8 @@ def grooves_per_cycle(gait: Gait, parameters: Parameters) -> int:
 def largest_load(gait: Gait, parameters: Parameters, grooves: int = 1) -> float:
     """Return the load Q1 + Q2 in N against the direction up to which a gait gains ``grooves`` a cycle, slow limit.
 
-    The loads of the parameters do not count. The result is NaN if the gait does not gain them without a load. The load
-    is also limited by the engaged fin, which must not reach its threshold before the dragged one:
+    The loads in ``parameters`` are ignored. The result is NaN if the gait does not gain these grooves without a load.
+    The engaged fin also limits the load, because it must not reach its threshold before the dragged fin does:
     Q < (k_eng − k_dis)·(p_sw + δ_m − δ_c/2).
     """
     free = parameters.replace(rear_load=0.0, front_load=0.0)
@@ -113,8 +113,9 @@ def cliff_margin(
 ) -> float:
     """Return the margin δ_m* in m beyond which the branch with two grooves a cycle is lost, in the slow limit.
 
-    It is valid where the bound on the stroke does not cut the branch first. A negative value means that the branch is
-    lost even without a margin. A load Q against the direction reduces the margin by Q/(k_eng + k_dis).
+    The value is valid unless the largest allowed stroke ends the branch at a smaller margin. A negative value means
+    that the branch is lost even without a margin. A load Q against the direction reduces the value by
+    Q/(k_eng + k_dis).
     """
     yielding = 1.0 + parameters.disengaged_stiffness / parameters.engaged_stiffness
     highest = effective(-pretension, actuator(parameters))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tables of gaits as CSV. Each row is a gait; further columns override its parameters."""
+"""Tables of gaits as CSV. Each row is a gait; further columns override parameters of the robot for this gait."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def read_gaits(path: str | Path) -> Columns:
     except (UnicodeDecodeError, csv.Error):
         raise InputError(f"{path}: is not a CSV table") from None
     if not rows:
-        raise InputError(f"{path}: holds no gait; it needs a line below its header")
+        raise InputError(f"{path}: holds no gait; add a line below its header")
     columns: Columns = {name: np.empty(len(rows)) for name in header}
     for line, row in enumerate(rows, start=2):
         if len(row) != len(header):
@@ -84,7 +84,7 @@ def _number(path: str | Path, line: int, name: str, text: str | None) -> float:
 def evaluate_table(
     columns: Columns, parameters: Parameters, progress: Callable[[float], None] | None = None
 ) -> tuple[Columns, GaitTable]:
-    """Return (overridden parameters, results) of every row. The errors are those of `batch.evaluate_gaits`."""
+    """Return (overridden parameters, results) of every row. Raises the errors of `batch.evaluate_gaits`."""
     overrides = {key: columns[key] for key in KEYS if key in columns}
     if "L0_m" in columns:
         overrides["initial_length"] = columns["L0_m"]

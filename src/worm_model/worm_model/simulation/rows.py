@@ -29,10 +29,10 @@ _GAIT = attrgetter(*(row.name for row in dataclasses.fields(Gait)))
 
 
 def parameter_rows(parameters: Parameters) -> Rows:
-    """Return the values as the one row of an array (1,) of PARAMETER_ROW."""
+    """Return the parameters as an array (1,) of PARAMETER_ROW."""
     return np.array([_PARAMETERS(parameters)], PARAMETER_ROW)
 
 
 def gait_rows(gait: Gait) -> Rows:
-    """Return a gait as the one row of an array (1,) of GAIT_ROW."""
+    """Return a gait as an array (1,) of GAIT_ROW."""
     return np.array([_GAIT(gait)], GAIT_ROW)

@@ -94,7 +94,7 @@ def evaluate_gait(
     """Return speed, power and grooves of a gait over the last ``averaged`` of ``cycles`` from the start.
 
     Raises:
-        GaitError: The stroke is not below the body length.
+        GaitError: Stroke plus pretension is not below the body length.
         LoadError: The fins do not hold the load.
         ValueError: The number of cycles is impossible.
         SimulationError: A fin chatters.
@@ -122,8 +122,8 @@ def evaluate_gait(
 class Event:
     """Event: a fin leaves its region at ``time`` s.
 
-    ``fin`` is 1 (rear) or 2 (front), ``direction`` +1 or −1 along x. ``switched`` is True if its anchor moved by a
-    pitch, and False if the fin met or left a ridge.
+    ``fin`` is 1 (rear) or 2 (front), ``direction`` +1 or −1 along x. ``switched`` is True if the fin's anchor moved by
+    a pitch, and False if the fin met or left a ridge.
     """
 
     time: float
@@ -137,8 +137,8 @@ class Motions:
     """Dense output at ``time`` (n,): every field has shape (n,), SI units.
 
     ``cable_force`` F_c (eq:Fc; below 0 a cable would have to push), ``rear_force`` F_1 and ``front_force`` F_2 in N;
-    anchors A1, A2 in m and as numbers of their grooves; ``energy`` in J since the start. At an event the values are
-    those before it.
+    anchors A1, A2 in m and as numbers of their grooves; ``energy`` in J since the start. At an event, the values are
+    those before the event.
     """
 
     time: Array
@@ -160,7 +160,7 @@ class Motions:
 
 
 def _motions(samples: Array, parameters: Parameters, energy: Array | None = None) -> Motions:
-    """Return the columns of the kernel's samples by name; ``energy`` is by default that of the cable work."""
+    """Return the columns of the kernel's samples by name; without ``energy``, it is computed from the cable work."""
     time, force, rate = (samples[:, k] for k in (march.TIME, march.FORCE, march.LENGTH_RATE))
     mechanical = cable_power(force, rate, parameters.one_sided_cable)
     power = parameters.idle_power + parameters.power_factor * mechanical
@@ -286,10 +286,10 @@ def _motion_of(state: LocomotionState) -> Motion:
 
 
 def simulate(gait: Gait, parameters: Parameters = PAPER, cycles: int = CYCLES) -> Trajectory:
-    """Return the trajectory of a gait from the start: at rest, anchors in grooves, see `kernel.start`.
+    """Return the trajectory of a gait from rest, with the anchors in grooves, see `kernel.start`.
 
     Raises:
-        GaitError: The stroke is not below the body length.
+        GaitError: Stroke plus pretension is not below the body length.
         ValueError: The number of cycles is impossible.
     """
     check_body(gait.reach, parameters.initial_length)
@@ -337,7 +337,7 @@ class Locomotion:
             time: time of the state, s.
             length_change: ΔL, m.
             x1: position of the rear module, m.
-            front: groove of the front anchor; by default the one nearest to L0.
+            front: groove of the front anchor; by default the groove nearest to L0.
         """
         c = self._constants()
         groove = front_groove(self.parameters) if front is None else front
@@ -354,10 +354,10 @@ class Locomotion:
         )
 
     def at_rest(self, time: float = 0.0, length_change: float = 0.0) -> LocomotionState:
-        """Return the state of a robot that rests since its fins were set straight at ΔL = 0.
+        """Return the state at rest at ``time`` (s), after ΔL has moved from 0 to ``length_change`` (m).
 
-        A pretension, which has moved ΔL to ``length_change`` in m since then, and a load have bent the fins. ``time``
-        in s is that of the state. Raises `SimulationError` if a fin chatters.
+        The fins were straight at ΔL = 0. Since then, a pretension (which has moved ΔL) and a load have bent them.
+        Raises `SimulationError` if a fin chatters.
         """
         if length_change == 0.0 and not (self.parameters.rear_load or self.parameters.front_load):
             return self.start(time)
@@ -432,5 +432,5 @@ class Locomotion:
 
 @lru_cache(maxsize=16)
 def _constants_of(parameters: Parameters, direction: int, margin: float) -> Constants:
-    """Return the kernel's constants, cached because a twin requests them a hundred times a second."""
+    """Return the kernel's constants. They are cached, because a twin requests them a hundred times a second."""
     return run.constants_of(parameter_rows(parameters)[0], float(direction), margin)

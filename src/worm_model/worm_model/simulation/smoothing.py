@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Smoothing of a sampled length, from which power is predicted.
+"""Smoothing of a sampled length, whose rate the prediction of the power requires.
 
 The motion never needs the derivative of a measured length, but the cable force (eq:Fc) and the power do. At every
 requested time, a parabola is fitted by least squares to the samples within a window (a Savitzky–Golay filter for any

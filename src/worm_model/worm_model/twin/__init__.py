@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Digital twin: a core that follows a robot sample by sample (`worm_model.twin.core`), and the use of its results."""
+"""Digital twin: a compiled core that follows a robot sample by sample, and the modules that use the core's results."""

@@ -2,7 +2,7 @@
 """Table of the causes that the twin can report.
 
 The signatures, the candidates, the messages, the constants of TwinEvent.msg, the table in docs/twin.md and the
-benchmark follow from these rows. Another lasting cause is one more row of `LASTING`.
+benchmark are made from these rows. To add a lasting cause, add a row to `LASTING`.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ class EventCode:
     """Code of TwinEvent.
 
     Attributes:
-        code: the code.
+        code: value of `TwinEvent.code`.
         phrase: noun phrase that names the cause in a list of possible causes.
-        meaning: comment in TwinEvent.msg, and meaning on the page.
+        meaning: description in TwinEvent.msg and docs/twin.md.
         evidence: instruments that show the cause.
     """
 
@@ -107,7 +107,7 @@ POWER_OFFSET = EventCode(
 INITIAL_LENGTH = EventCode(
     "initial_length",
     "another L0",
-    "L0 differs since the beginning of the run; the twin uses the new value",
+    "L0 was wrong since the beginning of the run; the twin uses the new value",
     "tracker, at least two cycles",
 )
 CLOCK_JUMP = EventCode(
@@ -127,8 +127,8 @@ AMBIGUOUS = EventCode(
 class Effect(enum.Enum):
     """Kind of change that a lasting cause makes to the model."""
 
-    RELATIVE = enum.auto()  # the parameter of the row's name changes by a share of its value
-    ABSOLUTE = enum.auto()  # the parameter of the row's name changes by an amount in its SI unit
+    RELATIVE = enum.auto()  # the parameter with the row's name changes by a share of its value
+    ABSOLUTE = enum.auto()  # the parameter with the row's name changes by an amount in its SI unit
     BOTH_LOADS = enum.auto()  # the load changes by an amount in N, one half of it on each module
     LOOSE_CABLE = enum.auto()  # the cable is longer by an amount in m
     POWER_SCALE = enum.auto()  # the measured power changes by a share
@@ -141,16 +141,17 @@ class Cause:
 
     Attributes:
         name: name of the signature; for a change of a parameter, the parameter's key.
-        effect: how it changes the model.
+        effect: kind of change of the model.
         up: code of an increase.
         down: code of a decrease.
         size: usual size of the change, relative or in the SI unit.
         unit: unit in messages.
-        scale: factor from the size to that unit.
-        description: text, with ``{}`` for the size.
-        hint: possible explanation, empty if the code says enough.
-        trials: sizes that the benchmark simulates, in threes (small, middle, large).
-        large: sizes, in usual ones, at which the effect is not proportional to the size; each has its own signature.
+        scale: factor from relative or SI values to the unit in messages.
+        description: description of the change, with ``{}`` for its size.
+        hint: possible explanation; empty if the code is sufficient.
+        trials: sizes that the benchmark simulates, relative or in the SI unit; each row is (small, middle, large).
+        large: sizes, as multiples of ``size``, that have their own signatures, because the effect is not proportional
+            to the size.
     """
 
     name: str
@@ -167,15 +168,15 @@ class Cause:
 
     @property
     def least(self) -> float:
-        """Lowest possible change in usual sizes; a relative change makes no parameter negative."""
+        """Lowest possible change, as a multiple of ``size``: a relative change makes no parameter negative."""
         return -1.0 / self.size if self.effect is Effect.RELATIVE else -math.inf
 
     def code(self, size: float) -> EventCode:
-        """Return the code of a change with the sign of a size."""
+        """Return the code of a change: an increase or, for a negative size, a decrease."""
         return self.down if size < 0.0 else self.up
 
     def describe(self, size: float, deviation: float) -> str:
-        """Return the description of a change; size and standard deviation are in usual sizes."""
+        """Return the description of a change with ± 2 standard deviations; both arguments are multiples of `size`."""
         unit = self.scale * self.size
         value = f"{unit * size:+.1f} ± {2.0 * unit * deviation:.1f} {self.unit}"
         return self.description.format(value) + (f": {self.hint}" if self.hint else "")
@@ -218,7 +219,7 @@ LASTING = {
             unit="N",
             scale=1.0,
             description="the load on the rear module changed by {}",
-            hint="tether; from power alone a slipped cable looks alike",
+            hint="tether; from power alone the twin cannot distinguish this from a slipped cable",
             trials=((1.0, 3.0, 6.0), (-1.0, -2.0, -4.0)),
             large=(-2.5, -2.0, -1.0, 1.0, 2.0, 3.0),
         ),
@@ -231,7 +232,7 @@ LASTING = {
             unit="N",
             scale=1.0,
             description="the load on both modules together changed by {}",
-            hint="slope of the pipe, or flow; from power alone a slipped cable looks alike",
+            hint="slope of the pipe, or flow; from power alone the twin cannot distinguish this from a slipped cable",
             trials=((1.0, 3.0, 6.0), (-1.0, -2.0, -4.0)),
             large=(-2.5, -2.0, -1.0, 1.0, 2.0, 3.0),
         ),
@@ -267,8 +268,8 @@ LASTING = {
             size=0.6,
             unit="W",
             scale=1.0,
-            description="the power's zero changed by {}",
-            hint="power sensor, or something else that draws from the supply",
+            description="the zero of the power changed by {}",
+            hint="power sensor, or another consumer on the supply",
             trials=((0.1, 0.3, 0.6),),
         ),
     )

@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bayesian weighting of the causes that can explain the last cycles of a run.
 
-All inference of the twin happens here. The data are the binned residuals of the remembered cycles. In the null
-hypothesis the robot is healthy: its parameters differ a little from the twin's, equally in every cycle, and its cycles
-scatter a little. These alternatives compete with it:
+The data are the binned residuals of the remembered cycles. In the null hypothesis the robot is healthy: its parameters
+differ a little from the twin's, by the same amounts in every cycle, and its cycles scatter a little. These alternatives
+compete with the null hypothesis:
 
 - a lasting change of any size, from some moment on
-- a groove that a fin missed or gained, in one or more consecutive cycles, where no tracker has counted the grooves
+- a groove that a fin missed or gained, in one or more consecutive cycles
 - another initial length since the beginning of the run
-- an unexplained deviation in a single cycle, so that no cause is reported only because all others fit even worse
+- an unexplained deviation in a single cycle; without this alternative, the known cause that fits least badly would win
 
-A cause must explain all instruments together, otherwise its weight decreases.
+The weight of a cause decreases if the cause does not explain the residuals of all instruments together.
 """
 
 from __future__ import annotations
@@ -40,28 +40,30 @@ from worm_model.twin.signatures import BINS, L0_STEP_M, Signatures
 UNEXPLAINED = EventCode("", "an unexplained deviation in a single cycle", "", "")
 
 CHANGE = 0.004  # probability that a change of one kind begins in a cycle
-# Probabilities that a fin misses a groove, misses one in the next cycle as well, and gains one.
+# Probabilities per cycle that a fin misses a groove, misses one in the next cycle as well, and gains one.
 MISS, AGAIN, GAIN = 0.02, 0.3, 0.005
-WRONG_LENGTH, LENGTH_SPREAD_M = 0.01, 0.003  # probability that L0 is wrong; scatter, m
-RIGHT = 0.95  # probability that a cycle gains the predicted grooves
+# Probability that L0 is wrong; standard deviation of the error, m.
+WRONG_LENGTH, LENGTH_SPREAD_M = 0.01, 0.003
+RIGHT = 0.95  # probability that a cycle gains the predicted number of grooves
 DEVIATION = 0.001  # probability of an unexplained deviation in a cycle
-DEVIATION_SCATTER = (0.01, 0.002, 1.0)  # standard deviations of that deviation, m, m, W
-CAMERA_M = 0.03  # usual step of the positions when a camera is moved
+DEVIATION_SCATTER = (0.01, 0.002, 1.0)  # standard deviations of such a deviation: m, m, W
+CAMERA_M = 0.03  # usual step of the positions when the camera is moved
 ONSETS = (0.0, 0.25, 0.5, 0.75)  # tested phases of a cycle at which a change begins
-BROAD = 4.0  # prior deviation of a reported change, in usual sizes
-SHIFT = 1.0  # standard deviation of the offset of a whole cycle, relative to SCATTER
-LARGEST = 300.0  # logarithm of the largest weight
-THRESHOLDS = 0.5  # scatter of thresholds from cycle to cycle, relative to that from robot to robot
+BROAD = 4.0  # prior standard deviation of a reported change, relative to its usual size
+SHIFT = 1.0  # standard deviation of a channel's offset in a cycle, relative to SCATTER
+LARGEST = 300.0  # natural logarithm of the largest weight
+THRESHOLDS = 0.5  # scatter of thresholds between cycles, relative to the scatter between robots
 
 
 @dataclass(frozen=True)
 class ReportedCause:
-    """Cause already reported, which later cycles account for.
+    """Cause already reported, whose effect is included in the model of later cycles.
 
     Attributes:
-        name: name in the signatures, "missed" or "gained"; empty for a step that is not attributed to a fin.
+        name: name of a lasting cause in the signatures, or "missed" or "gained"; empty for a step that is not
+            attributed to a fin.
         cycle: cycle in which the cause begins.
-        phase: phase of the cycle at which it begins, 0 to 1.
+        phase: phase of the cycle at which the cause begins, 0 to 1.
     """
 
     name: str
@@ -76,14 +78,14 @@ class Candidate(NamedTuple):
         code: code of TwinEvent, or `UNEXPLAINED`.
         name: name in the signatures.
         cycle: first cycle of the cause.
-        log_prior: natural logarithm of its prior probability.
-        phase: phase of the first cycle at which it begins, 0 to 1.
-        cycles: number of cycles that it lasts, 0 without an end.
-        fact: True if its size is not estimated, but is 1, as for a groove.
-        variant: index of its signature among those of the name.
-        error: error of L0, m.
+        log_prior: natural logarithm of the prior probability of the cause.
+        phase: phase of the first cycle at which the cause begins, 0 to 1.
+        cycles: number of cycles that the cause lasts, 0 without an end.
+        fact: True if the size is not estimated, but known to be 1, as for a groove.
+        variant: index of the signature among those of the name.
+        error: amount to be added to the twin's L0, m.
         weight: posterior probability divided by that of a healthy robot.
-        size: estimated size, in usual sizes.
+        size: estimated size, as a multiple of the cause's usual size (`cause_table.Cause.size`).
         deviation: standard deviation of the size.
     """
 
@@ -116,13 +118,13 @@ def weigh_causes(
         reported: causes already reported.
         signs: signatures of gait and robot.
         length_seen: True if an instrument measured L0, so that no other L0 is a candidate.
-        steps: further candidates, steps of the camera.
+        steps: steps of the camera as further candidates.
     """
     data = Data(cycles, reported, signs)
     lasting = list(_lasting(cycles, signs))
     grooves = list(_grooves(cycles, reported, signs))
     tracked = any(cycle.step is not None for cycle in cycles)
-    # Without a tracker, another L0 is no candidate, because power alone cannot exclude a miss.
+    # Without a tracker, another L0 is no candidate, because power alone cannot distinguish it from a missed groove.
     lengths = list(_lengths(cycles, signs)) if tracked and not length_seen else []
     candidates = [*lasting, *steps, *grooves, *(candidate for candidate, _ in lengths)]
     causes = np.array(
@@ -138,7 +140,7 @@ def weigh_causes(
     weighed = null.weigh(causes, known)
     logs = np.array([c.log_prior for c in candidates]) + weighed.evidence
     unexplained = math.log(DEVIATION) + null.weigh_noise(data.unexplained())
-    # Where this limit has an effect, a healthy robot (weight 1) is practically impossible.
+    # The limit takes effect only where a healthy robot (weight 1) is practically impossible.
     logs, unexplained = np.split(_limited(np.append(logs, unexplained)), [len(logs)])
     weights = np.exp(logs)
     weights[
@@ -170,7 +172,7 @@ def weigh_causes(
 
 
 def _limited(logs: Array) -> Array:
-    """Return logarithms of weights that are at most `LARGEST`, with the same ratios."""
+    """Return logarithms of weights, shifted by a common amount so that none exceeds `LARGEST`."""
     return logs - max(float(logs.max()) - LARGEST, 0.0)
 
 
@@ -181,13 +183,22 @@ def _code(candidate: Candidate, size: float) -> EventCode:
 
 
 def _is_impossible(candidate: Candidate, size: float, deviation: float) -> bool:
-    """Return True if the candidate implies a negative parameter."""
+    """Return True if the candidate implies a negative parameter, even two standard deviations above its size."""
     row = LASTING.get(candidate.name)
     return row is not None and size + 2.0 * deviation < row.least
 
 
 class Data:
-    """Residuals of the cycles, shape (cycles, channels times bins), with their weights and nuisance directions."""
+    """Residuals of the cycles, with their weights and nuisance directions.
+
+    Attributes:
+        signs: signatures of gait and robot.
+        numbers: numbers of the cycles.
+        seen: residuals, shape (cycles, channels times bins).
+        weight: inverse variances of the residuals, 0 without data, in the same shape.
+        offsets: standard deviations of the offset that a bin has in all cycles, shape (channels times bins,).
+        nuisances: effects with unknown sizes other than the causes, shape (cycles, channels times bins, nuisances).
+    """
 
     def __init__(
         self, cycles: Sequence[CycleData], reported: Sequence[ReportedCause], signs: Signatures
@@ -230,7 +241,7 @@ class Data:
         return blocks.reshape(self.seen.shape)
 
     def unexplained(self) -> Array:
-        """Return the weights with an unexplained deviation in each cycle in turn.
+        """Return the weights of all residuals, assuming an unexplained deviation in each cycle in turn.
 
         The shape is (cycles, cycles, channels times bins).
         """
@@ -241,12 +252,12 @@ class Data:
         return weights
 
     def _of_the_run(self) -> Array:
-        """Return the deviations of a healthy robot's parameters, which are the same in every cycle."""
+        """Return the effects of a healthy robot's differing parameters, which are the same in every cycle."""
         healthy = np.array(list(self.signs.healthy.values())).reshape(-1, 1, CHANNELS * BINS)
         return healthy.repeat(len(self.numbers), axis=1)
 
     def _of_a_cycle(self) -> Array:
-        """Return the deviations that each cycle has independently."""
+        """Return the effects that vary independently from cycle to cycle."""
         channels = np.diag(np.array(SCATTER) * SHIFT).repeat(BINS, axis=1)
         thresholds = THRESHOLDS * self.signs.healthy["switching_threshold"].ravel()
         changes = np.kron(np.eye(len(self.numbers)), np.vstack([channels, thresholds]))
@@ -259,7 +270,7 @@ class Data:
                 begun = Candidate(LASTING[event.name].up, event.name, event.cycle, 0.0, event.phase)
                 for variant in range(len(self.signs.lasting[event.name])):
                     yield BROAD * self.lasting([begun._replace(variant=variant)])[0]
-                if event.name == "viscous_friction":  # the power is not linear in a large change
+                if event.name == "viscous_friction":  # its effect on the power is not linear
                     yield self.lasting([begun._replace(name="scale")])[0]
             elif event.name == "missed":
                 for fin in self.signs.missed:
@@ -276,7 +287,7 @@ class Data:
     def _grooves(self, fin: str, gained: bool, numbers: Iterable[int]) -> Array:  # noqa: FBT001
         """Return the effect of a fin that misses or gains a groove in each of the given cycles.
 
-        The effect begins in the cycle before.
+        The effect begins in the cycle before the given one. ``fin`` is a key of `Signatures.missed` or ``gained``.
         """
         whole = np.zeros_like(self.seen)
         before, after = (self.signs.gained if gained else self.signs.missed)[fin]
@@ -290,7 +301,7 @@ class Data:
 def _excess(values: Array, variance: Array) -> Array:
     """Return the ratio of observed to expected variance between cycles for each channel, at least 1.
 
-    It is the lower median over consecutive cycles, so that a single change in the run does not count as scatter.
+    It is the lower median over all pairs of successive cycles, so that a single change does not count as scatter.
     """
     excess = np.ones(CHANNELS)
     for channel in range(CHANNELS):
@@ -319,9 +330,9 @@ def _lasting(cycles: Sequence[CycleData], signs: Signatures) -> Iterator[Candida
 def _grooves(
     cycles: Sequence[CycleData], reported: Sequence[ReportedCause], signs: Signatures
 ) -> Iterator[Candidate]:
-    """Yield grooves that a fin missed or gained in consecutive cycles.
+    """Yield candidates for grooves that a fin missed or gained in consecutive cycles.
 
-    Cycles are excluded whose grooves the tracker counted, or whose missed or gained groove was already reported.
+    Cycles are excluded if the tracker saw that no groove was missed or gained, or if one was already reported.
     """
     settled = {cycle.number for cycle in cycles if cycle.step is not None and not cycle.gained}
     settled |= {event.cycle for event in reported if event.name in ("missed", "gained")}

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Data of one cycle for the inference: binned residuals, their variance, and the tracker's step.
+"""Data of one cycle for the inference: binned residuals, their variance, and the step of the position.
 
-The tracker determines the number of grooves. In the last part of a cycle only a step changes the position residual, so
-its mean there is the step. The step is removed from the data, and `worm_model.twin.diagnosis` finds its cause.
+A step is a lasting change of the position residual that begins in a cycle, for example because of a missed groove. Its
+size is the mean position residual in the last part of the cycle. `without_step` excludes the positions from the step
+on. `worm_model.twin.diagnosis` finds the cause of the step.
 """
 
 from __future__ import annotations
@@ -28,16 +29,16 @@ from worm_model.twin.core.memory import (
 )
 from worm_model.twin.signatures import BINS
 
-WINDOW = 0.15  # part of a cycle, at its end, in which the step is measured
-STEADY_M = 0.001  # largest difference between both halves of that window for a robot at rest
-SLIPPING_M = 0.0045  # the same for a fin that is about to slip
-FEWEST = 3  # smallest number of samples for a mean
+WINDOW = 0.15  # last part of a cycle, in which the step is measured
+STEADY_M = 0.001  # largest difference between the mean residuals of both halves of the window
+SLIPPING_M = 0.0045  # largest such difference if a fin is about to slip or has just slipped
+FEWEST = 3  # smallest number of positions in the window
 STEP_M = 0.0015  # residual at the end of a cycle above which there is a step
-UNDERWAY = 0.15  # part of a step above which a position is on the way
-LEAD = 4  # bins before the middle of a step in which it may have begun
+UNDERWAY = 0.15  # a position is on the way between the shares UNDERWAY and 1 − UNDERWAY of a step
+LEAD = 4  # number of bins before the phase of a step in which the step may have begun
 
-# Scatter between cycles of a healthy robot in addition to noise: m, m, W, and relative to the power.
-# FIRST multiplies it in the first cycle of a motion.
+# Standard deviation of the residuals of a healthy robot in addition to noise, by channel: m, m, W. POWER_SHARE times
+# the predicted power is added to the third. In the first cycle, FIRST multiplies these values.
 SCATTER = (0.0003, 0.0002, 0.04)
 POWER_SHARE = 0.015
 FIRST = (5.0, 2.0, 3.0)
@@ -49,8 +50,8 @@ class Step:
 
     Attributes:
         size: step at the end of the cycle, m.
-        phase: phase at which half of it is reached; NaN without a step.
-        swift: True if hardly any sample lies on the way.
+        phase: phase of the cycle at which an instantaneous step best explains the positions; NaN without a step.
+        swift: True if at most one of the PHASES bins has a position on the way, see `UNDERWAY`.
     """
 
     size: float
@@ -65,13 +66,13 @@ class Step:
 
 @dataclass(frozen=True)
 class CycleData:
-    """Residuals of a cycle without its step.
+    """Residuals of a cycle, and the step in it.
 
     Attributes:
         number: number of the cycle.
         values: mean residuals, shape (CHANNELS, BINS).
         variance: their variances, infinite without data, shape (CHANNELS, BINS).
-        step: the step; None without a tracker, or while the step is still in progress.
+        step: the step, of size ≈ 0 if the position agrees; None without a tracker, or while a step is in progress.
         watched: True if a tracker saw the end of the cycle.
         gained: whole grooves of the step along the gait's direction.
     """
@@ -87,15 +88,15 @@ class CycleData:
 def cycle_data(
     number: int, sums: Array, noise: Array, power: Array, pitch: float, *, fresh: bool
 ) -> CycleData:
-    """Return the data of a cycle, with the positions after its step.
+    """Return the data of a cycle, including the positions from its step on.
 
     Args:
         number: number of the cycle.
-        sums: sums of its residuals, shape (PHASES, SUMS).
-        noise: noise of a sample, shape (CHANNELS,).
+        sums: sums of the cycle's residuals, shape (PHASES, SUMS).
+        noise: standard deviation of the noise of a sample, in the channel's unit, shape (CHANNELS,).
         power: predicted power, W, shape (BINS,).
         pitch: distance between two grooves, m.
-        fresh: True for the first cycle of a motion, whose transient differs between robots.
+        fresh: True for the first remembered cycle, whose transient differs between robots.
     """
     by_bin = sums.reshape(BINS, PHASES // BINS, -1).sum(axis=1)
     total = by_bin[:, [POSITION_SUM, LENGTH_SUM, POWER_SUM]].T
@@ -114,7 +115,7 @@ def cycle_data(
 
 
 def without_step(data: CycleData) -> CycleData:
-    """Return the data of a cycle without the positions from its step on, or without any after an unknown step."""
+    """Return the data of a cycle without the positions from its step on, or without positions if the step is None."""
     if data.step is not None and data.step.is_none:
         return data
     first = 0 if data.step is None else max(int(data.step.phase * BINS) - LEAD, 0)
@@ -126,7 +127,8 @@ def without_step(data: CycleData) -> CycleData:
 def _step(sums: Array, position: Array, some: NDArray[np.bool_], pitch: float) -> Step | None:
     """Return the step at the end of a cycle, or None while it is in progress.
 
-    Where a fin is about to slip or has just slipped, only the half of the window without motion counts.
+    If a fin is about to slip or has just slipped, only the half of the window counts whose mean is nearer to a whole
+    number of grooves.
     """
     half = round(0.5 * WINDOW * PHASES)
     means = [
@@ -136,7 +138,7 @@ def _step(sums: Array, position: Array, some: NDArray[np.bool_], pitch: float) -
     ]
     apart = abs(means[-1] - means[0])
     size = float(np.mean(means))
-    if apart > SLIPPING_M:  # a fin that catches itself just before the end
+    if apart > SLIPPING_M:  # the step is within the window; only the last bin may be after it
         size = float(position[-1])
         if not some[-1] or round(size / pitch) == 0 or abs(_off_whole(size, pitch)) > STEADY_M:
             return None
@@ -151,7 +153,7 @@ def _off_whole(size: float, pitch: float) -> float:
 
 
 def _located(sums: Array, position: Array, some: NDArray[np.bool_], size: float) -> Step:
-    """Return the step, placed at the beginning of the bin from which it best explains the positions."""
+    """Return a step of a given size (m), which begins with the bin from which it best explains the positions."""
     tracked = sums[:, POSITION_COUNT] > 0
     share = sums[tracked, POSITION_SUM] / sums[tracked, POSITION_COUNT] / size
     underway = int(np.sum(np.abs(share - 0.5) < 0.5 - UNDERWAY))

@@ -1,11 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Diagnosis at the end of each cycle, from the sums that the core collects.
 
-`worm_model.twin.causes` weighs the causes. This module decides which of them are reported, and how the twin adapts. If
-a tracker saw the end of the cycle, its samples determine by how many grooves the robot is off. The timing of the step
-and the power determine the fin. A report is due when a healthy robot has at most the probability ``HEALTHY_AT_MOST``.
-The report names a cause that has at least the probability ``SURE``. If there is none, the twin waits for another cycle.
-If there is still none, the report lists the causes that remain possible.
+`worm_model.twin.causes` weighs the causes. This module decides which of them are reported, and how the twin is
+corrected.
+
+- **A step of the position** (`worm_model.twin.cycle_data`) is visible if a tracker saw the end of the cycle. Its size
+  determines by how many grooves the robot is off. Its timing and the power determine the fin. It is reported at once,
+  if necessary as ambiguous. Only a small step of the camera has to last for another cycle.
+- **Other causes** are reported when the probability of a healthy robot is at most ``HEALTHY_AT_MOST``. The report names
+  each cause with at least the probability ``SURE``. If there is none, the twin waits for another cycle. If there is
+  still none, the report lists the causes that remain possible.
 """
 
 from __future__ import annotations
@@ -69,17 +73,18 @@ REMEMBERED = 6  # cycles
 HEALTHY_AT_MOST, SURE = 0.05, 0.9  # probabilities
 MOVED = 0.002  # probability per cycle that a person moves the robot, or the camera
 MOST_GROOVES = 8  # largest number of grooves by which a person moves the robot
-LASTED = 0.5  # a change later than this phase of the last cycle is not yet reported
-WHOLE_M = 0.0008  # standard deviation of a step by whole grooves
-LENGTHS = 2  # smallest number of cycles from which L0 is estimated
+LASTED = 0.5  # a change that begins after this phase of the last cycle is not yet reported
+WHOLE_M = 0.0008  # standard deviation of the measured size of a step by whole grooves
+LENGTHS = 2  # smallest number of cycles with a tracker from which L0 is estimated
 TIMING = 0.06  # standard deviation of the phase at which a fin slips
-ANY_TIME = 0.05  # probability that a fin's step comes at an arbitrary phase of the cycle
+ANY_TIME = 0.05  # probability that a fin's step begins at an arbitrary phase of the cycle
 MORE = 0.02  # probability that a fin misses the next groove of the same cycle, too
-SWIFT = {"camera": 0.97, "robot": 0.2, "fin": 0.05}  # probability that a step is instantaneous
+# Probability that a step is instantaneous, by what has moved.
+SWIFT = {"camera": 0.97, "robot": 0.2, "fin": 0.05}
 LIKELY = 0.05  # smallest probability of a cause that a message lists
-SLIGHT_M = 0.005  # smaller steps are reported only if they last for another cycle
+SLIGHT_M = 0.005  # a smaller step of the camera is reported only if it lasts for another cycle
 
-# Names of causes in the history; causes without a name are not attributed to a fin.
+# Names of causes in the history; a step without a name is not attributed to a fin.
 _NAMES = {MISSED: "missed", MISSED_REAR: "missed", MISSED_FRONT: "missed", GAINED: "gained"}
 _FINS = {MISSED_REAR: " with the rear fin", MISSED_FRONT: " with the front fin"}
 _SENTENCES = {
@@ -95,12 +100,12 @@ class CycleSeen:
 
     Attributes:
         number: number of the cycle, from 1.
-        sums: sums of its residuals, shape (PHASES, SUMS).
+        sums: sums of the cycle's residuals, shape (PHASES, SUMS).
         gait: gait of the run.
         parameters: parameters with the L0 of the run.
-        noise: noise of a sample in the channel's unit, shape (CHANNELS,).
+        noise: standard deviation of the noise of a sample, in the channel's unit, shape (CHANNELS,).
         length_seen: True if an instrument measured L0.
-        blind_s: time without any data about the length, s.
+        blind_s: part of the cycle without data about the length, s.
         joined: True if the twin joined the run in this cycle.
     """
 
@@ -119,13 +124,13 @@ class History:
     """Remembered part of a run.
 
     Attributes:
-        cycles: last cycles.
+        cycles: data of the last cycles, at most REMEMBERED.
         reported: causes already reported; later cycles account for them.
         unplaced: True if the robot's position is unknown, because the twin was late or L0 was wrong.
-        blind_s: time without data about the robot, s; 0 once a tracker has seen the end of a cycle.
-        slight: True if the last cycle had a step so small that it may be noise.
-        doubt: True if several causes remained possible.
-        doubted: True if that was reported.
+        blind_s: time without data about the length, s; 0 once a tracker has seen the end of a cycle.
+        slight: True if the last cycle had a small step of the camera that was not reported.
+        doubt: True if the robot was probably not healthy in the last cycle, but no cause was certain.
+        doubted: True if this doubt was reported.
         missed: number of missed grooves according to the tracker.
         extra: number of additional grooves according to the tracker.
         missed_by_power: number of missed grooves according to power alone.
@@ -146,7 +151,7 @@ class History:
 def judge_cycle(history: History, cycle: CycleSeen) -> tuple[History, list[Finding]]:
     """Return the updated history and the findings at the end of a cycle."""
     driven = bool(np.mean(cycle.sums[:, LENGTH_COUNT] > 0) > 0.25)
-    # The signatures hardly depend on the small differences of L0 from run to run.
+    # The signatures hardly depend on small changes of L0. A rounded L0 makes runs share their cached signatures.
     length = round(cycle.parameters.initial_length, 4)
     signs = signatures(cycle.gait, cycle.parameters.replace(initial_length=length), driven=driven)
     data = cycle_data(
@@ -188,7 +193,7 @@ def judge_cycle(history: History, cycle: CycleSeen) -> tuple[History, list[Findi
 
 
 def explains(history: History, cycle: CycleSeen) -> bool:
-    """Return True if the twin's motion explains the positions of a cycle, which the history already contains."""
+    """Return True if the twin's motion explains the positions of a cycle. The history must contain this cycle."""
     step = history.cycles[-1].step if history.cycles else None
     if step is not None and not step.is_none:
         return False
@@ -207,7 +212,10 @@ def off_at_end(cycle: CycleSeen) -> float:
 
 
 def _lasts(history: History, cycle: CycleSeen, data: CycleData, signs: Signatures) -> bool:
-    """Return True if a lasting cause, such as a load that bends the fins, explains a step better than the camera."""
+    """Return True if a step that is not of whole grooves probably does not come from the camera.
+
+    Instead, a lasting cause explains it, such as a load that bends the fins, or a healthy robot does.
+    """
     step = data.step
     if step is None or step.is_none or _whole(step.size, cycle):
         return False
@@ -233,13 +241,13 @@ def _weigh(history: History, cycle: CycleSeen, signs: Signatures) -> list[Candid
 def _place(
     history: History, cycle: CycleSeen, data: CycleData
 ) -> tuple[History, CycleData, list[Finding]]:
-    """Reset the robot's position to the tracker's after a time without data about it."""
+    """Reset the robot's position to the tracker's if the position is unknown, or after a time without data."""
     if data.step is None or not (history.unplaced or history.blind_s):
         return history, data, []
     size, variance = data.step.size, data.variance.copy()
     variance[POSITION] = np.inf
     data = replace(data, step=Step(0.0), variance=variance)
-    # If the twin joined in the middle of a cycle, the end of that cycle does not show the position.
+    # If the twin joined in this cycle, the next cycle still depends on the unknown start.
     unknown = replace(history, unplaced=cycle.joined, blind_s=0.0)
     if history.unplaced:
         if not cycle.joined and abs(size) <= STEP_M:
@@ -272,7 +280,7 @@ def _place(
 
 
 def _whole(size: float, cycle: CycleSeen) -> int:
-    """Return a step (m) along +x in grooves, 0 if it is not a whole number."""
+    """Return the size of a step along +x, from m to grooves; 0 if it is no whole number of grooves."""
     grooves = round(size / cycle.parameters.pitch)
     return grooves if abs(size - grooves * cycle.parameters.pitch) <= 4.0 * WHOLE_M else 0
 
@@ -283,7 +291,7 @@ def _whole(size: float, cycle: CycleSeen) -> int:
 def _settle(
     history: History, cycle: CycleSeen, step: Step, shares: Mapping[EventCode, float]
 ) -> tuple[History, Finding | None]:
-    """Return the history with the cause of a step, and the finding if it is reported now."""
+    """Return the history with the cause of a step, and the finding; None if the step is not reported (yet)."""
     best = max(shares, key=lambda code: shares[code])
     if best == NO_STEP:
         return replace(history, slight=False), None
@@ -304,7 +312,7 @@ def _settle(
 
 
 def _explain(cycle: CycleSeen, step: Step, shares: Mapping[EventCode, float]) -> Finding:
-    """Attribute a step of the position to a fin, a person who moved the robot, or the camera."""
+    """Return the finding that attributes a step to a fin, a person who moved the robot, or the camera."""
     best = max(shares, key=lambda code: shares[code])
     probability = shares[best]
     missed = sum(shares[code] for code in (MISSED_REAR, MISSED_FRONT, MISSED))
@@ -371,12 +379,12 @@ def _shares_of_step(
 
 
 def _phase_of_slip(position: Array, pitch: float) -> float:
-    """Return the phase at which the position residual of a missed groove reaches half a pitch."""
+    """Return the phase at which a position residual (m), shape (BINS,), first exceeds half a pitch."""
     return float(np.argmax(np.abs(position) > 0.5 * pitch)) / BINS
 
 
 def _evidence(weighed: Sequence[Candidate], code: EventCode, fin: str, number: int) -> float:
-    """Return the Bayes factor of a fin's missed or gained groove in a cycle."""
+    """Return the Bayes factor of a groove that a fin missed or gained in a cycle; 1 if this was not weighed."""
     wanted = (code, fin, number, 1)
     matching = [c for c in weighed if (c.code, c.name, c.cycle, c.cycles) == wanted]
     return matching[0].weight / math.exp(matching[0].log_prior) if matching else 1.0
@@ -392,7 +400,10 @@ def _normal(value: float, spread: float) -> float:
 def _length(
     history: History, cycle_seen: CycleSeen, weighed: Sequence[Candidate]
 ) -> tuple[History, Finding | None]:
-    """Return a new L0 as a finding if all cycles since the beginning support it better than missed grooves."""
+    """Return a new L0 as a finding if a wrong L0 has at least the probability 1 − HEALTHY_AT_MOST.
+
+    A tracker must have seen the end of at least `LENGTHS` cycles.
+    """
     lengths = [c for c in weighed if c.code == INITIAL_LENGTH]
     share = sum(c.weight for c in lengths) / (1.0 + sum(c.weight for c in weighed))
     settled = sum(cycle.step is not None for cycle in history.cycles)
@@ -425,9 +436,9 @@ def _length(
 def judge_causes(
     history: History, number: int, weighed: Sequence[Candidate]
 ) -> tuple[History, list[Finding]]:
-    """Return the updated history and the findings that a healthy robot does not explain.
+    """Return the updated history, and the findings if the robot is probably not healthy.
 
-    Steps of the position that the tracker saw are not among them.
+    Steps of the position that the tracker saw are not among the findings.
     """
     total = 1.0 + sum(c.weight for c in weighed)
     if 1.0 / total > HEALTHY_AT_MOST:
@@ -460,7 +471,7 @@ def judge_causes(
 def _grooves_by_power(
     cycles: Iterable[CycleData], weighed: Sequence[Candidate], total: float
 ) -> list[Finding]:
-    """Return the missed and gained grooves of the cycles whose end no tracker saw."""
+    """Return findings for the grooves missed or gained in cycles whose end no tracker saw."""
     findings = []
     for cycle in cycles:
         if cycle.watched:
@@ -480,7 +491,7 @@ def _grooves_by_power(
 
 
 def _is_known(reported: Iterable[ReportedCause], candidate: Candidate, names: set[str]) -> bool:
-    """Return True if the cause was already reported, possibly with another estimate of its beginning."""
+    """Return True if the cause was already reported as beginning in this cycle or a neighbouring one."""
     return any(t.name in names and abs(t.cycle - candidate.cycle) <= 1 for t in reported)
 
 
@@ -502,7 +513,7 @@ def _lasting(candidate: Candidate, share: float) -> Finding:
 
 
 def _doubt(number: int, weighed: Sequence[Candidate], total: float) -> list[Finding]:
-    """Return the causes that remain possible as one finding, or none if a single known cause remains."""
+    """Return one finding with all causes that remain possible; no finding if only a known cause remains."""
     shares = {code: _share(group, total) for code, group in _by_code(weighed).items()}
     likely = {code: share for code, share in shares.items() if share > LIKELY}
     if set(likely) == {UNEXPLAINED}:

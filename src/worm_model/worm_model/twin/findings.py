@@ -16,7 +16,7 @@ INFORMATION = EventCode("", "", "", "")
 
 
 class Sentence(enum.Enum):
-    """Sentences that describe findings; the names in braces are facts of the finding."""
+    """Sentences that describe findings, with the names of the finding's facts in braces."""
 
     POSITION_RESET = "the twin resets its position to the tracker's"
     BENT_FINS = (
@@ -27,36 +27,36 @@ class Sentence(enum.Enum):
     NOT_JUDGED_RESET = "is not judged: {reason}; the twin resets its position to the tracker's"
     AFTER_GAP = (
         "no data for {blind_s:.1f} s; afterwards the robot is {grooves} {where} than predicted "
-        "(position {off_mm:+.1f} mm off); the twin's anchors were moved there"
+        "(position {off_mm:+.1f} mm off); the twin corrects its anchors"
     )
     GROOVES_MISSED = (
-        "the robot missed {grooves}{fin} (position {off_mm:+.1f} mm off since {since_s:.1f} s after "
-        "the cycle's begin); the twin's anchors were moved there"
+        "the robot missed {grooves}{fin} (position {off_mm:+.1f} mm off, beginning {since_s:.1f} s "
+        "into the cycle); the twin corrects its anchors"
     )
     GROOVES_GAINED = (
-        "the robot gained {grooves} (position {off_mm:+.1f} mm off since {since_s:.1f} s after the "
-        "cycle's begin); the twin's anchors were moved there"
+        "the robot gained {grooves} too many (position {off_mm:+.1f} mm off, beginning "
+        "{since_s:.1f} s into the cycle); the twin corrects its anchors"
     )
     ROBOT_MOVED = (
-        "the robot was moved by {grooves} {way} its gait (position {off_mm:+.1f} mm off since "
-        "{since_s:.1f} s after the cycle's begin); the twin's anchors were moved there"
+        "the robot was moved by {grooves} {way} the direction of its gait (position {off_mm:+.1f} mm "
+        "off, beginning {since_s:.1f} s into the cycle); the twin corrects its anchors"
     )
     CAMERA_MOVED = (
-        "the camera was moved: its positions are {off_mm:+.1f} mm off, no whole grooves; the twin's "
-        "zero follows"
+        "the camera was moved: its positions are {off_mm:+.1f} mm off, which is no whole number of "
+        "grooves; the twin shifts its origin"
     )
     STEP_AMBIGUOUS = (
-        "cannot distinguish {candidates} (position {off_mm:+.1f} mm off since {since_s:.1f} s after "
-        "the cycle's begin)"
+        "the cause is ambiguous: {candidates} (position {off_mm:+.1f} mm off, beginning {since_s:.1f} s "
+        "into the cycle)"
     )
-    STEP_AMBIGUOUS_MOVED = STEP_AMBIGUOUS + "; the twin's anchors were moved there"
+    STEP_AMBIGUOUS_MOVED = STEP_AMBIGUOUS + "; the twin corrects its anchors"
     NEW_LENGTH = (
         "L0 is {after_mm:.1f} mm instead of {before_mm:.1f} mm, according to positions and power "
         "since the run began"
     )
-    BY_POWER = "the power is that of {cause} (probability {percent:.0f} %)"
-    LASTING = "since then {change} (probability {percent:.0f} %)"
-    CAUSES_AMBIGUOUS = "cannot distinguish {candidates}"
+    BY_POWER = "the power indicates {cause} (probability {percent:.0f} %)"
+    LASTING = "lasting change from this cycle on: {change} (probability {percent:.0f} %)"
+    CAUSES_AMBIGUOUS = "the cause is ambiguous: {candidates}"
     UNEXPLAINED = "a deviation that no known cause explains"
 
 
@@ -66,14 +66,14 @@ class Finding:
 
     Attributes:
         code: code of the event.
-        sentence: sentence that describes it.
-        cycle: cycle to which it refers.
+        sentence: sentence that describes the result.
+        cycle: number of the cycle to which the result refers.
         facts: values in the sentence, by name.
         probability: probability of the cause, NaN if not computed.
-        grooves: grooves along +x by which the robot is further than predicted.
-        shift: shift of the tracker's zero, m.
-        initial_length: new L0, m; NaN if it stays.
-        explains_position: True if it explains the position residuals so far.
+        grooves: grooves along +x by which the twin moves its anchors.
+        shift: shift of the twin's origin in the tracker's frame, m.
+        initial_length: new L0, m; NaN if L0 stays.
+        explains_position: True if the result explains the earlier position residuals, which then no longer count.
     """
 
     code: EventCode
@@ -98,6 +98,6 @@ def count_of_grooves(gained: int) -> str:
 
 
 def list_of_candidates(shares: Mapping[str, float]) -> str:
-    """Return phrases with their probabilities, the most probable first."""
+    """Return a list of phrases with their probabilities, the most probable first, separated by "or"."""
     ordered = sorted(shares, key=lambda phrase: -shares[phrase])
-    return " and ".join(f"{phrase} ({100 * shares[phrase]:.0f} %)" for phrase in ordered)
+    return " or ".join(f"{phrase} ({100 * shares[phrase]:.0f} %)" for phrase in ordered)

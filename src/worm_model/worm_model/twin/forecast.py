@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Forecast of a gait that would begin now, from the twin's current pose and length."""
+"""Forecast of a gait that would begin now, in the twin's present state."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from worm_model.simulation.simulator import (
 from worm_model.twin.run_start import motion_of
 from worm_model.twin.twin import Twin, TwinState
 
-HORIZON_S = 10.0
-LONGEST_S = 120.0
-STEP_S = 0.02
+HORIZON_S = 10.0  # default horizon
+LONGEST_S = 120.0  # longest horizon
+STEP_S = 0.02  # time step of the predicted motion
 
 
 class ForecastError(ValueError):
-    """Raised if a gait cannot be predicted; the message has the reason and the remedy."""
+    """Error of a gait that cannot be predicted, or of an inadmissible horizon."""
 
 
 @dataclass(frozen=True)
@@ -34,12 +34,12 @@ class Forecast:
     """Predicted values of a gait.
 
     Attributes:
-        robust: result from rest with the gait's margin.
-        nominal: result from rest without the margin.
+        robust: result of a run from rest, with the gait's margin.
+        nominal: result of a run from rest, without the margin.
         time: time from now, s, shape (n,).
         rear_position: x1 in the tracker's frame, m, shape (n,).
         front_position: x2 in the tracker's frame, m, shape (n,).
-        power: power, W, shape (n,).
+        power: predicted source power, W, shape (n,).
         energy: energy over the horizon, J.
         grooves: grooves gained by the rear anchor along the gait's direction.
         groove_phase: groove phase, m.
@@ -57,7 +57,7 @@ class Forecast:
 
 
 def forecast(twin: Twin, state: TwinState, gait: Gait, horizon_s: float = HORIZON_S) -> Forecast:
-    """Return the forecast of a gait; a horizon of 0 means ten seconds. Raises `ForecastError`."""
+    """Return the forecast of a gait; a horizon of 0 means `HORIZON_S`. Raises `ForecastError`."""
     horizon = horizon_s or HORIZON_S
     if not STEP_S <= horizon <= LONGEST_S:
         raise ForecastError(f"horizon: {horizon_s:g} s is not between {STEP_S} and {LONGEST_S:g} s")

@@ -1,14 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bayes factors of causes against the null hypothesis, for normal noise, with the sizes integrated out.
 
-The data of k cycles with b bins, y (k, b), are modelled as N a + c b' + x s + noise:
+The data y (k, b) of k cycles with b values each are modelled as N a + c u + x s + noise:
 
-- N (k, b, m) are the nuisance directions; their sizes a are standard normal.
-- c (b,) is the standard deviation of an offset of each bin that is the same in all cycles.
-- x is the direction of a cause. Its size s is standard normal or known to be 1.
-- The noise is independent, with a variance for each datum. A missing datum has the weight 0.
+- N (k, b, m) contains the nuisance directions. Their sizes a (m,) are standard normal.
+- c (b,) contains the standard deviations of offsets that are the same in all cycles. Their sizes u (b,) are standard
+  normal, and c u is the product by element.
+- x (k, b) is the direction of a cause. The size s of the cause is standard normal, or known to be 1.
+- The noise is independent, with one variance for each value. A missing value has the weight (inverse variance) 0.
 
-All integrals have a closed form (Woodbury's identity, and that of Sherman and Morrison for the offset of each bin).
+All integrals have a closed form (Woodbury's identity, and the Sherman–Morrison identity for the offsets).
 """
 
 from __future__ import annotations
@@ -40,10 +41,10 @@ class NullModel:
     """Null hypothesis: normal noise and nuisances without any cause.
 
     Args:
-        measured: data, shape (k, b).
+        measured: data y, shape (k, b).
         weight: inverse variances of the noise, shape (k, b).
         nuisances: nuisance directions, shape (k, b, m).
-        offsets: standard deviations of the offset that a bin has in all cycles, shape (b,).
+        offsets: standard deviations c of the offsets that are the same in all cycles, shape (b,).
     """
 
     def __init__(self, measured: Array, weight: Array, nuisances: Array, offsets: Array) -> None:
@@ -72,7 +73,7 @@ class NullModel:
         alone = np.einsum("hkb,hkb->h", weighted, causes)
         alone -= weighted.sum(axis=1) ** 2 @ self._shared
         power = alone - np.sum(cross * solved[:, 1:].T, axis=1)
-        power = np.maximum(power, 0.0)  # rounding
+        power = np.maximum(power, 0.0)  # negative only by rounding
         free = 0.5 * (match**2 / (1.0 + power) - np.log1p(power))
         return Weighed(
             evidence=np.where(known, match - 0.5 * power, free),
@@ -81,7 +82,7 @@ class NullModel:
         )
 
     def weigh_noise(self, others: Array) -> Array:
-        """Return log Bayes factors of noise with each of the weights ``others`` (h, k, b) against the own weights."""
+        """Return the logarithms (h,) of the Bayes factors of other weights of the noise, ``others`` (h, k, b)."""
         own = self._log_density()
         return np.array(
             [

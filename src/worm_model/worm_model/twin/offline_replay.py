@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Offline run of the twin over a recording, with a reproducible result.
+"""Replay: the twin processes a recording offline, with a reproducible result.
 
-If the recording contains the live twin's memory, the replay resumes from it. Otherwise the state of the fins at the
-first gait is unknown: the twin estimates it at the end of the first cycle, and follows the recording again from that
-start. A gait during which the clock was set is not judged.
+If the recording contains a memory of the live twin, the replay resumes from this memory. Otherwise the state of the
+fins at the first gait is unknown. If straight fins do not explain the first cycle, the twin estimates the state from
+this cycle, and then processes the recording again. A gait during which the clock was set is not judged.
 """
 
 from __future__ import annotations
@@ -24,24 +24,24 @@ from worm_model.twin.start_estimate import Start
 from worm_model.twin.stored_memory import StoredMemory, look_back_ns, memory_to_resume
 from worm_model.twin.twin import CLOCK_SET, ClosedCycle, Output, Twin, TwinState
 
-IMPOSSIBLE_STEPS = 3  # number of impossible steps of the command that proves overlapping times
+IMPOSSIBLE_STEPS = 3  # number of impossible steps of the command that prove overlapping time spans
 
 Series = dict[str, NDArray[Any]]
 
 
 @dataclass(frozen=True)
 class Replay:
-    """Result of the twin for a recording; each series has one column per field of its record, by name.
+    """Result of the twin for a recording. Each series contains one array (n,) per field, by name.
 
     Attributes:
-        states: columns of StateRecord (the message TwinState).
-        residuals: columns of ResidualRecord (TwinResiduals) without `messages`, with sizes and levels of the channels.
-        lengths: `stamp_ns`, `length`, `length_change` (BodyLength, ESTIMATED).
+        states: fields of STATE_ROW (the message TwinState).
+        residuals: fields of RESIDUAL_ROW (TwinResiduals without the message, sizes and levels of the channels).
+        lengths: fields of LENGTH_ROW, the estimated lengths (BodyLength).
         notices: events of the twin (TwinEvent).
-        dropped: number of samples that were dropped, by reason.
+        dropped: number of excluded samples, by reason.
         cycles: cycles that ended, each with the reason if it was not judged.
-        unusable: reasons why runs cannot be judged, by run number (by onset in ns for runs without one).
-        resumed_ns: stamp of the stored memory from which the replay resumed, 0 without one.
+        unusable: reasons why runs cannot be judged, by run number (by onset in ns for runs without a number).
+        resumed_ns: stamp of the stored memory from which the replay resumed, ns; 0 without one.
     """
 
     states: Series
@@ -55,27 +55,27 @@ class Replay:
 
 
 class Consumer(Protocol):
-    """Reader of a replay, part by part."""
+    """Object that receives the output of a replay, part by part."""
 
     def add(self, rows: Rows, output: Output) -> None:
-        """Process samples and the output of the twin over them."""
+        """Process some samples and the output of the twin for them."""
 
 
 Result = TypeVar("Result", bound=Consumer)
 
 
 class OfflineReplay:
-    """Run of the twin over a recording, part by part, as often as required.
+    """Replay of a recording, part by part, which can be repeated.
 
     Args:
         parts: returns the recording in parts, in the order of reception.
         parameters: parameters of the robot.
 
     Attributes:
-        samples: the recording.
-        resumed_ns: stamp of the stored memory from which the replay resumes, 0 without one.
-        unusable: reasons why runs cannot be judged, by run number (by onset in ns for runs without one).
-        dropped: number of samples that were dropped, by reason.
+        samples: samples of the recording.
+        resumed_ns: stamp of the stored memory from which the replay resumes, ns; 0 without one.
+        unusable: reasons why runs cannot be judged, by run number (by onset in ns for runs without a number).
+        dropped: number of excluded samples, by reason.
     """
 
     def __init__(self, parts: Callable[[], Iterable[Run]], parameters: Parameters) -> None:
@@ -93,8 +93,8 @@ class OfflineReplay:
     def feed(self, begin: Callable[[], Result]) -> Result:
         """Return a consumer to which the whole replay has been added.
 
-        If the twin estimates the start of a gait at the end of its first cycle, the recording is followed again from
-        that start, with another consumer from ``begin``.
+        If the twin estimates the start of a gait, the recording is processed again with this start and with another
+        consumer from ``begin``.
         """
         is_settled = self._memory is not None or bool(self._starts)
         consumer = begin()
@@ -103,7 +103,7 @@ class OfflineReplay:
         return consumer if is_settled or not self._starts else self.feed(begin)
 
     def steps(self) -> Iterator[tuple[Rows, Output]]:
-        """Yield the samples in parts, each with what the twin puts out for it."""
+        """Yield the samples in parts, each part with the output of the twin."""
         twin, unusable = self._twin, unusable_runs(self.samples)
         state = TwinState(twin.start().memory, unusable=unusable, starts=dict(self._starts))
         if self._memory is not None:
@@ -122,7 +122,7 @@ class OfflineReplay:
     def _steps_before(
         self, memory: StoredMemory, state: TwinState
     ) -> Generator[tuple[Rows, Output], None, Rows]:
-        """Yield the steps up to a stored memory, and return the last samples before it."""
+        """Yield the steps up to a stored memory, and return the last samples before this memory."""
         last = NO_SAMPLES
         if self.samples.first_ns is None or self.samples.first_ns > memory.stamp_ns:
             return last
@@ -165,8 +165,8 @@ def unusable_runs(samples: RecordedSamples) -> dict[int, str]:
     """Return the runs during which the clock was set, with the reason why they cannot be judged.
 
     Keys are run numbers, or onsets in ns for runs without a number. If log times and stamps were both set back, the
-    order of a bag's messages shows nothing. But the driver then reports another onset of the same run. Where two time
-    spans overlap, the command alternates between two values.
+    order of the messages in a bag does not reveal this. Two other facts reveal it: the driver reports another onset for
+    the same run, and the command alternates between two values where two time spans overlap.
     """
     states, found = samples.gait_state, {}
     for rows in states.rows_of_runs():
@@ -188,7 +188,7 @@ def _end_of(states: GaitStates, rows: NDArray[np.int64]) -> int:
 
 
 def _apart(output: Output) -> Output:
-    """Return an output with negative numbers of warnings, which no other output uses."""
+    """Return an output with negated numbers of warnings, so that they differ from those after the memory."""
     output.residuals["warning"] *= -1
     return Output(
         output.states,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Samples of a recording, read part by part, in the order in which a replay processes them."""
+"""Samples of a recording, read part by part and returned in the order in which a replay processes them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from worm_model.run import GaitStates, LengthSamples, Run, concatenated
 from worm_model.twin.samples import SAMPLE, Kind, Rows, series_of, topic_rows
 from worm_model.twin.stored_memory import StoredMemory, read_memory
 
-IMPOSSIBLE_SPEED = 1.0  # m/s; no gait moves the cable faster than 0.12 m/s
+IMPOSSIBLE_SPEED = 1.0  # m/s; the paper's gaits change the command by less than 0.12 m/s
 _FOREVER = int(np.iinfo(np.int64).max)
 _Place = tuple[
     int, int
@@ -29,20 +29,21 @@ def rows_of_run(run: Run, jump_back_ns: int) -> Rows:
 class RecordedSamples:
     """Samples of a recording, ordered by stamp, so that none is late.
 
-    If a topic goes back by more than ``jump_back_ns``, the clock has jumped. All samples after the jump then follow all
-    samples before it. The parts are read once by the constructor and once by each call of `rows`. In memory are one
-    part, and the samples that a later part may precede.
+    If the stamps of a topic go back by more than ``jump_back_ns`` and stay there, the clock has jumped. All samples
+    after the jump then follow all samples before the jump. The constructor and each call of `rows` read the parts once.
+    `rows` stores one part, and those earlier samples that may have to follow samples of a later part.
 
     Args:
         parts: returns the recording in parts, in the order of reception.
-        jump_back_ns: see above.
+        jump_back_ns: step back of the stamps, ns, above which the clock has jumped.
         is_usable: returns True for a stored memory from which the replay may resume.
 
     Attributes:
-        origin: smallest stamp, ns; 0 without samples.
-        first_ns, last_ns: smallest stamp of an instrument, and the last one; None without samples.
-        gait_state: all states of the driver.
-        memories: the usable stored memories before `first_ns`, and the first one after it, by stamp.
+        origin: smallest origin of the parts, ns; 0 without samples.
+        first_ns: smallest stamp of all samples except driver states, ns; None without samples.
+        last_ns: largest of the last stamps of command, measured length and tracker, ns; None without samples.
+        gait_state: all driver states.
+        memories: the usable stored memories before `first_ns`, and the first one from `first_ns` on, by stamp.
         impossible_steps: stamps (n, 2) before and after steps of the command that no gait makes, by stamp.
         clock_went_back: True if the clock has jumped back.
     """
@@ -92,7 +93,10 @@ class RecordedSamples:
         self.impossible_steps: NDArray[np.int64] = np.concatenate(steps)
 
     def rows(self, until_ns: int = _FOREVER) -> Iterator[Rows]:
-        """Yield all samples in order; stop early after the last one with a stamp up to ``until_ns``."""
+        """Yield all samples in order, in blocks.
+
+        The last block is the one after which no sample has a stamp up to ``until_ns``, unless the clock has gone back.
+        """
         counts = dict.fromkeys(Kind, 0)
         waiting, jumps = np.zeros(0, SAMPLE), np.zeros(0, np.int64)
         places = self._smallest_places()
@@ -111,7 +115,7 @@ class RecordedSamples:
                 return
 
     def _smallest_places(self) -> list[_Place]:
-        """Return for each part the smallest place of all samples of the parts after it."""
+        """Return for each part the smallest place of all samples in later parts."""
         smallest, places = (_FOREVER, 0), []
         for stretches in reversed(self._stretches):
             places.append(smallest)
@@ -145,12 +149,12 @@ class _Jumps:
         self._found: list[int] = []
 
     def add(self, stamp: Stamps) -> list[tuple[int, int]]:
-        """Add stamps; return index and smallest stamp of each stretch that no step back divides."""
+        """Add the stamps of a part; return first index and smallest stamp of each stretch between two steps back."""
         stamps = np.concatenate([self._tail, stamp])
         first = self._count - len(self._tail)
         newest = np.maximum.accumulate(np.append(self._newest, stamps))[1:]
         back = np.flatnonzero(np.diff(stamps) < -self._jump_back_ns)
-        # A single late sample is followed by the newest again; after a jump the next ones stay behind.
+        # After a single late sample, the stamps return to the newest. After a jump, they stay behind the newest.
         decided = back[back + 2 < len(stamps)]
         stays = stamps[decided + 2] < newest[decided] - self._jump_back_ns
         self._found += (first + decided[stays] + 1).tolist()
@@ -165,7 +169,7 @@ class _Jumps:
         )
 
     def finish(self) -> NDArray[np.int64]:
-        """Return the indices of the first samples after the jumps."""
+        """Return the indices of the first samples after the jumps, once all stamps have been added."""
         last = self._tail
         if len(last) == 2 and last[1] - last[0] < -self._jump_back_ns:
             self._found.append(self._count - 1)
@@ -177,7 +181,7 @@ def _last_of(samples: LengthSamples) -> LengthSamples:
 
 
 def _impossible_steps(commanded: LengthSamples) -> NDArray[np.int64]:
-    """Return the stamps (n, 2) before and after each impossible step of the command."""
+    """Return the stamps (n, 2) before and after each step of the command that is faster than any gait."""
     order = np.argsort(commanded.stamp, kind="stable")
     stamp, change = commanded.stamp[order], commanded.length_change[order]
     step, duration = np.abs(np.diff(change)), np.diff(stamp) * 1e-9

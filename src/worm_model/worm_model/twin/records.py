@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Records that the twin outputs, and the structured types of their rows. Stamps are integer nanoseconds.
 
-The fields are those of the messages TwinState, TwinResiduals and TwinEvent of worm_msgs. The node and the offline
-replay convert them, because the core does not depend on ROS.
+The fields are those of the messages TwinState, TwinResiduals and TwinEvent of worm_msgs, which describe them. The node
+converts rows and events to messages, so that the twin does not depend on ROS.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Activity(enum.IntEnum):
 
     @classmethod
     def _missing_(cls, value: object) -> Activity:  # noqa: ARG003
-        """Return INACTIVE for a state of a newer driver, because this twin cannot follow it."""
+        """Return INACTIVE for a state that only a newer driver has, because this twin does not know such a state."""
         return cls.INACTIVE
 
 
@@ -80,7 +80,8 @@ class StateRecord:
 def row_type(record: type, more: Mapping[str, type] | None = None) -> np.dtype[np.void]:
     """Return the numeric fields of a record class as a structured type.
 
-    Integer fields become int64, all others float64; strings are left out. ``more`` has additional fields.
+    Integer fields become int64, strings are left out, and all other fields become float64. ``more`` contains additional
+    fields.
     """
     fields = {name: kind for name, kind in get_type_hints(record).items() if kind is not str}
     fields |= more or {}
@@ -91,7 +92,7 @@ def row_type(record: type, more: Mapping[str, type] | None = None) -> np.dtype[n
 
 @dataclass(frozen=True)
 class ResidualRecord:
-    """Content of the message TwinResiduals: measured minus predicted, NaN without a measurement."""
+    """Content of the message TwinResiduals: measured minus predicted values, NaN without a measurement."""
 
     stamp_ns: int
     rear_position: float
@@ -117,8 +118,8 @@ class Severity(enum.IntEnum):
 class Event:
     """Content of the message TwinEvent: a notice for the operator.
 
-    ``code`` is one of the codes of TwinEvent, or empty for plain information. ``cycle`` and ``run`` are 0 where they do
-    not apply. ``probability`` is NaN if it was not computed.
+    ``code`` is one of the codes of TwinEvent, or empty for plain information. ``cycle`` and ``run`` are 0 if the event
+    belongs to none. ``probability`` is NaN if it was not computed.
     """
 
     stamp_ns: int
@@ -131,9 +132,10 @@ class Event:
 
 
 STATE_ROW = row_type(StateRecord)
-#: fields of a residual that are published, except the stamp; the message explains the health
+#: fields of TwinResiduals except the stamp and the message
 RESIDUAL_FIELDS = (row_type(ResidualRecord).names or ())[1:]
-#: row of a residual, with size (in usual sizes, NaN without data) and level of each channel, and the warning's number
+#: Row of a residual. ``…_size`` is the root mean square of a channel relative to the usual size (NaN without data),
+#: ``…_level`` the Health of the channel, and ``warning`` the number of the warning that affects the health, 0 if none.
 RESIDUAL_ROW = row_type(
     ResidualRecord,
     {
@@ -155,7 +157,7 @@ COMPLAINTS = {
 
 
 def residual_message(row: Any, warnings: Mapping[int, str]) -> str:
-    """Return the description of a row of RESIDUAL_ROW; ``warnings`` has the texts to which rows refer by number."""
+    """Return the description of a row of RESIDUAL_ROW; ``warnings`` contains the texts of the warnings by number."""
     warning = [warnings[row["warning"]]] if row["warning"] in warnings else []
     warning += [
         f"{text} ({row[f'{name}_size']:.1f} times the usual residual)"

@@ -1,19 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """Start of a run: rest pose, initial length, and the state in which the previous run left the fins.
 
-At the onset all earlier samples have been processed.
+All samples before the onset have been processed when the run starts.
 
-- x1 is the tracker's position of the rear module over the last ``rest_s``.
-- L0 is the mean measured length of that span, otherwise that of the previous run, otherwise the parameter.
-- The first run starts with each module on its groove, or where the fins hold its load.
-- After a run the fins stay where they are, so that the modules are up to some millimetres off their grooves. With
-  another start the whole next run would be predicted incorrectly.
+- The position of the rear module is the mean of the tracker's positions during the last ``rest_s``.
+- L0 is the mean measured length of the same time span. Without one it is the L0 of the previous run, and before the
+  first run the parameter.
+- The first run starts with straight fins, or with fins that only load and pretension deflect.
+- After a run the fins stay deflected, so that the modules are up to some millimetres off their grooves. The next run
+  starts in this state.
 - While the cable is at rest, the body returns to its initial length. Fins that are turned for the other direction move
-  to the nearest grooves. If they are turned shortly after a pull, the body is still shorter by the effect of the slack,
-  which may change the grooves. If the twin cannot determine them, the start is unknown.
+  to the nearest grooves. If they are turned shortly after a pull, the body is still shorter by the effect of the slack
+  (K·δ_s), which may change these grooves. If the twin cannot determine the grooves, the start is unknown.
 - A pretension shortens the body. L0 is then the measured length plus this effect, and ΔL starts at minus the effect.
-- If a body at rest is shorter by the effect of the slack, its slack is still taken up. L0 then remains that of the
-  previous run, and ΔL starts at the measured difference.
+- If a body at rest is shorter by the effect of the slack, the slack is still taken up. L0 then remains that of the
+  previous run, and ΔL starts at the measured difference from L0.
 """
 
 from __future__ import annotations
@@ -44,28 +45,27 @@ from worm_model.twin.start_estimate import Start
 from worm_model.twin.twin_settings import TwinSettings
 
 PLAYING = (Activity.RUNNING, Activity.STOPPING)
-LATE_NS = 20_000_000  # delay of an onset beyond which it is reported
-PLAUSIBLE_M = 0.02  # largest difference between a measured length at rest and the parameter
-TIGHTENED = (
-    0.35  # tolerance for a body whose slack is taken up, relative to the effect of the slack
-)
+LATE_NS = 20_000_000  # delay of the twin after the onset beyond which the delay is reported
+PLAUSIBLE_M = 0.02  # largest plausible difference between a measured L0 and the parameter
+# Tolerance for the length change of a body whose slack is taken up, relative to the effect of the slack.
+TIGHTENED = 0.35
 FEWEST = 5  # smallest number of samples for a mean
 # Values at rest may differ by STILL_M plus STILL_NOISE times the median difference of consecutive values.
 STILL_M, STILL_NOISE = 0.0005, 5.0
-# Samples closer to the onset are ignored, because its stamp and those of the instruments come from different clocks.
+# Samples closer to the onset than this are ignored, because the clocks of driver and instruments may differ.
 GUARD_NS = 100_000_000
 TURNED_NS = 2_500_000_000  # longest time from the turning of the fins to the onset
-SLACK_NS = 2_000_000_000  # length of the time span after a pull within which the slack returns
-TOLERANCE = 0.3  # tolerance, in pitches, for a robot that was not moved since the last run
-SURE_M = 0.002  # deviation up to which its place after the previous run is known with certainty
-JOIN_STEP_S = 0.01  # step of the commands that a late twin did not receive
+SLACK_NS = 2_000_000_000  # longest time after a pull until the slack has returned
+TOLERANCE = 0.3  # largest deviation, in pitches, of a robot that was not moved between two runs
+SURE_M = 0.002  # largest deviation at which the state that the previous run left is certain
+JOIN_STEP_S = 0.01  # time step of the commands that a late twin did not receive
 
 
 @dataclass(frozen=True)
 class DriverState:
-    """State of the driver from a stamp on.
+    """State of the driver, valid from ``stamp_ns`` on.
 
-    ``onset_ns``, ``run`` and ``cycle`` are 0 if unknown; ``gait`` is None without a gait.
+    ``onset_ns``, ``run`` and ``cycle`` are 0 if unknown; ``gait`` is None without an admissible gait.
     """
 
     stamp_ns: int
@@ -77,7 +77,7 @@ class DriverState:
 
 
 def driver_state_of(row: Any) -> DriverState:
-    """Return the driver's state from a sample of kind GAIT; an inadmissible gait is replaced by None."""
+    """Return the driver state of a sample of kind GAIT; an inadmissible gait is replaced by None."""
     gait: Gait | None
     try:
         gait = gait_of({name: row[value] for name, value in GAIT_VALUES.items()})
@@ -89,20 +89,20 @@ def driver_state_of(row: Any) -> DriverState:
 
 
 def is_new_run(m: Any, driver: DriverState) -> bool:
-    """Return True if a driver state is the first of a run."""
+    """Return True if a driver state is the first one of a run; ``m`` is the record of the memory."""
     if driver.activity not in PLAYING or driver.onset_ns <= 0:
         return False
     if not m["start_ns"] or not m["has_gait"]:
         return True
     if m["end_ns"] and abs(driver.onset_ns - int(m["start_ns"])) > SAME_ONSET_NS:
-        return True  # the driver was restarted and counts from 1
+        return True  # a restarted driver, which counts its runs from 1 again
     before = int(m["run"]), int(m["reported_cycle"]), int(m["start_ns"])
     return bool(is_another_run(before, (driver.run, driver.cycle, driver.onset_ns)))
 
 
 @dataclass(frozen=True)
 class Place:
-    """Robot at rest.
+    """Place of a robot at rest.
 
     Attributes:
         x1: position of the rear module relative to its anchor, m.
@@ -115,7 +115,7 @@ class Place:
     anchor: float
 
     def off(self, position: float, pitch: float) -> float:
-        """Return the distance (m) of a robot at a position (m) from this place, modulo the pitch."""
+        """Return the distance (m) of a rear module at a position (m) from this place, apart from whole grooves."""
         off = position - (self.anchor + self.x1)
         return abs(off - round(off / pitch) * pitch)
 
@@ -130,7 +130,7 @@ def begin_run(
     """Initialize a run in the memory.
 
     If the twin has already passed the onset, because the driver's message or the twin was late, the run starts at the
-    current position. Its length is then the one that the gait would have by now.
+    current stamp and position. ΔL then has the value that it would have in the gait by now.
 
     Args:
         memory: the twin's memory, updated in place.
@@ -163,7 +163,7 @@ def begin_run(
         m["cycle"] = math.floor(late / NANOSECONDS * driver.gait.frequency + 1e-9) + 1
         m["cycle_end_ns"] = driver.onset_ns + round(m["cycle"] * driver.gait.period * NANOSECONDS)
     if late > LATE_NS:
-        text += f"; its onset was {late / NANOSECONDS:.2f} s ago, the twin starts with its gait as commanded"
+        text += f"; its onset was {late / NANOSECONDS:.2f} s ago, so the twin joins at the present phase of the command"
         m["origin_known"] = m["origin_known"] and not m["cycle"] > 1
     return start, text
 
@@ -175,7 +175,7 @@ def _stand(
     settings: TwinSettings,
     start: Start | None,
 ) -> tuple[str, float]:
-    """Set L0, pose and origin from the data of the robot at rest before a run; return a message and ΔL (m)."""
+    """Set L0, pose and origin from the samples at rest before a run; return a message and ΔL (m) at the onset."""
     m = memory.record[0]
     rest = _at_rest(memory, driver.onset_ns, settings)
     pulled = 0.0 if driver.gait is None else resting_change(driver.gait, parameters)
@@ -189,7 +189,7 @@ def _stand(
         initial_length, source = length, "as measured at rest"
         tracked, fitted = True, False
     elif m["length_seen"] or m["length_fitted"]:
-        initial_length, source = before.initial_length, "as in the run before"
+        initial_length, source = before.initial_length, "as in the previous run"
         tracked, fitted = bool(m["length_seen"]), bool(m["length_fitted"])
     else:
         initial_length, source = parameters.initial_length, "from the parameters"
@@ -215,7 +215,7 @@ def _stand(
             place = Place(place.x1, place.front_groove, position - place.x1)
         else:
             place = None
-            text += "; the robot was moved since the last run"
+            text += "; the robot was moved since the previous run"
     if place is None:
         anchor = float(m["origin"]) if math.isnan(position) else position
         free = _unstressed(parameters.replace(initial_length=initial_length), direction, pulled)
@@ -230,7 +230,7 @@ def _stand(
 
 
 def _unstressed(parameters: Parameters, direction: int, pulled: float) -> Start:
-    """Return the pose of a robot whose fins are straight, or bent by its load and the pretension (ΔL, m) alone."""
+    """Return the pose of a robot whose fins only the load and the pretension deflect; ``pulled`` is ΔL (m)."""
     model = Locomotion(parameters, direction)
     try:
         motion = model.at_rest(length_change=pulled)
@@ -243,13 +243,13 @@ def _unstressed(parameters: Parameters, direction: int, pulled: float) -> Start:
 def _lengths_when_turned(
     memory: Memory, onset_ns: int, standing: float, shorter: float
 ) -> tuple[float, ...]:
-    """Return the possible lengths (m) of the body when the fins were turned before an onset, the likelier one first.
+    """Return the possible lengths (m) of the body when the fins were turned before an onset, the preferred one first.
 
     Args:
         memory: the twin's memory.
         onset_ns: onset of the run.
         standing: length of the body at rest, m.
-        shorter: effect of the slack, m.
+        shorter: effect of slack that may still have been taken up then, m.
     """
     m = memory.record[0]
     rows = memory.rows[: int(m["place"])]
@@ -261,7 +261,7 @@ def _lengths_when_turned(
 
 
 def _tightened(m: Any, before: Parameters, rest: _Rest) -> float:
-    """Return ΔL (m) of a body at rest whose slack is still taken up or returning after another run, otherwise 0."""
+    """Return ΔL (m) of a body at rest if its slack is still taken up, or is returning, after a run; otherwise 0."""
     shorter = before.gain * before.slack
     change = rest.length - before.initial_length
     if m["start_ns"] and abs(change + shorter) < min(TIGHTENED * shorter, PLAUSIBLE_M):
@@ -271,10 +271,10 @@ def _tightened(m: Any, before: Parameters, rest: _Rest) -> float:
 
 
 class _Rest(NamedTuple):
-    """Robot at rest before an onset.
+    """Measurements of the robot at rest before an onset.
 
     Attributes:
-        length: length from a length instrument, otherwise from the tracker, m.
+        length: measured body length, or else x2 − x1 of the tracker, m.
         settled: True if the length no longer changes.
         position: position of the rear module, m.
     """
@@ -285,10 +285,10 @@ class _Rest(NamedTuple):
 
 
 def _at_rest(memory: Memory, onset_ns: int, settings: TwinSettings) -> _Rest:
-    """Return the robot at rest before an onset; NaN where there are too few samples."""
+    """Return the measurements of the robot at rest before an onset; NaN where there are too few samples."""
     m = memory.record[0]
     if m["start_ns"] and not m["end_ns"]:
-        return _Rest(math.nan, settled=False, position=math.nan)  # another gait ran until now
+        return _Rest(math.nan, settled=False, position=math.nan)  # another gait has run until now
     rows = memory.rows[: int(m["place"])]
     last = onset_ns - GUARD_NS
     first = max(last - round(settings.rest_s * NANOSECONDS), int(m["end_ns"]))
@@ -304,8 +304,8 @@ def _at_rest(memory: Memory, onset_ns: int, settings: TwinSettings) -> _Rest:
 def _settled(values: np.ndarray) -> tuple[float, bool]:
     """Return the mean of the last values without motion, and True if the motion has ended.
 
-    The mean is NaN for fewer than `FEWEST` values. A body whose slack returns within the span moves by millimetres, so
-    that earlier values do not describe it at the onset.
+    The mean is NaN for fewer than `FEWEST` values. Values before a motion are excluded, because a body whose slack
+    returns moves by millimetres.
     """
     values = values[np.isfinite(values)]
     if len(values) < FEWEST:
@@ -321,8 +321,8 @@ def _settled(values: np.ndarray) -> tuple[float, bool]:
 
 
 def _joined(gait: Gait, elapsed: float, parameters: Parameters) -> tuple[float, float]:
-    """Return u_cmd and ΔL (m) after a time (s) of a gait whose commands were not received, as if played exactly."""
-    # Only the last cycles matter because of the lag.
+    """Return u_cmd and ΔL (m) at a time (s) after the onset of a gait whose commands the twin did not receive."""
+    # The previous and the present cycle suffice, because the effect of earlier commands has decayed.
     start = max(0, int(elapsed * gait.frequency) - 1) * gait.period
     times = np.append(np.arange(start, elapsed, JOIN_STEP_S), elapsed)
     commands = gait.command(times)
@@ -332,7 +332,7 @@ def _joined(gait: Gait, elapsed: float, parameters: Parameters) -> tuple[float, 
 def _left_behind(
     m: Any, parameters: Parameters, length: float, direction: int, turned_at: float
 ) -> Place | None:
-    """Return where the previous run leaves the robot, or None without a previous run.
+    """Return where the previous run leaves the robot, or None if this is unknown.
 
     Args:
         m: record of the memory.
@@ -365,7 +365,7 @@ def _left_behind(
 
 
 def motion_of(m: Any) -> LocomotionState:
-    """Return the motion in the memory's record, at time 0."""
+    """Return the motion of the memory's record ``m`` as a state at time 0."""
     regions = int(m["rear_region"]), int(m["front_region"])
     grooves = int(m["rear_groove"]), int(m["front_groove"])
     return LocomotionState(

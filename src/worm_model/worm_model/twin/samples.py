@@ -17,7 +17,7 @@ Rows = NDArray[np.void]
 
 
 class Kind(enum.IntEnum):
-    """Kind of a sample; samples with equal stamps are processed in this order."""
+    """Kind of a sample; samples with equal stamps are processed in this order. GAIT is a driver state."""
 
     GAIT = 0
     COMMAND = 1
@@ -26,13 +26,14 @@ class Kind(enum.IntEnum):
     POWER = 4
 
 
-#: letters of the values of a sample, as many as the kind with the most, the gait, has
+#: names of the values of a sample; a driver state has the most values, the fields of its gait
 VALUES = tuple(ascii_lowercase[: len(GAIT_UNITS)])
-#: letter of the value by field of a gait
+#: name of the value by field of a gait
 GAIT_VALUES = dict(zip(GAIT_UNITS, VALUES, strict=True))
 
-#: ``stamp`` in ns. ``a``, ``b``, … by kind: u_cmd (m); L (m); x1, x2 (m); power (W); the fields of a gait. Of a gait
-#: state only: ``onset`` (ns), ``state``, ``run``, ``cycle`` and ``sent``, the stamp of the message (ns).
+#: A sample takes effect at its ``stamp`` (ns); ``sent`` (ns) is the stamp of its message. The values ``a``, ``b``, …
+#: depend on the kind. COMMAND: u_cmd (m). LENGTH: L (m). POSITION: x1, x2 (m). POWER: power (W). GAIT: the gait's
+#: fields. Only driver states (GAIT) have ``onset`` (ns), ``state``, ``run`` and ``cycle``.
 SAMPLE = np.dtype(
     [
         *((name, np.int64) for name in ("stamp", "kind", "onset", "state", "run", "cycle", "sent")),
@@ -64,7 +65,7 @@ def series_of(run: Run) -> dict[Kind, Any]:
 
 
 def topic_rows(run: Run) -> dict[Kind, Rows]:
-    """Return the rows of each kind, in the order of reception."""
+    """Return the samples of a recording by kind, in the order of reception."""
     states = run.gait_state
     gaits = sample_rows(Kind.GAIT, states.stamp, *(getattr(states, name) for name in GAIT_VALUES))
     gaits["onset"], gaits["state"], gaits["run"] = states.onset, states.state, states.run

@@ -20,7 +20,7 @@ PIPE_RADIUS = 0.06
 MODULE = (0.04, 0.07, 0.07)
 BELLOWS_DIAMETER = 0.05
 LOST_S = 1.0  # age of the latest tracker sample beyond which the robot is not drawn
-VIEW = 0.6  # m of pipe shown before and behind the robot
+VIEW = 0.6  # length of pipe shown ahead of the robot and behind it
 
 Colour = tuple[float, float, float, float]
 Vector = tuple[float, float, float]
@@ -70,7 +70,7 @@ class PositionSample:
 def scene(
     twin: StateRecord, robot: PositionSample, parameters: Parameters, direction: int = FORWARD
 ) -> list[Shape]:
-    """Return all shapes; the robot is missing if the tracker does not see both modules or is silent."""
+    """Return the shapes of pipe and twin, and of the robot if the tracker sees both modules at the twin's stamp."""
     shapes = [ridges(twin, parameters)]
     shapes += body("twin", twin.rear_position, twin.front_position, GHOST_COLOUR)
     shapes += [
@@ -83,7 +83,7 @@ def scene(
 
 
 def ridges(twin: StateRecord, parameters: Parameters) -> Shape:
-    """Return the ridges of the pipe around the robot, midway between grooves."""
+    """Return the ridges of the pipe around the twin, midway between grooves."""
     pitch, zero = parameters.pitch, twin.rear_anchor
     first = math.floor((twin.rear_position - VIEW - zero) / pitch)
     last = math.ceil((twin.front_position + VIEW - zero) / pitch)
@@ -97,7 +97,7 @@ def ridges(twin: StateRecord, parameters: Parameters) -> Shape:
 
 
 def body(name: str, rear: float, front: float, colour: Colour) -> list[Shape]:
-    """Return both modules and the bellows between them."""
+    """Return both modules, at their positions (m), and the bellows between them."""
     gap = max(front - rear - MODULE[0], 1e-3)
     middle = 0.5 * (rear + front)
     return [
@@ -114,7 +114,7 @@ def body(name: str, rear: float, front: float, colour: Colour) -> list[Shape]:
 
 
 def fin(name: str, position: float, anchor: float, parameters: Parameters, direction: int) -> Shape:
-    """Return a fin pair from its root to its groove, coloured by its engagement (eq:fin_force_piecewise)."""
+    """Return the fins of a module, from root to groove, coloured by their engagement (eq:fin_force_piecewise)."""
     reach = anchor - position
     size = (max(abs(reach), 0.004), 0.02, 2.0 * PIPE_RADIUS)
     colour = engagement(position - anchor, parameters, direction)
@@ -122,7 +122,7 @@ def fin(name: str, position: float, anchor: float, parameters: Parameters, direc
 
 
 def engagement(displacement: float, parameters: Parameters, direction: int) -> Colour:
-    """Return the colour of a fin deflected by ``displacement`` (m); forward fins hold when pushed backward."""
+    """Return the colour of a fin with a deflection (m). A fin holds if it is deflected against ``direction``."""
     if abs(displacement) <= 0.5 * parameters.clearance:
         return FREE
     return HOLDING if displacement * direction < 0.0 else YIELDING

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Signatures of the causes: changes of the residuals, simulated with one thing changed minus unchanged.
+"""Signatures of the causes: the changes of the residuals that each cause makes.
 
-All are changes over a cycle of the steady gait, in `BINS` bins of `CHANNELS` channels (rear position in m, measured
-length in m, power in W). The change of a parameter is scaled to its usual size. A missed or gained groove is a switch
-of one fin that never happens, or happens once too often. Until the other fin switches, the fin's threshold is out of
-reach, or lower.
+A signature is the difference between two simulations, with and without the cause. It covers a cycle of the steady gait,
+in `BINS` bins of `CHANNELS` channels (rear position in m, measured length in m, power in W). The signature of a lasting
+cause is scaled to the cause's usual size. A missed groove is a switch of one fin that does not happen: the threshold of
+this fin is out of reach until the other fin switches. A gained groove is one switch too many: the threshold of the fin
+is lower until the other fin switches.
 """
 
 from __future__ import annotations
@@ -26,12 +27,12 @@ from worm_model.twin.core.memory import CHANNELS, LENGTH, PHASES, POSITION, POWE
 BINS = 25  # of a cycle
 SETTLED = 5  # cycles after which a gait repeats itself
 CYCLES = SETTLED + 3
-NEVER_M = 1.0  # margin that no fin reaches, so that it never switches
-EARLIER_M = (0.002, 0.005, 0.008, 0.012)  # tested margins of a fin that switches too early
-SMALL = 0.2  # fraction of a usual change for which the model is assumed linear
-L0_STEP_M, L0_REACH = 0.0005, 0.5  # step and reach (in pitches) of the tested L0
+NEVER_M = 1.0  # margin with which a fin never switches
+EARLIER_M = (0.002, 0.005, 0.008, 0.012)  # tested reductions of the threshold for gained grooves
+SMALL = 0.2  # fraction of the usual size up to which the effect is assumed proportional to the size
+L0_STEP_M, L0_REACH = 0.0005, 0.5  # step (m) and largest value (pitches) of the tested errors of L0
 
-#: relative standard deviations of a healthy robot's parameters from the twin's
+#: standard deviations of a healthy robot's parameters around the twin's, relative to the twin's
 HEALTHY_SPREAD = {
     "gain": 0.01,
     "slack": 0.03,
@@ -54,7 +55,7 @@ class AnotherLength:
     """Signature of a wrong L0.
 
     Attributes:
-        error: error of L0, m.
+        error: amount that is added to the twin's L0, m.
         gained: additional grooves per cycle.
         change: change of the residuals, shape (CHANNELS, BINS).
     """
@@ -71,13 +72,13 @@ class Signatures:
     Attributes:
         grooves: grooves per cycle.
         power: predicted power, W, shape (BINS,).
-        lasting: changes by lasting causes at their usual size, by name. Shape (1 + k, CHANNELS, BINS): of a small
-            change, and of k large ones that keep the grooves per cycle.
-        missed: changes by a missed groove, by fin. Shape (2, CHANNELS, BINS): the cycle before, and the cycle in which
-            x1
-            falls behind.
-        gained: changes by a gained groove, by fin and by how early it switches. Shape as for ``missed``; x1 gets ahead.
-        healthy: differences between healthy robots, by parameter.
+        lasting: changes by lasting causes at their usual size, by name. Shape (1 + k, CHANNELS, BINS): from a small
+            change, and from k large changes that keep the grooves per cycle.
+        missed: changes by a missed groove, by fin. Shape (2, CHANNELS, BINS): the previous cycle, and the cycle in
+            which x1 falls behind.
+        gained: changes by a gained groove, by fin and lower threshold. Shape (2, CHANNELS, BINS): the previous cycle,
+            and the cycle in which x1 gets ahead.
+        healthy: changes by usual differences between healthy robots, by parameter.
         lengths: signatures of other initial lengths.
     """
 
@@ -106,8 +107,8 @@ def signatures(gait: Gait, parameters: Parameters, *, driven: bool) -> Signature
     Args:
         gait: the gait.
         parameters: parameters with the L0 of the run.
-        driven: True if a measured length drives the twin. The answer to the command then affects the length only,
-            otherwise everything except the length.
+        driven: True if a measured length drives the twin. A changed answer to the command then affects only the
+            residual of the length. Otherwise it affects all residuals except that of the length.
     """
     gait = replace(gait, margin=0.0)
     model = _Model(gait, parameters, driven)
@@ -123,7 +124,7 @@ def signatures(gait: Gait, parameters: Parameters, *, driven: bool) -> Signature
 
 
 class _Model:
-    """Robot with the twin's parameters in the steady cycle, and the effect of changed parameters."""
+    """Steady cycle of a robot with the twin's parameters, and the effects of changed parameters or commands."""
 
     def __init__(self, gait: Gait, parameters: Parameters, driven: bool) -> None:  # noqa: FBT001
         self.gait, self.parameters, self.driven = gait, parameters, driven
@@ -142,7 +143,7 @@ class _Model:
         )
 
     def _cycle(self, parameters: Parameters, commands: Array, error: float) -> tuple[Array, int]:
-        """Return the steady cycle (CHANNELS, BINS) and the grooves gained in it.
+        """Return the quantities of a steady cycle (CHANNELS, BINS), and the grooves gained in this cycle.
 
         ``error`` (m) is added to the measured length.
         """
@@ -161,7 +162,7 @@ class _Model:
         return channels, self.gait.direction * int(gained)
 
     def change(self, parameters: Parameters, commands: Array | None = None) -> tuple[Array, int]:
-        """Return the effect of other parameters or commands, and the additional grooves per cycle."""
+        """Return the effect (CHANNELS, BINS) of other parameters or commands, and the additional grooves per cycle."""
         try:
             shown, grooves = self._cycle(
                 parameters, self.commands if commands is None else commands, 0.0
@@ -171,9 +172,10 @@ class _Model:
         return shown - self.seen, grooves - self.grooves
 
     def extrapolated(self, change: Callable[[float], tuple[Array, int]]) -> Array:
-        """Return the effect of a change at its usual size.
+        """Return the effect of a change at its usual size, extrapolated from a small change.
 
-        It is extrapolated from the first step, as a fraction of the usual size, that keeps the number of grooves.
+        ``change`` returns the effect and the additional grooves of a fraction of the usual change. The first of several
+        fractions that keeps the number of grooves is used. If there is none, the effect is 0.
         """
         for step in (SMALL, -SMALL, 0.2 * SMALL, -0.2 * SMALL):
             effect, grooves = change(step)
@@ -182,22 +184,22 @@ class _Model:
         return np.zeros((CHANNELS, BINS))
 
     def with_parameter(self, key: str, amount: float, step: float) -> tuple[Array, int]:
-        """Return the effect of a part of a parameter's change, and the additional grooves per cycle."""
+        """Return the effect of a parameter changed by ``step * amount``, and the additional grooves per cycle."""
         value = getattr(self.parameters, key) + step * amount
         return self.change(self.parameters.replace(**{key: value}))
 
     def with_both_loads(self, amount: float, step: float) -> tuple[Array, int]:
-        """Return the effect of a part of a load (N) that both modules share, and the additional grooves per cycle."""
+        """Return the effect of a load ``step * amount`` (N), one half on each module, and the additional grooves."""
         p, half = self.parameters, 0.5 * step * amount
         return self.change(p.replace(rear_load=p.rear_load + half, front_load=p.front_load + half))
 
     def with_loose_cable(self, amount: float, step: float) -> tuple[Array, int]:
-        """Return the effect of a part of a cable's excess length (m), and the additional grooves per cycle."""
+        """Return the effect of a cable longer by ``step * amount`` (m), and the additional grooves per cycle."""
         return self.change(self.parameters, np.minimum(self.commands + step * amount, 0.0))
 
 
 def _lasting(model: _Model, cause: Cause) -> Array:
-    """Return the effects of a lasting cause at its usual size: of a small change, then of the large ones."""
+    """Return the effects of a lasting cause, scaled to its usual size: from a small change, then from large ones."""
     change = _change_of(model, cause)
     effects = [model.extrapolated(change)]
     for size in cause.large:
@@ -208,7 +210,7 @@ def _lasting(model: _Model, cause: Cause) -> Array:
 
 
 def _change_of(model: _Model, cause: Cause) -> Callable[[float], tuple[Array, int]]:
-    """Return the effect of a lasting cause, and the additional grooves per cycle, as a function of its size."""
+    """Return a function of a size (a multiple of the usual one), which returns effect and additional grooves."""
     match cause.effect:
         case Effect.RELATIVE:
             amount = cause.size * getattr(model.parameters, cause.name)
@@ -225,7 +227,7 @@ def _change_of(model: _Model, cause: Cause) -> Callable[[float], tuple[Array, in
 
 
 def _healthy(model: _Model) -> dict[str, Array]:
-    """Return the differences between healthy robots, by parameter."""
+    """Return the effects of usual differences between healthy robots, by parameter."""
     relative = HEALTHY_SPREAD | {
         "initial_length": HEALTHY_SPREAD_L0_M / model.parameters.initial_length
     }
@@ -253,9 +255,10 @@ def _lengths(model: _Model) -> list[AnotherLength]:
 
 
 def _switches(model: _Model, margins: Mapping[str, float], grooves: int) -> dict[str, Array]:
-    """Return the signatures of a fin's last switch of a cycle at another threshold, by fin.
+    """Return the signatures of another threshold at a fin's last switch of a cycle.
 
-    Only those are included that gain ``grooves`` grooves.
+    ``margins`` contains the changes of the threshold (m). The keys of the result are the fin's name and the key of the
+    margin. Only changes that gain ``grooves`` grooves (1 or −1) are included.
     """
     changes = {
         f"{name}{how}": _switched(model, fin, margin, grooves)
@@ -273,7 +276,7 @@ def _switched(model: _Model, fin: int, margin: float, grooves: int) -> Array | N
     begins, ends = window
     try:
         usual = _follow(model, (0.0, 0.0), 0.0)
-        if margin < 0.0:  # one more switch after the last one, and no other
+        if margin < 0.0:  # the lower threshold causes one switch after the last one, and no other
             begins += 1e-3
             ends = _first_change(model, fin, usual, _follow(model, (begins, ends), margin), ends)
         other = _follow(model, (begins, ends), margin)
@@ -293,7 +296,7 @@ def _switched(model: _Model, fin: int, margin: float, grooves: int) -> Array | N
 
 
 def _window(gait: Gait, parameters: Parameters, fin: int) -> tuple[float, float] | None:
-    """Return the time (s) of a fin's last switch in a steady cycle, and of the other fin's next switch."""
+    """Return the times (s) just before a fin's last switch in a steady cycle and the other fin's next switch."""
     try:
         events = simulate(gait, parameters, CYCLES).events()
     except SimulationError:
@@ -329,7 +332,7 @@ def _first_change(
 
 
 def _follow(model: _Model, window: tuple[float, float], margin: float) -> _Followed:
-    """Return motion and power at the model's times, with another margin in a time window (s)."""
+    """Return motion and power at the model's times, with another margin (m) in a time window (s)."""
     times, length = model.times, model.length
     state = Locomotion(model.parameters, model.gait.direction).start()
     parts = []

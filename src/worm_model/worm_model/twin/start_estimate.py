@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Estimate of the fins' state at the beginning of a gait, from its first cycle, if it is not known otherwise.
+"""Estimate of the fins' state at the beginning of a gait, from the positions during the first cycle.
 
-A gait leaves the fins deflected and the modules off their grooves. From another start the motion differs for one cycle.
-The exact model follows each pose of rest under the measured length, or under the answer to the command. The estimate is
-the pose whose positions match the tracker's.
+The twin uses this estimate if the state is unknown. A gait leaves the fins deflected and the modules off their grooves,
+which affects the first cycle of the next gait. The exact model follows each possible pose at rest under
+the measured length, or under the answer to the command. The estimate is the pose from which the predicted positions
+match the tracker's.
 """
 
 from __future__ import annotations
@@ -24,16 +25,16 @@ from worm_model.twin.samples import Kind
 
 FIT_M = 0.0012  # largest root mean square of the residuals at which a start explains the positions
 STEP_M = 0.001  # step between the tested offsets
-REACH = 1.0  # largest offset of a module from its groove in pitches, about where its fin switches
-SAME_M = 0.0002  # smaller distance at which two poses count as one
+REACH = 1.0  # largest offset of the rear module from its groove, in pitches; its fin switches at about this offset
+SAME_M = 0.0002  # distance below which two poses count as one
 FEWEST = 20  # smallest number of positions in the cycle
 LEAST_RATE_HZ = 5.0  # smallest rate of measured lengths that can drive the twin
-REST_S = 1.0  # time in which a tested pose comes to rest
+REST_S = 1.0  # time after which a tested pose is at rest
 
 
 @dataclass(frozen=True)
 class Start:
-    """Pose at rest: x1 relative to its rear anchor in m, and the front anchor in grooves from the rear one."""
+    """Pose at rest: x1 relative to the rear anchor in m, and the front anchor in grooves from the rear anchor."""
 
     x1: float
     front_groove: int
@@ -55,9 +56,10 @@ class EstimatedStart:
 
 
 def estimate_start(memory: Memory, parameters: Parameters, end_ns: int) -> EstimatedStart | None:
-    """Return the start of the running gait, estimated from the samples since its onset; None if they do not suffice.
+    """Return the start of the running gait, estimated from the samples since its onset.
 
-    ``parameters`` contain the run's L0. The motion is followed up to ``end_ns``.
+    ``parameters`` contain the run's L0. The motion is followed up to ``end_ns``. The result is None if the samples do
+    not suffice, or if no start explains the positions.
     """
     m = memory.record[0]
     onset = int(m["start_ns"])
@@ -92,7 +94,7 @@ def estimate_start(memory: Memory, parameters: Parameters, end_ns: int) -> Estim
 def _drive(
     m: Any, rows: np.ndarray, parameters: Parameters, duration: float
 ) -> tuple[Array, Array]:
-    """Return times (s) from 0 to the duration, and ΔL (m) there, as measured or as the answer to the command."""
+    """Return times (s) from 0 to the duration, and ΔL (m) at these times, measured or as the answer to the command."""
     onset, start = int(m["start_ns"]), float(m["track_change"])
     lengths = rows[rows["kind"] == Kind.LENGTH]
     if len(lengths) >= LEAST_RATE_HZ * duration:

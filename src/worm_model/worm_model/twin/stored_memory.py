@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""JSON text of the twin's memory, which a recording stores so that a replay resumes from the live twin's state.
+"""JSON text of the twin's memory. A replay resumes from the memory in a recording, in the live twin's state.
 
-It contains the core's record by field name, the measured lengths near its stamp, the residuals of the running cycle and
-the history of the run. It is valid for one set of parameters and settings, identified by their digest.
+The text contains the core's record by field name, the measured lengths shortly before the stamp of the memory, the
+residuals of the running cycle and the history of the run. It is valid for one set of parameters and settings, which a
+digest identifies.
 """
 
 from __future__ import annotations
@@ -26,9 +27,9 @@ from worm_model.twin.twin import Twin, TwinState
 
 VERSION = 1
 AT_REST_NS = NANOSECONDS  # interval between stored memories while no gait runs
-# fields that describe waiting samples and this process
+# fields of the record that describe samples not yet processed, or the running process
 _NOT_STORED = frozenset(("present", "old_in_a_row", "ahead", "filled", "place", "counts", "newest"))
-# names in the stored format, where they differ from those of the fields
+# names in the stored format, by name of the field, where these names differ
 _STORED_NAMES = {
     "processed_ns": "taken_ns",
     "reported_cycle": "told_cycle",
@@ -37,7 +38,7 @@ _STORED_NAMES = {
     "rejected": "refused",
     "rejected_ns": "refused_ns",
 }
-# fields of a gait that older memories lack
+# fields of a gait that older memories lack, with their values
 _GAIT_DEFAULTS = {name: GAIT_DEFAULTS[name] for name in WAVEFORM if name in GAIT_DEFAULTS}
 # parameters that older memories lack; they were 0
 _ADDED = frozenset(("rear_load", "front_load"))
@@ -48,14 +49,14 @@ _STORED = {
 
 
 class StoringTimes:
-    """Schedule of storing: each second at rest, at the beginning and end of a run, and at the end of each cycle."""
+    """Schedule of storing: once a second at rest, at the beginning and end of a run, and at the end of each cycle."""
 
     def __init__(self) -> None:
         self._mark: tuple[int, ...] = ()
         self._stored_ns = 0
 
     def is_due(self, state: TwinState) -> bool:
-        """Return True if the caller must store the memory now."""
+        """Return True if the caller must store the memory now. The schedule then counts the memory as stored."""
         m = state.record
         stamp = int(m["processed_ns"])
         mark = int(m["start_ns"]), int(m["end_ns"]), int(m["cycle"])
@@ -101,7 +102,7 @@ def digest(twin: Twin) -> str:
 
 @dataclass(frozen=True)
 class StoredMemory:
-    """Memory read from a recording; it includes all samples up to ``stamp_ns``."""
+    """Memory read from a recording. It includes the effect of all samples up to ``stamp_ns``."""
 
     stamp_ns: int
     content: Mapping[str, Any]
@@ -114,7 +115,7 @@ class StoredMemory:
 
     @property
     def until_ns(self) -> int:
-        """Largest stamp of a sample that this memory includes."""
+        """Largest stamp of a sample whose effect this memory includes. Driver states may be later than `stamp_ns`."""
         return max(self.stamp_ns, int(self.content["gait_heard_ns"]))
 
     def holds_for(self, twin: Twin) -> bool:
@@ -122,12 +123,12 @@ class StoredMemory:
         return bool(self.content["holds_for"] == digest(twin))
 
     def is_new(self, rows: SampleRows) -> np.ndarray:
-        """Return a mask (n,) of the samples that the memory does not include."""
+        """Return a mask (n,) of the samples whose effect the memory does not include."""
         sent = rows["sent"] > self.content["gait_heard_ns"]
         return np.where(rows["kind"] == Kind.GAIT, sent, rows["stamp"] > self.stamp_ns)
 
     def resume(self, twin: Twin, before: SampleRows) -> TwinState:
-        """Return the twin's state at the stamp; ``before`` are the recording's samples up to the stamp."""
+        """Return the twin's state at the memory's stamp, given the recording's last samples ``before`` this stamp."""
         state = twin.start()
         m = state.record
         for name, field in _STORED.items():
@@ -136,7 +137,7 @@ class StoredMemory:
         m["newest"][:] = self.stamp_ns
         m["newest"][Kind.GAIT] = self.content["gait_heard_ns"]
         width = len(SAMPLE.names or ())
-        # A length has no value in the columns that older memories lack.
+        # Older memories have fewer columns. Lengths do not use the missing columns.
         lengths = [tuple(row) + (0.0,) * (width - len(row)) for row in self.content["lengths"]]
         stored = np.array(lengths, SAMPLE)
         recent = before["stamp"] >= self.stamp_ns - look_back_ns(twin)
@@ -173,13 +174,13 @@ def memory_to_resume(
 ) -> StoredMemory | None:
     """Return the memory from which to follow a recording, or None if no memory is usable.
 
-    It is the first memory after the instruments' first sample, because no samples are missing in between. If a gait
-    begins before that memory, the last memory before the recording is used instead, provided that the robot was at
-    rest.
+    It is the first memory that is not earlier than the first sample, because the recording then contains all samples
+    after the memory. If a gait of the recording begins before that memory, the last memory before the first sample is
+    used instead, provided that the robot was at rest.
 
     Args:
         memories: usable memories, in the order of their stamps.
-        first: stamp of the instruments' first sample in ns, None without one.
+        first: stamp of the first sample other than a driver state in ns, None without one.
         onsets: onsets of the gaits in ns.
     """
     if first is None:
@@ -194,9 +195,9 @@ def memory_to_resume(
 
 
 def _is_stored(twin: Twin, rows: SampleRows, stamp_ns: int) -> np.ndarray:
-    """Return a mask (n,) of the samples that a memory contains itself.
+    """Return a mask (n,) of the samples that are part of a stored memory.
 
-    These are the measured lengths that determine the slope at its stamp.
+    These are the measured lengths that determine the rate of the length at the stamp of the memory.
     """
     since = stamp_ns - round(twin.settings.smoothing_s * NANOSECONDS) - 1
     found: np.ndarray = (rows["kind"] == Kind.LENGTH) & (rows["stamp"] >= since)
@@ -204,7 +205,7 @@ def _is_stored(twin: Twin, rows: SampleRows, stamp_ns: int) -> np.ndarray:
 
 
 def look_back_ns(twin: Twin) -> int:
-    """Return how long the twin remembers samples, ns."""
+    """Return how long the twin stores processed samples, ns."""
     return round((twin.settings.rest_s + twin.settings.smoothing_s + 1.0) * NANOSECONDS)
 
 
@@ -212,7 +213,7 @@ def _history_content(history: History) -> dict[str, Any]:
     content = asdict(
         history, dict_factory=lambda items: {key: _plain(value) for key, value in items}
     )
-    content["told"] = content.pop("reported")  # its name in the stored format
+    content["told"] = content.pop("reported")  # the name in the stored format
     return content
 
 

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Digital twin: samples in; states, residuals and events out.
+"""Digital twin, which turns samples into states, residuals and events.
 
-`Twin.advance` processes one sample live, or a whole recording in a replay, with the same compiled core
+`Twin.advance` processes the latest samples of the live robot, or the parts of a recording, with the same compiled core
 (`worm_model.twin.core`). It reads no clock and draws no random numbers. The result therefore does not depend on how the
-samples are divided into calls, or on the order in which those of the last ``delay_s`` arrive. Rare events are handled
-here: states of the driver, ends of cycles, jumps of the clock. To change parameters between
-two calls, continue the same state with another `Twin`; L0 of the run does not change.
+samples are divided into calls, or on the order in which the samples of the last ``delay_s`` arrive. This module handles
+the rare events: driver states, ends of cycles, jumps of the clock. To change parameters between two calls, pass the
+state to another `Twin`. L0 of the present run then stays as it is.
 """
 
 from __future__ import annotations
@@ -49,9 +49,9 @@ from worm_model.twin.samples import Rows as SampleRows
 from worm_model.twin.start_estimate import EstimatedStart, Start, estimate_start
 from worm_model.twin.twin_settings import DEFAULTS, TwinSettings
 
-CLOCK_SET = "the clock was set{} while it was played"
-BATCH = 512  # samples that are inserted before they are processed
-END_NS = 100_000_000  # a run that ends less than this before the end of a cycle completes the cycle
+CLOCK_SET = "the clock was set{} during the gait"
+BATCH = 512  # largest number of samples that are inserted before samples are processed
+END_NS = 100_000_000  # longest time by which a run may end early and still complete its last cycle
 FOREVER_NS = 1 << 62
 
 
@@ -63,9 +63,9 @@ class TwinState:
         memory: memory of the core.
         history: history of the run's cycles.
         warnings: texts of the last events that affect the health, by number.
-        joined_cycle: cycle in which a late twin joined the run, 0 if it was not late.
-        unusable: reasons why runs cannot be judged, by run number (by onset for runs without one).
-        clock_set: True if the clock was set during a run of which no message has arrived since.
+        joined_cycle: cycle in which the twin joined a running gait at an unknown position; 0 if it did not.
+        unusable: reasons why runs cannot be judged, by run number (by onset in ns for runs without a number).
+        clock_set: True if the clock was set during a run and no run with a reported gait has begun since.
         starts: estimated starts, by onset in ns.
     """
 
@@ -79,12 +79,12 @@ class TwinState:
 
     @property
     def record(self) -> Any:
-        """Record of the core, by field name."""
+        """Record of the core, with the fields `worm_model.twin.core.memory.FIELDS`."""
         return self.memory.record[0]
 
     @property
     def now_ns(self) -> int:
-        """Newest stamp of all samples in ns, 0 before the first."""
+        """Newest stamp of all samples in ns, 0 before the first sample."""
         return int(self.record["newest"].max())
 
     @property
@@ -94,7 +94,7 @@ class TwinState:
 
     @property
     def direction(self) -> int:
-        """Direction for which the fins are set."""
+        """Direction for which the fins are set, ±1."""
         return int(self.record["direction"])
 
     @property
@@ -104,7 +104,7 @@ class TwinState:
 
     @property
     def gait(self) -> Gait | None:
-        """Gait of the run without its margin; None if the driver has not reported it."""
+        """Gait of the run, without the margin; None if the driver has not reported the gait."""
         m = self.record
         if not m["has_gait"]:
             return None
@@ -112,13 +112,19 @@ class TwinState:
 
     @property
     def counts(self) -> dict[str, int]:
-        """Number of samples by their fate, such as "taken" or "late"."""
+        """Number of samples by fate, such as "taken" (accepted) or "late"."""
         return dict(zip(VERDICTS, self.record["counts"].tolist(), strict=True))
 
 
 @dataclass(frozen=True)
 class ClosedCycle:
-    """Cycle that has ended: ``onset_ns`` of its run, its number, and why it was not judged (empty if it was)."""
+    """Cycle that has ended.
+
+    Attributes:
+        onset_ns: onset of the run, ns.
+        number: number of the cycle, from 1.
+        not_judged: reason why the cycle was not judged; empty if it was judged.
+    """
 
     onset_ns: int
     number: int
@@ -127,9 +133,15 @@ class ClosedCycle:
 
 @dataclass(frozen=True)
 class Output:
-    """Result of an advance: rows of STATE_ROW, RESIDUAL_ROW and LENGTH_ROW, ordered by stamp, and events.
+    """Result of `Twin.advance`, in the order of processing.
 
-    ``warnings`` has the texts to which residuals refer by number, ``cycles`` the cycles that ended.
+    Attributes:
+        states: rows of STATE_ROW.
+        residuals: rows of RESIDUAL_ROW.
+        lengths: rows of LENGTH_ROW, the estimated lengths.
+        events: events of the twin.
+        warnings: texts of the warnings to which residuals refer by number.
+        cycles: cycles that have ended.
     """
 
     states: np.ndarray
@@ -141,7 +153,7 @@ class Output:
 
 
 def residual_messages(output: Output) -> list[str]:
-    """Return the messages of the residuals (n,), empty while the robot is healthy."""
+    """Return one message per residual, empty while the robot is healthy or the health is unknown."""
     texts = [""] * len(output.residuals)
     for row in np.flatnonzero(output.residuals["health"] > Health.HEALTHY).tolist():
         texts[row] = residual_message(output.residuals[row], output.warnings)
@@ -150,7 +162,7 @@ def residual_messages(output: Output) -> list[str]:
 
 @dataclass(frozen=True)
 class Twin:
-    """Twin of a robot with given parameters; it has no state of its own."""
+    """Twin of a robot with given parameters. The state is not part of it, but an argument of its methods."""
 
     parameters: Parameters = PAPER
     settings: TwinSettings = DEFAULTS
@@ -164,9 +176,9 @@ class Twin:
         return _with_length(self.parameters, state.initial_length)
 
     def advance(self, state: TwinState, samples: SampleRows, *, to_the_end: bool = False) -> Output:
-        """Process samples (n,) of SAMPLE in their order of arrival.
+        """Process samples (n,) of SAMPLE in their order of arrival, and update the state in place.
 
-        ``to_the_end`` means that no samples follow, so that all are processed without delay.
+        With ``to_the_end`` no samples follow, so that all samples are processed at once.
         """
         waiting = int(state.record["filled"]) - int(state.record["place"])
         room = new_rows(2 * (len(samples) + waiting) + len(state.memory.held) + 8)
@@ -202,7 +214,7 @@ class _Call:
         return _model(parameters, self.state.direction, self.twin.settings)
 
     def take(self, samples: SampleRows, lag_ns: int) -> None:
-        """Add samples, and process those that are at least ``lag_ns`` older than the newest."""
+        """Add samples, and process all samples that are at least ``lag_ns`` older than the newest."""
         for begin in range(0, len(samples), BATCH):
             self._take_batch(samples[begin : begin + BATCH], lag_ns)
 
@@ -225,7 +237,7 @@ class _Call:
         self.process(lag_ns)
 
     def _cross(self, boundary: int) -> None:
-        """Handle a boundary of the core."""
+        """Handle the boundary at which the core has returned."""
         m = self.state.record
         if boundary == estimator.DRIVER_STATE:
             driver = driver_state_of(self.state.memory.rows[int(m["place"])])
@@ -244,13 +256,13 @@ class _Call:
         count = int(self.room.counts[3])
         for kind, stamp, value in self.room.events[:count].tolist():
             if kind == estimator.GAP:
-                text = f"no length for {value:.2f} s; the twin interpolates it linearly"
+                text = f"no length for {value:.2f} s; the twin interpolates the length linearly"
                 self._warn(stamp, text, GAP.code)
             elif kind == estimator.ZENO:
-                text = "the motion switches endlessly between two grooves: the twin was put at rest"
+                text = "the predicted motion switches endlessly between two grooves: the twin was put at rest"
                 self.events.append(Event(stamp, Severity.ERROR, text))
             elif kind == estimator.TRACKER_MOVED:
-                text = f"the tracker's positions jumped by {1e3 * value:+.0f} mm and stayed: its zero was moved"
+                text = f"the tracker's positions jumped by {1e3 * value:+.0f} mm and stayed; the twin shifts its origin"
                 self._warn(stamp, text, CAMERA_MOVED.code)
         self.room.counts[3] = 0
 
@@ -297,23 +309,23 @@ class _Call:
         if self._unusable or (late and state.clock_set):
             self._reject(driver, self._unusable or CLOCK_SET.format(""))
         state.clock_set = state.clock_set and driver.gait is None
-        # The twin resets its position to the tracker's, so residuals from before no longer count.
+        # At the onset the twin resets its position to the tracker's, so earlier position residuals no longer count.
         m["channel_ns"][POSITION] = m["channel_level"][POSITION] = 0
         rules, c, a, p = self.model()
         estimator.begin_track(state.memory, start, rules, c, a, p, self.room)
 
     def _reject(self, driver: DriverState, reason: str) -> None:
-        """Exclude a run from judgement and report the reason."""
+        """Mark a run as not to be judged, and report the reason."""
         m = self.state.record
         m["start_known"] = 0
         self.state.unusable[driver.run or driver.onset_ns] = reason
-        text = f"nothing of this gait is judged: {reason}"
+        text = f"this gait is not judged: {reason}"
         self.events.append(
             Event(driver.stamp_ns, Severity.WARNING, text, CLOCK_JUMP.code, 0, driver.run)
         )
 
     def _end(self, stamp: int) -> None:
-        """End a run. Judge its last cycle if it is complete within `END_NS`, but not if it was interrupted."""
+        """End a run. Judge its last cycle if the run ended at most `END_NS` before the end of that cycle."""
         m = self.state.record
         if m["cycle_end_ns"] and stamp + END_NS >= m["cycle_end_ns"]:
             self._close_cycle(stamp)
@@ -321,7 +333,7 @@ class _Call:
         if self.state.is_running:
             m["end_ns"] = stamp
             if self._unusable:
-                m["start_ns"] = 0  # so the position of the robot after the run is unknown as well
+                m["start_ns"] = 0  # then the position of the robot after the run is unknown, too
 
     # --- cycles ---------------------------------------------------------------------------------
 
@@ -352,7 +364,7 @@ class _Call:
         m["cycle_end_ns"] = m["start_ns"] + round((number + 1) * gait.period * NANOSECONDS)
 
     def _judge(self, cycle: CycleSeen) -> tuple[list[Finding], str]:
-        """Return the findings of a cycle that has ended, and the reason if it cannot be judged."""
+        """Return the findings of a cycle that has ended, and the reason why the cycle is not judged, empty if it is."""
         state, m = self.state, self.state.record
         unplaced = state.history.unplaced
         history, findings = judge_cycle(state.history, cycle)
@@ -361,28 +373,29 @@ class _Call:
         state.history = history
         m["start_known"] = m["start_known"] or not (cycle.joined or cycle.blind_s)
         if cycle.joined:
-            return findings, "it had begun when the first sample came"
+            return findings, "it began before the first sample"
         if cycle.blind_s:
-            return findings, f"nothing is known of {cycle.blind_s:.1f} s of it"
-        # Power never shows the position, but one cycle later the fins no longer depend on it.
+            return findings, f"{cycle.blind_s:.1f} s of it are without data"
+        # Without a tracker the position stays unknown. It matters only in the first cycle after the one in which the
+        # twin joined, because later the deflection of the fins no longer depends on the start.
         watched = bool(history.cycles) and history.cycles[-1].watched
         unplaced = unplaced and (watched or cycle.number == state.joined_cycle + 1)
-        return findings, "where the robot stood at its beginning is not known" if unplaced else ""
+        return findings, "the position of the robot at its beginning is unknown" if unplaced else ""
 
     def _judge_first(
         self, cycle: CycleSeen, history: History, findings: list[Finding]
     ) -> tuple[list[Finding], str]:
         """Judge the first cycle of a gait that began with fins in an unknown state.
 
-        If straight fins explain the cycle, they are assumed. Otherwise the start is estimated, or the cycle is not
-        judged.
+        The state with which the twin began the gait is kept if it explains the cycle. Otherwise the start is estimated.
+        If no start explains the cycle, the cycle is not judged.
         """
         state, m = self.state, self.state.record
         m["start_known"] = 1
-        off, reason = off_at_end(cycle), "how the fins stood at its beginning is not known"
+        off, reason = off_at_end(cycle), "the state of the fins at its beginning is unknown"
         if explains(history, cycle) and not any(finding.code.code for finding in findings):
             state.history = history
-            # Without a tracker nothing confirms straight fins, and the grooves are not counted.
+            # Without a tracker nothing confirms this state, so the cycle is not judged.
             return findings, reason if np.isnan(off) else ""
         state.history = History()
         found = estimate_start(state.memory, cycle.parameters, int(m["motion_ns"]))
@@ -405,7 +418,7 @@ class _Call:
         return [reset], reason
 
     def _move_to(self, found: EstimatedStart) -> None:
-        """Continue the motion from another start."""
+        """Replace the motion by the one from an estimated start."""
         m, motion, start = self.state.record, found.motion, found.start
         m["origin"] += m["pose_x1"] - start.x1
         m["pose_x1"], m["pose_front"], m["moved"] = start.x1, start.front_groove, 0
@@ -414,7 +427,7 @@ class _Call:
             m[name] = getattr(motion, name)
 
     def _follow(self, finding: Finding, stamp: int, gait: Gait) -> None:
-        """Report a finding and adapt the twin to it."""
+        """Report a finding, and correct the twin accordingly."""
         m = self.state.record
         m["moved"] += finding.grooves
         m["origin"] += finding.shift
@@ -440,7 +453,10 @@ class _Call:
     # --- the clock ------------------------------------------------------------------------------
 
     def _restart(self, way: str) -> None:
-        """Reset the twin after a jump of the clock, except for the counts, and process the samples that revealed it."""
+        """Reset the twin after a jump of the clock, and insert the held samples, which revealed the jump.
+
+        The counts, the texts of the warnings, and the reasons why runs cannot be judged are preserved.
+        """
         state = self.state
         held = state.memory.held[: int(state.record["ahead"])].copy()
         counts = state.record["counts"].copy()
@@ -471,7 +487,7 @@ def _model(
 
 
 def rules_of(settings: TwinSettings) -> Rules:
-    """Return the settings in the form that the core needs."""
+    """Return the settings in the form that the core needs, with times in ns."""
 
     def ns(seconds: float) -> int:
         return round(seconds * NANOSECONDS)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Settings of the twin, one frozen field each, from which the node declares its parameters."""
+"""Settings of the twin. The node declares one parameter for each."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 
 def _row(default: float, low: float, high: float, description: str) -> float:
-    """Return a field with its default; the metadata has its range and description."""
+    """Return a field with a default; its metadata contain range and description."""
     metadata = {"low": low, "high": high, "description": description}
     return dataclasses.field(default=default, metadata=metadata)
 
@@ -22,42 +22,62 @@ class TwinSettings:
         0.25,
         0.02,
         2.0,
-        "age at which samples are processed; later ones are excluded",
+        "a sample that is older than the newest by more than this when it arrives is excluded",
     )
     measured_stale_s: float = _row(
-        0.2, 0.01, 10.0, "measured lengths further apart than this are bridged by the command"
+        0.2,
+        0.01,
+        10.0,
+        "between measured lengths further apart than this, the length follows from the command",
     )
-    pause_s: float = _row(1.0, 0.05, 60.0, "a longer gap between two driving lengths is reported")
+    pause_s: float = _row(
+        1.0, 0.05, 60.0, "a longer time without measured lengths and commands is reported as a gap"
+    )
     jump_back_s: float = _row(
-        1.0, 0.1, 60.0, "samples older than the newest by more than this show a jump of the clock"
+        1.0,
+        0.1,
+        60.0,
+        "late samples older than the newest by more than this show a jump of the clock",
     )
     hold_ahead_s: float = _row(
-        1.0, 0.1, 60.0, "a sample further ahead of the newest is held until others agree"
+        1.0,
+        0.1,
+        60.0,
+        "a sample ahead of the newest by more than this is held until others confirm it",
     )
     jump_ahead_s: float = _row(
-        60.0, 1.0, 86400.0, "agreeing samples further ahead than this show a jump of the clock"
+        60.0,
+        1.0,
+        86400.0,
+        "held samples that are confirmed further ahead than this show a jump of the clock",
     )
-    # Below the driver's 10 ms by more than its jitter, so that each of its lengths yields a state.
+    # Shorter than the driver's period of 10 ms by more than its jitter, so that each of its commands yields a state.
     output_period_s: float = _row(
-        0.008, 0.0, 1.0, "least interval of published states and of estimated lengths"
+        0.008, 0.0, 1.0, "shortest interval of published states and of estimated lengths"
     )
     rest_s: float = _row(
-        1.0, 0.1, 10.0, "span before the onset over which rest pose and initial length are averaged"
+        1.0, 0.1, 10.0, "time before the onset over which rest pose and initial length are averaged"
     )
     smoothing_s: float = _row(
-        0.15, 0.02, 1.0, "half window of the parabola that gives a measured length its rate"
+        0.15,
+        0.02,
+        1.0,
+        "half the time over which a parabola is fitted to measured lengths for their rate",
     )
     position_scale_m: float = _row(0.003, 1e-5, 0.1, "usual size of a position residual")
     length_scale_m: float = _row(0.002, 1e-5, 0.1, "usual size of a length residual")
     power_scale_w: float = _row(0.6, 1e-3, 100.0, "usual size of a power residual")
     tracker_gate_m: float = _row(
-        0.05, 0.005, 1.0, "a position that jumps by more than this between two samples is rejected"
+        0.05,
+        0.005,
+        1.0,
+        "a position that jumps by more than this plus 0.15 m/s times the elapsed time is rejected",
     )
     tracker_moved_s: float = _row(
         0.5,
         0.05,
         60.0,
-        "rejected positions that agree for this long show that the tracker was moved",
+        "if rejected positions agree with each other for this long, the tracker was moved",
     )
 
     def __post_init__(self) -> None:
@@ -66,7 +86,7 @@ class TwinSettings:
 
 
 def check(row: dataclasses.Field[Any], value: float) -> None:
-    """Raise ValueError unless the value of a setting is in its range."""
+    """Raise ValueError if the value of a setting is outside of its range."""
     low, high = row.metadata["low"], row.metadata["high"]
     if not low <= value <= high:
         raise ValueError(f"{row.name}: {value} is not between {low:g} and {high:g}")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Status of the twin, reported once a second."""
+"""Status of the twin for `/diagnostics`."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from worm_model.twin.records import (
 )
 from worm_model.twin.twin import TwinState
 
-SAYS_S = 5.0  # age beyond which residuals do not describe the present
-SILENT_S = 2.0  # time without input after which the health does not describe the present
+SAYS_S = 5.0  # age beyond which residuals do not determine the health
+SILENT_S = 2.0  # time without input after which missing input is reported instead of the health
 
 
 @dataclass(frozen=True)
 class Report:
-    """Status with a level, a message of one line, and details as text."""
+    """Status with a level, a message of one line, and details as (key, value)."""
 
     level: Severity
     message: str
@@ -39,11 +39,11 @@ _LEVELS = {
 
 
 def _quiet_message(state: TwinState, health: Health) -> str:
-    """Return the message of a twin without warnings."""
+    """Return the message for a health without a warning."""
     if health is Health.HEALTHY:
-        return "the robot does as expected"
+        return "the robot moves as expected"
     if not state.record["start_known"]:
-        return "nothing to compare with before the first cycle has ended, as the start of the fins is unknown"
+        return "nothing to compare with before the first cycle has ended, because the state of the fins is unknown"
     return "nothing to compare with"
 
 
@@ -52,7 +52,7 @@ def report(state: TwinState, newest: Any, silent_s: float = 0.0) -> Report:
 
     Args:
         state: the state of the twin.
-        newest: the last row of residuals, None before the first.
+        newest: the last row of residuals, None without one.
         silent_s: time since the newest sample arrived, s.
     """
     m, now = state.record, state.now_ns

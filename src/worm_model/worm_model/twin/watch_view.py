@@ -17,20 +17,22 @@ HEALTH_COLOURS = {
     Health.FAULTY: "\033[31m",
 }
 STALE_COLOUR = "\033[31m"
-STALE_S = 1.0  # older values are stale and not shown
+STALE_S = 1.0  # time without input after which a source is silent
 SOURCES = ("driver", "twin", "tracker", "power")
 RESET = "\033[0m"
 CLEAR = "\033[H\033[J"
-TOP_POWER_W = 15.0  # full scale of the bar
+TOP_POWER_W = 15.0  # full scale of the bars of power
 LEVELS = "▁▂▃▄▅▆▇█"  # characters of a trend
 NAN = math.nan
 
 
 @dataclass(frozen=True)
 class Trend:
-    """Values of the last seconds, one per second, the newest last; NaN where there is none.
+    """Values of the last seconds, one per second, the newest last; NaN for a second without a value.
 
-    ``difference`` is x1 of the robot minus that of the twin in m, ``power`` the measured power in W.
+    Attributes:
+        difference: x1 of the robot minus x1 of the twin, m.
+        power: measured power, W.
     """
 
     difference: Sequence[float] = ()
@@ -39,7 +41,10 @@ class Trend:
 
 @dataclass(frozen=True)
 class View:
-    """Latest values, SI; NaN where none has arrived yet, positions in the tracker's frame."""
+    """Latest values in SI units, NaN where none has arrived yet. Positions are in the tracker's frame.
+
+    Pairs of positions are (x1, x2), pairs of grooves (rear, front).
+    """
 
     activity: Activity | None = None
     gait: str = ""
@@ -61,10 +66,10 @@ class View:
     energy: tuple[float, float] = (NAN, NAN)  # predicted, measured minus predicted
 
     def aged(self, ages: Mapping[str, float]) -> View:
-        """Return the view without stale values.
+        """Return the view without the robot's positions, measured power and health whose source is silent.
 
-        ``ages`` has the time in s since the last input of each of `SOURCES`; a source without any input is missing.
-        Sources that have stopped are listed in ``silent``.
+        ``ages`` contains the time (s) since the last input of each of `SOURCES` that has had an input. ``silent`` of
+        the result lists the silent sources.
         """
         silent = [name for name in SOURCES if ages.get(name, 0.0) > STALE_S]
         view = self
@@ -81,7 +86,8 @@ class View:
 def render(view: View, pitch: float, width: int = 80, trend: Trend = Trend()) -> list[str]:
     """Return the screen, line by line, no wider than ``width`` characters (40 at least) without the colours.
 
-    80 characters wide it has 22 lines unless a message is long; the trends, which matter least, come last.
+    With a width of 80 characters the screen has at most 22 lines, unless a message is long. The trends are the last
+    lines, because they matter least on a smaller screen.
     """
     doing = "no driver" if view.activity is None else view.activity.name.lower()
     progress = f"  cycle {view.cycle} of {view.cycles}" if view.cycles else ""
@@ -111,7 +117,7 @@ def render(view: View, pitch: float, width: int = 80, trend: Trend = Trend()) ->
 
 
 def _quantities(view: View) -> list[str]:
-    """Return length, groove phase, force and grooves, each with its name and unit."""
+    """Return length, L0, groove phase, cable force and grooves, each with name and unit."""
     return [
         f"length {_value(view.length, 1e3)} mm {_source(view):11}",
         f"L0 {_value(view.initial_length, 1e3)} mm",
@@ -122,7 +128,7 @@ def _quantities(view: View) -> list[str]:
 
 
 def _packed(items: Sequence[str], width: int) -> list[str]:
-    """Return the items in as few lines as they fit into, in their order."""
+    """Return the items in their order, in as few lines as possible."""
     lines = [items[0]]
     for item in items[1:]:
         if len(lines[-1]) + 3 + len(item) <= width:
@@ -133,13 +139,13 @@ def _packed(items: Sequence[str], width: int) -> list[str]:
 
 
 def _wrapped(text: str, width: int, colour: str = "") -> list[str]:
-    """Return a text as lines of at most ``width`` characters."""
+    """Return a text as lines of at most ``width`` characters, coloured if a colour is given."""
     lines = textwrap.wrap(text, width, subsequent_indent="      ", drop_whitespace=True)
     return [f"{colour}{line}{RESET}" if colour else line for line in lines]
 
 
 def _trend(name: str, scale: float, unit: str, values: Sequence[float], width: int) -> list[str]:
-    """Return the recent values scaled between their minimum and maximum, with a title; empty without values."""
+    """Return a title and a line of characters for the recent values, from minimum to maximum; empty without values."""
     values = values[-width:]
     known = [scale * value for value in values if math.isfinite(value)]
     if not known:
@@ -154,11 +160,11 @@ def _trend(name: str, scale: float, unit: str, values: Sequence[float], width: i
 
 
 def pipe(view: View, pitch: float, width: int) -> list[str]:
-    """Return the ridges of the pipe with the twin above and the robot below, centred on the twin."""
+    """Return three lines centred on the twin: the twin, the ridges of the pipe, the robot."""
     centre = 0.5 * sum(view.twin)
     if not math.isfinite(centre):
         return ["(no twin yet)", "", ""]
-    scale = 0.6 / width  # m a character
+    scale = 0.6 / width  # m per character
     left = centre - 0.5 * width * scale
 
     def column(position: float) -> int:
@@ -191,7 +197,7 @@ def _worm(name: str, rear: float, front: float, width: int, column: Callable[[fl
 
 
 def bar(name: str, power: float, width: int) -> str:
-    """Return a bar of power up to ``TOP_POWER_W``."""
+    """Return a bar for a power (W), with the full scale ``TOP_POWER_W``."""
     room = width - 24
     filled = 0 if math.isnan(power) else round(min(max(power / TOP_POWER_W, 0.0), 1.0) * room)
     return f"{name:10} {_value(power, 1.0)} W {'█' * filled}"

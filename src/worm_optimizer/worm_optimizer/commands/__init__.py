@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Command lines of the optimizer."""
+"""Command lines of `worm_optimizer`."""

@@ -47,9 +47,7 @@ from worm_optimizer.report.recordings import read_recorded_gaits
 from worm_optimizer.report.report_page import PAGE, Report, build_report
 from worm_optimizer.robot_commands import GaitCommand
 
-_GAITS = (
-    3  # gaits of a campaign without repeats and nominal gaits; more are needed to draw the spread
-)
+_GAITS = 3  # runs of a campaign without repeats and comparisons; the spread of more runs is drawn
 SPREAD_FIGURE = "spread.png"
 _MODES = ("virtual", "robot")
 _CONTINUE = "campaign: continue with --resume {}"
@@ -60,9 +58,9 @@ def _parser() -> Parser:
     parser = Parser(
         prog="campaign",
         description="Run the minimum-power, cruising and maximum-speed gaits of the robust front, five cycles each, "
-        "on the virtual robot or on a real one, record them, and compare measurements with predictions. "
-        "With conditions, each gait is followed by the one for level ground; with shaped gaits, by that of the paper's "
-        "waveform.",
+        "on the virtual robot or on a real one, record them, and compare measurements with predictions. With "
+        "conditions in the pipe, the corresponding gait designed for level ground follows each gait. With shaped "
+        "gaits, the corresponding sinusoid follows.",
     )
     add = parser.add_argument
     parser.add_argument(
@@ -89,19 +87,20 @@ def _parser() -> Parser:
         type=int,
         default=1,
         metavar="N",
-        help="runs of each gait; with several, the report includes their spread (default: 1)",
+        help="runs of each gait; their spread is printed and drawn in spread.png (default: 1)",
     )
     add(
         "--with-nominal",
         action="store_true",
-        help="also run the gaits that are best without a margin",
+        help="also run the three gaits that are best without a margin",
     )
     add(
         "--identify",
         action="store_true",
-        help="first run the gaits of the identification, each past five ridges, write the parameters and a report, and "
-        "validate with the robust and nominal gaits of these parameters; on a real robot it asks before each run; "
-        "--bellows and --fin are bench tests",
+        help="first run each gait of the identification until the robot has passed five ridges, and write the "
+        "identified parameters and a report. Then validate these parameters with their robust and nominal gaits. "
+        "On a real robot, the "
+        "command prompts before each run. --bellows and --fin are the files of the bench tests",
     )
     add_identification(parser)
     parser.add_json()
@@ -167,7 +166,7 @@ def _campaign(options: argparse.Namespace) -> int:
 
 
 def _plan(options: argparse.Namespace, conditions: Conditions) -> Plan:
-    """Return the gaits of the exact front."""
+    """Return the plan of the validation: gaits of the exact front, and gaits to compare with."""
     content = load_parameter_file(options.parameters)
     settings = replace(chosen_settings(options), conditions=conditions)
     plan = make_plan(content, settings, options.direction)
@@ -178,7 +177,7 @@ def _plan(options: argparse.Namespace, conditions: Conditions) -> Plan:
 def _identify(
     options: argparse.Namespace, robot: Robot, folder: Path, work: Path, say: ProgressLog
 ) -> dict[str, Any]:
-    """Record, identify and write all that is missing; return the output of `identify`."""
+    """Record the missing runs and identify, unless results exist. Return the results of `identify`, file and bags."""
     known = load_parameter_file(options.parameters)
     folder.mkdir(parents=True, exist_ok=True)
     orders = identification_runs.identification_orders(options.direction, known.parameters.pitch)
@@ -191,8 +190,8 @@ def _identify(
         for left in (
             folder / identification_runs.REPORT,
             folder / identification_runs.PARAMETERS,
-        ):  # of an interrupted identification
-            put_aside(left, say)
+        ):
+            put_aside(left, say)  # incomplete results of an interrupted identification
         say("identifying")
         source = options.parameters or "the paper"
         bench = identification_runs.Bench(options.bellows, options.fin)
@@ -210,7 +209,7 @@ def _identify(
 
 
 def _prompts(options: argparse.Namespace) -> bool:
-    """Return True if the operator is prompted before each run: during the identification of a real robot."""
+    """Return True if the operator is prompted before each run: in a campaign of a real robot with --identify."""
     return bool(options.identify) and options.mode == "robot"
 
 
@@ -222,7 +221,7 @@ def _prompt(instruction: str) -> Prepare:
     """Return a function that prompts the operator before each run, and waits for Enter."""
 
     def ask(_running: Session, text: str) -> None:
-        sys.stderr.write(f"{text}\n{instruction}; Enter runs it, Ctrl-C ends: ")
+        sys.stderr.write(f"{text}\n{instruction}; Enter starts the run, Ctrl-C ends the campaign: ")
         sys.stderr.flush()
         if not sys.stdin.readline():
             raise OperatorError(
@@ -244,25 +243,25 @@ def _folder(options: argparse.Namespace) -> Path:
         ):
             raise InputError(f"{resumed}: contains no campaign ({PROMISES} is missing)")
         if (resumed / "report" / PAGE).exists():
-            raise InputError(f"{resumed}: this campaign is complete, it contains its report")
+            raise InputError(f"{resumed}: this campaign is complete and contains its report")
         return resumed
     default = Path("bags") / time.strftime("campaign_%Y_%m_%d-%H_%M_%S")
     folder: Path = (options.output or default).resolve()
     if folder.exists():
         raise InputError(
-            f"{folder}: exists already; give another name with --output, or continue it with --resume"
+            f"{folder}: exists already; give another name with --output, or continue the campaign with --resume"
         )
     return folder
 
 
 def _promise(plan: Plan, folder: Path) -> None:
-    """Write the promises of a new campaign. Raise `InputError` if those of a continued campaign differ."""
+    """Write the predictions of a new campaign. Raise `InputError` if those of a continued campaign differ."""
     folder.mkdir(parents=True, exist_ok=True)
     if not (folder / PROMISES).exists():
         write_promises(plan, folder)
     elif not is_promised(plan, folder):
         raise InputError(
-            f"{folder} was started with other gaits than those of these options: use the options of its start"
+            f"{folder}: the campaign was started with options that result in other gaits: use these options again"
         )
 
 

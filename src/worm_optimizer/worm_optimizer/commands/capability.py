@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Command line: the largest loads and slopes of a robot's gaits, and the price of a load."""
+"""Command line: the largest loads and slopes of a robot's gaits, and cost of transport and speed over the load."""
 
 from __future__ import annotations
 
@@ -35,11 +35,12 @@ def _parser() -> Parser:
     parser = Parser(
         prog="capability",
         description="Compute the largest load on the rear module and the largest slope up to which gaits move: a given "
-        "gait, the three gaits of the front, and the strongest gait. Also compute cost of transport and speed over the "
-        "load and, with --tether-per-metre and without --tether-length, how far a tether can be dragged.",
+        "gait, the three gaits of the front, and the strongest gait. Also compute the lowest cost of transport and the "
+        "highest speed over the load and, with --tether-per-metre and without --tether-length, how many metres of "
+        "tether the robot can drag.",
     )
-    parser.add_number("--stroke", "M", "stroke of a given gait in m")
-    parser.add_number("--frequency", "HZ", "its frequency in Hz")
+    parser.add_number("--stroke", "M", "stroke of the given gait in m")
+    parser.add_number("--frequency", "HZ", "frequency of the given gait in Hz")
     add_front_options(parser)
     return parser
 
@@ -47,7 +48,10 @@ def _parser() -> Parser:
 def capability_json(
     found: dict[str, Capability], points: tuple[LoadPoint, ...], per_metre: float
 ) -> dict[str, Any]:
-    """Return capabilities for the machine-readable output."""
+    """Return capabilities for the machine-readable output.
+
+    ``per_metre`` is the force of the tether in N/m; 0 without a tether.
+    """
     gaits = [{"name": name, **_row(each, per_metre)} for name, each in found.items()]
     best = gaits.pop()
     return {

@@ -29,9 +29,9 @@ CONTROL_TIMEOUT_S, MAX_CONTROL_TIMEOUT_S = 5.0, 600.0  # the driver accepts no l
 def _parser() -> Parser:
     parser = Parser(
         prog="console",
-        description="Show and operate the robot in a browser: live view, gaits, recordings. Connects to a running "
-        "node graph (./worm start), or starts one with --virtual. Only this computer reaches the page unless --listen "
-        "is given.",
+        description="Show and operate the robot in a browser: live view, gaits, recordings, studies. Connects to a "
+        "running node graph (./worm start), or starts one with --virtual. Without --listen, only this computer can "
+        "access the page.",
     )
     parser.add_argument(
         "--virtual", action="store_true", help="start the node graph of a virtual robot"
@@ -43,7 +43,8 @@ def _parser() -> Parser:
         "--listen",
         default="127.0.0.1",
         metavar="ADDRESS",
-        help="address of this computer in a network, 0.0.0.0 for all; access then needs the printed token",
+        help="address of this computer on which the console serves the page, 0.0.0.0 for all addresses (default: "
+        "127.0.0.1). Access from other computers needs the printed token or the password",
     )
     parser.add_argument("--port", type=int, default=PORT, help=f"default: {PORT}")
     parser.add_argument(
@@ -64,7 +65,7 @@ def _parser() -> Parser:
         type=number,
         default=CONTROL_TIMEOUT_S,
         metavar="SECONDS",
-        help="time without a message of a page after which the page loses control and its run ends, at most "
+        help="time without a message from a page after which the page loses control and its run ends, 2 to "
         f"{MAX_CONTROL_TIMEOUT_S:g} (default: {CONTROL_TIMEOUT_S:g})",
     )
     add_robot(parser)
@@ -124,12 +125,12 @@ def _console(options: argparse.Namespace) -> int:
 def _robot_opener(
     options: argparse.Namespace, namespace: str, name: str, note: Say
 ) -> Callable[[Say, Check], AbstractContextManager[OperatorNode]]:
-    """Return a function that opens the operator of a running graph, or starts a graph first.
+    """Return a function that opens an operator node, and with --virtual starts the node graph first.
 
     Args:
         options: command line.
         namespace: the robot's namespace.
-        name: name of the node.
+        name: name of the operator node of a running graph.
         note: prints a line in the terminal.
     """
     robot = robot_of(options, "virtual" if options.virtual else "robot")
@@ -152,7 +153,7 @@ def _robot_opener(
 
 
 def _secret(options: argparse.Namespace) -> str:
-    """Return the token or password; empty if only this computer reaches the pages. Raises `InputError`."""
+    """Return the token or password; empty if only this computer can access the pages. Raises `InputError`."""
     from worm_optimizer.console.access import is_local
 
     if options.password_file is None:
@@ -163,13 +164,13 @@ def _secret(options: argparse.Namespace) -> str:
         raise InputError(f"--password-file {options.password_file}: {error}") from None
     if not password or len(password[0]) < 8:
         raise InputError(
-            f"--password-file {options.password_file}: its first line must have 8 characters or more"
+            f"--password-file {options.password_file}: the first line must have 8 characters or more"
         )
     return str(password[0])
 
 
 def _check_control_timeout(timeout_s: float) -> None:
-    """Raise `InputError` if the driver would reject the lease, or a late message of a page would end it."""
+    """Raise `InputError` if the timeout is longer than the driver permits, or so short that late messages exceed it."""
     if not 2.0 <= timeout_s <= MAX_CONTROL_TIMEOUT_S:
         raise InputError(
             f"--control-timeout {timeout_s:g}: give 2 to {MAX_CONTROL_TIMEOUT_S:g} seconds"
@@ -177,14 +178,14 @@ def _check_control_timeout(timeout_s: float) -> None:
 
 
 def _address(host: str) -> str:
-    """Return the host part of the address for other devices; the IP address if the server listens everywhere."""
+    """Return the host part of the page's URL. If the server listens on all addresses, this is `_own_address`."""
     if host in ("0.0.0.0", "::"):
         return _own_address()
     return f"[{host}]" if ":" in host else host
 
 
 def _reject_port_in_use(host: str, port: int) -> None:
-    """Raise `InputError` if the address or the port is not available."""
+    """Raise `InputError` if the address or the port is unavailable."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
         with socket.socket(family, socket.SOCK_STREAM) as tried:
@@ -195,10 +196,10 @@ def _reject_port_in_use(host: str, port: int) -> None:
 
 
 def _own_address() -> str:
-    """Return the IPv4 address of this computer in its network; its name if it has none.
+    """Return the IPv4 address of this computer in its network; without one, the name of the computer.
 
-    Connecting a datagram socket sends nothing; it selects the interface towards the address, which is one for
-    documentation (RFC 5737).
+    Connecting a datagram socket selects the interface towards an address without sending anything. The address is
+    reserved for documentation (RFC 5737).
     """
     try:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``worm_optimizer demo``: the main task, end to end, on a virtual robot.
+"""Command line: demonstration of the whole software on a virtual robot.
 
 The command starts the node graph of system.yaml, each node as a process. It requests a gait, runs and records five
 cycles, stops the robot, replays the recording with the twin, and compares measurements with predictions.
@@ -32,14 +32,15 @@ from worm_optimizer.robustness.prediction import Prediction
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the demo; exit status 0, 2 for bad input, 1 if any stage fails."""
+    """Run the demo, and return the exit status: 0, 2 for bad input, or 1 if a stage failed."""
     return run_command(_parser(), _demo, arguments)
 
 
 def _parser() -> Parser:
     parser = Parser(
         prog="demo",
-        description="Request, run, record and replay a gait on a virtual robot, and compare it with its predictions.",
+        description="Request a gait, run and record it on a virtual robot, replay the recording with the twin, and "
+        "compare measurements with predictions.",
     )
     parser.add_parameters()
     parser.add_argument(
@@ -53,7 +54,7 @@ def _parser() -> Parser:
         "--plant",
         default="",
         metavar="FILE",
-        help="true parameters of the virtual robot (default: its own file)",
+        help="file with the true parameters of the virtual robot (default: the file of the virtual robot)",
     )
     add_tracker(parser)
     parser.add_argument("--seed", type=int, default=1, help="seed of the robot's scatter and noise")
@@ -62,7 +63,7 @@ def _parser() -> Parser:
 
 
 def _demo(options: argparse.Namespace) -> int:
-    load_parameter_file(options.parameters)  # Raises its errors before anything moves.
+    load_parameter_file(options.parameters)  # raises errors in the file before anything starts
     new = new_bag(options.bags, "demo")
     say = ProgressLog("demo")
     try:
@@ -96,7 +97,7 @@ def _absolute(path: str) -> str:
 
 
 def _look_back(bag: Path, prediction: Prediction, parameter_file: str) -> tuple[Comparison, Path]:
-    """Replay a recording with the twin, compare, and draw the figure next to the bag."""
+    """Replay a recording with the twin, compare it with the prediction, and write the figure next to the bag."""
     gait = read_recorded_gaits([bag], parameter_file, notifier("demo"))[-1]
     comparison, figure = compare(gait, prediction), bag.with_suffix(".png")
     title, parameters = _title(prediction), gait.content.parameters

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Command line: operate a robot whose node graph runs."""
+"""Command line: operate a robot whose node graph is running."""
 
 from __future__ import annotations
 
@@ -51,8 +51,8 @@ Action = Callable[[OperatorNode, argparse.Namespace], int]
 def _parser() -> Parser:
     parser = Parser(
         prog="operate",
-        description="Operate a robot whose node graph runs (./worm start, or ros2 launch), with its public services, "
-        "actions and topics.",
+        description="Operate a robot whose node graph is running (./worm start, or ros2 launch) through its public "
+        "services, actions and topics.",
     )
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
 
@@ -97,8 +97,8 @@ def _parser() -> Parser:
     switch = add(
         "emergency_stop",
         _emergency_stop,
-        "on: hold immediately and reject every start, also after a restart of the driver; off: reset it, which "
-        "the driver rejects while the last message of any publisher of the topic is true.",
+        "on: hold immediately and reject every start, also after a restart of the driver; off: reset the emergency "
+        "stop, which the driver rejects while the latest message of a publisher on the topic emergency_stop is true.",
     )
     switch.add_argument("switch", choices=("on", "off"))
     _add_fault(add("fault", _fault, "Rehearse a fault on the virtual robot."))
@@ -106,8 +106,8 @@ def _parser() -> Parser:
         add(
             "run",
             _run,
-            "Run a given gait (--stroke, --frequency) or one of the optimizer's front, by default the one with the "
-            "lowest cost of transport. Ctrl-C stops it at the next point of rest, another Ctrl-C holds immediately.",
+            "Run a given gait (--stroke, --frequency) or a gait of the optimizer's front, by default that with the "
+            "lowest cost of transport. Ctrl-C stops it at the next point of rest; a second Ctrl-C holds immediately.",
         )
     )
     return parser
@@ -115,13 +115,13 @@ def _parser() -> Parser:
 
 def _add_fault(parser: Parser) -> None:
     parser.add_argument(
-        "name", help="one of those that `worm_driver virtual_robot --help` lists; clear ends all"
+        "name", help="fault that `worm_driver virtual_robot --help` lists; clear ends all faults"
     )
     parser.add_argument("--target", type=int, default=0, help="id of the servo; default: any")
     parser.add_argument("--count", type=int, default=0, help="number of affected packets")
-    parser.add_number("--delay", "S", "s from now", 0.0)
-    parser.add_number("--duration", "S", "s; 0: the default of the fault", 0.0)
-    parser.add_number("--value", "X", "value of the fault; 0: its default", 0.0)
+    parser.add_number("--delay", "S", "time until the fault begins, s", 0.0)
+    parser.add_number("--duration", "S", "duration, s; 0: the default of the fault", 0.0)
+    parser.add_number("--value", "X", "value of the fault; 0: the default of the fault", 0.0)
 
 
 def _add_run(parser: Parser) -> None:
@@ -171,7 +171,7 @@ def _state(node: OperatorNode, options: argparse.Namespace) -> int:
 
 
 def _state_content(lifecycle: str, now: Snapshot) -> dict[str, Any]:
-    """Return the fields of the output; NaN, an empty text or 0 for what was not received."""
+    """Return the fields of the output; NaN, an empty text or 0 for values that were not received."""
     assert now.driver is not None
     return {
         "lifecycle": lifecycle,
@@ -205,7 +205,7 @@ def _state_text(content: Mapping[str, Any]) -> str:
 
 
 def _simple(call: Callable[[OperatorNode], str]) -> Action:
-    """Return an action without arguments."""
+    """Return an action that calls a method of the operator node and prints its message."""
     return lambda node, options: _done(options, call(node))
 
 
@@ -240,9 +240,9 @@ def _run(node: OperatorNode, options: argparse.Namespace) -> int:
 
 
 def _conditions(node: OperatorNode, options: argparse.Namespace, say: ProgressLog) -> Conditions:
-    """Set the conditions of the options in twin and optimizer, and return those that hold now.
+    """Set the conditions of the options in twin and optimizer, and return the present conditions of the optimizer.
 
-    Without an optimizer, a run of a given gait has the conditions of the options.
+    Without an optimizer, nothing is set, and the conditions of the options are returned.
     """
     stated = {
         key: value
@@ -250,7 +250,7 @@ def _conditions(node: OperatorNode, options: argparse.Namespace, say: ProgressLo
         if (value := getattr(options, name)) is not None
     }
     if not node.graph.has_node(OPTIMIZER):
-        say("no optimizer runs: the conditions are those of the options")
+        say("no optimizer is running: the recording contains the conditions of the options")
         return Conditions(**{CONDITION_PARAMETERS[key]: value for key, value in stated.items()})
     if stated:
         node.set_model_parameters(stated)
@@ -261,7 +261,7 @@ def _conditions(node: OperatorNode, options: argparse.Namespace, say: ProgressLo
 
 
 def _own_gait(options: argparse.Namespace) -> Gait | None:
-    """Return the gait of the options; None if one must be requested. Raises `InputError`."""
+    """Return the gait of the options; None if they define none, so that one must be requested. Raises `InputError`."""
     if options.stroke is None and options.frequency is None:
         for name in WAVEFORM:
             if name in GAIT_DEFAULTS and str(getattr(options, name)) != str(GAIT_DEFAULTS[name]):
@@ -278,13 +278,13 @@ def _own_gait(options: argparse.Namespace) -> Gait | None:
 
 
 def _ends(options: argparse.Namespace, gait: Gait) -> GaitCommand:
-    """Return a gait with the ends of the options; without any, with CYCLES cycles. Raises `InputError`."""
+    """Return a gait with the ends of the options; without any end, with `CYCLES` cycles. Raises `InputError`."""
     default = 0 if options.grooves or options.distance else CYCLES
     return GaitCommand(gait, options.cycles or default, options.grooves, options.distance)
 
 
 def _requested(node: OperatorNode, options: argparse.Namespace, say: ProgressLog) -> Gait:
-    """Request a gait of the optimizer's front, for the groove phase at rest if the twin has estimated it."""
+    """Request a gait of the optimizer's front, for the initial length according to the twin if there is one."""
     request = request_of_options(options)
     twin = node.current_snapshot().twin
     length = 0.0 if twin is None else twin.initial_length
@@ -298,7 +298,7 @@ def _requested(node: OperatorNode, options: argparse.Namespace, say: ProgressLog
 
 
 def _attended(node: OperatorNode, order: GaitCommand, say: ProgressLog) -> RunResult:
-    """Run a gait to its end; Ctrl-C stops it at the next point of rest, another one immediately."""
+    """Run a gait to its end. Ctrl-C stops it at the next point of rest; a second Ctrl-C holds immediately."""
     with counted_interrupts() as interrupts:
         run = node.begin(order)
         try:

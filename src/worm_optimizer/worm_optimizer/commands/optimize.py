@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Command line: the exact robust front or that of NSGA-II, with its three gaits and the nominal ones."""
+"""Command line: the exact robust front, or that of NSGA-II, with the paper's three gaits with and without a margin."""
 
 from __future__ import annotations
 
@@ -47,8 +47,9 @@ def _parser() -> Parser:
     parser = Parser(
         prog="optimize",
         description="Compute the front of speed and power over stroke and frequency at a robustness margin, from the "
-        "lower edges of the branches. Print the minimum-power, cruising and maximum-speed gaits with and without the "
-        "margin. With --method nsga2, search the front with the paper's method and compare it with the exact one.",
+        "lower edges of the branches. Print the minimum-power, cruising and maximum-speed gaits that are best with the "
+        "margin, and those that are best without it. With --method nsga2, search the front with the paper's method and "
+        "compare it with the exact one.",
     )
     add_front_options(parser)
     parser.add_argument(
@@ -62,7 +63,7 @@ def _parser() -> Parser:
 
 
 def front_json(front: RobustFront, nominal: dict[str, Prediction]) -> dict[str, Any]:
-    """Return a front for the machine-readable output; ``nominal`` are the gaits without a margin."""
+    """Return a front for the machine-readable output; ``nominal`` are the three best gaits without a margin."""
     return {
         "front": [_predicted(gait) for gait in front.gaits],
         "direction": front.direction,
@@ -96,17 +97,17 @@ def describe(front: RobustFront, nominal: dict[str, Prediction], uncertainty: st
     return "\n".join(
         [
             f"margin             {1e3 * front.margin:.2f} mm: {front.reason}",
-            f"groove phase       {1e3 * front.cruise.groove_phase:+.2f} mm; every speed holds for it",
+            f"groove phase       {1e3 * front.cruise.groove_phase:+.2f} mm; all speeds hold for this phase",
             f"front              {len(front.gaits)} gaits",
-            f"verified           {strokes}{checks['frequencies']} frequencies; edges to "
-            f"{1e9 * checks['edge_tolerance']:g} nm, and as much above them; power {rises} within the branches",
+            f"verified           {strokes}{checks['frequencies']} frequencies; edges located to "
+            f"{1e9 * checks['edge_tolerance']:g} nm; power {rises} with the stroke within the branches",
             f"limits             {front.settings.limits.description() or 'none'}",
             "",
             gait_table(front.three, nominal),
             *shape_lines(front.three),
             "",
-            f"success: share of draws of the parameters ({uncertainty}) in which the robot, without a "
-            "margin, gains the predicted grooves in every averaged cycle; any φ: at an unknown phase",
+            f"success: share of draws of the parameters ({uncertainty}) in which the robot gains the predicted grooves "
+            "in every averaged cycle; any φ: the same at an unknown groove phase",
         ]
     )
 
@@ -115,8 +116,8 @@ def describe_comparison(comparison: Comparison) -> str:
     """Return a comparison with the exact front as text."""
     missed = ", ".join(f"{branch:g}" for branch in comparison.missed_branches) or "none"
     return (
-        f"NSGA-II            {100.0 * comparison.hypervolume_share:.2f} % of the exact front's hypervolume; its gaits "
-        f"need up to {100.0 * comparison.largest_excess_power:.2f} % more power; branches missed: {missed}"
+        f"NSGA-II            {100.0 * comparison.hypervolume_share:.2f} % of the exact front's hypervolume; gaits of "
+        f"NSGA-II need up to {100.0 * comparison.largest_excess_power:.2f} % more power; missed branches: {missed}"
     )
 
 
@@ -128,7 +129,7 @@ def _optimize(options: argparse.Namespace) -> None:
         raise InputError("--population and --generations need --method nsga2")
     if options.method == NSGA2 and settings.waveform is Waveform.SHAPED:
         raise InputError(
-            "--method nsga2 searches the paper's gaits. Use it with --waveform sinusoid"
+            "--method nsga2 searches the paper's gaits only: use it with --waveform sinusoid"
         )
     front = make_front(content, settings, options.direction)
     comparison = None
@@ -161,8 +162,10 @@ def _optimize(options: argparse.Namespace) -> None:
 
 
 def _searched(front: RobustFront, given: tuple[int | None, int | None]) -> Comparison:
-    """Search the front with NSGA-II, and compare it with the exact one."""
-    from worm_optimizer.search import nsga2  # Slow to import, and not needed for the exact front.
+    """Search the front with NSGA-II, and return its comparison with the exact front."""
+    from worm_optimizer.search import (
+        nsga2,
+    )  # here: its import is slow, and the exact front does not need it
 
     population, generations = given
     search = nsga2.SearchSettings(

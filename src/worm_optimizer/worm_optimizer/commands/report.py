@@ -31,16 +31,16 @@ def _parser() -> Parser:
         nargs="*",
         type=Path,
         metavar="BAG",
-        help="bag, or a folder of bags such as a campaign's; default: the newest recording in bags/",
+        help="bag, or folder of bags such as that of a campaign; default: the newest recording in bags/",
     )
     add(
         "--output",
         type=Path,
         metavar="FOLDER",
-        help="new folder (default: BAG_report, or BAG_with_BAG_report)",
+        help="new folder (default: BAG_report, or BAG_with_BAG_report for several bags)",
     )
     add("--title", default="", help="title of the page")
-    add("--without-front", action="store_true", help="omit the optimizer's part")
+    add("--without-front", action="store_true", help="omit the front and the price of robustness")
     add_identification(parser)
     parser.add_json()
     parser.add_parameters()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Command line: gait for an objective, exactly on the edges of the branches, without a node."""
+"""Command line: gait for an objective, exactly on the edges of the branches, computed without any node."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ def _parser() -> Parser:
     parser = Parser(
         prog="request",
         description="Print one gait of the exact robust front: with the lowest power, the lowest cost of transport, "
-        "the highest speed, the lowest power at a speed or the highest speed at a power. If no gait is fast enough or "
-        "needs as little power, print the nearest one and exit with status 2.",
+        "the highest speed, the lowest power at a speed or the highest speed at a power. If no gait reaches the speed, "
+        "or all need more than the power, print the nearest gait and exit with status 2.",
     )
     add_objective(parser)
     add_front_options(parser)
@@ -43,7 +43,7 @@ def _parser() -> Parser:
 
 def describe(gait: Prediction) -> str:
     """Return a gait as text, with the groove phase for which its speed holds."""
-    phase = f"groove phase {1e3 * gait.groove_phase:+.2f} mm; the speed holds for it"
+    phase = f"groove phase {1e3 * gait.groove_phase:+.2f} mm; the speed holds for this phase"
     return "\n".join([gait_table({"gait": gait}, {}), *shape_lines({"gait": gait}), phase])
 
 
@@ -60,7 +60,7 @@ def _request(options: argparse.Namespace) -> None:
         save_figure(front_figure(front, {"nearest" if unreachable else "gait": gait}), figure)
     if unreachable:
         rejection = {"error": answer.message, "nearest": asdict(gait)}
-        print_result(options, rejection, f"the nearest one:\n{describe(gait)}")
+        print_result(options, rejection, f"the nearest gait:\n{describe(gait)}")
         raise InputError(answer.message)
     print_result(options, asdict(gait), describe(gait))
 

@@ -23,13 +23,16 @@ def add_tracker(parser: Parser) -> None:
         "--tracker",
         choices=(POSITIONS, CAMERA),
         default=POSITIONS,
-        help="positions: published by the virtual robot or another instrument; camera: measured by tracker_node in "
-        "images of the virtual robot or of the camera setup of --set tracker_setup=FILE",
+        help="positions: the virtual robot or another instrument publishes the positions; camera: tracker_node "
+        "measures them in images of the virtual robot, or with the camera setup of --set tracker_setup=FILE",
     )
 
 
 def with_tracker(settings: Mapping[str, str], choice: str, mode: str) -> dict[str, str]:
-    """Return the settings of system.yaml with those of a camera if selected. Raises InputError without its setup."""
+    """Return the settings of system.yaml for the selected tracker.
+
+    Raises `InputError` for the camera of a real robot without a setup file.
+    """
     if choice == POSITIONS:
         return dict(settings)
     if mode == "virtual":
@@ -55,7 +58,7 @@ def add_robot(parser: Parser) -> None:
 
 
 def robot_of(options: argparse.Namespace, mode: str) -> Robot:
-    """Return the robot of a mode with the settings of the options. Raises InputError if a setting is unknown."""
+    """Return the robot of a mode with the settings of the options. Raises `InputError` if a setting is invalid."""
     settings = (
         {"parameter_file": str(Path(options.parameters).resolve())} if options.parameters else {}
     )

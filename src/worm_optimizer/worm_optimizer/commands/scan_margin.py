@@ -55,8 +55,9 @@ def describe(price: PriceOfRobustness) -> str:
     lines = [text_table(rows)]
     lines.append(f"groove phase {1e3 * price.groove_phase:+.2f} mm")
     lines.append(
-        f"cliff        {1e3 * price.cliff.margin:.3f} mm: beyond it the branch with "
-        f"{price.cliff.lost_branch:g} grooves a cycle is lost, the cost rises {price.cliff.rise:.2f} times"
+        f"cliff        {1e3 * price.cliff.margin:.3f} mm: beyond this margin, the branch with "
+        f"{price.cliff.lost_branch:g} grooves per cycle is lost, and the lowest COT rises by a factor of "
+        f"{price.cliff.rise:.2f}"
         if price.cliff
         else "cliff        none among these margins"
     )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Shared parts of the commands that search gaits: options generated from the settings' rows, a table of gaits."""
+"""Shared parts of the commands that search gaits: options generated from `SettingRow`s, and a table of gaits."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from worm_optimizer.search import search_settings
 from worm_optimizer.search.gait_request import GaitRequest, Objective
 
 _OBJECTIVES = (Objective.MIN_POWER, Objective.CRUISE, Objective.MAX_SPEED)
-# Placeholder of the value by the end of a parameter's name; the longest end first.
+# Placeholder of the value in the help, by the end of the parameter's name. Longer ends precede shorter ones.
 _VALUES = {
     "_m_per_s": "MPS",
     "_n_per_m": "N_PER_M",
@@ -38,7 +38,7 @@ _NAMED = {objective.name.lower(): objective for objective in _OBJECTIVES}
 
 
 def add_scan_options(parser: Parser) -> None:
-    """Add the options of every search: model, direction, box, limits, scan, output."""
+    """Add the options of all searches: direction, settings of a margin scan, figure, JSON output, parameter file."""
     parser.add_direction()
     _add_settings(parser, search_settings.SCAN_SETTINGS)
     parser.add_figure()
@@ -47,19 +47,19 @@ def add_scan_options(parser: Parser) -> None:
 
 
 def add_campaign_options(parser: Parser) -> None:
-    """Add the options of a front, except for the conditions, which are options of the robot (`robot_options`)."""
+    """Add the settings of a front, except for the conditions, which `robot_options` adds."""
     rows = (*search_settings.SCAN_SETTINGS, *search_settings.FRONT_SETTINGS)
     _add_settings(parser, tuple(r for r in rows if r.parameter not in CONDITION_PARAMETERS))
 
 
 def add_front_options(parser: Parser) -> None:
-    """Add the options of `add_scan_options` and of a front."""
+    """Add the options of `add_scan_options`, and the further settings of a front."""
     add_scan_options(parser)
     _add_settings(parser, search_settings.FRONT_SETTINGS)
 
 
 def chosen_settings(options: argparse.Namespace) -> search_settings.Settings:
-    """Return the settings of the options. Raises `InputError` if they are not admissible."""
+    """Return the settings that the options describe. Raises `InputError` if they are inadmissible."""
     values: dict[str, Any] = {}
     for option, rows in _by_option(search_settings.SETTINGS):
         value = getattr(options, option.replace("-", "_"), None)
@@ -105,7 +105,7 @@ def _value(row: search_settings.SettingRow) -> str:
 def _by_option(
     rows: tuple[search_settings.SettingRow, ...],
 ) -> list[tuple[str, list[search_settings.SettingRow]]]:
-    """Return the rows of each option, in order. Neighbouring rows may share an option."""
+    """Return each option with its rows, in order. Neighbouring rows may share an option."""
     grouped = groupby((row for row in rows if row.option), key=lambda row: row.option)
     return [(option, list(group)) for option, group in grouped]
 
@@ -135,7 +135,7 @@ def add_objective(parser: Parser) -> None:
 
 
 def request_of_options(options: argparse.Namespace) -> GaitRequest:
-    """Return the request of the options of `add_objective`. Raises `OptimizerError` if a value is impossible."""
+    """Return the request that the options of `add_objective` describe. Raises `OptimizerError` for a bad value."""
     if options.speed is not None:
         return GaitRequest(Objective.MIN_POWER_AT_SPEED, options.speed)
     if options.power is not None:
@@ -143,7 +143,7 @@ def request_of_options(options: argparse.Namespace) -> GaitRequest:
     return GaitRequest(_NAMED[options.objective or "cruise"])
 
 
-#: Columns of `gait_table`: n is the mean number of grooves a cycle, φ the groove phase.
+#: Columns of `gait_table`: n is the mean number of grooves per cycle, φ the groove phase.
 _HEADS = (
     "gait",
     "S (mm)",
@@ -161,7 +161,7 @@ _HEADS = (
 
 
 def gait_table(robust: Mapping[str, Prediction], nominal: Mapping[str, Prediction]) -> str:
-    """Return a table of robust and nominal gaits, one line each."""
+    """Return a table of robust and nominal gaits, with a line for each gait."""
     rows: list[Sequence[str]] = [_HEADS]
     for kind, gaits in (("robust", robust), ("nominal", nominal)):
         rows += [_row(f"{kind} {name.replace('_', ' ')}", gait) for name, gait in gaits.items()]

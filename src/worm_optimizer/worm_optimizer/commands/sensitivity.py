@@ -29,8 +29,8 @@ MOST_SAMPLES = 1 << 16
 def _parser() -> Parser:
     parser = Parser(
         prog="sensitivity",
-        description="Compute Sobol indices of speed, power and the cliff over the uncertainty of the parameters: the "
-        "intervals of the parameter file, else the default widths.",
+        description="Compute Sobol indices of speed, power and the cliff over the uncertainty of the parameters: their "
+        "intervals in the parameter file, or default widths for parameters without an interval.",
     )
     parser.add_gait((*WAVEFORM, "direction"), required=True)
     parser.add_argument(
@@ -38,7 +38,7 @@ def _parser() -> Parser:
         type=int,
         default=1024,
         metavar="N",
-        help="number, a power of two (default 1024)",
+        help="number of base samples, a power of two (default 1024)",
     )
     parser.add_argument(
         "--seed", type=int, default=0, metavar="N", help="seed of the samples (default 0)"

@@ -19,9 +19,9 @@ from worm_optimizer.operation.system import RESTARTS
 def _parser() -> Parser:
     parser = Parser(
         prog="start",
-        description="Start the node graph, activate the driver and run until Ctrl-C, which brings the robot to rest "
-        "first. If the driver cannot be activated, for example because it is not homed, print the reason and continue; "
-        "use operate to activate it.",
+        description="Start the node graph and activate the driver. Ctrl-C brings the robot to rest and ends all nodes. "
+        "If the driver cannot be activated, for example because it is not homed, print the reason and continue; "
+        "`operate activate` then activates it.",
     )
     parser.add_argument(
         "--virtual", action="store_true", help="start a virtual robot instead of the real one"
@@ -49,7 +49,7 @@ def _start(options: argparse.Namespace) -> int:
 
 
 def _activate(running: Session) -> None:
-    """Activate the driver, or print why this is impossible, so that the operator can do it later."""
+    """Activate the driver. If this fails, print the reason, so that the operator can activate it later."""
     try:
         running.activate()
     except OperatorError as error:
@@ -57,7 +57,7 @@ def _activate(running: Session) -> None:
 
 
 def _keep(running: Session) -> None:
-    """Run until a signal arrives. Raises `ProcessError` when a node ends that the others need."""
+    """Run until a signal arrives. Raises `ProcessError` when a required node ends."""
     running.say(
         "ready: ./worm operate state, ./worm operate run --objective cruise; Ctrl-C ends all"
     )

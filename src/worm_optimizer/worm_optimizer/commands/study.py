@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Command line: computations for many parameter sets, or over many bags, on this machine or on a cluster."""
+"""Command line: computations for many parameter sets, or for many bags, on this machine or on a cluster."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ try:
     )
 except ModuleNotFoundError as error:  # optional packages, which a robot does not need
     command_line.notifier("study")(
-        f"{error.name} is not installed: start it as ./worm study, or "
+        f"{error.name} is not installed: use ./worm study, which installs it, or "
         "pip install -r requirements-study.txt -c constraints.txt"
     )
     sys.exit(command_line.BAD_INPUT)
@@ -45,8 +45,8 @@ def _parser() -> command_line.Parser:
     parser = command_line.Parser(
         prog="study",
         description="Compute fronts, gaits, cliffs and success probabilities for many parameter sets, or read many "
-        "bags, on all cores of this machine or on a Dask cluster. Finished blocks are stored: the same command "
-        "verifies them and continues.",
+        "bags, on all cores of this machine or on a Dask cluster. Finished blocks are stored. Repeating the command "
+        "verifies them and computes the others.",
     )
     add = parser.add_argument
     add("study", nargs="?", type=Path, metavar="STUDY.yaml", help="study file")
@@ -56,14 +56,14 @@ def _parser() -> command_line.Parser:
         dest="source",
         type=Path,
         metavar="STORE",
-        help="the study that a store describes; without --output continue that store",
+        help="compute the study that a store describes; without --output, continue this store",
     )
     add("--verify", type=Path, metavar="STORE", help="only compare a store with its checksums")
     add(
         "--output",
         type=Path,
         metavar="OUT",
-        help="STUDY.zarr, or FLEET.parquet for bags; an unfinished one is continued",
+        help="STUDY.zarr, or FLEET.parquet for bags; an unfinished output is continued",
     )
     add("--page", metavar="PAGE.html", help="write a page with figures of the results")
     add("--export", metavar="FILE", help="write the results as NetCDF (.nc) or as a table (.csv)")
@@ -125,7 +125,7 @@ def _points(options: argparse.Namespace, page: Path | None) -> int:
             options,
             {"points": study.size, "block_points": study.block_points, **dataclasses.asdict(cost)},
             f"{study.size} points in {cost.blocks} blocks of up to {study.block_points}: about "
-            f"{command_line.duration(cost.seconds)} with {cost.workers} workers as fast as this machine",
+            f"{command_line.duration(cost.seconds)} with {cost.workers} workers, if each is as fast as this machine",
         )
         return command_line.DONE
     if output is None:
@@ -187,7 +187,7 @@ def _status(options: argparse.Namespace, counts: Counts, tolerated: int) -> int:
         return command_line.DONE
     _say(
         f"{counts.failed} of {counts.points} failed, so the exit status is {command_line.FAILED}; "
-        "--accept-failures accepts them"
+        "with --accept-failures it is 0"
     )
     return command_line.FAILED
 

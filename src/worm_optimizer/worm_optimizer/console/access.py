@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Access to the console: origin of requests, token or password, and sessions with an end."""
+"""Access to the console: origin of requests, token or password, and sessions, which expire."""
 
 from __future__ import annotations
 
@@ -11,17 +11,21 @@ from urllib.parse import urlsplit
 
 SESSION_S = 12 * 3600.0  # length of a session
 LOCAL = ("localhost", "127.0.0.1", "::1")
-# After so many wrong secrets within this time (s), sign-ins are locked until the first of them is as old.
+# Sign-ins are locked while the latest _FAILURES wrong secrets are all younger than _FAILURES_S (s).
 _FAILURES, _FAILURES_S = 10, 60.0
 
 
 def is_local(address: str) -> bool:
-    """Return True if only this computer reaches a server at an address."""
+    """Return True if a server at an address is reachable from this computer only."""
     return address in LOCAL
 
 
 def same_origin(headers: Mapping[str, str]) -> bool:
-    """Return True if a request comes from a page of this console or from no page; header names are in lower case."""
+    """Return True if a request comes from a page of this console, or from no page at all.
+
+    Args:
+        headers: headers of the request, with names in lower case.
+    """
     origin = headers.get("origin")
     if origin is None:
         return True
@@ -32,7 +36,7 @@ class Access:
     """Rules of access and open sessions.
 
     Args:
-        secret: token or password; empty: every user of this computer has access, and no other computer.
+        secret: token or password. If it is empty, only users of this computer have access, all of them.
         clock: returns the present time, s.
     """
 
@@ -48,7 +52,11 @@ class Access:
         return bool(self._secret)
 
     def admits(self, headers: Mapping[str, str], session: str) -> bool:
-        """Return True if a request is permitted; another host name that resolves to this computer is not local."""
+        """Return True if a request is permitted.
+
+        Without a secret, the request must name one of `LOCAL` as its host. A foreign host name that resolves to this
+        computer is rejected.
+        """
         if not same_origin(headers):
             return False
         if self._secret:
@@ -56,7 +64,7 @@ class Access:
         return is_local(urlsplit(f"//{headers.get('host', '')}").hostname or "")
 
     def sign_in(self, offered: str) -> str:
-        """Return a new session for the right secret, otherwise an empty text."""
+        """Return a new session for the right secret; an empty text for a wrong one, or while sign-ins are locked."""
         now = self._clock()
         if self.lock_s > 0.0:
             return ""
@@ -69,13 +77,13 @@ class Access:
 
     @property
     def lock_s(self) -> float:
-        """Time until sign-ins are possible again after too many wrong secrets, s; 0: they are possible."""
+        """Time for which sign-ins remain locked after too many wrong secrets, s; 0 if they are not locked."""
         if len(self._failures) < _FAILURES:
             return 0.0
         return max(self._failures[0] + _FAILURES_S - self._clock(), 0.0)
 
     def is_open(self, session: str) -> bool:
-        """Return True if a session is open; without a secret, every session is."""
+        """Return True if a session is open. Without a secret, every session is open."""
         return not self._secret or self._clock() < self._ends.get(session, 0.0)
 
     def sign_out(self, session: str) -> None:

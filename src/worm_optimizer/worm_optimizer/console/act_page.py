@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The tab of the commands: torque, choice of a gait on the front, and its run."""
+"""The tab Act: torque, choice of a gait, and its run."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ _SHOWN = {
     "success_probability": ("success, phase known", 1.0, ""),
     "success_probability_any_phase": ("success, any phase", 1.0, ""),
 }
-#: fields of a gait in numbers with their defaults in SI units, in the order of _SHOWN
+#: fields of "A gait in numbers" with their defaults in SI units, in the order of _SHOWN
 _OWN = {
     name: GAIT_DEFAULTS.get(name)
     for name in ("stroke", "frequency", "pretension", "contraction_share", "ramp_share", "margin")
@@ -56,13 +56,13 @@ class ActPage:
 
     Args:
         state: shared state of the pages.
-        why_not: returns why this page may not command the robot; empty: it may.
+        why_not: returns the reason why this page may not command the robot; empty if it may.
     """
 
     def __init__(self, state: ConsoleState, why_not: Callable[[], str]) -> None:
         self._state, self._why_not = state, why_not
-        self._chosen: Prediction | None = None  # on the front
-        self._gait: Gait | None = None  # to run: the chosen one, or one in numbers
+        self._chosen: Prediction | None = None  # gait that was chosen on the front
+        self._gait: Gait | None = None  # gait to run: the chosen one, or one entered in numbers
         self._conditions_shown = LEVEL
         self._shown: list[Prediction] = []
         self._buttons: dict[str, tuple[ui.button, ui.tooltip]] = {}
@@ -224,7 +224,7 @@ class ActPage:
         if not fast_enough:
             fastest = 1e3 * self._shown[-1].speed
             self._error.set_text(
-                f"no gait of the front is so fast; the fastest has {fastest:.3f} mm/s"
+                f"no gait of the front is this fast; the fastest has {fastest:.3f} mm/s"
             )
             return
         self._choose_on_front(min(fast_enough, key=lambda gait: gait.power))
@@ -233,7 +233,7 @@ class ActPage:
         self._choose(prediction, prediction.gait)
 
     def _choose(self, prediction: Prediction | None, gait: Gait) -> None:
-        """Choose a gait, with its prediction if it is one of the front."""
+        """Choose a gait and show its values; ``prediction`` is None for a gait entered in numbers."""
         self._chosen, self._gait = prediction, gait
         self._error.set_text("")
         for key, (_, scale, _) in _SHOWN.items():
@@ -297,7 +297,7 @@ class ActPage:
             self._plot.update()
 
     def _show_conditions(self) -> None:
-        """Show the present conditions; fields that a person edits stay until other conditions hold."""
+        """Show the present conditions. The fields, which a person may be editing, change only with the conditions."""
         conditions = self._state.conditions
         self._condition_text.set_text(f"The front holds for {conditions}.")
         if conditions != self._conditions_shown:
@@ -307,7 +307,7 @@ class ActPage:
 
 
 def _field(name: str, scale: float, unit: str, value: float | None) -> ui.number:
-    """Return a field for a value in SI units, which is shown times a scale."""
+    """Return a field that shows a value in SI units, multiplied by a scale."""
     shown = None if value is None else scale * value
     return ui.number(f"{name}, {unit}" if unit else name, value=shown).classes("w-36")
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Folder of recordings, reports and parameter files of the console. Names from pages lead to files below it only."""
+"""Folder of the console's recordings, reports and parameter files. Pages can access files below this folder only."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from worm_optimizer.operation.processes import executable_command
 from worm_optimizer.report.report_page import PAGE, REPORT_SUFFIX, report_name
 
 _LONGEST = 200  # characters of a name that every file system accepts
-_IDENTIFIED = "identified_"  # first part of the names of identified parameter files
+_IDENTIFIED = "identified_"  # prefix of the names of identified parameter files
 _DIGEST = 8  # characters of a digest in a name
 
 Row = dict[str, Any]
@@ -71,14 +71,14 @@ class BagLibrary:
         return sorted(rows, key=lambda row: row["start"] or "", reverse=True)
 
     async def make_report(self, names: Sequence[str], parameter_file: str) -> str:
-        """Return the name of the report of bags.
+        """Make a report of bags unless it exists, and return its name.
 
-        A report is made again if the bags, the parameters or the code have changed since; the name contains a digest
-        of them.
+        The name contains a digest of the bags' metadata, the parameter file and the code. A change of one of these
+        therefore results in a new report.
 
         Args:
             names: names of the bags.
-            parameter_file: parameters to compare with; empty: those in the recordings.
+            parameter_file: parameters of the expected values; empty: those in the recordings.
 
         Raises:
             InputError: A bag is missing, or the report cannot be made.
@@ -141,7 +141,7 @@ class BagLibrary:
         return str(self.folder / name)
 
     async def packed(self, name: str, folder: Path) -> Path:
-        """Return a bag as one file in another folder. Raises `InputError`."""
+        """Pack a bag into a ZIP file in another folder and return its path. Raises `InputError`."""
         bag = self.bag(name)
         if any(self.folder not in path.resolve().parents for path in bag.rglob("*")):
             raise InputError(f"{name}: links lead out of the bags folder")
@@ -192,7 +192,7 @@ async def _run(
         progress: called with each line of its error output.
 
     Raises:
-        InputError: It failed; the message is the last line of its error output.
+        InputError: The process failed. The message is the last line of its error output.
     """
     process = await asyncio.create_subprocess_exec(
         "nice",
@@ -227,12 +227,12 @@ async def _report_lines(stream: asyncio.StreamReader, progress: Callable[[str], 
 
 
 def report_of(parameter_file: str) -> str:
-    """Return the name of the report that is made with a parameter file."""
+    """Return the name of the report that `BagLibrary.identify` makes together with a parameter file."""
     return report_name([Path(parameter_file).stem])
 
 
 def matches(row: Row, words: str) -> bool:
-    """Return True if a row contains each word, as the table shows it or in its notes; upper case does not matter."""
+    """Return True if the texts of a row, its direction or its notes contain each of the words, ignoring case."""
     gait = row["gait"]
     start = row["start"] and local_time(row["start"])
     direction = "" if gait is None else ("forward" if gait["direction"] > 0 else "reverse")

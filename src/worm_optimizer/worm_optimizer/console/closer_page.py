@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Closer look at one or two recorded runs: charts with zoom and cursor, and the robot at the time of a slider."""
+"""Closer look at one or two recorded runs: charts with zoom and cursor, pictures of the robot, and a time slider."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _REDRAW_S = 0.05  # shortest time between two pictures
 
 
 class CloserLook:
-    """Charts over the time since the onset, with a slider that moves the robots in their pipes."""
+    """Charts over the time since the onset, and a slider for the time at which the pictures show the robots."""
 
     def __init__(self, runs: Sequence[RunTraces]) -> None:
         self._runs = runs
@@ -54,8 +54,8 @@ class CloserLook:
                 js_handler="(event) => emit(event.target.value)",
             )
         ui.label(
-            "Drag in a chart to move it, turn the wheel to zoom; point at a line to read its values. "
-            f"Time counts from the onset; one value every {1e3 * _step_s(runs):.0f} ms."
+            "Drag in a chart to move it, turn the wheel to zoom, point at a line to read its values. "
+            f"Time counts from the onset. There is one value every {1e3 * _step_s(runs):.0f} ms."
         )
         self._chart = ui.echart(_options(runs), renderer="svg").classes("w-full chart")
         self._chart.props('role=img aria-label="Length, power and position over time"')
@@ -122,7 +122,7 @@ def _options(runs: Sequence[RunTraces]) -> dict[str, Any]:
 
 
 def _cursor_series(axis: int) -> dict[str, Any]:
-    """Return a series without points whose mark is the time of the slider."""
+    """Return a series without points. Its mark line shows the time of the slider."""
     mark = {
         "symbol": "none",
         "silent": True,

@@ -33,11 +33,11 @@ class ConsoleState:
         control: which page has control.
         library: folder of recordings.
         parameters: parameters in use.
-        parameter_file: their file; empty: the paper's values.
+        parameter_file: file of these parameters; empty: the paper's values.
         notices: messages, the newest last.
-        fronts: gaits of the front, by direction.
-        conditions: conditions in the pipe that the optimizer assumed at the latest request.
-        history: the last minute.
+        fronts: gaits of the displayed front, by direction.
+        conditions: conditions in the pipe that the optimizer assumes, as the console last read or set them.
+        history: values of the last minute.
     """
 
     worker: RobotWorker
@@ -61,7 +61,7 @@ class ConsoleState:
         return self._latest[1]
 
     def picture(self) -> str:
-        """Return a picture of the robot in its pipe, which is drawn once for all pages."""
+        """Return a picture of the robot in its pipe. All pages share the picture of a snapshot."""
         snapshot = self.snapshot()
         if snapshot is not self._drawn[0]:
             driver = snapshot.driver
@@ -76,13 +76,17 @@ class ConsoleState:
         return self.worker.cancellation or self.control.run_loss
 
     def status_text(self) -> str:
-        """Return the present command, or the latest message."""
+        """Return the present command; without one, the latest message."""
         if self.worker.stopping:
             return "STOP: waiting for the driver"
         return self.worker.busy or (self.notices[-1].text if self.notices else "")
 
     def numbers(self, now: float) -> dict[str, str]:
-        """Return the table of the live page; silent topics have a dash."""
+        """Return the rows of the table of the Live tab, by name; a dash for a silent topic.
+
+        Args:
+            now: present time of the monotonic clock, s.
+        """
         snapshot = self.snapshot()
         newest = sample(snapshot, now)
         names = (source.name.lower() for source in LengthSource)
@@ -103,7 +107,7 @@ class ConsoleState:
 
 
 def new_notices() -> deque[Notice]:
-    """Return an empty list of messages, which drops its oldest ones."""
+    """Return an empty list of messages, which keeps the newest `_NOTICES`."""
     return deque(maxlen=_NOTICES)
 
 

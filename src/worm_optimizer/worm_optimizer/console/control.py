@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Control of the robot by the pages of one console. The driver decides who has it, among the pages of all consoles."""
+"""Control of the robot by the pages of one console. The driver grants control to one page of all consoles at a time."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ Send = Callable[[str, Wish, float], None]
 
 @dataclass
 class _Page:
-    """State of one page: time of its last message (s), and what it wants, has and has lost."""
+    """State of one page."""
 
     last_message_s: float = -math.inf
     wants_control: bool = False
     has_control: bool = False
-    loss: str = ""
+    loss: str = ""  # reason of the latest loss of control or of the request
 
 
 class ConsoleControl:
-    """Requests of the pages of this console, and what the driver decides about them.
+    """Requests of the pages of this console for control, and the driver's decisions about them.
 
     Args:
         console: name of this console, which is unique among all consoles.
         clock: returns the present time, s.
-        send: sends a client, its wish and the length of its lease (s) to the driver.
-        timeout_s: time without a message of a page after which the page loses control, s.
+        send: sends the name of a client, its wish and the length of its lease (s) to the driver.
+        timeout_s: time without a message from a page after which the page loses control, s.
     """
 
     def __init__(
@@ -46,7 +46,7 @@ class ConsoleControl:
         self._runner = ""  # client for which the present run was started
 
     def update(self, state: Control | None) -> None:
-        """Take over the driver's state; None if there is no driver."""
+        """Set which client has control and which requests it, according to the driver; None without a driver."""
         self._state = state or Control()
         for name, page in self._pages.items():
             has_control = page.wants_control and self._state.holder == self._client(name)
@@ -56,7 +56,7 @@ class ConsoleControl:
             page.has_control = has_control
 
     def on_message(self, name: str) -> None:
-        """Register that a page is alive, and renew its request; a page that was silent for too long loses control."""
+        """Register a message of a page, and renew its request. A page that was silent for too long loses control."""
         page = self._page(name)
         now = self._clock()
         if page.wants_control and now - page.last_message_s > self.timeout_s:
@@ -68,7 +68,7 @@ class ConsoleControl:
             self._send(name, Wish.CONTROL)
 
     def request(self, name: str) -> None:
-        """Request control for a page that is alive. `is_held_by` becomes True when the driver grants it."""
+        """Request control for a page. `is_held_by` becomes True when the driver grants it."""
         page = self._page(name)
         page.loss = ""
         page.wants_control = True
@@ -76,7 +76,7 @@ class ConsoleControl:
         self._send(name, Wish.CONTROL)
 
     def hand_over(self, name: str) -> None:
-        """Give control to the client that requests it. A run continues under that client."""
+        """Hand control over from a page to the client that requests it. A run continues under that client."""
         if self.is_held_by(name) and self._state.requester:
             self._runner = self._state.requester
             self._send(name, Wish.HAND_OVER)
@@ -84,11 +84,11 @@ class ConsoleControl:
             page.wants_control = page.has_control = False
 
     def release(self, name: str, loss: str = "") -> None:
-        """Give up control or the request for it.
+        """Release a page's control, or its request for control.
 
         Args:
             name: the page.
-            loss: reason, if the page did not decide it; returned by `loss_of`.
+            loss: reason, which `loss_of` returns; empty if the person at the page decided it.
         """
         if name in self._pages and self._pages[name].wants_control:
             self._drop(name, loss)
@@ -99,7 +99,7 @@ class ConsoleControl:
         self._pages.pop(name, None)
 
     def is_held_by(self, name: str) -> bool:
-        """Return True if a page has control and is alive."""
+        """Return True if a page has control and is not silent."""
         page = self._pages.get(name)
         return page is not None and page.has_control and not self._is_silent(page)
 
@@ -110,26 +110,26 @@ class ConsoleControl:
 
     @property
     def holder(self) -> str:
-        """Name of the console whose page has control, as people read it; empty: none."""
+        """Name of the page that has control, as shown to people, see `_named`; empty if there is none."""
         return self._state.holder and self._named(self._state.holder)
 
     @property
     def requester(self) -> str:
-        """Name of the console whose page requests control; empty: none."""
+        """Name of the page that requests control, as shown to people; empty if there is none."""
         return self._state.requester and self._named(self._state.requester)
 
     def loss_of(self, name: str) -> str:
-        """Return why a page has lost control; empty if it gave it up, or never had it."""
+        """Return the reason why a page has lost control or its request; empty without a loss, or if a person did it."""
         page = self._pages.get(name)
         return "" if page is None else page.loss
 
     def begin_run(self) -> None:
-        """Note that a run starts for the client that has control now."""
+        """Register that a run starts for the client that has control now."""
         self._runner = self._state.holder
 
     @property
     def run_loss(self) -> str:
-        """Return why the present run must end; empty while the client for which it runs has control."""
+        """Reason why the present run must end; empty while the client for which it runs has control."""
         runner, holder = self._runner, self._state.holder
         if not holder:
             return "no page has control"
@@ -159,6 +159,6 @@ class ConsoleControl:
         return f"{self._console}{_SEPARATOR}{name}"
 
     def _named(self, client: str) -> str:
-        """Return a client's name for people: its console, or another page of this one."""
+        """Return the name of a client as shown to people: "another page" of this console, or a page of another one."""
         console = client.split(_SEPARATOR)[0]
         return "another page" if console == self._console else f"a page of {console}"

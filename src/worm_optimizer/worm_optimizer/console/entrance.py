@@ -19,8 +19,8 @@ from worm_optimizer.console.access import SESSION_S, Access, same_origin
 COOKIE = "worm_console"
 _FRAMES = b"frame-ancestors 'self'"
 _LONGEST_FORM = 4096  # bytes
-# Headers of the guard's own responses: no other site may show them in a frame or receive their address. With
-# no-referrer, browsers would hide the origin of the form.
+# Headers of the guard's own responses: no other site may show them in a frame or receive their address. The policy
+# no-referrer would also hide the origin of the sign-in form, which `same_origin` needs.
 _OWN = {"cache-control": "no-store", "referrer-policy": "same-origin", "x-frame-options": "DENY"}
 _FORM = """<!doctype html><html lang="en"><meta charset="utf-8"><title>Worm console</title>
 <meta name="viewport" content="width=device-width, initial-scale=1">
@@ -38,14 +38,14 @@ Send = Callable[[Any], Awaitable[None]]
 
 
 class Guard:
-    """Wraps an ASGI application."""
+    """ASGI application that passes permitted requests on to another one."""
 
     def __init__(self, app: Any, access: Access) -> None:
         self._app = app
         self._access = access
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass permitted requests on, and respond to all others."""
+        """Pass a permitted request on. Answer any other one with the sign-in or a rejection."""
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
@@ -90,13 +90,13 @@ class Guard:
 
 
 class IgnoreDisconnects:
-    """Wraps an ASGI application; a client that disconnects before the response is no error of the server."""
+    """ASGI application that calls another one and suppresses its error when a client leaves before the response."""
 
     def __init__(self, app: Any) -> None:
         self._app = app
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a request on. Starlette's middleware raises RuntimeError if a client left before its response."""
+        """Pass a request on. Starlette's middleware raises RuntimeError if the client leaves before the response."""
         has_left = False
 
         async def noting_receive() -> Any:
@@ -113,7 +113,7 @@ class IgnoreDisconnects:
 
 
 def _unframed(send: Send) -> Send:
-    """Add a header that forbids other sites to show a page in a frame, where they could capture clicks."""
+    """Return ``send`` with a header that forbids other sites to show a page in a frame and capture its clicks."""
 
     async def send_with_header(message: Any) -> None:
         if message["type"] == "http.response.start":
@@ -125,7 +125,7 @@ def _unframed(send: Send) -> Send:
 
 
 async def _body(request: Request) -> str:
-    """Return the body of a form; empty if it is longer than _LONGEST_FORM."""
+    """Return the body of a form; empty if it is longer than `_LONGEST_FORM`."""
     body = b""
     with suppress(ClientDisconnect):
         async for chunk in request.stream():

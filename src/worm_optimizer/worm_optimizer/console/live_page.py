@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The tab of the robot: picture in its pipe, values, and the last minute."""
+"""The tab Live: picture of the robot in its pipe, present values, and charts of the last minute."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class LivePage:
             with ui.row().classes("items-center w-full"):
                 self._pause = ui.switch("Pause")
                 ui.label(
-                    "blue: robot, amber: twin; fins: green hold, amber yield, grey touch nothing"
+                    "blue: robot, amber: twin. Fins: green ones hold, amber ones yield, grey ones touch nothing"
                 )
             with ui.row().classes("w-full gap-4"):
                 self._cells = _table(_ROWS)
@@ -78,7 +78,7 @@ class LivePage:
 
 
 def _table(names: tuple[str, ...]) -> dict[str, ui.label]:
-    """Return a table with a cell for each name."""
+    """Build a table with a row for each name, and return the cells of the values by name."""
     cells = {}
     with ui.grid(columns=2).classes("gap-x-4 gap-y-0 numbers"):
         for name in names:
@@ -104,7 +104,7 @@ def _fill(shown: ui.echart, samples: list[Sample], lines: dict[str, str], scale:
 
 
 def _point(sample: Sample, name: str, now: float, scale: float) -> list[Any]:
-    """Return the time of a sample relative to now, s, and its value; None for NaN."""
+    """Return [time minus now (s), scaled value or None for NaN]. Values of the twin hold for ``twin_age`` earlier."""
     value = getattr(sample, name)
     age = sample.twin_age if name in _OF_TWIN else 0.0
     return [

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Commands of the pages, for the command thread; they make the same calls as `operate`."""
+"""Commands of the pages, which the command thread executes. They make the same calls as `worm_optimizer operate`."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from worm_optimizer.robot_commands import GaitCommand
 from worm_optimizer.robustness.prediction import Prediction
 from worm_optimizer.search.gait_request import GaitRequest, Objective
 
-_GAITS = 32  # number of gaits of the displayed front
+_GAITS = 32  # steps of speed between the gaits of the displayed front
 
-_numbers: Iterator[int] = count(1)  # of recorders
+_numbers: Iterator[int] = count(1)  # numbers in the names of recorders
 
 
 def read_front(
     node: OperatorNode, direction: int, initial_length: float, progress: Say
 ) -> list[Prediction]:
-    """Return gaits of the front at regular speeds, the slowest first.
+    """Return gaits of the front at evenly spaced speeds, the slowest first.
 
     Args:
         node: the operator.
         direction: FORWARD or REVERSE.
-        initial_length: length of the robot at rest (m); 0: that of the optimizer's parameters.
+        initial_length: length of the robot at rest, m; 0 for that of the optimizer's parameters.
         progress: called with each line of progress.
 
     Raises:
@@ -65,12 +65,13 @@ def run(
         command: the gait and its end.
         folder: folder of the new bag.
         parameter_file: parameters to store in the bag; empty: the paper's values.
-        cancellation: returns the reason why the run must end; empty if it may continue. While it must end, no
-            heartbeats are sent, and the robot comes to rest.
+        cancellation: returns the reason why the run must end; empty if it may continue. As long as there is a reason,
+            no heartbeats are sent, and the robot comes to rest.
         report: called with each line of progress.
 
     Raises:
-        OperatorError: The gait failed, was cancelled except by STOP, or there is no answer.
+        OperatorError: The gait did not start, it failed, or a node does not answer. Also if the gait was cancelled, but
+            not if STOP ended it.
         InputError: The bag cannot be created.
     """
     recorder = f"console_{os.getpid()}_{next(_numbers)}"

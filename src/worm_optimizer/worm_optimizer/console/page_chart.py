@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Charts of the pages, in light and dark."""
+"""Charts of the pages, which are legible in light and dark appearance."""
 
 from __future__ import annotations
 
@@ -15,9 +15,14 @@ _LINES = {"lineStyle": {"color": "#88888855"}}
 def chart(
     x: dict[str, Any], y: str, series: list[dict[str, Any]], *, height: str = "15rem", **events: Any
 ) -> ui.echart:
-    """Return a chart of the ``series``, with a legend of those that have a name; ``events`` are echart's.
+    """Return a chart with a legend of its named series.
 
-    ``x`` is the horizontal axis, ``y`` the name of the vertical one, which is above it.
+    Args:
+        x: options of the horizontal axis.
+        y: name of the vertical axis, which is written above the axis.
+        series: the series.
+        height: height in CSS units.
+        events: event handlers of `ui.echart`.
     """
     legend = any("name" in row for row in series)
     options = {

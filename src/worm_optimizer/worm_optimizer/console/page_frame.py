@@ -12,8 +12,8 @@ NO_CONNECTION = (
 )
 _NOT_DELIVERED = "STOP CANNOT BE DELIVERED: use the switch in the supply, or another page."
 
-# The server acknowledges each message. A page without acknowledgement shows that it has no connection, and reports
-# when it is back, so that the server ends its control.
+# The server acknowledges each message. A page without acknowledgements shows that it has no connection. Its first
+# message afterwards reports the interruption, so that the server ends the page's control.
 _SCRIPT = f"""<script>
 const pageState = {{timeout: Infinity, acknowledged: performance.now(), connected: true, wasAway: false}};
 function showConnection(connected) {{
@@ -72,6 +72,6 @@ _STYLE = (
 
 
 def head(timeout_s: float) -> str:
-    """Return the head of a page that has no connection after ``timeout_s`` without acknowledgement."""
+    """Return the head of a page. After ``timeout_s`` without acknowledgement, the page counts as disconnected."""
     timeout = f"<script>pageState.timeout = {1e3 * timeout_s:.0f}</script>"
     return _STYLE + _SCRIPT + timeout

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page: tabs, control, and STOP, which is on every tab."""
+"""The page of the console: tabs, and below all of them control and STOP."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from worm_optimizer.console.studies_page import StudiesPage
 from worm_optimizer.console.view import SAMPLE_S, state_text
 
 REFRESH_S = 0.25
-_SANDBOX = {"content-security-policy": "sandbox"}  # scripts of a foreign bag's report do not run
+_SANDBOX = {"content-security-policy": "sandbox"}  # blocks scripts in a report of a foreign bag
 _NO_CONTROL = "this page does not have control"
 
 
@@ -121,7 +121,7 @@ class ConsolePage:
     # --- control -----------------------------------------------------------------------------
 
     def _why_not(self) -> str:
-        """Return why this page may not command the robot; empty: it may."""
+        """Return the reason why this page may not command the robot; empty if it may."""
         control = self._state.control
         if not self._access.is_open(self._session):
             return "the session has ended: sign in"
@@ -132,7 +132,7 @@ class ConsolePage:
         return f"{control.loss_of(self._id) or _NO_CONTROL}: {self._control_action()}"
 
     def _on_alive(self, event: events.GenericEventArguments) -> None:
-        """Handle a message of the page, whose argument is True after a time without connection."""
+        """Handle a message of the page. Its argument is True if the page had no connection before."""
         if not self._access.is_open(self._session):
             return
         if event.args:
@@ -170,7 +170,7 @@ class ConsolePage:
         return "Ask for control" if control.holder else "Take control"
 
     def _control_text(self) -> str:
-        """Return who has control, and who requests it."""
+        """Return a sentence about the page that has control, and the one that requests it."""
         control = self._state.control
         if control.is_held_by(self._id):
             asks = control.requester and f"; {control.requester} asks for it"

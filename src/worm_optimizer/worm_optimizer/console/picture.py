@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The robot in its pipe as SVG, to scale: the shapes of the twin's scene from the side."""
+"""Side view of the robot in its pipe as SVG, to scale, from the shapes of the twin's scene."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from worm_model.twin.scene import PIPE_RADIUS, Kind, PositionSample, Shape, scen
 
 BEFORE, BEHIND = 0.12, 0.12  # m of pipe shown before and behind the robot
 _WALL = 0.006  # m
-_VIEW_STEP = 0.05  # m; the view moves in steps, so that the pipe is at rest between them
+_VIEW_STEP = 0.05  # m; the view follows the robot in steps, so that the drawn pipe does not move all the time
 _NAMES = {"twin": "ghost", "robot": "robot", "pipe": "pipe", "rear": "fins", "front": "fins"}
 
 
@@ -20,9 +20,13 @@ def picture(
     parameters: Parameters,
     direction: int = FORWARD,
 ) -> str:
-    """Return an SVG element, its user unit 1 mm; without a twin, the empty pipe and a note.
+    """Return an SVG element with user units of 1 mm. Without a state of the twin, it shows an empty pipe and a note.
 
-    The direction of the gait determines which fins hold.
+    Args:
+        twin: state of the twin, None if unavailable.
+        robot: position of the robot according to the tracker.
+        parameters: parameters of the robot.
+        direction: direction of the gait, which determines the colours of the fins.
     """
     if twin is None:
         return _svg(0.0, 0.5, _note(0.25, "no data of the twin"), "The empty pipe")
@@ -40,7 +44,7 @@ def picture(
 
 def _svg(left: float, width: float, content: str, words: str) -> str:
     half = 1e3 * (PIPE_RADIUS + 2.0 * _WALL)
-    # longer than the view, because a wider page shows more
+    # The walls are longer than the view box, because a wide page shows more than the view box.
     walls = "".join(
         _rect("pipe", left - width, side * (PIPE_RADIUS + 0.5 * _WALL), 3.0 * width, _WALL)
         for side in (-1.0, 1.0)
@@ -53,7 +57,7 @@ def _svg(left: float, width: float, content: str, words: str) -> str:
 
 
 def _drawn(shape: Shape) -> str:
-    """Return a shape as rectangles, whose class is the kind of the shape."""
+    """Return a shape as rectangles. Their CSS classes come from `_NAMES`."""
     kind = _NAMES[shape.name.split()[0]]
     x, _, z = shape.position
     if shape.kind is Kind.BOXES:

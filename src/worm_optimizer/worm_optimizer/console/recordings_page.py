@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The tab of the recordings: list with search, reports, a closer look, and downloads."""
+"""The tab Recordings: list with search, reports, a closer look, and downloads."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _CHECKBOX = '<q-checkbox v-model="props.selected" :aria-label="{}" />'
 
 
 class RecordingsPage:
-    """List of runs, which is read on request; a report or a closer look replaces it until "Back to the list"."""
+    """List of recorded runs. A report or a closer look replaces the list until "Back to the list" is pressed."""
 
     def __init__(self, state: ConsoleState) -> None:
         self._state = state
@@ -75,7 +75,7 @@ class RecordingsPage:
         self._fill()
 
     def _fill(self) -> None:
-        """Show the rows that match the search, and those that are selected."""
+        """Show the rows that match the search, and the selected rows."""
         rows = [_cells(row) for row in self._rows]
         known = {row["key"] for row in rows}
         self._table.selected[:] = [row for row in self._table.selected if row["key"] in known]
@@ -93,7 +93,7 @@ class RecordingsPage:
         return list(dict.fromkeys(row["name"] for row in self._table.selected))
 
     def _selection(self, numbers: tuple[int, ...], request: str) -> list[str]:
-        """Return the selected bags if their number is permitted; otherwise show a request and return none."""
+        """Return the selected bags if their number is among ``numbers``. Otherwise show ``request`` and return none."""
         names = self.selected()
         self._note.set_text("" if len(names) in numbers else request)
         return names if len(names) in numbers else []

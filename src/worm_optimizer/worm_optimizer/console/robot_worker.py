@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Threads that command the robot for the pages of the console, so that a page never waits.
 
-The command thread owns an operator node and executes one command after the other. The stop thread owns another one,
-which receives the telemetry, requests control and stops the robot while the command thread waits.
+The command thread owns an operator node and executes one command after another. The stop thread owns a second operator
+node. It receives the telemetry, requests control, and can stop the robot while the command thread is busy.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ Command = Callable[[OperatorNode], str]
 
 
 class _ClosedError(RuntimeError):
-    """The console ends."""
+    """The console ends, and the thread must not wait any longer."""
 
 
 @dataclass(frozen=True)
@@ -42,15 +42,17 @@ class RobotWorker:
     """Command thread and stop thread.
 
     Args:
-        open_robot: opens the operator of the command thread; its arguments report progress, and raise to end a wait.
-        open_stop: opens the operator of the stop thread; its argument raises to end a wait.
+        open_robot: opens the operator node of the command thread. Its first argument is called with progress messages,
+            its second one repeatedly while it waits; both raise an exception to end the wait.
+        open_stop: opens the operator node of the stop thread. Its argument is called repeatedly while it waits, and
+            raises an exception to end the wait.
         notify: called with each notice, from either thread.
 
     Attributes:
-        busy: present command; empty: none.
-        failure: why no command can be executed any more; empty: commands can be executed.
-        cancellation: why the latest command must end; empty: it may go on.
-        stopping: True from a call of `stop` until the driver has answered it.
+        busy: description of the present command; empty if there is none.
+        failure: reason why a thread has failed and commands are impossible; empty if they are possible.
+        cancellation: reason why the latest command must end; empty if it may continue.
+        stopping: True from a call of `stop` until the driver has answered or an error is reported.
     """
 
     def __init__(
@@ -81,10 +83,10 @@ class RobotWorker:
             thread.start()
 
     def close(self, hold_now: Callable[[], bool]) -> None:
-        """End both threads; a run comes to rest first.
+        """End both threads after a run has come to rest.
 
         Args:
-            hold_now: polled meanwhile; when it returns True, the robot is stopped where it is.
+            hold_now: polled until the run has come to rest. When it returns True, the robot holds where it is.
         """
         self.cancellation = "the console ends"
         self._closing.set()
@@ -97,7 +99,7 @@ class RobotWorker:
                 thread.join()
 
     def snapshot(self) -> Snapshot:
-        """Return the latest state of the robot; without a driver also without the state of a former one."""
+        """Return the latest state of the robot. It contains no state of a driver that has ended."""
         node = self._stop_node
         if node is None:
             return Snapshot()
@@ -106,11 +108,11 @@ class RobotWorker:
 
     @property
     def hindrance(self) -> str:
-        """Why no command can be submitted now; empty: one can."""
+        """Reason why no command can be submitted now; empty if one can."""
         return self.failure or ("wait for the end of the present command" if self.busy else "")
 
     def submit(self, description: str, command: Command) -> bool:
-        """Submit a command; return False if there is a `hindrance`."""
+        """Submit a command. Return False, and do nothing, if there is a `hindrance`."""
         if self.hindrance:
             return False
         self.cancellation = ""
@@ -119,7 +121,7 @@ class RobotWorker:
         return True
 
     def stop(self) -> None:
-        """Hold the robot where it is, immediately, and cancel the present command."""
+        """Request the stop thread to hold the robot where it is, and cancel the present command."""
         self.cancellation = STOP_PRESSED
         self.busy = self.busy and f"{STOP_PRESSED}: the command ends"
         self.stopping = True
@@ -134,22 +136,22 @@ class RobotWorker:
         self.busy = text
 
     def progress(self, text: str) -> None:
-        """Report the progress of a command that may be abandoned; raises in its thread when the console ends."""
+        """Report the progress of a command that may be aborted. Raises an exception if the console ends."""
         self.busy = text
         if self._closing.is_set():
             raise _ClosedError
 
     def _guard(self, work: Callable[[], None], prefix: str) -> None:
-        """Run a thread; if it fails, report the reason, because its clients would wait forever."""
+        """Run the work of a thread. If it fails, report the reason, because the pages would otherwise wait forever."""
         try:
             work()
         except _ClosedError:
             pass
         except FAILURES as error:
             self._fail(f"{prefix}{error}")
-        except Exception as error:  # noqa: BLE001 (the pages need a reason, whatever it is)
+        except Exception as error:  # noqa: BLE001 (the pages must show every failure)
             traceback.print_exc()
-            self._fail(f"{prefix}restart the console, it has failed: {error!r}")
+            self._fail(f"{prefix}the console has failed, restart it: {error!r}")
 
     def _fail(self, text: str) -> None:
         self.failure = self.failure or text
@@ -170,7 +172,7 @@ class RobotWorker:
             raise _ClosedError
 
     def _on_start_progress(self, text: str) -> None:
-        """Report the progress of the start, or the restart of a node. `busy` changes only during a command."""
+        """Report the progress of the start, or that a node was restarted. Between commands, `busy` stays empty."""
         if self.busy:
             self.busy = text
         self._notify(Notice(text))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Traces of a recorded run on a common time grid. As a program, in a process of its own, it prints them as JSON."""
+"""Traces of a recorded run on a common time grid. As a program, this module prints the traces of a bag as JSON."""
 
 from __future__ import annotations
 
@@ -30,20 +30,20 @@ from worm_optimizer.console.picture import picture
 
 POINTS = 3000  # largest number of points of a trace
 SHORTEST_STEP_S = 0.01
-LATEST_S = 0.2  # age of a sample beyond which the trace has no value
+LATEST_S = 0.2  # a sample that is older than this plus a grid step has no effect, s
 _TWIN = ("rear_position", "front_position", "rear_anchor", "front_anchor")
 
 
 @dataclass(frozen=True)
 class RunTraces:
-    """Values of a run on a time grid, each the latest sample at that time; NaN without one.
+    """Values of a run on a time grid: at each time the latest sample, NaN if there is no recent one (see `_at`).
 
     Attributes:
         name: name of the bag.
-        time_s: time since the onset of the first gait, or since the first sample without a gait, shape (n,).
+        time_s: time since the onset of the first gait, s, shape (n,). In a run without a gait, since the first sample.
         traces: lengths and positions in m, powers in W, by name, shape (n,) each.
-        twin: fields of StateRecord that the picture needs, shape (n,) each.
-        direction: direction of the gait, shape (n,).
+        twin: fields of StateRecord that the picture needs, by name, shape (n,) each.
+        direction: direction of the latest gait, 0 before the first, shape (n,).
         parameters: parameters of the twin.
     """
 
@@ -82,7 +82,7 @@ class RunTraces:
         return json.dumps(content)
 
     def row_at(self, time_s: float) -> int:
-        """Return the row of a time; the first or the last one outside of the recording."""
+        """Return the row of a time; before the recording the first row, after it the last."""
         return int(
             np.clip(np.searchsorted(self.time_s, time_s, "right") - 1, 0, len(self.time_s) - 1)
         )
@@ -105,7 +105,7 @@ class RunTraces:
 
 
 def traces_of(run: Run, replay: Replay, parameters: Parameters, name: str = "") -> RunTraces:
-    """Return the traces of a run that the twin has followed. Raises `InputError` if it has no samples."""
+    """Return the traces of a run and of its replay by the twin. Raises `InputError` if there are no samples."""
     states = replay.states
     sources: dict[str, tuple[Stamps, Array]] = {
         "commanded": (run.commanded.stamp, run.commanded.length),
@@ -137,7 +137,7 @@ def traces_of(run: Run, replay: Replay, parameters: Parameters, name: str = "") 
 
 
 def _at(grid: Stamps, stamp: Stamps, values: Array, step_s: float) -> Array:
-    """Return the latest value at each time of a grid; NaN if it is older than LATEST_S and a step."""
+    """Return the latest value at each time of a grid; NaN if it is older than `LATEST_S` + ``step_s``."""
     if not len(stamp):
         return np.full(len(grid), math.nan)
     order = np.argsort(stamp, kind="stable")

@@ -15,14 +15,15 @@ from worm_optimizer.console.entrance import Guard, IgnoreDisconnects
 from worm_optimizer.console.pages import build
 
 _LOOK_S = 0.1
-# A page without connection exists for so many times the timeout of control; it loses control immediately.
+# Time for which a page without connection may reconnect, as a multiple of the timeout of control. The page loses
+# control at once.
 _RECONNECT = 3.0
 
 
 def serve(
     state: ConsoleState, access: Access, host: str, port: int, ended: Callable[[], int]
 ) -> None:
-    """Serve the pages until ``ended`` returns a number other than 0. They start the worker; the caller closes it."""
+    """Start the worker, and serve the pages until ``ended`` returns a nonzero number. The caller closes the worker."""
     # The server's own handlers would exit at a second signal without closing the worker.
     Server.capture_signals = lambda _: nullcontext()
     app.timer(_LOOK_S, lambda: app.shutdown() if ended() else None)
@@ -44,5 +45,5 @@ def serve(
 
 
 def _ignore_disconnects() -> None:
-    """Wrap all middleware, which exists from the start on."""
+    """Wrap all middleware. This is possible only after the start, which builds the middleware."""
     app.middleware_stack = IgnoreDisconnects(app.middleware_stack)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Work of minutes in the background: searches of the optimizer and identifications."""
+"""Background work that takes minutes: searches of the optimizer, and identifications."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ class Studies:
 
     Attributes:
         scan: latest margin scan, None before the first.
-        identifying: progress of the present identification; empty: none.
-        identified: name of the parameter file that was identified last; empty: none.
+        identifying: progress of the present identification; empty if there is none.
+        identified: name of the parameter file of the latest identification; empty before the first.
         initial_file: parameter file at the start of the console; empty: the paper's values.
     """
 
@@ -40,11 +40,11 @@ class Studies:
 
     @property
     def searching(self) -> str:
-        """Name of the present search; empty: none."""
+        """Name of the present search; empty if there is none."""
         return self._search_name
 
     def search(self, request: ScanRequest | FrontRequest) -> bool:
-        """Start a search; return False if another one or another command is executed."""
+        """Start a search. Return False, and do nothing, if another search or another command is under way."""
         scans = isinstance(request, ScanRequest)
 
         def begin(node: OperatorNode) -> str:
@@ -70,7 +70,7 @@ class Studies:
     # --- an identification -----------------------------------------------------------------------
 
     def identify(self, names: Sequence[str]) -> bool:
-        """Start an identification from bags; return False if there is one already."""
+        """Start an identification from bags. Return False, and do nothing, if one is under way."""
         if self.identifying:
             return False
         self.identifying = "identification"
@@ -99,12 +99,12 @@ class Studies:
     def _note(self, line: str) -> None:
         self.identifying = f"identification, {line}"
 
-    # --- its parameter file ----------------------------------------------------------------------
+    # --- parameters of twin and optimizer --------------------------------------------------------
 
     def set_parameter_file(self, file: str) -> bool:
         """Set the parameter file of twin and optimizer; empty for the paper's values.
 
-        Return False if another command is executed. Raises `InputError`.
+        Return False, and do nothing, if another command is under way. Raises `InputError` if the file is invalid.
         """
         state, parameters = self._state, load_parameters(file)
 

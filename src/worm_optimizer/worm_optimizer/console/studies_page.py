@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The tab of the work of minutes: margin scan, new front, and parameters from recorded runs."""
+"""The tab Studies: margin scan, computation of a front, and identification of parameters from recorded runs."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ class StudiesPage:
 
     Args:
         state: shared state of the pages.
-        studies: present work, which all pages share.
-        why_not: returns why this page may not command the robot; empty: it may.
-        selected: returns the names of the bags that are selected in Recordings.
+        studies: searches and identifications, which all pages share.
+        why_not: returns the reason why this page may not command the robot; empty if it may.
+        selected: returns the names of the bags that are selected in the tab Recordings.
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class StudiesPage:
             self._waveform = ui.select(_WAVEFORMS, value="", label="Waveform").classes("w-40")
             self._controlled.append(ui.button("Compute front", on_click=self._ask_front))
         ui.label(
-            "The optimizer has its own values for empty fields; the margin is then the one at the cliff."
+            "For empty fields, the optimizer uses its own values; for an empty margin, the margin at the cliff."
         )
         with ui.row().classes("items-center gap-2 w-full no-wrap"):
             self._search = ui.label().classes("line").props("role=status")
@@ -164,8 +164,8 @@ class StudiesPage:
             return
         self._question.set_text(
             f"Set the parameters of twin and optimizer to {self._file.value}? They use them immediately. "
-            "The driver is not changed. After a restart every node has its own file again; "
-            "./worm start --parameters FILE sets this one for all."
+            "The driver does not change. After a restart, each node reads the file of its own configuration again; "
+            "./worm start --parameters FILE sets one file for all nodes."
         )
         self._dialog.open()
 

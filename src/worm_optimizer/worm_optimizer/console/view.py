@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Content of the pages about the robot: current values, state, possible actions, and the history of a minute."""
+"""Content of the pages about the robot: present values, state, possible actions, and the last minute."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def is_live(snapshot: Snapshot, topic: str, now: float) -> bool:
 
 
 def missing_sources(snapshot: Snapshot, now: float) -> list[str]:
-    """Return the sources that do not publish although the driver is active; empty if it is not."""
+    """Return the sources that do not publish, as texts; empty if the driver is missing or inactive."""
     driver = snapshot.driver
     if driver is None or driver.state is Activity.INACTIVE:
         return []
@@ -53,7 +53,7 @@ def state_text(snapshot: Snapshot, *, stopping: bool = False) -> str:
 
     Args:
         snapshot: latest state of the robot.
-        stopping: True between a press of STOP and the driver's answer.
+        stopping: True from a press of STOP to the driver's answer.
     """
     driver = snapshot.driver
     if driver is None:
@@ -74,7 +74,7 @@ def state_text(snapshot: Snapshot, *, stopping: bool = False) -> str:
 
 
 def twin_text(snapshot: Snapshot, now: float) -> str:
-    """Return the health of the robot according to the twin, and the age of this information."""
+    """Return the health of the robot according to the twin, with the delay of the twin."""
     residuals = snapshot.residuals
     if residuals is None or not is_live(snapshot, "twin/residuals", now):
         return "twin: no message"
@@ -84,11 +84,11 @@ def twin_text(snapshot: Snapshot, now: float) -> str:
 
 
 def obstacles(snapshot: Snapshot, hindrance: str) -> dict[str, str]:
-    """Return why each action is not possible now; empty texts for possible ones.
+    """Return the reason why each action is impossible now; empty texts for possible actions.
 
     Args:
         snapshot: latest state of the robot.
-        hindrance: why no action at all is possible; empty: see the state of the driver.
+        hindrance: reason why no action is possible. If it is empty, the state of the driver decides.
     """
     driver = snapshot.driver
     if hindrance or driver is None:
@@ -107,9 +107,9 @@ def obstacles(snapshot: Snapshot, hindrance: str) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class Sample:
-    """Values at a time (s, monotonic): lengths in m, powers in W; NaN for silent topics.
+    """Values at a time (s, monotonic clock): lengths in m, powers in W; NaN for silent topics.
 
-    The twin's values ``estimated`` and ``predicted`` are older by ``twin_age`` (s).
+    ``estimated`` and ``predicted`` come from the twin and hold for the time ``twin_age`` (s) earlier.
     """
 
     time: float
@@ -142,21 +142,21 @@ def sample(snapshot: Snapshot, now: float) -> Sample:
 
 @dataclass
 class _CountedRun:
-    """Run whose grooves are counted; ``border`` is the number of the next end of a cycle."""
+    """Run whose grooves are counted. Border n is the moment n periods after the onset."""
 
     onset_ns: int
     period_ns: float
     direction: int
-    border: int
-    end_ns: int = 0  # stamp of the end of the run; 0 before
-    start: int | None = None  # groove at the border before
+    border: int  # number of the next border
+    end_ns: int = 0  # stamp of the end of the run; 0 until it ends
+    start: int | None = None  # groove at the previous border; None before the first
 
 
 class History:
     """Samples of the last minute, and the grooves of each cycle of the present run.
 
-    The twin lags behind the driver. The grooves of a cycle are the difference between the twin's states at the stamps
-    of the cycle's begin and end.
+    The twin lags behind the driver. A cycle is therefore counted when the twin has passed its end: its grooves are the
+    difference between the twin's states at both ends of the cycle.
 
     Args:
         clock: returns the present time, s.
@@ -179,7 +179,10 @@ class History:
             self._count(self._run, snapshot.grooves)
 
     def _follow_driver(self, driver: DriverState, oldest_ns: int) -> None:
-        """Detect the begin and the end of a run. One under way is counted from the first cycle with a known begin."""
+        """Detect the begin and the end of a run.
+
+        If the run is already under way, the count begins with the first cycle that starts after ``oldest_ns``.
+        """
         run = self._run
         if driver.state in PLAYING and driver.onset_ns:
             if run is None or abs(driver.onset_ns - run.onset_ns) > SAME_ONSET_NS:

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Evaluation of the gaits of a search: tasks, their results, and limits of the actuators."""
+"""Evaluation of gaits for a search: optimisation tasks, evaluated gaits, and limits of the actuators."""

@@ -24,19 +24,23 @@ from worm_optimizer.optimizer_errors import OptimizerError
 
 Array = NDArray[np.float64]
 
-_CYCLE = 2  # number of the sampled cycle, from 0: the third one is periodic, except for the groove
-_SAMPLES = 400  # moments of that cycle at which force and power are sampled
+_CYCLE = 2  # index of the sampled cycle: from the third cycle on, all cycles are equal except for the grooves
+_SAMPLES = 400  # number of samples of force and power in that cycle
 
 
 @dataclass(frozen=True)
 class ActuatorLimits:
     """Largest values that a gait may require of the hardware; infinity means no limit.
 
-    ``cable_speed`` in m/s bounds the largest commanded cable speed, π·f·S of the sinusoid; ``cable_force`` in N
-    bounds F_c (eq:Fc) and ``electrical_power`` in W the source power P (eq:power_model), such as the range of its
-    sensor. The nominal model predicts both over a cycle. ``stall_force`` in N and ``no_load_speed`` in m/s are the ends
-    of the motors' speed-torque line: while the cable is wound up, F_c/stall_force + speed/no_load_speed stays below 1.
-    ``pushing_force`` in N bounds -F_c: the model's length follows a cable that pushes, which a real one cannot do.
+    The nominal model predicts force and power over a cycle.
+
+    Attributes:
+        cable_speed: bound of the commanded cable speed (π·f·S for a sinusoid), m/s.
+        cable_force: bound of the cable force F_c (eq:Fc), N.
+        electrical_power: bound of the source power P (eq:power_model), such as the range of its sensor, W.
+        stall_force, no_load_speed: ends of the motors' speed-torque line in N and m/s. While the cable is wound up,
+            F_c/stall_force + speed/no_load_speed must stay below 1.
+        pushing_force: bound of −F_c, N. A real cable cannot push, but in the model the body follows a pushing cable.
     """
 
     cable_speed: float = math.inf
@@ -53,17 +57,20 @@ class ActuatorLimits:
 
     @property
     def need_simulation(self) -> bool:
-        """True if a limit is set that needs a simulated cycle."""
+        """True if a limit is set whose check needs a simulated cycle."""
         simulated = self.cable_force, self.electrical_power, self.stall_force, self.pushing_force
         return any(math.isfinite(limit) for limit in simulated)
 
     def tightened(self, other: ActuatorLimits) -> ActuatorLimits:
-        """Return the smaller of both limits for each quantity."""
+        """Return limits with the smaller value of ``self`` and ``other`` for each quantity."""
         pairs = zip(dataclasses.astuple(self), dataclasses.astuple(other), strict=True)
         return ActuatorLimits(*(min(pair) for pair in pairs))
 
     def ratios(self, speed: Array, peak: Peaks) -> dict[str, Array]:
-        """Return each quantity over its limit, by name of the limit; ``speed`` of the cable in m/s of shape (n,)."""
+        """Return the ratio of each quantity to its limit, by name of the limit.
+
+        ``speed`` is the largest cable speed in m/s, shape (n,).
+        """
         return {
             "cable_speed": speed / self.cable_speed,
             "cable_force": peak.force / self.cable_force,
@@ -97,10 +104,14 @@ NO_LIMITS = ActuatorLimits()
 
 @dataclass(frozen=True)
 class Peaks:
-    """Largest cable force in N, power in W and load (1) relative to the motors' line in a cycle, each of shape (n,).
+    """Extremes of gaits in a cycle; every field has shape (n,).
 
-    ``push`` is the largest force in N with which the cable would have to push, 0 if it always pulls. ``mean_force`` is
-    the mean pull of the cable in N.
+    Attributes:
+        force: largest cable force, N.
+        power: largest source power, W.
+        motor_load: largest F_c/stall_force + speed/no_load_speed while the cable is wound up, see `ActuatorLimits`.
+        push: largest force with which the cable would have to push, N; 0 if it always pulls.
+        mean_force: mean pull of the cable, N; pushing counts as 0.
     """
 
     force: Array
@@ -123,9 +134,9 @@ def peaks(
     limits: ActuatorLimits = NO_LIMITS,
     shape: Shapes = SINUSOID,
 ) -> Peaks:
-    """Return the peaks over a periodic cycle of gaits, ``stroke`` in m and ``frequency`` in Hz of shape (n,).
+    """Return the peaks of gaits over a periodic cycle; NaN for a gait that the simulator cannot evaluate.
 
-    ``limits`` contain the ends of the motors' line. The peaks are NaN for gaits that the simulator cannot evaluate.
+    ``stroke`` in m and ``frequency`` in Hz have shape (n,). ``limits`` contain the ends of the motors' line.
     """
     shapes = np.broadcast_to(shape, np.shape(stroke))
     phases = sample_phases(shapes, _SAMPLES)
@@ -135,7 +146,9 @@ def peaks(
     pulled = pull_rate(shapes, phases) * np.multiply(frequency, stroke)[:, np.newaxis]
     pull = np.maximum(force, 0.0)
     around = np.column_stack([phases[:, -1] - 1.0, phases, phases[:, 0] + 1.0])
-    shares = 0.5 * (around[:, 2:] - around[:, :-2])  # of the cycle, which each sample represents
+    shares = 0.5 * (
+        around[:, 2:] - around[:, :-2]
+    )  # share of the cycle that each sample represents
     load = np.where(pulled > 0.0, pull / limits.stall_force + pulled / limits.no_load_speed, 0.0)
     return Peaks(
         force=force.max(axis=1),
@@ -154,9 +167,9 @@ def describe_limit(
     parameters: Parameters,
     shape: Shapes = SINUSOID,
 ) -> str:
-    """Return a text that names the limit that excludes all of some gaits, and the least value that they need.
+    """Return a text with the limit that excludes all of the given gaits, and the least excess over it.
 
-    ``stroke`` in m and ``frequency`` in Hz of shape (n,), at least one gait, of which none satisfies all limits.
+    ``stroke`` in m and ``frequency`` in Hz have shape (n,), n ≥ 1. None of the gaits satisfies all limits.
     """
     peak = peaks(stroke, frequency, direction, parameters, limits, shape)
     speed = peak_rate(shape) * stroke * frequency
@@ -165,6 +178,6 @@ def describe_limit(
     if ratio > 1.0:
         return (
             f"limits: {name} excludes every gait that moves: the least demanding one needs {ratio:.3g} times the limit "
-            f"({limits.description()}): raise it"
+            f"({limits.description()}): raise this limit"
         )
     return f"limits: no gait that moves satisfies all of {limits.description()}: raise one of them"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Shapes of the commanded contraction: all fields of the waveform except stroke and frequency."""
+"""Shapes of the commanded contraction: all fields of a waveform except stroke and frequency."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from worm_model.gait import GAIT_DEFAULTS, SHAPE, Profile
 
 Array = NDArray[np.float64]
-# Rows of SHAPE_ROW, shape (n,).
-Shapes = NDArray[np.void]
+Shapes = NDArray[np.void]  # structured array with the fields of SHAPE_ROW
 
 SHAPE_ROW = np.dtype([(name, np.float64) for name in SHAPE])
 #: the paper's gait, shape ()
@@ -20,12 +19,15 @@ SINUSOID: Shapes = np.array(tuple(GAIT_DEFAULTS[name] for name in SHAPE), SHAPE_
 
 
 def fields_of(shape: Shapes) -> dict[str, Any]:
-    """Return the fields of shapes by name, each with the dimensions of ``shape``."""
+    """Return the fields of shapes by name. Each field has the dimensions of ``shape``."""
     return {name: shape[name] for name in SHAPE}
 
 
 def shapes_of(count: int, **fields: ArrayLike) -> Shapes:
-    """Return ``count`` shapes with some fields (m or 1, scalars or (count,)) other than the paper's."""
+    """Return ``count`` shapes of the paper's gait with the given fields replaced.
+
+    Each field is a scalar or has shape (count,), in m or 1.
+    """
     shape = np.full(count, SINUSOID)
     for name, values in fields.items():
         shape[name] = values
@@ -33,16 +35,17 @@ def shapes_of(count: int, **fields: ArrayLike) -> Shapes:
 
 
 def peak_rate(shape: Shapes) -> Array:
-    """Return the largest commanded cable speed of shapes, relative to stroke times frequency."""
+    """Return the largest commanded cable speed of shapes, divided by stroke times frequency."""
     faster = np.minimum(shape["contraction_share"], 1.0 - shape["contraction_share"])
     steady = 1.0 / (1.0 - shape["ramp_share"])
     return np.where(shape["profile"] == Profile.COSINE, 0.5 * np.pi, steady) / faster
 
 
 def pull_rate(shape: Shapes, phases: Array) -> Array:
-    """Return the speed at which shapes (n,) wind the cable, relative to stroke times frequency.
+    """Return the speed at which shapes (n,) wind up the cable, divided by stroke times frequency, shape (n, m).
 
-    ``phases`` of shape (n, m) are shares of a cycle. The result, of shape (n, m), is 0 while the body extends.
+    ``phases`` (n, m) are times since the begin of the cycle, divided by its period. The speed is 0 while the body
+    extends.
     """
     share, ramp = shape["contraction_share"][:, np.newaxis], shape["ramp_share"][:, np.newaxis]
     part = np.minimum(phases / share, 1.0)
@@ -53,10 +56,11 @@ def pull_rate(shape: Shapes, phases: Array) -> Array:
 
 
 def sample_phases(shape: Shapes, count: int) -> Array:
-    """Return phases of shapes (n,) for ``count`` samples of a cycle, an even number, ascending, of shape (n, count).
+    """Return the phases at which cycles of shapes (n,) are sampled, ascending, shape (n, count).
 
-    Both halves have as many, and so have the two ramps and the steady part of a trapezoid. The ends of the ramps, where
-    force and power are often extreme, are among them, so that the extremes are continuous in the shape.
+    ``count`` is even. Half of the phases lie in the contraction, half in the extension. In a trapezoid, each ramp has a
+    quarter of these, and the steady part has the rest. The ends of the ramps, where force and power are often extreme,
+    are among the phases, so that the sampled extremes are continuous functions of the shape.
     """
     share, ramp = shape["contraction_share"][:, np.newaxis], shape["ramp_share"][:, np.newaxis]
     part = np.arange(count // 2) / (count // 2)

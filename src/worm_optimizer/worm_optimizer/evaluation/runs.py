@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs of a step function of the stroke. A scan finds its steps, and bisection locates them."""
+"""Runs of equal values of a step function of the stroke. A scan finds the steps, and bisection locates them."""
 
 from __future__ import annotations
 
@@ -12,19 +12,23 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-# Returns the labels of strokes in m, each in a column (such as a frequency), both of shape (n,).
+# Returns the labels (values of the step function) of strokes (n,) in m in columns (n,). Each column has its own step
+# function, for example because it is another frequency.
 Label = Callable[[Array, Index], Index]
 
-_PARTS = 8  # first division of an interval with a step, which finds thin runs next to the step
+_PARTS = 8  # number of parts into which an interval with a step is divided first, to find narrow runs next to the step
 
 
 @dataclass(frozen=True)
 class Runs:
     """Maximal intervals of the stroke with one label, by column and rising stroke; every field has shape (n,).
 
-    ``low`` and ``high`` in m are the shortest and the longest evaluated stroke with the ``label``. ``stepped`` is True
-    if a stroke with another label precedes ``low`` by at most the tolerance; otherwise ``low`` is the first stroke of
-    the scan.
+    Attributes:
+        column: index of the column.
+        label: label of all strokes of the run.
+        low, high: shortest and longest evaluated stroke of the run, m.
+        stepped: True if a stroke with another label precedes ``low`` by at most the tolerance. False if ``low`` is the
+            first stroke of the scan.
     """
 
     column: Index
@@ -37,9 +41,9 @@ class Runs:
 def find_runs(label: Label, strokes: Array, tolerance: float) -> Runs:
     """Find the runs of all columns at once.
 
-    ``strokes`` in m of shape (columns, scan), not decreasing along each row, are evaluated first. Every interval
-    between neighbours with different labels is then halved until it is at most ``tolerance`` m wide. A run that
-    lies between two strokes of the scan with equal labels is not found.
+    The scan evaluates ``strokes`` in m, shape (columns, scan), which do not decrease along each row. Each interval
+    between neighbours with different labels is then divided into `_PARTS` parts, and halved until it is at most
+    ``tolerance`` m wide. A run that lies between two strokes of the scan with equal labels is not found.
     """
     columns, scan = strokes.shape
     column = np.repeat(np.arange(columns), scan)

@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Limits on gaits from the driver's parameter file and its servo models.
-
-The file has the format of ROS 2 parameters. The motors' data are those of `worm_msgs.servo_models`.
-"""
+"""Limits on gaits from the driver's parameter file (format of ROS 2 parameters) and `worm_msgs.servo_models`."""
 
 from __future__ import annotations
 
@@ -26,7 +23,7 @@ _SHUNT_RANGE = 0.32  # V over the shunt of an INA219 at its widest (TI SBOS448, 
 
 @dataclass(frozen=True)
 class DriverFile:
-    """Parameters in the driver's file that limit gaits, SI units. The defaults are the driver's."""
+    """Parameters of the driver's file that limit gaits, in SI units, with the driver's defaults."""
 
     i2c_bus: str = "1"
     shunt: Annotated[float, key("ina219.shunt_resistance_ohm", gt=0.0)] = 0.1
@@ -42,7 +39,7 @@ class DriverFile:
     max_servo_load: Annotated[float, key("limits.max_servo_load", gt=0.0)] = 0.9
 
 
-# Former names in the driver's file, the same as in worm_msgs.parameter_rows for the driver itself.
+# Former names in the driver's file. worm_msgs.parameter_rows contains them for the driver itself.
 DRIVER_RENAMED: Mapping[str, str] = {
     "ina219.max_current_A": "ina219.max_current_a",
     "limits.max_frequency_Hz": "limits.max_frequency_hz",
@@ -63,9 +60,10 @@ class ServoModel:
     measures_current: bool
 
     def torque(self, max_current: float, max_load: float, voltage: float) -> float:
-        """Return the largest torque in N·m at a supply voltage in V, with a current of at most ``max_current`` A.
+        """Return the largest torque in N·m at a supply voltage in V.
 
-        For a model that does not measure its current, it is the share ``max_load`` of the stall torque.
+        The current is limited to ``max_current`` A. A model that does not measure its current is instead limited to the
+        share ``max_load`` of its stall torque.
         """
         stall = self.stall_torque * voltage / self.voltage
         if not self.measures_current:
@@ -75,10 +73,14 @@ class ServoModel:
 
 @dataclass(frozen=True)
 class DrivenBy:
-    """Limits of a robot in the driver's parameter file, SI units.
+    """Limits of a robot from the driver's parameter file, in SI units.
 
-    ``spool_radii`` of the cable servos, which pull side by side; ``sensor_current`` in A is the range of
-    the power sensor, infinite without one.
+    Attributes:
+        spool_radii: spool radius of each cable servo. The cables are parallel.
+        max_stroke, max_frequency, max_cable_speed: limits of a gait.
+        max_servo_current: largest current of a servo that measures its current.
+        max_servo_load: largest share of the stall torque for a servo that does not.
+        sensor_current: range of the power sensor; infinite without a sensor.
     """
 
     spool_radii: tuple[float, ...]
@@ -110,25 +112,28 @@ def _initial(value: Initial) -> int:
 
 
 def servo_model(name: str) -> ServoModel | None:
-    """Return the model of a name, None for an empty one; raise `OptimizerError` naming the known models."""
+    """Return the model of a name; None for an empty name.
+
+    Raises `OptimizerError`, with the known names, if the name is unknown.
+    """
     if not name:
         return None
     models = servo_models()
-    plain = name.removesuffix("-T").removesuffix("-R")  # the suffix of its bus
+    plain = name.removesuffix("-T").removesuffix("-R")  # suffix of the bus (TTL or RS-485)
     if plain not in models:
         raise OptimizerError(f"servo model: {name!r} is none of {', '.join(models)}")
     return models[plain]
 
 
 def load_driver_file(path: str | Path) -> DrivenBy:
-    """Return the content of the driver's parameter file; raises `OptimizerError` whose message starts with the path."""
+    """Return the limits in the driver's parameter file. Raises `OptimizerError`, with the path, if it is invalid."""
     from_file = _parameters_of_driver(read_yaml(Path(path), OptimizerError))
     if not from_file:
         raise OptimizerError(f"{path}: contains no ros__parameters of a node named driver")
     for former, name in DRIVER_RENAMED.items():
         if former in from_file and name in from_file:
             raise OptimizerError(
-                f"{path}: {name} is also given by its former name {former}: remove {former}"
+                f"{path}: contains {name} and its former name {former}: remove {former}"
             )
         if former in from_file:
             text = f"{path}: {former} is now named {name}: rename it, as the next version ignores {former}"
@@ -154,8 +159,9 @@ def load_driver_file(path: str | Path) -> DrivenBy:
 def limits_of(driver: DrivenBy, model: ServoModel | None, voltage: float | None) -> ActuatorLimits:
     """Return the limits of a driver and its cable servos.
 
-    Without a model, these are the driver's limit of the cable speed and, if the supply ``voltage`` in V is given, of
-    the power. A ``voltage`` of None is the model's nominal one. Parallel cables share the force equally.
+    Without a model, only the driver's limits apply: that of the cable speed and, if the supply ``voltage`` (V) is
+    given, that of the power. With a model, a ``voltage`` of None means the nominal voltage of the model. Parallel
+    cables share the force equally.
     """
     volts = voltage or (model.voltage if model else math.inf)
     power = driver.sensor_current * volts
@@ -179,10 +185,10 @@ def limits_of(driver: DrivenBy, model: ServoModel | None, voltage: float | None)
 def within(
     bounds: Bounds, limits: ActuatorLimits, file: str, model: str, voltage: float | None
 ) -> tuple[Bounds, ActuatorLimits]:
-    """Return a box and limits, tightened to those of the driver of ``file`` and its servo model.
+    """Return a box and limits, tightened to those of the driver's parameter file and a servo model.
 
-    An empty ``file`` changes nothing. Raises `OptimizerError` if the file or the model is invalid, if the box becomes
-    empty, or for a model or a supply ``voltage`` in V without a file.
+    An empty ``file`` changes nothing. Raises `OptimizerError` if the file, the model or the supply ``voltage`` (V) is
+    invalid, if the box becomes empty, or if a model or a voltage is given without a file.
     """
     known = servo_model(model)
     if voltage is not None and not 0.0 < voltage < math.inf:
@@ -191,7 +197,7 @@ def within(
         if model or voltage is not None:
             raise OptimizerError(
                 "servo model and supply voltage have no effect without the driver's parameter file, "
-                "which contains the spool radii: give that too"
+                "which contains the spool radii: give this file, too"
             )
         return bounds, limits
     driver = load_driver_file(file)

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Optimisation tasks: the box of gaits, the actuator limits, and the batch evaluation of gaits and of branch edges.
 
-Every search (the exact front, NSGA-II) uses a `Task`. The task defines the grooves that a gait gains: either
-those that it gains with an enlarged threshold (`MarginTask`), or those that it gains with a required probability
-(`chance.PromiseTask`).
+Every search (the exact front, NSGA-II) uses a `Task`. The task defines how many grooves a gait gains: those gained with
+an enlarged threshold (`MarginTask`), or those gained with a required probability (`chance.PromiseTask`).
 """
 
 from __future__ import annotations
@@ -27,18 +26,19 @@ from worm_optimizer.optimizer_errors import OptimizerError
 
 Mask = NDArray[np.bool_]
 
-_TRANSIENT = 0.05  # pitches; by less than this, a cycle's advance may fall short of whole grooves during the transient
-EDGE_TOLERANCE = 1e-8  # m, width of the bracket to which the edge of a branch is bisected
-# m by which a gait is placed beyond that bracket. On its exact edge, rounding on another processor could lose a groove.
-# The allowance costs less than a millionth of the power.
+_TRANSIENT = 0.05  # largest shortfall of a cycle's advance from whole grooves that counts as transient, pitches
+EDGE_TOLERANCE = 1e-8  # width of the bracket to which the edge of a branch is bisected, m
+# Distance of a gait from that bracket, m. On the exact edge, rounding on another processor could lose a groove. The
+# allowance costs less than a millionth of the power.
 EDGE_ALLOWANCE = 1e-8
 
 
 @dataclass(frozen=True)
 class Bounds:
-    """Box of gaits, p_min ≤ [S, f] ≤ p_max below eq:moo_formulation; strokes in m, frequencies in Hz.
+    """Box of gaits: p_min ≤ [S, f] ≤ p_max in the paper, below eq:moo_formulation; strokes in m, frequencies in Hz.
 
-    The defaults are the paper's. Equal ends fix a value. Raises `OptimizerError` unless 0 < low ≤ high on both axes.
+    The defaults are the paper's. Equal ends fix a value. Raises `OptimizerError` unless 0 < low ≤ high ≤ the maximum of
+    a gait, for strokes and frequencies.
     """
 
     stroke_low: float = gait.STROKE_RANGE[0]
@@ -61,12 +61,12 @@ def _check_range(name: str, low: float, high: float, most: float, unit: str) -> 
 
 @dataclass(frozen=True)
 class Points:
-    """Evaluated gaits, one row each; every field is an array of shape (n,).
+    """Evaluated gaits, one row for each; every field has shape (n,).
 
     ``speed`` is along the gait's direction. ``count`` identifies the branch: the grooves gained in all averaged cycles
-    together, 0 unless each of them gains one. ``violation`` is the largest ratio of a quantity to its actuator
-    limit, minus 1. It is at most 0 for a gait that satisfies all limits and gains a groove in every averaged cycle.
-    ``shape`` is by default the paper's.
+    together, or 0 if one of these cycles gains none. ``violation`` is the largest ratio of a quantity to its actuator
+    limit, minus 1. It is 1 for a gait with count 0, and at most 0 for a moving gait that satisfies all limits. The
+    default of ``shape`` is the paper's.
     """
 
     stroke: Array  # m
@@ -87,7 +87,7 @@ class Points:
 
     @property
     def admissible(self) -> Mask:
-        """True for gaits without a violation."""
+        """True for gaits that move and satisfy all limits."""
         return self.violation <= 0.0
 
     def __len__(self) -> int:
@@ -106,24 +106,24 @@ class Points:
 
 
 def branch_of(table: GaitTable) -> Index:
-    """Return the whole grooves gained in the averaged cycle with the least advance of each gait of a table, at least 0.
+    """Return the whole number of grooves that each gait of a table gains in its worst averaged cycle, at least 0.
 
-    The table contains the advance of the rear module in pitches, which differs from a whole number by the rest of the
-    transient. Gaits that the simulator cannot evaluate (NaN) gain nothing.
+    The advance of the rear module in the table, in pitches, differs from a whole number by the rest of the transient.
+    Gaits that the simulator cannot evaluate (NaN) gain nothing.
     """
     advance = np.nan_to_num(table.min_grooves, nan=0.0)
     return np.floor(np.maximum(advance, 0.0) + _TRANSIENT).astype(np.int64)
 
 
 def gained_of(table: GaitTable) -> Index:
-    """Return the grooves gained in the averaged cycles together, 0 unless each of them gains one."""
+    """Return the grooves gained in all averaged cycles together, or 0 if one of these cycles gains none."""
     gained = np.where(branch_of(table) >= 1, AVERAGED * table.grooves_per_cycle, 0.0)
     return np.rint(gained).astype(np.int64)
 
 
 @dataclass(frozen=True)
 class Edges:
-    """Lower edges of the branches in some columns: ``points`` with the ``column`` of each, shape (n,)."""
+    """Lower edges of branches: ``points`` and, for each of them, the index of its ``column``, shape (n,)."""
 
     column: Index
     points: Points
@@ -137,24 +137,26 @@ class Task(Protocol):
         """Box of gaits."""
 
     def points(self, stroke: ArrayLike, frequency: ArrayLike, shape: Shapes = SINUSOID) -> Points:
-        """Evaluate gaits; ``stroke`` in m, ``frequency`` in Hz and ``shape`` of shape (n,)."""
+        """Evaluate gaits. ``stroke`` in m, ``frequency`` in Hz and ``shape`` have shape (n,)."""
 
     def edges(self, frequency: Array, strokes: Array, count: Index | None = None) -> Edges:
-        """Find the shortest admissible stroke of each branch at each ``frequency`` in Hz of shape (m,).
+        """Find the shortest admissible stroke of each branch at each frequency (column).
 
-        ``strokes`` in m of shape (m, scan), rising along each row, span the searched range within the box. If ``count``
-        (m,) is given, only the edges with that count are needed.
+        Args:
+            frequency: frequency of each column in Hz, shape (m,).
+            strokes: rising strokes in m, shape (m, scan), which span the range to search within the box.
+            count: if given, only edges with this count are needed in each column, shape (m,).
         """
 
 
 @dataclass(frozen=True)
 class MarginTask:
-    """Task of eq:moo_formulation with thresholds enlarged by ``margin`` m (eq:A1_switch_robust).
+    """Task of eq:moo_formulation with thresholds enlarged by ``margin`` in m (eq:A1_switch_robust).
 
-    ``bounds.stroke_high`` limits the largest contraction, including the pretension. ``holding_power`` in W/N is added
-    to the power for each newton of the mean cable force, as servos draw current for a torque at standstill.
+    ``bounds.stroke_high`` limits the largest contraction, including the pretension. ``holding_power`` (W/N) times the
+    mean pull of the cable is added to the power, because servos draw current for a torque even at standstill.
 
-    Raises `OptimizerError` if the margin, the direction, a stroke of the box or a limit is not admissible.
+    Raises `OptimizerError` if the margin, the direction, a stroke of the box or a limit is inadmissible.
     """
 
     parameters: Parameters = PAPER
@@ -197,9 +199,9 @@ class MarginTask:
         overrides: Mapping[str, Array] | None = None,
         shape: Shapes = SINUSOID,
     ) -> GaitTable:
-        """Return the simulator's table of gaits; all arguments are broadcast together.
+        """Return the simulator's table of gaits. All arguments are broadcast together.
 
-        ``margin`` in m replaces the task's; ``overrides`` contains arrays of parameter values by key.
+        ``margin`` in m replaces that of the task. ``overrides`` contains arrays of parameter values by key.
         """
         return evaluate_gaits(
             stroke,
@@ -219,7 +221,7 @@ class MarginTask:
         overrides: Mapping[str, Array] | None = None,
         shape: Shapes = SINUSOID,
     ) -> Index:
-        """Return the least grooves gained in an averaged cycle along the direction, at least 0; see `table`."""
+        """Return the grooves gained along the direction in the worst averaged cycle, at least 0; see `table`."""
         return branch_of(self.table(stroke, frequency, margin, overrides, shape))
 
     def points(
@@ -229,7 +231,7 @@ class MarginTask:
         shape: Shapes = SINUSOID,
         margin: ArrayLike | None = None,
     ) -> Points:
-        """Evaluate gaits, see `Task`; ``margin`` in m replaces the task's."""
+        """Evaluate gaits, see `Task`. ``margin`` in m replaces that of the task."""
         strokes, frequencies = np.asarray(stroke, dtype=float), np.asarray(frequency, dtype=float)
         shapes = np.broadcast_to(shape, strokes.shape)
         table = self.table(strokes, frequencies, margin, shape=shapes)
@@ -249,7 +251,7 @@ class MarginTask:
         count: Index | None = None,
         margin: Array | None = None,
     ) -> Edges:
-        """Find the lower edges of all branches by scan and bisection, see `Task`; ``margin`` in m of shape (m,)."""
+        """Find the lower edges of all branches by scan and bisection, see `Task`. ``margin`` in m has shape (m,)."""
         margins = np.full(frequency.shape, self.margin) if margin is None else margin
         within = np.clip(strokes, self.bounds.stroke_low, self.bounds.stroke_high)
 
@@ -257,7 +259,7 @@ class MarginTask:
             return self.points(stroke, frequency[column], margin=margins[column])
 
         def label(stroke: Array, column: Index) -> Index:
-            # The label is even within the actuator limits and odd beyond them. A limit is then located like an edge.
+            # The label is even within the actuator limits and odd beyond them, so that limits are located like edges.
             found = points(stroke, column)
             return np.where(found.count > 0, 2 * found.count + ~found.admissible, 0)
 
@@ -278,7 +280,7 @@ class MarginTask:
         return self.holding_power * peak.mean_force
 
     def _excess(self, stroke: Array, frequency: Array, shape: Shapes) -> Array:
-        """Return the relative excess of moving gaits over the limits, 1 if the simulator cannot evaluate a gait."""
+        """Return the relative excess of moving gaits over the limits; 1 for gaits that cannot be simulated."""
         peak = Peaks.none(stroke.size)
         if self.limits.need_simulation:
             peak = peaks(stroke, frequency, self.direction, self.parameters, self.limits, shape)

@@ -20,7 +20,7 @@ REASON_S = 2.0  # timeout for the reason of a rejection, s
 
 
 class ActionGoal:
-    """Goal of an action. It belongs to the thread that spins the node; no call blocks.
+    """Goal of an action. Only the thread that spins the node may use it. No call blocks.
 
     Args:
         node: the client's node.
@@ -32,7 +32,7 @@ class ActionGoal:
         name: name of the action.
         rejected: True if the server rejected the goal.
         reason: reason of the rejection; empty until it arrives.
-        received_at: time of the latest feedback, or of the creation (s, monotonic).
+        received_at: time of the latest feedback, s (monotonic clock); before the first, time of the creation.
     """
 
     def __init__(self, node: Node, kind: Any, name: str, goal: Any) -> None:
@@ -69,24 +69,26 @@ class ActionGoal:
 
     @property
     def done(self) -> bool:
-        """True after the result, or after a rejection and its reason; without a reason, after a timeout."""
+        """True when the result has arrived, or the reason of a rejection, or `REASON_S` after a rejection."""
         if self.rejected:
             return bool(self.reason) or time.monotonic() > self._rejected_at + REASON_S
         return self._ended is not None and self._ended.done()
 
     @property
     def rejection(self) -> str:
-        """Message that the goal was rejected, with the reason."""
-        return f"rejected: {self.reason or f'the log of the server of {self.name} says why'}"
+        """Message with the reason of the rejection; without a known reason, with a hint to the server's log."""
+        return (
+            f"rejected: {self.reason or f'see the log of the server of {self.name} for the reason'}"
+        )
 
     def cancel(self) -> None:
-        """Cancel the goal; before it is accepted, the request follows the acceptance."""
+        """Cancel the goal. If it is not yet accepted, it is cancelled as soon as it is."""
         self._cancelled = True
         if self._handle is not None:
             self._handle.cancel_goal_async()
 
     def close(self) -> None:
-        """Free the client and the subscription, which would otherwise stay in the ROS graph."""
+        """Free the client and the subscription, which would otherwise remain in the ROS graph."""
         self._node.destroy_subscription(self._rejections)
         self._client.destroy()
 
@@ -114,4 +116,4 @@ class ActionGoal:
         self._take(message.feedback)
 
     def _take(self, feedback: Any) -> None:
-        """Process a feedback message; searches send none."""
+        """Process a feedback message. The default does nothing, because searches send no feedback."""

@@ -27,12 +27,13 @@ class GaitRun(ActionGoal):
 
     Args:
         node: the client's node.
-        heartbeat: the node's publisher of Heartbeat. It exists before the run, so that the driver has discovered it.
+        heartbeat: publisher of Heartbeat. It must exist before the run, so that the driver has discovered it.
         order: the gait to run and its end.
         wanted: called before each heartbeat. If it returns False, no heartbeat is sent and the robot comes to rest.
 
     Attributes:
-        progress: latest feedback of the run, None before the first.
+        order: see above.
+        progress: latest feedback of the run; None before the first feedback.
     """
 
     def __init__(
@@ -48,7 +49,7 @@ class GaitRun(ActionGoal):
         self._timer.cancel()
 
     def send(self) -> None:
-        """Send the goal to the driver and start the heartbeat."""
+        """Send the goal to the driver and start the heartbeats."""
         super().send()
         self._timer.reset()
 
@@ -60,7 +61,7 @@ class GaitRun(ActionGoal):
         return value_of(RunResult, self._message(), gait=self.order.gait)
 
     def close(self) -> None:
-        """Stop the heartbeat and free the client; a run that has not ended comes to rest."""
+        """Stop the heartbeats and free the client. A run that has not ended comes to rest."""
         self._node.destroy_timer(self._timer)
         super().close()
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Operator actions on a robot as calls with timeouts, for `operate`, the demo, the campaign and the console.
 
-All calls use public topics, services and actions. An operator node belongs to one thread, and a call spins the node
-while it waits. A running gait is a `GaitRun`; its heartbeat needs a node that is spun.
+All calls use public topics, services and actions. Only one thread may use an operator node. A call spins the node while
+it waits. A running gait is a `GaitRun`, whose heartbeats are sent only while the node spins.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ DRIVER, TWIN, OPTIMIZER = "driver", "twin", "optimizer"  # names of the nodes in
 SILENCE_S = 60.0  # timeout for feedback of a running gait
 REASON_S = 1.0  # timeout for the driver's log message about a failed transition
 TELEMETRY_S = 1.0  # timeout of `current_snapshot` for the topics of power, tracker and twin
-ATTEMPTS = 2  # lifecycle transitions from unconfigured to active
+ATTEMPTS = 2  # largest number of transitions to the state active, one from unconfigured and one from inactive
 _NEXT = {
     State.PRIMARY_STATE_UNCONFIGURED: Transition.TRANSITION_CONFIGURE,
     State.PRIMARY_STATE_INACTIVE: Transition.TRANSITION_ACTIVATE,
@@ -73,20 +73,20 @@ _Goal = TypeVar("_Goal", bound=ActionGoal)
 
 
 class UnreachableError(OperatorError):
-    """No gait of the front satisfies a request; the message names the nearest one."""
+    """No gait of the front satisfies a request. The message contains the nearest one."""
 
 
 class GaitFailedError(OperatorError):
-    """A gait was started and did not reach its end."""
+    """The driver rejected a gait, or a gait did not reach its end."""
 
 
 @contextmanager
 def operator(
     namespace: str, check: Callable[[], None] = lambda: None, name: str = "operator"
 ) -> Iterator[OperatorNode]:
-    """Provide an operator node with its own ROS context, which leaves signals to Python.
+    """Provide an operator node with its own ROS context, which installs no signal handlers.
 
-    On exit the node leaves the ROS graph, also after an exception.
+    When the context manager ends, also with an exception, the node leaves the ROS graph.
 
     Args:
         namespace: the robot's namespace.
@@ -94,7 +94,7 @@ def operator(
         name: name of the node.
 
     Raises:
-        OperatorError: The node cannot be created; middleware, domain or security is not available.
+        OperatorError: The node cannot be created, because middleware, domain or security is unavailable.
     """
     with ExitStack() as stack:
         context = rclpy.Context()
@@ -120,7 +120,7 @@ class OperatorNode(ServiceCaller):
 
     Attributes:
         graph: the ROS graph of the robot.
-        late_cycles: deadlines that the driver has missed since its start, according to its diagnostics.
+        late_cycles: number of deadlines that the driver has missed since its start, according to its diagnostics.
     """
 
     def __init__(
@@ -163,7 +163,7 @@ class OperatorNode(ServiceCaller):
 
     @property
     def robot_time_s(self) -> float:
-        """Time of the virtual robot in this namespace (s); without one, the computer's monotonic time."""
+        """Time of the virtual robot in this namespace, s; without a virtual robot, time of the monotonic clock, s."""
         return time.monotonic() if self._simulated_s is None else self._simulated_s
 
     # --- the state of the robot ----------------------------------------------------------------
@@ -182,13 +182,13 @@ class OperatorNode(ServiceCaller):
         self._telemetry.subscribe_to_all()
 
     def snapshot(self) -> Snapshot:
-        """Return what was received of the robot. Other threads may call this."""
+        """Return the latest state of the robot from the messages received so far. Any thread may call this."""
         return self._telemetry.snapshot()
 
     def current_snapshot(self) -> Snapshot:
-        """Return the state of the robot after a wait for all its topics. Raises `OperatorError` without a driver.
+        """Wait up to `TELEMETRY_S` for a message of each measurement, and return the state of the robot.
 
-        Topics that are not published are missing after TELEMETRY_S.
+        Raises `OperatorError` without a driver.
         """
         self.subscribe_to_all()
         self.wait_for_driver(DISCOVERY_TIMEOUT_S)
@@ -201,12 +201,12 @@ class OperatorNode(ServiceCaller):
 
     @property
     def has_driver(self) -> bool:
-        """True if a driver is in the graph."""
+        """True if the ROS graph of the robot contains a driver."""
         return self.graph.publishers("gait_state") > 0
 
     @property
     def has_lost_driver(self) -> bool:
-        """True if a driver has disappeared, and its latest message did not report it as inactive."""
+        """True if the driver has disappeared and was not inactive according to its latest message."""
         driver = self._telemetry.driver
         return driver is not None and driver.state is not Activity.INACTIVE and not self.has_driver
 
@@ -217,7 +217,7 @@ class OperatorNode(ServiceCaller):
 
     @property
     def runs_of_others(self) -> int:
-        """Number of runs that other clients started. Valid if this operator is older than the driver's first run."""
+        """Number of runs that other clients started. Valid if this operator existed before the driver's first run."""
         return self._runs - self._own_runs
 
     @property
@@ -225,31 +225,31 @@ class OperatorNode(ServiceCaller):
         driver = self._telemetry.driver
         return 0 if driver is None else driver.run
 
-    # --- what a person does --------------------------------------------------------------------
+    # --- commands ------------------------------------------------------------------------------
 
     def activate(self) -> str:
         """Configure and activate the driver; return a report. Raises `OperatorError` if it does not become active."""
-        asked = 0
+        attempts = 0
         while (state := self._state(DRIVER)).id != State.PRIMARY_STATE_ACTIVE:
-            if state.id not in _NEXT or asked == ATTEMPTS:
+            if state.id not in _NEXT or attempts == ATTEMPTS:
                 raise OperatorError(f"{DRIVER} stays {state.label}: {self._reason()}")
-            asked += 1
+            attempts += 1
             self._errors.clear()
             self._change(DRIVER, _NEXT[state.id])
         return "the driver is active, its torque is on"
 
     def configure(self) -> None:
-        """Configure the driver if it is unconfigured. Raises `OperatorError` if that fails."""
+        """Configure the driver if it is unconfigured. Raises `OperatorError` if the transition fails."""
         if self._state(DRIVER).id == State.PRIMARY_STATE_UNCONFIGURED:
             self._errors.clear()
             if not self._change(DRIVER, Transition.TRANSITION_CONFIGURE):
                 raise OperatorError(f"{DRIVER} cannot be configured: {self._reason()}")
 
     def deactivate(self) -> str:
-        """Deactivate an active driver, which comes to rest and releases torque; return a report.
+        """Deactivate the driver if it is active: the robot comes to rest and releases torque. Return a report.
 
         Raises:
-            OperatorError: The driver stays active.
+            OperatorError: The driver remains active.
         """
         if self._state(DRIVER).id == State.PRIMARY_STATE_ACTIVE:
             self._errors.clear()
@@ -269,11 +269,11 @@ class OperatorNode(ServiceCaller):
         return self._trigger("reboot")
 
     def stop(self) -> str:
-        """Stop the cable where it is, immediately; return the driver's report. Raises `OperatorError`."""
+        """Hold cable and fins where they are, immediately; return the driver's report. Raises `OperatorError`."""
         return self._trigger("stop")
 
     def prepare_stop(self) -> None:
-        """Create the client of the stop service, so that it is discovered before it is needed."""
+        """Create the client of the stop service, so that `stop` does not have to wait for its discovery."""
         self.named_client(Trigger, "stop")
 
     def emergency_stop(self) -> str:
@@ -298,7 +298,7 @@ class OperatorNode(ServiceCaller):
         return "holding; nothing starts before the emergency stop is reset"
 
     def request_control(self, client: str, wish: Wish, lease_s: float) -> None:
-        """Publish a client's request about the control of the robot. `Snapshot.control` has the answer."""
+        """Publish a client's wish to have, hand over or release control. `Snapshot.control` contains the answer."""
         self._control.publish(ControlRequest(client=client, wish=wish, lease_s=lease_s))
 
     def reset_emergency_stop(self) -> str:
@@ -317,7 +317,7 @@ class OperatorNode(ServiceCaller):
 
         Args:
             name: name of the fault.
-            details: further fields of InjectFault: target, delay, duration, count, value.
+            details: other fields of the request InjectFault: target, delay, duration, count, value.
 
         Raises:
             OperatorError: The virtual robot rejects the fault or does not answer.
@@ -337,13 +337,13 @@ class OperatorNode(ServiceCaller):
         """Request a gait from the optimizer.
 
         Args:
-            request: objective and its value.
+            request: objective, and its value if it needs one.
             direction: FORWARD or REVERSE.
-            initial_length: L0 (m), for example that of the twin's state; 0: that of the optimizer's parameters.
+            initial_length: L0, m, for example that of the twin's state; 0 for that of the optimizer's parameters.
 
         Raises:
             UnreachableError: No gait of the front satisfies the request.
-            OperatorError: There is no gait for another reason, which the message contains.
+            OperatorError: The optimizer does not answer, or returns no gait for another reason.
         """
         message = RequestGait.Request(
             objective=int(request.objective), direction=direction, initial_length=initial_length
@@ -362,11 +362,11 @@ class OperatorNode(ServiceCaller):
     def begin(self, order: GaitCommand, wanted: Callable[[], bool] = lambda: True) -> GaitRun:
         """Start a gait. The caller must close the returned handle.
 
-        The robot comes to rest when the heartbeats of this operator stop, or when ``wanted`` returns False.
-        ``wanted`` is called four times a second.
+        This operator sends heartbeats while its node spins and ``wanted``, which is called before each, returns True.
+        Without heartbeats, the robot comes to rest.
 
         Raises:
-            OperatorError: There is no driver, more than one, or no answer.
+            OperatorError: There is no driver, there are several, or the driver does not answer.
         """
         self.graph.require_sole_driver()
         return self._sent(GaitRun(self, self._heartbeat, order, wanted))
@@ -376,16 +376,15 @@ class OperatorNode(ServiceCaller):
     ) -> SearchGoal:
         """Start a margin scan or an optimisation. The caller must close the returned handle.
 
-        The search runs in the background; ``on_end`` is called with its result. Raises `OperatorError` if there is no
-        optimizer.
+        ``on_end`` is called later with the result, while the node spins. Raises `OperatorError` without an optimizer.
         """
         return self._sent(SearchGoal(self, order, on_end))
 
     def set_parameters(self, node: str, values: Mapping[str, str | float]) -> None:
-        """Set parameters of a node, all or none.
+        """Set parameters of a node atomically: if a value is rejected, none is set.
 
         Raises:
-            OperatorError: The node rejects a value.
+            OperatorError: The node rejects a value or does not answer.
         """
         parameters = [Parameter(name=name, value=_value(value)) for name, value in values.items()]
         request = SetParametersAtomically.Request(parameters=parameters)
@@ -398,7 +397,7 @@ class OperatorNode(ServiceCaller):
         """Set parameters of twin and optimizer, such as their parameter file and the conditions in the pipe.
 
         Raises:
-            OperatorError: A node rejects a value; the message says if the twin has accepted it.
+            OperatorError: A node rejects a value or does not answer. The message states if the twin accepted them.
         """
         self.set_parameters(TWIN, values)
         try:
@@ -407,7 +406,7 @@ class OperatorNode(ServiceCaller):
             raise OperatorError(f"only the twin uses the new parameters: {error}") from None
 
     def conditions(self) -> Conditions:
-        """Return the conditions that the optimizer assumes. Raises `OperatorError` if there is no optimizer."""
+        """Return the conditions that the optimizer assumes. Raises `OperatorError` without an optimizer."""
         request = GetParameters.Request(names=list(CONDITION_PARAMETERS))
         answer = self.call_twice(GetParameters, f"{OPTIMIZER}/get_parameters", request)
         values = (value.double_value for value in answer.values)
@@ -418,14 +417,16 @@ class OperatorNode(ServiceCaller):
     ) -> bool:
         """Wait until a run ends or a condition holds; return True if the run has ended.
 
+        The whole run has no timeout, because the time of a virtual robot may advance more slowly than that of the
+        computer.
+
         Args:
             run: the run.
             progress: called with each new feedback.
             until: the condition.
 
         Raises:
-            OperatorError: No feedback arrived for SILENCE_S. There is no limit on the whole run, because a virtual
-                robot's time may be slower than this computer's.
+            OperatorError: No feedback arrived for `SILENCE_S`.
         """
         last = None
         while not run.done and not until():
@@ -442,7 +443,7 @@ class OperatorNode(ServiceCaller):
 
         Raises:
             GaitFailedError: The driver rejected the gait, or it did not reach its end.
-            OperatorError: There is no driver, more than one, or no answer.
+            OperatorError: There is no driver, there are several, or the driver does not answer.
         """
         before = self._runs
         run = self.begin(order)
@@ -459,7 +460,7 @@ class OperatorNode(ServiceCaller):
     # --- calls ---------------------------------------------------------------------------------
 
     def _sent(self, goal: _Goal) -> _Goal:
-        """Send a goal and return it after its acceptance or rejection; close it if there is no answer."""
+        """Send a goal, and return it when it is accepted or rejected. Close the goal if this raises an exception."""
         try:
             if not self.wait(lambda: goal.possible, DISCOVERY_TIMEOUT_S):
                 raise OperatorError(f"no action {goal.name}")
@@ -478,9 +479,9 @@ class OperatorNode(ServiceCaller):
         return str(response.message)
 
     def _reason(self) -> str:
-        """Return the latest error of the driver's log, or a hint to the log if none arrives."""
+        """Return the latest error in the driver's log; if none arrives, a hint to the log."""
         self.wait(lambda: bool(self._errors), REASON_S)
-        return self._errors[-1] if self._errors else "its log says why"
+        return self._errors[-1] if self._errors else "see its log for the reason"
 
     def _state(self, node: str) -> State:
         answer = self.call_twice(GetState, f"{node}/get_state", GetState.Request())

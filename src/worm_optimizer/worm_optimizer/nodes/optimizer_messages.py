@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Conversion between this package's values and the messages of worm_msgs."""
+"""Conversion between dataclasses of this package and the messages of worm_msgs."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ def value_of(kind: type[T], *messages: Any, **known: Any) -> T:
 
     Args:
         kind: the dataclass.
-        messages: sources of the fields; each field is read from the first message that has it.
-        known: fields with given values.
+        messages: messages to read from. Each field is read from the first message that contains it.
+        known: values of fields that are not read.
     """
     names = {row.name for row in dataclasses.fields(kind)} - known.keys()  # type: ignore[arg-type]
     taken = {n: getattr(m, n) for m in reversed(messages) for n in names if hasattr(m, n)}
@@ -40,14 +40,14 @@ def value_of(kind: type[T], *messages: Any, **known: Any) -> T:
 
 
 def prediction_message(prediction: Prediction) -> GaitPrediction:
-    """Return the message of a prediction; names and units are the same in both."""
+    """Return the message of a prediction. The fields of both have the same names and units."""
     values = dataclasses.asdict(prediction)
     gait = Gait(**{name: values.pop(name) for name in GAIT_UNITS})
     return GaitPrediction(gait=gait, **values)
 
 
 def fill_response(response: RequestGait.Response, answer: GaitAnswer) -> RequestGait.Response:
-    """Copy an answer to a response and return the response; without a prediction its numbers are NaN."""
+    """Copy an answer to a response, and return the response. Without a prediction, its numbers are NaN."""
     response.success = answer.status is RequestStatus.DONE
     response.status = answer.status.value
     response.message = answer.message
@@ -64,10 +64,10 @@ def _no_prediction() -> GaitPrediction:
 
 
 def settings_of_goal(base: Settings, goal: OptimizeGaits.Goal) -> Settings:
-    """Return the settings of a goal; the node's own replace those that the goal leaves open.
+    """Return the settings of a goal, with the settings ``base`` of the node for values that the goal leaves empty or 0.
 
     Raises:
-        OptimizerError: A value is not admissible.
+        OptimizerError: A value is inadmissible.
     """
     return dataclasses.replace(
         base,
@@ -90,7 +90,10 @@ def direction_of(value: int) -> int:
 
 
 def scan_of_goal(base: Settings, goal: ScanMargin.Goal) -> Settings:
-    """Return the settings with the margins of a goal. Raises `OptimizerError` like `ScanSettings`."""
+    """Return the node's settings with the margins of a goal; ``highest`` and ``step`` of 0 keep those of the node.
+
+    Raises `OptimizerError` if the margins are inadmissible.
+    """
     margins = ScanSettings(
         goal.lowest, goal.highest or base.scan.highest, goal.step or base.scan.step
     )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ROS node of the optimizer, which answers requests for gaits from exact fronts that it computes on demand."""
+"""ROS node of the optimizer. It computes exact fronts on demand and answers requests for gaits from them."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _NAMES = {FORWARD: "forward", REVERSE: "reverse"}
 
 
 def rows() -> list[ParameterRow]:
-    """Return the declarations of all parameters. Parameter file and conditions can change while the node runs."""
+    """Return the declarations of all parameters. All are read-only except for the parameter file and the conditions."""
     settings = (
         ParameterRow(row.parameter, row.default, row.meaning, row.low, row.high) for row in SETTINGS
     )
@@ -51,7 +51,7 @@ def rows() -> list[ParameterRow]:
 
 
 def _settings_of_node(node: Node) -> Settings:
-    """Return the search settings of a node's parameters. Raises `OptimizerError` if they contradict each other."""
+    """Return the search settings from a node's parameters. Raises `OptimizerError` if they are inconsistent."""
     return settings_of({row.parameter: node.get_parameter(row.parameter).value for row in SETTINGS})
 
 
@@ -95,11 +95,11 @@ class _RejectingServer(ActionServer):
 
 
 class OptimizerNode(Node):
-    """Server of request_gait, optimize_gaits and scan_margin, one request at a time.
+    """Server of request_gait, optimize_gaits and scan_margin, which processes one request at a time.
 
-    Computing a front takes half a second; with a success probability or shaped gaits it takes some seconds. A
-    front is computed for the first request that needs it and stored until the settings, the conditions or the parameter
-    file change.
+    Computing a front takes half a second, or some seconds with a success probability or shaped gaits. The forward front
+    is computed at the start, the reverse one at the first request that needs it. Fronts are stored until the settings,
+    the conditions or the parameter file change.
 
     Raises:
         ParameterError, OptimizerError, OSError: A parameter of the node is invalid.
@@ -128,15 +128,18 @@ class OptimizerNode(Node):
     # --- the fronts --------------------------------------------------------------------------------
 
     def _prepare(self) -> None:
-        """Compute the forward front before it is requested."""
+        """Compute the forward front in advance."""
         self._first.cancel()
         try:
             self._front(FORWARD)
         except (OptimizerError, SimulationError) as error:
-            self.get_logger().error(f"there is no front: {error}")
+            self.get_logger().error(f"the forward front cannot be computed: {error}")
 
     def _front(self, direction: int) -> RobustFront:
-        """Return the front of a direction. Raises `OptimizerError` or `SimulationError` if there is none."""
+        """Return the front of a direction, and compute it if necessary.
+
+        Raises `OptimizerError` or `SimulationError` if this is impossible.
+        """
         if direction not in self._fronts:
             self._failures.pop(direction, None)
             try:
@@ -147,7 +150,7 @@ class OptimizerNode(Node):
         return self._fronts[direction]
 
     def _store(self, front: RobustFront) -> None:
-        """Store a front; later requests of its direction are answered from it."""
+        """Store a front, from which later requests of its direction are answered."""
         self._fronts[front.direction] = front
         self.get_logger().info(
             f"optimizer ready, {_NAMES[front.direction]}: front of {len(front.gaits)} gaits, "
@@ -178,7 +181,7 @@ class OptimizerNode(Node):
         self._first.reset()
 
     def _under(self, changes: Mapping[str, Any]) -> Settings:
-        """Return the settings with changed parameters of the conditions. Raises `ConditionsError`."""
+        """Return the settings under changed conditions, see `CONDITION_PARAMETERS`. Raises `ConditionsError`."""
         conditions = {
             field: changes[name] for name, field in CONDITION_PARAMETERS.items() if name in changes
         }
@@ -218,7 +221,7 @@ class OptimizerNode(Node):
         return dataclasses.replace(answer, message=message)
 
     def _resting_front(self, front: RobustFront, content: ParameterFile) -> RobustFront:
-        """Return the front for another initial length, with the margin of the direction's front."""
+        """Return the front for the initial length in ``content``, with the margin of ``front``."""
         key = front.direction, round(content.parameters.initial_length / gait_request.SAME_LENGTH)
         if key not in self._resting:
             settings = dataclasses.replace(front.settings, margin=front.margin)
@@ -249,7 +252,7 @@ class OptimizerNode(Node):
         _RejectingServer(self, kind, name, execute, why_not)
 
     def _optimize(self, goal: ServerGoalHandle) -> OptimizeGaits.Result:
-        """Compute a front with the goal's settings, and use these for all later requests in both directions."""
+        """Compute a front with the settings of a goal, which then apply to all later requests in both directions."""
         try:
             settings = optimizer_messages.settings_of_goal(self._settings, goal.request)
             direction = optimizer_messages.direction_of(goal.request.direction)
@@ -292,7 +295,7 @@ class OptimizerNode(Node):
             status.message = f"there is no front: {self._failures[direction]}"
         elif front is None:
             status.level = DiagnosticStatus.OK
-            status.message = "computed at the first request"
+            status.message = "not computed before the first request"
         else:
             status.level = DiagnosticStatus.OK
             status.message = f"{len(front.gaits)} gaits"
@@ -301,7 +304,7 @@ class OptimizerNode(Node):
 
 
 def main() -> int:
-    """Run the node until it is stopped; return the exit status, 2 if its parameters are invalid."""
+    """Run the node until it is stopped. Return the exit status, which is 2 if its parameters are invalid."""
     return run_node(
         "optimizer_node",
         "Answers requests for gaits from exact robust fronts.",

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The ROS graph of one robot: its nodes, publishers, subscribers and drivers."""
+"""Part of the ROS graph that belongs to one robot: nodes, publishers, subscribers and drivers."""
 
 from __future__ import annotations
 
@@ -9,29 +9,29 @@ from collections.abc import Iterable
 from worm_msgs.claim import ANNOUNCED_S, DRIVER_SERVICE
 from worm_optimizer.nodes.service_caller import DISCOVERY_TIMEOUT_S, OperatorError, ServiceCaller
 
-NODES_TIMEOUT_S = 120.0  # the first start of the twin includes the compilation of its kernel
-NODE_S = 5.0  # time for the discovery of a node that may be missing
+NODES_TIMEOUT_S = 120.0  # timeout for all nodes; the first start of the twin compiles its kernel
+NODE_S = 5.0  # timeout for the discovery of a node that may be missing
 
 
 class RobotGraph:
-    """Nodes and topics in the namespace of a node.
+    """Nodes, topics and services in the namespace of a node.
 
     Args:
-        node: the node, which is spun during waits.
+        node: the node. Its executor spins during waits.
     """
 
     def __init__(self, node: ServiceCaller) -> None:
         self._node = node
 
     def wait_for_nodes(self, names: Iterable[str]) -> None:
-        """Wait until these nodes exist in this namespace. Raises `OperatorError` with a missing one."""
+        """Wait until nodes exist in this namespace. Raises `OperatorError`, with the name of a missing one."""
         expected = set(names)
         if not self._node.wait(lambda: expected <= self._node_names(), NODES_TIMEOUT_S):
             missing = min(expected - self._node_names())
             raise OperatorError(f"no node {missing} within {NODES_TIMEOUT_S:g} s")
 
     def has_node(self, name: str) -> bool:
-        """Wait up to NODE_S for a node of this name in this namespace; return True if it exists."""
+        """Wait up to `NODE_S` for a node in this namespace; return True if it exists."""
         return self._node.wait(lambda: name in self._node_names(), NODE_S)
 
     def publishers(self, topic: str) -> int:
@@ -45,10 +45,10 @@ class RobotGraph:
             raise OperatorError(f"{name} has no publisher: {remedy}")
 
     def require_sole_driver(self) -> None:
-        """Raise `OperatorError` if more than one driver would execute a command.
+        """Raise `OperatorError` if several drivers would execute a command.
 
-        A request reaches all services that the node has discovered, and exactly these are counted. DDS counts a
-        killed process for a while after its end, so this waits up to ANNOUNCED_S.
+        A request reaches all servers of a service that the node has discovered. This method counts these servers. A
+        killed process remains discovered for a while, so this method waits up to `ANNOUNCED_S`.
         """
         service = self._node.resolve_service_name(DRIVER_SERVICE)
 
@@ -57,21 +57,21 @@ class RobotGraph:
 
         if not self._node.wait(lambda: count() <= 1, ANNOUNCED_S):
             raise OperatorError(
-                f"{self._node.get_namespace()} has {count()} drivers, and both would move: end one of them, or use "
-                "another namespace or ROS_DOMAIN_ID for it"
+                f"{self._node.get_namespace()} has {count()} drivers, and all of them would move: end all but one, or "
+                "give each its own namespace or ROS_DOMAIN_ID"
             )
 
     def wait_for_recorder(self, name: str, excluded: str = "") -> None:
         """Wait until a recorder has subscribed to all visible topics of this namespace that have publishers.
 
-        Its recording lacks messages that were published earlier.
+        Without this wait, the recording would lack the first messages.
 
         Args:
             name: name of the recorder's node.
             excluded: regular expression of the topics that it does not record; empty: it records all.
 
         Raises:
-            OperatorError: The recorder did not subscribe in time; the message names a topic.
+            OperatorError: The recorder did not subscribe in time. The message contains a missing topic.
         """
 
         def missing() -> list[str]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Subscriptions to the topics of a robot, and the latest state of the robot from them."""
+"""Subscriptions to the topics of a robot, and the latest state of the robot according to their messages."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ from worm_optimizer.snapshot import Control, DriverState, Snapshot
 
 RESIDUALS = ("rear_position", "length", "power")
 _NEWEST = QoSProfile(depth=1)
-# 2 s at 100 Hz. The twin lags by its delay and is shown together with the robot at the twin's stamp.
+# Number of stored tracker messages, 2 s at 100 Hz. The twin lags behind the tracker by less than this.
 _SIGHTINGS = 200
-_GROOVES = 400  # stored rear grooves of the twin: 4 s
+_GROOVES = 400  # number of stored rear grooves of the twin, 4 s at 100 Hz
 _LENGTHS = {
     LengthSource.COMMANDED: "body_length/commanded",
     LengthSource.CABLE: "body_length/cable",
@@ -48,7 +48,7 @@ _TOPICS: Mapping[str, tuple[type, QoSProfile]] = {
     **dict.fromkeys(_LENGTHS.values(), (BodyLength, _NEWEST)),
 }
 _MEASUREMENTS = {"power", "tracker", "twin/state", "twin/residuals"}
-# Topics of few messages, which every operator needs.
+# Topics that every operator needs. They have few messages.
 _LATCHED_TOPICS: Mapping[str, tuple[type, QoSProfile]] = {
     "gait_state": (GaitState, LATCHED),
     "control": (ControlState, LATCHED),
@@ -56,10 +56,10 @@ _LATCHED_TOPICS: Mapping[str, tuple[type, QoSProfile]] = {
 
 
 class Telemetry:
-    """Store of the newest message of each topic. Other threads than the node's may call ``snapshot``.
+    """Store of the newest message of each topic. ``snapshot`` may be called in any thread.
 
     Args:
-        node: node in the robot's namespace. At first it subscribes only to the driver's gait state and control.
+        node: node in the robot's namespace. Until `subscribe_to_all`, it subscribes only to gait_state and control.
     """
 
     def __init__(self, node: Node) -> None:
@@ -78,12 +78,12 @@ class Telemetry:
 
     @property
     def is_complete(self) -> bool:
-        """True if a message of each topic that is published in every state of the driver was received."""
+        """True if a message was received on the topics of power, tracker and twin, which need no active driver."""
         return self._received.keys() >= _MEASUREMENTS
 
     @property
     def driver(self) -> DriverState | None:
-        """Latest state of the driver; None before the first."""
+        """Latest state of the driver; None before its first message."""
         received = self._received.get("gait_state")
         return None if received is None else _driver_of(received[1])
 
@@ -100,14 +100,14 @@ class Telemetry:
                 self._sightings.append(message)
             elif topic == "twin/state":
                 self._grooves.append((nanoseconds(message.header.stamp), message.rear_groove))
-            elif topic == "twin/residuals":  # a sample measures only some of the residuals
+            elif topic == "twin/residuals":  # a message may contain only some of the residuals
                 kept = dict.fromkeys(_measured(message), self._received[topic])
                 self._residuals = self._residuals | kept
 
         return keep
 
     def snapshot(self) -> Snapshot:
-        """Return the latest data, with receive times of the monotonic clock and the robot at the twin's stamp."""
+        """Return the latest state of the robot."""
         received = dict(self._received)
         newest = {topic: message for topic, (_, message) in received.items()}
         power = newest.get("power")
@@ -129,7 +129,7 @@ class Telemetry:
 
 
 def _between(earlier: Any, later: Any) -> float:
-    """Return the time between the stamps of two messages, s; NaN if one is missing."""
+    """Return the stamp of the later message minus that of the earlier one, s; NaN if a message is missing."""
     if earlier is None or later is None:
         return math.nan
     return 1e-9 * (nanoseconds(later.header.stamp) - nanoseconds(earlier.header.stamp))
@@ -162,7 +162,7 @@ def _measured(residuals: Any) -> list[str]:
 
 
 def _residuals_of(message: Any, kept: Mapping[str, tuple[float, Any]]) -> ResidualRecord | None:
-    """Return the newest value of each residual; NaN if it is `STALE_S` older than the newest of all."""
+    """Return the newest value of each residual; NaN if it was received more than `STALE_S` before the newest of all."""
     if message is None:
         return None
     newest = max((at for at, _ in kept.values()), default=0.0)
@@ -175,7 +175,7 @@ def _residuals_of(message: Any, kept: Mapping[str, tuple[float, Any]]) -> Residu
 
 
 def _robot_at(twin: Any, sightings: list[Any]) -> PositionSample:
-    """Return the sighting nearest to the stamp of a twin message; without a twin message, the newest."""
+    """Return the tracker sample nearest to the stamp of a twin message; without a twin message, the newest sample."""
     in_time = [
         PositionSample(
             message.rear_position, message.front_position, nanoseconds(message.header.stamp)

@@ -24,7 +24,7 @@ class SearchGoal(ActionGoal):
 
     Args:
         node: the client's node.
-        order: the search to request.
+        order: the requested search.
         on_end: called once with the result, in the thread that spins the node.
     """
 
@@ -37,7 +37,7 @@ class SearchGoal(ActionGoal):
         self._timer = node.create_timer(_LOOK_S, self._look, clock=clock)
 
     def close(self) -> None:
-        """Stop waiting for the result and free the client; the optimizer finishes a search that it has begun."""
+        """Stop waiting for the result and free the client. The optimizer finishes a search that has begun."""
         self._node.destroy_timer(self._timer)
         super().close()
 
@@ -46,9 +46,9 @@ class SearchGoal(ActionGoal):
             rejected = SearchResult(success=False, message=self.rejection)
             self._end(rejected if self.rejected else _result_of(self._message()))
         elif self.rejected:
-            return  # the reason of the rejection arrives later
+            return  # `done` becomes True when the reason of the rejection arrives
         elif self.answered and not self.possible:
-            self._end(SearchResult(success=False, message="the optimizer is not there any more"))
+            self._end(SearchResult(success=False, message="the optimizer has ended"))
 
     def _end(self, result: SearchResult) -> None:
         self._timer.cancel()
@@ -67,9 +67,7 @@ def _result_of(message: Any) -> SearchResult:
         return SearchResult(message.success, message.message)
     cliff = message.cliff_margin
     cliff_text = (
-        f"the cliff is at {1e3 * cliff:.2f} mm"
-        if math.isfinite(cliff)
-        else "no cliff is among them"
+        f"the cliff is at {1e3 * cliff:.2f} mm" if math.isfinite(cliff) else "the scan has no cliff"
     )
     return SearchResult(
         message.success,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Node whose service calls and waits have timeouts, for a single thread that spins it while it waits."""
+"""Node for use in a single thread. Its service calls and waits have timeouts and spin the node."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rclpy.node import Node
 
 DISCOVERY_TIMEOUT_S = 30.0
 CALL_TIMEOUT_S = 30.0
-SPIN_S = 0.05  # longest time between two calls of `check`
+SPIN_S = 0.05  # longest wait for a callback between two calls of ``check``
 
 
 class OperatorError(RuntimeError):
@@ -26,11 +26,11 @@ class NoAnswerError(OperatorError):
 
 
 class ServiceCaller(Node):
-    """Node with an executor of its own. Every call blocks and spins the node.
+    """Node with its own executor. Calls and waits block and spin the node.
 
     Args:
         name: name of the node.
-        namespace: its namespace.
+        namespace: namespace of the node.
         context: ROS context.
         check: called during each wait. It may raise, for example when a process has ended.
     """
@@ -59,18 +59,18 @@ class ServiceCaller(Node):
         return True
 
     def spin(self) -> None:
-        """Call `check`, then execute one callback if there is one within SPIN_S."""
+        """Call ``check``, then wait up to `SPIN_S` for a callback and execute it."""
         self._check()
         self._executor.spin_once(timeout_sec=SPIN_S)
 
     def named_client(self, kind: Any, name: str) -> Client:
-        """Return the client of a service. It is reused, because each new client has to be discovered."""
+        """Return the client of a service. All calls share this client, because each new one has to be discovered."""
         if name not in self._named_clients:
             self._named_clients[name] = self.create_client(kind, name)
         return self._named_clients[name]
 
     def call(self, kind: Any, name: str, request: Any) -> Any:
-        """Call a service and return its response. Raises `OperatorError`."""
+        """Call a service and return its response. Raises `OperatorError` without a server or an answer in time."""
         client = self.named_client(kind, name)
         if not self.wait(client.service_is_ready, DISCOVERY_TIMEOUT_S):
             raise OperatorError(f"no service {name} within {DISCOVERY_TIMEOUT_S:g} s")
@@ -80,7 +80,7 @@ class ServiceCaller(Node):
         return future.result()
 
     def call_twice(self, kind: Any, name: str, request: Any) -> Any:
-        """Call a service, once more if no answer arrives; on a busy computer, discovery can lose an answer."""
+        """Like `call`, but repeat the call once if no answer arrives. On a busy computer, an answer can get lost."""
         try:
             return self.call(kind, name, request)
         except NoAnswerError:

@@ -11,17 +11,18 @@ from rclpy.node import Node
 
 from worm_msgs.msg import Tracker
 
-# s of the robot's time without a position that count as a loss. Markers are often covered for a moment.
+# Time without a position after which the tracker counts as lost, s of the robot's time. Markers are often hidden for a
+# moment.
 SILENCE_S = 2.0
 LOOK_S = 0.25  # period of the checks, s
 
 
 class TrackerWatch:
-    """Monitor of the tracker. It belongs to the thread that spins the node and ends with the node.
+    """Monitor of the tracker, which runs in the callbacks of a node and ends with the node.
 
     Args:
         node: node in the robot's namespace.
-        now: returns the robot's time (s). A virtual robot's time stands still while it waits for a busy computer.
+        now: returns the robot's time (s). The time of a virtual robot stops while it waits for a busy computer.
         say: called with each report, one line.
     """
 
@@ -49,4 +50,4 @@ class TrackerWatch:
             if now - self._received_at >= SILENCE_S
             else "the tracker does not see both modules"
         )
-        self._say(f"{what} for {SILENCE_S:g} s: no speed can be measured meanwhile")
+        self._say(f"{what} for {SILENCE_S:g} s: no speed can be measured until it is back")

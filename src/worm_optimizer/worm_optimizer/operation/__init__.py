@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Start, supervision and shutdown of the node graph, and the operations on it: demo, campaign, identification."""
+"""Start, supervision and shutdown of the node graph, and operations with it: demo, campaign, identification."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sessions with a robot, from the start of its nodes over activation and gaits to the end of the nodes."""
+"""Sessions with a robot: start of its nodes, activation, gaits, recordings, and shutdown of the nodes."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ from worm_optimizer.operation.system import NodeDescription, System, SystemFile,
 from worm_optimizer.robot_commands import GaitCommand, RunProgress, RunResult
 
 READY_TIMEOUT_S = 120.0  # timeout of a node's start, sufficient on a busy computer
-CYCLES = 5
+CYCLES = 5  # default number of cycles of a run
 AFTERWARDS_S = 2.0  # rest at the end of a recording, in which the cable becomes slack again
 RECORDER = "recorder"  # name of the node in system.yaml
-BUSY = 1.5  # load average per processor above which it may be the cause of a failure
+BUSY = 1.5  # load average per processor above which the load may be the cause of a failure
 _TO_REST = (
-    "--to-rest"  # records until torque is released; a recorder of a single run ends with the run
+    "--to-rest"  # makes a recorder record until torque is released; not used for a single run
 )
 _EXCLUDE = "--exclude"
 FAILURES = (ProcessError, OperatorError, RecordingError)
@@ -65,7 +65,7 @@ class ProgressLog:
 
 @contextmanager
 def work_folder(program: str) -> Iterator[Path]:
-    """Provide a folder for sockets, with a folder ``logs`` in it; both are deleted unless one of FAILURES occurs."""
+    """Provide a temporary folder that contains a folder ``logs``. It remains if one of `FAILURES` occurs."""
     folder = Path(tempfile.mkdtemp(prefix=f"worm_{program}_"))
     (folder / "logs").mkdir()
     try:
@@ -100,11 +100,11 @@ class Session:
         self.node.activate()
 
     def run_gait(self, order: GaitCommand) -> RunResult:
-        """Run a gait; if it fails, report this and run it once more, from rest.
+        """Run a gait. If it fails, report the reason and run it once more, from rest.
 
         Raises:
-            OperatorError: The gait failed twice, or a node did not answer. The message after two failures contains
-                the computer's load if that may be the cause.
+            OperatorError: The gait failed twice, or a node did not answer. After two failures, the message contains the
+                computer's load if this may be the cause.
         """
         try:
             return self.node.run(order, once_per_cycle(self.say, order))
@@ -118,7 +118,7 @@ class Session:
             raise GaitFailedError(f"{error}, twice{load(self.node.late_cycles)}") from None
 
     def release(self) -> None:
-        """Stop the robot and release torque."""
+        """Stop the robot and release its torque."""
         self.node.stop()
         self.node.deactivate()
         self.say("the robot has stopped, its torque is off")
@@ -130,18 +130,18 @@ def session(
 ) -> Iterator[Session]:
     """Start the nodes of a system in their order, and end them with this context.
 
-    If a node graph or a driver already runs in the namespace, nothing is started and nothing is sent. Afterwards no
-    process remains, also after an exception.
+    If a node graph or a driver already runs in the namespace, nothing is started and nothing is sent. When the context
+    ends, also with an exception, all processes end.
 
     Args:
         system: the nodes.
         logs: folder of the log files.
         say: called with each line of progress.
-        restarts: restarts of each optional node that ends. Afterwards the session continues without that node.
+        restarts: number of restarts of each optional node that ends. After these, the session continues without it.
         check: called during waits; raises an exception to end the session.
 
     Raises:
-        ProcessError, OperatorError: A stage failed; the message names it.
+        ProcessError, OperatorError: A stage failed. The message contains the node or service, and the reason.
     """
     with _claimed(system.namespace), _crash_reported(ProcessGroup(logs), system) as group:
         watch = _Watch(group, system, say, restarts) if restarts else group.check
@@ -160,7 +160,7 @@ def session(
 
 @contextmanager
 def _crash_reported(group: ProcessGroup, system: System) -> Iterator[ProcessGroup]:
-    """End the processes with this context, then raise `ProcessError` if the driver crashed and torque may be on."""
+    """End the processes with this context. Then raise `ProcessError` if the driver has crashed and torque may be on."""
     try:
         with group:
             yield group
@@ -182,7 +182,7 @@ def _claimed(namespace: str) -> Iterator[None]:
 
 
 class _Watch:
-    """Supervisor of the processes of a session, which restarts optional nodes and fails with required ones."""
+    """Supervisor of the processes of a session: restarts optional nodes, and raises an error if a required one ends."""
 
     def __init__(self, group: ProcessGroup, system: System, say: Say, restarts: int) -> None:
         self._group = group
@@ -203,14 +203,14 @@ class _Watch:
         self._optional[name] -= 1
         if self._optional[name] < 0:
             self._group.forget(name)
-            self._say(f"{name} has ended: {last_line}; the others run on without it")
+            self._say(f"{name} has ended: {last_line}; the other nodes continue without it")
         else:
             self._group.restart(name)
             self._say(f"{name} has ended: {last_line}; it starts again")
 
 
 def start_nodes(group: ProcessGroup, system: System, say: Say, check: Check = lambda: None) -> None:
-    """Start the nodes in their order, each after all earlier awaited nodes are ready."""
+    """Start the nodes in their order. A node starts when all awaited nodes before it are ready."""
     for node in system.nodes:
         say(f"starting {node.name}: {node.package} {node.executable}")
         start_node(group, node, system.namespace, check)
@@ -219,22 +219,22 @@ def start_nodes(group: ProcessGroup, system: System, say: Say, check: Check = la
 def start_node(
     group: ProcessGroup, node: NodeDescription, namespace: str, check: Check = lambda: None
 ) -> None:
-    """Start one node; if it is awaited, wait until it is ready.
+    """Start one node. If it is awaited, wait until it is ready and call ``check`` meanwhile, which may raise.
 
     Raises:
-        ProcessError: The node ended, or was not ready in time. Exceptions of ``check`` are passed on.
+        ProcessError: The node ended, or was not ready in time.
     """
     command = [*executable_command(node.package, node.executable)]
     command += node.command_arguments(namespace)
     with closing(Readiness()) as ready:
         process = group.start(node.name, command, ready.environment, node.end_timeout_s)
 
-        def has_come_so_far() -> bool:
+        def is_ready_or_has_ended() -> bool:
             check()
             return ready() or process.exit_code is not None
 
         if node.awaited:
-            wait_for(has_come_so_far, READY_TIMEOUT_S)
+            wait_for(is_ready_or_has_ended, READY_TIMEOUT_S)
             process.was_ready = ready()
         if process.was_ready or not node.awaited:
             return
@@ -248,14 +248,14 @@ def recording(
 ) -> Iterator[Path]:
     """Record with a separate recorder during this context, and provide the path of the bag.
 
-    The context begins when the recorder has subscribed to all topics. After it, AFTERWARDS_S of rest are recorded and
-    the bag is closed.
+    The context begins when the recorder has subscribed to all topics. At its end, the recorder continues for
+    `AFTERWARDS_S` and closes the bag.
 
     Args:
         group: processes to which the recorder is added.
         node: the operator.
-        recorder: description of the recorder.
-        name: name of its process and node, which must be unique.
+        recorder: description of the recorder in the system file.
+        name: name of the process and node of the new recorder, which must be unique.
 
     Raises:
         ProcessError, OperatorError: The recorder did not start, subscribe or end properly.
@@ -270,10 +270,10 @@ def recording(
 
 
 def bag_of(recorder: Process) -> Path:
-    """Return the bag into which a recorder that is ready records; its name contains the time of its begin.
+    """Return the path of the bag into which a recorder records, which it logs at its start.
 
     Raises:
-        ProcessError: The recorder has not logged it.
+        ProcessError: The recorder does not log the path.
     """
     return Path(recorder.wait_for_line(r": recording to (.+)$", READY_TIMEOUT_S)[1])
 
@@ -285,7 +285,7 @@ def left_out(recorder: NodeDescription) -> str:
 
 
 def once_per_cycle(say: Say, order: GaitCommand) -> Callable[[RunProgress], None]:
-    """Return a callback for progress that reports each cycle once."""
+    """Return a callback that reports the progress of a run once per cycle."""
     reported = {0}
 
     def progress(now: RunProgress) -> None:
@@ -297,7 +297,7 @@ def once_per_cycle(say: Say, order: GaitCommand) -> Callable[[RunProgress], None
 
 
 def load(late_cycles: int) -> str:
-    """Return a remark on the computer's load for a failure message; empty if it was not busy and no cycle was late."""
+    """Return a remark on the computer's load for an error message; empty if the load is low and no cycle was late."""
     average, processors = os.getloadavg()[0], os.cpu_count() or 1
     shares = []
     if average > BUSY * processors:
@@ -312,6 +312,6 @@ def check_ends(group: ProcessGroup) -> None:
     for process in group.processes.values():
         if process.exit_code != 0:
             raise ProcessError(
-                f"{process.name} did not end in order (exit status {process.exit_code}): "
+                f"{process.name} ended with an error (exit status {process.exit_code}): "
                 f"{process.last_line()}"
             )

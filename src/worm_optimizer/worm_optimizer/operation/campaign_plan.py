@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Plan of a campaign: its gaits, and their predictions, which are written before the first run."""
+"""Plan of a campaign: its gaits with their predictions, which are written to a file before the first run."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ PROMISES = "promised.json"
 
 @dataclass(frozen=True)
 class Plan:
-    """Gaits by name in the order of the runs, and the front from which they come."""
+    """Predictions of the gaits, by name in the order of the runs, and the front from which they come."""
 
     gaits: Mapping[str, Prediction]
     optimisation: Optimisation
 
 
 def make_plan(content: ParameterFile, settings: Settings, direction: int) -> Plan:
-    """Return the minimum-power, cruising and maximum-speed gaits of the front.
+    """Return a plan with the minimum-power, cruising and maximum-speed gaits of the front.
 
     Args:
         content: parameters of the robot.
-        settings: settings of the search; without a margin, it is set at the cliff.
+        settings: settings of the search. If they contain no margin, the margin before the cliff is used.
         direction: FORWARD or REVERSE.
 
     Raises:
@@ -57,17 +57,17 @@ def make_plan(content: ParameterFile, settings: Settings, direction: int) -> Pla
 def with_comparisons(
     plan: Plan, content: ParameterFile, settings: Settings, direction: int, *, nominal: bool
 ) -> Plan:
-    """Return the plan with gaits to compare after each of its three gaits, all with the plan's margin.
+    """Return a plan in which comparable gaits follow each of its three gaits.
 
-    Under conditions these are the gaits designed for level ground, and in a plan of shaped gaits those of the paper's
-    waveform.
+    Under conditions other than level ground, these are the gaits designed for level ground. In a plan of shaped gaits,
+    they are the sinusoids. Both have the margin of the plan.
 
     Args:
         plan, content, settings, direction: see `make_plan`.
-        nominal: True to include the gaits designed without a margin.
+        nominal: True to include the gaits that are best without a margin, too.
 
     Raises:
-        OptimizerError: No gait to compare moves.
+        OptimizerError: No gait moves on level ground, or no sinusoid moves.
     """
     settings = replace(settings, margin=plan.optimisation.front.margin, margin_force=None)
     compared: dict[str, Mapping[str, Prediction]] = {}
@@ -88,10 +88,10 @@ def with_comparisons(
 
 
 def write_promises(plan: Plan, folder: Path) -> Path:
-    """Write the predictions before the runs, as proof that they were not adapted later; return the file.
+    """Write the predictions to a new file and return its path. The file proves that they were not adapted to the runs.
 
     Raises:
-        FileExistsError: The folder already has such a file.
+        FileExistsError: The folder already contains such a file.
     """
     path = folder / PROMISES
     with path.open("x", encoding="utf-8") as file:
@@ -100,7 +100,7 @@ def write_promises(plan: Plan, folder: Path) -> Path:
 
 
 def is_promised(plan: Plan, folder: Path) -> bool:
-    """Return True if the predictions in a folder are those of this plan. Raises OSError if there are none."""
+    """Return True if the file of predictions in a folder is that of this plan. Raises `OSError` if it is missing."""
     return (folder / PROMISES).read_text(encoding="utf-8") == _promises(plan)
 
 

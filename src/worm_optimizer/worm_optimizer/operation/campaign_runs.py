@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Robot part of the campaign: runs of gaits from rest, each recorded into its own bag."""
+"""Runs of a campaign: gaits from rest, each recorded into its own bag."""
 
 from __future__ import annotations
 
@@ -17,17 +17,18 @@ from worm_optimizer.operation.bring_up import RECORDER, Say, Session, recording,
 from worm_optimizer.operation.system import System, SystemFile, conditions_of
 from worm_optimizer.robot_commands import GaitCommand
 
+#: Prepares a run. Arguments: session, and description of the run.
 Prepare = Callable[[Session, str], None]
 
 _UNUSED = {"optimizer", RECORDER}  # the front is known, and each gait has its own recorder
-_ELSEWHERE = "the robot began elsewhere than it was left, perhaps with its fins bent"
+_ELSEWHERE = "this run may have started at another position and with bent fins"
 _TRACKER = "tracker"
-_NO_TRACKER = "start the node of the camera in the robot's namespace, or no speed can be measured"
+_NO_TRACKER = "without it no speed can be measured: start the tracker in the robot's namespace"
 
 
 @dataclass(frozen=True)
 class Robot:
-    """Selection of a robot.
+    """Robot, described by the system file and its settings.
 
     Attributes:
         file: the system file.
@@ -41,18 +42,18 @@ class Robot:
 
     @property
     def conditions(self) -> Conditions:
-        """Conditions in the pipe, as the settings state them. Raises `ConditionsError`."""
+        """Conditions in the pipe according to the settings. Raises `ConditionsError`."""
         return conditions_of(self.settings)
 
     def system(self) -> System:
-        """Return the system of the nodes that run during the whole campaign."""
+        """Return the system of the nodes that run during a whole campaign: all but optimizer and recorder."""
         whole = self.file.system(self.mode, **self.settings)
         return System(
             whole.namespace, tuple(node for node in whole.nodes if node.name not in _UNUSED)
         )
 
     def in_folder(self, folder: Path) -> Robot:
-        """Return the same robot with its sockets in a folder, unless a setting names another one."""
+        """Return the same robot with its sockets in ``folder``, unless the settings contain another folder."""
         return replace(self, settings={"directory": str(folder), **self.settings})
 
     def with_parameters(self, file: str) -> Robot:
@@ -72,18 +73,18 @@ def run_gaits(
     say: Say,
     prepare: Prepare = lambda _running, _text: None,
 ) -> None:
-    """Run each gait, record it as ``folder/NAME``, then bring the robot to rest and release torque.
+    """Run each gait and record it as ``folder/NAME``. After the last gait, bring the robot to rest and release torque.
 
-    Gaits with a complete recording are skipped; incomplete recordings are renamed. Afterwards no process remains,
-    also after an exception.
+    Gaits with a complete recording are skipped. Incomplete recordings are renamed. All processes have ended when this
+    returns or raises.
 
     Args:
         robot: the robot.
-        orders: the gaits and their ends, by name.
+        orders: gaits to run, with their ends, by name.
         folder: folder of the recordings.
         logs: folder of the log files.
         say: called with each line of progress.
-        prepare: called with the session and a description before each gait; may raise.
+        prepare: called before each gait; may raise.
 
     Raises:
         ProcessError, OperatorError: A stage failed; the message names it.
@@ -104,15 +105,15 @@ def run_gaits(
             put_aside(folder / name, say)
             _record_gait(running, robot.recording_system(folder / name), name, order)
             if not is_recorded(folder / name):
-                say(f"{name}: not seen to its end; a campaign that is resumed runs it again")
+                say(f"{name}: the tracker missed the end of the gait; --resume runs it again")
             if running.node.runs_of_others > others:
                 others = running.node.runs_of_others
-                say(f"{name}: another operator has run a gait since the one before: {_ELSEWHERE}")
+                say(f"{name}: another operator ran a gait in the meantime: {_ELSEWHERE}")
         running.release()
 
 
 def is_recorded(bag: Path) -> bool:
-    """Return True if a bag contains a gait, and tracker samples up to the end of its last cycle."""
+    """Return True if a bag contains a gait that has ended, and tracker samples up to the end of its last cycle."""
     if not bag.is_dir():
         return False
     try:
@@ -134,7 +135,7 @@ def put_aside(bag: Path, say: Say) -> None:
     while (aside := bag.with_name(f"{bag.name}_unfinished_{number}")).exists():
         number += 1
     bag.rename(aside)
-    say(f"{bag.name}: what is unfinished is kept as {aside.name}")
+    say(f"{bag.name}: is incomplete, renamed to {aside.name}")
 
 
 def _record_gait(running: Session, system: System, name: str, order: GaitCommand) -> None:

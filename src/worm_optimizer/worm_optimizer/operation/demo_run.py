@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The demo: its run on the robot up to a closed recording, and the comparison of the recording with its predictions."""
+"""The run of the demo with its recording, and the comparison of the recording with predictions."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ from worm_optimizer.search.gait_request import GaitRequest, Objective
 
 
 def drive(system: System, logs: Path, say: Say) -> tuple[Prediction, Path]:
-    """Bring a system up, run five cycles of a requested gait, and shut everything down.
+    """Start a system, run five cycles of a requested gait, and end all processes. Return the prediction and the bag.
 
-    Return the prediction and the bag. Afterwards the bag is closed and no process remains, also after an exception.
+    When this returns or raises, the bag is closed and all processes have ended.
 
     Args:
         system: the nodes, including a recorder.
@@ -37,7 +37,7 @@ def drive(system: System, logs: Path, say: Say) -> tuple[Prediction, Path]:
         say: called with each line of progress.
 
     Raises:
-        ProcessError, OperatorError: A stage failed; the message names it.
+        ProcessError, OperatorError: A stage failed. The message contains the node or service, and the reason.
     """
     with session(system, logs, say) as running:
         node = running.node
@@ -77,10 +77,10 @@ class Comparison:
 
     Attributes:
         window: the averaged cycles.
-        measured: measurement by tracker and power sensor of the robot.
-        twin: the twin, driven with the recorded lengths.
+        measured: measurement of tracker and power sensor.
+        twin: prediction of the twin from the recorded lengths.
         predicted: prediction of the optimizer before the run, without the margin.
-        robust: prediction with the margin, which the search optimises.
+        robust: prediction of the optimizer before the run with the margin, which the search optimises.
     """
 
     window: Window
@@ -121,9 +121,9 @@ def relative_difference(value: float, reference: float) -> float:
 
 
 def comparison_table(measured: Performance, predictions: Mapping[str, Performance]) -> str:
-    """Return a text table of the measurement and of each prediction with its relative difference.
+    """Return a text table of the measurement, and of each prediction with its relative difference.
 
-    The arguments are in SI units. The table has mm/s, W and percent.
+    The units of the table are mm/s, W and percent.
     """
     rows = [["", "speed", "", "power", "", "cost of transport", ""]]
     rows.append(_row("measured on the robot", measured, None))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Robot part of the identification: recorded runs past five ridges, bench tests and the fit of the parameters."""
+"""Identification of a robot: recorded runs past five ridges, bench tests, and the fit of the parameters."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from worm_optimizer.operation.campaign_runs import Prepare, Robot, run_gaits
 from worm_optimizer.operation.processes import ProcessError, ProcessGroup, executable_command
 from worm_optimizer.robot_commands import GaitCommand
 
-# Damping and power factor can only be separated with several frequencies (docs/model.md), gain and slack with several
-# strokes. Each gait passes the ridges at every groove phase.
+# Several frequencies are needed to separate damping and power factor (docs/model.md), several strokes to separate gain
+# and slack. Each of these gaits passes the ridges at any groove phase.
 GAITS = (
     Gait(0.07, 0.1),
     Gait(0.07, 0.2),
@@ -35,11 +35,11 @@ GAITS = (
     Gait(0.08, 0.25),
     Gait(0.09, 0.2),
 )
-# Pitches by which a run continues beyond the last ridge, so that a single outlier does not count as arrival
+# Distance of the end of a run from the last ridge, pitches, so that a single outlier does not end it at the ridge
 _BEYOND = 0.3
-# A gait that has not passed the ridges by then never will; the advice of `identify` has the same limit.
+# A gait that has not passed the ridges after so many cycles never does. The advice of `identify` has the same limit.
 _MOST_CYCLES = 12
-BENCH, BENCH_S = "bench_tests", 60.0  # folder, timeout (s)
+BENCH, BENCH_S = "bench_tests", 60.0  # folder of the bench tests, and their timeout (s)
 RUNS, PARAMETERS = "identification", "parameters.yaml"
 REPORT, SUMMARY = "identification_report", "identification.json"
 
@@ -76,9 +76,9 @@ def record_identification(
     say: Say,
     prepare: Prepare,
 ) -> list[Path]:
-    """Run and record what is missing in ``folder/identification``; return all bags. Raises like `run_gaits`.
+    """Run and record the gaits that are missing in ``folder/identification``, and return all bags.
 
-    ``prepare`` moves the robot back to its start before each run, see `put_back`.
+    ``prepare`` moves the robot back to its start before each run, see `put_back`. Raises the errors of `run_gaits`.
     """
     runs = folder / RUNS
     runs.mkdir(exist_ok=True)
@@ -89,11 +89,11 @@ def record_identification(
 def put_back(running: Session, text: str) -> None:
     """Move a virtual robot back to its start, because the identification assumes the same ridges in all runs."""
     running.node.inject_fault("put_back")
-    running.say(f"put back; {text}")
+    running.say(f"the robot is back at its start; {text}")
 
 
 def virtual_bench(robot: Robot, folder: Path, logs: Path) -> Bench:
-    """Return the bench tests of a virtual robot, and run those that are missing. Raises `ProcessError`."""
+    """Return the bench tests of a virtual robot, which are run if their folder is missing. Raises `ProcessError`."""
     bench = folder / BENCH
     if not bench.exists():
         words = [str(bench)]
@@ -120,7 +120,7 @@ def identify_robot(
     Args:
         bags: the recorded runs.
         bench: files of the bench tests.
-        known: masses, pitch and unstressed length, and their source.
+        known: parameters from which masses, pitch and unstressed length are used, and their source as text.
         folder: folder of the results.
         progress: called with the name of a stage and its finished share.
 

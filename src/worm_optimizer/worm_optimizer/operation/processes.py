@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Groups of processes that start together and all end with their group."""
+"""Processes, and groups of processes that end together."""
 
 from __future__ import annotations
 
@@ -18,8 +18,7 @@ from types import FrameType, TracebackType
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 
 POLL_PERIOD_S = 0.02
-# s from an interrupt to a kill. A driver comes to rest within a cycle, or later on a busy computer.
-GRACE_S = 30.0
+GRACE_S = 30.0  # default time from an interrupt to a kill, s
 ENDING_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _LIBC = ctypes.CDLL(None, use_errno=True)
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
@@ -30,7 +29,7 @@ class ProcessError(RuntimeError):
 
 
 def executable_command(package: str, executable: str) -> list[str]:
-    """Return the command line of an installed executable, which is located like in `ros2 run`.
+    """Return the command line of an executable of a package, which is located in the same way as by `ros2 run`.
 
     Raises:
         ProcessError: The package or the executable is not installed.
@@ -58,8 +57,8 @@ def wait_for(condition: Callable[[], bool], timeout_s: float) -> bool:
 class Process:
     """Process in its own session, with its output in a file.
 
-    After its end it stays a zombie until `release`. Until then, no other process gets its id, which is also that of
-    its group, and a signal to the group cannot reach another process.
+    After its end, the process remains a zombie until `release`. Until then, no other process or process group gets its
+    id, so that a signal to its group cannot reach another process.
 
     Attributes:
         name: name of the process.
@@ -112,7 +111,7 @@ class Process:
         return lines[-1] if lines else "(no output)"
 
     def wait_for_line(self, pattern: str, timeout_s: float) -> re.Match[str]:
-        """Wait until a line of the output matches, and return the match.
+        """Wait until a line of the output matches a regular expression, and return the match.
 
         Raises:
             ProcessError: The process ended, or the timeout (s) elapsed, without a matching line.
@@ -138,7 +137,7 @@ class Process:
         return code
 
     def release(self) -> None:
-        """Kill the remaining processes of the group and free its id."""
+        """Kill the remaining processes of the group and free the process id."""
         if self._popen.returncode is None:
             self.kill()
             self._popen.wait()
@@ -184,7 +183,7 @@ def termination_as_interrupt() -> Iterator[None]:
 
 @contextlib.contextmanager
 def counted_interrupts() -> Iterator[Callable[[], int]]:
-    """Count SIGINT, SIGTERM and SIGHUP, which have no other effect; provide a function that returns the count."""
+    """Count SIGINT, SIGTERM and SIGHUP instead of ending the process. Provide a function that returns the count."""
     count = 0
 
     def note(_number: int, _frame: FrameType | None) -> None:
@@ -227,19 +226,19 @@ class ProcessGroup:
             ProcessError: The group already has a process with this name.
         """
         if name in self.processes:
-            raise ProcessError(f"there is a process {name} already")
+            raise ProcessError(f"a process with the name {name} exists already")
         log = self.log_folder / f"{name}.log"
         process = Process(name, command, log, {**self._env, **(env or {})}, grace_s)
         self.processes[name] = process
         return process
 
     def restart(self, name: str) -> None:
-        """Restart a process that has ended; its log is continued."""
+        """Restart a process that has ended. Its output is appended to the same log."""
         ended = self.forget(name)
         self.start(name, ended.command, grace_s=ended.grace_s)
 
     def forget(self, name: str) -> Process:
-        """Remove a process that has ended from the group and return it; its exit status is no longer checked."""
+        """Remove a process that has ended from the group, which then ignores its exit status, and return it."""
         ended = self.processes.pop(name)
         ended.release()
         return ended
@@ -251,14 +250,17 @@ class ProcessGroup:
                 raise ProcessError(f"{process.name} {process._state()}: {process.last_line()}")
 
     def end(self, name: str) -> None:
-        """Interrupt a process and wait. Raises `ProcessError` if it does not end, or ends with an error."""
+        """Interrupt a process and wait for its end.
+
+        Raises `ProcessError` if it does not end in time, or if a process of the group has ended with an error.
+        """
         process = self.processes[name]
         process.interrupt()
         process.wait(process.grace_s)
         self.check()
 
     def stop(self) -> None:
-        """Interrupt the processes in reverse order, wait for each, and kill what remains of their process groups."""
+        """Interrupt the processes in reverse order, wait for each, and kill the remaining processes of their groups."""
         try:
             for process in reversed(self.processes.values()):
                 if process.exit_code is None:
@@ -282,5 +284,5 @@ class ProcessGroup:
 
 
 def _interrupt_when_parent_dies() -> None:
-    # A killed parent cannot stop its processes, so the kernel has to do it.
+    # A killed parent cannot interrupt its processes, so the kernel does.
     _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGINT)

@@ -23,7 +23,7 @@ from worm_optimizer.operation.system import settings_of
 
 
 def new_bag(folder: Path, kind: str = "run") -> Path:
-    """Return the path of a new bag in a folder, in which the recorder inserts the time, and create the folder.
+    """Create a folder of bags, and return the path of a new bag in it. The recorder inserts the time into the path.
 
     Args:
         folder: folder of bags.
@@ -34,7 +34,7 @@ def new_bag(folder: Path, kind: str = "run") -> Path:
     """
     folder = folder.resolve()
     if (folder / METADATA_FILE).exists():
-        raise InputError(f"{folder}: this is a bag; give the folder that holds the bags")
+        raise InputError(f"{folder}: is a bag; give a folder that contains bags")
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -46,14 +46,14 @@ def new_bag(folder: Path, kind: str = "run") -> Path:
 def recorded(
     node: OperatorNode, bag: Path, parameter_file: str, conditions: Conditions, name: str
 ) -> Iterator[Path]:
-    """Record in this context with a recorder of the given name, and provide the path of the bag; see `recording`.
+    """Record during this context with a separate recorder, and provide the path of the bag; see `recording`.
 
     Args:
         node: the operator.
-        bag: see `new_bag`.
+        bag: path of a new bag, see `new_bag`.
         parameter_file: parameter file to store in the bag; empty: none.
         conditions: conditions to store in the bag.
-        name: last part of the recorder's node name, which must be unique.
+        name: last part of the name of the recorder's node, unique among all recorders.
     """
     system = installed_system_file().system(
         "robot",

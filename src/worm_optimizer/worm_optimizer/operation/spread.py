@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Statistics of the repeats of a gait, and their table and figure: scatter, and success in gaining the grooves."""
+"""Statistics of the repeats of a gait (scatter, and repeats that gained the predicted grooves), as table and figure."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ class Spread:
         repeats: number of repeats.
         promised: predicted grooves per cycle.
         kept: number of repeats that gained the predicted grooves in every averaged cycle.
-        means: mean of each quantity, SI units.
-        deviations: standard deviation of each quantity, SI units; NaN for a single repeat.
+        means: mean of each quantity, by name, SI units.
+        deviations: standard deviation of each quantity, by name, SI units; NaN for a single repeat.
         speeds: speed of each repeat, m/s.
-        promised_speed: predicted speed, m/s.
+        promised_speed: predicted speed with the margin, m/s.
     """
 
     name: str
@@ -45,9 +45,9 @@ class Spread:
 
 
 def run_names(gaits: Sequence[str], repeats: int) -> dict[str, str]:
-    """Return the name of the gait of each run, by the name of the run, in the order of the runs.
+    """Return the names of the gaits by the names of the runs, in the order of the runs.
 
-    The gaits alternate, so that the repeats of one gait do not follow each other.
+    Each repeat runs all gaits once, so that the repeats of one gait do not follow each other directly.
     """
     if repeats == 1:
         return {name: name for name in gaits}
@@ -59,7 +59,7 @@ def spread(name: str, promise: Prediction, runs: Sequence[RecordedGait]) -> Spre
 
     Args:
         name: name of the gait.
-        promise: its prediction before the runs.
+        promise: prediction of the gait before the runs.
         runs: the recorded repeats, at least one.
     """
     pitch = runs[0].content.parameters.pitch
@@ -85,7 +85,7 @@ def spread(name: str, promise: Prediction, runs: Sequence[RecordedGait]) -> Spre
 
 
 def spread_table(spreads: Sequence[Spread]) -> str:
-    """Return a text table: successful repeats, then mean and standard deviation of each quantity."""
+    """Return a text table with the successful repeats of each gait, and mean ± standard deviation of each quantity."""
     rows = [("gait", "promise kept", *(quantity.title for quantity in QUANTITIES.values()))]
     for row in spreads:
         kept = f"{row.kept} of {row.repeats} ({row.promised} a cycle)"
@@ -98,7 +98,7 @@ def spread_table(spreads: Sequence[Spread]) -> str:
 
 
 def draw_spread(path: Path, spreads: Sequence[Spread]) -> None:
-    """Write the figure: a dot for each repeat, a line for the prediction."""
+    """Write the figure of the speeds: a dot for each repeat, and a line for the prediction with the margin."""
     figure = new_figure(1.6 + 1.3 * len(spreads), 3.6)
     axes = figure.add_subplot()
     for place, row in enumerate(spreads):
@@ -115,5 +115,5 @@ def draw_spread(path: Path, spreads: Sequence[Spread]) -> None:
         ],
     )
     axes.set_ylim(bottom=0.0)
-    finish(axes, "speed (mm/s)", "line: promised with its margin; dot: one run")
+    finish(axes, "speed (mm/s)", "line: prediction with the margin; dot: one run")
     save_figure(figure, path)

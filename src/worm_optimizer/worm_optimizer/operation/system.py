@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reader of config/system.yaml, the description of the node graph for the launch file and all commands."""
+"""Reader of config/system.yaml, which describes the node graph for the launch file and all commands."""
 
 from __future__ import annotations
 
@@ -18,8 +18,10 @@ from worm_msgs.yaml_file import unknown_name
 Value = bool | int | float | str | list[bool] | list[int] | list[float] | list[str]
 
 MODES = ("robot", "virtual", "replay")
-RESTARTS = 3  # restarts of an optional node while a graph stays up
-ALSO_REQUIRED = "also_required"  # setting with the names of further required nodes
+RESTARTS = 3  # largest number of restarts of an optional node
+ALSO_REQUIRED = (
+    "also_required"  # name of the setting that contains the names of further required nodes
+)
 
 
 class SystemFileError(ValueError):
@@ -32,10 +34,10 @@ class NodeDescription:
 
     Attributes:
         name: name of the node.
-        package, executable: what to run.
+        package, executable: ROS package and executable of the node.
         awaited: True if the following nodes start after this one has reported readiness (`worm_msgs.readiness`).
-        lifecycle: True for a node to configure and activate. Its servos keep their torque when it crashes.
-        required: True if all nodes end with this one. Other nodes are restarted.
+        lifecycle: True for a lifecycle node, which is the driver. Its servos keep their torque when it crashes.
+        required: True if all nodes end when this one ends. Other nodes are restarted.
         end_timeout_s: time from an interrupt to a kill, s.
         arguments: command-line arguments.
         parameters: ROS parameters.
@@ -69,7 +71,7 @@ class NodeDescription:
 
         Args:
             status: exit status, or the negative number of the signal that ended the process.
-            was_ready: True if the node had reported readiness. A driver turns torque on only afterwards.
+            was_ready: True if the node had reported readiness. Only then may a driver have turned torque on.
         """
         if self.lifecycle and was_ready and status:
             return f"the {self.name} ended (exit status {status}); torque may be on"
@@ -93,9 +95,9 @@ class Setting:
     """Setting of a system file that can differ between starts, such as the path of a device.
 
     Attributes:
-        default: its default value.
-        description: its meaning.
-        number: True if its value is a finite number, or empty.
+        default: default value.
+        description: meaning.
+        number: True if the value must be a finite number or empty.
     """
 
     default: str
@@ -108,14 +110,14 @@ _Mode = Annotated[str, OneOf(MODES)]
 
 @dataclass(frozen=True, kw_only=True)
 class NodeRow:
-    """Node in a system file. Values that contain ``{name}`` are filled with the setting of that name.
+    """Node in a system file. In its values, ``{name}`` is replaced by the value of the setting with this name.
 
     Attributes:
-        modes: the modes that the node runs in.
-        needs: setting without whose value the node does not run.
-        required: modes in which all nodes end with this one.
-        arguments: groups of command-line arguments; a group without a value is left out.
-        parameters, remappings: those under the name of a mode hold in that mode alone.
+        modes: modes in which the node runs.
+        needs: name of a setting. If the setting is empty, the node does not run.
+        required: modes in which all nodes end when this one ends.
+        arguments: groups of command-line arguments. A group with an empty argument is omitted.
+        parameters, remappings: entries under the name of a mode are valid only in this mode.
 
     The other attributes are those of `NodeDescription`.
     """
@@ -135,14 +137,14 @@ class NodeRow:
 
 @dataclass(frozen=True)
 class SystemFile:
-    """System file: settings, and nodes that refer to the settings as {name}."""
+    """Content of a system file: default namespace, settings, and nodes that refer to the settings as {name}."""
 
     namespace: str
     settings: Mapping[str, Setting]
     nodes: Mapping[str, NodeRow]
 
     def __post_init__(self) -> None:
-        """Raise `SystemFileError` if a node refers to a setting that the file does not have."""
+        """Raise `SystemFileError` if a node refers to a setting that the file does not contain."""
         known = ("namespace", *self.settings)
         for name, row in self.nodes.items():
             for used in (*re.findall(r"\{(\w+)\}", repr(row)), row.needs):
@@ -158,7 +160,7 @@ class SystemFile:
             settings: settings that differ from their defaults.
 
         Raises:
-            SystemFileError: The mode or a setting is unknown.
+            SystemFileError: The mode, a setting or a required node is unknown, or a number is malformed.
         """
         namespace = namespace or self.namespace
         if mode not in MODES:
@@ -182,7 +184,7 @@ class SystemFile:
     def _with_required(
         self, nodes: tuple[NodeDescription, ...], names: str
     ) -> tuple[NodeDescription, ...]:
-        """Return the nodes, with the named ones required. Raises `SystemFileError` if a name is unknown."""
+        """Mark the named nodes as required, and return all nodes. Raises `SystemFileError` if a name is unknown."""
         also = names.replace(",", " ").split()
         for name in also:
             if name not in self.nodes:
@@ -207,7 +209,7 @@ class SystemFile:
 
 
 def load_system_file(path: str | Path) -> SystemFile:
-    """Read a system file. Raises `SystemFileError`, whose message names the path and the key."""
+    """Read a system file. Raises `SystemFileError`, whose message contains the path and the key."""
     return read_settings(Path(path), SystemFile, SystemFileError)
 
 
@@ -222,12 +224,12 @@ def _number(name: str, text: str) -> float:
 
 
 def settings_of(conditions: Conditions) -> dict[str, str]:
-    """Return the settings of a system that state conditions in the pipe."""
+    """Return conditions in the pipe as settings of a system."""
     return {key: repr(getattr(conditions, name)) for key, name in CONDITION_PARAMETERS.items()}
 
 
 def conditions_of(settings: Mapping[str, str]) -> Conditions:
-    """Return the conditions in the pipe that settings state; see `settings_of`. Raises `ConditionsError`."""
+    """Return the conditions in the pipe from settings; the inverse of `settings_of`. Raises `ConditionsError`."""
     stated = {
         name: _number(key, settings[key])
         for key, name in CONDITION_PARAMETERS.items()
@@ -239,7 +241,7 @@ def conditions_of(settings: Mapping[str, str]) -> Conditions:
 def _parameters(
     parameters: Mapping[str, Value], values: Mapping[str, str | float]
 ) -> dict[str, Value]:
-    """Return the parameters with values filled in. Empty ones are left out, so that the node's default holds."""
+    """Return the parameters with settings filled in. Empty ones are omitted, so that the node uses its default."""
     filled = {key: _fill(value, values) for key, value in parameters.items()}
     return {key: value for key, value in filled.items() if value != ""}
 
@@ -253,13 +255,13 @@ def _of_mode(rows: Mapping[str, Any], mode: str) -> dict[str, Any]:
 def _arguments(
     groups: Sequence[Sequence[str | int | float]], values: Mapping[str, str | float]
 ) -> tuple[str, ...]:
-    """Return the arguments of all groups with values filled in; a group with an empty argument is left out."""
+    """Return the arguments of all groups with settings filled in. Groups with an empty argument are omitted."""
     filled = [[str(_fill(word, values)) for word in group] for group in groups]
     return tuple(word for group in filled if all(group) for word in group)
 
 
 def _fill(value: Value, values: Mapping[str, str | float]) -> Value:
-    """Return a value with settings filled in; ``{name}`` alone keeps the type of the setting."""
+    """Return a value with settings filled in. A value that is only ``{name}`` gets the type of the setting."""
     if not isinstance(value, str):
         return value
     alone = values.get(value[1:-1], "") if value == f"{{{value[1:-1]}}}" else ""

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reports: recorded gaits, measured and predicted, as one HTML page with figures.
 
-- `recordings` reads bags and returns the gaits that were played in them.
+- `recordings` reads bags and returns their gaits.
 - `recorded_gait` computes the metrics of one gait, `expectation` predicts it with intervals, and `events` lists its
   events.
 - `agreement` compares measured and expected values.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Comparison of measured with expected values and of the order of the gaits, as objects, text and JSON."""
+"""Comparison of measured with expected values, and of the measured with the expected order of the gaits."""
 
 from __future__ import annotations
 
@@ -43,14 +43,14 @@ QUANTITIES = {
     "power": Quantity("power", 1.0, "W", 3),
     "cost_of_transport": Quantity("cost of transport", 1.0, "", 1),
 }
-# A relative difference of this size never counts as agreement. An interval that is so wide shows that the parameters
-# are poorly known, not that the prediction is good.
+# A relative difference of this size or more never counts as agreement. An interval that contains such differences shows
+# that the parameters are poorly known, not that the prediction is good.
 LEAST_DISAGREEMENT = 0.20
-# A measurement can contradict a number of grooves with at least the probability CERTAIN. Numbers with a probability
-# below POSSIBLE are not expected.
+# A measurement can contradict an expected number of grooves only if its probability is at least CERTAIN. Numbers with a
+# probability below POSSIBLE count as impossible.
 CERTAIN, POSSIBLE = 0.9, 0.05
-# Prefixes of the names of gaits that a campaign runs for comparison: designed without a margin, without the
-# conditions of the campaign, and with the paper's waveform.
+# Prefixes of the names of gaits that a campaign runs for comparison: designed without a margin, for level ground, and
+# with the paper's waveform.
 NOMINAL, LEVEL_GROUND, SINUSOIDAL = "nominal_", "level_", "sinusoid_"
 COMPARED = {NOMINAL: "nominal", LEVEL_GROUND: "for level ground", SINUSOIDAL: "sinusoid"}
 _TITLES = {"min_power": "minimum power", "cruise": "cruising", "max_speed": "maximum speed"}
@@ -62,8 +62,8 @@ class Order:
 
     Attributes:
         quantity: key of `QUANTITIES`.
-        expected: names of the gaits in the order of rising expected values.
-        measured: names of the gaits in the order of rising measured values; None if a measured value is NaN.
+        expected: names of the gaits by rising expected value.
+        measured: names of the gaits by rising measured value; None if a measured value is NaN.
     """
 
     quantity: str
@@ -92,12 +92,12 @@ class Grooves:
 
     @property
     def is_fragile(self) -> bool:
-        """True if no expected number of grooves is probable enough for a measurement to contradict it."""
+        """True if the most probable number of grooves is not probable enough for a measurement to contradict it."""
         return self.expected[0].probability < CERTAIN
 
     @property
     def agrees(self) -> bool | None:
-        """True if the expected grooves were measured; None if a fragile gait gained a possible number."""
+        """True if the expected grooves were measured, False if not; None if a fragile gait gained a possible number."""
         tolerance = 0.5 / self.cycles
         if not self.is_fragile:
             return abs(self.measured - self.expected[0].grooves) < tolerance
@@ -121,7 +121,7 @@ class Agreement:
         quantity: key of `QUANTITIES`.
         measured: mean of the averaged cycles, with the lowest and highest cycle as bounds.
         expected: predicted value with its 95 % interval.
-        grooves: grooves per cycle for the speed, None for the other quantities.
+        grooves: grooves per cycle, for the speed only; else None.
     """
 
     gait: str
@@ -132,11 +132,11 @@ class Agreement:
 
     @property
     def agrees(self) -> bool | None:
-        """True if the measured value agrees with the expected one; None if that cannot be decided.
+        """True if the measured value agrees with the expected one, False if not; None if this cannot be decided.
 
-        Speed consists of whole grooves: it agrees if the expected grooves were measured. The other quantities agree if
-        the expected 95 % interval and the span of the measured cycles overlap. The span stands for the uncertainty of
-        the measurement. A relative difference of `LEAST_DISAGREEMENT` or more never agrees.
+        The speed agrees if the expected number of grooves was measured. Power and cost of transport agree if the
+        expected 95 % interval overlaps the span from the lowest to the highest measured cycle, and if the relative
+        difference is below `LEAST_DISAGREEMENT`.
         """
         if math.isnan(self.measured.value) or not math.isfinite(self.expected.value):
             return None
@@ -164,7 +164,7 @@ class Agreement:
 
 
 def title_of(name: str) -> str:
-    """Return the title of a gait: in plain English for the gaits of a campaign, else its name."""
+    """Return the title of a gait: words such as "cruising" for a gait of a campaign, otherwise the name of the gait."""
     for prefix, text in COMPARED.items():
         if name.startswith(prefix):
             return f"{title_of(name.removeprefix(prefix))}, {text}"
@@ -177,7 +177,7 @@ def percent(difference: float) -> str:
 
 
 def orders(gaits: Sequence[RecordedGait]) -> tuple[Order, ...]:
-    """Return the orders of the gaits by speed, power and cost of transport, or none for fewer than two gaits."""
+    """Return the orders of the gaits by speed, power and cost of transport; empty for fewer than two gaits."""
     if len(gaits) < 2:
         return ()
     return tuple(_order(gaits, quantity) for quantity in QUANTITIES)
@@ -223,7 +223,7 @@ def order_text(order: Order) -> str:
     name = f"order by {QUANTITIES[order.quantity].name}"
     expected = " < ".join(map(title_of, order.expected))
     if order.measured is None:
-        return f"{name}: unknown, a number is missing (expected {expected})"
+        return f"{name}: unknown, a measured value is missing (expected {expected})"
     if order.preserved:
         return f"{name}: preserved, {expected}"
     measured = " < ".join(map(title_of, order.measured))
@@ -231,7 +231,7 @@ def order_text(order: Order) -> str:
 
 
 def headline(gaits: Sequence[RecordedGait]) -> str:
-    """Return the verdict on all gaits as one sentence, after the gaits that ended early."""
+    """Return the gaits that ended early, and the verdict on all gaits, as text."""
     rows = [row for gait in gaits for row in agreements(gait)]
     known = [row for row in rows if row.agrees is not None]
     early = [f"{title_of(gait.name)} {gait.early_end}" for gait in gaits if gait.early_end]
@@ -246,7 +246,9 @@ def headline(gaits: Sequence[RecordedGait]) -> str:
         verdict = f"All {len(known)} numbers agree with the prediction"
     fragile = [title_of(row.gait) for row in rows if row.verdict.startswith("fragile")]
     if fragile:
-        verdict += f"; {', '.join(fragile)}: fragile, its grooves are not certain enough to judge"
+        verdict += (
+            f"; {', '.join(fragile)}: fragile, the expected grooves are too uncertain for a verdict"
+        )
     unknown = len(rows) - len(known) - len(fragile)
     if known and unknown:
         verdict += f"; {unknown} could not be measured"
@@ -254,7 +256,7 @@ def headline(gaits: Sequence[RecordedGait]) -> str:
 
 
 def describe(gaits: Sequence[RecordedGait]) -> str:
-    """Return a table for a terminal: each number with its expected 95 % interval, then the orders."""
+    """Return a table for a terminal: each measured value with its expected 95 % interval, then the orders."""
     heads = ("gait", "", "measured", "expected", "95 % interval", "difference", "verdict")
     rows = [heads, *(_row(row) for gait in gaits for row in agreements(gait))]
     lines = [f"{gait.name}: {gait.early_end}" for gait in gaits if gait.early_end]
@@ -267,7 +269,7 @@ def describe(gaits: Sequence[RecordedGait]) -> str:
 
 
 def expected_range(row: Agreement) -> str:
-    """Return the expected 95 % interval; for the speed, the grooves per cycle with their probabilities."""
+    """Return the expected 95 % interval as text; for the speed, the expected grooves with their probabilities."""
     if row.grooves is None:
         return QUANTITIES[row.quantity].range(row.expected)
     return str(row.grooves).partition(";")[0]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Events of a run as text: states of the driver, diagnostics, notices of the twin, and gaps in the data."""
+"""Events of a run as text: states of the driver, diagnostics, notices of the twin, and missing measurements."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Event:
 
     Attributes:
         time: time since the first sample of the run, s; NaN for an event that concerns the whole run.
-        source: the driver, the twin, an instrument, or the name of a diagnostic status.
+        source: ``driver``, ``twin``, name of an instrument, or name of a diagnostic status.
         level: ``note``, ``warning`` or ``error``; ``stale`` also occurs for a diagnostic status.
         text: description.
     """
@@ -43,7 +43,7 @@ Holds = Callable[[int], bool]
 
 
 def events_of(bag: Bag, run: Run, holds: Holds, replay: Replay) -> tuple[Event, ...]:
-    """Return all events of a part of a bag, ordered by time; events of the whole part come last.
+    """Return all events of a part of a bag, ordered by time, followed by the events that concern the whole part.
 
     Args:
         bag: recording.
@@ -61,7 +61,7 @@ def events_of(bag: Bag, run: Run, holds: Holds, replay: Replay) -> tuple[Event, 
 
 
 def _driver_events(bag: Bag, run: Run, holds: Holds) -> Iterator[Event]:
-    """Yield the changes of the driver's state and message, without those that differ only in the cycle."""
+    """Yield an event for each change of the driver's state or message."""
     columns = _columns(bag, find_topic(bag.topics.values(), "gait_state"))
     if columns is None:
         return
@@ -79,7 +79,7 @@ def _driver_events(bag: Bag, run: Run, holds: Holds) -> Iterator[Event]:
 
 
 def _complaints(bag: Bag, run: Run, holds: Holds) -> Iterator[Event]:
-    """Yield the first diagnostic that is not ok, for each name and level, with the number of such reports."""
+    """Yield the first diagnostic of each name and level other than ok, with the number of such diagnostics."""
     columns = _columns(bag, bag.topics.get(_DIAGNOSTICS))
     if columns is None:
         return
@@ -107,7 +107,7 @@ def _columns(bag: Bag, topic: Topic | None) -> Columns | None:
 
 
 def _stamps(columns: Columns) -> list[int]:
-    """Return the header stamps, ns since the epoch."""
+    """Return the header stamps of messages, ns since the epoch."""
     stamp = columns.numbers["header.stamp.sec"].astype(np.int64) * 10**9
     return (stamp + columns.numbers["header.stamp.nanosec"].astype(np.int64)).tolist()
 
@@ -115,7 +115,7 @@ def _stamps(columns: Columns) -> list[int]:
 def _statuses(columns: Columns, row: int) -> Iterator[tuple[str, int, str]]:
     """Yield (name, level, message) of each status in a message.
 
-    The columns hold as many statuses as the longest message. Shorter messages have empty names there.
+    The columns contain as many statuses as the longest message. The names of missing statuses are empty.
     """
     index = 0
     while (names := columns.texts.get(f"status[{index}].name")) is not None:
@@ -126,7 +126,7 @@ def _statuses(columns: Columns, row: int) -> Iterator[tuple[str, int, str]]:
 
 
 def _gaps(run: Run) -> Iterator[Event]:
-    """Yield the power samples without a value and the hidden markers of the tracker."""
+    """Yield an event for each kind of power sample without a value, and for each marker that was hidden."""
     for code in sorted(set(run.power.status.tolist()) - {POWER_VALID}):
         count = int(np.count_nonzero(run.power.status == code))
         name = power_status_name(code)

@@ -22,11 +22,11 @@ from worm_model.simulation.simulator import (
 )
 from worm_optimizer.robustness.uncertainty import phase_known, power_draws
 
-SAMPLES = 500
+SAMPLES = 500  # number of draws of the parameters
 SEED = 1
-_STEADY = (CYCLES - AVERAGED + 1, CYCLES)
-_TAIL = 2.5  # percentage beyond each end of a 95 % interval
-FEWEST_DRAWS = 10  # needed for an interval
+_STEADY = (CYCLES - AVERAGED + 1, CYCLES)  # first and last of the usual averaged cycles
+_TAIL = 2.5  # percentage of the draws beyond each end of a 95 % interval
+FEWEST_DRAWS = 10  # least number of draws for an interval
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class Bands:
 
 @dataclass(frozen=True)
 class GrooveShare:
-    """``grooves`` per cycle, averaged over the averaged cycles, and their ``probability``."""
+    """Number of ``grooves`` per cycle (mean over the averaged cycles), and its ``probability``."""
 
     grooves: float
     probability: float
@@ -66,8 +66,8 @@ class Expectation:
     Attributes:
         nominal: prediction without the gait's margin.
         robust: prediction with the gait's margin.
-        bands: nominal speed, power and cost of transport with their 95 % intervals. If the measured grooves are known,
-            power and cost of transport are those of the draws that gain these grooves.
+        bands: speed, power and cost of transport without the margin, with their 95 % intervals. If the measured grooves
+            are known, power and cost of transport are those of the draws that gain these grooves.
         grooves: grooves per cycle with their probabilities, the most probable first.
         cycles: number of averaged cycles.
     """
@@ -90,8 +90,9 @@ def expect(
     Args:
         gait: gait; its margin affects only the robust prediction.
         content: parameters with their intervals.
-        averaged: first and last averaged cycle, counted from 1. The first cycles begin with straight fins and differ
-            from the later ones. From the fifth on all cycles are alike, and the last three of five represent them.
+        averaged: first and last averaged cycle, counted from 1. The first cycles differ from later ones, because the
+            fins are straight at the onset. If the last cycle is the fifth or a later one, the last three of five cycles
+            are predicted instead, because all later cycles are like the fifth.
         measured_grooves: measured grooves per cycle over the averaged cycles; NaN if not measured.
     """
     first, last = averaged if averaged[1] < CYCLES else _STEADY
@@ -109,9 +110,8 @@ def expect(
     )
     mass = overrides["rear_mass"] + overrides["front_mass"]
     cost = cost_of_transport(table.speed, table.power, mass)
-    step = (
-        content.parameters.pitch * gait.frequency / count
-    )  # speed of one groove in all averaged cycles, m/s
+    # Mean speed of a gait that gains one groove in all averaged cycles together, m/s
+    step = content.parameters.pitch * gait.frequency / count
     totals = np.rint(np.asarray(table.speed) / step).astype(int)
     expected = round(nominal.speed / step)
     target = measured_grooves * count
@@ -140,17 +140,17 @@ def _band_given(
 ) -> Band:
     """Return the band of the draws that gain the measured grooves.
 
-    If no draw gains them, the band is interpolated between the draws with fewer and those with more grooves. Numbers
-    of grooves with fewer than `FEWEST_DRAWS` draws do not count.
+    If too few draws gain them, the band is interpolated between the draws with fewer and those with more grooves.
+    Numbers of grooves that fewer than `FEWEST_DRAWS` draws gain are ignored.
 
     Args:
-        target: measured grooves in all averaged cycles; NaN selects all draws.
-        totals: grooves of each draw in all averaged cycles, shape (n,).
+        target: measured grooves in all averaged cycles together; NaN selects all draws.
+        totals: grooves of each draw in all averaged cycles together, shape (n,).
         drawn: quantity of each draw, shape (n,).
         nominal: grooves and value of the nominal prediction.
 
     Returns:
-        The band; its value and bounds are NaN if draws with fewer or with more grooves are missing.
+        The band. It is NaN if it must be interpolated and draws with fewer or with more grooves are missing.
     """
     if math.isnan(target):
         return _band(nominal[1], drawn)
@@ -171,6 +171,6 @@ def _band_given(
 
 def _band(value: float, drawn: ArrayLike) -> Band:
     known = np.asarray(drawn, dtype=float)
-    # A gait that gains no groove in some draws has an infinite cost there, so draws must not be interpolated.
+    # Draws without a groove have an infinite cost of transport, so the percentiles must not interpolate between draws.
     low, high = np.percentile(known, (_TAIL, 100.0 - _TAIL), method="nearest")
     return Band(value, float(low), float(high))

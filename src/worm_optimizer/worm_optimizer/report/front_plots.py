@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of fronts with marked or measured gaits, of their groove map, and of the price of robustness."""
+"""Figures of fronts with marked or measured gaits, of the grooves per cycle, and of the price of robustness."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from worm_optimizer.search.front import RobustFront
 from worm_optimizer.search.price_of_robustness import PriceOfRobustness
 
 _MAP_STROKES, _MAP_FREQUENCIES = 241, 161
-_COSTS = (25, 50, 100, 200)  # cost of transport of each line in the plane of speed and power
+_COSTS = (25, 50, 100, 200)  # costs of transport for which a line is drawn over speed and power
 
 # The measured value usually lies within the expected interval, so a small filled marker is drawn in a large hollow one.
 _EXPECTED: Mapping[str, Any] = {
@@ -41,7 +41,7 @@ _MEASURED: Mapping[str, Any] = {
 
 
 def front_figure(front: RobustFront, marks: Mapping[str, Prediction]) -> Figure:
-    """Draw a front with marked gaits and their cost of transport."""
+    """Draw a front, with marks at some gaits and their costs of transport."""
     figure = plot_style.new_figure(6.5, 5.0)
     axes = figure.subplots()
     _plot_front(axes, front)
@@ -51,7 +51,7 @@ def front_figure(front: RobustFront, marks: Mapping[str, Prediction]) -> Figure:
 
 
 def front_and_map_figure(front: RobustFront, marks: Mapping[str, Prediction]) -> Figure:
-    """Draw a front next to the map of the grooves per cycle, at the margin of the front."""
+    """Draw a front, and next to it the grooves per cycle over stroke and frequency at the margin of the front."""
     task = front.nominal.with_margin(front.margin)
     figure = plot_style.new_figure(12.5, 5.0)
     left, right = figure.subplots(1, 2)
@@ -115,7 +115,7 @@ def measured_front_figure(front: RobustFront, gaits: Sequence[RecordedGait]) -> 
 
 
 def price_figure(price: PriceOfRobustness) -> Figure:
-    """Draw the lowest cost of transport over the margin by branches, with the cliff and its closed form."""
+    """Draw the lowest cost of transport over the margin, coloured by branch, with the cliff and its closed form."""
     figure = plot_style.new_figure(7.5, 4.8)
     axes = figure.subplots()
     margins = plot_style.MM * np.array([point.margin for point in price.points])
@@ -148,7 +148,7 @@ def price_figure(price: PriceOfRobustness) -> Figure:
 
 
 def _plot_front(axes: Axes, front: RobustFront) -> None:
-    """Draw a front as power over speed, by branches, with lines of equal cost of transport."""
+    """Draw a front as power over speed, coloured by branch, with lines of equal cost of transport."""
     speed, power, grooves, cost = _columns(
         front.gaits, "speed", "power", "grooves_per_cycle", "cost_of_transport"
     )
@@ -177,9 +177,9 @@ def _mark(axes: Axes, marks: Mapping[str, Prediction]) -> None:
 
 
 def _name(axes: Axes, text: str, point: tuple[float, float]) -> None:
-    """Label a point, to its lower right or, near the right end of the axes, to its upper left.
+    """Write a label to the lower right of a point or, near the right end of the axes, to its upper left.
 
-    The front does not pass through these regions. The label has a white background.
+    The front does not pass through these regions.
     """
     right_end = point[0] > 0.75 * axes.get_xlim()[1]
     axes.annotate(

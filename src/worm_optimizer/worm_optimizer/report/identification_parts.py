@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Content of a report's section on identification: parameter file, identification report and bench test fits."""
+"""Content of a report's section on identification: parameter file, report of ``identify``, and fits of bench tests."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _Fit = TypeVar("_Fit")
 
 @dataclass(frozen=True)
 class IdentificationParts:
-    """Parts of the section on identification. Parts that are None or empty are left out of the report.
+    """Parts of the section on identification. Parts that are None or empty are omitted.
 
     Attributes:
         content: content of a parameter file.
@@ -69,20 +69,22 @@ def add_identification(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="PATH",
-        help="a parameter file that identify has written, or the folder of its report; once for each",
+        help="parameter file or folder of the report that identify has written; may be given once for each of both",
     )
-    parser.add_argument("--bellows", type=Path, metavar="CSV", help="compression_m, force_N")
-    parser.add_argument("--fin", type=Path, metavar="CSV", help="displacement_m, force_N")
+    parser.add_argument(
+        "--bellows", type=Path, metavar="CSV", help="bellows test: compression_m, force_N"
+    )
+    parser.add_argument("--fin", type=Path, metavar="CSV", help="fin test: displacement_m, force_N")
 
 
 def identification_of(options: argparse.Namespace) -> IdentificationParts | None:
-    """Read the parts that the options name.
+    """Read the files that the options of `add_identification` name.
 
     Returns:
         The parts, or None if no option is given.
 
     Raises:
-        InputError: A part is invalid, or one of the kinds is given twice.
+        InputError: A file is invalid, or several parameter files or folders are given.
         ParameterError: The parameter file is invalid.
     """
     folders = [path for path in options.identification if path.is_dir()]
@@ -115,14 +117,14 @@ def _fit(
 
 
 def _read_folder(folders: Sequence[Path]) -> tuple[str, dict[str, bytes]]:
-    """Return text (HTML) and figures of a report of ``identify``, the figures of the bench tests first."""
+    """Return text (HTML) and figures of a report of ``identify``, the figures in the order of `FIGURE_TITLES`."""
     if not folders:
         return "", {}
     folder = folders[0]
     page = folder / PAGE
     if not page.is_file():
         raise InputError(
-            f"--identification {folder}: has no {PAGE}; name the folder that identify --report wrote"
+            f"--identification {folder}: contains no {PAGE}; give the folder that identify --report wrote"
         )
     images = {path.stem: path for path in sorted((folder / FIGURES).glob(f"*{_SUFFIX}"))}
     ordered = [name for name in FIGURE_TITLES if name in images]
@@ -135,7 +137,7 @@ def _read_folder(folders: Sequence[Path]) -> tuple[str, dict[str, bytes]]:
 
 
 def _as_html(markdown: str) -> str:
-    """Return the report as HTML, with its headings below those of the page and without its section of figures."""
+    """Return a report in Markdown as HTML, with headings of level 3 and without title and section of figures."""
     text = re.sub(r"\A# .*\n", "", markdown.partition(f"## {FIGURES_HEADING}")[0])
     text = re.sub(r"(?m)^#+ ", "### ", text)
     html = str(markdown2.markdown(text, extras=["code-friendly", "tables"], safe_mode="escape"))
@@ -147,14 +149,14 @@ def _as_html(markdown: str) -> str:
 def comparable_with_paper(content: ParameterFile) -> list[str]:
     """Return the keys of the parameters that are comparable with the paper.
 
-    Parameters that were fitted with another form of the power than the paper's are left out.
+    Parameters that were fitted with a form of the power other than the paper's are omitted.
     """
     other = FITTED_WITH_FORM if content.parameters.one_sided_cable else ()
     return [key for key in KEYS if key not in other]
 
 
 def parameters_figure(content: ParameterFile) -> Figure:
-    """Draw the ratio of each parameter with an interval to the paper's value, unless that is 0 or not comparable."""
+    """Draw the ratio of each identified parameter to the paper's value, unless that is 0 or not comparable."""
     values, paper = content.parameters.as_dict(), PAPER.as_dict()
     keys = [
         key for key in comparable_with_paper(content) if key in content.intervals and paper[key]
@@ -178,7 +180,7 @@ def parameters_figure(content: ParameterFile) -> Figure:
     )
     axes.set_yticks(rows, [f"{key} ({symbol(SYMBOLS[key])})" for key in keys])
     axes.invert_yaxis()
-    axes.set_xlabel("value over the paper's (1)")
+    axes.set_xlabel("identified value / paper's value (1)")
     axes.grid(visible=True, axis="x", linewidth=0.4)
     axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False)
     return figure

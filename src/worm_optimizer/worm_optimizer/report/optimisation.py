@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Front for recorded gaits: for their parameters, their direction and the margin they were designed with."""
+"""Front for recorded gaits, computed with their parameters, their direction and the margin of their design."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ _SAME_MARGIN = 1e-7  # m
 
 @dataclass(frozen=True)
 class Optimisation:
-    """Result of the optimizer for the parameters that the gaits are compared with.
+    """Result of the optimizer for the parameters with which the gaits are compared.
 
     Attributes:
         front: robust front.
         price: price of robustness.
-        note: which gaits the front applies to if their margins or waveforms differ; else empty.
+        note: difference between the front and the gaits in margin or waveform, as text; empty without one.
     """
 
     front: RobustFront
@@ -32,33 +32,33 @@ class Optimisation:
 
 
 def why_no_front(gaits: Sequence[RecordedGait]) -> str:
-    """Return why the gaits cannot be shown on one front, or an empty string if they can."""
+    """Return the reason why the gaits cannot be shown on one front; empty if they can."""
     if len({gait.gait.direction for gait in gaits}) > 1:
-        return "no front is shown: the gaits go in different directions; report each direction by itself"
+        return "no front is shown: the gaits have different directions; make a report for each direction"
     first = gaits[0].content
     for gait in gaits[1:]:
         other = gait.content
         if (other.parameters, other.intervals) != (first.parameters, first.intervals):
             return (
                 f"no front is shown: {gaits[0].name} and {gait.name} were recorded with different parameters; "
-                "give --parameters FILE for all of them"
+                "give one parameter file for all recordings with --parameters FILE"
             )
     return ""
 
 
 def sinusoid_of(gait: Gait) -> Gait:
-    """Return the gait with the paper's waveform, of the same stroke and frequency."""
+    """Return a gait with the paper's waveform and otherwise the values of ``gait``."""
     shaping = {name: GAIT_DEFAULTS[name] for name in WAVEFORM if name in GAIT_DEFAULTS}
     return replace(gait, **shaping)
 
 
 def optimise(gaits: Sequence[RecordedGait]) -> Optimisation:
-    """Return front and price of robustness for gaits that `why_no_front` accepts.
+    """Return front and price of robustness for gaits for which `why_no_front` returns an empty text.
 
-    The front has the margin of the gaits. If their margins differ, it has the margin of the cliff.
+    The front has the margin of the gaits. If their margins differ, it has the margin before the cliff.
 
     Raises:
-        OptimizerError: No gait moves the robot.
+        OptimizerError: No gait moves.
     """
     content, direction = gaits[0].content, gaits[0].gait.direction
     price = scanned_price(content, Settings(), direction)
@@ -68,11 +68,11 @@ def optimise(gaits: Sequence[RecordedGait]) -> Optimisation:
         low, high = 1e3 * margins[0], 1e3 * margins[-1]
         margin = price.margin
         notes.append(
-            f"The gaits were made with margins from {low:.2f} to {high:.2f} mm; the front is that of the margin "
-            "at the cliff."
+            f"The gaits were designed with margins from {low:.2f} to {high:.2f} mm; the front has the last margin "
+            "before the cliff."
         )
     if any(gait.gait != sinusoid_of(gait.gait) for gait in gaits):
-        notes.append("The front is that of the paper's waveform; some gaits are shaped.")
+        notes.append("Some gaits are shaped; the front contains the paper's waveform only.")
     front = make_front(content, Settings(margin=margin), direction)
     if math.isclose(margin, price.margin, abs_tol=_SAME_MARGIN):
         front = replace(front, reason=reason_for(price))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recorded gait with all values that a report contains: measured, expected and estimated by the twin."""
+"""Recorded gait with all values of a report: measured, expected, and predicted by the twin."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ class RecordedGait:
         replay: output of the twin for the part.
         judged: metrics of the replay.
         measured: mean of the averaged cycles, with the lowest and highest cycle as bounds.
-        twin: the same values of the twin, which is driven with the recorded lengths.
-        expected: prediction for these cycles, from the command alone.
+        twin: these means according to the twin, which is driven by the recorded lengths.
+        expected: prediction for the averaged cycles, from the command alone.
         idle_power: power measured at rest, W.
         events: events of the part.
-        early_end: why fewer cycles were played than requested; else empty.
-        missing: reasons for values that are NaN; else empty.
-        provenance: origin of the recording.
+        early_end: reason why fewer cycles were played than requested; empty if all were played.
+        missing: reasons for measured values that are NaN.
+        provenance: origin of the recording, by name.
     """
 
     name: str
@@ -78,7 +78,7 @@ def recorded_gait(
     events: tuple[Event, ...],
     provenance: dict[str, str],
 ) -> RecordedGait:
-    """Compute the metrics of one gait from its part of a recording and of the twin's replay, and predict it.
+    """Compute the metrics of one gait from its part of a recording and of the twin's replay, and predict the gait.
 
     Args:
         run: part of the recording.
@@ -89,7 +89,7 @@ def recorded_gait(
         provenance: origin of the recording.
 
     Raises:
-        RecordingError: The part holds no gait.
+        RecordingError: The part contains no gait.
     """
     content, source = parameters
     try:
@@ -109,9 +109,7 @@ def recorded_gait(
         measured = _bands(tracked, energy, spans, direction, mass, missing)
     else:
         measured = Bands(*(Band(math.nan, math.nan, math.nan) for _ in range(3)))
-        missing.append(
-            "no cycle was completed: there is no speed, power of a cycle or cost of transport"
-        )
+        missing.append("no cycle was completed: speed, power and cost of transport are unavailable")
     grooves = measured.speed.value / (played.gait.frequency * content.parameters.pitch)
     return RecordedGait(
         name=name,
@@ -134,10 +132,10 @@ def recorded_gait(
 
 
 def _early_end(run: Run, played: run_metrics.PlayedGait, events: Sequence[Event]) -> str:
-    """Return the reason of `early_end`, with the first error that the driver reported."""
+    """Return the reason of an early end, with the first error that the driver reported; empty without an early end."""
     reason = run_metrics.early_end(run, played)
-    said = [event.text for event in events if event.source == "driver" and event.level == "error"]
-    return f"{reason} ({said[0]})" if reason and said else reason
+    errors = [e.text for e in events if e.source == "driver" and e.level == "error"]
+    return f"{reason} ({errors[0]})" if reason and errors else reason
 
 
 def _bands(
@@ -148,7 +146,7 @@ def _bands(
     mass: float,
     missing: list[str],
 ) -> Bands:
-    """Return the means over the first span, with bounds from the other spans."""
+    """Return the means over the first span, with the lowest and highest means over the other spans as bounds."""
     speeds = [direction * rate for rate in _rates(position, spans, "position of x1", missing)]
     powers = list(_rates(energy, spans, "power", missing))
     costs = [float(cost_of_transport(v, p, mass)) for v, p in zip(speeds, powers, strict=True)]

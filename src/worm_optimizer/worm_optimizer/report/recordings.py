@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Selection of bags for a report, and their conversion to recorded gaits, one for each gait that was played."""
+"""Selection of bags for a report, and their conversion to a `RecordedGait` for each gait that was played."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ _INSIDE = "the parameter file inside the recording"
 
 
 def bags_of(path: Path) -> list[Path]:
-    """Return the bag itself, or all bags of a folder such as a campaign's in the order in which they were closed."""
+    """Return a bag itself, or the bags of a folder such as that of a campaign, sorted by the time of their closing."""
     inside = [] if (path / METADATA_FILE).exists() else list(path.glob(f"*/{METADATA_FILE}"))
     return [file.parent for file in sorted(inside, key=_closed)] or [path]
 
 
 def newest_recording(folder: Path, notify: Callable[[str], None]) -> Path:
-    """Return the newest bag, or folder of bags such as a campaign's, in which a gait was played.
+    """Return the newest bag, or folder of bags such as that of a campaign, in which a gait was played.
 
     Args:
         folder: folder that is searched.
@@ -53,7 +53,7 @@ def newest_recording(folder: Path, notify: Callable[[str], None]) -> Path:
         if _holds_gait(metadata.parent, notify):
             return folder / metadata.relative_to(folder).parts[0]
     raise InputError(
-        f"no recording of a gait in {folder.resolve()}: name one, or record one (./worm demo)"
+        f"no recording of a gait in {folder.resolve()}: give the path of a bag, or record one (./worm demo)"
     )
 
 
@@ -62,11 +62,11 @@ def _holds_gait(path: Path, notify: Callable[[str], None]) -> bool:
         with open_bag(path, notify) as bag:
             states = read_run(bag, names=("gait_state",)).gait_state
     except BagError as error:
-        notify(f"passed over: {error}")
+        notify(f"skipped: {error}")
         return False
     played = bool(states.played.any())
     if not played:
-        notify(f"passed over: in {path} no gait was run")
+        notify(f"skipped: {path} contains no gait")
     return played
 
 
@@ -77,7 +77,7 @@ def _closed(metadata: Path) -> tuple[float, str]:
 
 @dataclass(frozen=True)
 class _Recording:
-    """Open bag, with the parameters that it is compared with and their origin."""
+    """Open bag, its run, and the parameters with which it is compared."""
 
     bag: Bag
     name: str
@@ -95,15 +95,15 @@ def read_recorded_gaits(
 
     Args:
         paths: bags.
-        parameters: parameter file. An empty string selects the parameters in the bag, or the paper's values if it has
-            none.
+        parameters: parameter file. An empty string selects the parameters in the bag, or the paper's values for a bag
+            without parameters.
         notify: function that is called with each remark on the recordings.
 
     Raises:
         BagError: A bag cannot be read.
         ParameterError: The parameter file is invalid.
-        RecordingError: A bag holds no gait.
-        InputError: The parameters of two bags use different forms of the power.
+        RecordingError: A bag contains no gait.
+        InputError: The parameters of two bags differ in `one_sided_cable`, so that their powers are not comparable.
     """
     with ExitStack() as opened:
         recordings = [
@@ -122,12 +122,12 @@ def _recording(bag: Bag, path: Path, parameters: str) -> _Recording:
 
 
 def _check_one_form(recordings: Sequence[_Recording]) -> None:
-    """Raise InputError if the expected powers of the recordings are not comparable with each other."""
+    """Raise `InputError` if the expected powers of the recordings are not comparable with each other."""
     names = {each.parameters[0].parameters.one_sided_cable: each.name for each in recordings}
     if len(names) > 1:
         raise InputError(
             f"{names[True]} was recorded with parameters of a cable that cannot push (one_sided_cable), {names[False]} "
-            "with others: give --parameters FILE for all of them, or report each by itself"
+            "was not: give one parameter file for both with --parameters FILE, or make a report for each"
         )
 
 
@@ -135,7 +135,7 @@ def _gaits_of(recording: _Recording, notify: Callable[[str], None]) -> Iterator[
     whole = replay_run(recording.run, recording.parameters[0].parameters)
     parts = parts_of(recording.run)
     if len(parts) > 1:
-        notify(f"{recording.bag.path} holds {len(parts)} gaits, each is reported")
+        notify(f"{recording.bag.path} contains {len(parts)} gaits, which are reported separately")
     for number, part in enumerate(parts, 1):
         name = f"{recording.name}_{number}" if len(parts) > 1 else recording.name
         replay = _cut_replay(whole, part.run)
@@ -146,7 +146,7 @@ def _gaits_of(recording: _Recording, notify: Callable[[str], None]) -> Iterator[
 
 
 def _named_apart(gaits: Sequence[RecordedGait]) -> list[RecordedGait]:
-    """Return the same gaits, with a number in each name that occurs more than once."""
+    """Return the gaits with unique names: a name that occurs more than once gets a number."""
     names = [gait.name for gait in gaits]
     return [
         replace(gait, name=f"{gait.name} ({names[: row + 1].count(gait.name)})")

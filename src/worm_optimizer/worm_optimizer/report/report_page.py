@@ -30,9 +30,9 @@ from worm_optimizer.report.recorded_gait import RecordedGait
 from worm_optimizer.report.run_figures import RUN_FIGURES, draw_overlay
 
 PAGE = "report.html"
-REPORT_SUFFIX = "_report"  # of the names of reports' folders
+REPORT_SUFFIX = "_report"  # end of the name of a report's folder
 _TEMPLATE = "report.html.jinja"
-_FACTS = {  # keys of a recording's manifest for each entry at the top of the page; the first available key counts
+_FACTS = {  # for each entry at the top of the page, keys of the provenance, of which the first available one is used
     "date": ("recorded_at",),
     "robot": ("note.robot", "imported_from", "host"),
     "conditions": ("conditions",),
@@ -42,13 +42,13 @@ _FACTS = {  # keys of a recording's manifest for each entry at the top of the pa
 
 @dataclass(frozen=True)
 class Report:
-    """Content of a report. Parts that are None or empty are left out.
+    """Content of a report. Sections whose content is None or empty are omitted.
 
     Attributes:
         title: title of the page.
         gaits: recorded gaits.
         optimisation: front and price of robustness.
-        note: why a requested optimisation is missing.
+        note: reason why a requested optimisation is missing.
         identification: content of the section on identification.
     """
 
@@ -75,7 +75,7 @@ class _Pictures:
         self._folder = folder
 
     def save(self, name: str, figure: Figure, caption: str) -> Picture:
-        """Save one figure, without a creation time in its files, and return it for the page."""
+        """Save one figure as PNG and PDF, without a creation time in the files, and return it for the page."""
         for ending in (".png", ".pdf"):
             save_figure(figure, self._folder / f"{name}{ending}")
         return _picture((self._folder / f"{name}.png").read_bytes(), caption)
@@ -135,7 +135,7 @@ def report_name(names: Sequence[str]) -> str:
 
 
 def _facts(gaits: Sequence[RecordedGait]) -> dict[str, str]:
-    """Return date, robot and seed of the recordings, and the origin of the parameters, without repeated values."""
+    """Return the entries at the top of the page by name: those of `_FACTS`, and the origin of the parameters."""
     facts = {}
     for name, keys in _FACTS.items():
         values = [
@@ -151,20 +151,21 @@ def _facts(gaits: Sequence[RecordedGait]) -> dict[str, str]:
 
 
 def _span_of_dates(text: str) -> str:
-    """Return the first and the last of some dates (ISO 8601, in UTC), to the minute."""
+    """Return the earliest and the latest of some dates (ISO 8601, UTC), with a resolution of a minute."""
     dates = sorted(date[:16].replace("T", " ") for date in text.split(", ") if date)
     return " to ".join(dict.fromkeys((*dates[:1], *dates[-1:]))) + (" UTC" if dates else "")
 
 
 def _failures(gaits: Sequence[RecordedGait]) -> Iterator[str]:
-    """Yield a line for each early end, disagreement, missing value and error, the most severe kind of a gait first."""
+    """Yield a line for each early end, then each disagreement, missing value and error."""
     for gait in gaits:
         if gait.early_end:
             yield f"{agreement.title_of(gait.name)}: {gait.early_end}"
     for row in (row for gait in gaits for row in agreement.agreements(gait)):
         if row.agrees is False:
             name = agreement.QUANTITIES[row.quantity].name
-            yield f"{agreement.title_of(row.gait)}: {name} is {agreement.percent(row.difference)} off"
+            difference = agreement.percent(row.difference)
+            yield f"{agreement.title_of(row.gait)}: {name} differs from the expected value by {difference}"
     for order in agreement.orders(gaits):
         if order.preserved is False:
             yield agreement.order_text(order)
@@ -180,8 +181,8 @@ def _overlay(gaits: Sequence[RecordedGait], pictures: _Pictures) -> Picture | No
     if len(gaits) < 2:
         return None
     caption = (
-        "Advance of the rear module along each gait's direction, and accumulated energy: measured (broad) and as the "
-        "model has them from the command alone (thin)."
+        "Advance of the rear module along the direction of each gait, and accumulated energy: measured (broad), and "
+        "predicted by the model from the command alone (thin)."
     )
     return pictures.save("runs", draw_overlay(gaits), caption)
 
@@ -195,13 +196,13 @@ def _front_pictures(report: Report, pictures: _Pictures) -> list[Picture]:
         pictures.save(
             "front",
             measured_front_figure(front, report.gaits),
-            "The exact robust front (with the margin), what was expected of the gaits without "
-            "the margin (95 %), and what was measured (lowest and highest cycle), with its cost of transport.",
+            "The exact robust front (with the margin), the values expected of the gaits without the margin (95 %), and "
+            "the measured values (lowest and highest cycle) with the cost of transport.",
         ),
         pictures.save(
             "price_of_robustness",
             price_figure(optimisation.price),
-            f"The lowest cost of transport over the margin. The front's margin: {front.reason}.",
+            f"The lowest cost of transport over the margin. Margin of the front: {front.reason}.",
         ),
     ]
 
@@ -231,10 +232,12 @@ def _identification(
         caption = "Identified parameters with their 95 % intervals, over the paper's values."
         shown.append(pictures.save("parameters", parameters_figure(parts.content), caption))
     if parts.bellows_fit is not None:
-        caption = "Bellows test: force over compression, and the straight line fitted to it (95 %)."
+        caption = "Bellows test: force over compression, and the fitted straight line (95 %)."
         shown.append(pictures.save("bellows", bellows_figure(parts.bellows_fit), caption))
     if parts.fin_fit is not None:
-        caption = "Fin test: force over displacement, and the law fitted to it; dotted: its clearance (95 %)."
+        caption = (
+            "Fin test: force over displacement, and the fitted law; dotted: the clearance (95 %)."
+        )
         shown.append(pictures.save("fin", fin_figure(parts.fin_fit), caption))
     return {
         "source": parts.source,
@@ -242,7 +245,9 @@ def _identification(
         "rows": list(_parameter_rows(parts)),
         "provenance": {} if parts.content is None else dict(parts.content.provenance),
         "pictures": shown,
-        "report": Markup(parts.report) if parts.report else "",  # its text is already escaped
+        "report": Markup(parts.report)
+        if parts.report
+        else "",  # identification_parts has escaped the text
         "figures": [_picture(png, caption) for caption, png in parts.figures.items()],
     }
 
@@ -265,7 +270,7 @@ def _picture(png: bytes, caption: str) -> Picture:
 
 
 def _symbol(text: str) -> Markup:
-    """Return a symbol such as ``p_sw`` with its index as a subscript."""
+    """Return a symbol such as ``p_sw`` as HTML, with its index as a subscript."""
     base, _, index = text.partition("_")
     return Markup("{}<sub>{}</sub>").format(base, index) if index else Markup(base)
 

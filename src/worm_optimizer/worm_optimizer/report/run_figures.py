@@ -25,11 +25,11 @@ from worm_optimizer.report.recorded_gait import RecordedGait
 RIDGES = 5  # number of ridges that the paper's runs traverse
 _BEFORE = 1.0  # rest at the beginning and at the end of the figures, s
 _MODEL_SAMPLES = 2000
-_MODEL = "model, by the command alone"
+_MODEL = "model, from the command alone"
 
 
 def draw_motion(gait: RecordedGait) -> Figure:
-    """Draw x1 from the tracker and from the twin, which follows the recorded length, and their difference."""
+    """Draw x1 according to the tracker and to the twin, which is driven by the recorded length, and the difference."""
     positions, residuals = position_curves(gait.run, gait.replay, gait.played.onset)
     return run_plots.motion_figure(
         _frame(gait), positions, residuals, gait.content.parameters.pitch
@@ -43,7 +43,7 @@ def draw_length(gait: RecordedGait) -> Figure:
 
 
 def draw_energy(gait: RecordedGait) -> Figure:
-    """Draw measured and predicted source power and accumulated energy, until five ridges are passed."""
+    """Draw measured and predicted source power and accumulated energy until the robot has passed `RIDGES`."""
     onset = gait.played.onset
     powers = power_curves(gait.run, gait.replay, onset)
     energies, residuals = energy_curves(gait.run, gait.replay, onset)
@@ -67,7 +67,7 @@ def draw_cycles(gait: RecordedGait) -> Figure:
     bars, names = panels[0].get_legend_handles_labels()
     figure.legend(bars, names, loc="outside upper left", ncols=2, fontsize="small", frameon=False)
     plot_style.finish(panels[0], "grooves gained (1)")
-    panels[0].get_legend().remove()  # It is wider than the panel.
+    panels[0].get_legend().remove()  # wider than the panel; the figure has a legend instead
     for axes, name, scale, label in (
         (panels[1], "x1_rmse", plot_style.MM, "x1 (mm rms)"),
         (panels[2], "length_rmse", plot_style.MM, "length (mm rms)"),
@@ -88,19 +88,20 @@ def draw_cycles(gait: RecordedGait) -> Figure:
 RUN_FIGURES: Mapping[str, tuple[Callable[[RecordedGait], Figure], str]] = {
     "motion": (
         draw_motion,
-        "Position of the rear module: measured, and the twin's under the measured length; below, the difference.",
+        "Position of the rear module: measured, and predicted by the twin from the measured length. Below: the "
+        "difference.",
     ),
     "length": (
         draw_length,
-        "Length change: measured, and predicted from the command through slack and lag; below, the commanded and the "
-        "effective input.",
+        "Length change: measured, and predicted from the command with slack, lag and gain. Below: the command and the "
+        "effective command.",
     ),
     "energy": (
         draw_energy,
-        "Source power, accumulated energy, and measured less the twin's energy, until five ridges are passed. The twin "
-        "is driven by the measured length, the model by the command alone.",
+        "Source power, accumulated energy, and measured energy minus that of the twin, until five ridges are passed. "
+        "The twin is driven by the measured length, the model by the command alone.",
     ),
-    "cycles": (draw_cycles, "Grooves gained and residuals against the twin, cycle by cycle."),
+    "cycles": (draw_cycles, "Grooves gained and residuals of the twin, cycle by cycle."),
 }
 
 
@@ -125,14 +126,14 @@ def draw_overlay(gaits: Sequence[RecordedGait]) -> Figure:
 
 
 def _model_of(gait: RecordedGait) -> tuple[NDArray[np.float64], Motions]:
-    """Return times (s) and the motion that the model predicts there from the command alone."""
+    """Return times (s) and the motion that the model predicts at these times from the command alone."""
     trajectory = simulate(gait.expected.nominal.gait, gait.content.parameters, gait.played.cycles)
     time = np.linspace(0.0, trajectory.duration, _MODEL_SAMPLES)
     return time, trajectory.at(time)
 
 
 def ridges_passed_at(gait: RecordedGait) -> float:
-    """Return the time (s since the onset) at which the rear module has advanced five ridges, NaN if it has not."""
+    """Return the time (s since the onset) at which the rear module has advanced by `RIDGES` pitches; NaN if never."""
     tracker = gait.run.tracker
     time = seconds(tracker.stamp, gait.played.onset)
     start = value_at_onset(time, tracker.rear_position)
@@ -146,7 +147,7 @@ def _duration(gait: RecordedGait) -> float:
 
 
 def _frame(gait: RecordedGait, until: float = float("nan")) -> run_plots.Frame:
-    """Return the frame from the rest before the onset to ``until`` (s); NaN selects a little after the gait."""
+    """Return the frame of a figure, from the rest before the onset to ``until`` (s); NaN: to shortly after the gait."""
     window = np.array([gait.window.start, gait.window.end])
     start, end = seconds(window, gait.played.onset)
     last = until if np.isfinite(until) else _duration(gait) + _BEFORE

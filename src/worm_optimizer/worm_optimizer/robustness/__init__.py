@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Robustness of gaits under uncertain parameters: scenarios and success probabilities."""
+"""Robustness of gaits with uncertain parameters: scenarios and success probabilities."""

@@ -2,10 +2,10 @@
 """Gaits that keep their grooves with a given probability, and the margin equivalent to that probability.
 
 A gait's promise is the largest number of grooves per cycle that it keeps with the given probability. The paper enlarges
-a threshold to stay away from the edges of a branch. Here the edges follow from the uncertainty itself. The edge of a
-promise is the shortest stroke at which enough scenarios gain the grooves. The draws are the same at every stroke
-(common random numbers). If the scenarios are all groove phases and the probability is 1, the gaits keep their grooves
-at any phase φ.
+the switching threshold to stay away from the edges of a branch. Here the edges follow from the uncertainty itself: the
+edge of a promise is the shortest stroke at which enough scenarios gain the grooves. The scenarios are the same at every
+stroke (common random numbers). If they cover all groove phases and the probability is 1, the gaits keep their grooves
+at any phase.
 """
 
 from __future__ import annotations
@@ -35,11 +35,12 @@ from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.robustness.success_probability import grooves_in
 from worm_optimizer.robustness.uncertainty import Scenarios
 
-_MARGIN_STEP = 2.5e-4  # m, step of the scan for the margin that a gait tolerates
-_MOST_MARGIN = 2e-2  # m, end of this scan
-_MARGIN_PASSES = 10
+_MARGIN_STEP = 2.5e-4  # step of the scan for the margin that a gait tolerates, m
+_MOST_MARGIN = 2e-2  # end of this scan, m
+_MARGIN_PASSES = 10  # bisections of this margin
 
-# Returns the least grooves per cycle for strokes in m, rows and scenarios, all of shape (n,).
+# Returns the grooves (n,) gained in the worst averaged cycle. Arguments: strokes in m, indices of gaits, and indices of
+# scenarios, (n,) each.
 _Gained = Callable[[Array, Index, Index], Index]
 
 
@@ -47,10 +48,9 @@ _Gained = Callable[[Array, Index, Index], Index]
 class PromiseTask:
     """Task of eq:moo_formulation with P(n ≥ promised) ≥ ``probability`` over ``scenarios``.
 
-    The task's margin applies in the scenarios, too; it is usually 0.
-
-    A gait's promise is the largest number of grooves per cycle that it keeps with that probability. Its speed is
-    promise · d · f, and its power is that of the nominal robot. Raises `OptimizerError` unless 0 < probability ≤ 1.
+    A gait's promise is the largest number of grooves per cycle that it keeps with this probability. Its speed is
+    promise · d · f, and its power is that of the nominal robot. The margin of ``task``, usually 0, applies in all
+    scenarios. Raises `OptimizerError` unless 0 < probability ≤ 1.
     """
 
     task: MarginTask
@@ -87,8 +87,8 @@ class PromiseTask:
     def edges(self, frequency: Array, strokes: Array, count: Index | None = None) -> Edges:
         """Find the shortest strokes that keep each promise, see `Task`.
 
-        The search assumes that within a scenario a longer stroke gains no fewer grooves. The returned gaits are
-        evaluated in all scenarios.
+        The search assumes that a longer stroke never gains fewer grooves in a scenario. The gaits found are then
+        evaluated in all scenarios, and only those that keep their promise are returned.
         """
         low, high = (
             np.clip(strokes[:, end], self.bounds.stroke_low, self.bounds.stroke_high)
@@ -123,7 +123,7 @@ class PromiseTask:
         return min(spared, len(self.scenarios) - 1)
 
     def _gained_at(self, frequency: Array) -> _Gained:
-        """Return a function for the least grooves at rows of ``frequency`` in Hz, see `_Gained`."""
+        """Return a `_Gained` function for gaits with the frequencies ``frequency`` (Hz)."""
 
         def gained(stroke: Array, row: Index, scenario: Index) -> Index:
             overrides = {key: values[scenario] for key, values in self.scenarios.overrides.items()}
@@ -132,17 +132,21 @@ class PromiseTask:
         return gained
 
     def _promise(self, gained: Index) -> Index:
-        """Return the largest count kept in the required share of the scenarios, from counts (n, scenarios)."""
+        """Return the largest number of grooves kept in enough scenarios, from the numbers ``gained`` (n, scenarios)."""
         return np.maximum(np.sort(gained, axis=1)[:, self._spared], 0)
 
 
 @dataclass
 class _Brackets:
-    """Brackets of the shortest strokes that keep promises, each of shape (n,), in m.
+    """Brackets of the shortest strokes that keep promises. A stroke is evaluated only in scenarios that are undecided.
 
-    ``fails`` of shape (n, scenarios) is the longest stroke that is known to fail the promise in a scenario. ``keeps``,
-    of the same shape, is the shortest stroke that is known to keep it. A stroke is evaluated only in the scenarios for
-    which it lies in between. Their number falls with each halving.
+    Attributes:
+        low, high: ends of the brackets in m, shape (n,).
+        promise: grooves per cycle to be kept, shape (n,).
+        fails: longest stroke in m that is known to fail the promise in a scenario, shape (n, scenarios).
+        keeps: shortest stroke in m that is known to keep the promise in a scenario, shape (n, scenarios).
+        required: number of scenarios that must keep a promise.
+        stepped: True if the promise is not kept at the initial ``low``, shape (n,).
     """
 
     low: Array
@@ -186,9 +190,9 @@ class _Brackets:
 
 
 def tolerated_margins(task: MarginTask, front: Points) -> Array:
-    """Return the largest margin in m, up to 20 mm, at which each gait of a front still gains what it promises.
+    """Return the largest margin in m, up to 20 mm, at which each gait of a front still gains its grooves, shape (n,).
 
-    The result of shape (n,) is 0 for a gait whose promise the nominal robot does not keep.
+    The result is 0 for a gait whose grooves the nominal robot does not gain.
     """
     scanned = np.arange(0.0, min(_MOST_MARGIN, MAX_MARGIN), _MARGIN_STEP)
     strokes = np.repeat(front.stroke[:, np.newaxis], scanned.size, axis=1)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Predictions for a gait: robust and nominal, distances to the edges, probabilities."""
+"""Predictions for a gait: with and without its margin, distances to the edges, and success probabilities."""
 
 from __future__ import annotations
 
@@ -21,11 +21,12 @@ from worm_optimizer.robustness.uncertainty import phase_known, phase_unknown
 
 @dataclass(frozen=True, kw_only=True)
 class Prediction(Gait):
-    """Gait with the model's predictions for the last three of five cycles; SI units.
+    """Gait with the model's predictions for the last three of five cycles, in SI units.
 
     ``speed`` (along the gait's direction), ``power``, ``cost_of_transport`` and ``grooves_per_cycle`` are predicted
-    with the gait's margin, the nominal ones without. All hold for the ``groove_phase``. The distances to the edges of
-    the nominal branch in m and the probabilities that the robot gains the predicted grooves are NaN in an `outline`.
+    with the gait's margin, and the nominal ones without it. All of these hold for the ``groove_phase``. The distances
+    to the edges of the nominal branch, and the probabilities that the robot gains the grooves predicted with the
+    margin, are NaN in an `outline`.
     """
 
     speed: float
@@ -55,10 +56,10 @@ def outline(
     margin: Array,
     shape: Shapes = SINUSOID,
 ) -> tuple[Prediction, ...]:
-    """Predict gaits with and without their margins, without distances to edges and probabilities.
+    """Predict gaits with and without their margins, but no distances to edges and no probabilities.
 
-    ``stroke`` in m, ``frequency`` in Hz, ``margin`` in m and ``shape`` of shape (n,) define the gaits, the task their
-    direction and model.
+    ``stroke`` in m, ``frequency`` in Hz, ``margin`` in m and ``shape`` have shape (n,). The task defines the direction
+    and the robot.
     """
     robust = task.table(stroke, frequency, margin, shape=shape)
     nominal = task.table(stroke, frequency, np.zeros_like(margin), shape=shape)
@@ -86,7 +87,7 @@ def predict(
 ) -> tuple[Prediction, ...]:
     """Predict gaits with all fields of `Prediction`; see `outline`.
 
-    ``content`` contains the uncertainty, from which ``samples`` are drawn with ``seed``.
+    ``samples`` parameter sets are drawn with ``seed`` from the uncertainty in ``content``.
     """
     promised = branch_of(task.table(stroke, frequency, margin, shape=shape))
     lower, upper = stroke_to_edges(task, stroke, frequency, shape)
@@ -110,7 +111,7 @@ def predict(
 
 
 def _results(task: MarginTask, table: GaitTable, held: Array) -> dict[str, Array]:
-    """Return speed, power with holding power in W, cost of transport and grooves per cycle of a table of gaits."""
+    """Return speed, power with the holding power ``held`` (W), cost of transport and grooves per cycle of a table."""
     power = table.power + held
     return {
         "speed": table.speed,

@@ -14,7 +14,7 @@ from worm_optimizer.evaluation.runs import find_runs
 from worm_optimizer.evaluation.task import EDGE_TOLERANCE, Array, Index, MarginTask
 from worm_optimizer.robustness.uncertainty import Scenarios
 
-_BATCH = 200_000  # gaits evaluated in one call, to bound the memory
+_BATCH = 200_000  # largest number of gaits that are evaluated in one call, which bounds the memory
 _EDGE_STROKES = 41  # strokes of the scan for a gait's edges
 
 
@@ -25,9 +25,9 @@ def grooves_in(
     scenarios: Scenarios,
     shape: Shapes = SINUSOID,
 ) -> Index:
-    """Return the least grooves gained in an averaged cycle by each gait in each scenario, with the task's margin.
+    """Return the grooves that each gait gains in its worst averaged cycle in each scenario, with the task's margin.
 
-    ``stroke`` in m and ``frequency`` in Hz of shape (n,); the result has shape (n, scenarios).
+    ``stroke`` in m and ``frequency`` in Hz have shape (n,), the result has shape (n, scenarios).
     """
     strokes, frequencies = np.asarray(stroke, dtype=float), np.asarray(frequency, dtype=float)
     shapes = np.broadcast_to(shape, strokes.shape)
@@ -51,8 +51,8 @@ def success_probability(
 ) -> Array:
     """Return the share of the scenarios in which the robot gains the promised grooves in every averaged cycle.
 
-    The thresholds are nominal; the task's margin is not used. ``promised`` grooves per cycle and the result have the
-    shape (n,) of ``stroke`` in m and ``frequency`` in Hz.
+    The task's margin is ignored. ``promised`` (grooves per cycle), ``stroke`` in m, ``frequency`` in Hz and the result
+    have shape (n,).
     """
     gained = grooves_in(task.with_margin(0.0), stroke, frequency, scenarios, shape)
     return np.mean(gained >= np.asarray(promised)[:, np.newaxis], axis=1)
@@ -61,10 +61,10 @@ def success_probability(
 def stroke_to_edges(
     task: MarginTask, stroke: Array, frequency: Array, shape: Shapes = SINUSOID
 ) -> tuple[Array, Array]:
-    """Return the distances in m by which each stroke may shrink and grow before the grooves per cycle change.
+    """Return by how much each stroke may decrease, and increase, before the grooves per cycle change, in m.
 
-    The robot is nominal, without margin and limits. If the branch reaches a bound of the box, the result is the
-    distance to the bound. ``stroke`` in m and ``frequency`` in Hz of shape (n,).
+    The task's margin and limits are ignored. If a branch reaches a bound of the box, the result is the distance to this
+    bound. ``stroke`` in m and ``frequency`` in Hz have shape (n,).
     """
     nominal = dataclasses.replace(task, margin=0.0, limits=NO_LIMITS)
     box, shapes = task.bounds, np.broadcast_to(shape, stroke.shape)
@@ -77,7 +77,7 @@ def stroke_to_edges(
     strokes = np.column_stack([scan, stroke])
     runs = find_runs(label, np.sort(strokes, axis=1), EDGE_TOLERANCE)
     own = (runs.low <= stroke[runs.column]) & (stroke[runs.column] <= runs.high)
-    # Each stroke is part of its own scan, so that a run of its column contains it; use the first one found.
+    # Each stroke is part of its own scan, so that a run of its column contains it. If several do, use the first.
     place = np.flatnonzero(own)[np.unique(runs.column[own], return_index=True)[1]]
     lower = np.where(runs.stepped[place], runs.low[place], box.stroke_low)
     following = np.minimum(place + 1, len(runs.column) - 1)

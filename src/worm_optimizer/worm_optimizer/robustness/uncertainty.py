@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scenarios: draws of the parameters within their uncertainty, with the groove phase known or not."""
+"""Scenarios: draws of the parameters from their uncertainty, with known or unknown groove phase."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from worm_msgs.robot_parameters import ROWS
 from worm_optimizer.evaluation.task import Array
 
 # 95 % half-widths relative to the value, for parameters of the motion without an interval in the parameter file. They
-# are this project's estimates, not the paper's: the accuracy of careful weighing, a caliper, a force gauge, a camera.
+# are estimates of this project, not of the paper: the accuracy of scales, a caliper, a force gauge and a camera.
 MOTION_HALF_WIDTHS: Mapping[str, float] = {
     "rear_mass": 0.01,
     "front_mass": 0.01,
@@ -29,24 +29,24 @@ MOTION_HALF_WIDTHS: Mapping[str, float] = {
     "gain": 0.02,
     "slack": 0.05,
 }
-# The same for parameters that affect only the power. A fit determines the product of damping and power factor better
-# than either factor. The interval of the power therefore depends on their correlation in the file.
+# 95 % half-widths of parameters that affect only the power. A fit determines the product of damping and power factor
+# better than either factor. The interval of the power therefore depends on their correlation in the file.
 POWER_HALF_WIDTHS: Mapping[str, float] = {
     "bellows_stiffness": 0.03,
     "bellows_damping": 0.10,
     "idle_power": 0.05,
     "power_factor": 0.05,
 }
-LENGTH = "initial_length"  # drawn as the groove phase
-# All parameters that are drawn. Those without a width above are drawn within their interval in the file.
+LENGTH = "initial_length"  # the groove phase is drawn instead
+# All parameters that are drawn. Those without a half-width above vary only if the file has an interval or a scatter.
 MOTION_KEYS = (
     *MOTION_HALF_WIDTHS,
     *(k for k in KEYS if k not in {*MOTION_HALF_WIDTHS, *POWER_ONLY, LENGTH}),
 )
 POWER_KEYS = (*POWER_HALF_WIDTHS, *(k for k in KEYS if k in POWER_ONLY - {*POWER_HALF_WIDTHS}))
 
-_PHASES = 64  # number of phases of every_phase
-# Streams of the random numbers of the first parameter of either kind
+_PHASES = 64  # number of phases of `every_phase`
+# Streams of random numbers of the first parameter of MOTION_KEYS and of POWER_KEYS
 _MOTION_STREAM, _POWER_STREAM = 10, 1000
 _NORMAL_95 = 1.959963984540054  # standard deviations within which a normal variable lies in 95 %
 _MOST_DEVIATIONS = 4.0  # draws are limited to this, so that they stay in the admissible range
@@ -54,7 +54,7 @@ _MOST_DEVIATIONS = 4.0  # draws are limited to this, so that they stay in the ad
 
 @dataclass(frozen=True)
 class Scenarios:
-    """Equally likely parameter sets: ``overrides`` maps parameter keys to arrays of shape (n,)."""
+    """Equally likely parameter sets. ``overrides`` contains arrays of parameter values, shape (n,), by key."""
 
     overrides: Mapping[str, Array]
 
@@ -63,9 +63,10 @@ class Scenarios:
 
 
 def reach_of(content: ParameterFile, key: str) -> tuple[float, float]:
-    """Return the 95 % reach below and above a value: the file's interval, else the default width (of others 0).
+    """Return the 95 % reach below and above a value, in its unit.
 
-    The scatter from run to run is added to both.
+    It is that of the file's interval. Without an interval it is the default half-width, or 0 for a parameter without
+    one. The scatter from run to run is added in quadrature.
     """
     width = MOTION_HALF_WIDTHS.get(key, POWER_HALF_WIDTHS.get(key, 0.0))
     value = content.parameters.as_dict()[key]
@@ -95,11 +96,11 @@ def _parameters_described(content: ParameterFile) -> str:
 
 
 def phase_known(content: ParameterFile, samples: int, seed: int) -> Scenarios:
-    """Return draws of the parameters at the file's groove phase φ, within the reach of its initial_length.
+    """Return draws of the parameters near the file's groove phase φ.
 
-    The reach is that of the next run: the interval of the mean, and the scatter from run to run. The phase is drawn
-    instead of the length: with φ = L0 − n·d and n = 17, the phase would otherwise contain 17 times the pitch's error.
-    Deviations are normal, with a separate width on each side.
+    The phase is drawn with the reach of the initial length in the next run (interval of the mean, and scatter from run
+    to run). Drawing the length instead would add 17 times the error of the pitch to the phase, because φ = L0 − n·d
+    with n = 17. Deviations are normal, with a separate width on each side.
     """
     overrides = _draws(content, MOTION_KEYS, samples, seed, _MOTION_STREAM)
     trim = _offset(_deviates(samples, seed, stream=1), reach_of(content, LENGTH))
@@ -128,18 +129,18 @@ def every_phase(parameters: Parameters) -> Scenarios:
 
 
 def phase_guard(parameters: Parameters) -> float:
-    """Return the margin in m with which a promise at the phases of `every_phase` is kept between them, too.
+    """Return the margin (m) with which gaits that keep their grooves at the phases of `every_phase` do so at any phase.
 
-    In the slow limit, the travel c from threshold to threshold determines the grooves of a gait. A phase between two of
-    them has the same effect as a c that is longer by their spacing (see
-    `worm_model.simulation.closed_form.switching_travel`).
+    In the slow limit, the travel c from threshold to threshold determines the grooves of a gait
+    (`worm_model.simulation.closed_form.switching_travel`). Compared with the nearest of these phases, another phase has
+    at most the effect of a c that is longer by the spacing of the phases.
     """
     spacing = parameters.pitch / _PHASES
     return spacing / (1.0 + parameters.disengaged_stiffness / parameters.engaged_stiffness)
 
 
 def _at_phase(parameters: Parameters, pitch: Array, phase: Array) -> dict[str, Array]:
-    """Return the initial length at a phase, with the nearest groove, because the phase is periodic in the pitch."""
+    """Return the initial length with a groove phase, which is first wrapped to half a pitch on both sides of 0."""
     wrapped = phase - pitch * np.round(phase / pitch)
     return {"initial_length": front_groove(parameters) * pitch + wrapped}
 
@@ -156,10 +157,10 @@ def _cut(deviate: Array) -> Array:
 def correlated(
     deviates: Mapping[str, Array], correlations: Mapping[tuple[str, str], float]
 ) -> dict[str, Array]:
-    """Return independent standard normal deviates by key, of shape (n,), mixed such that pairs correlate.
+    """Return correlated standard normal deviates by key, computed from independent ones of shape (n,).
 
-    Correlations of other keys are ignored. Inconsistent correlations, which rounding can cause, are replaced by
-    consistent ones near them.
+    Correlations of keys without deviates are ignored. Inconsistent correlations, which rounding can cause, are replaced
+    by consistent ones near them.
     """
     keys = list(deviates)
     matrix = np.eye(len(keys))
@@ -174,7 +175,7 @@ def correlated(
 
 
 def _offset(deviate: Array, reach: tuple[float, float]) -> Array:
-    """Return the offsets of standard normal deviates (n,) from the value, in its unit, at a 95 % reach on each side."""
+    """Scale standard normal deviates (n,) to offsets from a value, in its unit, with a 95 % reach on each side."""
     below, above = reach
     share = _cut(deviate) / _NORMAL_95
     return np.where(share > 0.0, share * above, share * below)
@@ -185,7 +186,7 @@ def values_at(
     reach: Mapping[str, tuple[float, float]],
     deviates: Mapping[str, Array],
 ) -> dict[str, Array]:
-    """Return values by key at standard normal deviates (n,), limited to those that `Parameters` admits."""
+    """Return the values of parameters by key at standard normal deviates (n,), limited to admissible values."""
     values = parameters.as_dict()
     drawn = {
         key: np.maximum(values[key] + _offset(deviates[key], reach[key]), _least(key, values[key]))
@@ -195,14 +196,14 @@ def values_at(
         threshold, pitch, clearance = (
             drawn.get(key, values[key]) for key in ("switching_threshold", "pitch", "clearance")
         )
-        # `Parameters` requires it, because a fin that switches must not switch back.
+        # `Parameters` requires this least threshold, because a fin that switches must not switch back.
         least = np.maximum(0.5 * pitch, 0.5 * clearance) * 1.001
         drawn["switching_threshold"] = np.maximum(threshold, least)
     return drawn
 
 
 def _least(key: str, value: float) -> float:
-    """Return the least value that is drawn: a positive quantity stays positive."""
+    """Return the lower limit of drawn values, which keeps a positive quantity positive."""
     lowest = float(ROWS[key]["low"])
     return 0.1 * value if lowest >= 0.0 else lowest
 
@@ -210,7 +211,7 @@ def _least(key: str, value: float) -> float:
 def _draws(
     content: ParameterFile, keys: Iterable[str], samples: int, seed: int, stream: int
 ) -> dict[str, Array]:
-    """Return draws within the reach of each key, with the file's correlations."""
+    """Return draws of parameters from the reach of each key, with the correlations in the file."""
     reach = {key: reach_of(content, key) for key in keys}
     independent = {
         key: _deviates(samples, seed, number) for number, key in enumerate(reach, stream)

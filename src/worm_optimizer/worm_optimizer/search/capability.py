@@ -17,26 +17,29 @@ from worm_optimizer.evaluation.command_shape import SINUSOID, Shapes, shapes_of
 from worm_optimizer.evaluation.task import Array, MarginTask, Mask
 from worm_optimizer.search.exact import Resolution, Zoom, exact_front
 
-# Parameters by key under loads or slopes, arrays that are broadcast against gaits.
+# Returns values of parameters by key for an array of loads or slopes. The result has the shape of this array.
 Overrides = Callable[[Array], Mapping[str, Array]]
 
-_SCAN = 65  # loads of the first scan of a gait
-_TOLERANCE = 1e-4  # relative to the range
+_SCAN = 65  # loads or slopes of the first scan of a gait
+_TOLERANCE = 1e-4  # of the bisection, relative to the range of the scan
 _STROKES, _FREQUENCIES = 41, 17  # first grid over the box in the search for the strongest gait
 _ZOOMS = 4
-_CURVE = 13  # loads of the curves
+_CURVE = 13  # number of loads in `curve`
 _RESOLUTION, _ZOOM = Resolution(strokes=21, frequencies=17), Zoom(points=9, rounds=5)
 _STEEPEST = 90.0  # degrees
 
 
 @dataclass(frozen=True)
 class Capability:
-    """Largest loads and slopes of a gait.
+    """Largest loads and slopes of a gait. All loads are added to those of the robot's parameters.
 
-    Up to ``largest_load`` in N on the rear module, and up to ``largest_slope_deg``, the gait gains a groove in every
-    averaged cycle; both are 0 for a gait that does not move. Up to ``full_load`` in N it gains as many grooves as
-    without load. ``closed_form_largest_load`` in N is the largest load in the slow limit, NaN for a gait that does not
-    move there. All loads are in addition to those of the robot.
+    Attributes:
+        gait: gait, with margin 0.
+        largest_load: largest load on the rear module with which the gait gains a groove in every averaged cycle, N; 0
+            for a gait that does not move.
+        largest_slope_deg: largest slope with which it does so, degrees; 0 for a gait that does not move.
+        full_load: largest load on the rear module with which the gait gains as many grooves as without it, N.
+        closed_form_largest_load: ``largest_load`` in the slow limit, N; NaN for a gait that does not move there.
     """
 
     gait: Gait
@@ -48,7 +51,7 @@ class Capability:
 
 @dataclass(frozen=True)
 class LoadPoint:
-    """Lowest cost of transport and highest ``speed`` in m/s at a ``load`` in N; NaN if no gait moves."""
+    """Lowest ``cost_of_transport`` and highest ``speed`` (m/s) of all gaits at a ``load`` (N); NaN if no gait moves."""
 
     load: float
     cost_of_transport: float
@@ -56,13 +59,13 @@ class LoadPoint:
 
 
 def loads_on_rear(task: MarginTask) -> Overrides:
-    """Return the parameters under loads in N on the rear module, against the direction of the task."""
+    """Return the `Overrides` of loads in N on the rear module, against the direction of the task."""
     base, direction = task.parameters.rear_load, task.direction
     return lambda loads: {"rear_load": base + direction * loads}
 
 
 def slopes(task: MarginTask) -> Overrides:
-    """Return the parameters on slopes in degrees, uphill in the direction of the task."""
+    """Return the `Overrides` of slopes in degrees, uphill in the direction of the task."""
     p, direction = task.parameters, task.direction
 
     def under(degrees: Array) -> Mapping[str, Array]:
@@ -76,7 +79,7 @@ def slopes(task: MarginTask) -> Overrides:
 
 
 def most_load(task: MarginTask) -> float:
-    """Return a load in N under which no gait moves. Beyond it, both engaged fins pass their thresholds even at rest."""
+    """Return a load in N with which no gait moves, because it pushes both engaged fins to their thresholds at rest."""
     p = task.parameters
     carried = 2.0 * p.engaged_stiffness * p.switching_threshold
     return (
@@ -91,14 +94,16 @@ def largest(
     most: float,
     least_grooves: Array,
 ) -> Array:
-    """Return the largest value up to which gaits gain the least grooves (n,) in each averaged cycle.
+    """Return the largest load or slope (n,) up to which each gait gains ``least_grooves`` in every averaged cycle.
+
+    The result is 0 for a gait that fails at 0, and ``most`` for a gait that never fails.
 
     Args:
         task: robot and margin.
         gaits: stroke in m, frequency in Hz, and shape, (n,) each.
-        overrides: returns the parameters for values.
-        most: end of the range, which begins at 0. It is the result for gaits that never fail.
-        least_grooves: least grooves of each gait, (n,).
+        overrides: returns the parameters under loads or slopes.
+        most: end of the searched range, which begins at 0.
+        least_grooves: required grooves of each gait in every averaged cycle, (n,).
     """
     stroke, frequency = (column[:, np.newaxis] for column in gaits[:2])
     shape = gaits[2][:, np.newaxis]
@@ -120,7 +125,7 @@ def largest(
 
 
 def capabilities(task: MarginTask, gaits: Sequence[Gait]) -> tuple[Capability, ...]:
-    """Return the capabilities of gaits without their margins. The loads of the task's robot are present, too."""
+    """Return the capabilities of gaits, computed without margins and in addition to the loads of the task's robot."""
     robot = task.with_margin(0.0)
     shape = shapes_of(len(gaits))
     for name in shape.dtype.names or ():
@@ -147,7 +152,7 @@ def capabilities(task: MarginTask, gaits: Sequence[Gait]) -> tuple[Capability, .
 
 
 def strongest(task: MarginTask) -> Gait | None:
-    """Return the sinusoid of the task's box with the largest load; None if no gait moves."""
+    """Return the sinusoid of the task's box that moves with the largest load; None if no gait moves without load."""
     robot, box = task.with_margin(0.0), task.bounds
     low = np.array([box.stroke_low, box.frequency_low])
     high = np.array([box.stroke_high, box.frequency_high])

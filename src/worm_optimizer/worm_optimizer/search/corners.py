@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Corners: at a frequency and for the shares of a shape, the gait of a branch with the shortest stroke.
+"""Corners: the gait of a branch with the shortest stroke at a given frequency, contraction share and ramp share.
 
 The command swings between the pretension o and the reach o + S. To gain its grooves, a gait needs a reach above one
-border and a pretension below another. Both borders are steps of the groove count. Along each border the stroke and the
+border and a pretension below another. Both borders are steps of the groove count. Along each border, the stroke and the
 power decrease towards the corner in which the borders meet. `corners` locates the corner by bisection along both
 borders in turn.
 
-With short ramps, a gait at a high frequency or with a large margin gains its grooves with no pretension at all. The
-ramp share that is given is therefore the least one: without a pretension at which the gait gains its grooves, the
-ramps are as long as it needs. So power is a continuous function of the shares, also where this limit is active.
+With short ramps, a gait at a high frequency or with a large margin may gain its grooves at no pretension. The given
+ramp share is therefore a lower bound: if no pretension suffices, the ramps become as long as necessary. The power is
+then a continuous function of the shares even there.
 """
 
 from __future__ import annotations
@@ -34,29 +34,30 @@ from worm_optimizer.evaluation.task import (
 )
 from worm_optimizer.optimizer_errors import OptimizerError
 
-# Accuracies in m of successive rounds. Each round locates both borders, as the location of one depends on the other.
-# Where longer ramps take the place of pretension, the borders meet at a small angle, so each round must be only
-# somewhat finer than the one before.
+# Accuracies in m of successive rounds. Each round locates both borders, because the location of one depends on the
+# other. If longer ramps replace the pretension, the borders meet at a small angle. Each round must then be only a
+# little finer than the one before.
 COARSE = (8e-4, 1e-4, 1.25e-5, 1.6e-6)
 FINE = (*COARSE, EDGE_TOLERANCE)
-_WINDOW = 3.0  # size of the window in which a border is located again, relative to the last width
-_RAMP_PER_METRE = 30.0  # change of the ramp share that counts like 1 m of pretension
-_REACHES = 16  # tried reaches below the longest one, a sixteenth of the pitch apart
-_PRETENSIONS = 4  # tried pretensions from the least one on, a quarter of the pitch apart
-_RAMP_PARTS = (
-    1.0,
-    0.925,
-)  # parts of the range above the given ramp share, tried with the least pretension
-_REACHES_OF_RAMPS = (
-    48  # reaches tried then; near the end of a branch only a narrow range gains the grooves
+_WINDOW = (
+    3.0  # size of the window in which a border is located again, relative to the previous accuracy
 )
+_RAMP_PER_METRE = 30.0  # change of the ramp share that counts like 1 m of pretension
+_REACHES = (
+    16  # number of equal steps within one pitch below the longest reach at which a gait is tried
+)
+_PRETENSIONS = 4  # tried pretensions from the least one on, a quarter of the pitch apart
+# Tried longer ramps at the least pretension: 0 is the given ramp share, 1 the longest one.
+_RAMP_PARTS = (1.0, 0.925)
+# Number of steps of the reach for these ramps. Near the end of a branch, only a narrow range of reaches suffices.
+_REACHES_OF_RAMPS = 48
 
 
 @dataclass(frozen=True)
 class ShapeBounds:
-    """Box of the shapes: pretension in m, contraction share and ramp share, each (low, high).
+    """Bounds (low, high) of the pretension in m, the contraction share and the ramp share.
 
-    Raises `OptimizerError` unless low ≤ high within the limits of a gait.
+    Raises `OptimizerError` unless low ≤ high and both are admissible for a gait.
     """
 
     pretension: tuple[float, float] = (0.0, MAX_PRETENSION)
@@ -77,13 +78,13 @@ class ShapeBounds:
 
     @property
     def include_sinusoid(self) -> bool:
-        """True if the paper's gait is within the box. The ramps do not matter, because a cosine has none."""
+        """True if the bounds permit the paper's waveform. Ramps do not matter, because a cosine has none."""
         low, high = self.contraction_share
         return self.pretension[0] == 0.0 and low <= 0.5 <= high
 
     @property
     def shares(self) -> Array:
-        """Bounds of contraction share and ramp share, shape (2, 2), one row (low, high) each."""
+        """Bounds of contraction share and ramp share, shape (2, 2), one row (low, high) for each."""
         return np.array([self.contraction_share, self.ramp_share])
 
 
@@ -91,8 +92,11 @@ class ShapeBounds:
 class Columns:
     """Problems that are solved at the same time; every field has shape (n,).
 
-    ``frequency`` in Hz, ``margin`` in m, ``count``: grooves to be gained in all averaged cycles together, ``profile``:
-    number of the profile.
+    Attributes:
+        frequency: frequency, Hz.
+        margin: margin, m.
+        count: grooves to be gained in all averaged cycles together.
+        profile: number of the profile.
     """
 
     frequency: Array
@@ -128,10 +132,10 @@ def corners(
 ) -> tuple[Points, Mask]:
     """Locate the corners of shapes with ``shares`` (n, 2), in one round for each accuracy in ``widths`` (m).
 
-    The limits of the task are not considered.
+    The gaits may violate the actuator limits of the task.
 
     Returns:
-        The gaits, slightly on the safe side of both borders, and a mask of those that gain the grooves.
+        The gaits, slightly on the safe side of both borders, and a mask that is True for those that gain the grooves.
     """
     problem = _Problem(task, bounds, columns, shares)
     found, tightness, reach = problem.started()
@@ -143,7 +147,10 @@ def corners(
 
 
 def most_gained(task: MarginTask, bounds: ShapeBounds, columns: Columns, shares: Array) -> Index:
-    """Return the most grooves (n,) that gaits with ``shares`` (n, 2) gain from any start; the counts do not matter."""
+    """Return the largest number of grooves (n,) that gaits with ``shares`` (n, 2) gain at any place of `_starts`.
+
+    The counts of ``columns`` are ignored.
+    """
     problem, size = _Problem(task, bounds, columns, shares), len(shares)
     gained = np.zeros(size, dtype=np.int64)
     for above, reach in _starts(task, bounds):
@@ -154,10 +161,11 @@ def most_gained(task: MarginTask, bounds: ShapeBounds, columns: Columns, shares:
 
 @dataclass(frozen=True)
 class _Problem:
-    """Gaits with the given shares, as functions of the tightness and the reach in m.
+    """Gaits with given shares, as functions of the tightness (m) and the reach (m).
 
-    The tightness is the pretension above the least one. Below 0 it is the length of the ramps above the given one,
-    negative, in units of `_RAMP_PER_METRE`. The higher it is, the sooner the body has to extend.
+    The tightness combines pretension and ramp share in one variable. If it is positive, it is the pretension minus the
+    least pretension. If it is negative, the pretension is the least one, and the ramp share exceeds the given one by
+    `_RAMP_PER_METRE` times its absolute value.
     """
 
     task: MarginTask
@@ -172,7 +180,7 @@ class _Problem:
         return np.where(self.columns.has_ramps, self.shares[:, 1] - longest, 0.0) / _RAMP_PER_METRE
 
     def shape_of(self, rows: Index, tightness: Array) -> Shapes:
-        """Return the shapes of the rows with a tightness, (m,) each."""
+        """Return the shapes (m,) of the rows (m,) at values of the tightness (m,)."""
         share, ramp = self.shares[rows].T
         ramp = ramp + _RAMP_PER_METRE * np.maximum(-tightness, 0.0)
         return shapes_of(
@@ -184,17 +192,17 @@ class _Problem:
         )
 
     def gained(self, rows: Index, tightness: Array, reach: Array) -> Index:
-        """Return the grooves that the rows gain in all averaged cycles together, (m,) each."""
+        """Return the grooves (m,) that the gaits of the rows (m,) gain in all averaged cycles together."""
         own, shape = self.columns.take(rows), self.shape_of(rows, tightness)
         stroke = reach - shape["pretension"]
         return gained_of(self.task.table(stroke, own.frequency, own.margin, shape=shape))
 
     def keeps(self, rows: Index, tightness: Array, reach: Array) -> Mask:
-        """Return True for the rows that gain their grooves, (m,) each."""
+        """Return a mask (m,) that is True for the rows (m,) whose gaits gain their grooves."""
         return self.gained(rows, tightness, reach) >= self.columns.count[rows]
 
     def started(self) -> tuple[Mask, Array, Array]:
-        """Return (mask of the rows for which a gait is found, its tightness, its reach), (n,) each."""
+        """Find a gait of each row that gains its grooves: return a mask of success, tightness and reach, (n,) each."""
         size = self.columns.count.size
         found, tightness = np.zeros(size, dtype=bool), np.zeros(size)
         reach = np.full(size, self.task.bounds.stroke_high)
@@ -214,7 +222,7 @@ class _Problem:
     def located(
         self, rows: Index, tightness: Array, reach: Array, widths: tuple[float, ...]
     ) -> tuple[Array, Array]:
-        """Return tightness and reach of the corners of the rows, from those of gaits that gain their grooves."""
+        """Locate the corners of the rows, starting from gaits that gain their grooves. Return tightness and reach."""
         least, low = self.task.bounds.stroke_low, self.bounds.pretension[0]
         highest = min(self.bounds.pretension[1], self.task.bounds.stroke_high - least) - low
         shortest = low + np.maximum(tightness, 0.0) + least
@@ -242,8 +250,8 @@ class _Problem:
 def _places(task: MarginTask, bounds: ShapeBounds) -> list[Array]:
     """Return groups of places (n, 3) at which a gait is tried, in order.
 
-    A place is (part of the range of longer ramps, pretension above the least one in m, reach in m). The first place is
-    enough for most gaits.
+    A place is (position in the range of longer ramps, 0 to 1; pretension minus the least one, m; reach, m). For most
+    gaits, the first place suffices.
     """
     places = [(0.0, *start) for start in _starts(task, bounds)]
     longer = [
@@ -256,10 +264,10 @@ def _places(task: MarginTask, bounds: ShapeBounds) -> list[Array]:
 
 
 def _starts(task: MarginTask, bounds: ShapeBounds) -> list[tuple[float, float]]:
-    """Return (pretension above the least one, reach) in m, rising and falling, at which a gait is tried.
+    """Return the pairs (pretension minus the least one, reach) in m at which a gait is tried.
 
-    Shorter reaches and higher pretensions are needed because near the highest frequency or the largest margin of a
-    branch, a long stroke loses the grooves.
+    Pretensions rise from the least one, and reaches fall from the longest one: near the highest frequency or largest
+    margin of a branch, a long stroke loses the grooves.
     """
     low, high = bounds.pretension
     above = np.arange(_PRETENSIONS) * task.parameters.pitch / _PRETENSIONS
@@ -271,7 +279,7 @@ def _starts(task: MarginTask, bounds: ShapeBounds) -> list[tuple[float, float]]:
 
 
 def _reaches(task: MarginTask, pretension: float, parts: int) -> list[float]:
-    """Return reaches in m, falling from the longest one by the pitch, in ``parts`` equal steps."""
+    """Return reaches in m that fall from the longest one by one pitch, in ``parts`` equal steps."""
     reaches = task.bounds.stroke_high - np.arange(parts + 1) * task.parameters.pitch / parts
     return [float(reach) for reach in reaches if reach >= pretension + task.bounds.stroke_low]
 
@@ -279,7 +287,10 @@ def _reaches(task: MarginTask, pretension: float, parts: int) -> list[float]:
 def _bisected(
     keeps: Callable[[Index, Array], Mask], good: Array, bad: Array, width: float
 ) -> Array:
-    """Return the last good values (n,), bisected between ``good`` and ``bad`` to within ``width``."""
+    """Bisect between ``good`` and ``bad`` values (n,) to a distance of at most ``width``. Return the last good values.
+
+    ``keeps`` returns True for good values. Its arguments are indices (m,) and values (m,).
+    """
     good, bad = good.copy(), bad.copy()
     while (open_ := np.flatnonzero(np.abs(good - bad) > width)).size:
         middle = 0.5 * (good[open_] + bad[open_])

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Exact front: the lower edges of all branches over the frequency, and minima along them.
+"""Exact front: the lower edges of all branches over the frequency, and minima along these edges.
 
 At a fixed frequency, the number of grooves gained is a step function of the stroke, and within a step the power rises
 with the stroke. The Pareto set therefore consists of lower edges. An edge is the shortest stroke that gains a number of
-grooves at a frequency. `survey` finds the edges in columns of the frequency; `minimise` follows them between the
-columns.
+grooves (the count) at a frequency. `survey` finds the edges at some frequencies (the columns). `minimise` follows the
+edges between the columns.
 """
 
 from __future__ import annotations
@@ -31,24 +31,22 @@ from worm_optimizer.search.pareto import front_of
 
 # Returns the cost to be minimised for each gait, shape (n,). The cost of a gait that does not qualify is infinite.
 Cost = Callable[[Points], Array]
-# Returns the edges of a task with counts (n,) at frequencies (n,) in Hz within strokes (n, scan) in m, for candidates
-# (n,). The result may also contain edges with other counts.
+# Returns edges of a task. Arguments: indices of brackets (n,), counts (n,), frequencies (n,) in Hz, and strokes
+# (n, scan) in m between which the edges are searched. The result may also contain edges with other counts.
 FindEdges = Callable[[Index, Index, Array, Array], Edges]
 
-# A minimum over the columns is followed if it exceeds the lowest one by at most this share, because it may fall below
-# that one between the columns.
+# A local minimum over the columns is followed if it exceeds the lowest one by at most this share. Between the columns,
+# it may be lower than the lowest one.
 _NEAR_BEST = 0.02
-_FASTER = (
-    1e-12  # relative increase of the speed at which other branches are searched for a cheaper gait
-)
-_WINDOW_SCAN = 5  # strokes of a scan in the window around an edge that is followed
+_FASTER = 1e-12  # `_rivals` searches other branches for a cheaper gait at a speed that is higher by this share
+_WINDOW_SCAN = 5  # number of strokes that are evaluated in the window around an edge
 _LEAST_WINDOW = 1e-6  # m
 _LONGER = 4  # longer strokes at which the rise of the power is verified
 
 
 @dataclass(frozen=True)
 class Resolution:
-    """Numbers of evenly spaced ``frequencies`` and, at each of them, ``strokes`` with which the box is scanned."""
+    """Resolution of the scan of the box: numbers of evenly spaced ``frequencies``, and ``strokes`` at each of them."""
 
     strokes: int = 41
     frequencies: int = 161
@@ -66,7 +64,7 @@ class Resolution:
 
 @dataclass(frozen=True)
 class Zoom:
-    """Refinement of a minimum. Each of ``rounds`` evaluates ``points`` in the bracket and narrows it to the best."""
+    """Refinement of a minimum. Each of ``rounds`` evaluates ``points`` of a bracket and narrows it around the best."""
 
     points: int = 17
     rounds: int = 6
@@ -100,7 +98,7 @@ class Bracket:
 
 
 def survey(task: Task, resolution: Resolution, zoom: Zoom) -> Survey:
-    """Find the edges of all branches of a task's box, including the ends of branches on the front."""
+    """Find the edges of all branches at the columns, and at the highest frequencies of the branches on the front."""
     columns = resolution.columns(task.bounds)
     scan = np.linspace(task.bounds.stroke_low, task.bounds.stroke_high, resolution.strokes)
     edges = task.edges(columns, np.tile(scan, (columns.size, 1)))
@@ -110,11 +108,11 @@ def survey(task: Task, resolution: Resolution, zoom: Zoom) -> Survey:
 
 
 def _completed(task: Task, surveyed: Survey, step: float) -> Survey:
-    """Return the survey with the edges that the scan missed where a branch is narrower than the ``step`` (m).
+    """Return the survey with the edges that the scan missed because a branch is narrower than the ``step`` (m).
 
-    A branch may have no edge in a column, or an edge at a longer stroke than in the neighbouring column. Its edge is
-    then searched near the straight line through the edges of the next two columns. The search then continues in the
-    next column.
+    A branch may lack an edge in a column, or have one at a clearly longer stroke than in the neighbouring column. Its
+    edge is then searched near the straight line through the edges in the next two columns. If the search succeeds, the
+    column on the other side follows.
     """
     tried: set[tuple[int, int, int]] = set()
     while True:
@@ -125,7 +123,7 @@ def _completed(task: Task, surveyed: Survey, step: float) -> Survey:
         columns = surveyed.columns[[place for _, place, _, _ in seeds]]
         near, beyond = np.array([strokes for *_, strokes in seeds]).T
         reach = np.maximum(2.0 * np.abs(near - beyond), step / 16.0)
-        ahead = 2.0 * near - beyond  # The edge goes on about straight.
+        ahead = 2.0 * near - beyond  # extrapolation of a nearly straight edge
         scan = np.linspace(ahead - reach, ahead + reach, 2 * _WINDOW_SCAN, axis=1)
         counts = np.array([count for count, *_ in seeds])
         edges = task.edges(columns, scan, counts)
@@ -136,7 +134,8 @@ def _completed(task: Task, surveyed: Survey, step: float) -> Survey:
 def _seeds(surveyed: Survey, step: float) -> list[tuple[int, int, int, tuple[float, float]]]:
     """Return the columns in which `_completed` searches for edges.
 
-    Each element is (count, index of the column, side of the known edges, strokes in m near which the edge may be).
+    Each element is (count, index of the column, side of the columns with known edges, strokes in m of the edges in the
+    next two columns on that side).
     """
     seeds = []
     for count in np.unique(surveyed.points.count):
@@ -154,7 +153,7 @@ def _seeds(surveyed: Survey, step: float) -> list[tuple[int, int, int, tuple[flo
 
 
 def finder(task: Task) -> FindEdges:
-    """Return a function that finds the edges of a task. It is the same for all candidates."""
+    """Return a function that finds the edges of a task and ignores the indices of the brackets."""
     return lambda _, count, frequency, strokes: task.edges(frequency, strokes, count)
 
 
@@ -176,14 +175,14 @@ def transport_cost(points: Points) -> Array:
 def lowest(task: Task, surveyed: Survey, costs: Sequence[Cost], zoom: Zoom) -> Points:
     """Minimise each cost along the edges, continuously in the frequency.
 
-    Returns the local minima near the lowest one of each cost. There is none for a cost for which no gait qualifies.
+    Returns the local minima that are close to the lowest one of each cost; none for a cost if no gait qualifies.
     """
     brackets = [bracket for cost in costs for bracket in brackets_of(surveyed, cost)]
     return minimise(finder(task), brackets, zoom)
 
 
 def brackets_of(surveyed: Survey, cost: Cost, owner: int = 0) -> list[Bracket]:
-    """Return brackets around the local minima of a cost over the columns that are near the lowest one."""
+    """Return brackets around those local minima of a cost over the columns that are close to the lowest one."""
     points, columns = surveyed.points, surveyed.columns
     costs = cost(points)
     least = costs.min(initial=np.inf)
@@ -204,7 +203,7 @@ def brackets_of(surveyed: Survey, cost: Cost, owner: int = 0) -> list[Bracket]:
 
 
 def _by_column(surveyed: Survey, costs: Array, count: int) -> tuple[Array, Array]:
-    """Return the lowest cost of a count in each column and its stroke; infinity and NaN without one."""
+    """Return lowest cost and its stroke among the edges with a count in each column; inf and NaN without an edge."""
     columns, points = surveyed.columns, surveyed.points
     rows = np.flatnonzero(points.count == count)
     rows = rows[np.argsort(-costs[rows], kind="stable")]  # The lowest cost is written last.
@@ -215,14 +214,14 @@ def _by_column(surveyed: Survey, costs: Array, count: int) -> tuple[Array, Array
 
 
 def _window(strokes: Array, least: float = _LEAST_WINDOW) -> tuple[float, float]:
-    """Return the strokes between which an edge through these strokes lies; NaN are ignored."""
+    """Return a range of strokes that contains an edge near these strokes. Its size is three times their range."""
     low, high = float(np.nanmin(strokes)), float(np.nanmax(strokes))
     reach = max(high - low, least)
     return low - reach, high + reach
 
 
 def _ends(surveyed: Survey) -> list[Bracket]:
-    """Return brackets around the highest frequency of each branch of the front that ends between two columns."""
+    """Return a bracket around the highest frequency of each branch on the front that ends between two columns."""
     columns, front = surveyed.columns, front_of(surveyed.points)
     brackets = []
     for count in np.unique(front.count):
@@ -236,13 +235,13 @@ def _ends(surveyed: Survey) -> list[Bracket]:
 
 
 def minimise(find: FindEdges, brackets: Sequence[Bracket], zoom: Zoom) -> Points:
-    """Minimise the cost of each bracket, all at once. Return the best gaits, in order; a bracket may have none."""
+    """Minimise the costs of all brackets at once. Return the best gait of each bracket that contains one, in order."""
     best, known = followed(find, brackets, zoom)
     return best.take(known)
 
 
 def followed(find: FindEdges, brackets: Sequence[Bracket], zoom: Zoom) -> tuple[Points, Mask]:
-    """Minimise like `minimise`. Return (one row for each bracket, mask of those with a gait)."""
+    """Like `minimise`, but return one row for each bracket, and a mask that is True for brackets with a gait."""
     frequency = np.array([bracket.frequency for bracket in brackets]).reshape(-1, 2)
     stroke = np.array([bracket.stroke for bracket in brackets]).reshape(-1, 2)
     rows = np.arange(len(brackets))
@@ -266,9 +265,11 @@ def followed(find: FindEdges, brackets: Sequence[Bracket], zoom: Zoom) -> tuple[
 def _costs(
     find: FindEdges, brackets: Sequence[Bracket], at: Array, window: Array
 ) -> tuple[Points, Array]:
-    """Return (points, costs (brackets, n)) on the edges of the brackets' counts at frequencies (brackets, n) in Hz.
+    """Evaluate the cheapest edge of each bracket's count at frequencies ``at`` (brackets, n) in Hz.
 
-    Of several edges, the cheapest one is returned. Without an edge, the values are NaN and infinity.
+    Returns:
+        The gaits, one row for each element of ``at`` in C order, and their costs (brackets, n). Without an edge, the
+        values of a gait are NaN and its cost is infinite.
     """
     owner = np.repeat(np.arange(len(brackets)), at.shape[1])
     scan = np.linspace(window[owner, 0], window[owner, 1], _WINDOW_SCAN, axis=1)
@@ -303,11 +304,17 @@ def _where(condition: Mask, first: Points, second: Points) -> Points:
 
 @dataclass(frozen=True)
 class ExactFront:
-    """Non-dominated edges of a task, by rising speed, with the survey for further requests.
+    """Exact front of a task, with the survey for further requests.
 
-    ``front`` contains the gaits of lowest power, lowest cost of transport and highest speed, minimised continuously.
-    ``power_rises`` is True if, in every branch of the front, no verified longer stroke needs less power than the edge.
-    A longer stroke that needs less replaces the edge in the front.
+    Attributes:
+        task: task.
+        resolution: resolution of the survey.
+        zoom: refinement of minima.
+        surveyed: edges at the columns.
+        front: non-dominated edges, by rising speed. The gaits of lowest power, lowest cost of transport and highest
+            speed are located continuously in the frequency.
+        power_rises: True if no tried longer stroke on a branch of the front needs less power than the edge. If one
+            does, it replaces the edge in the front.
     """
 
     task: Task
@@ -318,7 +325,7 @@ class ExactFront:
     power_rises: bool
 
     def cheapest(self, cost: Cost) -> Points:
-        """Minimise a cost over all edges, continuously in the frequency; one row, or none if no gait qualifies."""
+        """Minimise a cost over all edges, continuously in the frequency. Return one row; none if no gait qualifies."""
         found = lowest(self.task, self.surveyed, [cost], self.zoom)
         candidates = Points.join(self.surveyed.points, self.front, found)
         costs = cost(candidates)
@@ -327,7 +334,7 @@ class ExactFront:
 
     @property
     def verification(self) -> dict[str, float | int | bool]:
-        """Extent and result of the verification, in SI units."""
+        """Resolution and result of the check that the power rises with the stroke within a branch, in SI units."""
         box, scan = self.task.bounds, self.resolution
         strokes: dict[str, float | int] = {}
         if isinstance(self.task, MarginTask):
@@ -345,7 +352,7 @@ class ExactFront:
 
 
 def exact_front(task: Task, resolution: Resolution, zoom: Zoom) -> ExactFront:
-    """Compute the exact front of a task; it is empty if no gait of the box qualifies."""
+    """Compute the exact front of a task. The front is empty if no gait of the box is admissible."""
     surveyed = survey(task, resolution, zoom)
     best = lowest(task, surveyed, (power_cost, transport_cost), zoom)
     front = front_of(Points.join(surveyed.points, best))
@@ -358,9 +365,9 @@ def exact_front(task: Task, resolution: Resolution, zoom: Zoom) -> ExactFront:
 
 
 def _rivals(task: Task, surveyed: Survey, front: Points, reach: float) -> Points:
-    """Return edges of other branches at the speeds of a front's gaits, between the columns, if they are cheaper.
+    """Return edges of other branches that are as fast as a gait of the front, but need less power.
 
-    They are searched at least ``reach`` m around the edges in the neighbouring columns.
+    They may lie between columns. They are searched within at least ``reach`` m of the edges in the nearest columns.
     """
     if surveyed.columns.size < 2:
         return front.take(np.empty(0, dtype=np.int64))
@@ -387,7 +394,7 @@ def _rivals(task: Task, surveyed: Survey, front: Points, reach: float) -> Points
 
 
 def _cheaper(task: Task, front: Points) -> Points:
-    """Return longer strokes on the branches of a front's gaits that need less power than these."""
+    """Return gaits that differ from a gait of the front by a longer stroke on the same branch, but need less power."""
     shares = np.arange(1, _LONGER + 1)[:, np.newaxis] / _LONGER
     spare = task.bounds.stroke_high - front.shape["pretension"] - front.stroke
     strokes = front.stroke + shares**2 * np.maximum(spare, 0.0)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Robust front of parameters: the margin, the exact front, predictions of its gaits."""
+"""Robust front of a robot: choice of the margin, exact front, and predictions of its gaits."""
 
 from __future__ import annotations
 
@@ -26,21 +26,26 @@ from worm_optimizer.search.price_of_robustness import PriceOfRobustness, price_o
 from worm_optimizer.search.search_settings import Robustness, Settings, Waveform
 from worm_optimizer.search.shaped import ShapedTask
 
-# Draws for the optimisation of a promise. The probabilities of its gaits are then computed with other draws.
-_CHANCE_SCENARIOS = 200
-_PROMISE_COLUMNS = 41  # frequencies of a survey whose gaits are evaluated in every scenario
+_CHANCE_SCENARIOS = 200  # draws of the parameters in the search with Robustness.CHANCE
+_PROMISE_COLUMNS = 41  # largest number of frequencies in the survey of a PromiseTask
 _PROMISE_ZOOM = Zoom(points=9, rounds=6)
-_SHAPED_COLUMNS = 81  # frequencies of a survey whose edges are corners
+_SHAPED_COLUMNS = 81  # largest number of frequencies in the survey of a ShapedTask
 _SHAPED_ZOOM = Zoom(points=9, rounds=6)
 
 
 @dataclass(frozen=True)
 class RobustFront:
-    """Front with the predictions of its gaits and the data for requests.
+    """Front with the predictions of its gaits, and the data from which requests are answered.
 
-    ``margin`` in m with the ``reason`` for it. ``gaits`` are the exact front by rising speed, in outline. The paper's
-    ``min_power``, ``cruise`` and ``max_speed`` are predicted in full. ``nominal`` is the task without a margin, of the
-    robot in ``content``.
+    Attributes:
+        margin: robustness margin, m.
+        reason: reason for the margin, as text.
+        exact: exact front.
+        gaits: predictions of the gaits of the front, by rising speed, without edges and probabilities (`outline`).
+        min_power, cruise, max_speed: complete predictions of the paper's three gaits.
+        nominal: task without a margin.
+        content: parameters of the robot under the conditions of the settings.
+        settings: settings of the optimisation.
     """
 
     margin: float
@@ -65,13 +70,13 @@ class RobustFront:
         return {"min_power": self.min_power, "cruise": self.cruise, "max_speed": self.max_speed}
 
     def predicted(self, points: Points) -> tuple[Prediction, ...]:
-        """Predict gaits of the front in full."""
+        """Predict gaits of the front with all fields of `Prediction`."""
         margins = _margins(self.nominal, self.settings, self.margin, points)
         return _predicted(self.nominal, self.content, self.settings, points, margins)
 
 
 def task_of(content: ParameterFile, settings: Settings, direction: int) -> MarginTask:
-    """Return the optimisation task of these settings, without a margin; the conditions are those of ``content``."""
+    """Return the optimisation task of these settings without a margin, under the conditions of ``content``."""
     return MarginTask(
         content.parameters,
         direction,
@@ -82,7 +87,7 @@ def task_of(content: ParameterFile, settings: Settings, direction: int) -> Margi
 
 
 def waveform_task(task: MarginTask, settings: Settings) -> MarginTask | ShapedTask:
-    """Return the task over the gaits of the chosen waveform."""
+    """Return the task that searches among the gaits of the chosen waveform."""
     if settings.waveform is Waveform.SHAPED:
         return ShapedTask(task, settings.shapes)
     return task
@@ -96,7 +101,7 @@ def scanned_price(content: ParameterFile, settings: Settings, direction: int) ->
 
 
 def price_of(task: MarginTask, settings: Settings) -> PriceOfRobustness:
-    """Return the margin scan of a task over the gaits of the chosen waveform."""
+    """Return the margin scan of a task among the gaits of the chosen waveform."""
     margins = settings.scan.margins()
     if settings.waveform is Waveform.SHAPED:
         over = ShapedTask.over_margins(task, settings.shapes, margins)
@@ -115,7 +120,8 @@ def make_front(content: ParameterFile, settings: Settings, direction: int) -> Ro
     margins = _margins(nominal, settings, margin, exact.front)
     if isinstance(task, PromiseTask):
         margin = float(margins.min())
-        reason += f"; it amounts to margins from {1e3 * margin:.2f} to {1e3 * margins.max():.2f} mm"
+        most = 1e3 * margins.max()
+        reason += f"; equivalent margins are {1e3 * margin:.2f} to {most:.2f} mm"
     rows = three_rows(exact.front, content.parameters)
     three = _predicted(nominal, content, settings, exact.front.take(rows), margins[rows])
     return RobustFront(
@@ -146,7 +152,7 @@ def front_of_task(task: Task, resolution: Resolution) -> ExactFront:
 
 
 def replaced(front: RobustFront, gaits: Points) -> RobustFront:
-    """Return a front with other gaits of the same task, at least one and by rising speed, instead of the exact ones."""
+    """Return a front with ``gaits`` (at least one, by rising speed, of the same task) instead of the exact ones."""
     margins = _margins(front.nominal, front.settings, front.margin, gaits)
     chosen = gaits.take(three_rows(gaits, front.content.parameters))
     min_power, cruise, max_speed = front.predicted(chosen)
@@ -160,7 +166,10 @@ def replaced(front: RobustFront, gaits: Points) -> RobustFront:
 
 
 def _margins(nominal: MarginTask, settings: Settings, margin: float, points: Points) -> Array:
-    """Return the margin in m of each gait: that of the front, or the largest at which the gait keeps its promise."""
+    """Return the margin of each gait in m.
+
+    With `Robustness.MARGIN` it is the margin of the front, otherwise the largest at which the gait keeps its grooves.
+    """
     if settings.robustness is Robustness.MARGIN:
         return np.full(len(points), margin)
     return tolerated_margins(nominal, points)
@@ -185,12 +194,16 @@ def _robust_task(
     """Return the task to search, its margin in m and the reason for it as text."""
     match settings.robustness:
         case Robustness.CHANCE:
-            # Another seed, so that the probabilities of the chosen gaits come from other draws.
+            # Another seed, so that the predicted success probabilities come from other draws than the search.
             scenarios = phase_known(content, _CHANCE_SCENARIOS, settings.seed + 1)
             promise = PromiseTask(nominal, scenarios, settings.probability)
-            return promise, 0.0, f"its grooves are kept with probability {settings.probability:g}"
+            return (
+                promise,
+                0.0,
+                f"gaits keep their grooves with probability {settings.probability:g}",
+            )
         case Robustness.ANY_PHASE:
-            return any_phase_task(nominal), 0.0, "its grooves are kept at every groove phase"
+            return any_phase_task(nominal), 0.0, "gaits keep their grooves at every groove phase"
     given = given_margin(nominal.parameters, settings)
     if given is not None:
         margin, reason = given
@@ -204,14 +217,14 @@ def _robust_task(
 
 
 def given_margin(parameters: Parameters, settings: Settings) -> tuple[float, str] | None:
-    """Return the margin in m that settings state, and the reason for it; None if they state none."""
+    """Return the margin in m that settings contain, and the reason for it; None if they contain none."""
     if settings.margin is not None:
         return settings.margin, "given"
     if settings.margin_force is None:
         return None
     # In the slow limit a load Q deflects the engaged fin, so that a switch needs Q/(k_eng + k_dis) more margin.
     stiffness = parameters.engaged_stiffness + parameters.disengaged_stiffness
-    return settings.margin_force / stiffness, f"it allows for a load of {settings.margin_force:g} N"
+    return settings.margin_force / stiffness, f"for a load of {settings.margin_force:g} N"
 
 
 def any_phase_task(nominal: MarginTask) -> PromiseTask:
@@ -221,7 +234,7 @@ def any_phase_task(nominal: MarginTask) -> PromiseTask:
 
 
 def _why_nothing_moves(task: MarginTask | ShapedTask | PromiseTask, resolution: Resolution) -> str:
-    """Return the reason why the front of a task is empty: the limit that excludes all gaits, or that none moves."""
+    """Return the reason why the front of a task is empty: no gait moves, or a limit excludes all gaits that move."""
     robot = task if isinstance(task, MarginTask) else task.task
     free = dataclasses.replace(robot, limits=NO_LIMITS)
     unlimited = free if isinstance(task, MarginTask) else dataclasses.replace(task, task=free)
@@ -254,17 +267,17 @@ def reason_for(price: PriceOfRobustness) -> str:
     rise = (
         "no gait moves"
         if math.isinf(cliff.rise)
-        else f"travel costs {cliff.rise:.2f} times as much"
+        else f"the lowest cost of transport rises by a factor of {cliff.rise:.2f}"
     )
     return (
-        f"the last of the scan before the cliff at {1e3 * cliff.margin:.3f} mm, beyond which the branch with "
-        f"{cliff.lost_branch:g} grooves a cycle is lost and {rise}; in closed form the cliff lies at "
+        f"the last margin of the scan before the cliff at {1e3 * cliff.margin:.3f} mm, where the branch with "
+        f"{cliff.lost_branch:g} grooves per cycle is lost and {rise}; the closed form of the cliff is "
         f"{1e3 * price.closed_form_cliff_margin:.3f} mm"
     )
 
 
 def thinned(front: Points, parameters: Parameters, count: int) -> Index:
-    """Return the rows of at most ``count`` gaits of a front, evenly over its speeds, including its three gaits."""
+    """Return at most ``count`` rows of a front, at evenly spaced speeds and including those of `three_rows`."""
     if len(front) <= count:
         return np.arange(len(front))
     wanted = np.linspace(front.speed[0], front.speed[-1], count - 1)
@@ -275,7 +288,7 @@ def thinned(front: Points, parameters: Parameters, count: int) -> Index:
 def nominal_gaits(
     content: ParameterFile, settings: Settings, direction: int
 ) -> dict[str, Prediction]:
-    """Return the three gaits of the exact front without a margin, by name; empty if no gait moves."""
+    """Return the paper's three gaits of the exact front without a margin, by name; empty if no gait moves."""
     content = content_under(settings.conditions, content)
     task = task_of(content, settings, direction)
     front = front_of_task(waveform_task(task, settings), settings.resolution).front

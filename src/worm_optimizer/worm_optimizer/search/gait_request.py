@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Requests for gaits and their exact answers: a front's three gaits, and the best gait at a speed or a power.
+"""Requests for gaits and their exact answers: the three gaits of a front, and the best gait at a speed or a power.
 
-A robot at rest at another length has another groove phase, which determines how many grooves a stroke gains
-(`docs/model.md`). A request may state that length.
+The length of the robot at rest determines its groove phase, and so the number of grooves that a stroke gains
+(`docs/model.md`). A request may therefore contain this length.
 """
 
 from __future__ import annotations
@@ -20,8 +20,12 @@ from worm_optimizer.robustness.prediction import Prediction
 from worm_optimizer.search.exact import Cost
 from worm_optimizer.search.front import RobustFront
 
-SAME_LENGTH = 1e-4  # m; lengths that differ by less are equal, as a camera is not more accurate
-_TOLERANCE = 1e-9  # relative; a value of a front, rounded, must be reachable
+SAME_LENGTH = (
+    1e-4  # m; lengths that differ by less count as equal, because a camera is not more accurate
+)
+_TOLERANCE = (
+    1e-9  # relative tolerance, with which a rounded speed or power of a front is still reachable
+)
 
 
 class Objective(enum.IntEnum):
@@ -45,9 +49,9 @@ class RequestStatus(enum.IntEnum):
 
 @dataclass(frozen=True)
 class GaitRequest:
-    """Requested gait; ``value`` is the speed in m/s or the power in W for the last two objectives.
+    """Request for a gait; ``value`` is the speed in m/s or the power in W that the last two objectives need.
 
-    Raises `OptimizerError` on a value that no gait can have.
+    Raises `OptimizerError` for a value that no gait can have.
     """
 
     objective: Objective
@@ -64,7 +68,13 @@ class GaitRequest:
 
 @dataclass(frozen=True)
 class GaitAnswer:
-    """Answer to a request: a gait, or the reason why there is none and the nearest reachable one, if any."""
+    """Answer to a request.
+
+    Attributes:
+        status: outcome.
+        message: reason if the request failed.
+        prediction: requested gait. If the request is unreachable, the nearest gait; None if there is none.
+    """
 
     status: RequestStatus
     message: str = ""
@@ -72,9 +82,9 @@ class GaitAnswer:
 
 
 def request_of(objective: int, speed: float, power: float) -> GaitRequest:
-    """Return the request for an objective, with speed in m/s or power in W if the objective needs it.
+    """Return the request for an objective, with the speed in m/s or the power in W if the objective needs it.
 
-    Raises `OptimizerError` on an unknown objective or a value that no gait can have.
+    Raises `OptimizerError` for an unknown objective or a value that no gait can have.
     """
     try:
         known_objective = Objective(objective)
@@ -86,7 +96,7 @@ def request_of(objective: int, speed: float, power: float) -> GaitRequest:
 
 
 def check_direction(direction: int) -> None:
-    """Raise `OptimizerError` unless the direction is one of the two."""
+    """Raise `OptimizerError` unless the direction is `FORWARD` or `REVERSE`."""
     if direction not in (FORWARD, REVERSE):
         raise OptimizerError(
             f"direction: {direction} is neither {FORWARD} (forward) nor {REVERSE} (reverse)"
@@ -94,22 +104,23 @@ def check_direction(direction: int) -> None:
 
 
 def resting_content(content: ParameterFile, initial_length: float) -> ParameterFile:
-    """Return the parameters with the initial length in m of a robot at rest. 0 or the same length changes nothing.
+    """Return the parameters with the initial length (m) of a robot at rest.
 
-    Raises `OptimizerError` if the length differs from the parameters' by half of it or more.
+    A length of 0, or one that differs by less than `SAME_LENGTH`, changes nothing. Raises `OptimizerError` if the
+    length differs from that of the parameters by half of the latter or more.
     """
     known = content.parameters.initial_length
     if not initial_length or abs(initial_length - known) < SAME_LENGTH:
         return content
     if not abs(initial_length - known) < known / 2.0:
         raise OptimizerError(
-            f"initial_length: {initial_length} m is far from the parameters' {known} m"
+            f"initial_length: {initial_length} m is far from the {known} m of the parameters: check value and unit"
         )
     return replace(content, parameters=content.parameters.replace(initial_length=initial_length))
 
 
 def select(front: RobustFront, request: GaitRequest) -> GaitAnswer:
-    """Answer a request exactly, on the edges of a front's branches."""
+    """Answer a request exactly, with a gait on the edges of the branches and not only on the computed front."""
     match request.objective:
         case Objective.MIN_POWER_AT_SPEED:
             found = front.exact.cheapest(at_speed(request.value))
@@ -128,13 +139,13 @@ def select(front: RobustFront, request: GaitRequest) -> GaitAnswer:
 
 
 def at_speed(speed: float) -> Cost:
-    """Return the cost for requests at a speed in m/s: the power of gaits at least as fast."""
+    """Return the cost of requests at a speed in m/s: the power, infinite for slower gaits."""
     least = speed * (1.0 - _TOLERANCE)
     return lambda points: np.where(points.speed >= least, points.power, np.inf)
 
 
 def at_power(power: float) -> Cost:
-    """Return the cost for requests at a power in W: the negative speed of gaits that need at most this power."""
+    """Return the cost of requests at a power in W: the negative speed, infinite for gaits that need more power."""
     most = power * (1.0 + _TOLERANCE)
     return lambda points: np.where(points.power <= most, -points.speed, np.inf)
 
@@ -142,8 +153,8 @@ def at_power(power: float) -> Cost:
 def _too_fast(speed: float, fastest: Prediction) -> GaitAnswer:
     return GaitAnswer(
         RequestStatus.UNREACHABLE,
-        f"no gait of the front reaches {speed:.6g} m/s: the fastest makes {fastest.speed:.6g} m/s "
-        f"(margin {1e3 * fastest.margin:.2f} mm); request at most that",
+        f"no gait of the front reaches {speed:.6g} m/s: the fastest reaches {fastest.speed:.6g} m/s "
+        f"(margin {1e3 * fastest.margin:.2f} mm); request at most this speed",
         fastest,
     )
 
@@ -152,6 +163,6 @@ def _too_little(power: float, lowest: Prediction) -> GaitAnswer:
     return GaitAnswer(
         RequestStatus.UNREACHABLE,
         f"no gait of the front moves with {power:.6g} W: the lowest power is {lowest.power:.6g} W "
-        f"(margin {1e3 * lowest.margin:.2f} mm); request at least that",
+        f"(margin {1e3 * lowest.margin:.2f} mm); request at least this power",
         lowest,
     )

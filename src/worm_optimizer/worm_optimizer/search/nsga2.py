@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""NSGA-II, the paper's method, as an iterator over generations, and its front compared with the exact one."""
+"""NSGA-II, the paper's method, as an iterator over generations, and the comparison of its front with the exact one."""
 
 from __future__ import annotations
 
@@ -41,8 +41,12 @@ class SearchSettings:
 class Generation:
     """State of the search after a generation.
 
-    ``front`` contains the best of all gaits evaluated so far, not only of the present population, by rising speed.
-    ``hypervolume`` is its area in m/s·W (`pareto.hypervolume`).
+    Attributes:
+        number: number of the generation, from 1.
+        of: number of all generations.
+        evaluations: number of gaits evaluated so far.
+        front: non-dominated gaits of all evaluated so far, not only of the present population, by rising speed.
+        hypervolume: hypervolume of the front in m/s·W, see `pareto.hypervolume`.
     """
 
     number: int
@@ -55,7 +59,7 @@ class Generation:
 def generations(
     task: Task, settings: SearchSettings, reference_power: float
 ) -> Iterator[Generation]:
-    """Run NSGA-II on a task, and yield each generation. The same seed gives the same fronts.
+    """Run NSGA-II on a task, and yield each generation. Equal seeds result in equal fronts.
 
     ``reference_power`` in W is the corner of the reported hypervolume.
     """
@@ -85,8 +89,8 @@ def generations(
 def _gait_problem(bounds: Bounds) -> Problem:
     """Return the problem: decision vector [S, f] in its box, objectives [−v̄, P̄], one constraint (at most 0).
 
-    The constraint excludes gaits that do not move. They need the least power, so they would be Pareto-optimal in the
-    problem as printed in the paper.
+    The constraint excludes gaits that do not move. They need the least power, and would therefore be Pareto-optimal in
+    the problem as the paper states it.
     """
     return Problem(
         n_var=2,
@@ -98,7 +102,7 @@ def _gait_problem(bounds: Bounds) -> Problem:
 
 
 def _assign(problem: Problem, population: Population, points: Points) -> None:
-    """Assign the objectives and the violation of their gaits to the individuals of a population."""
+    """Assign objectives and violations of evaluated gaits to the individuals of a population."""
     static = StaticProblem(
         problem,
         F=np.column_stack([-points.speed, points.power]),
@@ -107,8 +111,8 @@ def _assign(problem: Problem, population: Population, points: Points) -> None:
     Evaluator().eval(static, population)
 
 
-# The corner of the hypervolume is speed 0 at 1.1 times the highest power of the exact front. At the highest power
-# itself, the fastest gait would not contribute.
+# Power at the corner of the hypervolume, relative to the highest power of the exact front. With 1, the fastest gait
+# would not contribute.
 _CORNER = 1.1
 
 
@@ -116,9 +120,11 @@ _CORNER = 1.1
 class Comparison:
     """Comparison of a front of NSGA-II with the exact one.
 
-    ``hypervolume_share`` is its hypervolume over that of the exact front, both from the corner (0 m/s, 1.1 times the
-    highest power of the exact front). ``missed_branches`` are the grooves per cycle on the exact front that it lacks.
-    ``largest_excess_power`` is the largest relative excess of a gait's power over the lowest power at its speed.
+    Attributes:
+        front: front of NSGA-II.
+        hypervolume_share: its hypervolume, relative to that of the exact front; see `reference_power_of`.
+        missed_branches: grooves per cycle of the branches that only the exact front contains.
+        largest_excess_power: largest relative excess of a gait's power over the lowest power at its speed.
     """
 
     front: Points
@@ -128,14 +134,15 @@ class Comparison:
 
 
 def reference_power_of(exact: ExactFront) -> float:
-    """Return the power of the hypervolume's corner in W."""
+    """Return the power at the corner of the hypervolumes in W."""
     return _CORNER * float(exact.front.power.max())
 
 
 def compared(exact: ExactFront, front: Points) -> Comparison:
-    """Compare a front of the same task with at least one gait with the exact front.
+    """Compare a front of the same task, which contains at least one gait, with the exact front.
 
-    The exact front is also computed at the frequencies of the compared gaits, so that its steps are no disadvantage.
+    Edges are also computed at the frequencies of the compared gaits, because the exact front covers only some
+    frequencies.
     """
     frequency = np.unique(front.frequency)
     box, strokes = exact.task.bounds, exact.resolution.strokes
@@ -153,9 +160,9 @@ def compared(exact: ExactFront, front: Points) -> Comparison:
 
 
 def _lowest_power(best: Points, front: Points) -> Array:
-    """Return the lowest power in W in ``best`` at the speed of each gait of ``front`` or faster.
+    """Return the lowest power (W) among the gaits of ``best`` that are at least as fast as each gait of ``front``.
 
-    Speeds are compared by grooves and frequency.
+    Speeds are compared by grooves per second. ``best`` is a result of `front_of`.
     """
     reached, wanted = (points.count * points.frequency for points in (best, front))
     place: Index = np.searchsorted(reached, wanted * (1.0 - 1e-9))

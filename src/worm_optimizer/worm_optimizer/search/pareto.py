@@ -10,9 +10,9 @@ from worm_optimizer.evaluation.task import Index, Points
 
 
 def non_dominated(speed: ArrayLike, power: ArrayLike) -> Index:
-    """Return the indices of the non-dominated rows, by rising speed. Of equal rows, one is returned.
+    """Return the indices of the non-dominated rows, by rising speed; one index for equal rows.
 
-    ``speed`` in m/s and ``power`` in W of shape (n,); none may be NaN.
+    ``speed`` in m/s and ``power`` in W have shape (n,) and contain no NaN.
     """
     speeds, powers = np.asarray(speed, dtype=float), np.asarray(power, dtype=float)
     order = np.lexsort((-speeds, powers))
@@ -23,14 +23,14 @@ def non_dominated(speed: ArrayLike, power: ArrayLike) -> Index:
 def front_of(points: Points) -> Points:
     """Return the admissible non-dominated gaits, by rising speed.
 
-    They are compared by the grooves that they gain, so that a remaining transient does not affect the comparison.
+    Speeds are compared by grooves per second, so that the rest of a transient does not affect the comparison.
     """
     admissible = points.take(points.admissible)
     return admissible.take(non_dominated(admissible.count * admissible.frequency, admissible.power))
 
 
 def hypervolume(front: Points, reference_power: float) -> float:
-    """Return the area in m/s·W between a front and the corner (0 m/s, ``reference_power`` W).
+    """Return the area in m/s·W that a front dominates up to the corner (0 m/s, ``reference_power`` W).
 
     ``front`` is a result of `front_of`. Gaits above the reference power do not contribute.
     """

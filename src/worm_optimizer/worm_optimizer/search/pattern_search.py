@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pattern search for the shares of a shape with the lowest power within the limits of the hardware."""
+"""Pattern search for the contraction share and ramp share with the lowest power within the limits of the hardware."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ import numpy as np
 
 from worm_optimizer.evaluation.task import Array, Index, Mask, Points
 
-FORBIDDEN = 1e6  # W, cost of a gait that violates a limit; it grows with the violation
-_FIRST_STEPS = (0.08, 0.1)  # first steps of contraction share and ramp share
-LEAST_STEP = 0.015  # step at which a search usually ends, relative to the first one
+FORBIDDEN = 1e6  # least cost of a gait that violates a limit, W
+_FIRST_STEPS = (0.08, 0.1)  # usual first steps of contraction share and ramp share
+LEAST_STEP = 0.015  # step at which a search usually ends, relative to the usual first one
 _SHRINK = 0.4
 _MOST_ROUNDS = 30
 _PATTERN = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j], dtype=float)
-_FARTHEST = 1.5  # steps to the minimum of a quadratic
-_SPARE = 3e-5  # by which the predicted violation stays below 0
-_GRIDS = 3  # grids, each around the best point of the one before, on which limited quadratics are minimised
+_FARTHEST = 1.5  # largest distance of the minimum of a quadratic from the centre, in steps
+_SPARE = 3e-5  # amount by which the predicted violation stays below 0
+_GRIDS = 3  # grids on which limited quadratics are minimised, each around the best point of the one before
 _GRID = np.linspace(-1.0, 1.0, 13)
 
 
 @dataclass(frozen=True)
 class Costs:
-    """Costs of gaits: ``power`` in W, infinite for a missing gait, and ``violation`` as in `Points`; of one shape."""
+    """Costs of gaits: ``power`` in W, infinite for a missing gait, and ``violation`` as in `Points`."""
 
     power: Array
     violation: Array
@@ -36,7 +36,7 @@ class Costs:
 
 
 def costs_of(points: Points, found: Mask) -> Costs:
-    """Return the costs of gaits, of which those outside of the mask ``found`` are missing."""
+    """Return the costs of gaits. Gaits for which the mask ``found`` is False count as missing."""
     return Costs(np.where(found, points.power, np.inf), np.where(found, points.violation, -1.0))
 
 
@@ -47,18 +47,19 @@ def improve(
     shares: Array,
     steps: tuple[float, float],
 ) -> tuple[Array, Costs]:
-    """Search the shares (n, 2) with the lowest costs, all problems at once.
+    """Search the shares (n, 2) with the lowest costs, for all problems at once.
 
-    A pattern of eight neighbours moves to the best of them, or to the minimum of the quadratic through all of them. If
-    one of them violates a limit, the violation is a quadratic as well, and bounds the minimum. If neither is better,
-    the pattern shrinks.
+    Each round evaluates the eight neighbours of the best point in a pattern, fits a quadratic to the costs, and
+    evaluates the minimum of the quadratic. If a point violates a limit, the violation is approximated by a quadratic,
+    too, which limits the minimum. The best of all these points is the centre of the next pattern. The pattern shrinks
+    if its centre remains the best point, or if the minimum of the quadratic is the best and lies within the pattern.
 
     Args:
-        cost_of: returns the costs of shares (m, 2) of the problems with the numbers (m,).
+        cost_of: returns the costs (m,). Arguments: indices of the problems (m,), and shares (m, 2).
         has_ramps: True for the problems whose ramp share is searched, shape (n,).
         bounds: bounds of contraction share and ramp share, shape (2, 2).
         shares: start of the search, shape (n, 2).
-        steps: first and least step, relative to the usual first one.
+        steps: first and least step, relative to `_FIRST_STEPS`.
 
     Returns:
         The shares (n, 2) and their costs (n,).
@@ -101,7 +102,7 @@ def improve(
 
 
 def _minimum(centre: Costs, around: Costs) -> Array:
-    """Return the predicted minimum (n, 2) of each pattern, in steps; 0 without a prediction."""
+    """Return the predicted minimum (n, 2) of each pattern, in steps from its centre; 0 without a prediction."""
     minimum = _minimum_of_quadratic(centre.total, around.total)
     limited = np.isfinite(centre.power)
     limited &= np.maximum(centre.violation, around.violation.max(axis=1)) > 0.0
@@ -115,7 +116,7 @@ def _minimum(centre: Costs, around: Costs) -> Array:
 
 
 def _minimum_of_quadratic(centre: Array, table: Array) -> Array:
-    """Return the minimum (n, 2) of the quadratic through each pattern, in steps; 0 without a minimum."""
+    """Return the minimum (n, 2) of the quadratic through each pattern, in steps from its centre, or 0 without one."""
     low_low, low, low_high, down, up, high_low, high, high_high = table.T
     with np.errstate(invalid="ignore", divide="ignore"):
         slope = 0.5 * np.stack([high - low, up - down])
@@ -132,10 +133,15 @@ def _minimum_of_quadratic(centre: Array, table: Array) -> Array:
 
 
 def _minimum_within_limits(centre: Costs, around: Costs) -> Array:
-    """Return the minimum (n, 2) of the quadratic of the power at which that of the violation is below 0, in steps."""
+    """Return the point (n, 2), in steps from the centre, with the lowest predicted power and no predicted violation.
+
+    Power and violation are predicted by quadratics through each pattern.
+    """
     known = np.isfinite(around.power)
     _, low, _, down, up, _, high, _ = known.T
-    free = np.stack([low & high, down & up], axis=1)  # shares that have neighbours on both sides
+    free = np.stack(
+        [low & high, down & up], axis=1
+    )  # shares with evaluated neighbours on both sides
     mixed = np.all(known, axis=1)
     power = _quadratic(centre.power, around.power, free, mixed)
     violation = _quadratic(centre.violation, around.violation, free, mixed)
@@ -154,7 +160,7 @@ def _minimum_within_limits(centre: Costs, around: Costs) -> Array:
 def _quadratic(centre: Array, table: Array, free: Mask, mixed: Mask) -> Array:
     """Return the coefficients (6, n) of 1, x, y, x², y² and x·y of the quadratic through each pattern.
 
-    Those of a share that is not ``free`` (n, 2) are 0, and that of x·y without the mask ``mixed`` (n,).
+    Coefficients of a share that is not ``free`` (n, 2) are 0. The coefficient of x·y is 0 unless ``mixed`` (n,).
     """
     low_low, low, low_high, down, up, high_low, high, high_high = table.T
     with np.errstate(invalid="ignore"):
@@ -175,7 +181,7 @@ def _quadratic(centre: Array, table: Array, free: Mask, mixed: Mask) -> Array:
 
 
 def _value(coefficients: Array, at: Array) -> Array:
-    """Return quadratics (n,) at points (n, m, 2), shape (n, m)."""
+    """Return the values (n, m) of quadratics with ``coefficients`` (6, n) at points (n, m, 2)."""
     one, x, y, xx, yy, xy = coefficients[:, :, np.newaxis]
     u, v = at[:, :, 0], at[:, :, 1]
     return one + u * (x + xx * u + xy * v) + v * (y + yy * v)

@@ -26,19 +26,24 @@ CLIFF_TOLERANCE = 1e-6  # m
 CLIFF_RULE = (
     "the cliff is the margin at which the branch (grooves per cycle) with the lowest cost of transport is lost and the "
     f"lowest cost of transport rises by a factor of {CLIFF_RISE} or more within a step of the scan, bisected to "
-    f"{1e6 * CLIFF_TOLERANCE:g} µm; a step after which no gait moves counts as one"
+    f"{1e6 * CLIFF_TOLERANCE:g} µm; the margin beyond which no gait moves is a cliff, too"
 )
-# Coarse in stroke and frequency, because the minimum is followed between the columns. 81 margins take two seconds.
+# A coarse resolution suffices, because the minimum is followed between the columns. 81 margins take two seconds.
 _RESOLUTION = exact.Resolution(strokes=21, frequencies=17)
 _ZOOM = exact.Zoom(points=5, rounds=6)
 
 
 @dataclass(frozen=True)
 class MarginPoint:
-    """Optimum at one margin; NaN and 0 if no gait moves.
+    """Gait with the lowest cost of transport at one margin; its values are NaN if no gait moves.
 
-    ``margin`` in m; ``cost_of_transport`` is the lowest, at ``stroke`` m and ``frequency`` Hz on ``branch`` (grooves
-    per cycle). ``branches`` are all branches found at this margin.
+    Attributes:
+        margin: margin, m.
+        cost_of_transport: lowest cost of transport.
+        stroke: stroke of this gait, m.
+        frequency: frequency of this gait, Hz.
+        branch: grooves per cycle of this gait; 0 if no gait moves.
+        branches: grooves per cycle of all branches at this margin.
     """
 
     margin: float
@@ -51,10 +56,13 @@ class MarginPoint:
 
 @dataclass(frozen=True)
 class Cliff:
-    """Cliff of the price of robustness: ``margin`` in m, between the scan's margins ``before`` and ``after``.
+    """Cliff of the price of robustness.
 
-    ``rise`` is the factor of the lowest cost of transport over that step (infinite: no gait moves after it) and
-    ``lost_branch`` the grooves per cycle of the branch that is lost.
+    Attributes:
+        margin: margin at the cliff, m.
+        before, after: neighbouring margins of the scan, m.
+        rise: lowest cost of transport at ``after``, relative to that at ``before``; infinite if no gait moves there.
+        lost_branch: grooves per cycle of the branch that is lost.
     """
 
     margin: float
@@ -66,7 +74,14 @@ class Cliff:
 
 @dataclass(frozen=True)
 class PriceOfRobustness:
-    """Result of a scan. ``cliff`` is None if the scanned margins contain none."""
+    """Result of a margin scan.
+
+    Attributes:
+        points: optimum at each margin, by rising margin.
+        cliff: cliff; None if the scanned margins contain none.
+        closed_form_cliff_margin: margin at the cliff in the slow limit, m.
+        groove_phase: groove phase of the robot, m.
+    """
 
     points: tuple[MarginPoint, ...]
     cliff: Cliff | None
@@ -80,7 +95,7 @@ class PriceOfRobustness:
 
     @property
     def margin(self) -> float:
-        """Chosen margin in m: the scan's last before the cliff, else the largest at which a gait moves.
+        """Chosen margin in m: the last of the scan before the cliff; without one, the largest at which a gait moves.
 
         Raises `OptimizerError` if no gait moves at any margin.
         """
@@ -116,7 +131,7 @@ class ScannedTask(Protocol):
         count: Index | None = None,
         margin: Array | None = None,
     ) -> Edges:
-        """Find the edges, see `task.Task`, at ``margin`` in m of shape (m,)."""
+        """Find the edges of all branches, see `task.Task.edges`; ``margin`` in m has shape (m,)."""
 
 
 def price_of_robustness(task: ScannedTask, margins: Array) -> PriceOfRobustness:
@@ -151,7 +166,7 @@ def scan(task: ScannedTask, margins: Array) -> tuple[MarginPoint, ...]:
 
 
 def _followed(task: ScannedTask, brackets: Sequence[exact.Bracket], margins: Array) -> list[Points]:
-    """Return the optima between the columns, by margin."""
+    """Minimise the cost in each bracket, and return the minima of each margin; ``owner`` is the index of the margin."""
     owner = np.array([bracket.owner for bracket in brackets], dtype=np.int64)
 
     def find(bracket: Index, count: Index, frequency: Array, strokes: Array) -> Edges:
@@ -187,7 +202,7 @@ def find_cliff(task: ScannedTask, points: Sequence[MarginPoint]) -> Cliff | None
 
 
 def _is_lost(before: MarginPoint, after: MarginPoint) -> bool:
-    """Return True if the cliff lies between two margins according to the rule."""
+    """Return True if a cliff lies between two margins according to `CLIFF_RULE`."""
     if not before.branch or before.branch in after.branches:
         return False
     return not after.branch or after.cost_of_transport >= CLIFF_RISE * before.cost_of_transport

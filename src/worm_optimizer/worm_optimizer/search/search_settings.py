@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Settings of an optimisation, and the table from which command-line options and node parameters are generated."""
+"""Settings of an optimisation, and the table from which its command-line options and node parameters are generated."""
 
 from __future__ import annotations
 
@@ -46,11 +46,11 @@ class ScanSettings:
             )
         if (self.highest - self.lowest) / self.step > _MOST_MARGINS:
             raise OptimizerError(
-                f"scan: a step of {self.step:g} m makes more than {_MOST_MARGINS} margins: give a larger one"
+                f"scan: a step of {self.step:g} m results in more than {_MOST_MARGINS} margins: give a larger step"
             )
 
     def margins(self) -> Array:
-        """Return the margins in m. The last one is the highest, or less than a step below it."""
+        """Return the margins in m. The last one is ``highest``, or lies less than a step below it."""
         count = int(np.floor((self.highest - self.lowest) / self.step + 1e-9)) + 1
         # Rounded to picometres, so that 3.4 mm is 0.0034 and not 0.0034000000000000002.
         return np.round(self.lowest + self.step * np.arange(count), 12)
@@ -60,19 +60,19 @@ class Robustness(str, enum.Enum):
     """Criterion that keeps gaits away from the edges of their branch."""
 
     MARGIN = "margin"  # the paper's enlarged threshold
-    CHANCE = "chance"  # the promised grooves are kept with a probability, groove phase known
-    ANY_PHASE = "any_phase"  # the promised grooves are kept at every groove phase
+    CHANCE = "chance"  # a gait keeps its grooves with a given probability at the known groove phase
+    ANY_PHASE = "any_phase"  # a gait keeps its grooves at every groove phase
 
 
 class Waveform(str, enum.Enum):
-    """Gaits that are searched."""
+    """Waveforms among which a search chooses."""
 
-    SINUSOID = "sinusoid"  # the paper's
+    SINUSOID = "sinusoid"  # the paper's waveform
     SHAPED = "shaped"  # any pretension, contraction share, profile and ramp share within bounds
 
 
 def waveform_of(name: str) -> Waveform:
-    """Return the waveform of a name. Raises `OptimizerError` naming the known ones."""
+    """Return the waveform of a name. Raises `OptimizerError`, with the known names, if the name is unknown."""
     try:
         return Waveform(name)
     except ValueError:
@@ -81,7 +81,7 @@ def waveform_of(name: str) -> Waveform:
 
 
 def robustness_of(name: str) -> Robustness:
-    """Return the robustness of a name. Raises `OptimizerError` naming the known ones."""
+    """Return the criterion of a name. Raises `OptimizerError`, with the known names, if the name is unknown."""
     try:
         return Robustness(name)
     except ValueError:
@@ -93,10 +93,21 @@ def robustness_of(name: str) -> Robustness:
 class Settings:
     """Settings of an optimisation.
 
-    ``margin`` in m, or ``margin_force``, the load in N that it allows for. If both are None, the margin at the cliff of
-    the scan is used. ``probability`` is for `Robustness.CHANCE`. ``samples`` is the number of Monte Carlo draws of a
-    success probability, ``seed`` is for all draws. ``shapes`` bound shaped gaits. ``holding_power`` in W/N, see
-    `task.MarginTask`.
+    Attributes:
+        bounds: box of strokes and frequencies.
+        limits: limits of the actuators.
+        resolution: resolution of the survey.
+        scan: margins of the margin scan.
+        robustness: criterion of robustness.
+        margin: margin, m. If both this and ``margin_force`` are None, the last margin of the scan before the cliff.
+        probability: probability for `Robustness.CHANCE`.
+        samples: number of Monte Carlo draws of a success probability.
+        seed: seed of all draws.
+        conditions: conditions in the pipe.
+        waveform: waveforms among which the search chooses.
+        shapes: bounds of shaped gaits.
+        holding_power: power for each newton of the mean cable force, W/N, see `task.MarginTask`.
+        margin_force: margin, given as the load in N that a gait with this margin tolerates in the slow limit.
     """
 
     bounds: Bounds = field(default_factory=Bounds)
@@ -120,14 +131,14 @@ class Settings:
                 f"margin_force: {self.margin_force} N: give a finite number that is not negative"
             )
         if self.margin is not None and self.margin_force is not None:
-            raise OptimizerError("margin: it is given in m and as a load in N; give one of them")
+            raise OptimizerError("margin: is given both in m and as a load in N; give one of them")
         if not 0.0 <= self.holding_power < math.inf:
             raise OptimizerError(
                 f"holding_power: {self.holding_power} W/N: give a finite number that is not negative"
             )
         if self.waveform is Waveform.SHAPED and self.robustness is not Robustness.MARGIN:
             raise OptimizerError(
-                f"robustness: {self.robustness.value} needs waveform sinusoid. Use it, or robustness margin"
+                f"robustness: {self.robustness.value} needs waveform sinusoid. Use this waveform, or robustness margin"
             )
         if self.margin is not None and not 0.0 <= self.margin <= MAX_MARGIN:
             raise OptimizerError(
@@ -143,9 +154,15 @@ class Settings:
 
 @dataclass(frozen=True)
 class SettingRow:
-    """Setting, from which the node's ``parameter``, the commands' ``option`` and the row of the docs are generated.
+    """Setting, from which a parameter of the node, an option of the commands and a row of the docs are generated.
 
-    Two rows with the same option are the two values of this option. ``low`` and ``high`` bound a number.
+    Attributes:
+        parameter: name of the node's parameter.
+        option: name of the commands' option. Two rows with the same option are the two values of this option.
+        default: default value.
+        meaning: description.
+        low, high: bounds of a number; None without a bound.
+        choices: admissible texts; empty if all are admissible.
     """
 
     parameter: str
@@ -190,8 +207,8 @@ SCAN_SETTINGS: tuple[SettingRow, ...] = (
     _Row("limits.supply_voltage_v", "supply-voltage", 0.0, "with the driver's file, the supply voltage of the servos, "
          "V; 0: the voltage that their manual recommends", 0.0, 100.0),
     *_CONDITIONS,
-    _Row("waveform", "waveform", Waveform.SINUSOID.value, "gaits that are searched: the paper's (sinusoid), or with "
-         "pretension, contraction share, profile and ramp share within bounds (shaped)",
+    _Row("waveform", "waveform", Waveform.SINUSOID.value, "waveforms that are searched: the paper's (sinusoid), or all "
+         "with pretension, contraction share, profile and ramp share within bounds (shaped)",
          choices=tuple(kind.value for kind in Waveform)),
     _Row("pretension_low_m", "pretensions", _SHAPES.pretension[0], "least pretension of shaped gaits, m", 0.0,
          MAX_PRETENSION),
@@ -223,9 +240,9 @@ SETTINGS = (*SCAN_SETTINGS, *FRONT_SETTINGS)
 
 
 def settings_of(values: Mapping[str, Any]) -> Settings:
-    """Return the settings for values by `SettingRow.parameter`. Missing values have their defaults.
+    """Return the settings of values by `SettingRow.parameter`, with the defaults of missing ones.
 
-    Raises `OptimizerError` if they are inconsistent.
+    Raises `OptimizerError` if the values are inadmissible or inconsistent.
     """
     value = {row.parameter: row.default for row in SETTINGS} | dict(values)
     speed, force, power, push = (

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Edges of shaped gaits, minimised over pretension, contraction share, profile and ramp share.
 
-At some frequencies the shares of the cheapest corner of each branch (`corners`) are searched from several starts.
-Between two of these frequencies the shares are interpolated and the corner is located again. This is accurate, because
-near a minimum the power hardly depends on the shares. Near a limit of the hardware it does, so that the contraction
-share at the limit is searched again.
+"Shares" are the contraction share and the ramp share. At some frequencies, the shares of the cheapest corner of each
+branch (see `corners`) are searched from several starts. Between these frequencies, the shares are interpolated and the
+corner is located again. This is accurate, because near a minimum the power hardly depends on the shares. Near a limit
+of the hardware, the power does depend on them. There the contraction share is searched again.
 """
 
 from __future__ import annotations
@@ -50,35 +50,38 @@ from worm_optimizer.search.pattern_search import (
 )
 
 _FREQUENCIES = 13  # frequencies at which shares are searched
-_FREQUENCIES_OF_NODES = 9  # the same if there are several margins
-_NODES = 5  # margins of a scan at which shares are searched
-# Further margins for a branch that is lost between two of these, because its shares change quickly there. 1 is the
-# last of these margins at which the branch exists, 0 the largest margin at which it exists.
+_FREQUENCIES_OF_NODES = 9  # their number if shares are searched at several margins
+_NODES = 5  # margins of a scan at which shares are searched (nodes)
+# A branch that is lost between two nodes gets further nodes, because its shares change quickly there. They lie between
+# the last node with the branch (1) and the largest margin with the branch (0).
 _CLIFF_NODES = (0.5, 0.2, 0.05, 0.0)
 _START_SHARES = (0.35, 0.5, 0.65, 0.8)  # contraction shares from which the search starts
-_START_RAMPS = (0.1, 0.25, 0.5)  # ramp shares of a trapezoid from which it starts
-_LEAST_FIRST_STEP = 0.04  # at which the first search ends; near a minimum the power hardly changes
-_SMALL_STEP = 0.25  # first step of the search from a neighbouring frequency
-_LIMIT_STEPS = (0.1, 0.02)  # steps of the search for the contraction share at a limit
-_NEAR_LIMIT, _AT_LIMIT = 0.1, 3e-4  # violations below 0 between which the search continues
-_APART = 0.03  # difference of the shares of different minima
+_START_RAMPS = (0.1, 0.25, 0.5)  # ramp shares of a trapezoid from which the search starts
+_LEAST_FIRST_STEP = (
+    0.04  # relative step at which the first search ends; near a minimum the power hardly changes
+)
+_SMALL_STEP = 0.25  # relative first step of the search from a neighbouring frequency
+_LIMIT_STEPS = (0.1, 0.02)  # relative steps of the search for the contraction share at a limit
+# That search continues for gaits beyond a limit, and for gaits whose relative distance from the limit is between these.
+_NEAR_LIMIT, _AT_LIMIT = 0.1, 3e-4
+_APART = 0.03  # two minima with a larger difference of a share are different minima
 _ENDING = 10  # bisections of the highest frequency of a branch
-_ENDING_SHARES = 6  # contraction shares that are tried in each
-_END_PARTS = (
-    0.2,
-    0.4,
-    0.6,
-    0.8,
-    0.9,
-)  # places of further frequencies between the last two of a branch
+_ENDING_SHARES = 6  # contraction shares that are tried in each of these bisections
+# Positions of further frequencies between the third-last (0) and the last one (1) of a branch
+_END_PARTS = (0.2, 0.4, 0.6, 0.8, 0.9)
 _CLIFF_HALVINGS = 7  # bisections of the largest margin of a branch between two nodes
 
 
 @dataclass(frozen=True)
 class Track:
-    """Shares of the cheapest corners of a branch over the frequency.
+    """Shares of the cheapest corners of a branch over the frequency, at one margin and with one profile.
 
-    ``frequency`` in Hz, rising, of shape (n,); ``shares`` (contraction, ramp) of shape (n, 2).
+    Attributes:
+        margin: margin, m.
+        count: grooves gained in all averaged cycles together, which identifies the branch.
+        profile: number of the profile.
+        frequency: frequencies in Hz, rising, shape (n,).
+        shares: contraction share and ramp share, shape (n, 2).
     """
 
     margin: float
@@ -98,11 +101,13 @@ class Track:
 
 @dataclass(frozen=True)
 class ShapedTask:
-    """Task of a `MarginTask` over shaped gaits. Every edge is that of the cheapest shape.
+    """`MarginTask` extended to shaped gaits. Each edge has the shape that needs the least power.
 
-    The largest stroke of its bounds limits the reach, which is the sum of stroke and pretension. Shares are searched at
-    the margins ``nodes`` in m, rising, and near the margin at which a branch is lost, and interpolated between them.
-    Without nodes they are searched at the margin of the task.
+    Attributes:
+        task: task of the sinusoids. The largest stroke of its bounds limits the reach (stroke plus pretension).
+        shapes: bounds of the shapes.
+        nodes: rising margins in m at which shares are searched. Further nodes are added near the margin at which a
+            branch is lost. Shares at other margins are interpolated. If empty, the margin of ``task`` is the only node.
     """
 
     task: MarginTask
@@ -141,9 +146,9 @@ class ShapedTask:
         count: Index | None = None,
         margin: Array | None = None,
     ) -> Edges:
-        """Find the corners of all branches at each frequency, and the edges of the sinusoid if it is in the box.
+        """Find the corners of all branches at each frequency, and the edges of the sinusoid if the bounds permit it.
 
-        See `Task`. The strokes apply only to the sinusoid. ``margin`` in m, of shape (m,), must be within the nodes.
+        See `Task`. ``strokes`` concern the sinusoid only. ``margin`` (m,) in m must lie in the range of the nodes.
         """
         margins = np.full(frequency.shape, self.task.margin) if margin is None else margin
         parts = list(self._candidates(frequency, margins, count))
@@ -162,7 +167,10 @@ class ShapedTask:
     def _candidates(
         self, frequency: Array, margin: Array, count: Index | None
     ) -> Iterator[tuple[Index, Columns, Array]]:
-        """Yield the columns, the problems and the shares (n, 2) to be tried, of each branch with one of the counts."""
+        """Yield the shares to be tried for each branch with one of the counts.
+
+        Each element is (index of the column (n,), problems (n,), shares (n, 2)).
+        """
         yield np.empty(0, dtype=np.int64), NO_COLUMNS, np.empty((0, 2))
         for own, profile in sorted({(track.count, track.profile) for track in self.tracks}):
             asked = np.ones(frequency.size, dtype=bool) if count is None else count == own
@@ -183,10 +191,10 @@ class ShapedTask:
     def _shares(
         self, count: int, profile: float, frequency: Array, margin: Array
     ) -> tuple[Array, Array, Array]:
-        """Return shares (m, 2) of a branch to be tried, NaN beyond its tracks.
+        """Return three arrays of shares (m, 2) of a branch to be tried, NaN beyond its tracks.
 
-        The first array is interpolated over the margin. If the nodes below and above belong to different minima, the
-        other two arrays are the shares at these nodes, because a gait between two minima needs more power.
+        The first array is interpolated over the margin. The other two contain the shares at the nodes below and above
+        if these belong to different minima, and NaN otherwise: between two minima, a gait needs more power.
         """
         searched = [track.margin for track in self.tracks]
         nodes = np.union1d(self.nodes or (self.task.margin,), searched)
@@ -213,7 +221,7 @@ class ShapedTask:
 
 @dataclass(frozen=True)
 class Solved:
-    """Problems with the shares (n, 2) of their cheapest corners and the costs in W, (n,), see `Costs.total`."""
+    """Problems, ``shares`` (n, 2) of their cheapest corners found so far, and ``cost`` (n,) in W, see `Costs.total`."""
 
     columns: Columns
     shares: Array
@@ -242,7 +250,7 @@ class Solved:
         return self.take(order[first])
 
     def groups(self) -> Iterator[Solved]:
-        """Yield the rows of each margin, count and profile; they must be sorted."""
+        """Yield the rows of each margin, count and profile. The rows must be sorted as by `best`."""
         own = self.columns
         keys = np.stack([own.profile, own.count, own.margin])
         borders = np.flatnonzero(np.any(np.diff(keys, axis=1) != 0.0, axis=0)) + 1
@@ -277,12 +285,12 @@ class _Search:
     def improved(
         self, columns: Columns, shares: Array, step: float, least: float = LEAST_STEP
     ) -> Solved:
-        """Search for cheaper shares, from given ones."""
+        """Search for cheaper shares from given ones. ``step`` and ``least`` are the first and last relative step."""
         found, costs = self._improved(columns, columns.has_ramps, shares, (step, least))
         return Solved(columns, found, costs.total)
 
     def within_limits(self, columns: Columns, shares: Array) -> Array:
-        """Return the shares with contraction shares that are searched again, if the hardware has limits."""
+        """Search the contraction shares again if the hardware has limits, and return the shares."""
         if self.task.limits == NO_LIMITS:
             return shares
         moved, rows = shares.copy(), np.arange(len(shares))
@@ -303,7 +311,7 @@ class _Search:
         return improve(cost_of, has_ramps, self.shapes.shares, shares, steps)
 
     def solved(self, margins: Array, frequencies: Array) -> Solved:
-        """Search all branches at margins in m and frequencies in Hz, both rising, and where a branch ends."""
+        """Search all branches at margins in m and frequencies in Hz, both rising, and at the end of each branch."""
         known = self.begun(margins, frequencies).best()
         known = Solved.join(known, self.continued(known)).best()
         known = known.take(known.cost < FORBIDDEN)
@@ -312,7 +320,7 @@ class _Search:
         return known.take(known.cost < FORBIDDEN)
 
     def begun(self, margins: Array, frequencies: Array) -> Solved:
-        """Search from several shares, for each branch that is reached with one of them."""
+        """Search the shares of each branch that a gait with one of the start shares reaches, from the best of these."""
         columns, starts, gained = self._started(margins, frequencies)
         wanted = [
             np.flatnonzero(gained >= count)
@@ -327,7 +335,7 @@ class _Search:
         return self.improved(best.columns, best.shares, 1.0, _LEAST_FIRST_STEP)
 
     def _started(self, margins: Array, frequencies: Array) -> tuple[Columns, Array, Index]:
-        """Return columns with several shares (n, 2) each, and the grooves (n,) that are gained with them."""
+        """Return one row for each margin, frequency and start: problems, shares (n, 2), and grooves gained (n,)."""
         starts = np.array(
             [
                 (profile, share, ramp)
@@ -348,7 +356,7 @@ class _Search:
         return columns, shares, most_gained(self.task, self.shapes, columns, shares)
 
     def continued(self, known: Solved) -> Solved:
-        """Search from the shares of neighbouring frequencies, where these are cheaper."""
+        """Search from the shares of neighbouring frequencies, if these shares are cheaper than the known ones."""
         parts = []
         for group in known.groups():
             places = np.arange(group.cost.size)
@@ -361,7 +369,7 @@ class _Search:
         return self.improved(tried.columns.take(better), tried.shares[better], _SMALL_STEP)
 
     def ended(self, known: Solved, highest: float) -> Solved:
-        """Search the highest frequency of each branch that ends below the ``highest`` one in Hz."""
+        """Search the highest frequency of each branch that ends below ``highest`` (Hz), and the shares there."""
         lasts = [group.take(np.array([-1])) for group in known.groups()]
         lasts = [last for last in lasts if last.columns.frequency[0] < highest]
         if not lasts:
@@ -382,7 +390,7 @@ class _Search:
         return self.improved(good.columns, good.shares, _SMALL_STEP)
 
     def _cheapest_share(self, columns: Columns, shares: Array) -> Solved:
-        """Return the cheapest of some contraction shares up to the given ones, with the shortest possible ramps."""
+        """Return the cheapest of some contraction shares between the least and the given ones, with the least ramp."""
         least = self.shapes.shares[:, 0]
         parts = []
         for part in np.linspace(0.0, 1.0, _ENDING_SHARES):
@@ -393,7 +401,7 @@ class _Search:
         return Solved.join(*parts).best()
 
     def filled(self, known: Solved, frequencies: Array) -> Solved:
-        """Search at the frequencies in Hz that a branch lacks between others, from interpolated shares."""
+        """Add the frequencies (Hz) that a branch lacks between others. The search starts from interpolated shares."""
         parts = []
         for group in known.groups():
             own = group.columns.frequency
@@ -404,7 +412,7 @@ class _Search:
         return Solved.join(known, self._improved_together(parts))
 
     def with_ends(self, known: Solved, highest: float) -> Solved:
-        """Search also at frequencies just below the highest one of each branch, where the shares change quickly."""
+        """Add frequencies just below the highest one of each branch, where the shares change quickly."""
         parts = []
         for group in known.groups():
             own = group.columns.frequency
@@ -422,7 +430,7 @@ class _Search:
         return self.improved(columns, shares, _SMALL_STEP)
 
     def cliff_nodes(self, known: Solved, margins: Array) -> Array:
-        """Return further margins in m for branches that are lost between two of the ``margins``, rising, in m."""
+        """Return further margins in m for branches that are lost between two of ``margins`` (m, rising)."""
         own, further = known.columns, [np.empty(0)]
         for count in np.unique(own.count):
             last = own.margin[own.count == count].max()
@@ -441,9 +449,9 @@ class _Search:
 def tracks_of(
     task: MarginTask, shapes: ShapeBounds, margins: Array, frequencies: Array
 ) -> list[Track]:
-    """Search the cheapest shares of all branches at ``margins`` in m and ``frequencies`` in Hz, rising.
+    """Search the cheapest shares of all branches at ``margins`` in m and ``frequencies`` in Hz, both rising.
 
-    If branches are lost between two margins, their shares are also searched at some margins before that.
+    If a branch is lost between two margins, shares are also searched at some margins just before it is lost.
     """
     search = _Search(task, shapes)
     known = search.solved(margins, frequencies)

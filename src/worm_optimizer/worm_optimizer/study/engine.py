@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Distribution of work to Dask workers: the cores of this machine, or an existing cluster.
 
-The client submits a few pieces for each worker at a time and collects their results. Its memory therefore holds these
-pieces and not the whole study. A worker receives pieces only if its code is identical to the client's, which the
-client checks first. Workers with another version are reported and not used. The pieces of a lost worker are submitted
-to another one.
+The client submits a few pieces for each worker at a time and collects their results, so that its memory never holds
+the whole study. The client first compares the code of each worker with its own. It reports workers with another
+version and does not use them. It submits the pieces of a lost worker to another one.
 """
 
 from __future__ import annotations
@@ -48,7 +47,7 @@ class LostError(RuntimeError):
 
 @contextlib.contextmanager
 def connected(scheduler: str, workers: int, say: Say) -> Iterator[Client]:
-    """Connect to the cluster at ``scheduler``, or to a new one on this machine with ``workers`` workers if it is empty.
+    """Connect to the cluster at ``scheduler``. If it is empty, start ``workers`` workers on this machine.
 
     Yields:
         The client.
@@ -108,14 +107,14 @@ def cores() -> int:
 
 @dataclass
 class _WorkerPool:
-    """Workers of the cluster. The code version of each worker is requested once."""
+    """Workers of the cluster, by address. The client requests the code version of each until it answers."""
 
     client: Client
     say: Say
     mine: str = field(default_factory=identity)
     accepted: set[str] = field(default_factory=set)
-    rejected: dict[str, str] = field(default_factory=dict)
-    unanswered: set[str] = field(default_factory=set)  # workers without an answer yet
+    rejected: dict[str, str] = field(default_factory=dict)  # with the reason
+    unanswered: set[str] = field(default_factory=set)
 
     def update(self) -> None:
         """Update the lists of workers."""
@@ -144,12 +143,23 @@ def _reason(answer: str | BaseException, mine: str) -> str:
             f"it cannot import worm_optimizer.study ({answer}); "
             "install worm_msgs, worm_model and worm_optimizer there"
         )
-    return f"it has another version (code {answer}, here {mine}); install the same there"
+    return f"it has another version (code {answer}, here {mine}); install the version of this machine there"
 
 
 @dataclass
 class _Dispatcher:
-    """Pieces in work, with the workers that may compute them. A piece is stored until its result is available."""
+    """Pieces that are submitted to the workers. A piece is stored until its result is available.
+
+    Attributes:
+        client: client of the cluster.
+        pool: workers.
+        function: function that a worker calls with a piece.
+        pieces: (index, arguments) of the pieces that are still to be submitted.
+        stored: arguments of the submitted pieces, by index.
+        out: index of each submitted piece, and the workers that may compute it.
+        attempts: number of submissions so far.
+        name: prefix of the keys.
+    """
 
     client: Client
     pool: _WorkerPool
@@ -162,7 +172,7 @@ class _Dispatcher:
     name: str = field(default_factory=lambda: uuid.uuid4().hex)
 
     def fill(self) -> None:
-        """Submit pieces up to the capacity of the workers, orphaned pieces first."""
+        """Submit pieces up to the capacity of the workers, first those whose workers are all lost."""
         accepted = self.pool.accepted
         if not accepted:
             return
@@ -185,7 +195,7 @@ class _Dispatcher:
         self.out[future] = (place, frozenset(accepted))
 
     def results(self) -> Iterator[tuple[int, Any]]:
-        """Yield place and result of the finished pieces, and submit lost pieces again."""
+        """Yield index and result of the finished pieces, and submit lost pieces again."""
         for future in _finished(list(self.out)):
             place, _ = self.out.pop(future)
             if future.status in ("cancelled", "lost"):
@@ -196,7 +206,7 @@ class _Dispatcher:
             del self.stored[place]
 
     def clear(self) -> None:
-        """Cancel all pieces in work."""
+        """Cancel all submitted pieces."""
         with contextlib.suppress(Exception):  # the scheduler may be gone
             self.client.cancel(list(self.out))
 
@@ -204,13 +214,13 @@ class _Dispatcher:
 def spread(
     client: Client, function: Callable[..., Any], pieces: Iterable[tuple[Any, ...]], say: Say
 ) -> Iterator[tuple[int, Any]]:
-    """Yield (place, result) of ``function(*piece)`` for each piece, in the order in which they finish.
+    """Yield (index of the piece, ``function(*piece)``) for each piece, in the order in which they finish.
 
-    Exceptions of the function are raised here, too.
+    An exception that the function raises in a worker is raised here.
 
     Raises:
-        ClusterError: Every worker was rejected.
-        LostError: The scheduler is lost, or a piece ended every worker that computed it.
+        ClusterError: All connected workers were rejected.
+        LostError: The connection to the scheduler is lost, or several workers died while computing the same piece.
     """
     pool = _WorkerPool(client, say)
     dispatcher = _Dispatcher(client, pool, function, enumerate(pieces))
@@ -225,7 +235,9 @@ def spread(
             if not pool.accepted and not waiting_reported:
                 number = len(pool.unanswered)
                 state = f"{number} have not answered yet" if number else "none is connected"
-                say(f"waiting for workers, {state} (Ctrl-C ends this; finished blocks remain)")
+                say(
+                    f"waiting for workers, {state} (Ctrl-C ends this command; finished blocks remain)"
+                )
             waiting_reported = not pool.accepted
             dispatcher.fill()
             if pool.accepted and not dispatcher.stored:
@@ -258,6 +270,6 @@ def _result(future: Future) -> Any:
         return future.result()
     except KilledWorker as error:
         raise LostError(
-            f"each worker that a piece was given to has died ({error.task}): "
+            f"all workers that computed the piece {error.task} have died: "
             "read the workers' logs; out of memory is the usual cause"
         ) from None

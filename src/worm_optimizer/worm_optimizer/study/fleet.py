@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Many bags, each read, replayed and compared with the model independently, as rows of one Parquet table.
+"""Table of many bags in Parquet format. Each bag is read, replayed and compared with the model independently.
 
-Each gait of a bag is a row. A bag that cannot be used is a row with the reason. The rows are stored in one file per
-bag next to the output until all bags are read. A process that was killed can therefore continue.
+Each gait of a bag is a row. A bag that cannot be used is a row with the reason. Until all bags are read, the rows of
+each bag are stored in a file next to the output, so that the command can be repeated after it was killed.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ Row = dict[str, Any]
 
 
 class UnseenError(RuntimeError):
-    """A worker has no access to a bag. The message is the path of the bag."""
+    """A worker cannot access a bag. The message is the path of the bag."""
 
 
 def bag_rows(path: str, name: str, parameters: str) -> list[Row]:
@@ -65,7 +65,7 @@ def bag_rows(path: str, name: str, parameters: str) -> list[Row]:
         parameters: path of a parameter file, or an empty string for the parameters in the bag.
 
     Raises:
-        UnseenError: This machine has no access to the bag.
+        UnseenError: The bag does not exist on the machine of this worker.
     """
     if not Path(path).exists():
         raise UnseenError(path)
@@ -137,19 +137,19 @@ def read_fleet(
 ) -> Counts:
     """Read all bags below ``folder`` into the table ``output`` and return the number of bags.
 
-    If the process or the cluster fails, the rows read so far remain, and the same call continues with the others.
+    If the process or the cluster fails, the rows read so far remain, and calling this again reads the other bags.
 
     Args:
-        folder: folder of the bags, which all workers must have access to.
-        parameters: parameter file. An empty string selects the parameters in each bag, or the paper's values if it has
-            none.
+        folder: folder of the bags, which all workers must be able to access.
+        parameters: parameter file. An empty string selects the parameters in each bag, or the paper's values for a
+            bag without parameters.
         output: Parquet file.
         workers: workers to use.
         say: function that is called with each message.
-        progress: function that is called with the finished share.
+        progress: function that is called with the finished share of the bags, 0 to 1.
 
     Raises:
-        InputError: The output holds another fleet, or a worker has no access to a bag.
+        InputError: The output contains other bags, or a worker cannot access a bag.
         LostError: The cluster was lost.
     """
     fleet = _fleet(folder, parameters)
@@ -177,10 +177,10 @@ def read_fleet(
 
 
 def reopen_fleet(folder: Path, parameters: str, output: Path) -> None:
-    """Make `read_fleet` read the failed bags again, and only these.
+    """Remove the rows of failed bags, so that `read_fleet` reads these bags again.
 
     Raises:
-        InputError: The output holds another fleet.
+        InputError: The output contains other bags.
     """
     fleet = _fleet(folder, parameters)
     if output.exists():
@@ -201,7 +201,7 @@ def reopen_fleet(folder: Path, parameters: str, output: Path) -> None:
 
 @dataclass(frozen=True)
 class _Fleet:
-    """Bags with their names in the table, a hash of each (`_mark`), and one of all together."""
+    """Bags, their names in the table, a hash of each (``marks``, see `_mark`), and a hash of all (``identity``)."""
 
     bags: tuple[Path, ...]
     names: tuple[str, ...]
@@ -211,7 +211,7 @@ class _Fleet:
 
 def _fleet(folder: Path, parameters: str) -> _Fleet:
     load_parameter_file(parameters)  # raises if the file is invalid, before any bag is read
-    bags = tuple(bags_below(folder))  # reading a bag includes what was recovered from it
+    bags = tuple(bags_below(folder))  # a bag that needs its recovered copy is read from it
     marks = tuple(_mark(bag, parameters) for bag in bags)
     whole = hashlib.sha256(" ".join([*marks, identity()]).encode()).hexdigest()[:24]
     return _Fleet(bags, tuple(name_below(folder, bag) for bag in bags), marks, whole)
@@ -235,7 +235,7 @@ def _read(
             progress(done / bags)
     except UnseenError as error:
         raise InputError(
-            f"a worker does not see {error}: put the bags where all workers see them, or leave --scheduler out"
+            f"a worker cannot access {error}: use a folder that all workers can access, or leave --scheduler out"
         ) from None
     except (LostError, OSError) as error:
         raise type(error)(
@@ -244,17 +244,17 @@ def _read(
 
 
 def _mark(bag: Path, parameters: str) -> str:
-    """Return a hash of everything that determines the rows of a bag: its files, the parameter file and the code."""
+    """Return a hash of all inputs of the rows of a bag: its path and files, the parameter file and the code."""
     content = Path(parameters).read_text() if parameters else ""
     text = [str(bag.resolve()), identity(), content, mark_of(bag)]
     return hashlib.sha256("\n".join(text).encode()).hexdigest()[:24]
 
 
 def _known(output: Path, whole: str) -> Counts:
-    """Return the counts of a finished table.
+    """Return the counts of bags in a finished table; ``whole`` is the hash of the expected fleet.
 
     Raises:
-        InputError: The table holds another fleet.
+        InputError: The table contains other bags.
     """
     try:
         table = parquet.read_table(output, columns=["bag", "state"])
@@ -271,7 +271,7 @@ def _known(output: Path, whole: str) -> Counts:
 
 @contextlib.contextmanager
 def _parts(output: Path) -> Iterator[Path]:
-    """Create the folder for the rows of single bags and lock it for this process."""
+    """Create the folder of the files with the rows of single bags, and lock it for this process."""
     check_folder(output)
     parts = output.with_name(f"{output.name}.part")
     parts.mkdir(exist_ok=True)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""HTML page of a fleet: measured over expected values, parameters that drift, and bags that could not be read."""
+"""HTML page of a fleet: measured over expected values, parameters that drift, and bags that could not be used."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ def write_fleet_page(table: Path, parameters: str, page: Path) -> None:
     charts, names = fleet_charts(read, load_parameter_file(parameters))
     images = []
     if read:
-        caption = "Each gait as measured, over what the model expects of its command."
+        caption = "Measured values of each gait over those that the model expects from its command."
         images.append(Picture(png(compared_figure(read)), caption))
     if names:
-        caption = "Parameters from each bag alone, in the order of time."
+        caption = "Parameters estimated from each bag alone, in the order of time."
         images.append(Picture(_health(names, charts), caption))
     render(
         page,
@@ -51,9 +51,9 @@ def write_fleet_page(table: Path, parameters: str, page: Path) -> None:
 
 
 def fleet_charts(read: Sequence[Row], known: ParameterFile) -> tuple[list[Chart], list[str]]:
-    """Return control charts over the bags with an estimated health, and the names of these bags.
+    """Return a control chart of each key of `drift.ADVICE`, and the names of the bags in the charts.
 
-    See `drift.chart_of`.
+    The charts contain the bags from which at least one of these parameters was estimated. See `drift.chart_of`.
     """
     bags = {row["bag"]: row for row in read if any(math.isfinite(row[key]) for key in ADVICE)}
     charts = [
@@ -84,7 +84,7 @@ def _lead(rows: Sequence[Row], failed: Sequence[Row], charts: Sequence[Chart]) -
             lines.append(f"{chart.key}: {chart.state.value}; {chart.advice}.")
     few = [chart.key for chart in charts if chart.state is State.TOO_FEW]
     if few:
-        lines.append(f"Too few bags for limits of {', '.join(few)}.")
+        lines.append(f"Too few bags for control limits of {', '.join(few)}.")
     return lines
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Studies as values: what varies, what is fixed, and what is computed for each point."""
+"""Validated description of a study: the quantities that vary, the fixed ones, and the results to compute."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from worm_optimizer.search.search_settings import ScanSettings, Waveform
 
 Array = NDArray[np.float64]
 
-PARAMETER_FILE, SAMPLE = "parameter_file", "sample"  # dimensions that are no quantity
+PARAMETER_FILE, SAMPLE = "parameter_file", "sample"  # dimensions that are not quantities
 SOBOL, SALTELLI, LATIN_HYPERCUBE = "sobol", "saltelli", "latin_hypercube"
 METHODS = (SOBOL, SALTELLI, LATIN_HYPERCUBE)
 EXTENDABLE = (SOBOL, SALTELLI)  # more samples continue the same sequence
@@ -30,7 +30,7 @@ _BLOCK_SECONDS = (
     5.0  # nominal duration of a block; the client needs some 50 ms to submit and store it
 )
 _FEWEST_BLOCKS = 20  # so that the progress bar of a small study advances
-# Nominal seconds of one core, as block sizes must not depend on the machine; measured with the default resolution.
+# Nominal durations on one core at the default resolution, s; constant, so that block sizes are the same everywhere.
 _FRONT_SECONDS, _ANY_PHASE_SECONDS, _MARGIN_SECONDS = 0.5, 2.8, 0.03
 _SHAPED = 15.0  # duration of a front or a scan of shaped gaits, relative to that of sinusoids
 _DRAW_SECONDS = 2.5e-4  # of one draw of a success probability
@@ -55,7 +55,7 @@ class Axis:
 class Sample:
     """Sampling of all axes with a range: ``method`` (one of `METHODS`), number of ``points`` and ``seed``.
 
-    With `SALTELLI`, ``points`` is the number of base samples. Each of them is 2 + d points for d axes.
+    With `SALTELLI`, ``points`` is the number of base samples, each of which results in d + 2 points for d axes.
     """
 
     method: Annotated[str, OneOf(METHODS)] = SOBOL
@@ -69,10 +69,10 @@ class Sample:
     def draw(self, axes: int) -> Array:
         """Return values between 0 and 1, shape (size, axes).
 
-        Sobol sequences are scrambled, which keeps them away from the bounds. A larger sample of a method of
-        `EXTENDABLE` begins with the smaller one.
+        Sobol sequences are scrambled, which keeps them away from the bounds. With a method of `EXTENDABLE`, a larger
+        sample begins with the points of a smaller one.
         """
-        from scipy.stats import qmc  # here, as a worker of a study draws nothing: it takes a second
+        from scipy.stats import qmc  # here: the import takes a second, and workers do not need it
 
         if self.method == LATIN_HYPERCUBE:
             return qmc.LatinHypercube(axes, seed=self.seed).random(self.points)
@@ -83,7 +83,7 @@ class Sample:
 
 
 def _saltelli(first: Array, second: Array) -> Array:
-    """Return the rows A, B, AB_1 … AB_d of each base sample. AB_k is A with column k of B."""
+    """Return the rows A, B, AB_1 … AB_d of each base sample. AB_k is A with column k replaced by that of B."""
     mixed = np.repeat(first[:, None], first.shape[1], axis=1)
     each = np.arange(first.shape[1])
     mixed[:, each, each] = second
@@ -102,7 +102,14 @@ class Hardware:
 
 @dataclass(frozen=True)
 class Resolution:
-    """Resolution of the scan for edges, of the stored front (``front_gaits``) and of probabilities (``samples``)."""
+    """Resolution of the computation of a point.
+
+    Attributes:
+        scan: grid of strokes and frequencies on which the search for edges starts.
+        front_gaits: number of stored gaits of a front.
+        samples: number of draws of a success probability.
+        seed: seed of these draws.
+    """
 
     scan: ScanResolution = field(default_factory=ScanResolution)
     front_gaits: int = 32
@@ -121,13 +128,13 @@ class Study:
         axes: quantities that vary.
         sample: sampling of the axes with a range.
         fixed: values of the quantities that do not vary.
-        margin_at_cliff: True if the margin of each point is that at the cliff of its scan.
+        margin_at_cliff: True if each point uses the margin at the cliff of its own scan.
         hardware: limits of driver and servos.
         compute: requested results, some of `COMPUTABLE`.
         resolution: resolution of the computation.
-        scan: margins of the scan.
+        scan: margins of the margin scan.
         block_points: largest number of points in a block.
-        waveform: gaits that are searched.
+        waveform: waveforms among which the search chooses.
     """
 
     title: str
@@ -156,9 +163,10 @@ class Study:
 
     @property
     def dimensions(self) -> dict[str, Sequence[float]]:
-        """Dimensions of the points with their values, slowest first.
+        """Dimensions of the points with their values, the slowest-varying dimension first.
 
-        Each list is a dimension, as are several parameter files and the samples of all ranges together.
+        Several parameter files form one dimension, each list of values another one, and the samples of all ranges
+        together the last one.
         """
         values: dict[str, Sequence[float]] = {}
         if len(self.files) > 1:
@@ -191,7 +199,7 @@ class Study:
         return np.stack([columns[name].astype(float) for name in self.varied], axis=-1)
 
     def default_block_points(self) -> int:
-        """Return a number of points that outweighs the cost of submitting a block, and lets progress show."""
+        """Return a number of points that takes longer than submitting a block, but lets the progress bar advance."""
         scan = self.resolution.scan
         share = scan.strokes * scan.frequencies / (41 * 161)
         seconds = 1e-3

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Results of one point of a study. This is the only module of the package that calls search and robustness."""
+"""Computation of the results of one point of a study."""
 
 from __future__ import annotations
 
@@ -45,9 +45,9 @@ from worm_optimizer.search.search_settings import Settings, Waveform
 from worm_optimizer.study.plan import PARAMETER_FILE, Array, Study
 from worm_optimizer.study.quantities import LIMITS, SHAPE_BOUNDS
 
-FRONT, GAIT, SCAN = "front_gait", "gait", "scan_margin"  # further dimensions
+FRONT, GAIT, SCAN = "front_gait", "gait", "scan_margin"  # dimensions of the results of one point
 OPEN, DONE, FAILED = 0, 1, 2  # values of the variable "state"
-# W, of hypervolumes, if not given: above the fastest gait of the paper's robot.
+# Default power up to which hypervolumes count, W; more than the fastest gait of the paper's robot needs.
 REFERENCE_POWER = 20.0
 THREE_GAITS = (Objective.MIN_POWER, Objective.CRUISE, Objective.MAX_SPEED)
 REQUESTS = {
@@ -62,7 +62,7 @@ class PointError(InputError):
 
 @dataclass(frozen=True)
 class Variable:
-    """Result of every point: its further ``dimensions``, its ``unit`` and its descriptive ``long_name``."""
+    """Kind of result, which each point has: its own ``dimensions``, its ``unit`` and its descriptive ``long_name``."""
 
     dimensions: tuple[str, ...]
     unit: str
@@ -70,7 +70,7 @@ class Variable:
 
 
 def gait_names(study: Study) -> list[str]:
-    """Return the names of the gaits of a point: the paper's three, and those for a given speed or power."""
+    """Return the names of the gaits of a point: `THREE_GAITS`, and those at a speed or power that the study names."""
     named = {*study.fixed, *study.varied}
     wanted = [objective for key, objective in REQUESTS.items() if key in named]
     return [objective.name.lower() for objective in (*THREE_GAITS, *wanted)]
@@ -97,11 +97,11 @@ def _of_gait(study: Study) -> dict[str, tuple[str, str]]:
 
 
 def variables(study: Study) -> dict[str, Variable]:
-    """Return the results of a study, by name."""
+    """Return the kinds of results of a study, by name."""
     of_gait = _of_gait(study)
     variables_of = {
-        "margin": Variable((), "m", "margin that front and gaits keep"),
-        "groove_phase": Variable((), "m", "groove phase that every speed holds for"),
+        "margin": Variable((), "m", "margin of front and gaits"),
+        "groove_phase": Variable((), "m", "groove phase for which all results hold"),
         "closed_form_cliff_margin": Variable((), "m", "margin of the cliff in the slow limit"),
     }
     if "front" in study.compute:
@@ -141,7 +141,7 @@ def variables(study: Study) -> dict[str, Variable]:
 
 
 def dimensions(study: Study) -> dict[str, Sequence[Any]]:
-    """Return the further dimensions with their coordinates."""
+    """Return the dimensions of the results of one point, with their coordinates."""
     return {
         FRONT: list(range(study.resolution.front_gaits)),
         GAIT: gait_names(study),
@@ -182,13 +182,11 @@ def compute_block(study: Study, points: Array) -> Results:
 
 
 def compute_point(study: Study, values: Mapping[str, float]) -> dict[str, Any]:
-    """Return the variables of one point, by name.
-
-    Results that do not exist are left out and stay NaN, such as a front where no gait moves.
+    """Return the results of one point, by name. Missing results are left out, such as a front where no gait moves.
 
     Args:
         study: study.
-        values: values of the point, by the names of `Study.varied`.
+        values: values of the varied quantities, by the names of `Study.varied`.
 
     Raises:
         InputError: The point is not admissible.
@@ -225,7 +223,7 @@ def compute_point(study: Study, values: Mapping[str, float]) -> dict[str, Any]:
 def content_of(study: Study, asked: Mapping[str, float]) -> ParameterFile:
     """Return the robot of a point: its parameter file with the requested values, under the requested conditions.
 
-    An interval is scaled with its value, so its relative width stays the same. The interval of a value 0 is shifted.
+    If a value changes, its interval is scaled by the same factor. The interval of a value that was 0 is shifted.
     """
     content = study.files[int(asked.get(PARAMETER_FILE, 0))][1]
     old = content.parameters
@@ -262,7 +260,7 @@ def content_of(study: Study, asked: Mapping[str, float]) -> ParameterFile:
 
 
 def settings_of(study: Study, asked: Mapping[str, float]) -> Settings:
-    """Return the settings of the search at a point that are not in its task."""
+    """Return the settings of the search at a point that `task_of` does not contain."""
     plain = dataclasses.astuple(ShapeBounds())
     ends = (
         tuple(asked.get(name, end) for name, end in zip(names, row, strict=True))
@@ -323,7 +321,7 @@ def _robust(
     task: MarginTask,
     exact: ExactFront,
 ) -> dict[str, Any]:
-    """Return front, gaits and success probabilities of an exact front; ``task`` is without a margin."""
+    """Return stored front, chosen gaits and success probabilities of an exact front; ``task`` has no margin."""
     front = exact.front
     results: dict[str, Any] = {}
     if "front" in study.compute:
@@ -353,7 +351,7 @@ def _robust(
 
 
 def _shapes(chosen: Mapping[str, Array], known: np.ndarray) -> Shapes:
-    """Return the shapes of the chosen gaits of a mask; those of a study of sinusoids are the paper's."""
+    """Return the shapes of the chosen gaits for which ``known`` is True; in a study of sinusoids, the paper's shape."""
     given = {name: chosen[name][known] for name in SHAPE_ROW.names or () if name in chosen}
     return shapes_of(int(np.count_nonzero(known)), **given)
 
@@ -366,7 +364,7 @@ def _spread(values: Array, known: np.ndarray) -> Array:
 
 
 def _kept_front(study: Study, front: Points, parameters: Parameters) -> dict[str, Array]:
-    """Return the stored gaits of a front, padded with NaN."""
+    """Return the columns of the gaits of a front that are stored, padded with NaN to ``front_gaits`` rows."""
     count = study.resolution.front_gaits
     kept = front.take(thinned(front, parameters, count))
     columns = _figures(study, kept, parameters)
@@ -382,7 +380,7 @@ def _kept_front(study: Study, front: Points, parameters: Parameters) -> dict[str
 def _chosen(
     study: Study, asked: Mapping[str, float], exact: ExactFront, parameters: Parameters
 ) -> dict[str, Array]:
-    """Return the columns of the gaits of `gait_names`; NaN if no gait qualifies."""
+    """Return the quantities of the gaits of `gait_names`, one column per quantity; NaN if no gait meets a request."""
     names = gait_names(study)
     columns = {name: np.full(len(names), np.nan) for name in _of_gait(study)}
     if not len(exact.front):

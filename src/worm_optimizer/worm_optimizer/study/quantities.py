@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Table of the quantities that a study may vary or fix: the keys of a parameter file, the conditions, and `_OTHERS`."""
+"""Quantities that a study may vary or fix: keys of a parameter file, conditions in the pipe, and `_OTHERS`."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _SMALL, _LARGE = 1e-6, 1e6  # bounds of positive quantities
 
 @dataclass(frozen=True)
 class Quantity:
-    """Quantity with its SI ``unit``, description, and admissible range, which detects wrong units."""
+    """Quantity: SI ``unit``, description, and admissible range. A value outside it is probably in another unit."""
 
     unit: str
     long_name: str
@@ -60,7 +60,7 @@ LIMITS = (  # in the order of the fields of ActuatorLimits
     *("max_cable_speed_m_per_s", "max_cable_force_N", "max_power_W"),
     *("stall_force_N", "no_load_speed_m_s", "max_push_force_N"),
 )
-SHAPE_BOUNDS = (  # ends of the fields of ShapeBounds, in their order
+SHAPE_BOUNDS = (  # lower and upper end of each field of ShapeBounds, in the order of the fields
     ("min_pretension_m", "max_pretension_m"),
     ("min_contraction_share", "max_contraction_share"),
     ("min_ramp_share", "max_ramp_share"),

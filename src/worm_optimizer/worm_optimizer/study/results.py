@@ -17,16 +17,16 @@ from worm_optimizer.study.store import CHECKSUM, STATE, open_result
 
 @contextlib.contextmanager
 def point_table(path: Path) -> Iterator[xarray.Dataset]:
-    """Open the results of a study with the dimension ``point`` in the place of all dimensions of its points."""
+    """Open the results of a study. One dimension ``point`` replaces all dimensions over which the points extend."""
     with open_result(path) as data:
         yield data.stack(point=data[STATE].dims).reset_index("point")
 
 
 def check_export(file: Path) -> None:
-    """Check that the format of a file is known.
+    """Check that the suffix of a file belongs to a known format.
 
     Raises:
-        InputError: It is not.
+        InputError: The format is unknown.
     """
     if file.suffix not in _WRITERS:
         raise InputError(f"{file}: the format is none of {', '.join(_WRITERS)}")
@@ -55,7 +55,10 @@ def _write_netcdf(path: Path, file: Path) -> None:
 
 
 def _write_csv(path: Path, file: Path) -> None:
-    """Write a row for each point. Fronts and margin scans are left out; a column of each gait has its name added."""
+    """Write a row for each point, without fronts and margin scans.
+
+    Each result of a gait becomes one column per gait, whose name ends with that of the gait.
+    """
     with point_table(path) as data:
         along = [name for name in (FRONT, SCAN) if name in data.dims]
         plain = data.drop_dims(along).drop_vars(CHECKSUM).load()

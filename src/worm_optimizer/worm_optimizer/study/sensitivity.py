@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sobol indices of speed, power and cliff over the uncertainty of the parameters.
 
-The parameters vary independently. Each is normally distributed within its 95 % interval: that of the parameter file,
-or the stated default (`robustness.uncertainty`).
+The parameters vary independently and are normally distributed. Their 95 % intervals are those of the parameter file, or
+the default widths of `robustness.uncertainty`.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ class Sensitivity:
     Attributes:
         gait: gait that was analysed.
         parameters: keys of the parameters that vary.
-        reach: 95 % reach below and above the value of each parameter, in its unit.
-        indices: indices by quantity.
+        reach: distances from the value of each parameter down and up to its 95 % bounds, in its unit.
+        indices: Sobol indices by name of `FIGURES`.
         evaluations: number of simulated gaits.
     """
 
@@ -53,12 +53,12 @@ class Sensitivity:
 def sensitivity(gait: Gait, content: ParameterFile, samples: int, seed: int) -> Sensitivity:
     """Compute the indices of a gait's nominal speed (m/s) and power (W), and of the cliff margin (m, closed form).
 
-    The number of simulated gaits is ``samples`` times the number of parameters plus two.
+    The number of simulated gaits is samples · (parameters + 2).
 
     Args:
-        gait: gait; its margin is not used.
+        gait: gait; its margin is ignored.
         content: parameters with their intervals.
-        samples: number of samples, a power of two.
+        samples: number of base samples, a power of two.
         seed: seed of the random numbers.
     """
     reach = _reach(content)
@@ -73,7 +73,7 @@ def sensitivity(gait: Gait, content: ParameterFile, samples: int, seed: int) -> 
 
 
 def _reach(content: ParameterFile) -> dict[str, tuple[float, float]]:
-    """Return the reach of each uncertain parameter. The reach of L0 stands for that of the groove phase."""
+    """Return the reach of each uncertain parameter. That of L0 is the reach of the groove phase, see `_figures`."""
     reaches = {key: reach_of(content, key) for key in (*MOTION_KEYS, *POWER_KEYS, LENGTH)}
     return {key: ends for key, ends in reaches.items() if max(ends) > 0.0}
 
@@ -81,13 +81,14 @@ def _reach(content: ParameterFile) -> dict[str, tuple[float, float]]:
 def _figures(
     gait: Gait, content: ParameterFile, reach: Mapping[str, tuple[float, float]], deviates: Array
 ) -> Array:
-    """Return the quantities, shape (figures, n), at standard normal deviates of shape (parameters, n)."""
+    """Return the quantities, shape (figures, n), at standard normal deviates of shape (parameters, n).
+
+    L0 changes with the drawn pitch, such that the groove phase depends on the draw of L0 alone.
+    """
     p = content.parameters
     drawn = values_at(p, reach, dict(zip(reach, deviates, strict=True)))
     longer = front_groove(p) * (drawn.get("pitch", np.full(deviates.shape[1], p.pitch)) - p.pitch)
-    drawn[LENGTH] = (
-        drawn.get(LENGTH, p.initial_length) + longer
-    )  # the drawn value is the groove phase
+    drawn[LENGTH] = drawn.get(LENGTH, p.initial_length) + longer
     table = evaluate_gaits(**asdict(replace(gait, margin=0.0)), parameters=p, overrides=drawn)
     sets = (dict(zip(drawn, row, strict=True)) for row in np.stack(list(drawn.values()), axis=1))
     robots = (p.replace(**{k: float(v) for k, v in row.items()}) for row in sets)

@@ -10,7 +10,7 @@ from worm_model.analysis.plot_style import BLUE, LIGHT_GREY, letter, new_figure
 from worm_model.parameters import SYMBOLS
 from worm_optimizer.study.sensitivity import Sensitivity
 
-SHOWN = 10  # number of parameters in the figure, those with the largest total indices
+SHOWN = 10  # number of parameters in the figure; it shows those with the largest total indices
 TITLES = {"speed": "speed", "power": "power", "cliff_margin": "cliff of the margin"}
 
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sobol indices of a quantity from a Saltelli sample, with bootstrapped bounds.
 
-The indices divide the variance of a quantity between independent inputs. The first-order index of an input is the share
-that would vanish if this input alone were known. The total index is the share that the input contributes to, alone or
-together with others. The estimators are SciPy's.
+The indices are shares of the variance of a quantity that depends on independent inputs. The first-order index of an
+input is the share that vanishes on average when this input becomes known. The total index is the share that remains on
+average when all other inputs are known. SciPy provides the estimators.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 _LEAST_VARIANCE = 1e-24  # a quantity with a variance below this does not vary
-_VISIBLE = 5e-4  # difference of two indices that a printed percentage shows
+_VISIBLE = 5e-4  # smallest difference of two indices that printed percentages show
 
 
 @dataclass(frozen=True)
 class Indices:
-    """Sobol indices of one quantity; NaN if the quantity does not vary or lacks values.
+    """Sobol indices of one quantity. They are NaN if the quantity does not vary or is missing at a point.
 
     Attributes:
         first, total: first-order and total indices, shape (inputs,).
@@ -54,12 +54,10 @@ def indices_of(values: Array, inputs: int, seed: int) -> Indices:
         inputs: number of inputs.
         seed: seed of the bootstrap.
     """
-    from scipy.stats import (
-        sobol_indices,
-    )  # here, as it takes a second that only a study of indices needs
+    from scipy.stats import sobol_indices  # here, because the import takes a second
 
     rows = values.reshape(-1, inputs + 2)
-    plain = rows[:, :2]  # of independent points
+    plain = rows[:, :2]  # the rows A and B, which are independent points
     mean, deviation = float(np.mean(plain)), float(np.std(plain))
     if not (np.all(np.isfinite(rows)) and deviation**2 > _LEAST_VARIANCE):
         unknown = np.full(inputs, np.nan)
@@ -67,7 +65,7 @@ def indices_of(values: Array, inputs: int, seed: int) -> Indices:
         return Indices(unknown, unknown, pair, pair, mean, deviation)
     twice = np.stack([rows, rows])  # SciPy fails for one quantity of one input
     with np.errstate(invalid="ignore", divide="ignore"), warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # about draws of the bootstrap without variance
+        warnings.simplefilter("ignore")  # SciPy warns about bootstrap draws without variance
         result = sobol_indices(
             func={
                 "f_A": twice[:, :, 0],
@@ -98,7 +96,7 @@ def indices_of(values: Array, inputs: int, seed: int) -> Indices:
 def _bootstrap(result: Any, seed: int) -> Any:
     """Return 95 % bounds of the indices.
 
-    SciPy does not accept a generator here and draws from NumPy's global one, whose state is restored.
+    SciPy's bootstrap draws from NumPy's global generator. Its state is restored afterwards.
     """
     before = np.random.get_state()  # noqa: NPY002
     np.random.seed(seed)  # noqa: NPY002

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Zarr store of a study's results, written block by block and verified when it is opened.
+"""Zarr store of a study's results, written block by block and verified before each run.
 
-The variables of a block are written first, its ``state`` next and its checksum last. A block without a checksum is not
-finished, and is computed again. The checksum covers the points and all variables of the block, so that lost and damaged
-values are detected. A Zarr chunk contains many blocks, so that a store has few files; Zarr replaces a chunk atomically.
-The store does not depend on when or where it was computed. A study that was killed and resumed therefore ends with the
-same bytes. The format is Zarr version 2, which every release of xarray and zarr reads.
+The variables of a block are written first, its ``state`` next and its checksum last. A block without a checksum is
+unfinished, and the next run computes it again. The checksum covers the points and all variables of the block, and so
+detects lost and damaged values. A Zarr chunk contains many blocks, so that a store has few files; Zarr replaces a chunk
+atomically. A store contains no time and no place of its computation. A study that was killed and resumed therefore ends
+with the same bytes. The format is Zarr version 2, which every release of xarray and zarr reads.
 """
 
 from __future__ import annotations
@@ -62,9 +62,13 @@ class StoreError(InputError):
 
 @dataclass
 class Audit:
-    """Result of an audit: blocks that are ``unfinished``, contain ``failed`` points, or are ``damaged``.
+    """Result of an audit.
 
-    ``unreadable`` are the files of chunks that cannot be decoded, and ``damaged`` includes their blocks.
+    Attributes:
+        unfinished: blocks without a checksum.
+        failed: intact blocks that contain failed points.
+        damaged: blocks that contradict their checksum, or whose chunk cannot be decoded.
+        unreadable: files of chunks that cannot be decoded.
     """
 
     unfinished: list[Region] = field(default_factory=list)
@@ -126,7 +130,7 @@ class Store:
         return audit
 
     def reset(self, audit: Audit) -> None:
-        """Replace the chunks that cannot be decoded by empty ones."""
+        """Replace the chunks that an audit could not decode by empty ones."""
         group = self._group("r+")
         for file in audit.unreadable:
             file.unlink()
@@ -151,8 +155,8 @@ class Store:
         """Write a finished block.
 
         Args:
-            block: place of the block.
-            results: variables of its points, each of shape (points, …).
+            block: region of the block.
+            results: variables of its points by name, each of shape (points, …).
 
         Raises:
             OSError: The disk is full or cannot be written.
@@ -184,9 +188,9 @@ def block_shape(study: Study) -> tuple[int, ...]:
 
 
 def chunk_shape(study: Study, block: Sequence[int]) -> tuple[int, ...]:
-    """Return the shape of a chunk: a multiple of a block, of about `_CHUNK_POINTS` points.
+    """Return the shape of a chunk: a multiple of the shape of a block, with about `_CHUNK_POINTS` points.
 
-    It does not depend on the number of samples, so that the study can be extended.
+    The shape does not depend on the number of samples, so that the study can be extended.
     """
     left, chunk = max(_CHUNK_POINTS // math.prod(block), 1), []
     for (name, values), part in zip(
@@ -199,7 +203,7 @@ def chunk_shape(study: Study, block: Sequence[int]) -> tuple[int, ...]:
 
 
 def regions(shape: Sequence[int], part: Sequence[int]) -> list[Region]:
-    """Return the regions of an array that consists of parts of a shape. Those at its ends may be smaller."""
+    """Divide an array of a shape into regions of the shape ``part``. Regions at its ends may be smaller."""
     return list(slices_from_chunks(normalize_chunks(part, shape=tuple(shape))))
 
 
@@ -221,12 +225,12 @@ def _blank(name: str) -> Any:
 
 
 def open_result(path: str | Path) -> xarray.Dataset:
-    """Return the dataset of a study, which is read lazily. Unfinished points are NaN."""
+    """Return the dataset of a study, which reads values on access. The results of unfinished points are NaN."""
     return xarray.open_zarr(str(path), consolidated=True)
 
 
 def stored_study(path: Path) -> Study:
-    """Return the study that a store describes, with all its values.
+    """Return the study that a store contains.
 
     Raises:
         StoreError: The path contains no study, or its description is damaged.
@@ -242,7 +246,7 @@ def stored_study(path: Path) -> Study:
 
 
 def is_of_this_code(path: Path) -> bool:
-    """Return True if the results of a store were computed by this version of the code."""
+    """Return True if this version of the code computed the results of a store."""
     return bool(_attributes(path)[_CODE] == identity())
 
 
@@ -256,7 +260,7 @@ def locked_store(path: Path, study: Study) -> Iterator[Store]:
         The store.
 
     Raises:
-        StoreError: The output contains another study, was made by another version of the code, or is in use.
+        StoreError: The output contains another study, was begun by another version of the code, or is in use.
     """
     if not path.exists():
         _make(path, study)
@@ -286,7 +290,7 @@ def existing_store(path: Path) -> Iterator[Store]:
     """Lock an existing store without changing it.
 
     Yields:
-        The store, of the study that it describes.
+        The store.
 
     Raises:
         StoreError: The path contains no study, or the store is in use or damaged.
@@ -327,12 +331,12 @@ def check_folder(output: Path) -> None:
         StoreError: The folder is missing.
     """
     if not output.parent.is_dir():
-        raise StoreError(f"{output}: its folder {output.parent} does not exist; make it first")
+        raise StoreError(f"{output}: the folder {output.parent} does not exist; create it first")
 
 
 def _no_study(path: Path) -> StoreError:
     return StoreError(
-        f"{path}: exists already and is no study; choose another name, nothing is overwritten"
+        f"{path}: exists already and is not a study; choose another name, nothing is overwritten"
         if path.exists()
         else f"{path}: does not exist"
     )
@@ -359,11 +363,11 @@ def _make(path: Path, study: Study) -> None:
     """Create an empty store under a temporary name and rename it, so that no incomplete store remains."""
     check_folder(path)
     with _template(path, study, block_shape(study)) as part, contextlib.suppress(OSError):
-        part.rename(path)  # If another process has created the store, that one is used.
+        part.rename(path)  # Fails if another process has created the store, which is then used.
 
 
 def _installed(path: Path, study: Study, block: tuple[int, ...]) -> tuple[str, ...]:
-    """Restore the metadata and coordinates of a store, and return the names of the files that differed."""
+    """Restore the metadata and coordinates of a store, and return the names of the files that were restored."""
     different = []
     with _template(path, study, block) as part:
         files = sorted(file.relative_to(part) for file in part.rglob("*") if file.is_file())
@@ -390,7 +394,7 @@ def _clear_samples(path: Path, first: int) -> None:
 
 @contextlib.contextmanager
 def _template(path: Path, study: Study, block: tuple[int, ...]) -> Iterator[Path]:
-    """Write an empty store next to ``path`` under a temporary name and yield it; it is removed at the end."""
+    """Write an empty store under a temporary name next to ``path``, yield its path, and remove it at the end."""
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         dataset = _empty(study, block)
@@ -425,7 +429,7 @@ def _encoding(study: Study, block: tuple[int, ...], array: xarray.DataArray) -> 
 
 
 def _empty(study: Study, block: tuple[int, ...]) -> xarray.Dataset:
-    """Return the dataset without results: names, units, points and provenance."""
+    """Return a dataset with names, units, points and provenance, but without results."""
     along, shape, chunk = tuple(study.dimensions), study.shape, chunk_shape(study, block)
     sizes = {name: len(values) for name, values in dimensions(study).items()}
     data: dict[str, Any] = {}
@@ -434,7 +438,7 @@ def _empty(study: Study, block: tuple[int, ...]) -> xarray.Dataset:
         empty = dask.array.full((*shape, *further), np.nan, chunks=(*chunk, *further))
         attributes = {"units": variable.unit, "long_name": variable.long_name}
         data[name] = ((*along, *variable.dimensions), empty, attributes)
-    # These chunks are written immediately, because they have no fill value that would mean "not written".
+    # The following variables have no fill value that would mean "not written". Their chunks are written immediately.
     flags = {"flag_values": [0, 1, 2], "flag_meanings": "not_computed computed failed"}
     data[STATE] = (along, np.zeros(shape, np.int8), {"long_name": "state of the point", **flags})
     data[REASON] = (along, np.full(shape, "", object), {"long_name": "why the point failed"})
@@ -473,7 +477,7 @@ def _described(name: str) -> dict[str, str]:
 
 
 def _provenance(study: Study, block: tuple[int, ...]) -> dict[str, Any]:
-    """Return everything that determines the numbers, without time and place of the computation."""
+    """Return the attributes of a store: everything that determines its numbers, but no time or place."""
     model = servo_model(study.hardware.model)
     return {
         "Conventions": "CF-1.11",

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""YAML files of studies: reading, and writing with all values inside, so that the text alone repeats the study.
+"""Reading and writing of the YAML files of studies.
 
-docs/studies.md lists the keys. All values are checked here, before the computation starts.
+A written file contains the values of all files to which the study refers, so that it alone suffices to repeat the
+study. docs/studies.md lists the keys. This module checks all values before the computation starts.
 """
 
 from __future__ import annotations
@@ -34,9 +35,9 @@ from worm_optimizer.search.search_settings import ScanSettings, Waveform
 from worm_optimizer.study import plan
 from worm_optimizer.study.quantities import QUANTITIES, SHAPE_BOUNDS
 
-CLIFF = "cliff"  # written instead of a margin: the margin at the cliff of the point's own scan
-_FINEST = 10_000  # values of a resolution
-_MOST_VALUES = 100_000  # of an axis
+CLIFF = "cliff"  # value of margin_m that selects the margin at the cliff of the point's own scan
+_FINEST = 10_000  # largest value of a resolution
+_MOST_VALUES = 100_000  # largest number of values of an axis
 _SCAN, _PLAIN = ScanResolution(), plan.Resolution()
 
 Quantity = Annotated[str, OneOf(tuple(QUANTITIES))]
@@ -67,7 +68,7 @@ class _HardwareFile:
 
 @dataclass(frozen=True, kw_only=True)
 class StudyFile:
-    """Content of a study's file. Each value of `vary` and `fixed` is checked against its quantity afterwards."""
+    """Content of a study's file. The values of `vary` and `fixed` are checked after reading."""
 
     title: str = "Study"
     parameters: str = ""
@@ -86,7 +87,7 @@ class StudyFile:
 
 
 class StudyError(InputError):
-    """The description of a study is invalid. The message contains the key, the reason and what to write."""
+    """The description of a study is invalid. The message contains the key and the reason."""
 
 
 def load_study(path: str | Path, parameters: str = "") -> plan.Study:
@@ -114,7 +115,7 @@ def parse_study(text: str, folder: Path, parameters: str = "") -> plan.Study:
     """Return the `Study` described by the text of its file, see `load_study`."""
     try:
         content = parse_yaml(text)
-        if isinstance(content, Mapping):  # a key without a value is as good as none
+        if isinstance(content, Mapping):  # a key without a value means its default
             content = {name: value for name, value in content.items() if value is not None}
         file = settings_of(content, StudyFile)
     except SettingsFileError as error:
@@ -125,7 +126,7 @@ def parse_study(text: str, folder: Path, parameters: str = "") -> plan.Study:
     if at_cliff and any(axis.name == "margin_m" for axis in axes):
         twice.add("margin_m")
     if twice:
-        raise StudyError(f"{min(twice)}: stands under vary and under fixed; keep one")
+        raise StudyError(f"{min(twice)}: is both under vary and under fixed; keep one")
     fine = dataclasses.asdict(file.resolution)
     scan = ScanResolution(fine.pop("strokes"), fine.pop("frequencies"))
     study = plan.Study(
@@ -183,14 +184,14 @@ def format_study(study: plan.Study) -> str:
 
 
 def identity_of(study: plan.Study) -> str:
-    """Return a hash of all inputs that determine the results, without the code. Title and block size do not count."""
+    """Return a hash of a study without its title and block size, which do not affect the results."""
     plain = dataclasses.replace(study, title="Study", block_points=1)
     content = json.dumps(yaml.safe_load(format_study(plain)), sort_keys=True, default=str)
     return hashlib.sha256(content.encode()).hexdigest()[:24]
 
 
 def extends(study: plan.Study, stored: plan.Study) -> bool:
-    """Return True if a study has the points of a stored one and more samples of the same sequence."""
+    """Return True if a study differs from a stored one only by more samples of the same sequence."""
     alike = dataclasses.replace(
         study, sample=dataclasses.replace(study.sample, points=stored.sample.points)
     )
@@ -207,7 +208,7 @@ def _check(study: plan.Study) -> None:
     named = {axis.name for axis in study.axes} | set(study.fixed)
     if study.size > plan.MOST_POINTS:
         raise StudyError(
-            f"vary: makes {study.size} points, more than {plan.MOST_POINTS}: use fewer values"
+            f"vary: results in {study.size} points, more than {plan.MOST_POINTS}: use fewer values"
         )
     needs_margin = {"front", "gaits", "success"} & set(study.compute)
     if needs_margin and not study.margin_at_cliff and "margin_m" not in named:
@@ -218,7 +219,7 @@ def _check(study: plan.Study) -> None:
     _check_waveform(study, named)
     if "groove_phase_m" in named and "initial_length" in named:
         raise StudyError(
-            "groove_phase_m: it sets initial_length, which is given as well; keep one of them"
+            "groove_phase_m: sets initial_length, but the study has initial_length, too; keep one of them"
         )
     if "spool_radius_m" in named and not study.hardware.model:
         raise StudyError(
@@ -230,7 +231,7 @@ def _check(study: plan.Study) -> None:
     if study.ranges and study.sample.method == plan.SALTELLI:
         if len(study.dimensions) > 1:
             raise StudyError(
-                "sample: saltelli needs ranges only: remove the lists of values and further parameter files"
+                "sample: saltelli permits ranges only: remove the lists of values, and use one parameter file"
             )
         if study.sample.points & (study.sample.points - 1):
             raise StudyError(
@@ -255,7 +256,11 @@ def _number(where: str, value: Any) -> float:
 
 
 def _quantity(where: str, name: str, value: Any) -> float:
-    """Return an admissible value of a quantity."""
+    """Return the value of a quantity.
+
+    Raises:
+        StudyError: The value is no number or is not admissible.
+    """
     number, quantity = _number(where, value), QUANTITIES[name]
     if name == "direction" and number not in (1.0, -1.0):
         raise StudyError(f"{where}: {number:g} is neither 1 nor -1")
@@ -293,7 +298,7 @@ def _range(where: str, name: str, ends: Any) -> tuple[float, float]:
 def _listed(where: str, name: str, form: Mapping[str, Any]) -> tuple[float, ...]:
     """Return the values of a grid, either listed or evenly spaced between two ends.
 
-    Evenly spaced values are rounded, so that 0.3 is exactly 0.3.
+    Evenly spaced values are rounded to 12 digits, which removes errors of the floating-point arithmetic.
     """
     if "count" in form:
         count = form["count"]
@@ -313,7 +318,7 @@ def _listed(where: str, name: str, form: Mapping[str, Any]) -> tuple[float, ...]
 
 
 def _fixed(content: Mapping[str, Any]) -> tuple[dict[str, float], bool]:
-    """Return the fixed values, and True if the margin is that at the cliff."""
+    """Return the fixed values, and True if the margin is `CLIFF`."""
     rows = dict(content)
     at_cliff = rows.get("margin_m") == CLIFF
     if at_cliff:
@@ -325,7 +330,7 @@ def _files(file: StudyFile, folder: Path, parameters: str) -> tuple[tuple[str, P
     names, single = file.parameter_files, file.parameters
     if sum(map(bool, (names, single, parameters))) > 1:
         raise StudyError(
-            "parameters: the robot is given twice; keep one of parameters, parameter_files, --parameters"
+            "parameters: the study has two sources of parameters; keep one of parameters, parameter_files, --parameters"
         )
     if names is None:
         path = str(folder / single) if single else parameters
@@ -345,7 +350,7 @@ def _sample(content: plan.Sample | None, axes: Sequence[plan.Axis]) -> plan.Samp
     needed = any(axis.sampled for axis in axes)
     if needed and content is None:
         raise StudyError(
-            "sample: a range needs one: write sample: {method: sobol, points: 64, seed: 1}"
+            "sample: is missing, but a quantity has a range: write sample: {method: sobol, points: 64, seed: 1}"
         )
     if not needed and content is not None:
         raise StudyError("sample: nothing under vary has a range to sample")
@@ -361,7 +366,7 @@ def _hardware(content: _HardwareFile | None, folder: Path) -> plan.Hardware:
 
 
 def _driver(content: Any, folder: Path) -> DrivenBy:
-    """Return the limits of a driver's parameter file, or those that `format_study` wrote."""
+    """Return the driver's limits from the name of its parameter file, or from the mapping that `format_study` wrote."""
     if not isinstance(content, Mapping):
         return load_driver_file(folder / str(content))
     names = tuple(row.name for row in dataclasses.fields(DrivenBy))

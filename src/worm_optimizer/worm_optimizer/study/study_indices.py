@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sobol indices of the results of a study with a Saltelli sample: which of the sampled quantities matter."""
+"""Sobol indices of the results of a study with a Saltelli sample. They show which sampled quantities matter."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from worm_optimizer.study.summary import figures_of
 
 
 def study_indices(path: Path, study: Study) -> Mapping[str, Indices]:
-    """Return the indices of each result that the page shows, by its name; none without a Saltelli sample.
+    """Return the indices of each result on the study's page, by name of the result; empty without a Saltelli sample.
 
-    The ranges are uniform distributions. A result without a value at some point has no indices.
+    Each sampled quantity is uniformly distributed over its range. The indices of a result are NaN if a point lacks it.
     """
     if not study.ranges or study.sample.method != SALTELLI:
         return {}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""HTML page of a study: the best design, its neighbours, failed points, and limits of the model."""
+"""HTML page of a study: the best point, its neighbours, failed points, and limits of the model."""
 
 from __future__ import annotations
 
@@ -18,28 +18,31 @@ from worm_optimizer.study.study_indices import study_indices
 from worm_optimizer.study.study_plots import label, pictures, shown
 from worm_optimizer.study.summary import Summary, summarise
 
-_BEST = 10  # designs in the table
+_BEST = 10  # number of points in the table
 _COUPLED = {
-    "bellows_stiffness": "A stiffer or softer bellows returns faster or slower: on a real one time_constant, gain and "
-    "slack change with it. Here they stay unless the study varies them, and bellows_stiffness touches the power alone.",
-    "bellows_damping": "Damping and stiffness of a bellows come from one material; here they are varied apart.",
-    "slack": "Less slack needs a cable that is held tight; whether it stays so over a run is not modelled.",
-    "pitch": "Another pitch needs other fins: threshold and stiffnesses stay unless the study varies them, and with a "
-    "fixed initial_length the groove phase changes with it (vary or fix groove_phase_m).",
-    "clearance": "Clearance comes with the shape of the fin: its stiffnesses stay unless the study varies them.",
-    "switching_threshold": "The threshold comes from the fin's shape and material, as do its stiffnesses.",
-    "spool_radius_m": "Of the spool only speed and force of the servos are considered, not winding or inertia.",
+    "bellows_stiffness": "A stiffer bellows extends faster: on a real robot time_constant, gain and slack change, too. "
+    "This study keeps them unless it varies them, and bellows_stiffness affects the power alone.",
+    "bellows_damping": "Damping and stiffness of a bellows depend on the same material; here they vary independently.",
+    "slack": "Less slack needs a tighter cable. The model does not compute whether the cable stays tight during a run.",
+    "pitch": "Another pitch needs other fins, but their threshold and stiffnesses stay unless the study varies them. "
+    "With a fixed initial_length, the groove phase changes with the pitch (vary or fix groove_phase_m).",
+    "clearance": "Clearance depends on the shape of the fin, but the fin's stiffnesses stay unless the study varies "
+    "them.",
+    "switching_threshold": "Threshold and stiffnesses depend on the same shape and material of the fin, but the "
+    "stiffnesses stay unless the study varies them.",
+    "spool_radius_m": "The spool radius affects speed and force of the servos only. Winding and inertia are not "
+    "modelled.",
 }
 _ALWAYS = (
-    "Every number is the model's, for the groove phase of the point; a robot that starts elsewhere in a groove gains "
-    "other grooves.",
-    "Designs that differ by less than the parameters' own uncertainty (success_probability) cannot be distinguished.",
+    "All numbers are predictions for the groove phase of the point. A robot with another groove phase gains other "
+    "numbers of grooves.",
+    "Designs that differ by less than the uncertainty of the parameters (success_probability) cannot be distinguished.",
 )
 
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of text under a title; ``words`` is True if the cells contain text rather than numbers."""
+    """Table with a title; ``words`` is True if the cells contain text rather than numbers."""
 
     title: str
     heads: Sequence[str]
@@ -101,7 +104,7 @@ def _lead(summary: Summary) -> list[str]:
     lines = [
         f"{summary.done} of {summary.points} points are computed"
         + (f"; {failed} of them are not admissible" if failed else "")
-        + (f"; {summary.still} have no gait that does it" if summary.still else "")
+        + (f"; {summary.still} have no {label(summary.figures[0])}" if summary.still else "")
         + "."
     ]
     if summary.best is None:

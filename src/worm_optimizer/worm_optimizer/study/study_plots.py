@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of a study: results over two quantities, the neighbours of the best design, and parallel coordinates."""
+"""Figures of a study (results over two quantities, neighbours of the best point, all points) and of a fleet."""
 
 from __future__ import annotations
 
@@ -52,24 +52,24 @@ def pictures(summary: Summary) -> list[Picture]:
         made.append(
             Picture(
                 png(_over_two(summary, first, second)),
-                f"Over {label(first)} and {label(second)}. Where other quantities vary as well, each place shows the "
-                f"best of its points: {summary.goal}. The star is the best design.",
+                f"Results over {label(first)} and {label(second)}. Where several points coincide, the best is shown: "
+                f"the one with {summary.goal}. The star is the best of all points.",
             )
         )
     if summary.best is not None and varied:
         made.append(
             Picture(
                 png(_neighbours(summary)),
-                "The best design (star) and its neighbours: points that differ from it in one quantity alone, on a "
-                "line; all points, grey, where none do.",
+                "The best point (star) and, on a line, the points that differ from it in one quantity alone. Panels "
+                "without such points show all points in grey.",
             )
         )
     if len(varied) > 2:
         made.append(
             Picture(
                 png(_parallel(summary)),
-                f"Parallel coordinates: a line a point, coloured by {label(summary.figures[0])}; "
-                "the best design is the broad one.",
+                f"Parallel coordinates: each line is a point, coloured by {label(summary.figures[0])}; "
+                "the broad line is the best point.",
             )
         )
     return made
@@ -82,7 +82,7 @@ def _over_two(summary: Summary, first: Column, second: Column) -> Figure:
         figure.subplots(1, len(columns), squeeze=False)[0], columns, strict=True
     ):
         x, y, z = shown(first), shown(second), shown(column)
-        order = np.argsort(-summary.rank)  # the best of those at one place is drawn last
+        order = np.argsort(-summary.rank)  # of points at the same place, the best is drawn last
         if _is_grid(first, second):
             xs, ys = np.unique(x), np.unique(y)
             field = np.full((ys.size, xs.size), np.nan)
@@ -175,7 +175,7 @@ def _parallel(summary: Summary) -> Figure:
 
 
 def _unit(values: Array) -> Array:
-    """Return the values scaled to 0 to 1, or 0.5 if all are the same."""
+    """Return the values scaled to 0 to 1; 0.5 if all are equal."""
     known = values[np.isfinite(values)]
     low, high = (known.min(), known.max()) if known.size else (0.0, 0.0)
     return (
@@ -184,14 +184,14 @@ def _unit(values: Array) -> Array:
 
 
 def png(figure: Figure) -> bytes:
-    """Return a figure as a PNG. The same figure results in the same bytes."""
+    """Return a figure as a PNG without the version of the library, so that equal figures are equal bytes."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=110, metadata={"Software": None})
     return buffer.getvalue()
 
 
 def compared_figure(gaits: Sequence[Mapping[str, float]]) -> Figure:
-    """Draw measured over expected speed and power of a fleet's gaits."""
+    """Draw measured over expected values of the gaits of a fleet, in one panel for speed and one for power."""
     figure = new_figure(9.0, 4.2)
     for axes, (key, scale, text) in zip(figure.subplots(1, 2), _COMPARED, strict=True):
         measured = [scale * row[key] for row in gaits]

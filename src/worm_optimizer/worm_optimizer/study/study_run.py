@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Run of a study: unfinished and damaged points are computed block by block and stored."""
+"""Run of a study: computation and storage of its unfinished and damaged points, block by block."""
 
 from __future__ import annotations
 
@@ -29,7 +29,10 @@ _TIMED_POINTS = 3
 
 @dataclass(frozen=True)
 class Counts:
-    """Number of ``points`` of a study, of the finished ones (``done``), and of the ``failed`` ones among these."""
+    """Numbers of ``points`` of a study: all, finished ones (``done``), and ``failed`` ones among the finished ones.
+
+    For a fleet, these are numbers of bags.
+    """
 
     points: int
     done: int
@@ -38,9 +41,11 @@ class Counts:
 
 @dataclass(frozen=True)
 class Workers:
-    """Workers to use: those of the cluster at ``scheduler``, or if empty ``number`` ones of this machine.
+    """Workers to use.
 
-    None is one worker per core.
+    Attributes:
+        scheduler: address of a cluster's scheduler. If it is empty, workers are started on this machine.
+        number: number of workers on this machine; None starts one per core.
     """
 
     scheduler: str = ""
@@ -57,7 +62,7 @@ class Estimate:
 
 
 def estimate(study: Study, workers: Workers, say: Say) -> Estimate:
-    """Estimate the cost of a study from a few points that are computed here.
+    """Estimate the cost of a study from the duration of a few points, which are computed in this process.
 
     A worker of a cluster is assumed to be as fast as one core of this machine.
     """
@@ -80,20 +85,20 @@ def run_study(
 ) -> Counts:
     """Compute the unfinished and the damaged points of a study into ``output``.
 
-    If the call fails, finished blocks remain, and the same call continues with the others.
+    If this fails, finished blocks remain, and calling it again computes the others.
 
     Args:
         study: study.
         output: folder of the store.
         workers: workers to use.
         say: function that is called with each message.
-        progress: function that is called with the finished share.
+        progress: function that is called with the finished share of the points, 0 to 1.
 
     Raises:
         StoreError: The output cannot be used.
         ClusterError: The cluster cannot be used.
         LostError: The cluster was lost.
-        OSError: The disk is full.
+        OSError: The output cannot be written.
     """
     return _run(study, output, workers, say, progress, _open_blocks)
 
@@ -101,7 +106,7 @@ def run_study(
 def retry_study(
     study: Study, output: Path, workers: Workers, say: Say, progress: Callable[[float], None]
 ) -> Counts:
-    """Compute the blocks with failed points again, in addition to `run_study`."""
+    """Like `run_study`, but also compute the blocks with failed points again."""
     return _run(study, output, workers, say, progress, _open_and_failed_blocks)
 
 
@@ -166,7 +171,7 @@ def _run(
         _report(store, audit, say)
         todo = sorted(choose(audit), key=_starts)
         if audit.damaged:
-            say("the damaged points are computed again")
+            say("computing the damaged points again")
             store.reset(audit)
         if todo:
             with connected(workers.scheduler, workers.number or cores(), say) as client:

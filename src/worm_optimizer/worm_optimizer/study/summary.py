@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Summary of a study: its best design, the columns for figures and page, and the failed points."""
+"""Summary of a study: its best point, the columns for figures and page, and the failed points."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ class Summary:
         rank: rank of each point, 0 is best, shape (points,).
         best: index of the best point, None if there is none.
         own: index of the point with the values of the parameter file, None if there is none.
-        goal: what is best, as text.
+        goal: criterion of the best point, as text.
         points: number of points of the study.
         done: number of finished points, including failed ones.
         failed: number of failed points by reason.
-        still: number of points without a gait that moves.
+        still: number of computed points that lack the first result, such as points where no gait moves.
     """
 
     varied: tuple[Column, ...]
@@ -87,7 +87,10 @@ def summarise(path: Path, study: Study) -> Summary:
 
 
 def _own(varied: tuple[Column, ...], study: Study) -> int | None:
-    """Return the point whose varied parameters have the values of the only parameter file."""
+    """Return the index of the point with the values of the parameter file.
+
+    None if there are several files, a varied quantity is no parameter, or no point has these values.
+    """
     values = study.files[0][1].parameters.as_dict()
     if len(study.files) > 1 or not all(column.name in values for column in varied):
         return None
@@ -97,7 +100,7 @@ def _own(varied: tuple[Column, ...], study: Study) -> int | None:
 
 
 def figures_of(data: xarray.Dataset, study: Study) -> tuple[tuple[Column, ...], str]:
-    """Return the columns to show, the decisive one first, and the goal as text."""
+    """Return the results to show, the one that decides which point is best first, and the goal as text."""
 
     def column(name: str, gait: str = "", title: str = "") -> Column:
         array = data[name].sel(gait=gait) if gait else data[name]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Identity of the code of a process, so that a study is never computed by two versions."""
+"""Hash of the code that a process runs, so that two versions never compute parts of one study."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import worm_model
 from worm_msgs.robot_parameters import RobotParameters
 
 _NUMERIC = ("numpy", "scipy", "numba")  # their versions may change the last digits of results
-# Sources that determine the numbers of a study. Whole folders, so that new files are included.
+# Sources that determine the numbers of a study. Patterns of whole folders include files that are added later.
 _SOURCES: Mapping[Path, tuple[str, ...]] = {
     Path(worm_model.__file__).parent: (
         "conditions.py",
@@ -58,7 +58,7 @@ def sources() -> list[Path]:
 
 
 def identity() -> str:
-    """Return a hash of `sources` with the versions of the numerical packages. Every worker must have the same one."""
+    """Return a hash of `sources`, followed by the versions of the numerical packages. All workers must agree in it."""
     digest = hashlib.sha256()
     for path in sources():
         digest.update(path.name.encode() + b"\0" + path.read_bytes())

@@ -48,7 +48,7 @@ def test_a_cable_that_is_not_attached_is_noticed():
 
 
 def test_one_position_is_not_enough():
-    with pytest.raises(ConfigurationError, match="two positions"):
+    with pytest.raises(ConfigurationError, match=r"cable servo 1: .*two"):
         spool_from(1, [Reading(0, 0.3), Reading(0, 0.2)])
 
 

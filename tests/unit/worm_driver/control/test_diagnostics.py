@@ -26,8 +26,8 @@ STATE = ServoState(0, 0.1, 0.2, 0.3, 12.0, 30.0, 1.0)
         (STATE, False, Level.OK, "ok"),
         (SILENT, False, Level.ERROR, "does not answer"),
         (STATE, True, Level.ERROR, "hardware error"),
-        (replace(STATE, voltage=9.0), False, Level.WARN, "supply 9.0 V is not 9.5 to 16.0 V"),
-        (replace(STATE, temperature=75.0), False, Level.WARN, "75 degC, it shuts down at 80"),
+        (replace(STATE, voltage=9.0), False, Level.WARN, "9.5 to 16.0 V"),
+        (replace(STATE, temperature=75.0), False, Level.WARN, "shuts down at 80"),
     ],
 )
 def test_a_servo(state, alert, level, expected):

@@ -58,7 +58,9 @@ def test_the_next_driver_brings_a_robot_to_rest_that_was_left_so():
     ended(rig)
     again = rig.restarted_driver()
     again.run(0.1)
-    assert "the torque is on" in again.run(0.02).player.message
+    left = again.run(0.02).player.message
+    assert "torque" in left
+    assert f"{contraction(again) * 1e3:.1f} mm" in left
     again.robot.activate(again.clock.now)
     again.robot.ramp_to_rest(again.clock.now, "deactivated")
     while not again.robot.released:

@@ -2,6 +2,7 @@
 """The devices of a configured driver, with the virtual robot behind a real pty and a real socket."""
 
 import math
+import re
 import threading
 import time
 from collections import deque
@@ -188,4 +189,4 @@ def test_a_release_that_no_servo_acknowledges_is_reported_until_one_does(hardwar
 def test_it_reports_the_devices_found(hardware):
     lines = hardware.description()
     assert lines[0] == "servo 1: XM430-W350-T, firmware 48"
-    assert "0.09 m, 0.4 Hz, 0.1198 m/s" in lines[3]
+    assert re.findall(r"[\d.]+ (?:m/s|Hz|m)\b", lines[3]) == ["0.09 m", "0.4 Hz", "0.1198 m/s"]

@@ -254,7 +254,7 @@ def test_a_file_that_is_no_bus_is_rejected(tmp_path):
     ("number", "expected"),
     [
         (errno.EREMOTEIO, "does not acknowledge"),
-        (errno.ETIMEDOUT, "blocks the bus"),
+        (errno.ETIMEDOUT, "block"),
         (errno.EBUSY, "ina2xx"),
         (errno.EIO, "failed"),
     ],

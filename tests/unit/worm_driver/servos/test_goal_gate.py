@@ -52,9 +52,20 @@ def test_a_goal_is_within_the_range_and_the_reach_or_not_written(ticks, age):
 def test_an_acknowledged_goal_has_the_same_bounds():
     gated = Gated(Bound(-1000, 500))
     gated.gate.write(CABLE, -1000)
-    with pytest.raises(LimitError, match="501"):
+    with pytest.raises(LimitError, match=r"501.*-1000 to 500"):
         gated.gate.write(CABLE, 501)
     assert gated.goal() == -1000
+
+
+def test_a_rejected_goal_names_its_reason():
+    gated = Gated(Bound(-1000, 500, lead=400))
+    with pytest.raises(LimitError, match=r"401.* 400 ticks from .* 0 ticks"):
+        gated.gate.write(CABLE, 401)
+    with pytest.raises(LimitError, match=r"servo 11\b.* no bounds"):
+        gated.gate.write(11, 0)
+    gated.track.lose(CABLE, 4096)
+    with pytest.raises(LimitError, match="unknown"):
+        gated.gate.write(CABLE, 1)
 
 
 def test_a_servo_whose_position_is_lost_gets_no_goal():

@@ -94,4 +94,4 @@ def test_lateness_in_a_gait_is_called_lateness(late, duration):
     snapshot = rig.run(duration + 0.2)
     assert not FALSE.search(snapshot.player.message), snapshot.player.message
     if snapshot.player.phase is Phase.FAULT:
-        assert "gives no state" in snapshot.player.message
+        assert "has returned no state" in snapshot.player.message

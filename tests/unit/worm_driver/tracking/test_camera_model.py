@@ -61,7 +61,7 @@ def test_where_the_lens_model_folds_over_there_is_no_direction():
     [
         ({"image_width": 0}, "0 x 720"),
         ({"camera_matrix": {"data": [0.0] * 9}}, "the camera is not calibrated"),
-        ({"camera_matrix": {"data": [1.0] * 8}}, "nine finite numbers"),
+        ({"camera_matrix": {"data": [1.0] * 8}}, "camera_matrix.* nine "),
         ({"camera_matrix": {"data": [900.0, 2.0, 640.0, 0, 900.0, 360.0, 0, 0, 1.0]}}, "skew"),
         ({"camera_matrix": [1.0]}, "camera_matrix has no list named data"),
         (

@@ -122,7 +122,7 @@ def test_an_mp4_without_ffmpeg_is_one_line(run, tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
     status, _, error = run("--stroke", 0.07, "--frequency", 0.2, "--output", tmp_path / "x.mp4")
     assert status == 2
-    assert "ffmpeg is not installed" in error
+    assert "ffmpeg" in error
     assert error.count("\n") == 1
 
 

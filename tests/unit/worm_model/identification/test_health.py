@@ -252,7 +252,7 @@ def test_no_usable_bag_is_bad_input_of_one_line(tmp_path: Path, capsys):
     status, out, err = run_health(capsys, without, broken)
     assert (status, out) == (2, "")
     line = err.strip().splitlines()[-1]
-    assert line.startswith("health: no bag can be used: blind: has no tracker")
+    assert line.startswith("health: no bag can be used: blind: contains no tracker")
     assert "(and 1 more)" in line
 
 

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The whole identification on virtual robots with known parameters, a small version of the benchmark."""
 
+import re
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -21,7 +23,7 @@ from worm_model.identification.reference_values import (
     ReferenceValues,
     reference_by_file,
 )
-from worm_model.identification.report.advice import advise
+from worm_model.identification.report.advice import FREQUENCIES, STAGES, STROKES, advise
 from worm_model.identification.report.identification_figures import energy_of_run
 from worm_model.identification.report.identification_report import text_of
 from worm_model.identification.report.results import correlations, parameter_file, summary
@@ -124,6 +126,18 @@ def test_advice_names_the_widest_interval(results):
     others = [results[0].estimates[k] for k in IDENTIFIED if k not in ("initial_length", *DRY)]
     widest = max(e.spread / abs(e.value) for e in others)
     assert estimate.spread / estimate.value == pytest.approx(widest)
+
+
+@pytest.mark.parametrize("key", [key for keys in STAGES.values() for key in keys])
+def test_each_parameter_of_the_stages_gets_a_gait_that_narrows_its_interval(results, key):
+    result = results[0]
+    value = result.estimates[key].value
+    widest = replace(result.estimates[key], low=0.6 * value, high=1.4 * value)
+    advice = advise(replace(result, estimates={**result.estimates, key: widest}))
+    assert f"that of {key} " in advice
+    stroke, frequency, width = re.search(r"at (\S+) m and (\S+) Hz .* to (\d+) %", advice).groups()
+    assert (float(stroke), float(frequency)) in list(product(STROKES, FREQUENCIES))
+    assert 0 <= int(width) < 100
 
 
 def test_the_outputs_agree_with_each_other(campaigns, results):

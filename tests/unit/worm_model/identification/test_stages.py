@@ -214,7 +214,7 @@ def test_a_fit_that_never_settles_is_rejected(monkeypatch):
     monkeypatch.setattr(locomotion_stage, "find_locomotion", lambda *_: solution)
     monkeypatch.setattr(locomotion_stage, "fit_grooves", lambda *_: fit)
     monkeypatch.setattr(locomotion_stage, "_profiles", lambda *_: ([], fit.solution))
-    with pytest.raises(IdentificationError, match="no interval holds"):
+    with pytest.raises(IdentificationError, match="viscous_friction, switching_threshold"):
         locomotion_stage.identify_locomotion(runs, KNOWN)
 
 

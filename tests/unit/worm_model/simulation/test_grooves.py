@@ -8,6 +8,7 @@ from worm_model.gait import FORWARD, REVERSE, Gait
 from worm_model.parameters import PAPER
 from worm_model.simulation.kernel import march
 from worm_model.simulation.kernel.grooves import (
+    EVEN,
     FIRST_GROOVE,
     GROOVE_COLUMNS,
     STIFFNESS,
@@ -20,7 +21,6 @@ from worm_model.simulation.smoothing import Smoothed
 
 STEP = 0.03  # s, between the knots of the length
 GAITS = [Gait(0.07, 0.2), Gait(0.06, 0.1), Gait(0.09, 0.4)]
-EVEN = np.zeros((1, GROOVE_COLUMNS))
 DRY = PAPER.replace(rear_dry_friction=0.12, front_dry_friction=0.03)
 
 

@@ -219,7 +219,7 @@ def test_an_unexpected_error_is_reported_and_ends_all_commands_but_stop(bench: B
         return {}["a fault of the console"]  # type: ignore[index]
 
     bench.submit(fail)
-    message = "restart the console, it has failed: KeyError('a fault of the console')"
+    message = "the console has failed, restart it: KeyError('a fault of the console')"
     assert not bench.notice(message).good
     assert bench.worker.hindrance == message
     assert not bench.worker.submit("more", lambda node: "more")

@@ -93,7 +93,7 @@ def test_waiting_ends_at_the_deadline(tmp_path):
             process.wait_for_line("never", 0.05)
         with pytest.raises(ProcessError, match="one still runs after"):
             process.wait(0.05)
-        with pytest.raises(ProcessError, match="there is a process one already"):
+        with pytest.raises(ProcessError, match="one exists already"):
             group.start("one", python(OBEDIENT))
 
 

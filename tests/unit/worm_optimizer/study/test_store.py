@@ -274,11 +274,11 @@ def test_another_study_another_code_and_other_files_are_left_alone(whole, tmp_pa
     notes = tmp_path / "notes.txt"
     notes.write_text("mine")
     for used in (notes, tmp_path):
-        with pytest.raises(StoreError, match="is no study"), locked_store(used, STUDY):
+        with pytest.raises(StoreError, match="nothing is overwritten"), locked_store(used, STUDY):
             pass
     assert notes.read_text() == "mine"
     with (
-        pytest.raises(StoreError, match="make it first"),
+        pytest.raises(StoreError, match="does not exist"),
         locked_store(tmp_path / "no" / "a.zarr", STUDY),
     ):
         pass

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Control tables of the virtual servos, one row per register, one table per model.
 
-Written from the ROBOTIS e-manual, independently of the driver's tables. Names are the manual's in lower case.
+The registers are written from the ROBOTIS e-manual, independently of the driver's tables, with the manual's names in
+lower case. The data of the models come from `worm_msgs.servo_models`, which the driver uses, too.
 Indirect addressing (168 and above) is not implemented and returns an access error.
 """
 
@@ -29,7 +30,7 @@ BAUD_RATES = (9600, 57600, 115200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4
 
 @dataclass(frozen=True)
 class Register:
-    """One register. initial: factory value; low, high: allowed raw values."""
+    """One register. initial: factory value; low, high: lowest and highest allowed raw value."""
 
     name: str
     address: int
@@ -160,7 +161,10 @@ _LOAD_REGISTERS = (_status("present_load", 126, 2, _INT16),)
 
 
 def _table(extra: tuple[Register, ...], initial: Mapping[str, Initial]) -> dict[str, Register]:
-    """Return the common and extra registers; initial: factory value, or (factory value, low, high)."""
+    """Return the common and extra registers by name.
+
+    initial: by name, the factory values of the model, or (factory value, low, high).
+    """
     rows = {row.name: row for row in sorted(_COMMON + extra, key=lambda row: row.address)}
     for name, value in initial.items():
         if isinstance(value, int):

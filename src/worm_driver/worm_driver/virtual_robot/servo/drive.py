@@ -26,7 +26,7 @@ _ACCELERATION_UNIT = 214.577 / 3600 * PULSES_PER_TURN  # pulses/s^2
 
 
 def direction_of(memory: RegisterMemory) -> int:
-    """Return 1, or -1 in reverse mode."""
+    """Return the direction in which the registers count: 1, or -1 in reverse mode."""
     return -1 if memory["drive_mode"] & REVERSE_DRIVE else 1
 
 
@@ -40,7 +40,7 @@ def motor_command(
         model: servo model.
         voltage: supply voltage, V.
         goal: shaft position of the goal, pulses.
-        planned: present position of the profile, pulses, at which a time-based profile starts.
+        planned: present position of the profile, pulses. A time-based profile starts there.
     """
     full_speed = _full_speed(model, voltage)
     speed = _speed_goal(memory, full_speed)
@@ -62,9 +62,9 @@ def _full_speed(model: ServoModel, voltage: float) -> float:
 
 
 def _speed_goal(memory: RegisterMemory, full_speed: float) -> float | None:
-    """Return the commanded speed, pulses/s; None in position modes.
+    """Return the commanded speed, pulses/s; None if the motor controls its position.
 
-    After the Bus Watchdog has fired, the motor holds its position in all modes.
+    It controls its position in the position modes and, after the Bus Watchdog has fired, in all modes.
     """
     if memory["bus_watchdog"] < 0:
         return None
@@ -81,7 +81,7 @@ def _speed_goal(memory: RegisterMemory, full_speed: float) -> float | None:
 
 
 def _torque_limit(memory: RegisterMemory, model: ServoModel) -> float:
-    """Return the torque limit set by the goal current, N*m."""
+    """Return the torque limit set by the goal current, N*m; inf in modes without current control."""
     if memory["operating_mode"] not in (CURRENT_MODE, CURRENT_POSITION_MODE):
         return math.inf
     return abs(memory["goal_current"]) * model.current_unit * model.torque_constant

@@ -16,7 +16,7 @@ OVERHEATING_ERROR = 1 << 2
 OVERLOAD_ERROR = 1 << 5
 
 _IN_POSITION = 20  # pulses
-_BLOCKED_ERROR = 0.2  # rad; following error at which a blocked motor reaches its full current
+_BLOCKED_ERROR = 0.2  # rad; following error at which a blocked motor reaches its strongest torque
 _OVERLOAD_LEVEL = 0.9  # relative to the strongest torque
 _OVERLOAD_TIME = 1.0  # s
 _HEATING_TIME = 300.0  # s
@@ -43,7 +43,7 @@ class Surroundings:
 
 @dataclass(frozen=True)
 class Wear:
-    """Accumulated load. heat: temperature rise above ambient, degC; overload: duration of the overload, s."""
+    """Thermal and overload state. heat: rise above ambient, degC; overload: duration of the present overload, s."""
 
     heat: float = _IDLE_HEAT
     overload: float = 0.0
@@ -103,7 +103,7 @@ def voltage_raw(around: Surroundings) -> int:
 def motion_registers(
     memory: RegisterMemory, encoder: Encoder, state: MotorState, command: MotorCommand
 ) -> dict[str, int]:
-    """Return the registers of the measured motion."""
+    """Return the raw values of the registers that report motion."""
     direction = encoder.direction
     velocity = direction * round(state.velocity / SPEED_UNIT)
     return {
@@ -119,7 +119,10 @@ def motion_registers(
 def torque_registers(
     memory: RegisterMemory, model: ServoModel, torque: float, noise: float
 ) -> dict[str, int]:
-    """Return the registers of the measured torque (N*m); noise: counts of current or load."""
+    """Return the raw values of the registers that report a torque (N*m).
+
+    noise: measurement noise, counts of Present Current or Present Load.
+    """
     signed = direction_of(memory) * torque
     share = signed / model.stall_torque
     registers = {"present_pwm": round(min(max(share, -1.0), 1.0) * FULL_PWM)}

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Motion of a servo's shaft: profile, position loop, speed limit, stall, back-driving.
 
-Positions in pulses of the shaft (4096 per turn, never folded), speeds in pulses/s, torques in N*m.
+Positions are in pulses of the shaft (4096 per turn, never folded), speeds in pulses/s, torques in N*m.
 """
 
 import math
@@ -11,11 +11,11 @@ from worm_driver.virtual_robot.servo.control_table import PULSES_PER_TURN, Servo
 
 PULSES_PER_RADIAN = PULSES_PER_TURN / (2 * math.pi)
 
-_POSITION_LOOP_TIME = 0.020  # s, error over speed of the position loop
-_VELOCITY_LOOP_TIME = 0.006  # s, lag of the speed behind the command of the position loop
+_POSITION_LOOP_TIME = 0.020  # s, position error divided by the speed that corrects it
+_VELOCITY_LOOP_TIME = 0.006  # s, lag of the speed behind the commanded speed
 _BREAKAWAY = 0.1  # gear friction that a load must overcome, relative to the stall torque
 _BACKDRIVE_SPEED = 2.0  # rad/s at a load of one stall torque above the breakaway
-_STILL = 1e-3  # pulses and pulses/s; below, a motor at its goal is not integrated
+_STILL = 1e-3  # pulses and pulses/s; below both, a motor at its goal is not integrated
 
 LIMP = 0
 POSITION = 1
@@ -33,14 +33,14 @@ class MotorState(NamedTuple):
 
 
 class MotorCommand(NamedTuple):
-    """Command of the registers to the motor.
+    """Motor command, computed from the registers.
 
     Attributes:
-        kind: LIMP (torque off), POSITION or VELOCITY.
+        kind: LIMP (torque off), POSITION, VELOCITY or BLOCKED (the shaft cannot turn).
         goal: pulses, or pulses/s for VELOCITY.
         acceleration, velocity: limits of the profile, pulses/s^2 and pulses/s; inf for none.
         speed_limit: limit by supply voltage and goal PWM, pulses/s.
-        torque_limit: limit by goal current, N*m; inf for the motor's own.
+        torque_limit: limit by goal current, N*m; inf for none, so that the motor holds any load.
     """
 
     kind: int
@@ -89,7 +89,7 @@ def load_is_held(load: float, command: MotorCommand, model: ServoModel) -> bool:
 
 
 def backdrive_velocity(load: float, motor_torque: float, model: ServoModel) -> float:
-    """Return the speed (pulses/s) at which a load (N*m) turns a shaft held with a torque (N*m)."""
+    """Return the velocity (pulses/s) at which a load (N*m) turns a shaft that the motor holds with a torque (N*m)."""
     excess = abs(load) - motor_torque - _BREAKAWAY * model.stall_torque
     if excess <= 0:
         return 0.0

@@ -75,13 +75,16 @@ class RegisterMemory:
         self["goal_velocity"] = 0
 
     def read(self, address: int, length: int) -> bytes:
-        """Return the bytes of a range; gaps between registers read as 0."""
+        """Return the bytes of a range; gaps between registers read as 0. Raises RegisterError beyond the table."""
         if address + length > control_table.TABLE_END:
             raise RegisterError(Error.ACCESS)
         return bytes(self._bytes[address : address + length])
 
     def check_write(self, address: int, data: bytes) -> list[tuple[control_table.Register, int]]:
-        """Return the registers that a write would set, with their new raw values, without writing."""
+        """Return the registers that a write would set, with their new raw values, without writing.
+
+        Raises RegisterError if the servo rejects the write.
+        """
         changes = []
         while data:
             row = self._by_address.get(address)

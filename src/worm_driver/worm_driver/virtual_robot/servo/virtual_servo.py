@@ -2,9 +2,9 @@
 """Virtual servo: power cycle, instructions and shaft.
 
 Times are seconds of the virtual robot's clock and do not decrease. Where the e-manual is silent, the servo behaves as
-follows. Only packets for this servo and broadcast writes reset the Bus Watchdog. After it has fired, the shaft holds
-its position until a new goal is written. The servo rejects enabling torque after a shutdown, and a factory reset with
-torque on (Result Fail).
+follows. Of the packets, only intact ones with the servo's id or the broadcast id reset the Bus Watchdog. After the
+watchdog has fired, the shaft holds its position in all modes until 0 is written to the watchdog's register. The servo
+answers Result Fail to torque on after a shutdown, and to a factory reset with torque on.
 """
 
 import math
@@ -33,7 +33,13 @@ _FACTORY_RESET_KEEPS: Mapping[int, tuple[str, ...]] = {
 
 @dataclass
 class Servo:
-    """State of one servo. settings: raw EEPROM values; start: shaft position, pulses, unfolded."""
+    """Servo with registers, motor and protections.
+
+    Attributes:
+        settings: raw EEPROM values that differ from the factory values.
+        start: shaft position at time 0, pulses, unfolded.
+        boot_time: time for which the servo does not answer after a reboot, s.
+    """
 
     model: ServoModel
     settings: Mapping[str, int]
@@ -69,7 +75,7 @@ class Servo:
         self._hold()
 
     def answers(self, time: float) -> bool:
-        """Return True if the servo answers, which it does not while it boots."""
+        """Return False while the servo boots and therefore does not answer, else True."""
         return time >= self._silent_until
 
     @property

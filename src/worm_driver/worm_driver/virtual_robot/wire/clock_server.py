@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Advance of simulated time: never past an event that a client waits for, never while a client computes.
+"""Simulated time: it never advances past an event that a client waits for, and never while a client computes.
 
-Pure functions of the machine's time, which is an argument.
+The methods do not read the machine's time: it is an argument.
 """
 
 import math
@@ -49,7 +49,7 @@ class ClockServer:
     Attributes:
         rate: largest ratio of simulated to machine time; inf for as fast as possible.
         now: simulated time, s.
-        held: total time that simulated time has waited for clients or for the machine, s.
+        held: total machine time by which clients or a slow machine have delayed simulated time, s.
     """
 
     rate: float = 1.0
@@ -59,7 +59,7 @@ class ClockServer:
     _machine: float = 0.0
 
     def begin(self, machine: float) -> None:
-        """Continue from a machine time (s)."""
+        """Let simulated time continue from its present value at a machine time (s)."""
         self._start, self._machine = machine - self.now / self._pace, machine
 
     @property
@@ -73,7 +73,13 @@ class ClockServer:
         return self.now
 
     def together(self, machine: float, clients: Iterable[bool], until: float) -> float:
-        """Return the simulated time with clients, each idle or not, bounded by the next event (s)."""
+        """Advance simulated time with clients, and return it.
+
+        Args:
+            machine: machine time, s.
+            clients: True for each client that is idle. Time advances only if all are.
+            until: simulated time of the next event, s. Time does not advance past it.
+        """
         waiting = all(clients)
         self._machine = machine
         if waiting:

@@ -69,20 +69,20 @@ KINDS: dict[str, FaultKind] = {
     VANISHED: FaultKind(
         "a servo loses its supply, and boots when the supply returns", duration=1.0
     ),
-    STALLED: FaultKind("a servo's shaft is blocked, until the servo is overloaded", duration=1.0),
+    STALLED: FaultKind("a servo's shaft is blocked, which can overload the servo", duration=1.0),
     OVERLOAD: FaultKind("a servo reports overload until it is rebooted", duration=0.1),
     OVERHEATING: FaultKind("a servo is 100 degrees too hot", duration=1.0),
     INPUT_VOLTAGE: FaultKind("a servo's supply is at value volts", duration=1.0, value=4.0),
-    UNPLUGGED: FaultKind("the serial port disappears, and returns", duration=1.0),
+    UNPLUGGED: FaultKind("the serial port disappears for the duration", duration=1.0),
     I2C_NACK: FaultKind("the power sensor does not acknowledge", count=1),
     I2C_TIMEOUT: FaultKind("the I2C bus hangs for value seconds, then fails", count=1, value=0.1),
     INA219_OVERFLOW: FaultKind(
-        "value amperes more, beyond the sensor's range, with its overflow bit",
+        "the current rises by value amperes, and the sensor's overflow bit is set",
         duration=0.2,
         value=6.0,
     ),
     INA219_SATURATION: FaultKind(
-        "value amperes more, beyond the sensor's range, without its overflow bit",
+        "the current rises by value amperes; the sensor's overflow bit is not forced",
         duration=0.2,
         value=6.0,
     ),

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""INA219 at register level: timed conversions, integer arithmetic of SBOS448G. The I2C bus that it is on.
+"""INA219 power sensor at register level, and its I2C bus.
 
-Each step of the virtual robot sets shunt and bus voltage (V). A conversion is the mean over its window.
+Each step of the virtual robot sets shunt and bus voltage (V). A conversion is the mean over its duration. The integer
+arithmetic is that of the data sheet SBOS448G.
 """
 
 import errno
@@ -77,7 +78,7 @@ class Ina219:
     # --- the bus side -------------------------------------------------------------------------
 
     def read(self, register: int) -> int:
-        """Return a register's value; pointers beyond the last register read 0."""
+        """Return a register's value; pointers beyond the last register read 0. Reading POWER clears the ready bit."""
         if register > CALIBRATION:
             return 0
         value = self._registers[register]

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Dynamixel Protocol 2.0 packets on the servo's side: checksum, byte stuffing, framing.
 
-Written from the ROBOTIS e-manual, independently of the SDK, so that agreement between the two is evidence.
+The module is written from the ROBOTIS e-manual, independently of the SDK. If the SDK understands its packets, this is
+therefore evidence that both are correct.
 """
 
 import re
@@ -16,7 +17,7 @@ ALERT = 0x80  # bit 7 of the error byte: look at Hardware Error Status
 
 _PREFIX = HEADER + b"\x00"
 _OVERHEAD = 7  # header, reserved byte, id, length
-_LONGEST = 1024  # bytes after the length field; more than any instruction of ours needs
+_LONGEST = 1024  # bytes after the length field; more than any instruction of the driver needs
 _BARE_HEADER = re.compile(rb"\xff\xff\xfd(?!\xfd)")
 
 

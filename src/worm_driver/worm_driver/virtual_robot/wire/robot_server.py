@@ -3,7 +3,7 @@
 
 One thread owns the robot. It waits in select(), so that an answer leaves some hundred microseconds after its request,
 and wakes up regularly to advance the plant. With clients of its clock (virtual_clock), simulated time advances from
-event to event and waits for clients that are late. Without clients it advances at the machine's pace.
+event to event and waits for clients that are late. Without clients it advances at the robot's rate.
 """
 
 import contextlib
@@ -56,7 +56,7 @@ class PtyPort:
         self.master, self._slave = os.openpty()
         tty.setraw(self._slave)
         os.set_blocking(self.master, False)
-        # The slave stays open here: otherwise the master fails while no client has it open.
+        # The server keeps the slave open, because the master fails if no process has the slave open.
         link.symlink_to(os.ttyname(self._slave))
 
     def baud_rate(self) -> int:
@@ -99,7 +99,7 @@ class RobotServer:
         directory: directory of the pseudo-terminal and the sockets.
         on_samples: called in the serving thread with new camera samples.
         rate: largest ratio of simulated to machine time; inf for as fast as the clients allow; None for real time
-            without clock clients, as with a real robot.
+            that never waits for clients, as with a real robot.
         epoch_ns: ROS time (ns) of the robot's time 0.
         on_time: called in the serving thread with the time (s) at each update.
     """
@@ -124,7 +124,7 @@ class RobotServer:
         self.time.begin(self._clock())
         self._page: virtual_clock.Page | None = None
         self._clients: dict[socket.socket, ClockClient] = {}  # clients of the clock
-        # Over the serial line since a client connected; infinite if the counts are no longer used.
+        # Bytes over the serial line since a client connected; infinite if they are no longer counted.
         self._bytes_sent = self._bytes_received = 0.0
         self._selector = selectors.SelectSelector()  # epoll would round timeouts up to 1 ms
         self._serial: PtyPort | None = None
@@ -168,7 +168,7 @@ class RobotServer:
         self.time.begin(self._clock())
 
     def run(self) -> None:
-        """Serve until stop()."""
+        """Serve until stop() is called."""
         while not self._stopped:
             for key, _ in self._selector.select(self._time_to_update()):
                 key.data()
@@ -187,15 +187,15 @@ class RobotServer:
         self._wake_writer.send(b"x")
 
     def quiet_for(self, duration: float) -> bool:
-        """Return True if the servo bus was silent for a duration (s of machine time); from any thread."""
+        """Return True if the servo bus was silent for a duration (s of machine time); callable from any thread."""
         return self._clock() - self._last_received > duration
 
     def inject(self, fault: Fault) -> None:
-        """Inject a fault whose start is relative to now; from any thread."""
+        """Inject a fault whose start is relative to now; callable from any thread."""
         self._submit(lambda now: self._robot.board.add(fault.delayed(now)))
 
     def clear_faults(self) -> None:
-        """End all faults; from any thread."""
+        """End all faults; callable from any thread."""
         self._submit(lambda _: self._robot.board.clear())
 
     def close(self) -> None:
@@ -381,7 +381,7 @@ class RobotServer:
         self._selector.register(self._serial.master, selectors.EVENT_READ, self._on_serial)
 
     def _follow_plug(self) -> None:
-        """Close the serial port while it is unplugged by a fault."""
+        """Close the serial port when a fault unplugs it, and open it again when the fault ends."""
         unplugged = self._robot.board.active(faults.UNPLUGGED, self.now()) is not None
         if unplugged and self._serial is not None:
             self._selector.unregister(self._serial.master)
@@ -436,7 +436,7 @@ def _listening(path: Path) -> socket.socket:
     except OSError as error:
         listener.close()
         raise DirectoryError(
-            f"{path.parent}: no socket there ({error}): choose a shorter --directory"
+            f"{path.parent}: cannot create a socket ({error}): choose a shorter --directory"
         ) from error
     listener.listen()
     return listener

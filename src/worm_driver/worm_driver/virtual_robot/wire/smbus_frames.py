@@ -29,9 +29,9 @@ class Request:
 
 @dataclass(frozen=True)
 class Answer:
-    """Result of a transaction: errno (0 if successful), the bytes read, and its duration (s).
+    """Result of a transaction. errno: 0 if successful; data: the bytes read; delay: duration of the transaction, s.
 
-    The duration is not part of the packet; it delays the packet.
+    The delay is not part of the packet: the server sends the packet after the delay.
     """
 
     errno: int
@@ -57,6 +57,6 @@ def pack_answer(answer: Answer) -> bytes:
 
 
 def unpack_answer(packet: bytes) -> Answer:
-    """Return the answer of a packet, without its duration."""
+    """Return the answer of a packet, without its delay."""
     (number,) = _ANSWER.unpack_from(packet)
     return Answer(number, packet[_ANSWER.size :])

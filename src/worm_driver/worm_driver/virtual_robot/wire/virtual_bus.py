@@ -51,7 +51,7 @@ def _answer_of(servo: Servo, number: int = Error.NONE, data: bytes = b"") -> _An
 
 
 class ServoBus:
-    """Servos on one serial line, which send exactly the bytes of real servos.
+    """Servos on one serial line. They send exactly the bytes that real servos would send.
 
     Args:
         servos: the servos.
@@ -106,7 +106,7 @@ class ServoBus:
     def _misread(
         self, packet: Packet, answers: Sequence[_Answer], time: float
     ) -> Sequence[_Answer]:
-        """Return the answers to a read or sync read, with wrong positions if such a fault is active."""
+        """Return the answers. While the fault WRONG_POSITION is active, positions in answers to reads are wrong."""
         is_read = packet.instruction in (Instruction.READ, Instruction.SYNC_READ)
         if not is_read or len(packet.parameters) < 4:
             return answers
@@ -205,7 +205,7 @@ def _obey(packet: Packet, listening: Sequence[Servo], time: float) -> list[_Answ
 
 def _do(servo: Servo, packet: Packet, time: float) -> _Answer:
     servo.feed_watchdog(time)
-    before = _answer_of(servo)  # A write may change id and delay. The answer has the old ones.
+    before = _answer_of(servo)  # A write may change id and delay. The answer has the old values.
     try:
         data = _execute(servo, packet, time)
     except RegisterError as error:

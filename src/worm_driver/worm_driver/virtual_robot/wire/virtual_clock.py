@@ -114,7 +114,7 @@ class VirtualClock:
         self._page = Page(directory / PAGE_NAME)
         self.epoch_ns: int | None = self._page.epoch_ns
         self._number = 0
-        self._offset = math.nan  # s, from the machine's time to this one, once the robot is gone
+        self._offset = math.nan  # simulated minus machine's time, s; NaN while connected
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         try:
             self._socket.connect(str(directory / SOCKET_NAME))
@@ -148,7 +148,7 @@ class VirtualClock:
         self._socket.close()
 
     def _wait(self, until: float, descriptor: int | None) -> bool:
-        """Return True if the file is readable."""
+        """Wait until a time (s), or until a file (None: no file) is readable; return True if it is."""
         self._number += 1
         traffic = self.traffic
         listening = descriptor is not None
@@ -188,7 +188,7 @@ class VirtualClock:
 def clock_of(device: str, port: bytes) -> Clock:
     """Return the clock for a device: the virtual robot's if the device belongs to one, else the machine's.
 
-    A virtual robot is found by whatever link leads to its pseudo-terminal or socket.
+    Any link that leads to the robot's pseudo-terminal or socket is followed.
     """
     for path in (last_link(device), os.path.realpath(device)) if device else ():
         directory = Path(path).parent

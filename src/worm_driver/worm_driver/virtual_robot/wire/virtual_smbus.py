@@ -50,7 +50,7 @@ class SocketSMBus:
             self._socket.sendall(frames.pack_request(request))
             packet = self._socket.recv(_LONGEST)
         except TimeoutError:
-            self.close()  # a late answer must not be read as the next one's
+            self.close()  # a late answer must not be read as the answer to the next request
             raise OSError(errno.ETIMEDOUT, os.strerror(errno.ETIMEDOUT)) from None
         except ConnectionError:
             packet = b""

@@ -38,7 +38,7 @@ class Extent:
     last: int = 0
 
     def add(self, time: int) -> None:
-        """Extend by one message."""
+        """Count a message and extend the span to its log time (ns)."""
         self.first = min(self.first, time) if self.count else time
         self.last = max(self.last, time) if self.count else time
         self.count += 1
@@ -59,21 +59,21 @@ def load_yaml(text: str) -> Any:
     """Return the content of YAML from an untrusted source.
 
     Raises:
-        yaml.YAMLError, ValueError: It is not YAML, or it is larger, nested more deeply or has more references than
-            any bag's.
+        yaml.YAMLError, ValueError: It is not YAML, merges keys, or exceeds a limit on size, nesting, nodes or
+            references that no bag reaches.
     """
     if len(text) > LARGEST_YAML:
-        raise ValueError(f"{len(text)} bytes are more than the {LARGEST_YAML} of any bag")
+        raise ValueError(f"it has {len(text)} characters, more than {LARGEST_YAML}")
     depth = aliases = nodes = 0
     for event in yaml.parse(text, Loader=_LOADER):
         depth += isinstance(event, yaml.CollectionStartEvent)
         depth -= isinstance(event, yaml.CollectionEndEvent)
         aliases += isinstance(event, yaml.AliasEvent)
         if depth > DEEPEST_YAML or aliases > MOST_ALIASES:
-            raise ValueError("it is nested deeper, or refers to itself more often, than any bag")
+            raise ValueError(f"it has more than {DEEPEST_YAML} levels or {MOST_ALIASES} references")
         nodes += isinstance(event, yaml.NodeEvent)
         if nodes > MOST_NODES:
-            raise ValueError(f"it has more than the {MOST_NODES} values and keys of any bag")
+            raise ValueError(f"it has more than {MOST_NODES} values and keys")
         if isinstance(event, yaml.ScalarEvent) and event.value == "<<" and event.implicit[0]:
             raise ValueError("it merges keys (<<), which no bag does")
     return yaml.load(text, Loader=_LOADER)
@@ -90,10 +90,10 @@ def read_metadata(directory: Path) -> dict[str, Any]:
         raise BagError(f"{path} cannot be read: it is not a regular file; move it away")
     try:
         if path.stat().st_size > LARGEST_YAML:
-            raise ValueError(f"{path.stat().st_size} bytes are more than any bag's")
+            raise ValueError(f"it has {path.stat().st_size} bytes, more than {LARGEST_YAML}")
         document = load_yaml(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        raise BagError(f"{path} is missing; worm_model recover {directory} makes one") from None
+        raise BagError(f"{path} is missing; create it: worm_model recover {directory}") from None
     except (OSError, UnicodeDecodeError, yaml.YAMLError, ValueError, RecursionError) as error:
         reason = " ".join(str(error).split())
         raise BagError(f"{path} cannot be read: {reason}") from None
@@ -130,7 +130,7 @@ def _topics(content: Mapping[str, Any]) -> list[Any]:
 
 
 def silent_topics(content: Mapping[str, Any]) -> list[Topic]:
-    """Return the topics that metadata.yaml declares without messages, with their types and QoS."""
+    """Return the topics for which metadata.yaml declares zero messages, with their types and QoS."""
     topics = []
     for entry in _topics(content):
         with suppress(KeyError, TypeError):
@@ -163,12 +163,12 @@ def qos_profiles(text: str) -> list[Any]:
 
 
 def named_qos(text: str) -> str:
-    """Return QoS profiles with names, as in version 9, for the numbers of earlier versions; unchanged if invalid."""
+    """Return QoS profiles with the names of metadata version 9, which replace numbers; invalid text is unchanged."""
     if not re.search(r"durability: *\d", text):
         return text
     try:
         return dump_yaml(dump_qos_v9(parse_qos(text)))
-    except Exception:  # noqa: BLE001 - the library also asserts
+    except Exception:  # noqa: BLE001 - the library also raises AssertionError
         return text
 
 
@@ -200,7 +200,7 @@ def metadata_text(
     files: Mapping[str, Extent],
     custom: Mapping[str, str],
 ) -> str:
-    """Return the content of metadata.yaml below its root key, which the MCAP record "rosbag2" repeats."""
+    """Return the content of metadata.yaml below its root key. The MCAP record "rosbag2" repeats this content."""
     return dump_yaml(
         {
             "version": VERSION,
@@ -231,7 +231,7 @@ def _describe(topic: Topic) -> dict[str, Any]:
 
 
 def write_metadata(directory: Path, text: str, synchronise: Callable[[int], None]) -> None:
-    """Write metadata.yaml from its content below the root key; after a crash, the old or the new file is complete.
+    """Replace metadata.yaml atomically: after a crash, either the old or the new file is complete.
 
     Args:
         directory: the bag.

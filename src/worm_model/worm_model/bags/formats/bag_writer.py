@@ -59,7 +59,7 @@ class BagFiles:
         synchronise: writes an open file, given by its descriptor, to the disk.
 
     Raises:
-        OSError: In all methods, as raised by the disk; synchronised data stays.
+        OSError: In all methods, if the disk is full or missing; synchronised data is preserved.
     """
 
     def __init__(
@@ -83,20 +83,20 @@ class BagFiles:
         self._file = self._open()
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Add a metadata record; the last one of each name is repeated in every later file."""
+        """Add a metadata record; every later file repeats the last record of each name."""
         self._metadata[name] = dict(values)
         self._file.mcap.add_metadata(name, dict(values))
 
     def add_attachment(self, attached: AttachedFile) -> None:
         """Add an attached file to this and all later files.
 
-        It gets no date, so that the same content always gives the same bytes.
+        The attachment has no date, so that equal content produces equal bytes.
         """
         self._attachments.append(attached)
         self._file.attach(attached)
 
     def add_topic(self, topic: Topic) -> None:
-        """Add a topic; it is listed even if it has no messages."""
+        """Add a topic; the bag lists it even without messages."""
         self.counts.setdefault(topic, 0)
         self._file.channel(topic)
 
@@ -122,7 +122,7 @@ class BagFiles:
         return self._total.count - before
 
     def copy_records(self, bag: Bag) -> None:
-        """Copy metadata records and attachments of a bag."""
+        """Copy the attachments and metadata records of a bag, except rosbag2's copy of metadata.yaml."""
         for attached in bag.attachments():
             self.add_attachment(attached)
         for record in bag.records:
@@ -156,7 +156,7 @@ class BagFiles:
     def _text(self, files: Mapping[str, Extent]) -> str:
         """Return the content of metadata.yaml.
 
-        The copy inside a file lists no files, so that its bytes do not depend on the name of the bag.
+        The copy inside an MCAP file lists no files, so that the bytes of that file do not depend on the bag's name.
         """
         counts: dict[str, tuple[Topic, int]] = {}
         for topic, count in self.counts.items():
@@ -179,7 +179,7 @@ class BagFiles:
 
 
 class _OpenFile:
-    """MCAP file of a bag; its lock distinguishes a file that is being written from an abandoned one."""
+    """MCAP file that is being written; its lock distinguishes it from an abandoned file."""
 
     def __init__(
         self,
@@ -224,7 +224,7 @@ class _OpenFile:
         self.mcap.add_attachment(0, 0, attached.name, attached.media_type, attached.data)
 
     def channel(self, topic: Topic) -> int:
-        """Return the number of a topic, whose schema and channel are written before its first message."""
+        """Return the channel number of a topic; the first call writes its schema and channel."""
         known = self._channels.get(topic)
         if known is not None:
             return known
@@ -260,9 +260,9 @@ class _OpenFile:
 
 @contextmanager
 def new_bag(directory: Path, custom: Mapping[str, str] | None = None) -> Iterator[BagFiles]:
-    """Open a new bag for writing, which exists when the context ends; after an exception nothing is left.
+    """Yield a new bag for writing. It appears when the context ends; after an exception, nothing is left.
 
-    The same messages give the same bytes.
+    Equal messages produce equal bytes.
 
     Args:
         directory: the bag, which must not exist.
@@ -270,7 +270,7 @@ def new_bag(directory: Path, custom: Mapping[str, str] | None = None) -> Iterato
 
     Raises:
         BagError: The directory exists, or another process is writing it.
-        UnwritableError: The operating system does not permit to create or write it.
+        UnwritableError: The operating system cannot create or write the directory.
     """
     try:
         with new_folder(directory) as unfinished:

@@ -36,7 +36,7 @@ from worm_model.gait import GAIT_DEFAULTS
 DEFAULTS: Mapping[str, Mapping[str, Any]] = {"worm_msgs/msg/Gait": GAIT_DEFAULTS}
 
 HEADER_BYTES = 4
-PADDING_BYTES = 3  # that a middleware may append to a message
+PADDING_BYTES = 3  # largest number of bytes that a middleware appends to a message
 BIG, LITTLE = b"\x00\x00", b"\x00\x01"  # representation identifiers of plain CDR
 _CODES = {"bool": "?", "byte": "u1", "char": "u1", "octet": "u1"} | {
     f"{kind}{bits}": f"{kind[0]}{bits // 8}"
@@ -54,7 +54,7 @@ class Columns:
 
     Attributes:
         numbers: shape (messages,), or (messages, elements) for an array. If some messages lack the field or differ in
-            the length of an array, the dtype is object, with None, a Python number, or an array for each message.
+            the length of an array, the dtype is object: None, a Python number, or an array for each message.
         texts: one text per message, None if the message lacks the field.
     """
 
@@ -84,7 +84,7 @@ class ColumnBuilder:
                 hint = (
                     ""
                     if topic.definition or not topic.type_name
-                    else f"; the bag carries none of it: {REMEDY}"
+                    else f"; the bag contains no definition: {REMEDY}"
                 )
                 raise BagError(f"{topic.name}: {error}{hint}") from None
         self.count += len(messages)
@@ -157,7 +157,7 @@ class _Layout:
         self._position = HEADER_BYTES
         self._numbers: dict[str, tuple[np.dtype[Any], int, int | None]] = {}
         self._texts: dict[str, tuple[int, int]] = {}
-        self._words: list[int] = []  # offsets of lengths
+        self._length_offsets: list[int] = []
         try:
             self._walk(type_name, "")
         except RecursionError:
@@ -166,11 +166,11 @@ class _Layout:
             ) from None
         surplus = len(message) - self._position
         if surplus > PADDING_BYTES:
-            raise BagError(f"a message is {surplus} bytes longer than its definition says")
+            raise BagError(f"a message is {surplus} bytes longer than its definition requires")
 
     def fits(self, data: Bytes) -> NDArray[np.bool_]:
-        """Return which messages of the same size, one per row, have the same representation and lengths."""
-        fixed = [0, 1] + [offset + i for offset in self._words for i in range(4)]
+        """Return a mask of the messages with this layout: shape (messages,), for messages of its size, one per row."""
+        fixed = [0, 1] + [offset + i for offset in self._length_offsets for i in range(4)]
         expected = np.frombuffer(self._message, np.uint8)[fixed]
         same: NDArray[np.bool_] = (data[:, fixed] == expected).all(axis=1)
         return same
@@ -194,18 +194,18 @@ class _Layout:
                 yield path, [row.tobytes().decode(errors="replace") for row in characters]
 
     def _advance(self, size: int, alignment: int) -> int:
-        """Return the aligned position of a field of a size (bytes), and continue after it."""
+        """Return the aligned position of a field of ``size`` bytes, and move the position behind the field."""
         self._position += -(self._position - HEADER_BYTES) % alignment
         position = self._position
         self._position += size
         if self._position > len(self._message):
-            raise BagError("a message is shorter than its definition says")
+            raise BagError("a message is shorter than its definition requires")
         return position
 
-    def _word(self) -> int:
-        """Return the length of a string (terminator included) or sequence."""
+    def _read_length(self) -> int:
+        """Return the length of a string (terminator included) or sequence, read at the position."""
         offset = self._advance(4, 4)
-        self._words.append(offset)
+        self._length_offsets.append(offset)
         length: int = struct.unpack_from(f"{self._order}I", self._message, offset)[0]
         return length
 
@@ -223,7 +223,7 @@ class _Layout:
             self._walk_base(argument[0], path, None)
         else:
             element, size = argument
-            count = size if kind == Nodetype.ARRAY else self._word()
+            count = size if kind == Nodetype.ARRAY else self._read_length()
             if element[0] == Nodetype.BASE and element[1][0] in _CODES:
                 self._walk_base(element[1][0], path, count)
             else:
@@ -232,7 +232,7 @@ class _Layout:
 
     def _walk_base(self, base: str, path: str, count: int | None) -> None:
         if base == "string":
-            length = self._word()
+            length = self._read_length()
             self._texts[path] = self._advance(length, 1), max(length - 1, 0)
         elif base in _CODES:
             kind = np.dtype(f"{self._order}{_CODES[base]}")
@@ -254,9 +254,9 @@ def encode(
     Args:
         topic: topic with its definition.
         count: number of messages.
-        numbers: values by path: one for all messages, shape (count,), or (count, k) for an array of k numbers. Fields
-            of integers require integers.
-        texts: texts by path: one for all messages, or one per message.
+        numbers: values by path: a scalar for all messages, shape (count,), or (count, k) for an array of k numbers.
+            Fields of integers require integers.
+        texts: texts by path: one text for all messages, or one text per message.
 
     Raises:
         BagError: The type has no such field.
@@ -303,8 +303,8 @@ def check_length(topic: Topic, data: bytes) -> None:
         store.deserialize_cdr(data, topic.type_name)
     except SerdeError:
         raise BagError(
-            f"{topic.name} carries no definition, and a message of it is not as long as the {topic.type_name} "
-            f"that is taken for it says; {REMEDY}"
+            f"{topic.name} has no definition, and a message is not as long as the {topic.type_name} used "
+            f"instead requires; {REMEDY}"
         ) from None
 
 
@@ -312,7 +312,7 @@ def defined_message(message: Message) -> Message:
     """Return a message with a definition: its own, or the installed one, which must fit.
 
     Raises:
-        BagError: The length contradicts the installed definition, or that is missing or has another type hash.
+        BagError: The installed definition is missing, has another type hash, or contradicts the message's length.
     """
     if message.channel.definition:
         return message
@@ -322,18 +322,19 @@ def defined_message(message: Message) -> Message:
 
 
 class Converter:
-    """Converter of messages to a later definition of their type that has further fields.
+    """Converter of messages to a later definition of their type, which has additional fields.
 
-    The further fields get the defaults of DEFAULTS, otherwise they are zero or empty.
+    An additional field gets its value in DEFAULTS. Without such a value it is zero or empty.
 
     Args:
         source, target: topics with their definitions.
 
     Raises:
-        DefinitionError: The target lacks a field of the source, or has it with another type.
+        DefinitionError: The target lacks a field of the source, a field has another type, or the message type differs.
 
     Attributes:
-        added: the fields that only the target has.
+        added: names of the fields that only the target has.
+        same: True if both layouts are equal.
     """
 
     def __init__(self, source: Topic, target: Topic) -> None:
@@ -344,7 +345,7 @@ class Converter:
             changed = [field for field in before if before[field] != after.get(field)]
             if changed:
                 raise DefinitionError(
-                    f"{changed[0]} of {name} is not what the installed definition says"
+                    f"{changed[0]} of {name} differs from the installed definition"
                 )
             self.added += [field for field in after if field not in before]
         same_order = all(
@@ -376,7 +377,7 @@ class Converter:
         try:
             content = old.deserialize_cdr(data, self._source.type_name)
         except SerdeError:
-            raise BagError("a message is not as long as its definition says") from None
+            raise BagError("a message is not as long as its definition requires") from None
         if self.same:
             return data
         kinds = self._source.type_name, self._target.type_name

@@ -26,7 +26,7 @@ class Extent(NamedTuple):
         start, end: smallest and largest log time, ns.
         first, last: location: bytes of the file or rows of its table, the last one exclusive.
         is_chunk: True for a chunk.
-        runs: ranges of a damaged chunk's decompressed bytes that are complete records; empty: all.
+        runs: ranges of a damaged chunk's decompressed bytes that contain complete records; empty: the chunk is intact.
     """
 
     start: int
@@ -41,8 +41,8 @@ class Loss(NamedTuple):
     """Damaged part of a file.
 
     Attributes:
-        first, last: its location, as in `Extent`.
-        counts: number of missing messages by channel according to the indexes that follow a chunk; empty: unknown.
+        first, last: location of the part, in the units of `Extent`.
+        counts: number of missing messages by channel, according to the indexes that follow a chunk; empty: unknown.
     """
 
     first: int
@@ -60,12 +60,12 @@ class Contents:
         counts: number of messages by channel.
         extents: locations of the messages, in the order of the file.
         metadata: metadata records, in the order of the file.
-        attachments: location of the body of each attachment: first and last byte.
+        attachments: location of the body of each attachment: first and last byte, the last one exclusive.
         losses: damaged parts, in the order of the file.
         end: end of the last complete record of the data section, bytes.
-        complete: True if the data section has its end.
+        complete: True if the data section is complete up to its end record, or a database has all its pages.
         whole: True if the file ends like a closed file.
-        complaints: inconsistencies of the file; the data section takes precedence.
+        complaints: one line per inconsistency of the file.
         expected: number of messages by channel according to an intact summary.
     """
 
@@ -89,13 +89,13 @@ class Contents:
         return self.losses[-1]
 
     def span_around(self, loss: Loss) -> tuple[int, int]:
-        """Return the log times (ns) between which messages may be missing; 0: before the first, after the last."""
+        """Return the latest log time before a damaged part and the earliest one after it, ns; 0 if there is none."""
         before = (extent.end for extent in self.extents if extent.last <= loss.first)
         after = (extent.start for extent in self.extents if extent.first >= loss.last)
         return max(before, default=0), min(after, default=0)
 
     def missing(self) -> Counter[int]:
-        """Return the number of missing messages by channel, from the summary or else from indexes, as far as known."""
+        """Return the known number of missing messages by channel, from the summary or, without one, the indexes."""
         if self.expected is not None:
             return Counter(self.expected) - self.counts
         total: Counter[int] = Counter()
@@ -109,7 +109,7 @@ class Contents:
         return self.whole and not self.losses
 
     def register(self, record: object) -> None:
-        """Add a schema, a channel or a metadata record; of two definitions with the same number, the first is used."""
+        """Add a schema, a channel or a metadata record; of several definitions with one number, the first is used."""
         if isinstance(record, Metadata):
             self.metadata.append(record)
         elif isinstance(record, Schema):

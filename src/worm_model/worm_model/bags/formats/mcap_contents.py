@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Contents of an MCAP file, collected from its records; the data section takes precedence over the summary."""
+"""Contents of an MCAP file, collected from its records. Where they differ, the data section overrides the summary."""
 
 from __future__ import annotations
 
@@ -44,7 +44,10 @@ def extent_records(data: Buffer, extent: Extent) -> Buffer:
 
 
 def _run_pieces(records: Buffer, first: int, last: int) -> Iterator[Buffer]:
-    """Yield the records of a run; a record of its own gets its true length, because the stored one may be damaged."""
+    """Yield the records of a run in pieces. A run of a single record gets its length from the run.
+
+    The stored length of such a record (a definition, or a record that declares a larger length) may be damaged.
+    """
     begin = first + RECORD.size
     opcode, length = RECORD.unpack_from(records, first)
     if opcode in mcap_walk.DEFINITIONS or begin + length > last:
@@ -75,7 +78,10 @@ def scan(data: Buffer) -> Contents:
 
 
 def salvage(data: Buffer) -> Contents:
-    """Return the readable contents of a file that begins with MAGIC, from the content of its chunks alone."""
+    """Return the readable contents of a file that begins with MAGIC; the content of every chunk is read.
+
+    The summary supplies only the definitions that the chunks lack, and the expected number of messages.
+    """
     summary, complaint = _read_summary(data)
     survey = _Survey(data, summary, mcap_walk.is_intact_chunk, _Survey.add_by_content)
     contents = survey.run()
@@ -101,27 +107,27 @@ def salvage(data: Buffer) -> Contents:
             known = contents.channels.setdefault(record.id, record)
             if known is record and contents.counts[record.id]:
                 contents.complaints.append(
-                    f"the definition of {record.topic} is damaged in its data; that in its summary is used"
+                    f"the definition of {record.topic} is damaged in its data; the copy in its summary is used"
                 )
     for number in contents.counts.keys() - contents.channels.keys():
         contents.complaints.append(
-            f"{contents.counts.pop(number)} messages of channel {number} are left out: its definition is lost"
+            f"{contents.counts.pop(number)} messages of channel {number} are excluded: the channel's definition is lost"
         )
     return contents
 
 
 def _appended(data: Buffer, end: int) -> Iterator[str]:
-    """Yield a complaint about bytes after the first footer and its MAGIC; ``end`` is that of the data section."""
+    """Yield a complaint about bytes after the first footer and its MAGIC; ``end`` is the end of the data section."""
     try:
         for opcode, _, last in records_in(data[end : len(data) - len(MAGIC)]):
             if opcode == Opcode.FOOTER and (size := len(data) - end - last - len(MAGIC)):
                 yield (
-                    f"behind its end lie {size} bytes of something else, such as another bag's file, which are not "
-                    "read; store them as a file of their own to read them"
+                    f"{size} bytes after its end are not read, such as another bag's file; store them in a separate "
+                    "file to read them"
                 )
                 return
     except DAMAGE:
-        return  # the summary is damaged, which is reported elsewhere
+        return  # `_read_summary` reports a damaged summary
 
 
 class _Summary:
@@ -148,7 +154,7 @@ class _Summary:
         return {record.id for record in self.definitions if isinstance(record, Channel)}
 
     def describes(self, contents: Contents) -> bool:
-        """Return True if the summary is complete for reading and consistent with the data section."""
+        """Return True if the summary alone is sufficient for reading and is consistent with the data section."""
         schemas = {record.id for record in self.definitions if isinstance(record, Schema)}
         channels = [record for record in self.definitions if isinstance(record, Channel)]
         extents = {(e.first, e.last - e.first, e.start, e.end) for e in contents.extents}
@@ -162,7 +168,7 @@ class _Summary:
 
 
 def _read_summary(data: Buffer) -> tuple[_Summary | None, str]:
-    """Return the summary if it exists and is intact, else None and, if it is damaged, a complaint."""
+    """Return the summary and a complaint: None if the summary is missing or damaged; empty unless it is damaged."""
     tail = bytes(data[-_FOOTER.size - len(MAGIC) :])
     if len(tail) < _FOOTER.size + len(MAGIC) or tail[_FOOTER.size :] != MAGIC:
         return None, ""
@@ -212,7 +218,7 @@ class _Survey:
 
     Attributes:
         contents: the contents.
-        unprotected: number of read messages that no checksum covers.
+        unprotected: number of messages that were read and that no checksum covers.
     """
 
     def __init__(
@@ -304,7 +310,7 @@ class _Survey:
             self._lose(part, found)
 
     def _add_extent(self, extent: Extent) -> list[int]:
-        """Add an extent with the log times of its messages, and return their channels."""
+        """Add an extent with the log times of its messages; return the channel number of each message."""
         contents, records = self.contents, extent_records(self._data, extent)
         self._define(records)
         release(self._data)

@@ -21,7 +21,7 @@ TOGETHER_BYTES = 1 << 20  # of small extents per block: numpy's cost is per call
 
 
 class McapFile(StoredFile):
-    """MCAP file; heads of chunks are trusted if the file's checksums and summary are consistent with its data."""
+    """MCAP file. If checksums and summary match the data, only the heads of chunks are read when it is opened."""
 
     survey: Callable[[mcap_records.Buffer], Contents] = staticmethod(scan)
 
@@ -109,6 +109,6 @@ class McapFile(StoredFile):
 
 
 class SalvagedMcapFile(McapFile):
-    """MCAP file of which all intact data is read, whether or not the rest is damaged."""
+    """MCAP file from which all intact data is read, even if other data is damaged."""
 
     survey = staticmethod(salvage)

@@ -47,7 +47,7 @@ HEAD = np.dtype(
 )  # head of a message record
 MESSAGE_BODY = HEAD.itemsize - RECORD.size  # bytes before the payload
 LARGEST_CHUNK = 256 << 20  # decompressed bytes; writers make chunks of about a megabyte
-_PIECE = 4 << 20  # decompressed bytes at a time
+_PIECE = 4 << 20  # bytes that are processed at a time
 _CHUNK = struct.Struct("<QQQII")  # first and last log time, size, checksum, length of compression
 _ZSTD = zstandard.ZstdDecompressor()
 
@@ -62,11 +62,11 @@ DAMAGE = (
     OverflowError,
     MemoryError,  # for a damaged length
 )
-"""Exceptions of the readers of records at damaged content."""
+"""Exceptions that the functions of this module raise for damaged content."""
 
 
 def release(data: Buffer) -> None:
-    """Release the memory of a mapped file; bytes that are read again come from the system's cache."""
+    """Release the memory of a mapped file; a later read gets the bytes from the system's cache."""
     if isinstance(data, memoryview) and isinstance(data.obj, mmap.mmap):
         data.obj.madvise(mmap.MADV_DONTNEED)
 
@@ -92,7 +92,7 @@ def records_in(data: Buffer, position: int = 0) -> Iterator[tuple[int, int, int]
         start = position + RECORD.size
         position = start + length
         if position > size:
-            raise ValueError("a record is longer than what holds it")
+            raise ValueError("a record is longer than the data that contains it")
         yield opcode, start, position
 
 
@@ -124,7 +124,7 @@ _READERS: dict[int, Callable[[ReadDataStream], object]] = {
 
 
 def read_record(opcode: int, body: Buffer) -> object | None:
-    """Return the `mcap` library's object of a record that occurs rarely; None for any other.
+    """Return the `mcap` library's object of a record; None for kinds without a reader, such as messages and chunks.
 
     Raises:
         one of DAMAGE: The record is damaged, or the checksum of an attachment is wrong.
@@ -138,7 +138,7 @@ def read_record(opcode: int, body: Buffer) -> object | None:
 
 
 def fields_size(opcode: int, body: Buffer) -> int:
-    """Return the number of bytes of a record's fields, regardless of its length; raise one of DAMAGE."""
+    """Return the size (bytes) of a record's fields, whatever length it declares. Raises one of DAMAGE."""
     fields = _Fields(body)
     _READERS[opcode](fields)
     return fields.count
@@ -192,7 +192,7 @@ def chunk_head(body: Buffer) -> ChunkHead:
 def chunk_records(body: Buffer) -> Buffer:
     """Return the decompressed records of a chunk; raise one of DAMAGE unless they are intact.
 
-    A correct checksum proves them, even if the length or size that the chunk declares is wrong.
+    With a correct checksum, records are intact even if the length or size that the chunk declares is wrong.
     """
     head = chunk_head(body)
     data = joined(chunk_pieces(head, body))
@@ -211,12 +211,12 @@ def joined(pieces: Iterable[Buffer]) -> Buffer:
 
 
 def chunk_pieces(head: ChunkHead, body: Buffer) -> Iterator[Buffer]:
-    """Yield the records of a chunk while they are decompressed.
+    """Yield the decompressed records of a chunk in pieces.
 
     Decompression ends after LARGEST_CHUNK, because of decompression bombs. The declared size may be damaged.
 
     Raises:
-        one of DAMAGE: The compressed bytes are damaged. The pieces before contain the data up to the damage.
+        one of DAMAGE: The compressed bytes are damaged. The earlier pieces contain the data up to the damage.
     """
     data, size = body[head.first : head.last], 0
     if not head.compression:
@@ -226,7 +226,7 @@ def chunk_pieces(head: ChunkHead, body: Buffer) -> Iterator[Buffer]:
     while size <= LARGEST_CHUNK:
         declared = head.size - size
         try:
-            # Other bytes may follow the declared ones, and a read across them would lose these.
+            # Bytes other than records may follow the declared ones. A read of both would lose the declared ones.
             piece = read(min(declared, _PIECE) if declared > 0 else _PIECE)
         except DAMAGE:
             if size < head.size:

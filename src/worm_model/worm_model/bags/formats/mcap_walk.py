@@ -4,11 +4,11 @@
 A record is plausible if all of these hold:
 
 - Its kind is allowed at its place, and its length fits into the data.
-- Its body is valid for its kind. A chunk decompresses to its declared size, its checksum is correct, and it consists
-  of complete records. The checksum of an attachment is correct. A message belongs to a defined channel. An index of
-  messages consists of complete entries. Texts and maps of all others are UTF-8 and end where the record ends.
-- The next record is plausible by the same rules, or there is none. A chunk that contains records is plausible without
-  this.
+- Its body is valid for its kind. A chunk has a correct checksum, or else its declared size, and consists of complete
+  records. The checksum of an attachment is correct. A message belongs to a defined channel. An index of messages
+  consists of complete entries. In records of other kinds, texts and maps are UTF-8 and fit into the record.
+- The next record satisfies the two conditions above, or there is no next record. This condition does not apply to a
+  chunk that contains records.
 
 A definition or a metadata record with a damaged length ends where its fields end.
 
@@ -67,8 +67,7 @@ class Part(NamedTuple):
     Attributes:
         opcode: opcode of the record, or DAMAGED.
         first, last: location including the head of the record, the last byte exclusive.
-        runs: ranges of a damaged chunk's decompressed bytes that are complete records. Each definition is a range of
-            its own.
+        runs: ranges of a damaged chunk's decompressed bytes that contain complete records, see `_whole_runs`.
     """
 
     opcode: int
@@ -106,9 +105,9 @@ class Walk:
     Args:
         data: the records.
         first: location of the first record.
-        channels: numbers of the defined channels; the caller adds those that are defined inside of chunks.
-        judge: returns True if a chunk is complete.
-        kinds: allowed opcodes, those of a chunk's records or of a data section.
+        channels: numbers of the defined channels; the caller adds the channels that are defined inside of chunks.
+        judge: returns True if the body of a chunk is complete.
+        kinds: allowed opcodes, either inside a chunk or in a data section.
     """
 
     def __init__(
@@ -133,8 +132,7 @@ class Walk:
             if part.opcode not in _PROVEN:
                 behind = self._part(part.last)
                 if behind is not None and behind.opcode == DAMAGED:
-                    # If some of its bytes are missing, or its length is too large, it covers later
-                    # records.
+                    # A record that lost bytes, or whose length is too large, covers later records.
                     shorter = self._before_next(part.first, part.last)
                     if shorter.last < part.last:
                         part, behind = shorter, None
@@ -158,7 +156,7 @@ class Walk:
         first, last = place + RECORD.size, place + RECORD.size + length
         if last <= self._size and _belongs(opcode, self._kinds):
             body = self._data[first:last]
-            # It may be a chunk with a damaged opcode.
+            # A record with a private opcode may be a chunk with a damaged opcode.
             hidden = opcode >= FIRST_PRIVATE_OPCODE and is_intact_chunk(body)
             if not hidden and self._is_whole(opcode, body, judge):
                 return self._defined(Part(opcode, place, last))
@@ -182,7 +180,7 @@ class Walk:
         return True
 
     def _chunk_by_content(self, place: int, last: int) -> Part | None:
-        """Return an intact chunk with a wrong opcode or declared length; None if there is none."""
+        """Return the intact chunk at a place, with a wrong opcode or a wrong declared length, or None."""
         head, first = self._chunk_head(place), place + RECORD.size
         if head is None or not (head.size or head.checksum):
             return None  # zeros look like an empty chunk
@@ -195,7 +193,10 @@ class Walk:
         return None
 
     def _damaged_chunk(self, place: int) -> Part | None:
-        """Return a damaged chunk without a checksum, also a truncated one, with the ranges of its complete records."""
+        """Return the damaged or truncated chunk at a place with the ranges of its complete records.
+
+        Returns None if there is none, or if it has a checksum.
+        """
         head = self._chunk_head(place)
         if head is None or head.checksum or self._data[place] != Opcode.CHUNK:
             return None
@@ -261,7 +262,7 @@ class Walk:
 
     @property
     def _has_checksums(self) -> bool:
-        """True if chunks have checksums. The first intact one decides, or else the first whose two lengths agree."""
+        """True if the first intact chunk has a checksum; if there is none, the first whose two lengths agree."""
         damaged: list[bool] = []
         for match in re.finditer(rb"(?s)\x06(?=.{5}\0\0\0)", self._data):
             head, first = self._chunk_head(match.start()), match.start() + RECORD.size
@@ -274,7 +275,7 @@ class Walk:
         return any(damaged[:1])
 
     def _next_plausible(self, place: int, end: int) -> int:
-        """Return the location of the next plausible record; the end of the search if there is none before it."""
+        """Return the location of the next plausible record from ``place`` on; ``end`` if none begins before it."""
         for match in self._beginnings.finditer(self._data, place, end + RECORD.size - 1):
             if self._is_plausible(match.start()):
                 return match.start()
@@ -318,7 +319,7 @@ def first_records(body: Buffer) -> Buffer:
 def _whole_runs(records: Buffer, parts: Iterable[Part]) -> tuple[tuple[int, int], ...]:
     """Return the ranges of consecutive complete records without damage.
 
-    Each definition, and each record that declares a larger length, is a range of its own.
+    A definition, or a record that declares a length larger than it has, forms a separate range.
     """
     runs: list[tuple[int, int]] = []
     alone = True

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Single messages, and blocks of messages in columns, as a replay reads half a million messages per second."""
+"""Single messages, and blocks that store many messages in columns, so that a replay reads half a million per second."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class Messages:
         channels: possible channels of the messages.
         buffer: shape (bytes,), contiguous.
         channel: index into `channels` of each message, shape (messages,).
-        offset, size: first byte and number of bytes of each, shape (messages,).
+        offset, size: first byte and number of bytes of each message in `buffer`, shape (messages,).
         log_time, publish_time: times of reception and sending, ns since the epoch, shape (messages,).
     """
 
@@ -122,7 +122,7 @@ class Messages:
         return replace(self, buffer=buffer, offset=start)
 
     def by_topic(self) -> Iterator[tuple[str, Messages]]:
-        """Yield the messages of each topic that has any, whatever their layouts."""
+        """Yield the name and the messages of each topic that has messages; their layouts may differ."""
         names = list(dict.fromkeys(channel.name for channel in self.channels))
         number = np.array([names.index(channel.name) for channel in self.channels], np.int64)
         for index, rows in groups(number[self.channel]) if names else ():
@@ -130,15 +130,15 @@ class Messages:
 
 
 def cells(buffer: Bytes, size: int) -> NDArray[np.void]:
-    """Return all parts of a given size of a contiguous buffer, as a view; the i-th begins at byte i.
+    """Return a view of all windows of ``size`` bytes in a contiguous buffer. Window i begins at byte i.
 
-    To read or write many of them costs one copy each, a tenth of the cost of an index per byte.
+    Reading or writing a window costs one copy, a tenth of the cost of indexing each byte.
     """
     return np.ndarray(max(len(buffer) - size + 1, 0), f"V{size}", buffer, strides=(1,))
 
 
 def groups(keys: NDArray[np.integer]) -> Iterator[tuple[int, Integers]]:
-    """Yield each value of some keys in increasing order, with the rows that have it, in their order."""
+    """Yield the distinct keys in increasing order, each with the rows that have it, in increasing order."""
     if not len(keys):
         return
     order = np.argsort(keys, kind="stable")
@@ -182,8 +182,8 @@ def merge(blocks: Iterable[tuple[int, Messages]]) -> Iterator[Messages]:
     Only blocks that overlap are in memory at the same time.
 
     Args:
-        blocks: pairs of time (ns since the epoch) and block, in order of time. Neither the block nor the following
-            ones have messages before this time.
+        blocks: pairs of time (ns since the epoch) and block, in order of time. No message in the block, or in the
+            following blocks, is earlier than this time.
     """
     pending: Messages | None = None
     for start, block in blocks:

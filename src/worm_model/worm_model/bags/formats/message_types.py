@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Message definitions: search for installed ones, their text inside bags, and their fields.
+"""Message definitions: search for installed definitions, their text inside bags, and their fields.
 
 The text has the format ``ros2msg`` of rosbag2 and MCAP. It contains the root type's text and, for each type that it
 needs, a line of 80 ``=``, a line ``MSG: package/Type``, and its text. Reading a bag requires no installed
@@ -34,8 +34,8 @@ from worm_model.bags.formats.message_block import Topic
 
 PACKAGE = "worm_msgs"
 SEPARATOR = "=" * 80
-REMEDY = "give the definitions that it was recorded with by --definitions FOLDER, or source that workspace"
-REASON_LENGTH = 200  # limit for the reason of a parser, which repeats the complete definition
+REMEDY = "give the definitions of the recording by --definitions FOLDER, or source the workspace that has them"
+REASON_LENGTH = 200  # characters of a parser's error, which repeats the definition
 _CONSTANT = re.compile(r"[A-Za-z]\w*\s+[A-Z]\w*\s*=")
 _UNREADABLE = (TypesysError, ValueError, KeyError, IndexError, RecursionError)
 
@@ -43,7 +43,7 @@ Fields = list[tuple[str, Any]]
 Types = Mapping[str, Fields]
 
 
-# --- what is installed ----------------------------------------------------------------------------
+# --- installed definitions ------------------------------------------------------------------------
 
 
 def _folders(package: str, definitions: Path | None = None) -> Iterator[Path]:
@@ -64,7 +64,9 @@ def _installed_text(package: str, kind: str, definitions: Path | None) -> str:
             return path.read_text(encoding="utf-8")
     standard, name = _standard_types(), f"{package}/msg/{kind}"
     if package == PACKAGE and definitions is not None:
-        raise DefinitionError(f"{definitions} has no {kind}.msg, which {name} needs")
+        raise DefinitionError(
+            f"{definitions} has no {kind}.msg, which contains the definition of {name}"
+        )
     if name not in standard.fielddefs:
         raise DefinitionError(
             f"no definition of {name} is installed; source the workspace that has it"
@@ -83,10 +85,10 @@ def installed_definition(type_name: str, definitions: Path | None = None) -> str
 
     Args:
         type_name: ``package/msg/Type``.
-        definitions: folder with the ``.msg`` files of worm_msgs; None: the installed ones.
+        definitions: folder with the ``.msg`` files of worm_msgs; None: the installed files.
 
     Raises:
-        DefinitionError: The name is not that of a message type, or a definition is missing.
+        DefinitionError: The name is not the name of a message type, or a definition is missing.
     """
     package, _, kind = type_name.partition("/msg/")
     if not (package and kind) or "/" in package + kind:
@@ -150,15 +152,14 @@ def parse_ahead(type_names: Iterable[str]) -> None:
             topic_of("", type_name)
 
 
-# --- content of a definition
-# -----------------------------------------------------------------------
+# --- content of a definition ----------------------------------------------------------------------
 
 
 def parse_types(type_name: str, definition: str, definition_format: str) -> Types:
     """Return the fields of a type and of all types that it needs.
 
     Raises:
-        DefinitionError: The definition cannot be read, or is that of another type.
+        DefinitionError: The definition cannot be read, or does not define the type.
     """
     store = typestore(type_name, definition, definition_format)
     return {name: fields for name, (_, fields) in store.fielddefs.items()}
@@ -226,18 +227,17 @@ def with_definition(topic: Topic, definitions: Path | None = None) -> Topic:
         definitions: folder of definitions, see `installed_definition`.
 
     Raises:
-        DefinitionError: The topic has none, and the installed one is missing or has another type hash.
+        DefinitionError: The topic has no definition, and the installed one is missing or has another type hash.
     """
     if topic.definition:
         return topic
     if not topic.type_name:
-        raise DefinitionError(f"{topic.name} tells neither its type nor a definition")
+        raise DefinitionError(f"{topic.name} has neither a type nor a definition")
     installed = topic_of(topic.name, topic.type_name, definitions=definitions)
     if topic.type_hash not in ("", installed.type_hash):
         raise DefinitionError(
-            f"{topic.name} carries no definition, and the {topic.type_name} "
-            f"{'that is installed' if definitions is None else f'in {definitions}'} is another one by its type "
-            f"hash; {REMEDY}"
+            f"{topic.name} has no definition, and its type hash differs from that of the {topic.type_name} "
+            f"{'that is installed' if definitions is None else f'in {definitions}'}; {REMEDY}"
         )
     metadata = dict(installed.metadata) | {"offered_qos_profiles": topic.offered_qos}
     return Topic(

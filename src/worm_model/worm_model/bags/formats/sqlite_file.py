@@ -27,7 +27,7 @@ Row = tuple[Any, ...]
 
 
 class SqliteFile(StoredFile):
-    """Sqlite3 file of which every readable row is read once when it is opened."""
+    """Sqlite3 file. Opening it reads every readable row of the messages once."""
 
     def _survey(self) -> Contents:
         if self.data[: len(MAGIC)] != MAGIC:
@@ -79,13 +79,14 @@ class SqliteFile(StoredFile):
 
     @cached_property
     def _database(self) -> sqlite3.Connection:
-        """The open database. SQLite recovers one that was not closed, in a copy."""
+        """Open database. If it was not closed, SQLite recovers a temporary copy of it."""
         journals = [Path(f"{self.path}{ending}") for ending in _JOURNALS]
         journals = [path for path in journals if path.is_file() and path.stat().st_size]
         if not journals:
             uri = f"{Path(self._stream.name).resolve().as_uri()}?mode=ro&immutable=1"
             database = sqlite3.connect(uri, uri=True, check_same_thread=False)
-            database.execute("PRAGMA writable_schema = ON")  # otherwise it rejects a truncated file
+            # With the default, SQLite rejects a truncated file.
+            database.execute("PRAGMA writable_schema = ON")
             return database
         self._copies = TemporaryDirectory()
         for path in (self.path, *journals):
@@ -94,9 +95,9 @@ class SqliteFile(StoredFile):
         return sqlite3.connect(copy, check_same_thread=False)
 
     def _rows(self, table: str, columns: str) -> Iterator[tuple[Row | None, int, int]]:
-        """Yield each row of a table with its first and last id (exclusive); the row begins with its id.
+        """Yield (row, first id, last id), the last id exclusive, for each row of a table; a row begins with its id.
 
-        A range of unreadable rows gives None.
+        For a range of unreadable rows, the row is None.
         """
         query = f"SELECT id, {columns} FROM {table} WHERE id >= ? ORDER BY id"
         first: int | None = -(1 << 63)
@@ -105,7 +106,7 @@ class SqliteFile(StoredFile):
             try:
                 for row in self._database.execute(query, (first,)):
                     if row[0] < first:
-                        raise sqlite3.DatabaseError("the ids of its rows do not rise")
+                        raise sqlite3.DatabaseError("the ids of its rows do not increase")
                     if damaged:
                         yield None, damaged, row[0]
                         damaged = 0
@@ -186,7 +187,7 @@ class SqliteFile(StoredFile):
                 yield extent.start, block
 
     def close(self) -> None:
-        """Close the file, and remove the copy."""
+        """Close the file, and remove the temporary copy if there is one."""
         with suppress(sqlite3.Error):
             self._database.close()
         if hasattr(self, "_copies"):

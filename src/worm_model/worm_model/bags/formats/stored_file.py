@@ -29,7 +29,7 @@ LATEST_NS = (1 << 63) - 1  # in the year 2262; later times in ns exceed 64 bits 
 
 @contextmanager
 def explained(path: Path) -> Iterator[None]:
-    """Convert exceptions of the readers at damaged content to a BagError."""
+    """Convert the exceptions that readers raise for damaged content to a BagError."""
     try:
         yield
     except BagError:
@@ -48,8 +48,8 @@ class StoredFile(ABC):
         path: the file.
 
     Attributes:
-        data: its bytes.
-        contents: its contents without the messages.
+        data: bytes of the file, decompressed.
+        contents: contents of the file without its messages.
 
     Raises:
         BagError: The file is missing or empty, or cannot be read.
@@ -99,7 +99,7 @@ class StoredFile(ABC):
 
     def close(self) -> None:
         """Close the file; arrays that were read from it stay valid."""
-        with suppress(BufferError):  # arrays still refer to the map, which is closed with them
+        with suppress(BufferError):  # while arrays refer to the map, it stays open
             self.data.release()
             self._map.close()
         self._stream.close()
@@ -118,8 +118,8 @@ def _unpacked(path: Path) -> BinaryIO:
     """Return the content of a file that rosbag2 has compressed, up to the first damage, in a temporary file.
 
     Raises:
-        BagError: The content is larger than LARGEST_RATIO times the file, or than half of the free space for temporary
-            files, which other processes need, too.
+        BagError: The content is larger than LARGEST_RATIO times the file, or larger than half of the free space for
+            temporary files. The other half stays free for other processes.
     """
     free = shutil.disk_usage(gettempdir()).free // 2
     most, size = min(free, LARGEST_RATIO * path.stat().st_size), 0

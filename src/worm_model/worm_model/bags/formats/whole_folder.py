@@ -17,14 +17,14 @@ from worm_model.bags.formats.bag_metadata import sync_directory
 
 @contextmanager
 def new_folder(target: Path) -> Iterator[Path]:
-    """Create a folder to fill, which becomes the target when the context ends; after an exception nothing is left.
+    """Yield a temporary folder that is renamed to the target when the context ends, or removed after an exception.
 
     An unfinished folder of the same target from a killed process is removed first.
 
     Raises:
         ExistsError: The target exists, or another process has created it in the meantime.
-        BagError: Another process is writing it at this moment.
-        OSError: The operating system does not permit to create or write it.
+        BagError: Another process is writing the target at this moment.
+        OSError: The operating system cannot create or write the target.
     """
     if target.exists():
         raise ExistsError(f"{target} exists already and is not overwritten; choose another name")
@@ -43,7 +43,7 @@ def new_folder(target: Path) -> Iterator[Path]:
 def _own(unfinished: Path, target: Path) -> int:
     """Create and lock the unfinished folder, and return its descriptor.
 
-    The lock ends with the process, so that the folder of a dead process is free.
+    The lock ends with the process, so that the folder of a dead process is not locked.
     """
     while True:
         unfinished.mkdir(parents=True, exist_ok=True)
@@ -58,7 +58,7 @@ def _own(unfinished: Path, target: Path) -> int:
         with suppress(FileNotFoundError):
             if os.path.samestat(os.fstat(handle), unfinished.stat()):
                 return handle
-        os.close(handle)  # between mkdir and lock, its owner finished and renamed it
+        os.close(handle)  # between mkdir and lock, another process renamed the folder
 
 
 def _clear(folder: Path) -> None:
@@ -83,5 +83,7 @@ def _move(unfinished: Path, target: Path) -> None:
     except OSError as error:
         if error.errno not in (errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR):
             raise
-        raise ExistsError(f"{target} was made by somebody else meanwhile") from None
+        raise ExistsError(
+            f"{target} exists already: another process has created it; choose another name"
+        ) from None
     sync_directory(target.parent)

@@ -22,16 +22,16 @@ from worm_model.bags.recording.recorder import Manifest
 from worm_model.bags.recording.run_manifest import HOST, RUN_RECORD
 
 _PATH = re.compile(r"(?<![\w./])~?/(?:[^\s/'\",;=<>()\[\]{}]+/)+[^\s/'\",;=<>()\[\]{}]*")
-HOST_STANDS_IN = "host"
+HOST_PLACEHOLDER = "host"
 
 
 class Cleaner:
-    """Remover of host name and paths from texts, manifests and messages.
+    """Removes host name and absolute paths from texts, manifests and messages.
 
     Args:
         host: name of the computer, replaced wherever it occurs; empty: unknown.
         topics: topic names. A path that begins with the first part of one of them (the robot's namespace) is a ROS
-            name and stays.
+            name and is not changed.
 
     Attributes:
         changed: number of messages with a replaced text.
@@ -42,7 +42,7 @@ class Cleaner:
         self._roots = {name.lstrip("/").split("/")[0] for name in topics}
         self._host = re.compile(rf"(?<![\w-]){re.escape(host)}(?![\w-])") if host else None
 
-    def know(self, topics: Iterable[str]) -> None:
+    def add_topics(self, topics: Iterable[str]) -> None:
         """Treat paths under the namespaces of further topics as ROS names, too."""
         self._roots.update(name.lstrip("/").split("/")[0] for name in topics)
 
@@ -50,7 +50,7 @@ class Cleaner:
         """Return a text in which each path is replaced by its last part, and the host by a placeholder."""
         if "/" in text:
             text = _PATH.sub(self._last_part, text)
-        return self._host.sub(HOST_STANDS_IN, text) if self._host else text
+        return self._host.sub(HOST_PLACEHOLDER, text) if self._host else text
 
     def _last_part(self, match: re.Match[str]) -> str:
         path = match.group()
@@ -58,7 +58,7 @@ class Cleaner:
         return path if root in self._roots else path.rstrip("/").rpartition("/")[2]
 
     def values(self, values: Mapping[str, str]) -> dict[str, str]:
-        """Return a metadata record with clean texts and without the host."""
+        """Return a metadata record with clean texts and without its entry for the host."""
         return {key: self.text(value) for key, value in values.items() if key != HOST}
 
     def attachment(self, attached: AttachedFile) -> AttachedFile:
@@ -116,10 +116,10 @@ def _clean_texts(content: Any, clean: Callable[[str], str]) -> bool:
 
 
 def clean_bag(bag: Bag, output: Path) -> Cleaner:
-    """Write a bag without host name and paths; return the cleaner.
+    """Write a copy of a bag without host name and absolute paths; return the cleaner.
 
     Raises:
-        BagError: The output exists, or messages cannot be decoded.
+        BagError: The output exists, or a message cannot be decoded.
     """
     host = bag.metadata.get(RUN_RECORD, {}).get(HOST, "")
     cleaner = Cleaner(host, bag.topics)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Copies of bags: a time span, several bags joined, further messages. The same input gives the same bytes."""
+"""Copies of bags: a time span, joined bags, or added messages. Equal inputs produce equal bytes."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ def write_copy(
     Args:
         bags: sources of metadata and attachments.
         output: the new bag.
-        series: messages in order of log time each; at equal times, their order is that of ``series``.
-        topics: topics to list; None: those of ``bags``.
+        series: iterables of messages, each in order of log time. At equal times, the order of the iterables decides.
+        topics: topics to list; None: the topics of ``bags``.
 
     Raises:
         BagError: The output exists, or a topic has no definition.
@@ -46,8 +46,8 @@ def write_copy(
 def trim(bag: Bag, output: Path, first: int, last: int) -> int:
     """Write the messages with log times from ``first`` to ``last`` (ns since the epoch); return their number.
 
-    The last message of each latched topic before the span is included. Its log time is the start of the span, because
-    a subscriber that starts then would receive it.
+    The last message of each latched topic before the span is included, because a subscriber that starts with the span
+    would receive it. Its log time is set to the start of the span.
 
     Raises:
         BagError: The span contains no message, or the output exists.
@@ -56,7 +56,7 @@ def trim(bag: Bag, output: Path, first: int, last: int) -> int:
 
 
 def _within(bag: Bag, first: int, last: int) -> Iterator[Message]:
-    """Yield the messages of a span, preceded by the latched messages that were valid at its start."""
+    """Yield the messages of a span, preceded by the latest earlier message of each latched topic."""
     held: dict[str, Message] = {}
     begun = False
     for message in bag.messages():
@@ -73,7 +73,7 @@ def _within(bag: Bag, first: int, last: int) -> Iterator[Message]:
     if not begun:
         start, end, length = ((time - bag.start) * 1e-9 for time in (first, last, bag.end))
         raise BagError(
-            f"{bag.path} holds no message from {start:.3f} s to {end:.3f} s; it is {length:.3f} s long: give a span "
+            f"{bag.path} holds no message from {start:.3f} s to {end:.3f} s of its {length:.3f} s: give a span "
             "with messages"
         )
 
@@ -81,7 +81,7 @@ def _within(bag: Bag, first: int, last: int) -> Iterator[Message]:
 def merge(bags: Sequence[Bag], output: Path) -> int:
     """Write the messages of all bags in order of log time; return their number.
 
-    At equal times, the order is that of ``bags``.
+    Messages with equal times are in the order of ``bags``.
 
     Metadata and attachments of all bags are included. If bags have metadata of the same name, readers use the last
     record. `worm_model.bags.recording.run_manifest.recorded_parameters` rejects different parameter files.

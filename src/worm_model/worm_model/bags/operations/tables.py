@@ -17,7 +17,7 @@ from worm_model.bags.formats.message_block import Messages, Topic
 LOG_TIME = "log_time_ns"
 TEXT = "text"
 SECONDS, NANOSECONDS = ".sec", ".nanosec"
-MOST_ELEMENTS = 256  # of an array with one column per element; an image is one column of lists
+MOST_ELEMENTS = 256  # a larger array, such as an image, is one column of lists
 
 Kind = str  # numpy's name of a number type, or TEXT
 Rows = Mapping[str, list[Any]]
@@ -47,7 +47,7 @@ class _Field:
     values: list[Any]
 
     def joined(self, other: _Field) -> _Field:
-        """Return an empty field with the kind and width that can represent both."""
+        """Return an empty field with the kind and width that can represent both fields."""
         texts = TEXT in (self.kind, other.kind)
         kind = TEXT if texts else str(np.result_type(self.kind, other.kind))
         widths = [width for width in (self.width, other.width) if width is not None]
@@ -68,9 +68,9 @@ class _Field:
 
 
 def find_tables(bag: Bag, topics: Iterable[str]) -> tuple[list[Table], dict[str, BagError]]:
-    """Return the tables of some topics, and the errors of the others by name.
+    """Return the tables of the topics that can be decoded, and the errors of the other topics by name.
 
-    The whole bag is read once, because sequences may grow within it.
+    Topics without messages have no table. The whole bag is read once, because its sequences may change in length.
     """
     fields: dict[str, dict[str, _Field]] = {name: {} for name in topics}
     failed: dict[str, BagError] = {}
@@ -101,7 +101,7 @@ def _table(topic: Topic, fields: Mapping[str, _Field]) -> Table:
 
 
 def read_tables(bag: Bag, tables: Iterable[Table]) -> Iterator[tuple[Table, Rows]]:
-    """Yield the rows of tables in batches: lists by column name, None if a message lacks the field."""
+    """Yield the rows of tables in batches of lists by column name. If a message lacks a field, its entry is None."""
     by_topic = {table.topic.name: table for table in tables}
     for block in bag.blocks(by_topic):
         for name, messages in block.by_topic():
@@ -152,7 +152,7 @@ def _number_field(values: np.ndarray[Any, Any]) -> _Field:
 
 
 def _element(value: Any, index: int) -> Any:
-    """Return an element of a message's field, None if it has no such element."""
+    """Return an element of a message's field, or None if the field has no such element."""
     if value is None or np.size(value) <= index:
         return None
     return np.ravel(value)[index].item()

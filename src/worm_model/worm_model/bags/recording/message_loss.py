@@ -2,9 +2,9 @@
 """Counter of a topic's lost messages, based on the publishers' sequence numbers.
 
 The middleware numbers the messages of each publisher (1, 2, 3, …) but does not identify the publisher of a number.
-The number of lost messages is the progress of all publishers minus the number of received messages. It does not
-depend on the assignment of similar numbers to publishers. Only a publisher that joins late must not be mistaken for a
-jump of an older one.
+The number of lost messages is the sum of the advances of all publishers minus the number of received messages. If two
+publishers have similar numbers, this sum is correct even if a number is assigned to the wrong one. The counter uses
+the present number of publishers to distinguish a publisher that joins late from lost messages.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ class LossCounter:
         publishers: returns the present number of publishers of the topic; called only for a number out of sequence.
 
     Attributes:
-        lost: messages sent between two received ones.
-        missed: messages that later publishers sent before the first received one.
+        lost: missing messages between two received messages of a publisher.
+        missed: messages that a publisher sent before its first received message, if it joined during the recording.
     """
 
     def __init__(self, publishers: Callable[[], int]) -> None:
         self._publishers = publishers
-        self._heard = 0
-        self._unheard = 0
+        self._received_from = 0  # number of publishers
+        self._outstanding = 0  # publishers from before the recording without a received message
         self._last: list[
             int
         ] = []  # last number of each publisher, the least recently received first
@@ -34,8 +34,8 @@ class LossCounter:
         self.missed = 0
 
     def expect(self, publishers: int) -> None:
-        """Set the number of publishers from before the recording; their earlier messages do not count as missed."""
-        self._unheard = max(publishers - self._heard, 0)
+        """Set the number of publishers that existed before the recording; their earlier messages are not missed."""
+        self._outstanding = max(publishers - self._received_from, 0)
 
     def observe(self, sequence: int) -> None:
         """Record a received message's sequence number (counted by its publisher, from 1)."""
@@ -53,8 +53,8 @@ class LossCounter:
             self.lost += sequence - max(earlier) - 1
             self._last.remove(max(earlier))
         else:
-            self.missed += 0 if self._unheard else sequence - 1
-            self._heard += 1
-            self._unheard = max(self._unheard - 1, 0)
+            self.missed += 0 if self._outstanding else sequence - 1
+            self._received_from += 1
+            self._outstanding = max(self._outstanding - 1, 0)
         while len(self._last) >= publishers:  # numbers of publishers that have ended
             self._last.pop(0)

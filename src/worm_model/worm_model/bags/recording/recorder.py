@@ -45,7 +45,7 @@ class BagRecorder(BagFiles):
 
     Raises:
         ExistsError: The directory exists.
-        OSError: It cannot be created or written.
+        OSError: The directory cannot be created or written.
     """
 
     def __init__(self, directory: Path, manifest: Manifest, options: WriteOptions) -> None:

@@ -18,8 +18,8 @@ from worm_model.bags.opening import is_unclosed
 from worm_model.bags.recording.recorder import BagRecorder, Manifest
 from worm_model.bags.recording.recording_thread import RecordingThread, Tally
 
-TIME_FIELD = "{time}"  # stands in the name of a bag for the time at which its recording begins
-BACKLOG_BYTES = 100 * 2**20  # rosbag2's cache size; also the limit of a ring
+TIME_FIELD = "{time}"  # placeholder in a bag's name for the time at which its recording begins
+BACKLOG_BYTES = 100 * 2**20  # rosbag2's cache size; also the limit of the ring buffer
 
 
 @dataclass(frozen=True)
@@ -27,12 +27,12 @@ class SessionOptions:
     """Content and location of a recording.
 
     Attributes:
-        output: the first bag. The next ones get numbers from 2 on, snapshots ``_snapshot_1`` and so on.
+        output: path of the first bag. Later bags end in ``_2`` and so on, snapshots in ``_snapshot_1`` and so on.
         manifest: returns the manifest of a bag that begins now.
         write: options of writing.
         sync_s: longest time between synchronisations, s.
-        ring_s: length of the ring in memory, s, which is written only on request; 0: all messages are written
-            immediately.
+        ring_s: length of the ring buffer in memory, s. Its messages are written only by `RecordingSession.snapshot`.
+            0: no ring buffer; all messages are written immediately.
     """
 
     output: Path
@@ -80,7 +80,7 @@ class RecordingSession:
 
     @property
     def dropped(self) -> Tally:
-        """Messages of these that were not written to the disk."""
+        """Offered messages that were not written to the disk."""
         return sum((thread.dropped for thread in self._threads), Tally())
 
     def offer(self, messages: Sequence[Message]) -> None:
@@ -92,8 +92,8 @@ class RecordingSession:
         elif self._current is not None:
             self._current.offer(messages)
 
-    def know(self, topics: Iterable[Topic]) -> None:
-        """Add topics, which the present and the following bags list even without messages."""
+    def add_topics(self, topics: Iterable[Topic]) -> None:
+        """Add topics; the present and the following bags list them even without messages."""
         new = [topic for topic in topics if topic not in self._topics]
         self._topics.update(dict.fromkeys(new))
         if self._current is not None:
@@ -139,10 +139,10 @@ class RecordingSession:
         if self._current is None:
             raise BagError("nothing is being recorded")
         self._current.act(BagRecorder.split)
-        return f"{self._current.directory} goes on in a new file"
+        return f"{self._current.directory} continues in a new file"
 
     def snapshot(self) -> str:
-        """Write the content of the ring into a separate bag."""
+        """Write the content of the ring buffer into a separate bag."""
         if not self.options.ring_s:
             raise BagError("there is no ring: record with --snapshot S")
         messages = self._ring.take()
@@ -172,7 +172,7 @@ class RecordingSession:
             recorder.add_metadata(name, values)
         for topic in self._topics:
             recorder.add_topic(topic)
-        limit = BACKLOG_BYTES * (2 if kind else 1)  # a ring is written all at once
+        limit = BACKLOG_BYTES * (2 if kind else 1)  # a snapshot is queued as a whole
         thread = RecordingThread(recorder, self.options.sync_s, limit)
         self._threads.append(thread)
         self.bags.append(directory)
@@ -194,7 +194,7 @@ def after_crash(output: Path) -> Path:
 
 
 class _Ring:
-    """Messages of the last ``length_ns``, at most BACKLOG_BYTES, and the last older one of each latched topic."""
+    """Messages of the last ``length_ns``, at most BACKLOG_BYTES, and the latest older message of each latched topic."""
 
     def __init__(self, length_ns: int) -> None:
         self._length_ns = length_ns
@@ -203,7 +203,7 @@ class _Ring:
         self._latched: dict[str, Message] = {}
 
     def add(self, messages: Sequence[Message]) -> None:
-        """Append messages in the order of reception and remove the oldest ones."""
+        """Append messages in the order of reception, and remove the oldest messages beyond the limits."""
         self._messages.extend(messages)
         self._bytes += sum(len(message.data) for message in messages)
         oldest = self._messages[-1].log_time - self._length_ns
@@ -216,7 +216,7 @@ class _Ring:
                 self._latched[gone.topic] = gone
 
     def take(self) -> list[Message]:
-        """Return all messages and empty the ring, except for the latched messages."""
+        """Return all messages and empty the ring buffer, except for the last message of each latched topic."""
         if not self._messages:
             return []
         messages = [*self._latched.values(), *self._messages]

@@ -38,13 +38,13 @@ class RecordingThread:
     Args:
         recorder: the bag; from now on only the thread uses it.
         sync_s: longest time between synchronisations, s.
-        backlog_bytes: payload that may wait for the disk; messages beyond it are dropped and counted.
+        backlog_bytes: largest payload that may wait for the disk; messages beyond it are dropped and counted.
 
     Attributes:
         offered: messages passed to `offer`.
-        dropped: messages of these that are not in the bag. After an error they include those not synchronised, some
-            of which a recovery may still find, and all of them if the bag was removed.
-        error: error that ended the writing early.
+        dropped: offered messages that are not in the bag. After an error, messages that were not synchronised count
+            as dropped, although a recovery may find some of them. If the bag was removed, all messages count.
+        error: error that ended the writing early, or None.
     """
 
     def __init__(self, recorder: BagRecorder, sync_s: float, backlog_bytes: int) -> None:
@@ -83,7 +83,7 @@ class RecordingThread:
         self._queue.put(None)
 
     def close(self) -> None:
-        """Write the queued messages, close the bag, and wait for it; `error` is then None on success."""
+        """Write the queued messages, close the bag, and wait until the thread ends; `error` is None on success."""
         self.finish()
         self._thread.join()
 

@@ -63,7 +63,7 @@ def run_manifest(
     """Return the manifest of a run that begins now.
 
     Args:
-        parameter_file: stored completely, with its hash; None: the run has none and uses the paper's values.
+        parameter_file: file that the bag stores completely, with its hash; None: the run uses the paper's values.
         seed: seed of the run's random numbers; None: there is none.
         notes: further entries as ``key=value``.
         command: the command line of the recorder.
@@ -101,10 +101,10 @@ def _stored(conditions: Conditions) -> Mapping[str, str]:
 
 
 def recorded_conditions(bag: Bag) -> Conditions:
-    """Return the conditions under which a bag was recorded; level ground if it does not store any.
+    """Return the conditions under which a bag was recorded; `LEVEL` if the bag does not store any.
 
     Raises:
-        ManifestError: They cannot be used, or there are several different ones, as in merged bags.
+        ManifestError: The conditions are invalid, or runs have different conditions, as in merged bags.
     """
     records = [dict(record.values) for record in bag.records if record.name == RUN_RECORD]
     try:
@@ -122,17 +122,17 @@ def recorded_conditions(bag: Bag) -> Conditions:
         raise ManifestError(f"{bag.path}: its conditions cannot be used ({error})") from None
     if len(found) > 1:
         raise ManifestError(
-            f"{bag.path}: its runs were recorded under different conditions; use their own bags"
+            f"{bag.path}: its runs were recorded under different conditions; use one bag per run"
         )
     return found.pop() if found else LEVEL
 
 
 def recorded_robot(bag: Bag, parameter_file: str = "") -> ParameterFile:
-    """Return the parameters with which to judge the runs of a bag, under the conditions of their recording.
+    """Return the parameters for the evaluation of a bag's runs, with the loads of its recorded conditions.
 
     Args:
         bag: an open bag.
-        parameter_file: a parameter file; empty: the one inside the bag, the paper's values if it has none.
+        parameter_file: a parameter file; empty: the file inside the bag, or the paper's values without such a file.
 
     Raises:
         ManifestError: see `recorded_parameters` and `recorded_conditions`.
@@ -149,7 +149,7 @@ def recorded_parameters(bag: Bag) -> ParameterFile | None:
     """Return the parameter file inside a bag, None without one.
 
     Raises:
-        ManifestError: It cannot be used, or there are several different ones, as in merged bags.
+        ManifestError: The file is invalid, or runs have different files, as in merged bags.
     """
     texts = {file.data for file in bag.attachments() if file.name == PARAMETER_ATTACHMENT}
     if not texts:
@@ -162,7 +162,7 @@ def recorded_parameters(bag: Bag) -> ParameterFile | None:
         return parse_parameter_file(yaml.safe_load(texts.pop()))
     except (ParameterError, yaml.YAMLError) as error:
         raise ManifestError(
-            f"{bag.path}: its parameter file cannot be used ({error}); give --parameters"
+            f"{bag.path}: its parameter file cannot be used ({error}); give --parameters FILE"
         ) from None
 
 
@@ -186,7 +186,7 @@ def _notes(notes: Sequence[str]) -> Mapping[str, str]:
 
 
 def is_text(text: str) -> bool:
-    """Return True if a text can be written as UTF-8; an argument with invalid bytes cannot."""
+    """Return True if a text can be written as UTF-8, and False for an argument with invalid bytes."""
     return not any("\ud800" <= character <= "\udfff" for character in text)
 
 
@@ -199,5 +199,5 @@ def _versions() -> Mapping[str, str]:
         try:
             versions[f"version.{package}"] = version(package)
         except PackageNotFoundError:
-            continue  # not installed as a Python distribution, hence without a version
+            continue  # without a Python distribution there is no version
     return versions

@@ -17,8 +17,8 @@ class TopicSelection:
         names: full topic names, always included.
         everything: include all topics that are not hidden.
         regex: pattern of further topics, searched for anywhere in the full name; empty: none.
-        exclude: pattern of topics that `everything` and `regex` leave out, searched for likewise; empty: none.
-        hidden: let `everything` and `regex` include hidden topics, such as an action's feedback.
+        exclude: pattern of topics that `everything` and `regex` do not include, searched for like `regex`; empty: none.
+        hidden: `everything` and `regex` also include hidden topics, such as an action's feedback.
     """
 
     names: frozenset[str] = frozenset()

@@ -50,8 +50,8 @@ class DamagedFile:
         unit: unit in which ``parts`` counts: bytes, or rows of the file's table.
         parts: for each damaged part, its first and last place (exclusive), and the span of log time in which messages
             may be missing (s since the start of the bag; None: open).
-        is_closed: True if it ends like a closed file.
-        cut_off: bytes at its end that are not part of a complete record.
+        is_closed: True if the file ends like a closed file.
+        cut_off: number of bytes at the end of the file that are not part of a complete record.
         missing: number of missing messages by topic; None if neither the summary nor an index
             of the file contains the number.
         contradictions: inconsistencies within the file.
@@ -72,7 +72,7 @@ class DamagedFile:
             until = "to its end" if end is None else f"to {end:.3f} s"
             texts.append(f"{self.unit} {first} to {last} are damaged (recorded {since} {until})")
         if len(self.parts) > _LISTED:
-            texts.append(f"so are {len(self.parts) - _LISTED} further parts")
+            texts.append(f"{len(self.parts) - _LISTED} further parts are damaged")
         if self.cut_off:
             texts.append(f"it is cut off: its last {self.cut_off} bytes are not a whole record")
         elif not self.is_closed:
@@ -96,7 +96,7 @@ class Recovery:
         messages: number of messages in it.
         damaged: files of the old bag that are damaged or inconsistent.
         unreadable: reasons why files of the old bag could not be read, by name.
-        absent: missing files, according to metadata.yaml or to the numbers of the others.
+        absent: names of missing files, according to metadata.yaml or to gaps in the numbers of the present files.
         undeclared: number of messages declared by metadata.yaml minus the number found, by topic, if they differ.
     """
 
@@ -213,7 +213,7 @@ def _silent_topics(path: Path, bag: Bag) -> Iterable[Topic]:
 
 
 def named(path: Path) -> Path:
-    """Return a path whose last part is a name, also for ``.`` and ``..``."""
+    """Return a path whose last part is a name; the path is resolved if it is ``.`` or ends in ``..``."""
     return path.resolve() if path.name in ("", "..") else path
 
 
@@ -242,10 +242,10 @@ def undeclared(path: Path, counts: Mapping[str, int]) -> dict[str, int]:
 
 
 def storage_files(path: Path) -> list[Path]:
-    """Return the files of a bag in their order: first those that metadata.yaml lists, then the others in the folder.
+    """Return the files of a bag: first the files that metadata.yaml lists, then the other files in the folder.
 
     Raises:
-        BagError: There are none.
+        BagError: There are no such files.
     """
     check_readable(path)
     if path.is_file():
@@ -266,7 +266,7 @@ def _named_files(path: Path) -> list[str]:
 
 
 def _absent(path: Path) -> tuple[str, ...]:
-    """Return the missing files of a bag, according to its metadata.yaml and to the numbers of the others."""
+    """Return names of missing files, according to metadata.yaml and to gaps in the numbers of the present files."""
     if path.is_file():
         return ()
     there = {file.name: file for file in storage_files(path)}
@@ -299,7 +299,7 @@ def _is_sqlite(path: Path) -> bool:
 def open_files(
     paths: Iterable[Path], mcap_file: type[McapFile] = McapFile
 ) -> tuple[list[StoredFile], dict[str, str]]:
-    """Open the files that can be opened; return them and the errors of the others by name.
+    """Open the files that can be opened; return them, and the errors of the other files by name.
 
     Args:
         paths: the files.

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Delay of the camera's stamps (the tracker's ``delay_s``), estimated from runs.
 
-The actuation fit estimates the lag of the length behind the command that the body does not explain. The servo's lag
-behind its goals, measured by its encoder, is one part of it. The remainder is the camera's delay.
+The actuation fit estimates how long the measured length lags behind the command, in addition to the body's lag τ. This
+lag is the sum of the servo's lag behind its goals, measured by its encoder, and the camera's delay.
 """
 
 from __future__ import annotations

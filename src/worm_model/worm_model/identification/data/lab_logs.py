@@ -2,10 +2,10 @@
 """Import of a lab's raw logs, one CSV file per instrument, as a run.
 
 A run's folder contains ``camera.csv`` (time_s, x1_m, x2_m; an empty position is an occluded marker), ``power.csv``
-(time_s, bus_voltage_V, current_A) and ``servo.csv`` (time_s, goal_ticks; positive ticks shorten the body, and the
-pretension of a gait counts from 0). At least one of them is required. Times are s since the start of the recording.
-``runs.json`` next to the folder or in it contains each run's gait (stroke_m, frequency_Hz; the other fields of a gait,
-such as direction, margin_m and pretension_m, if they differ from their defaults).
+(time_s, bus_voltage_V, current_A) and ``servo.csv`` (time_s, goal_ticks; positive ticks shorten the body; in a gait
+with pretension, 0 is the goal without tension). At least one of these files is required. Times are s since the start of
+the recording. ``runs.json`` in the folder or next to it contains each run's gait: stroke_m, frequency_Hz, and fields
+that differ from their defaults, such as direction, margin_m and pretension_m.
 """
 
 from __future__ import annotations
@@ -46,11 +46,11 @@ FILES = {
 }
 GAITS_FILE = "runs.json"
 USUAL_ONSET = 2.0  # s, used if the logs do not show the onset
-CONTRACTION_STEPS = 2000  # in which the onset is looked up
+CONTRACTION_STEPS = 2000  # points of the gait's contraction, interpolated to find the onset
 USUAL_SPOOL = 0.012  # m, used if the logs do not show the spool radius
-SPOOL_TOLERANCE = 2e-3  # relative; beyond it a radius and a stroke contradict each other
+SPOOL_TOLERANCE = 2e-3  # largest relative difference between given and estimated radius
 FEWEST_MOVED = 10  # samples that are necessary to estimate the onset
-FEWEST_TICKS = 200  # range of the goal from which the radius is known to half a percent
+FEWEST_TICKS = 200  # smallest range of the goal; it determines the radius to half a percent
 
 
 class LabError(InputError):
@@ -64,9 +64,9 @@ class LabSettings:
     Attributes:
         epoch: stamp of t = 0, ns since the epoch.
         onset: start of the gait, s; None: the time at which the servo's goal leaves its first value.
-        spool_radius: spool radius of the cable servo, m; None: the radius for which its goals give the gait's stroke.
-        initial_length: L0, m; None: the camera's median before the onset, without the effect that the pretension of a
-            gait has on the paper's robot, else `fallback_length`.
+        spool_radius: spool radius of the cable servo, m; None: estimated from the servo's goals and the gait's stroke.
+        initial_length: L0, m; None: median of the camera's lengths before the onset, minus the length change that the
+            pretension causes on the paper's robot; without such lengths, `fallback_length`.
         fallback_length: L0 if no camera measured the body at rest, m.
     """
 
@@ -79,7 +79,7 @@ class LabSettings:
 
 @dataclass(frozen=True)
 class Transmission:
-    """``onset`` in s, ``spool_radius`` in m, and ``remarks`` that explain the source of both."""
+    """``onset`` of a gait in s, ``spool_radius`` in m, and ``remarks`` on the source of these two values."""
 
     onset: float
     spool_radius: float
@@ -141,9 +141,9 @@ def read_lab_run(folder: Path, settings: LabSettings) -> LabRun:
 
 
 def _transmission(table: Table | None, gait: Gait | None, settings: LabSettings) -> Transmission:
-    """Return the given onset and radius, or those estimated from the servo's log, or else the usual ones.
+    """Return onset and spool radius: the given value, else an estimate from the servo's log, else the usual value.
 
-    A remark reports a given radius that contradicts the log.
+    Remarks state the source of a value that was not given, and report a given radius that contradicts the log.
     """
     remarks = []
     command_onset = _onset_of(table, gait) if table is not None else None
@@ -156,12 +156,12 @@ def _transmission(table: Table | None, gait: Gait | None, settings: LabSettings)
     radius = settings.spool_radius
     if radius is None:
         radius = USUAL_SPOOL if spool is None else spool
-        source = "assumed" if spool is None else "with which the servo's goals play the stroke"
+        source = "assumed" if spool is None else "for which the servo's goals produce the stroke"
         remarks.append(f"spool radius {1e3 * radius:.2f} mm, {source}")
     elif spool is not None and abs(radius / spool - 1.0) > SPOOL_TOLERANCE:
         remarks.append(
-            f"spool radius {1e3 * radius:.2f} mm as given, but the servo's goals play the stroke of the gait with "
-            f"{1e3 * spool:.2f} mm: one of them is wrong, and K is off by as much"
+            f"spool radius {1e3 * radius:.2f} mm as given, but the servo's goals produce the gait's stroke with "
+            f"{1e3 * spool:.2f} mm: radius or stroke is wrong, and K has the same relative error"
         )
     return Transmission(onset, radius, tuple(remarks))
 
@@ -194,7 +194,7 @@ def _contraction(goal_ticks: Array, gait: Gait | None) -> Array:
 
 
 def _spool_of(table: Table, gait: Gait) -> float | None:
-    """Return the radius (m) for which the goals give a gait's stroke, or None if the log is too short.
+    """Return the radius (m) for which the goals produce a gait's stroke, or None if the log is too short.
 
     The radius is rounded to a tenth of a millimetre if the rounding of the goals permits this value.
     """
@@ -294,7 +294,7 @@ def read_gait(folder: Path) -> Gait | None:
     except KeyError as error:
         raise LabError(f"{path} lacks {error} of {name}") from None
     except GaitError as error:
-        raise LabError(f"{path}: the gait of {name} is not one: {error}") from None
+        raise LabError(f"{path}: the gait of {name} is invalid: {error}") from None
     except (OSError, ValueError, TypeError, AttributeError) as error:
         raise LabError(f"{path} is not a list of gaits by run: {error}") from None
 
@@ -330,7 +330,7 @@ def _commanded(
 
 
 def _measured(table: Table, initial_length: float, settings: LabSettings) -> LengthSamples:
-    """Return the length samples as the tracker publishes them; an occluded marker gives no sample."""
+    """Return the length samples as the tracker publishes them, without the rows with an occluded marker."""
     length = table["x2_m"] - table["x1_m"]
     known = np.isfinite(length)
     stamp = _stamp(table, settings)

@@ -3,9 +3,9 @@
 
 A filter wide enough for the camera's noise would smooth the corners that the slack causes. Therefore only the
 difference between the measured length and the run's actuation fit is smoothed (a parabola through the samples within
-± HALF_WINDOW, `simulation.smoothing`), and the fit is added back. Where the model is correct nothing is lost; where it
-is wrong the result follows the camera with the filter's bandwidth. The rate is treated in the same way. Gaps are
-filled by the fit.
+± HALF_WINDOW, `simulation.smoothing`), and the fit is added back. Where the model is correct, nothing is lost. Where
+the model is wrong, the result follows the camera with the filter's bandwidth. The rate is computed in the same way. In
+gaps of the camera, the difference is interpolated linearly.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class MeasuredLength:
         step: time step, s.
         time, length_change, rate: s, m, m/s, shape (n,); at rest at the first step.
         initial_length: L0, m.
-        initial_spread: standard deviation of L0, m: of the mean length at rest and of the effect of a pretension.
+        initial_spread: standard deviation of L0, m, due to the mean length at rest and to the effect of a pretension.
         misfit: measured length minus the run's actuation fit, m, shape (samples,).
         outliers: mask of the excluded lengths, shape (samples,).
     """
@@ -93,7 +93,7 @@ def measured_length(recording: Recording) -> MeasuredLength:
 
 
 def _spread_by_pretension(recording: Recording, fit: ActuationFit) -> float:
-    """Return the standard deviation (m) that L0 has because a fit of this run subtracts the effect of a pretension."""
+    """Return the standard deviation (m) of L0 that results from subtracting the fitted effect of a pretension."""
     if recording.gait.pretension == 0.0:
         return 0.0
     return float(own_deviations(actuation_problem([recording]), fit.solution, INITIAL_LENGTH)[0])

@@ -28,29 +28,33 @@ from worm_model.run import (
 from worm_model.simulation.actuation import resting_change
 from worm_model.simulation.simulator import Locomotion
 
-# ns before the onset, for a recording without the begin of the rest
+# ns before the onset that are read if the recording does not contain the beginning of the rest
 LONGEST_REST = 3_000_000_000
 FEWEST_SAMPLES = 20  # smallest number of samples of an instrument
-SAME_PLACE = 4e-3  # m between two starts, half the paper's clearance, within which no fin is bent
+# m, largest distance of starts that count as the same place; about half the paper's clearance
+SAME_PLACE = 4e-3
 TENSIONED = 5e-4  # m, deviation from a pretension within which the cable has reached it
-TENSIONED_REST = (
-    800_000_000  # ns after which the body rests, five time constants; a driver rests longer
-)
-MOST_MISFIT = 1e-3  # m, between the commanded lengths and those of the recorded gait
+# ns from reaching the pretension until the body rests: five time constants; a driver waits longer
+TENSIONED_REST = 800_000_000
+MOST_MISFIT = 1e-3  # m, largest deviation of the commanded lengths from the recorded gait
 
 
 @dataclass(frozen=True)
 class Recording:
-    """Run. Times are in s from the onset by the stamps of each instrument, whose clocks may be ms apart.
+    """Data of one run. Times are in s from the onset by the stamps of each instrument; the clocks may differ by ms.
 
-    ``camera_time``, ``x1``, ``x2`` (n,): m, NaN where a marker is hidden, x1 counted from its rest before the onset.
-    A pretension has moved the rear module to that rest.
-    ``command_time``, ``command`` (m,): s and m, u_cmd from the onset on, first that of the rest at time 0.
-    ``start`` m: position of the rear module in the camera's frame before the cable was tensioned, which shows whether
-    runs began in the same grooves.
-    ``cable_time``, ``cable`` (k,): s and m, length change by the servo's encoder, empty if it was not recorded.
-    ``power_time``, ``power`` (p,): s and W, empty if it was not recorded. ``sources``: SHA-256 by file. ``date``:
-    UTC of the first stamp. ``remarks``: what was excluded or assumed.
+    Attributes:
+        name, gait: name of the run and its gait.
+        camera_time, x1, x2: s and m, shape (n,); NaN where a marker is hidden. Positions are relative to the rear
+            module at rest before the onset, after a pretension has moved it.
+        command_time, command: s and m, shape (m,): u_cmd from the onset on, beginning with its value at rest at time 0.
+        power_time, power: s and W, shape (p,); empty if not recorded.
+        cable_time, cable: s and m, shape (k,): length change by the servo's encoder; empty if not recorded.
+        sources: SHA-256 by file.
+        date: UTC of the first stamp.
+        remarks: excluded data and assumptions.
+        start: position (m) of the rear module in the camera's frame before the cable was tensioned. Runs with similar
+            values began in the same grooves.
     """
 
     name: str
@@ -88,11 +92,10 @@ class Recording:
 def recordings_of(
     run: Run, name: str, sources: Mapping[str, str] | None = None, date: str = ""
 ) -> tuple[Recording, ...]:
-    """Return the first gait's recording, and those of the later gaits that began at the same place.
+    """Return the recordings of the first gait and of the later gaits that began within SAME_PLACE of the first.
 
-    The others are excluded, with a remark, because their fins start bent by an unknown amount. Raises
-    `IdentificationError` if a topic other than power is missing or too short, or if the first gait does not
-    begin at rest.
+    Gaits that began elsewhere are excluded, with a remark, because their fins start bent by an unknown amount. Raises
+    `IdentificationError` if tracker, commanded lengths or gait states are missing, or if the first gait is unusable.
     """
     _check_topics(run, name)
     runs = run.gait_state.rows_of_runs()
@@ -118,7 +121,7 @@ def recordings_of(
             remarks.append(
                 f"gait {number} ({1e3 * recording.gait.stroke:g} mm, {recording.gait.frequency:g} Hz) is excluded: "
                 "it begins "
-                f"{1e3 * apart:+.0f} mm from the first, with fins still bent by the gait before"
+                f"{1e3 * apart:+.0f} mm from the first gait, with fins still bent by the previous gait"
             )
     return (replace(kept[0], remarks=tuple(remarks)), *kept[1:])
 
@@ -129,7 +132,7 @@ def recording_of(run: Run, name: str) -> Recording:
 
 
 def _recording(run: Run, row: int, name: str) -> Recording:
-    """Return the recording of the gait whose first playing message is a row of the states."""
+    """Return the recording of the gait that begins with a ``row`` of the gait states."""
     states = run.gait_state
     gait = replace(states.gait(row), margin=0.0)
     onset = int(states.onset[row])
@@ -173,7 +176,7 @@ def _check_topics(run: Run, name: str) -> None:
     }
     for topic, stamp in topics.items():
         if not stamp.size:
-            raise IdentificationError(f"{name}: has no {topic}: record that topic too")
+            raise IdentificationError(f"{name}: contains no {topic}; record this topic")
 
 
 def _check_sizes(recording: Recording) -> None:
@@ -190,7 +193,7 @@ def _check_sizes(recording: Recording) -> None:
 
 
 def _span(states: GaitStates, row: int) -> tuple[int, int]:
-    """Return the stamps from the rest before the gait of a row to the gait's end."""
+    """Return two stamps: the beginning of the rest before the gait of a row, and the end of the gait."""
     onset = int(states.onset[row])
     rests = states.stamp[(states.state == RESTING) & (states.stamp <= onset)]
     first = int(rests[-1]) if rests.size else onset - LONGEST_REST
@@ -201,7 +204,7 @@ def _span(states: GaitStates, row: int) -> tuple[int, int]:
 
 
 def _rest_under_pretension(commanded: LengthSamples, gait: Gait, onset: int, first: int) -> int:
-    """Return the stamp from which the body rests under the pretension of a gait, ``first`` if it did so before."""
+    """Return the stamp from which the body rests under a gait's pretension; ``first`` if it rests from the start."""
     off = np.abs(commanded.length_change + gait.pretension) > TENSIONED
     before = commanded.stamp[off & (commanded.stamp <= onset)]
     return int(before.max()) + TENSIONED_REST if before.size else first
@@ -213,7 +216,7 @@ def _onset_shift(time: Array, command: Array, gait: Gait, name: str) -> float:
     def misfit(shift: Array) -> Array:
         return 1e3 * (command - gait.command(np.maximum(time - shift[0], 0.0)))
 
-    played = time < time[-1] - 0.25 * gait.period  # a run's last moments may be its stop
+    played = time < time[-1] - 0.25 * gait.period  # the last commands may belong to the stop
     fit = least_squares(
         lambda shift: misfit(shift)[played], [0.0], x_scale=[0.01], loss="soft_l1", diff_step=1e-3
     )
@@ -221,13 +224,13 @@ def _onset_shift(time: Array, command: Array, gait: Gait, name: str) -> float:
     if worst > MOST_MISFIT or abs(fit.x[0]) > 0.25 * gait.period:
         raise IdentificationError(
             f"{name}: the commanded lengths are not the gait of {gait.stroke:g} m at "
-            f"{gait.frequency:g} Hz that the bag names; correct the gait"
+            f"{gait.frequency:g} Hz that the bag states; correct the gait"
         )
     return float(fit.x[0])
 
 
 def _from_onset(recording: Recording) -> Recording:
-    """Return the recording with commands from the onset on; the first is that of the rest."""
+    """Return the recording with commands from the onset on, beginning with the command at rest."""
     after, turned = recording.command_time > 0.0, recording.cable_time > 0.0
     first = np.zeros(int(turned.any()))  # only for a recorded encoder
     rest = 0.0 - recording.gait.pretension
@@ -258,7 +261,8 @@ def _counted_from_rest(recording: Recording) -> Recording:
 def _moved_by_pretension(recording: Recording) -> float:
     """Return the distance (m) by which a pretension has moved the rear module of the paper's robot.
 
-    That of this robot is not known yet. The difference is below a millimetre, which `SAME_PLACE` permits.
+    The parameters of the recorded robot are not known yet. The resulting error is below a millimetre, which
+    `SAME_PLACE` permits.
     """
     change = resting_change(recording.gait, PAPER)
     length = float(np.median(recording.length[recording.at_rest])) - change

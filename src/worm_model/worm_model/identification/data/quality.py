@@ -17,14 +17,14 @@ LONGEST_GAP = 1.0  # s without a length; longer gaps are reported
 FOLLOWS = 0.4  # smallest ratio of realised to commanded range of a body that follows its command
 POWER_GAP = 8.0  # reported gap between power samples, in median intervals
 ASTRAY = 10.0  # largest deviation from the actuation fit, in units of the camera's noise
-LEAST_ASTRAY = 1.5e-3  # m, lower bound of that deviation
+LEAST_ASTRAY = 1.5e-3  # m, lower bound of the largest deviation
 FEWEST_POWER = 10  # smallest number of power samples over the five ridges
 POWER_SPAN = 0.9  # smallest share of the time over the five ridges with power samples
-AVERAGED = 9  # samples, window of the median
+AVERAGED = 9  # samples in the window of the moving median
 
 
 def follows_command(recording: Recording, length: MeasuredLength) -> str:
-    """Return why a run must be excluded because its body did not follow the cable; empty if it did.
+    """Return the reason to exclude a run whose body did not follow its command; empty if the body followed.
 
     Possible causes are a stuck servo, a slipped cable and a tracker that confuses its markers.
     """
@@ -58,7 +58,7 @@ def follows_command(recording: Recording, length: MeasuredLength) -> str:
 def usable(
     recordings: Sequence[Recording], lengths: Sequence[MeasuredLength]
 ) -> tuple[list[int], list[str]]:
-    """Return the indices of the usable runs and the reasons why the others are excluded.
+    """Return the indices of the usable runs and the reasons why the other runs are excluded.
 
     Raises:
         IdentificationError: No run is usable.
@@ -77,11 +77,11 @@ def remarks(recording: Recording, length: MeasuredLength, traverse: Traverse) ->
     gap = longest_gap(recording)
     if hidden or gap > 3.0 * float(np.median(np.diff(recording.camera_time))):
         texts.append(
-            f"{hidden} camera samples with a hidden marker, longest gap {gap:.2f} s: x1 is compared where it is "
-            "visible, and the run's actuation fit fills the gaps of the length"
+            f"{hidden} camera samples with a hidden marker, longest gap {gap:.2f} s: x1 is compared where its marker "
+            "is visible, and the run's actuation fit fills the gaps of the length"
         )
     if gap > LONGEST_GAP:
-        texts.append(f"the gap of {gap:.1f} s is long: the length in it is uncertain")
+        texts.append(f"the length within the long gap of {gap:.1f} s is uncertain")
     outliers = int(np.sum(length.outliers))
     if outliers:
         texts.append(f"{outliers} lengths excluded as outliers")
@@ -113,15 +113,15 @@ def starts_apart(recordings: Sequence[Recording]) -> list[str]:
 
 
 def power_missing(recording: Recording, traverse: Traverse) -> str:
-    """Return why a run's energy over its five ridges is unknown; empty if it is known."""
+    """Return the reason why a run's energy over its five ridges is unknown; empty if it is known."""
     begin, end = max(0.0, float(traverse.length.time[0])), traverse.end
     time = recording.power_time
     times = time[(time >= begin) & (time <= end)]
     if times.size >= FEWEST_POWER and times[-1] - times[0] >= POWER_SPAN * (end - begin):
         return ""
-    what = f"from {times[0]:.1f} to {times[-1]:.1f} s" if times.size else "nowhere"
+    covered = f" from {times[0]:.1f} to {times[-1]:.1f} s" if times.size else ""
     return (
-        f"{recording.name}: {times.size} power samples, {what}, in the {end:.1f} s over five ridges: the run is "
+        f"{recording.name}: {times.size} power samples{covered} in the {end:.1f} s over five ridges: the run is "
         "excluded from the estimation of c_b and α_P"
     )
 

@@ -88,7 +88,7 @@ def prepared_validation(
             )
         if recording.name in names:
             raise IdentificationError(
-                f"two validation runs are called {recording.name}: name it once, or rename one of them"
+                f"two validation runs are called {recording.name}: list the run once, or rename one of the two runs"
             )
         names.add(recording.name)
     if not recordings:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Plausibility check of the pitch from x1: a robot advances by whole grooves per cycle.
 
-At two times one period apart the rear module has the same position in its groove, so that the distance is n·d. This
-detects a wrong given pitch, which would bias all other estimates because the front fin starts L0/d ≈ 17 grooves ahead
-of the rear fin.
+After one period, the rear module has the same position in its groove again, so that it has advanced by n·d. The check
+detects a wrong given pitch. Such a pitch would bias all other estimates, because the front fin starts L0/d ≈ 17 grooves
+ahead of the rear fin.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from worm_model.identification.data.observed_run import Recording
 from worm_model.identification.identification_errors import IdentificationError
 
-# Largest deviation from whole grooves, in pitches; beyond it a fin was moving at one of the two times.
+# Largest deviation from whole grooves, in pitches per groove of the stride. Beyond it a fin was moving at one of the
+# two times.
 SLIPPING = 0.15
 FEWEST = 20  # smallest number of samples
 # Relative to the pitch: three times the error of strides on a robot with varying grooves.
@@ -34,7 +35,7 @@ def pitch_of_strides(recording: Recording, pitch: float) -> float:
 
 
 def _strides(recording: Recording) -> NDArray[np.float64]:
-    """Return the advance over one period (m) after each camera sample between the first and the last cycle."""
+    """Return the advance (m) over the period after each camera sample, without the first and the last cycle."""
     known = np.isfinite(recording.x1)
     time, x1 = recording.camera_time[known], recording.gait.direction * recording.x1[known]
     if time.size < FEWEST:

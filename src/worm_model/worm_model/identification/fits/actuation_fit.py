@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stage 5: slack δ_s, gain K and time constant τ to commanded and measured ΔL (eq:actuation_identification_cost).
+"""Stage 5: fit of slack δ_s, gain K and time constant τ to the measured ΔL (eq:actuation_identification_cost).
 
 Each run also has nuisance parameters: its initial length L0, the offset between the clocks of camera and servo, and the
-time at which the slack is taken up (at the first pull in the model, a little later on a robot). A pretension has taken
-it up before the onset.
+time at which the slack is taken up (at the first pull in the model, a little later on a robot). With a pretension, the
+slack is already taken up at the onset.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def predicted_length_change(
 ) -> Array:
     """Return ΔL (m) at the camera's ascending ``times`` (n,) in s for (δ_s, K, τ).
 
-    Before the engagement (s), ΔL is that of the rest. A gait with pretension has no engagement.
+    Until the engagement (s after the onset), ΔL has its value at rest. For a gait with pretension it is ignored.
     """
     slack, gain, time_constant = map(float, values)
     actuator = Actuator(gain, slack, time_constant)
@@ -121,7 +121,7 @@ def actuation_problem(recordings: Sequence[Recording], known_noise: float = 0.0)
 
 
 def _slack_length(recording: Recording) -> float:
-    """Return L0 (m) from the length at rest, with the paper's effect of a pretension."""
+    """Return L0 (m): the length at rest minus the length change by a pretension on the paper's robot."""
     return float(np.median(recording.length[recording.at_rest])) - resting_change(
         recording.gait, PAPER
     )

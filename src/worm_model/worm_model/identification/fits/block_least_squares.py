@@ -21,7 +21,7 @@ Residuals = Callable[[int, Array, Array], Array]
 HUBER = 2.5  # residuals above this count by their absolute value instead of their square
 MOST_ITERATIONS = 40
 MOST_DAMPING = 1e6
-NARROW = 0.15  # factor on the steps of the derivatives after the wide steps make no progress
+NARROW = 0.15  # factor on the derivative steps, applied when the full steps make no progress
 INFORMATIVE = 0.5  # ratio to the prior deviation above which an estimate is mostly prior
 TOLERANCE = 1e-6  # relative decrease of the cost at which a fit has converged
 
@@ -84,7 +84,7 @@ def solve(
     weights: Sequence[Array] | None = None,
     iterations: int = MOST_ITERATIONS,
 ) -> Solution:
-    """Return the local minimum near a start; ``weights`` of the samples of each run are 1 by default."""
+    """Return the local minimum near the start ``shared``, ``own``; all samples have weight 1 without ``weights``."""
     state = evaluate(problem, np.array(shared, float), np.array(own, float), weights)
     damping, width = 1e-3, 1.0
     for _ in range(iterations):
@@ -107,9 +107,9 @@ def _best_step(
     damping: float,
     weights: Sequence[Array] | None,
 ) -> tuple[Solution, float]:
-    """Return the state after a step that lowers the cost (or the same state), and the next damping.
+    """Return the state after a step that lowers the cost, and the next damping; the same state if no step does.
 
-    Parameters at a bound whose gradient points outside are fixed.
+    A parameter is fixed if it is at a bound and the step would cross this bound.
     """
     free = _free(problem, state, gradient)
     part = matrix[np.ix_(free, free)]
@@ -150,7 +150,7 @@ def _clipped(values: Array, quantities: Sequence[Quantity]) -> Array:
 def evaluate(
     problem: Problem, shared: Array, own: Array, weights: Sequence[Array] | None = None
 ) -> Solution:
-    """Return the state at given parameters."""
+    """Return residuals and cost at given parameters."""
     residuals = tuple(problem.residuals(run, shared, own[run]) for run in range(len(problem.own)))
     cost = sum(
         float(np.sum(_huber(r) if weights is None else weights[run] * _huber(r)))
@@ -234,7 +234,8 @@ def own_deviations(
 ) -> Array:
     """Return the standard deviations, shape (runs,), of the nuisance parameter ``entry`` of each run, in its unit.
 
-    They follow from the curvature of the cost, which must be continuous in it, with all other parameters free.
+    They follow from the curvature of the cost, with all other parameters free. The cost must be continuous in the
+    nuisance parameter.
     """
     matrix, _ = normal_equations(problem, solution, weights)
     own = solution.own.shape[1]
@@ -243,5 +244,5 @@ def own_deviations(
 
 
 def informative(deviation: Array, prior: float) -> Array:
-    """Return the deviations; NaN where the data add little to the ``prior`` deviation."""
+    """Return the standard deviations; NaN where the data add little to the ``prior`` standard deviation."""
     return np.where(deviation <= INFORMATIVE * prior, deviation, np.nan)

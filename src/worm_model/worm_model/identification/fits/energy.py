@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Stage 7: bellows damping c_b and power factor α_P from accumulated energy (eq:energy_identification_cost).
 
-P = P_idle + α_P·max(−F_c·L̇, 0), or max(F_c, 0) in the place of F_c for a cable that cannot push, with
-F_c = H + k_b(L_free − L) − c_b·L̇ (eq:Fc). H, the force of inertia, friction and fin on the
-rear module, comes from the locomotion fit, L and L̇ from the measured length. The offset between the clocks of power
-sensor and camera is a nuisance parameter of each run.
+P = P_idle + α_P·max(−F_c·L̇, 0) with F_c = H + k_b(L_free − L) − c_b·L̇ (eq:Fc). For a cable that cannot push,
+max(F_c, 0) replaces F_c. H is the force of inertia, friction and fin on the rear module, from the locomotion fit. L and
+L̇ are the measured length and its rate. The offset between the clocks of power sensor and camera is a nuisance parameter
+of each run.
 """
 
 from __future__ import annotations
@@ -165,6 +165,6 @@ def fit_energy(
 
 
 def unseen_energy(damping: float, factor: float) -> EnergyFit:
-    """Return a fit with given values, for no runs."""
+    """Return a fit to no runs that contains the given values."""
     nothing = Solution(np.array([damping, factor]), np.empty((0, 1)), (), 0.0)
     return EnergyFit(damping, factor, np.empty(0), (), nothing)

@@ -25,8 +25,8 @@ LEFT_OPEN = "its interval is wider than half its value; add longer runs or runs 
 class Estimate:
     """Estimated ``value`` with 95 % bounds ``low`` and ``high`` in the parameter's unit.
 
-    If the data do not determine the parameter, ``identifiable`` is False and the bounds are NaN. The value is then a
-    given one, depends on given ones, or is only the best fit; ``note`` states which and why.
+    If the data do not determine the parameter, ``identifiable`` is False and the bounds are NaN. The value is then
+    given, depends on given values, or is only the best fit. ``note`` states which of these applies, and why.
     """
 
     value: float
@@ -80,9 +80,9 @@ def follow_profile(
     guess: float,
     reach: float = np.inf,
 ) -> float:
-    """Return where a profile exceeds its minimum by ``rise``, on one side of ``best``.
+    """Return the position on one side of ``best`` at which a profile exceeds its minimum by ``rise``.
 
-    Each step assumes a parabola.
+    Each step of the search assumes a parabola.
 
     Args:
         cost: cost above the minimum as a function of the parameter.
@@ -92,7 +92,7 @@ def follow_profile(
         reach: largest offset to evaluate.
 
     Returns:
-        The position; infinite if the cost never rises that far. At a discontinuity, its far side.
+        The position; infinite if the cost rises by less. At a discontinuity, the position on its far side.
     """
     offset, low, high = min(abs(guess), reach), 0.0, np.inf
     for _ in range(MOST_STEPS):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Cable force without its damping term along each run, and draws of it within its uncertainty."""
+"""Cable force of each run without the damping term, and random draws of this force within its uncertainty."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Forces:
     """Forces F_c + c_b·L̇ = H + k_b(L_free − L) of each run at the times of its length.
 
     Attributes:
-        holding: H (N) of the best fit and of fits one standard deviation away, for each run.
+        holding: H (N) by fit and run; the first fit is the best, the further fits are one standard deviation away.
         change: ΔL of each run, m.
         initial_length: L0 of each run, m, shape (runs,).
         stiffness, stiffness_deviation: k_b with standard deviation, N/m.

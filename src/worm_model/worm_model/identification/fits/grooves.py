@@ -44,7 +44,7 @@ FIRST_SCATTER = (1e-4, 0.02)  # m and 1, start of the search for the scatter
 LEAST_SCATTER = (1e-6, 1e-4)  # smaller scatter counts as none
 STEPS = (3e-5, 0.01)  # of numerical derivatives by deviations, m and 1
 SCANNED = np.linspace(-6e-4, 6e-4, 13)  # m, tested deviations of a threshold
-ROUNDS = 4  # of linearisation
+ROUNDS = 4  # number of linearisations
 INNER_ROUNDS = 300
 
 
@@ -125,7 +125,7 @@ def fit_grooves(traverses: Sequence[Traverse], known: Known, start: Solution) ->
 
 
 def fit_uneven(build: Build, start: Solution) -> GrooveFit:
-    """Estimate scatter, deviations and the parameters before them, starting from a solution with even grooves.
+    """Estimate scatter, deviations and the other parameters, starting from a solution with even grooves.
 
     ``build`` returns the problem for given places and scatter; its last shared parameters are the deviations.
     """
@@ -143,7 +143,7 @@ def fit_uneven(build: Build, start: Solution) -> GrooveFit:
 
 
 def _scanned(problem: Problem, solution: Solution, places: NDArray[np.int64]) -> Solution:
-    """Return the best solution with another threshold of single grooves.
+    """Return the best solution after trying other thresholds of single grooves.
 
     A switch that just fails or just happens is a jump of the cost, which no gradient shows.
     """
@@ -159,7 +159,7 @@ def _scanned(problem: Problem, solution: Solution, places: NDArray[np.int64]) ->
 
 
 def _passed(build: Build, start: Solution) -> NDArray[np.int64]:
-    """Return the places of the deviations that affect the residuals, those of the grooves passed."""
+    """Return the places of the deviations that affect the residuals, which belong to the grooves that runs pass."""
     places = np.argwhere(np.ones((2, ROWS, GROOVE_COLUMNS)))  # all possible deviations
     problem = build(places, Scatter(*FIRST_SCATTER))
     first = start.shared.size
@@ -212,13 +212,13 @@ def _learned_scatter(
 def held(
     traverses: Sequence[Traverse], known: Known, fit: GrooveFit, entry: int, value: float
 ) -> Solution:
-    """Return the solution with one of the means fixed at a value and all others fitted again."""
+    """Return the solution with one of the means fixed at a value and all other parameters fitted again."""
     problem = groove_problem(traverses, known, fit.places, fit.scatter)
     return fixed_at(problem, fit.solution, entry, value)
 
 
 def fixed_at(problem: Problem, solution: Solution, entry: int, value: float) -> Solution:
-    """Return the solution with one of the shared parameters fixed at a value and all others fitted again."""
+    """Return the solution with one shared parameter fixed at a value and all other parameters fitted again."""
     shared = np.delete(solution.shared, entry)
     found = solve(with_fixed(problem, entry, value), shared, solution.own, iterations=8)
     prior = prior_cost([value], [problem.shared[entry]])

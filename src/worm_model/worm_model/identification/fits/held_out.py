@@ -23,7 +23,7 @@ FEWEST = 2  # smallest number of runs for leaving one out
 
 
 def run_errors(run: Run, parameters: Parameters, clock_offset: float) -> Errors:
-    """Return the errors of one run; ``clock_offset`` (s) of the camera behind the servo is that of other runs."""
+    """Return the errors of one run; ``clock_offset`` (s) of the camera as in `ActuationFit`."""
     prediction = predict(run.recording, run.traverse, parameters, clock_offset)
     return errors(run.recording, run.traverse, prediction)
 
@@ -40,9 +40,10 @@ def leave_one_out(
     """Return the errors by run with the parameters of the other runs, and with the paper's table.
 
     Stages 4 to 7 are repeated without each run in turn, starting from the fit to all runs. c_b is fixed if it is not
-    identifiable. Three quantities are not estimated again: the forces in the energy fit and the scatter of the grooves
-    are those of the fit to all runs, and a run's length is smoothed with a fit to that run. Both results use the
-    camera's clock offset from the other runs. With a single run the first result is empty.
+    identifiable. Three quantities are not estimated again. The forces in the energy fit and the scatter of the grooves
+    come from the fit to all runs, and a run's length is smoothed with a fit to that run. Both results use the camera's
+    mean clock offset of the other runs. With a single run, the first result is empty, and the second uses the run's own
+    offset.
     """
     if len(runs) < FEWEST:
         offset = float(actuation.clock_offset.mean())

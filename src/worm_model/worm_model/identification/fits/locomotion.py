@@ -10,10 +10,10 @@ refines the deepest valleys. The nuisance parameters are:
   the bent fins: up to (D1 + D2)/(k_eng + k_dis) from it
 - the pitch: the front fin starts L0/d ≈ 17 grooves ahead of the rear one, so that an error of 0.05 mm in d moves its
   start by almost 1 mm
-- the onset: the length starts with a finite rate (eq:slack_clip). With the paper's v1(0) = 0 the centre of mass is
-  0.1 mm away from that of a robot, whose modules share that rate
+- the onset: the length starts with a finite rate (eq:slack_clip), which the modules of a robot share. The paper's
+  v1(0) = 0 shifts the centre of mass by 0.1 mm
 
-The kernel computes x1 without steps. Cubics between every fourth sample of the length suffice for it (`KNOTS`).
+The kernel computes x1 without time steps, for a length given by cubics between every fourth sample (`KNOTS`).
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from worm_model.identification.fits.robust import noise_of
 from worm_model.identification.identification_errors import IdentificationError
 from worm_model.parameters import ParameterError, Parameters
 from worm_model.simulation.kernel import march
-from worm_model.simulation.kernel.grooves import GROOVE_COLUMNS
+from worm_model.simulation.kernel.grooves import EVEN
 from worm_model.simulation.kernel.whole_run import run_from_rest
 from worm_model.simulation.rows import parameter_rows
 from worm_model.simulation.smoothing import Smoothed
@@ -51,7 +51,6 @@ REFINED = 4  # number of these fits that are completed
 FIRST_DRY = (0.05, 0.05)  # N, start of the search for dry friction
 FIRST_ONSET = 0.5
 LOST = 1e3  # residual of each sample if the anchors switch endlessly
-EVEN = np.zeros((1, GROOVE_COLUMNS))
 KNOTS = 4  # samples of the length between the knots of its cubics, 32 ms
 SHARED = (
     "viscous_friction",
@@ -67,7 +66,7 @@ TRIED_PITCHES = (-1.5, 0.0, 1.5)  # starts of a fit, in standard deviations from
 
 @dataclass(frozen=True)
 class Known:
-    """Inputs of stage 4: ``parameters`` that it does not estimate, and the uncertainty of their pitch.
+    """Inputs of stage 4: given ``parameters``, and the uncertainty of the given pitch.
 
     ``pitch_deviation`` is the standard deviation of the given pitch in m; 0 fixes the pitch.
     """
@@ -80,7 +79,7 @@ class Known:
 class Traverse:
     """Run over the five ridges: camera samples ``time`` (n,) s, ``x1`` (n,) m, and the length that drives it.
 
-    ``noise`` (m) is that of the camera. ``end`` (s) is the end of the traverse; ``complete`` is True if the run reached
+    ``noise`` (m) is the camera's noise. ``end`` (s) is the end of the traverse; ``complete`` is True if the run passed
     five ridges.
     """
 
@@ -94,7 +93,7 @@ class Traverse:
 
     @cached_property
     def sampled(self) -> Array:
-        """Times at which x1 is compared, after that of the rest, shape (n + 1,)."""
+        """Time of the rest, followed by the times at which x1 is compared, s, shape (n + 1,)."""
         return np.append(self.length.time[0], self.time)
 
     @property
@@ -152,9 +151,9 @@ class Worm(NamedTuple):
 
 
 def worm_of(parameters: Parameters) -> Worm:
-    """Return a robot without dry friction, on whose cable the body exerts no force.
+    """Return the robot without dry friction, and without the bellows, which do not affect x1 for a given length.
 
-    Raises `ParameterError` under a load.
+    Raises `ParameterError` if a load is not zero.
     """
     for key in ("rear_load", "front_load"):
         if getattr(parameters, key) != 0.0:
@@ -177,7 +176,7 @@ def follow(
     rear_grooves: Array = EVEN,
     front_grooves: Array = EVEN,
 ) -> Array | None:
-    """Return the kernel's samples at ascending ``times`` (n,) in s of the length; None on chatter."""
+    """Return the kernel's samples at ascending ``times`` (n,) in s; None if the anchors switch endlessly."""
     breaks, coefficients = traverse.form
     samples = np.empty((times.size, march.SAMPLE_COLUMNS))
     samples[:, march.TIME] = times
@@ -261,7 +260,7 @@ def locomotion_problem(traverses: Sequence[Traverse], known: Known) -> Problem:
 
 
 def least_threshold(parameters: Parameters) -> float:
-    """Return the threshold (m) below which a fin would switch back at once, or never touch."""
+    """Return the smallest threshold (m). Below it, a fin would switch back at once, or switch without touching."""
     return 0.5 * max(parameters.pitch, parameters.clearance) + 1e-4
 
 
@@ -279,7 +278,7 @@ def search(
     known: Known,
     progress: Callable[[float], None] | None = None,
 ) -> Landscape:
-    """Return J_loc without dry friction over all admissible pairs, with the given pitch and the measured L0."""
+    """Return J_loc without dry friction on a grid of (η, p_sw), with the given pitch and the measured L0."""
     parameters = known.parameters
     problem = locomotion_problem(traverses, known)
     own = first_own(traverses)
@@ -326,7 +325,7 @@ def valleys(landscape: Landscape, count: int = VALLEYS) -> Array:
 def find_locomotion(traverses: Sequence[Traverse], known: Known, landscape: Landscape) -> Solution:
     """Return the best of the landscape's valleys, refined with all nuisance parameters and even grooves.
 
-    Raises `IdentificationError` if nothing explains the motion.
+    Raises `IdentificationError` if the anchors of the best fit switch endlessly in a run.
     """
     own = first_own(traverses)
     tried = TRIED_PITCHES if known.pitch_deviation > 0.0 else (0.0,)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bootstrap over runs, for the stages with a continuous cost (actuation and energy).
 
-Runs get random exponential weights (Bayesian bootstrap), so that every refit contains all frequencies. With few runs
-the spread of the refits is too small by a known factor and itself uncertain; both are corrected as for the mean of
-that many normal values.
+Runs get random exponential weights (Bayesian bootstrap), so that every refit contains all frequencies. With few runs,
+the spread of the refits is too small by a known factor, and the spread itself is uncertain. Both effects are corrected
+as for the mean of an equal number of normally distributed values.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def spread_factor(units: int) -> float:
 def estimates(values: Array, refits: Array, units: int | Sequence[int]) -> list[Estimate]:
     """Return an estimate for each entry of ``values`` (k,) from its ``refits`` (REFITS, k).
 
-    ``units`` are the numbers of runs or cycles that inform each entry, or one number.
+    ``units`` is the number of runs or cycles with information about each entry; a single number applies to all entries.
     """
     factors = [spread_factor(number) for number in np.broadcast_to(units, values.shape)]
     half = factors * np.maximum(refits.std(axis=0), np.finfo(float).tiny)

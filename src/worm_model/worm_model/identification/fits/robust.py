@@ -33,8 +33,8 @@ def noise_of(values: ArrayLike) -> float:
 def dependence(residuals: Array) -> float:
     """Return the factor on the variance of a fit for correlated residuals, at least 1.
 
-    Hysteresis makes the residuals (n,) of a bench test, in the order of measurement, less informative than independent
-    ones. The factor is that of a first-order autoregression; it is 1 if the correlation is not significant.
+    Because of hysteresis, the residuals (n,) of a bench test, in the order of measurement, are correlated and contain
+    less information. The factor follows from a first-order autoregression; it is 1 without significant correlation.
     """
     r = residuals / max(scale_of(residuals), 1e-300)
     r = np.clip(r - np.median(r), -OUTLIER, OUTLIER)

@@ -41,7 +41,8 @@ class RunPrediction:
 class Errors:
     """Rms errors of x1 (m), ΔL (m) and power (W), and relative energy error at the end of the five ridges.
 
-    Power and energy errors are NaN without power samples; the energy error also if they cover only a part of the run.
+    Power and energy errors are NaN without power samples. The energy error is also NaN if the power samples do not
+    cover the five ridges.
     """
 
     x1_rmse: float
@@ -53,7 +54,7 @@ class Errors:
 def predict(
     recording: Recording, traverse: Traverse, parameters: Parameters, clock_offset: float = 0.0
 ) -> RunPrediction:
-    """Predict a run with its own initial length; ``clock_offset`` (s) is that of the camera behind the servo."""
+    """Predict a run with its own initial length; ``clock_offset`` (s) of the camera as in `ActuationFit`."""
     length = traverse.length
     values = parameters.replace(initial_length=length.initial_length)
     time, change, rate = length.time, length.length_change, length.rate

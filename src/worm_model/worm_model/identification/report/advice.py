@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recommendation of the next run: the gait that would shrink the widest interval most.
 
-For each candidate gait the exact model computes a run of five ridges. The Fisher information of its residuals on the
+For each candidate gait, the exact model computes a run over five ridges. The Fisher information of this run about the
 parameters, with the run's nuisance parameters marginalised, is added to the present information.
 """
 
@@ -26,7 +26,7 @@ from worm_model.identification.fits.energy import INDEPENDENT, PowerRun, energy_
 from worm_model.identification.fits.energy import KEYS as ENERGY
 from worm_model.identification.fits.estimate import Estimate, quantile
 from worm_model.identification.fits.grooves import groove_problem
-from worm_model.identification.fits.locomotion import RIDGES, Known, traverse_of
+from worm_model.identification.fits.locomotion import RIDGES, Known, first_own, traverse_of
 from worm_model.identification.locomotion_stage import LocomotionResult
 from worm_model.identification.stages import Identification
 from worm_model.parameters import PAPER
@@ -52,7 +52,10 @@ NO_RUN_HELPS = {
 
 
 def advise(result: Identification) -> str:
-    """Return which interval is widest relative to its value, and which measurement would shrink it most."""
+    """Return a sentence with the widest interval, relative to its value, and the measurement that would shrink it most.
+
+    If an estimate of the stages is not identifiable, the sentence states its note instead.
+    """
     sought = [key for keys in STAGES.values() for key in keys]
     vague = [key for key in sought if not result.estimates[key].identifiable]
     if vague:
@@ -78,7 +81,7 @@ def advise(result: Identification) -> str:
             "; differences between grooves limit it: start at other ridges, or pass more of them"
         )
     if _inherited(result, key) > 0.5:
-        text += "; given values and bench tests contribute most of it: measure them more accurately"
+        text += "; most of the interval is due to given values and bench tests: measure them more accurately"
     return text
 
 
@@ -88,7 +91,7 @@ def _relative_spread(estimate: Estimate, key: str) -> float:
 
 
 def _inherited(result: Identification, key: str) -> float:
-    """Return the share of the variance that further runs do not reduce: earlier stages and given values."""
+    """Return the fraction of the variance due to earlier stages and given values, which further runs do not reduce."""
     if key in STAGES["energy"]:
         share = result.energy.inherited[STAGES["energy"].index(key)]
     elif key in STAGES["locomotion"]:
@@ -184,7 +187,7 @@ def _information(result: Identification, stage: str, recording: Recording) -> Ar
     deviation = result.reference.estimate("pitch").spread / quantile(np.inf)
     known = Known(result.parameters, deviation)
     problem = groove_problem([traverse], known, fit.places, fit.scatter)
-    own = np.array([[result.parameters.initial_length]])
+    own = first_own([traverse])
     return _marginal(problem, fit.solution.shared, own, 2) / result.locomotion.inflation
 
 

@@ -90,7 +90,7 @@ def fin_figure(fit: FinFit) -> Figure:
 
 
 def search_figure(result: Identification) -> Figure:
-    """Plot J_loc over the switching threshold (minimum over friction) with the fitted interval."""
+    """Plot the rms error √J_loc over the switching threshold (minimum over friction) with the fitted interval."""
     landscape = result.locomotion.landscape
     figure = new_figure(_WIDTH, 3.2)
     axes = figure.subplots()

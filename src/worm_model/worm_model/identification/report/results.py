@@ -19,7 +19,7 @@ from worm_model.identification.inputs import Inputs
 from worm_model.identification.stages import Identification
 from worm_model.parameters import FORM, KEYS, MADE_BY, ParameterFile
 
-CORRELATED = 0.8  # smallest reported correlation
+CORRELATED = 0.8  # smallest magnitude of a reported correlation
 
 
 def parameter_file(result: Identification, inputs: Inputs) -> ParameterFile:

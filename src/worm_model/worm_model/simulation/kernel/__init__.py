@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compiled kernel of the simulator: closed forms between located events, without a step size.
 
-Its functions take and return tuples and arrays of floats. The modules next to this package name their fields.
+The functions take and return tuples and arrays of floats. `worm_model.simulation.rows` and the modules of the kernel
+name the columns of these arrays.
 
-Compiled code is cached on disk under a hash of all sources of the kernel. The compiler itself only notices changes in
-the file of the called function, not in the files of the functions that this one calls.
+Compiled code is cached on disk under a hash of all sources of the kernel, because the compiler itself only notices
+changes in the file of the called function. It does not notice changes of functions in other files that this function
+calls.
 """
 
 from __future__ import annotations
@@ -25,10 +27,11 @@ SOURCES = sorted(Path(__file__).parent.glob("[!_]*.py"))
 def cache_directory(more: Sequence[Path] = ()) -> Path:
     """Return the folder in which code compiled from these sources and ``more`` is cached.
 
-    It is below NUMBA_CACHE_DIR, else below the user's cache, else below the temporary directory.
+    The folder is below NUMBA_CACHE_DIR or, without this variable, below the user's cache. If no folder can be written
+    there, it is below the temporary directory.
 
     Raises:
-        OSError: None of them can be written.
+        OSError: The temporary directory cannot be written, either.
     """
     digest = hashlib.sha256()
     for source in (Path(__file__), *SOURCES, *more):
@@ -50,10 +53,10 @@ def cache_directory(more: Sequence[Path] = ()) -> Path:
 
 
 def load_compiled(package: str, folder: Path) -> None:
-    """Import the modules of a package in a folder, whose compiled code depends on the kernel and is cached with it.
+    """Import all modules of a package of compiled code from a folder, and cache their code next to the kernel's.
 
-    The compiler caches the code of a file under its path. A build folder links to the checkout: without the links,
-    both have the same path, and the code is compiled once.
+    The compiler caches the code of a file under the path of the file. A build folder contains links to the checkout.
+    The links are resolved, so that build folder and checkout have the same paths, and the code is compiled once.
     """
     own = folder == Path(__file__).parent
     folder = folder.resolve()

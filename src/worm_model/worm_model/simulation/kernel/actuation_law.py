@@ -42,7 +42,7 @@ def rest_of(pretension: float, a: Actuator) -> float:
 def answer_to_parabola(
     length_change: float, target: float, slope: float, bend: float, a: Actuator
 ) -> Coefficients:
-    """Return ΔL (m) from its value on while its target moves with a slope in m/s that grows by ``bend`` in m/s²."""
+    """Return ΔL (m) from its present value on, for a target with a slope (m/s) that changes by ``bend`` (m/s²)."""
     slope -= a.time_constant * bend
     behind = target - a.time_constant * slope
     rest = length_change - behind
@@ -51,9 +51,9 @@ def answer_to_parabola(
 
 @inlined
 def answer_to_line(length_change: float, target: float, slope: float, a: Actuator) -> Coefficients:
-    """Return ΔL (m) from its value on while its target moves along a straight line with a slope in m/s.
+    """Return ΔL (m) from its present value on, for a target that moves with a constant slope in m/s.
 
-    The response to a ramp lags it by τ·slope; the difference from this lag decays.
+    The response lags the ramp by τ·slope; the deviation from this lag decays.
     """
     return answer_to_parabola(length_change, target, slope, 0.0, a)
 
@@ -62,7 +62,7 @@ def answer_to_line(length_change: float, target: float, slope: float, a: Actuato
 def answer_to_sinusoid(
     length_change: float, stroke: float, omega: float, phase: float, pretension: float, a: Actuator
 ) -> Coefficients:
-    """Return ΔL (m) from its value on under u_cmd = −o − S/2·(1 − cos(phase + ωσ)), beyond the slack."""
+    """Return ΔL (m) from its present value on, for u_cmd = −o − S/2·(1 − cos(phase + ωσ)) beyond the slack."""
     lag = omega * a.time_constant
     amplitude = 0.5 * a.gain * stroke / (1.0 + lag * lag)
     # amplitude·(cos(ωt) + lag·sin(ωt)), ωt = phase + ωσ
@@ -85,7 +85,7 @@ def value_at(form: Coefficients, time: float, omega: float, time_constant: float
 
 @inlined
 def crossing(start: float, end: float, a: Actuator) -> float:
-    """Return the share of the way at which a command that moves in a straight line crosses −δ_s, or 1."""
+    """Return the fraction of a linear change of the command at which the command crosses −δ_s; 1 if it does not."""
     before, after = start + a.slack, end + a.slack
     return before / (before - after) if before * after < 0.0 else 1.0
 
@@ -120,10 +120,10 @@ def respond_at(
     at: np.ndarray,
     response: np.ndarray,
 ) -> None:
-    """Fill the ``response`` (m,) at the times ``at`` (m,) in s to commands (n,) in m at ``times`` (n,) in s, exact.
+    """Fill ``response`` (m,) with ΔL in m at the times ``at`` (m,), for ``commands`` (n,) in m at ``times`` (n,) in s.
 
-    All times ascend. Where two times are equal the command steps. Outside of ``times`` it keeps its first and last
-    value. ΔL is ``start`` until ``engaged`` (s), and responds from there on.
+    All times ascend. Where two times are equal, the command steps. Outside of ``times``, the command keeps its first or
+    last value. ΔL is ``start`` until ``engaged`` (s), and responds from this time on.
     """
     value, now, k = start, engaged, 0
     while k < times.size and times[k] <= engaged:

@@ -3,8 +3,7 @@
 
 Divisions follow IEEE 754 and do not raise. Sums may be fused and reordered. This changes only the last digits of the
 results, because no formula here relies on the order of a compensated sum. Within a run nothing is infinite or NaN,
-because the inputs are checked before. The entries of `simulation.kernel.whole_run` and the functions that fill tables
-preserve NaN and infinity.
+because the inputs are checked first. Functions that Python calls (`entry`, `unlocked`) preserve NaN and infinity.
 """
 
 from numba import njit

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Dry (Coulomb) friction of the modules, exact: sliding is a constant force, sticking a mode, its end an event.
+"""Dry (Coulomb) friction of the modules, exact. Events separate the modes in which a module slides or sticks.
 
-A constant force D opposes a module that slides. A module that sticks stays where it is, so that ΔL alone moves the
-other one, until the force that friction must hold exceeds D. Both modules can stick only while ΔL is constant. Whether
-a module slides or sticks follows from its velocity and, where that vanishes, from the forces. This is decided at the
-start of each mode.
+A constant force D opposes a module that slides. A module that sticks does not move, so that ΔL alone moves the other
+module. It slides again when the force that friction must hold exceeds D. Both modules can stick only while ΔL is
+constant. At the start of each mode, the velocity of a module decides whether it slides or sticks. If the velocity is
+zero, the forces decide.
 
 `STILL` and `SPARE` are the widths of the borders between sliding and sticking. They prevent that rounding switches a
-module to and fro: it sticks below STILL, and slides again from SPARE above the force that friction holds.
+module to and fro: a module sticks when its velocity is below STILL, and slides again when the force exceeds D by SPARE.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ from worm_model.simulation.kernel.mode import (
 
 STILL = 1e-11  # m/s
 SPARE = 1e-9  # N
-LOCATED = 0.1  # share of these widths to which an event is located
+LOCATED = 0.1  # accuracy of a located event, relative to these widths
 
 
 class Grip(NamedTuple):
@@ -95,7 +95,7 @@ def _from_rest(load: float, stretch: int, bend: float, c: Constants) -> Grip:
 def _judge(
     motion: Motion, length_change: Coefficients, wave: Wave, c: Constants, b: Basis
 ) -> tuple[Grip, float]:
-    """Return (the grip from here on, ẏ, free of rounding if a module rests)."""
+    """Return (the grip from here on, ẏ). If a module rests, ẏ is free of rounding."""
     roots = roots_of(c.mass, c.friction, 0.0)
     rate_form = derivative(length_change, roots, wave)
     bend_form = derivative(rate_form, roots, wave)
@@ -156,9 +156,9 @@ def enter_dry_mode(
 ) -> tuple[Mode, Coefficients, Grip]:
     """Return (the mode that begins with ``motion``, F_c over it, its grip).
 
-    Only the segment's part of the basis is used. Where both modules stick, their shares of the load are statically
-    indeterminate. They are assumed to be proportional to the forces that each can hold. No work depends on this,
-    because ΔL is constant.
+    Only the segment's part of the basis is used. If both modules stick, the distribution of the load over them is
+    statically indeterminate. It is assumed to be proportional to the forces that they can hold. No work depends on this
+    assumption, because ΔL is constant.
     """
     grip, rate = _judge(motion, length_change, wave, c, start)
     motion = Motion(

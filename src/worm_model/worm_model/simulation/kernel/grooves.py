@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Grooves of a pipe that differ from the parameters of the robot, which are their means.
+"""Grooves of a pipe with individual thresholds and stiffnesses; the parameters of the robot are the means.
 
-Identification estimates them. Everything else assumes even grooves.
+Identification estimates the differences between grooves. All other modules assume even grooves, which do not differ.
 """
 
 from __future__ import annotations
@@ -17,14 +17,16 @@ from worm_model.simulation.kernel.mode import Constants, Fin, Motion
 THRESHOLD, STIFFNESS = range(2)
 GROOVE_COLUMNS = 2
 FIRST_GROOVE = 2  # row of the groove in which a module starts
+#: grooves that do not differ
+EVEN = np.zeros((1, GROOVE_COLUMNS))
 
 
 class Grooves(NamedTuple):
     """Grooves that the modules pass, (m, GROOVE_COLUMNS), in the order of +x.
 
-    Each row differs from the robot's parameters by a threshold in m and a relative stiffness. A module starts in the
-    row FIRST_GROOVE, which is the groove 0 of the rear and ``front_start`` of the front module. The outer rows also
-    stand for the grooves beyond them.
+    A row contains the differences from the robot's parameters: threshold in m and relative stiffness. A module starts
+    in row FIRST_GROOVE, which is groove 0 for the rear module and groove ``front_start`` for the front module. Grooves
+    beyond the outer rows are like the outer rows.
     """
 
     rear: np.ndarray

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Search for the first zero of several gaps, without stepping past any.
 
-A guard watches a gap that is positive until its event. The gap's value, its rate and bounds on its second derivative
-enclose it between two parabolas for the time ahead. The gap stays open at least until the lower parabola reaches zero.
-When the upper one reaches zero, the event has happened. Between these times the gap has exactly one zero, which
-Newton's method locates. A gap that touches zero within rounding, and opens again or stays, triggers nothing.
+A guard watches a gap that is positive until its event. From the gap's value, its rate and bounds on its second
+derivative follow two parabolas that enclose the gap for the time ahead. The gap stays open at least until the lower
+parabola reaches zero. When the upper parabola reaches zero, the event has happened. Between these times the gap has
+exactly one zero, which Halley's method locates. A gap that only touches zero, within rounding, triggers nothing.
 """
 
 from __future__ import annotations
@@ -28,12 +28,10 @@ NOTHING, REAR_HIGH, REAR_LOW, FRONT_HIGH, FRONT_LOW, FORCE_SIGN, RATE_SIGN, END 
 REAR_GRIP_HIGH, REAR_GRIP_LOW, FRONT_GRIP_HIGH, FRONT_GRIP_LOW = range(8, 12)
 
 SHORTEST_STEP = 1e-10  # s; guarantees progress where a gap opens from zero
-TOUCH = (
-    1e-13  # m (N, m/s of a sign): a fin at rest at its border does not pass it by rounding alone
-)
-SIMULTANEOUS = (
-    1e-11  # s; events closer than this are simultaneous, and the guard named first comes first
-)
+# m, or N and m/s for the signs of F_c and L̇. A gap that falls below 0 by at most TOUCH triggers nothing, so that
+# rounding alone triggers nothing.
+TOUCH = 1e-13
+SIMULTANEOUS = 1e-11  # s; of events closer than this, the one whose guard was read first precedes
 MOST_NEWTON_STEPS = 50
 NEVER = 1e300  # s; infinity has no meaning here, see `worm_model.simulation.kernel.compiled`
 
@@ -79,7 +77,7 @@ def follow(position: Coefficients, roots: Roots, wave: Wave) -> Followed:
 
 @compiled
 def _coarse_swing(c: Coefficients, s: float, end: float, roots: Roots, mass: float) -> float:
-    """Return a bound on the h1, h2 and R terms over [s, end] for joined roots or a resonance; rarely used."""
+    """Return a bound on the h1, h2 and R terms over [s, end] for joined roots or a resonance, which are rare."""
     if not roots.joined:
         swing = abs(c.h1) * math.exp(roots.r1 * s) + abs(c.h2) * math.exp(roots.r2 * s)
     elif roots.discriminant < 0.0:
@@ -173,9 +171,9 @@ def locate(
     wave: Wave,
     resonant: bool,
 ) -> tuple[float, Basis]:
-    """Return (time s in the mode, basis) at which the quantity meets the border, the only zero in the enclosure.
+    """Return (time s in the mode, basis) at which the quantity meets the border, once within the horizon ``ahead``.
 
-    ``s`` and ``b`` are the present moment. Halley's method starts from where a parabola would meet the border.
+    ``s`` and ``b`` are the present moment. Halley's method starts where a parabola would meet the border.
     """
     low, high = s + ahead.earliest, s + ahead.time
     gap, rate, bend = value(f.position, b) - border, value(f.rate, b), value(f.acceleration, b)

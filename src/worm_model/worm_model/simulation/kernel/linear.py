@@ -22,7 +22,7 @@ from worm_model.simulation.kernel.compiled import compiled, inlined
 _JOINED_BELOW = 1e-3  # |r1 − r2| / (|r1| + |r2|) below which the separated form loses digits
 _RESONANT_BELOW = 1e-5  # relative distance of q from a root below which R is used
 _GONE = -42.0  # exponent below which a term is lost in rounding
-_SERIES_BELOW = 0.05  # the same for both roots, below which R is summed as a series
+_SERIES_BELOW = 0.05  # relative distance of q from both roots below which R is summed as a series
 
 
 class Roots(NamedTuple):

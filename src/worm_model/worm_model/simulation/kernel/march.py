@@ -4,8 +4,8 @@
 Rules of the events:
 
 - An event happens at the end of a half-open interval (t0, t1], when a fin passes a border of its region.
-- Of two simultaneous events, that of the rear fin (A1) comes first. That of the front fin follows in a mode of zero
-  duration.
+- Of two simultaneous events, the event of the rear fin (A1) comes first. The event of the front fin follows in a mode
+  of zero duration.
 - A fin that touches a border without passing it triggers nothing.
 """
 
@@ -99,7 +99,7 @@ CHATTERS = 1.0  # in the entry FAILURE: the anchors switch back and forth withou
 
 
 class Segment(NamedTuple):
-    """Piece of the length signal: start (s since that of the run), duration (s), ΔL as a function, and its wave."""
+    """Piece of the length signal: start (s since the run's start), duration (s), ΔL as a function, and its wave."""
 
     start: float
     duration: float
@@ -127,7 +127,7 @@ class Stage(NamedTuple):
 
 
 class PositiveWork(NamedTuple):
-    """State of the count of cable work: the signs of F_c and L̇, and the antiderivative where the count began."""
+    """Integral of the cable work: signs of F_c and L̇, True if the power is positive, antiderivative at the start."""
 
     force_side: float
     rate_side: float
@@ -373,7 +373,7 @@ def _follow_mode(
     """Follow a mode to its end.
 
     Returns:
-        Its duration, the guard that ends it (NOTHING if the march gives up), and the basis at the end.
+        Duration of the mode, the guard that ends it (NOTHING beyond MOST_STEPS), and the basis at the end.
     """
     wave = segment.wave
     work = _open_work(_side(stage.force, b), _side(stage.length_rate, b), stage, b, wave, c)
@@ -411,16 +411,16 @@ def march(
 ) -> Motion:
     """Return the motion at the end of a segment.
 
-    A motion does not contain which module sticks, because every mode determines this at its start.
+    A motion does not contain which module sticks, because this is determined at the start of every mode.
 
     Args:
         segment: piece of the length signal.
         motion: motion at its start.
         even: constants of the robot in even grooves.
-        grooves: grooves that differ; None for even ones.
-        totals: (TOTALS_SIZE,); accumulates the positive cable work in J (only of a gait's length, because a sampled
-            length has no usable rate), switches, steps, and the numbers of used rows of ``samples`` and ``events``.
-            Its entry FAILURE becomes CHATTERS if the march gives up.
+        grooves: individual grooves; None for even grooves.
+        totals: (TOTALS_SIZE,); accumulates the positive cable work in J (not for a sampled length, whose rate is not
+            usable), switches, and the numbers of used rows of ``samples`` and of events. The entry STEPS is that of
+            this segment. The entry FAILURE becomes CHATTERS if a segment needs more than MOST_STEPS.
         samples: (n, SAMPLE_COLUMNS), to be filled; the TIME column is given, ascending.
         events: (m, EVENT_COLUMNS), to be filled; further events are only counted.
     """

@@ -6,7 +6,7 @@ dynamics (eq:continuous_model) need no second derivative of the length:
 
     M·ÿ + 2η·ẏ = (2μ − 1)·η·L̇ − f(x1 − A1) − f(x2 − A2) − Q1 − Q2
 
-The forces of the fins and of the cable (eq:fin_force_piecewise, eq:Fc) are such closed forms too.
+The forces of the fins and of the cable (eq:fin_force_piecewise, eq:Fc) have closed forms, too.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from worm_model.simulation.kernel.linear import (
     value,
 )
 
-BELOW, CLEAR, ABOVE = 0, 1, 2  # region of a fin: the bar that touches the ridge, or none
+BELOW, CLEAR, ABOVE = 0, 1, 2  # region of a fin's deflection: below, within or above the clearance
 
 
 class Fin(NamedTuple):
-    """Parameters of a fin. The stiffnesses are stated by region and thus contain the direction."""
+    """Parameters of a fin. The stiffness of each region depends on the direction of the robot."""
 
     stiffness_below: float
     stiffness_above: float
@@ -41,7 +41,7 @@ class Fin(NamedTuple):
 
 
 class Constants(NamedTuple):
-    """Parameters as the kernel uses them."""
+    """Parameters in SI units, as the kernel uses them; for the meaning see docs/model.md."""
 
     mass: float
     mu: float
@@ -58,7 +58,7 @@ class Constants(NamedTuple):
     rear_dry: float
     front_dry: float
     rear_load: float
-    load: float  # of both modules
+    load: float  # sum of both modules' loads
     one_sided_cable: bool
 
 
@@ -74,7 +74,7 @@ class Motion(NamedTuple):
 
 
 class Mode(NamedTuple):
-    """Closed form of a mode: y, ΔL, both fin displacements, and the roots on which its functions depend."""
+    """Closed form of a mode: y, ΔL, deflections of both fins, and the roots on which the functions of time depend."""
 
     y: Coefficients
     length_change: Coefficients

@@ -57,9 +57,9 @@ def _outside(deflection: float, region: int, c: Constants) -> float:
 def start_of(g: Any, c: Constants, a: Actuator) -> tuple[bool, float, Motion]:
     """Return (True if the fins hold the load, ΔL in m, the motion) at the start of a gait's row.
 
-    Without a load, x1 = 0. With one, the modules are where the fins balance it. The front anchor is the groove nearest
-    to the front module at ΔL = 0. A fin beyond its threshold slips into the next groove at once, the rear one first.
-    The load is not held if both fins slip. v1 = 0, and ẏ = v1 + μ·L̇.
+    Without a load, x1 = 0. With a load, the fins balance it. The front anchor is the groove nearest to the front module
+    at ΔL = 0. A fin beyond its threshold slips into the next groove at once, the rear fin first. The fins do not hold
+    the load if they slip repeatedly. v1 = 0, and ẏ = v1 + μ·L̇.
     """
     length_change = rest_of(g.pretension, a)
     length_rate = 0.0 if g.pretension > 0.0 else -a.gain * a.slack / a.time_constant

@@ -2,7 +2,7 @@
 """Parts of a cycle of a gait (`worm_model.gait.Gait`) over which the effective command has one form.
 
 A cycle begins and ends in the slack, unless the pretension exceeds it. In between, each half is a half wave of a
-cosine or three pieces of the trapezoidal velocity profile. The two half waves of equal duration are one sinusoid.
+cosine or three pieces of the trapezoidal velocity profile. Two half waves of equal duration form one sinusoid.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ Borders = tuple[float, float, float, float, float, float, float, float]
 
 @inlined
 def _slack_time(share: float, g: Any, a: Actuator) -> float:
-    """Return the time in s at the outer end of a half cycle, of a ``share`` of the cycle, spent in the slack."""
+    """Return how long (s) the command is in the slack at the outer end of a half that is ``share`` of the cycle."""
     taken_up = (a.slack - g.pretension) / g.stroke
     if taken_up <= 0.0:
         return 0.0
@@ -69,7 +69,7 @@ def _answer_to_piece(
 ) -> Coefficients:
     """Return ΔL (m) over a piece of the trapezoid, from a time on.
 
-    The pieces 0 to 2 are those of the contraction and 3 to 5 those of the extension. ``half`` is the duration of the
+    The pieces 0 to 2 belong to the contraction, and 3 to 5 to the extension. ``half`` is the duration of the
     half and ``time`` the time in it, s.
     """
     ramp, speed = g.ramp_share * half, g.stroke / ((1.0 - g.ramp_share) * half)

@@ -47,7 +47,7 @@ REACHED, CABLE_WORK, SWITCHED = range(3)
 BOUNDARY_COLUMNS = 3
 
 SETTLING_TIME = 1.0  # s for a change of the length, and s for the motion to decay afterwards
-STEADY = 1e-14  # m, m/s; states are equal within this, the accuracy with which events are located
+STEADY = 1e-14  # m, m/s; largest difference of equal states, the accuracy of located events
 
 
 @entry
@@ -129,7 +129,7 @@ def run_gait(
     samples: np.ndarray,
     events: np.ndarray,
 ) -> None:
-    """Run a gait from the start for a number of cycles; the arrays are those of `march`."""
+    """Run a gait from the start for a number of cycles; for the arrays see `march`."""
     c, a = constants_of(p, g.direction, g.margin), actuator_of(p)
     held, length_change, motion = start_of(g, c, a)
     if not held:
@@ -159,11 +159,11 @@ def run_cycles(
     boundaries: np.ndarray,
     totals: np.ndarray,
 ) -> None:
-    """Run a gait from the start for a number of cycles, unless the march gives up; ``totals`` are those of `march`.
+    """Run a gait from the start for a number of cycles, or until it fails; for ``totals`` see `march`.
 
     ``boundaries`` (cycles + 1, BOUNDARY_COLUMNS) receives x1 in m, the cable work so far in J and the switches so far
-    at the start of each cycle and at the end. The state at its start determines a cycle. Once this state equals that
-    of the cycle before, all further cycles repeat it and are not simulated.
+    at the start of each cycle and at the end. The state at its start determines a cycle. Once two cycles start in the
+    same state, all further cycles are repetitions and are not simulated.
     """
     nothing = np.empty((0, SAMPLE_COLUMNS))
     held, length_change, motion = start_of(g, c, a)
@@ -205,8 +205,8 @@ def evaluate(
 ) -> None:
     """Fill a result row for a gait.
 
-    Its entries: mean advance of x1 a cycle in m along the direction, mean power in W, least advance of an
-    averaged cycle in m, switches in the whole run, and the failure of the run or 0.
+    Entries: mean advance of x1 per cycle in m along the direction, mean power in W, smallest advance of an averaged
+    cycle in m, switches in the whole run, and the failure of the run or 0.
     """
     frequency, direction = g.frequency, g.direction
     boundaries = np.empty((cycles + 1, BOUNDARY_COLUMNS))
@@ -256,7 +256,7 @@ def sample_many(
     """Sample a cycle, counted from 0, of gaits (n,) of GAIT_ROW, without the interpreter's lock.
 
     ``phases`` (n, m), ascending, are shares of the cycle; ``force`` and ``length_rate`` (n, m) receive F_c in N and L̇
-    in m/s there, NaN where the run gave up.
+    in m/s there, NaN if the run of a gait failed.
     """
     samples = np.empty((phases.shape[1], SAMPLE_COLUMNS))
     for k in range(gaits.shape[0]):
@@ -282,7 +282,7 @@ def run_sampled(
     """Run under a piecewise cubic ΔL from breaks[0] to breaks[-1], and return the motion at the end.
 
     ``breaks`` (n + 1,) in s, ascending; ``coefficients`` (4, n or more), constant term first, of the time since
-    the segment's break; the grooves and the other arrays are those of `march`.
+    the segment's break; for the grooves and the other arrays see `march`.
     """
     still = Wave(c.mass, 0.0, 0.0)
     for k in range(breaks.size - 1):
@@ -312,7 +312,7 @@ def run_sampled(
 def rest_at(length_change: float, c: Constants) -> Motion:
     """Return the motion of a robot at rest at a ΔL in m, whose fins were straight at ΔL = 0.
 
-    Loads and dry friction are left out, so that the fins alone balance each other.
+    Loads and dry friction are neglected, so that the fins alone balance each other.
     """
     groove = int(nearest_groove_of(c.initial_length, c.pitch))
     front = region_of(c.initial_length - groove * c.pitch, c.half_clearance)
@@ -358,7 +358,7 @@ def run_from_rest(
     front_grooves: np.ndarray,
     samples: np.ndarray,
 ) -> bool:
-    """Run a robot from rest under a piecewise cubic ΔL, and return True unless the march gives up.
+    """Run a robot from rest under a piecewise cubic ΔL, and return False if the anchors switch endlessly.
 
     Args:
         breaks: as in `run_sampled`.
@@ -366,11 +366,11 @@ def run_from_rest(
         p: parameter row.
         direction: direction of the fins, ±1.
         deflection: distance of both modules at rest from `rest_at`, which dry friction or a load may hold, m.
-        onset: velocities after ΔL has begun with a step of its rate. 0: the centre of mass stays at rest, as the
-            modules share the rate by their masses. 1: the rear module stays at rest, as in the paper's initial values.
+        onset: distribution of the first rate of ΔL, which begins with a step. 0: the modules share the rate so that the
+            centre of mass stays at rest. 1: the rear module stays at rest, as in the paper's initial values.
         rear_grooves: see `Grooves`.
         front_grooves: see `Grooves`.
-        samples: those of `march`.
+        samples: see `march`.
     """
     c = constants_of(p, direction, 0.0)
     change, totals = coefficients[0, 0], np.zeros(TOTALS_SIZE)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compiled core of the twin: samples in; rows of states, residuals, lengths and events out.
+"""Compiled core of the twin. It turns samples into rows of states, residuals, lengths and events.
 
-`sample_buffer` orders the samples, `estimator` advances the motion from sample to sample, `residuals` compares, and
-`memory` declares the state. The estimator returns at boundaries that occur a few times per run (a driver state, the end
-of a cycle), where Python decides (`worm_model.twin.twin`).
+`sample_buffer` orders the samples by stamp. `estimator` advances the motion from sample to sample. `residuals` compares
+the measurements with the motion. `memory` declares the state of the twin. The estimator returns at boundaries, such as
+a driver state or the end of a cycle, which `worm_model.twin.twin` handles in Python. A cycle has only a few of them.
 """
 
 from pathlib import Path

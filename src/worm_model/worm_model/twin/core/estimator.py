@@ -1,20 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Estimator: ΔL that follows from the command, motion, power and residuals, from sample to sample.
+"""Estimation of the ΔL that follows from the command, and of motion, power and residuals, from sample to sample.
 
-Samples are processed in the order of their stamps, each ``delay_s`` plus the look-ahead behind the newest one:
+Samples are processed in the order of their stamps, once they are older than the newest sample by ``delay_s`` plus the
+look-ahead. The look-ahead is the larger of ``measured_stale_s`` and ``smoothing_s``.
 
-- The **answer** to the command is the ΔL that the actuation model computes from it, exactly at each stamp
+- The **answer** to the command is the ΔL that the actuation model computes from the command, exactly at each stamp
   (`worm_model.simulation.kernel.actuation_law`).
-- The **driving length** is interpolated linearly between measured lengths. Between two of them that are more than
-  ``measured_stale_s`` apart it is the answer to the command. The look-ahead makes this choice possible.
+- The **driving length** is interpolated linearly between measured lengths. Between two measured lengths that are more
+  than ``measured_stale_s`` apart, it is the answer to the command. The look-ahead makes this choice possible.
 - The **motion** is computed exactly from the driving length, without a derivative of a measured length.
-- **Power** needs the length's rate (eq:Fc, eq:power_model). That of the answer is exact. For measured lengths it is the
-  slope of a parabola through their differences from the answer within ± ``smoothing_s``, so that the smoothed part is
-  small. The power contains the square of the rate, whose noise adds a bias; this is subtracted. Energy is the
-  trapezoidal sum of the power.
-- Instruments are **compared** with the twin (`judge`).
+- The **power** depends on the length's rate (eq:Fc, eq:power_model). The rate of the answer is exact. For measured
+  lengths, a parabola is fitted to their differences from the answer within ± ``smoothing_s``. Its slope is added to the
+  rate of the answer, so that only the small differences are smoothed. The power contains the square of the rate. The
+  noise of the rate therefore adds a bias to the power, which is subtracted.
+- The **energy** is the trapezoidal sum of the power.
+- The measurements are **compared** with the twin (`judge`).
 
-The motion does not advance beyond the last known driving length. Samples later than that are not compared.
+The motion does not advance beyond the last known driving length. Positions and powers after it are not compared.
 """
 
 from __future__ import annotations
@@ -63,13 +65,13 @@ from worm_model.twin.core.residuals import judge
 from worm_model.twin.records import LengthSource
 
 SECOND = 1e-9  # s per ns
-MOVED_M = 1e-6  # smallest command that counts as a motion
-FEWEST_LENGTHS = 4  # in a window, because a parabola through three follows the noise
+MOVED_M = 1e-6  # smallest absolute value of the command that counts as a motion
+FEWEST_LENGTHS = 4  # for a fit, because a parabola through three lengths would follow their noise
 ESTIMATED, MEASURED = int(LengthSource.ESTIMATED), int(LengthSource.MEASURED)
 
 # Reasons to return to the Python code: no row is due, a driver state, the end of a cycle, a command without a driver.
 DONE, DRIVER_STATE, CYCLE_END, UNANNOUNCED_RUN = range(4)
-# Events: a gap in the lengths (value: duration in s), a motion that switches endlessly, a moved tracker (shift in m).
+# Events: a gap in the lengths (value: duration, s), a motion that switches endlessly (0), a moved tracker (shift, m).
 GAP, ZENO, TRACKER_MOVED = range(3)
 
 
@@ -82,13 +84,13 @@ def _report(out: OutputRows, kind: int, stamp: int, value: float) -> None:
 
 @entry
 def begins(rows: np.ndarray, k: int) -> bool:
-    """Return True if a row is the onset of a run. Searches for later rows end there."""
+    """Return True if a row is the onset of a run. Searches for later rows end at such a row."""
     return rows[k].kind == GAIT_KIND and rows[k].onset == rows[k].stamp
 
 
 @entry
 def next_of(memory: Memory, kind: int, until: int) -> int:
-    """Return the first row of a kind after the one being processed, up to a stamp; −1 if there is none."""
+    """Return the index of the first row of a kind after the one being processed, up to a stamp; −1 without one."""
     m, rows = memory.record[0], memory.rows
     k = m.place + 1
     while k < m.filled and rows[k].stamp <= until and not begins(rows, k):
@@ -105,7 +107,7 @@ def _line(value: float, slope: float) -> Coefficients:
 
 @entry
 def _answers_ahead(memory: Memory, until: int, a: Actuator) -> None:
-    """Store the answer to the command in the rows of the measured lengths up to a stamp."""
+    """Store the answer (m) in the column c of the later measured lengths up to a stamp, NaN where it is unknown."""
     m, rows = memory.record[0], memory.rows
     when, command, answer = m.command_ns, m.command, m.answer
     k = m.place + 1
@@ -115,7 +117,7 @@ def _answers_ahead(memory: Memory, until: int, a: Actuator) -> None:
         if rows[j].kind != COMMAND_KIND or rows[j].stamp <= when:
             continue
         while k < j:
-            if rows[k].kind == LENGTH_KIND:  # at the stamp of a command, the answer itself
+            if rows[k].kind == LENGTH_KIND:
                 share = (rows[k].stamp - when) / (rows[j].stamp - when)
                 there = command + share * (rows[j].a - command)
                 rows[k].c = respond(answer, command, there, (rows[k].stamp - when) * SECOND, a)
@@ -129,11 +131,12 @@ def _answers_ahead(memory: Memory, until: int, a: Actuator) -> None:
 
 @entry
 def _slope(memory: Memory, stamp: int, rules: Rules, a: Actuator) -> tuple[float, float]:
-    """Return the slope (m/s) of the measured lengths at a stamp, and its variance for a noise of 1 m.
+    """Return the rate (m/s) of the measured length at a stamp, and its variance (1/s²) for a noise variance of 1 m².
 
-    It is the slope of a parabola through the lengths around the stamp. If the answer to the command is known at all of
-    them, the parabola fits the differences, and the answer's rate is added. The length at which the motion began
-    counts, too. The slope is NaN with too few lengths, or none on one side, because a parabola does not extrapolate.
+    The rate is the slope of a parabola fitted to the lengths around the stamp. If the answer to the command is known at
+    the stamp, the parabola fits the differences from the answer, and the answer's rate is added. Otherwise the length
+    at which the twin was put at rest is included. The rate is NaN if the lengths are too few, or all on one side of the
+    stamp, because a parabola is not suited for extrapolation.
     """
     m, rows = memory.record[0], memory.rows
     half = rules.smoothing
@@ -187,7 +190,7 @@ def _slope(memory: Memory, stamp: int, rules: Rules, a: Actuator) -> tuple[float
 def put_at_rest(
     memory: Memory, stamp: int, length_change: float, source: int, c: Constants
 ) -> None:
-    """Put the twin at rest in the pose of its run, at a stamp with ΔL in m."""
+    """Put the twin at rest at a stamp, with ΔL in m and the pose that the memory contains for the run's start."""
     m = memory.record[0]
     x1 = m.pose_x1
     x2 = x1 + c.initial_length + length_change
@@ -205,7 +208,10 @@ def put_at_rest(
 
 @entry
 def _move(memory: Memory, form: Coefficients, duration: float, q: float, c: Constants) -> None:
-    """Advance the motion by a duration (s) with a given length. The kernel's sample then contains its end."""
+    """Advance the motion by a duration (s) under a ΔL of a given form; ``q`` (1/s) is the rate of its exponential.
+
+    `Memory.sample` then contains the quantities at the end.
+    """
     m = memory.record[0]
     motion = Motion(m.y, m.y_rate, m.rear_groove, m.front_groove, m.rear_region, m.front_region)
     segment = Segment(0.0, duration, form, Wave(c.mass, 0.0, q))
@@ -217,7 +223,7 @@ def _move(memory: Memory, form: Coefficients, duration: float, q: float, c: Cons
 
 @entry
 def _move_along(memory: Memory, stamp: int, corner: int, target: float, c: Constants) -> None:
-    """Advance the motion to a stamp, with ΔL on a straight line to a knot at its own stamp."""
+    """Advance the motion to a stamp, with ΔL on a straight line that reaches ``target`` (m) at the stamp ``corner``."""
     m = memory.record[0]
     duration = (stamp - m.motion_ns) * SECOND
     if duration <= 0.0:
@@ -233,7 +239,10 @@ def _move_along(memory: Memory, stamp: int, corner: int, target: float, c: Const
 def _move_with_answer(
     memory: Memory, stamp: int, start: float, end: float, before: float, c: Constants, a: Actuator
 ) -> None:
-    """Advance the motion to a stamp under the answer to a command from start to end (m), split at the slack."""
+    """Advance the motion to a stamp, with the answer to a command that moves in a straight line from start to end (m).
+
+    ``before`` is the answer (m) at the start. The motion is computed in two parts if the command crosses −δ_s.
+    """
     m = memory.record[0]
     left = (stamp - m.motion_ns) * SECOND
     if left <= 0.0:
@@ -268,7 +277,7 @@ def _answer(memory: Memory, stamp: int, command: float, a: Actuator) -> None:
 
 @entry
 def drag_of(c: Constants) -> float:
-    """Return the derivative (N·s/m) of F_c by the length's rate, without the share of L̈ in M1·ẍ1."""
+    """Return minus the derivative (N·s/m) of F_c with respect to L̇ at constant ẏ; the effect of L̈ is neglected."""
     return c.bellows_damping + c.friction * c.mu
 
 
@@ -283,7 +292,7 @@ def _update_power(
         rate, variance = _slope(memory, stamp, rules, a)
         variance *= m.noise_square[LENGTH_CHANNEL]
     if math.isnan(rate):
-        # Between a measured and an estimated length, the slope of the connecting line is not a rate of the body.
+        # The slope of a line from a measured to an estimated length is not the rate of the body.
         rate = sample[LENGTH_RATE]
         if m.on_estimate or m.answered:
             rate = (effective(m.command, a) - m.answer) / a.time_constant if m.engaged else 0.0
@@ -299,7 +308,7 @@ def _update_power(
 
 @entry
 def publish(memory: Memory, rate: float, c: Constants, out: OutputRows) -> None:
-    """Add a state of the motion to the output; the length's rate is in m/s."""
+    """Add the state of the motion to the output; ``rate`` (m/s) is that of the length."""
     m, sample = memory.record[0], memory.sample[0]
     row = out.states[out.counts[0]]
     zero = m.origin + m.moved * c.pitch
@@ -327,7 +336,7 @@ def publish(memory: Memory, rate: float, c: Constants, out: OutputRows) -> None:
 def begin_track(
     memory: Memory, stamp: int, rules: Rules, c: Constants, a: Actuator, p: Any, out: OutputRows
 ) -> None:
-    """Put the twin at rest at a stamp, with the answer to the command as its length, and publish it."""
+    """Put the twin at rest at a stamp, with the answer to the command as ΔL, and publish this state."""
     m = memory.record[0]
     put_at_rest(memory, stamp, m.answer, ESTIMATED, c)
     publish(memory, _update_power(memory, stamp, rules, c, a, p), c, out)
@@ -335,7 +344,7 @@ def begin_track(
 
 @entry
 def _follow_command(memory: Memory, next_command: int, a: Actuator) -> None:
-    """Advance the answer to the row being processed; `answered` is 1 if that was possible."""
+    """Advance the answer to the row being processed. `answered` becomes 1 if the command there is known, else 0."""
     m, row = memory.record[0], memory.rows[memory.record[0].place]
     m.answered = 1
     if row.kind == LENGTH_KIND:
@@ -360,7 +369,8 @@ def _follow(
 ) -> None:
     """Advance answer and motion to the row being processed.
 
-    `answered` and `arrived` are 1 if that was possible; `drives` is 1 if the row drives the motion.
+    `answered` and `arrived` become 1 if the answer and the motion have reached the row, else 0. `drives` becomes 1 if
+    the row drives the motion.
     """
     m, row = memory.record[0], memory.rows[memory.record[0].place]
     stamp, until = row.stamp, row.stamp + rules.look_ahead
@@ -372,7 +382,7 @@ def _follow(
     fresh = fresh and memory.rows[next_length].stamp - m.measured_ns <= rules.stale
     measured = row.kind == LENGTH_KIND
     m.arrived = 1
-    # A motion begins with a measured length if one follows, because a stop may hold the cable at any length.
+    # The first motion begins with a measured length if one follows: the driver may hold the cable at any length.
     commanded = row.kind == COMMAND_KIND and not fresh and (m.moving or next_length < 0)
     m.drives = 1 if measured or commanded else 0
     if measured:
@@ -408,9 +418,10 @@ def _follow_between(
     c: Constants,
     a: Actuator,
 ) -> None:
-    """Advance the motion to a row that does not drive it, towards the next row that does, if it is known.
+    """Advance the motion to a row that does not drive it, towards the next row that does.
 
-    ``next_length`` is that measured length, −1 for the answer to the command.
+    If no such row is known, the motion stays, and `arrived` becomes 0. ``next_length`` is the index of the measured
+    length towards which ΔL moves, or −1 if ΔL moves towards the answer at ``next_command``.
     """
     m, rows = memory.record[0], memory.rows
     stamp = rows[m.place].stamp
@@ -432,7 +443,7 @@ def _follow_between(
 
 @entry
 def _leaves_zero(memory: Memory, rules: Rules) -> bool:
-    """Return True if the command is about to leave 0 without any driver state."""
+    """Return True if the command leaves 0 at this row or the next command, and no driver state has arrived."""
     m = memory.record[0]
     row = memory.rows[m.place]
     if m.activity >= 0 or m.engaged or row.kind != COMMAND_KIND:
@@ -443,7 +454,7 @@ def _leaves_zero(memory: Memory, rules: Rules) -> bool:
 
 @entry
 def _gap(memory: Memory, rules: Rules) -> float:
-    """Return the duration (s) of a gap before the next driving length, once; otherwise 0."""
+    """Return the duration (s) of a gap before the next driving length when it is first detected; otherwise 0."""
     m, row = memory.record[0], memory.rows[memory.record[0].place]
     if not m.moving or row.stamp - m.motion_ns <= rules.pause - rules.look_ahead:
         return 0.0
@@ -464,7 +475,7 @@ def _gap(memory: Memory, rules: Rules) -> float:
 
 @entry
 def _boundary(memory: Memory, rules: Rules) -> int:
-    """Return the boundary before the next row; DONE if there is none."""
+    """Return the boundary that Python has to handle before the next row; DONE if there is none."""
     m, row = memory.record[0], memory.rows[memory.record[0].place]
     if m.cycle_end_ns and row.stamp >= m.cycle_end_ns:
         return CYCLE_END
@@ -481,7 +492,7 @@ def _boundary(memory: Memory, rules: Rules) -> int:
 def _process_row(
     memory: Memory, rules: Rules, c: Constants, a: Actuator, p: Any, out: OutputRows
 ) -> None:
-    """Advance to the next row and compare it."""
+    """Advance answer, motion and power to the next row, and compare the row with them."""
     m, row = memory.record[0], memory.rows[memory.record[0].place]
     gap = _gap(memory, rules)
     if gap:
@@ -515,7 +526,7 @@ def _process_row(
 def process(
     memory: Memory, lag: int, rules: Rules, c: Constants, a: Actuator, p: Any, out: OutputRows
 ) -> int:
-    """Process all rows at least ``lag`` ns older than the newest, up to a boundary; return the boundary."""
+    """Process all rows that are at least ``lag`` ns older than the newest, up to a boundary; return the boundary."""
     m = memory.record[0]
     while m.place < m.filled and memory.rows[m.place].stamp <= m.present - lag:
         boundary = _boundary(memory, rules)

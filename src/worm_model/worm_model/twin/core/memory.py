@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""State of the twin between two samples, in a record of fixed size, and the rows of its output."""
+"""State of the twin between two samples, in arrays of fixed size, and the rows of the core's output."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ NANOSECONDS = 1_000_000_000
 KINDS = len(Kind)
 # The kinds as plain integers, for compiled code.
 GAIT_KIND, COMMAND_KIND, LENGTH_KIND, POSITION_KIND, POWER_KIND = (int(kind) for kind in Kind)
-CHANNELS = 3  # of residuals
+CHANNELS = 3  # quantities with a residual: position, length, power
 POSITION, LENGTH, POWER = range(CHANNELS)
 ROOM = 16384  # rows of recent and waiting samples: some 3 s of five topics at 1 kHz
-HELD = 100  # samples ahead of the others after which one topic alone is sufficient evidence
+HELD = 100  # number of held samples of a single topic that confirm their stamps
 PHASES = 200  # bins of a cycle in which residuals are summed
 
-# Fates of a sample; `counts` has the number of samples with each.
+# Fates of a sample; CROWDED means that `rows` is full. `counts` contains the number of samples by fate.
 ACCEPTED, DUPLICATE, LATE, AHEAD, NOT_A_NUMBER, CROWDED = range(6)
 VERDICTS = ("taken", "duplicate", "late", "ahead", "not a number", "crowded")
 
-# Columns of the sums of a cycle: sum and number of the residuals of each channel.
+# Columns of `Memory.sums`: sum and number of the residuals of each channel.
 (
     POSITION_SUM,
     POSITION_COUNT,
@@ -40,7 +40,7 @@ SUMS = 6
 
 
 class Field(NamedTuple):
-    """Field of the record with ``entries`` values. Stamps are in ns, with 0 for none."""
+    """Field of the record with ``entries`` values. A stamp of 0 means that there is none."""
 
     name: str
     kind: type[np.generic]
@@ -51,46 +51,46 @@ class Field(NamedTuple):
 
 FIELDS = (
     # samples
-    Field("present", np.int64, "ns", "newest stamp of the instruments"),
-    Field("newest", np.int64, "ns", "newest stamp of each kind of sample", KINDS),
-    Field("old_in_a_row", np.int64, "1", "successive samples older than a jump of the clock"),
-    Field("ahead", np.int64, "1", "samples in `held`"),
-    Field("filled", np.int64, "1", "used rows of `rows`"),
-    Field("place", np.int64, "1", "next row of `rows` to process"),
+    Field("present", np.int64, "ns", "newest stamp of all samples except driver states"),
+    Field("newest", np.int64, "ns", "newest stamp by kind of sample", KINDS),
+    Field("old_in_a_row", np.int64, "1", "successive samples older than the newest by `jump_back`"),
+    Field("ahead", np.int64, "1", "number of samples in `held`"),
+    Field("filled", np.int64, "1", "number of used rows of `rows`"),
+    Field("place", np.int64, "1", "index in `rows` of the next row to process"),
     Field("processed_ns", np.int64, "ns", "stamp of the last processed row"),
     Field("counts", np.int64, "1", "number of samples by fate", len(VERDICTS)),
     # command, and the response of the length to it
     Field("activity", np.int64, "1", "last reported Activity of the driver, −1 before any"),
-    Field("command_ns", np.int64, "ns", "stamp of the command"),
+    Field("command_ns", np.int64, "ns", "stamp of `command` and `answer`"),
     Field("command", np.float64, "m", "u_cmd"),
-    Field("answer", np.float64, "m", "ΔL according to the actuation model"),
-    Field("engaged", np.int64, "1", "1 after the onset of the first run"),
+    Field("answer", np.float64, "m", "ΔL that the actuation model computes from the command"),
+    Field("engaged", np.int64, "1", "1 from the onset of the first run on: ΔL answers the command"),
     Field("answered", np.int64, "1", "1 if the answer is known at the row being processed"),
     # motion
-    Field("moving", np.int64, "1", "1 once the motion has begun"),
-    Field("motion_ns", np.int64, "ns", "stamp of the motion"),
-    Field("length_change", np.float64, "m", "ΔL that drives the motion"),
-    Field("y", np.float64, "m", "x1 + μ·ΔL from the run's first rear groove"),
+    Field("moving", np.int64, "1", "1 once the twin has a motion, also at rest"),
+    Field("motion_ns", np.int64, "ns", "stamp up to which the motion is computed"),
+    Field("length_change", np.float64, "m", "ΔL at `motion_ns`"),
+    Field("y", np.float64, "m", "x1 + μ·ΔL relative to the run's first rear groove"),
     Field("y_rate", np.float64, "m/s", "rate of y"),
-    Field("rear_groove", np.int64, "1", "rear anchor in grooves from the run's first rear groove"),
-    Field("front_groove", np.int64, "1", "front anchor in grooves from the same groove"),
+    Field("rear_groove", np.int64, "1", "rear anchor, counted from the run's first rear groove"),
+    Field("front_groove", np.int64, "1", "front anchor, counted from the run's first rear groove"),
     Field("rear_region", np.int64, "1", "region of the rear fin (kernel.mode)"),
     Field("front_region", np.int64, "1", "region of the front fin"),
-    Field("source", np.int64, "1", "LengthSource of the driving length"),
+    Field("source", np.int64, "1", "LengthSource of the length that drives the motion"),
     Field("drives", np.int64, "1", "1 if the row being processed drives the motion"),
     Field("arrived", np.int64, "1", "1 if the motion has reached the row being processed"),
-    Field("on_estimate", np.int64, "1", "1 if the answer to the command drives the motion"),
+    Field("on_estimate", np.int64, "1", "1 if `answer` drove the motion up to `motion_ns`"),
     Field("measured_ns", np.int64, "ns", "stamp of the last measured length"),
-    Field("track_ns", np.int64, "ns", "stamp at which the motion began from rest"),
-    Field("track_change", np.float64, "m", "ΔL at that stamp"),
+    Field("track_ns", np.int64, "ns", "stamp at which the twin was last put at rest"),
+    Field("track_change", np.float64, "m", "ΔL at `track_ns`"),
     Field("published_ns", np.int64, "ns", "stamp of the last published state"),
     Field("estimated_ns", np.int64, "ns", "stamp of the last published estimated length"),
     # power
-    Field("power_ns", np.int64, "ns", "stamp of the power"),
+    Field("power_ns", np.int64, "ns", "stamp of `power` and `energy`"),
     Field("power", np.float64, "W", "predicted source power"),
-    Field("power_variance", np.float64, "W²", "variance of the prediction due to measured lengths"),
-    Field("energy", np.float64, "J", "predicted energy of the run"),
-    Field("instrument_ns", np.int64, "ns", "stamp of the last measured power"),
+    Field("power_variance", np.float64, "W²", "variance of `power` due to noise of the lengths"),
+    Field("energy", np.float64, "J", "predicted energy since `track_ns`"),
+    Field("instrument_ns", np.int64, "ns", "stamp of the last measured power, or onset"),
     Field("instrument_power", np.float64, "W", "last measured power"),
     Field("instrument_energy", np.float64, "J", "measured energy of the run"),
     # run
@@ -101,27 +101,26 @@ FIELDS = (
     Field("direction", np.int64, "1", "direction for which the fins are set"),
     *(Field(name, np.float64, GAIT_UNITS[name], f"{name} of the gait") for name in WAVEFORM),
     Field("initial_length", np.float64, "m", "L0 of the run"),
-    Field("length_seen", np.int64, "1", "1 if an instrument measured L0"),
-    Field("length_fitted", np.int64, "1", "1 if L0 was estimated from the motion"),
+    Field("length_seen", np.int64, "1", "1 if an instrument measured `initial_length`"),
+    Field("length_fitted", np.int64, "1", "1 if `initial_length` was estimated from the motion"),
     Field("origin", np.float64, "m", "the tracker's position of the run's first rear groove"),
-    Field("origin_known", np.int64, "1", "1 if the tracker has measured it"),
-    Field("pose_x1", np.float64, "m", "x1 at rest from the run's first rear groove"),
-    Field("pose_front", np.int64, "1", "front anchor at rest in grooves from the rear one"),
-    Field(
-        "start_known", np.int64, "1", "1 if the fins started as modelled; else nothing is judged"
-    ),
-    Field("moved", np.int64, "1", "grooves along +x by which the robot is further than predicted"),
-    Field("cycle", np.int64, "1", "number of the cycle, from 1"),
+    Field("origin_known", np.int64, "1", "1 if the tracker has measured `origin`"),
+    Field("pose_x1", np.float64, "m", "x1 before the run, relative to the rear anchor"),
+    Field("pose_front", np.int64, "1", "front anchor before the run, in grooves from the rear one"),
+    # While this is 0, residuals of position and power do not affect the health.
+    Field("start_known", np.int64, "1", "1 if the state of the fins at the onset is known"),
+    Field("moved", np.int64, "1", "grooves to add to both anchors, along +x"),
+    Field("cycle", np.int64, "1", "number of the cycle, from 1; 0 without a gait"),
     Field("cycle_end_ns", np.int64, "ns", "end of the cycle"),
     Field("reported_cycle", np.int64, "1", "cycle in the driver's last message"),
-    Field("blind_s", np.float64, "s", "time of the cycle without data about the length"),
-    Field("paused_ns", np.int64, "ns", "stamp of the last reported gap"),
+    Field("blind_s", np.float64, "s", "part of the cycle without data about the length"),
+    Field("paused_ns", np.int64, "ns", "stamp at which the last gap was reported"),
     # residuals by channel
     Field("channel_ns", np.int64, "ns", "stamp of the last residual", CHANNELS),
-    Field("channel_square", np.float64, "1", "mean square in usual sizes", CHANNELS),
+    Field("channel_square", np.float64, "1", "mean square of residual over usual size", CHANNELS),
     Field("channel_level", np.int64, "1", "Health of the channel", CHANNELS),
-    Field("level_ns", np.int64, "ns", "stamp from which that level holds", CHANNELS),
-    Field("noise_count", np.int64, "1", "residuals in the estimate of the noise", CHANNELS),
+    Field("level_ns", np.int64, "ns", "last stamp whose residuals justified that level", CHANNELS),
+    Field("noise_count", np.int64, "1", "number of residuals in `noise_square`", CHANNELS),
     Field("noise_square", np.float64, "m², m², W²", "variance of the noise", CHANNELS),
     Field("noise_last", np.float64, "m, m, W", "last residual", CHANNELS),
     Field("noise_before", np.float64, "m, m, W", "residual before the last", CHANNELS),
@@ -131,7 +130,7 @@ FIELDS = (
     Field("accepted_ns", np.int64, "ns", "stamp of the last accepted position"),
     Field("accepted", np.float64, "m", "last accepted position"),
     Field("rejected_ns", np.int64, "ns", "stamp of the first rejected position of a jump"),
-    Field("rejected", np.float64, "m", "that position"),
+    Field("rejected", np.float64, "m", "first rejected position of a jump"),
 )
 MEMORY = np.dtype(
     [
@@ -154,10 +153,10 @@ class Memory(NamedTuple):
     Attributes:
         record: fields of `FIELDS`, shape (1,).
         rows: samples ordered by stamp, shape (ROOM,) of SAMPLE.
-        held: samples that are ahead of the others, shape (HELD,) of SAMPLE.
+        held: samples that are implausibly far ahead of all others, shape (HELD,) of SAMPLE.
         sums: sums of the running cycle's residuals, shape (PHASES, SUMS).
-        totals: totals of the kernel.
-        sample: last sample of the kernel, shape (1, SAMPLE_COLUMNS).
+        totals: totals of the kernel's `march`, shape (TOTALS_SIZE,).
+        sample: the kernel's sample at `motion_ns`, shape (1, SAMPLE_COLUMNS).
     """
 
     record: NDArray[np.void]
@@ -169,7 +168,12 @@ class Memory(NamedTuple):
 
 
 class Rules(NamedTuple):
-    """Settings for the core: times in ns except ``smoothing`` in s, scales of residuals, gate in m."""
+    """Settings for the core, from `TwinSettings`.
+
+    ``smoothing`` is in s, all other times are in ns. ``gate`` and the scales are in the SI unit of their quantity.
+    ``look_ahead`` is the time after a row whose samples the computation at this row uses. Processed rows are stored for
+    at least ``history``, unless they are too many. ``period`` is the shortest interval of published states.
+    """
 
     delay: int
     look_ahead: int
@@ -189,7 +193,7 @@ class Rules(NamedTuple):
 
 
 class OutputRows(NamedTuple):
-    """Room for the output; ``counts`` (4,) has the number of used rows of each."""
+    """Room for the output; ``counts`` (4,) contains the number of used rows of each array above, in this order."""
 
     states: NDArray[np.void]
     residuals: NDArray[np.void]

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Comparison of the instruments with the twin: residuals, their sizes and the health.
+"""Comparison of the measurements with the twin: residuals, their sizes and the health.
 
-Each channel (position, length, power) has the mean square of its residual in units of its usual size, averaged over
-``MEMORY_S``. Its root determines the level: suspect above ``SUSPECT_FROM``, faulty above ``FAULTY_FROM``. A level
-improves only after the root has been below ``RECOVERY`` times the limit for a whole cycle, so that effects of the gait
-cause no flicker. A channel without samples for ``SILENT_S`` does not count.
+For each channel (position, length, power), the residuals are divided by their usual size, squared and averaged over
+``MEMORY_S``. The root of this average determines the level of the channel: suspect above ``SUSPECT_FROM``, faulty above
+``FAULTY_FROM``. A level improves only after the root has been at most ``RECOVERY`` times the limit for a whole cycle,
+so that the level does not change within each cycle. A channel without samples for ``SILENT_S`` is ignored.
 """
 
 from __future__ import annotations
@@ -32,20 +32,23 @@ from worm_model.twin.core.memory import (
 )
 from worm_model.twin.records import Activity, Health
 
-MEMORY_S = 2.0
-SILENT_S = 5.0
-SUSPECT_FROM = 2.0
-FAULTY_FROM = 4.0
+MEMORY_S = 2.0  # s, time constant of the average
+SILENT_S = 5.0  # s
+SUSPECT_FROM = 2.0  # usual sizes
+FAULTY_FROM = 4.0  # usual sizes
 RECOVERY = 0.75
-NOISE_SAMPLES = 500  # samples over which noise is averaged
-TOP_SPEED = 0.15  # m/s, above all gaits of the paper's box
+NOISE_SAMPLES = 500  # number of residuals over which their noise is averaged
+TOP_SPEED = 0.15  # m/s, above the speed of all gaits of the paper's box
 RESTING = int(Activity.RESTING)
 UNKNOWN, HEALTHY, SUSPECT, FAULTY = (int(health) for health in Health)
 
 
 @entry
 def observe(memory: Memory, channel: int, stamp: int, residual: float, scale: float) -> None:
-    """Add a residual of a channel with a usual size, to which its noise is added."""
+    """Add a residual to the mean square of its channel.
+
+    ``scale`` is the usual size, without noise. ``residual`` and ``scale`` are in the unit of the channel, m or W.
+    """
     m = memory.record[0]
     square = residual**2 / (scale**2 + m.noise_square[channel])
     before = m.channel_ns[channel]
@@ -59,7 +62,7 @@ def observe(memory: Memory, channel: int, stamp: int, residual: float, scale: fl
 
 @entry
 def _track_noise(memory: Memory, channel: int, residual: float) -> None:
-    """Update the noise of a channel from second differences of its residuals, in which slow changes vanish."""
+    """Update the noise of a channel from second differences of its residuals, which cancel slow changes."""
     m = memory.record[0]
     last, before = m.noise_last[channel], m.noise_before[channel]
     count = m.noise_count[channel]
@@ -73,7 +76,7 @@ def _track_noise(memory: Memory, channel: int, residual: float) -> None:
 
 @entry
 def size_of(memory: Memory, channel: int, stamp: int) -> float:
-    """Return the root mean square of a channel in usual sizes; NaN if the channel is silent."""
+    """Return the root mean square of a channel, relative to the usual size; NaN if the channel is silent."""
     m = memory.record[0]
     last = m.channel_ns[channel]
     if last == 0 or stamp - last > SILENT_S * NANOSECONDS:
@@ -94,7 +97,7 @@ def _level(before: int, size: float) -> int:
 
 @entry
 def _delayed(memory: Memory, channel: int, stamp: int, level: int) -> int:
-    """Return the level of a channel; a better one is valid only after a whole cycle."""
+    """Return the level of a channel, which improves only if the better ``level`` has lasted for a whole cycle."""
     m = memory.record[0]
     before = m.channel_level[channel]
     if level >= before or level == UNKNOWN:
@@ -106,7 +109,7 @@ def _delayed(memory: Memory, channel: int, stamp: int, level: int) -> int:
 
 @entry
 def health_at(memory: Memory, stamp: int) -> int:
-    """Return the health at a stamp from the channels' levels and the last warning."""
+    """Update the levels of the channels at a stamp; return the health from these levels and the last warning."""
     m = memory.record[0]
     health = SUSPECT if m.warning > 0 and stamp <= m.warned_until else UNKNOWN
     for channel in range(CHANNELS):
@@ -147,7 +150,7 @@ def _record(
 
 @entry
 def _sum_up(memory: Memory, stamp: int, column: int, residual: float) -> None:
-    """Add a residual to the sums of the running cycle, if there is one, and to the estimate of the noise."""
+    """Add a residual to the sums of the cycle and to the estimate of the noise, if a cycle is running."""
     m = memory.record[0]
     if not m.cycle_end_ns or stamp < m.start_ns:
         return
@@ -160,7 +163,10 @@ def _sum_up(memory: Memory, stamp: int, column: int, residual: float) -> None:
 
 @entry
 def _is_plausible(memory: Memory, stamp: int, position: float, rules: Rules) -> bool:
-    """Return True if a position is reachable from the last accepted one; store it as accepted or rejected."""
+    """Return True if a position is reachable from the last accepted one.
+
+    The position is stored as accepted, or as rejected if it begins a jump.
+    """
     m = memory.record[0]
     elapsed = max(stamp - m.accepted_ns, 0) * 1e-9
     # The negation accepts the first position, whose jump is NaN.
@@ -176,21 +182,22 @@ def _is_plausible(memory: Memory, stamp: int, position: float, rules: Rules) -> 
 def _judge_position(
     memory: Memory, stamp: int, position: float, rules: Rules, c: Constants, out: OutputRows
 ) -> float:
-    """Return the shift (m) of a tracker that was moved, otherwise 0."""
+    """Compare a position with the twin; return the shift (m) of a tracker that was moved, otherwise 0."""
     m = memory.record[0]
     expected = memory.sample[0, X1] + m.moved * c.pitch
     accepted = _is_plausible(memory, stamp, position, rules)
-    if not m.origin_known:  # the first position defines the place of the robot
+    if not m.origin_known:  # the first position defines the origin
         m.origin, m.origin_known = position - expected, 1
     residual = position - expected - m.origin
     if accepted:
-        # While the fins are turned before a gait, the robot moves as no model describes, on a slope by up to a groove.
+        # The model does not describe the motion while the fins are turned before a gait. On a slope, the robot can then
+        # move by up to a groove.
         if m.start_known and m.activity != RESTING:
             observe(memory, POSITION, stamp, residual, rules.position_scale)
         _sum_up(memory, stamp, POSITION_SUM, residual)
         _record(memory, stamp, POSITION, residual, math.nan, rules, out)
     elif stamp - m.rejected_ns >= rules.moved:
-        # Rejected positions that persist: the tracker or the robot was moved, and the twin's zero follows.
+        # The rejected positions agree for long enough: the tracker or the robot was moved. The origin follows.
         m.origin += residual
         m.accepted_ns, m.accepted, m.rejected_ns, m.rejected = stamp, position, 0, math.nan
         return residual
@@ -205,9 +212,9 @@ def _judge_power(memory: Memory, stamp: int, power: float, rules: Rules, out: Ou
         before = power if math.isnan(m.instrument_power) else m.instrument_power
         m.instrument_energy += 0.5 * (before + power) * (stamp - m.instrument_ns) * 1e-9
         m.instrument_ns, m.instrument_power = stamp, power
-    # The window cannot resolve the step of the length's rate at the onset.
+    # At the onset the length's rate steps. The smoothed rate, and so the predicted power, is wrong near this step.
     if (stamp - m.start_ns) * 1e-9 > 4.0 * rules.smoothing:
-        # The effect of the lengths' noise on the prediction is smooth, and not part of the residual's noise.
+        # Noise of the lengths makes the prediction vary slowly, so that the estimated noise does not include it.
         scale = math.sqrt(rules.power_scale**2 + m.power_variance)
         if m.start_known:
             observe(memory, POWER, stamp, residual, scale)
@@ -217,7 +224,7 @@ def _judge_power(memory: Memory, stamp: int, power: float, rules: Rules, out: Ou
 
 @entry
 def _is_settled(memory: Memory, rules: Rules) -> bool:
-    """Return True if all lengths of the window behind the predicted power are known."""
+    """Return True if all lengths from which the power is predicted have arrived."""
     m = memory.record[0]
     window = round(rules.smoothing * NANOSECONDS)
     return bool(m.on_estimate) or m.present >= memory.rows[m.place].stamp + window
@@ -225,15 +232,15 @@ def _is_settled(memory: Memory, rules: Rules) -> bool:
 
 @entry
 def judge(memory: Memory, rules: Rules, c: Constants, out: OutputRows) -> float:
-    """Compare the row being processed with the twin, as far as answer and motion have reached it.
+    """Compare the row being processed with the twin, if the answer (for a length) or the motion has reached this row.
 
     Returns the shift (m) of a tracker that was moved, otherwise 0.
     """
     m = memory.record[0]
     row = memory.rows[m.place]
     if row.kind == LENGTH_KIND and m.answered and m.start_ns and not m.end_ns:
-        # After a run the slack of a resting cable returns at a time that the actuation model does not describe. Before
-        # the first run a stop may hold the cable at any length.
+        # Lengths are compared only during a run. After it the slack of the resting cable returns, at a time that the
+        # actuation model does not describe. Before the first run the driver may hold the cable at any length.
         residual = row.a - m.initial_length - m.answer
         observe(memory, LENGTH, row.stamp, residual, rules.length_scale)
         _sum_up(memory, row.stamp, LENGTH_SUM, residual)

@@ -1,14 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Buffer of samples, ordered by stamp; detection of late samples, duplicates, implausible stamps and clock jumps.
 
-- **Late.** A sample more than ``delay_s`` older than the newest of any instrument is counted and excluded, because
-  samples with later stamps are processed already. All others are inserted by stamp, in whatever order they arrive.
-- **Duplicate**, **not a number** (or not a plausible length, position or power): counted and excluded.
-- **Jump back.** Three samples in a row are older than the newest by more than ``jump_back_s``.
-- **Ahead.** A sample that is ahead of the newest by more than ``hold_ahead_s`` is held. Once three in a row agree, from
-  two topics if two were active, all held samples are inserted: up to ``jump_ahead_s`` as the end of a pause, beyond
-  as a jump of the clock. If a sample of the present arrives before, the held stamps were wrong and are excluded.
-- A **gait state** may be old, because it is latched. The first message of a run is inserted at the onset.
+"The newest" is the newest sample of all topics except the driver states.
+
+- **Late.** A sample more than ``delay_s`` older than the newest is counted and excluded, because the estimator may
+  already have used later samples. All others are inserted by stamp, in whatever order they arrive.
+- **Duplicate**, **not a number** (or not a plausible length, position or power). These are counted and excluded.
+- **Jump back.** Three successive late samples are more than ``jump_back_s`` older than the newest of any topic.
+- **Ahead.** A sample that is ahead of the newest by more than ``hold_ahead_s`` is held. Three held samples in a row
+  confirm each other, but must come from two topics if two were active. 100 samples of one topic suffice, too. If they
+  are up to ``jump_ahead_s`` ahead, a pause has ended, and they are inserted. If they are further ahead, the clock has
+  jumped. If a sample that is not ahead arrives before the confirmation, the held samples are excluded.
+- A **driver state** is never late, because its topic is latched. A state of a running gait is inserted at the onset, or
+  at the earliest stamp that is not late.
 """
 
 from __future__ import annotations
@@ -43,10 +47,11 @@ RUNNING, STOPPING = int(Activity.RUNNING), int(Activity.STOPPING)
 LONGEST_M = 1.0  # longest plausible body; a wrong unit would give millions of grooves
 FARTHEST_M = 1e5  # largest plausible position
 MOST_W = 1e5  # largest plausible power
-CONFIRMATIONS = 3  # successive samples that confirm a jump, as a single stamp may be wrong
-ONSET_AHEAD_NS = 5 * NANOSECONDS  # an onset announced further ahead is invalid
+CONFIRMATIONS = 3  # successive samples that confirm a jump, because a single stamp may be wrong
+# An onset that is later than its message by more than this is invalid.
+ONSET_AHEAD_NS = 5 * NANOSECONDS
 
-NO_JUMP, JUMPED_BACK, JUMPED_AHEAD = 0, 1, 2  # jump of the clock
+NO_JUMP, JUMPED_BACK, JUMPED_AHEAD = 0, 1, 2  # jumps of the clock
 
 
 @entry
@@ -77,7 +82,7 @@ def _newest(memory: Memory) -> int:
 
 @entry
 def _place_of(memory: Memory, stamp: int, kind: int) -> int:
-    """Return the index among the rows at which a sample belongs."""
+    """Return the index in the rows at which to insert a sample, after all processed rows."""
     m, rows = memory.record[0], memory.rows
     k = m.filled
     while k > m.place and (
@@ -89,15 +94,14 @@ def _place_of(memory: Memory, stamp: int, kind: int) -> int:
 
 @entry
 def _make_room(memory: Memory, rules: Rules) -> bool:
-    """Remove rows that no window needs; return False if none could be removed."""
+    """Remove the oldest processed rows; return False if there are none to remove."""
     m, rows = memory.record[0], memory.rows
     first = 0
     while first < m.place and rows[first].stamp < m.processed_ns - rules.history:
         first += 1
     if first < ROOM // 16:
-        first = max(
-            m.place - ROOM // 2, 0
-        )  # the samples are so dense that recent ones must go, too
+        # The samples are so dense that rows younger than ``history`` have to be removed, too.
+        first = max(m.place - ROOM // 2, 0)
     for k in range(m.filled - first):
         rows[k] = rows[k + first]
     m.filled -= first
@@ -120,9 +124,8 @@ def _insert_row(memory: Memory, s: np.ndarray, rules: Rules) -> bool:
         if m.present > 0:
             stamp = max(stamp, m.present - rules.delay)
         stamp = max(stamp, m.processed_ns)
-    elif (
-        m.present == 0
-    ):  # driver states from before the first sample of an instrument apply from here on
+    elif m.present == 0:
+        # Driver states that arrived before the first other sample take effect at the stamp of that sample.
         for k in range(m.place, m.filled):
             rows[k].stamp = max(rows[k].stamp, stamp)
     k = _place_of(memory, stamp, row.kind)
@@ -150,7 +153,7 @@ def _insert_row(memory: Memory, s: np.ndarray, rules: Rules) -> bool:
 
 @entry
 def _hold(memory: Memory, s: np.ndarray, rules: Rules) -> int:
-    """Hold a sample that is ahead; insert all held samples once enough of them agree."""
+    """Hold a sample that is ahead. If the held samples confirm each other, insert them or return JUMPED_AHEAD."""
     m, held, row = memory.record[0], memory.held, s[0]
     count = 0
     for k in range(m.ahead):
@@ -181,9 +184,9 @@ def _hold(memory: Memory, s: np.ndarray, rules: Rules) -> int:
 
 @entry
 def insert(memory: Memory, s: np.ndarray, rules: Rules) -> int:
-    """Insert a sample (a row, shape (1,)), or count and exclude it; return the jump of the clock that it reveals.
+    """Insert, hold or exclude a sample (a row, shape (1,)); return the jump of the clock that the sample reveals.
 
-    After a jump `held` has the first samples of the new time.
+    After a jump, `held` contains the first samples with stamps of the new time.
     """
     m, row = memory.record[0], s[0]
     if not _is_number(s):

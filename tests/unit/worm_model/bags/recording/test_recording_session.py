@@ -63,9 +63,9 @@ def test_what_comes_in_a_pause_is_not_recorded(tmp_path: Path):
 def test_topics_of_which_nothing_came_are_kept(tmp_path: Path):
     """A topic without messages differs from a topic without a subscription."""
     recording = session(tmp_path / "bag")
-    recording.know([TOPIC, LATCHED])
+    recording.add_topics([TOPIC, LATCHED])
     recording.offer([message(1)])
-    recording.know([TOPIC, LATCHED])
+    recording.add_topics([TOPIC, LATCHED])
     recording.stop()
     recording.start()
     recording.close()

@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compilation of the kernel into its cache at build time: ``python -m worm_model.simulation.warm_up``.
+"""Compilation of the kernel and the twin's core into their cache: ``python -m worm_model.twin.warm_up``.
 
-The script prints the folder of the cache.
+The script prints the folder of the kernel's cache.
 """
 
 import numpy as np
 
 from worm_model.gait import FORWARD, Gait
-from worm_model.identification.fits.locomotion import EVEN
 from worm_model.parameters import PAPER
 from worm_model.run import (
     RUNNING,
@@ -20,6 +19,7 @@ from worm_model.run import (
 from worm_model.simulation.actuation import length_change_of_command
 from worm_model.simulation.batch import evaluate_gaits, sample_cycle
 from worm_model.simulation.kernel import cache_directory
+from worm_model.simulation.kernel.grooves import EVEN
 from worm_model.simulation.kernel.march import SAMPLE_COLUMNS
 from worm_model.simulation.kernel.whole_run import run_from_rest
 from worm_model.simulation.rows import parameter_rows
@@ -28,7 +28,7 @@ from worm_model.twin.offline_replay import replay_run
 
 
 def main() -> None:
-    """Call every entry of the kernel once."""
+    """Call the compiled functions of kernel and core once, so that they are compiled."""
     gait = Gait(0.07, 0.2)
     evaluate_gait(gait)
     evaluate_gaits([0.07, 0.08], 0.2)
