@@ -277,6 +277,8 @@ def locked_store(path: Path, study: Study) -> Iterator[Store]:
                 f"{path}: was begun by another version (code {attributes[_CODE]}, this is {identity()}); "
                 "continue with that version, or choose another name"
             )
+        for partial in path.rglob("*.partial"):  # Zarr was writing it when a process was killed
+            partial.unlink()
         block = tuple(attributes[_BLOCK])
         repaired = _installed(path, study, block)
         if stored is not study:

@@ -68,6 +68,13 @@ def test_an_interrupted_and_resumed_study_has_the_same_bytes(whole, tmp_path):
     assert contents(tmp_path / "parts.zarr") == contents(whole)
 
 
+def test_a_file_that_was_being_written_when_a_process_was_killed_is_removed(whole, tmp_path):
+    path = copy_of(whole, tmp_path)
+    (path / "speed" / "0.0a1b.partial").write_bytes(b"half a chunk")
+    finish(path)
+    assert contents(path) == contents(whole)
+
+
 @given(
     shape=st.lists(st.integers(1, 40), min_size=1, max_size=4),
     points=st.integers(1, 50),
