@@ -6,7 +6,7 @@ from glob import glob
 from setuptools import find_packages, setup
 
 NAME = "worm_optimizer"
-EXECUTABLES: list[str] = [  # "executable = module:function", each lands in lib/NAME
+EXECUTABLES: list[str] = [  # "executable = module:function"; each is installed in lib/NAME
     "optimizer_node = worm_optimizer.nodes.executables:optimizer_node",
     "optimize = worm_optimizer.commands.optimize:main",
     "scan_margin = worm_optimizer.commands.scan_margin:main",
@@ -40,7 +40,7 @@ setup(
         "study": STUDY,
         "console": CONSOLE,
         "test": ["pytest"],
-    },  # colcon test takes pytest for it
+    },  # because of "test", colcon test uses pytest
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),

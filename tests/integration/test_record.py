@@ -296,7 +296,7 @@ def test_it_pauses_splits_stops_and_starts_on_request(
     rejected = probe.call(Trigger, "/worm/recorder/snapshot", Trigger.Request())
     assert (rejected.success, rejected.message) == (
         False,
-        "there is no ring: record with --snapshot S",
+        "there is no ring buffer: record with --snapshot S",
     )
     recorder.interrupt()
     outcome = outcome_of(recorder)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Clocks of the threads that work with a robot: that of the machine, or that of a virtual robot.
+"""Clocks of the threads that work with a robot: the clock of the machine, or the clock of a virtual robot.
 
 A virtual robot has its own time, which passes only while every thread that works with the robot waits
 (virtual_robot/wire/virtual_clock.py). A thread that waits only on the virtual robot's clock meets its deadlines on a
@@ -24,8 +24,8 @@ class Clock(Protocol):
     """Clock of a thread. A call returns the time (s, monotonic).
 
     Attributes:
-        traffic: bytes on the serial line of the thread, which the thread updates.
-        epoch_ns: ROS time of the clock's zero, ns; None if the ROS clock can be set independently.
+        traffic: bytes on the serial line that the thread uses. The thread counts them.
+        epoch_ns: ROS time at which the clock shows 0, ns; None if the ROS clock can be set independently.
         least_timeout: lower bound of the timeouts of calls to other threads, s of the machine's time.
     """
 
@@ -37,10 +37,10 @@ class Clock(Protocol):
         """Return the present time, s."""
 
     def sleep_until(self, due: float) -> None:
-        """Sleep until a time (s). Return as soon after it as the machine can."""
+        """Sleep until a time (s). Return as soon after this time as the machine permits."""
 
     def wait_readable(self, descriptor: int, timeout: float) -> bool:
-        """Wait up to ``timeout`` (s) for data in a file. Return True if there is data."""
+        """Wait at most ``timeout`` (s) for data on a file descriptor. Return True if there is data."""
 
     def close(self) -> None:
         """Stop using this clock."""
@@ -60,11 +60,11 @@ class MachineClock:
         return time.monotonic()
 
     def sleep_until(self, due: float) -> None:
-        """Sleep until a time (s). Return as soon after it as the machine can."""
+        """Sleep until a time (s). Return as soon after this time as the machine permits."""
         time.sleep(max(0.0, due - time.monotonic()))
 
     def wait_readable(self, descriptor: int, timeout: float) -> bool:
-        """Wait up to ``timeout`` (s) for data in a file. Return True if there is data."""
+        """Wait at most ``timeout`` (s) for data on a file descriptor. Return True if there is data."""
         return bool(select.select([descriptor], [], [], max(timeout, 0.0))[0])
 
     def close(self) -> None:

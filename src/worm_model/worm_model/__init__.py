@@ -3,6 +3,6 @@
 
 import os
 
-# The matrices are small, so a second thread of the linear algebra gains nothing. On a busy computer both threads wait
-# for each other, which takes ten times as long. NumPy reads the variable when it is loaded.
+# The matrices are small, so a second thread of the linear algebra saves no time. On a busy computer, the two threads
+# wait for each other, and a computation takes ten times as long. The variable is read once, when NumPy is imported.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

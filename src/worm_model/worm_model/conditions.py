@@ -20,22 +20,23 @@ class ConditionsError(InputError):
 
 
 def _row(option: str, unit: str, low: float, high: float, meaning: str) -> float:
-    """Return a field with default 0; its option on command lines, range and meaning are metadata."""
+    """Return a field with the default 0 and the arguments as metadata; ``option`` is its command-line option."""
     metadata = {"option": option, "unit": unit, "low": low, "high": high, "meaning": meaning}
     return dataclasses.field(default=0.0, metadata=metadata)
 
 
 @dataclass(frozen=True)
 class Conditions:
-    """Slope, tether and flow of a pipe. All forces count positive towards −x, against a forward gait.
+    """Slope, tether and flow of a pipe. A force is positive towards −x, that is against a forward gait.
 
-    The tether is attached to the rear module. Its force is ``tether_N`` plus ``tether_N_per_m`` for each metre of
-    ``distance_m``, the length of tether that already lies in the pipe. The increase during a run is neglected.
+    The tether is attached to the rear module. The force of the tether is ``tether_N`` plus ``tether_N_per_m`` for each
+    metre of ``distance_m``, the length of tether in the pipe. During a run this length is assumed to be constant.
 
     The water flows towards −x with ``flow_m_per_s``. ``drag_area_m2`` is C_d·A of each module. Drag is linearised about
     the resting robot, see `under`.
 
-    Raises `ConditionsError` if a value is not finite or not in its range, or has no effect because another one is 0.
+    Raises `ConditionsError` if a value is not finite or not in its range, or if it has no effect because the value with
+    which it is multiplied is 0.
     """
 
     slope_deg: float = _row("--slope", "deg", -90.0, 90.0, "slope of the pipe, uphill towards +x")
@@ -90,18 +91,19 @@ CONDITION_PARAMETERS: Mapping[str, str] = {name.lower(): name for name in CONDIT
 
 
 def conditions_of(source: Any) -> Conditions:
-    """Return the conditions in the attributes of parsed options or another object; missing attributes count as 0."""
+    """Return the conditions from the attributes of an object, such as parsed options. A missing attribute means 0."""
     return Conditions(**{name: getattr(source, name, 0.0) for name in CONDITION_ROWS})
 
 
 def under(conditions: Conditions, parameters: Parameters) -> Parameters:
-    """Return the parameters of a robot under conditions; `LEVEL` leaves them unchanged.
+    """Return the parameters of a robot under conditions; `LEVEL` leaves the parameters unchanged.
 
-    The loads increase by the weight of each module along the pipe, the tether and the drag of the resting modules. The
-    drag of a module that moves with x′ is ρ/2·C_dA·(U + x′)·|U + x′|. Its derivative at x′ = 0, ρ·C_dA·|U|, is added to
-    the viscous friction. The neglected part is ρ/2·C_dA·x′². Buoyancy is neglected, too.
+    The load on each module increases by its weight along the pipe and by its drag at rest. The load on the rear module
+    also increases by the force of the tether. With the density ρ and the velocity U of the water, the drag of a module
+    with the velocity x′ is ρ/2·C_dA·(U + x′)·|U + x′|. The derivative of the drag at x′ = 0, ρ·C_dA·|U|, is added to
+    the viscous friction. The remaining part of the drag, ρ/2·C_dA·x′², and buoyancy are neglected.
 
-    Raises `ParameterError` if a sum is outside the range of its parameter.
+    Raises `ParameterError` if a load or the friction is then outside its range.
     """
     weight = STANDARD_GRAVITY * math.sin(math.radians(conditions.slope_deg))
     drag = WATER_DENSITY * conditions.drag_area_m2 * abs(conditions.flow_m_per_s)
@@ -117,9 +119,9 @@ def under(conditions: Conditions, parameters: Parameters) -> Parameters:
 
 
 def content_under(conditions: Conditions, content: ParameterFile) -> ParameterFile:
-    """Return a parameter file under conditions; each interval is shifted by the change of its value.
+    """Return the content of a parameter file under conditions; each interval is shifted by the change of its value.
 
-    Raises `ParameterError` if a load is outside of its range.
+    Raises `ParameterError` as `under` does.
     """
     if conditions == LEVEL:
         return content

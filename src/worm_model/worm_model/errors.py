@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Error that commands turn into exit status 2."""
+"""Error for bad input, which commands report with exit status 2, and printable forms of texts."""
 
 from __future__ import annotations
 
@@ -9,5 +9,5 @@ class InputError(ValueError):
 
 
 def printable(text: str) -> str:
-    """Return a text in which each byte of a path or argument that is not UTF-8 is replaced by an escape sequence."""
+    """Return the text of a path or an argument, in which each byte that is not valid UTF-8 is an escape sequence."""
     return text.encode(errors="backslashreplace").decode()

@@ -32,7 +32,7 @@ class GaitError(InputError):
 
 
 def _row(unit: str, meaning: str, default: Any = dataclasses.MISSING) -> Any:
-    """Return a field with its unit and meaning as metadata; without a default it must be given."""
+    """Return a field with its unit and meaning as metadata; a field without a default is mandatory."""
     return field(default=default, metadata={"unit": unit, "meaning": meaning})
 
 
@@ -66,19 +66,26 @@ class Gait:
         u_cmd = −o − S·g(p/s)                        for p < s
         u_cmd = −o − S·(1 − g((p − s)/(1 − s)))      for p ≥ s
 
-    ``profile`` selects g. COSINE is g(q) = (1 − cos πq)/2. TRAPEZOID is the position of a trapezoidal velocity profile
-    that accelerates during the ``ramp_share`` r of each half and decelerates as long. The defaults are the paper's
-    gait, u_cmd(t) = −S/2 (1 − cos 2πft).
-
-    ``stroke`` S in m, ``frequency`` in Hz, ``direction`` FORWARD (+x) or REVERSE (fins flipped),
-    ``margin`` the robustness margin δ_m in m, which is added to the switching threshold (eq:A1_switch_robust);
-    0 is the nominal prediction. ``pretension`` o in m: smallest contraction that the command contains.
-    ``contraction_share`` s: part of a cycle in which the body contracts.
+    ``profile`` selects g. COSINE is g(q) = (1 − cos πq)/2. TRAPEZOID is the position of a trapezoidal velocity profile,
+    which accelerates during the first ``ramp_share`` of each half of the cycle, and decelerates during an equal part at
+    the end of the half. With the defaults the gait is the paper's, u_cmd(t) = −S/2 (1 − cos 2πft).
 
     The message worm_msgs/msg/Gait has the same fields. Tables, messages, bags and the kernel use these fields by name.
     The default of a new field must describe the gaits that were recorded before the field existed.
 
-    Raises `GaitError` if a value is not finite or not in its range.
+    Attributes:
+        stroke: S, m.
+        frequency: f, Hz.
+        direction: FORWARD (+x) or REVERSE (−x, fins flipped).
+        margin: robustness margin δ_m, m, which is added to the switching threshold (eq:A1_switch_robust). The nominal
+            prediction has the margin 0.
+        pretension: o, m, smallest commanded contraction.
+        contraction_share: s, part of a cycle in which the body contracts.
+        profile: shape of each half of a cycle.
+        ramp_share: part of each half in which a TRAPEZOID accelerates.
+
+    Raises:
+        GaitError: A value is not finite or not in its range.
     """
 
     stroke: float = _row("m", "contraction stroke")
@@ -110,13 +117,13 @@ class Gait:
 
     @property
     def is_sinusoid(self) -> bool:
-        """True for the paper's gait: no pretension, both halves a cosine of the same length."""
+        """True for the paper's waveform: no pretension, and two cosine halves of equal duration."""
         shape = self.pretension, self.contraction_share, self.profile
         return shape == (0.0, 0.5, Profile.COSINE)
 
     @property
     def reach(self) -> float:
-        """Largest contraction o + S that is commanded, m."""
+        """Largest commanded contraction o + S, m."""
         return self.pretension + self.stroke
 
     @property
@@ -128,8 +135,8 @@ class Gait:
         return peak * self.stroke * self.frequency / faster
 
     def command(self, time: Any) -> Any:
-        """Return the commanded length change u_cmd in m (≤ 0) at ``time`` s after the onset, a number or an array."""
-        import numpy as np  # Here, because --help of the commands imports this module and needs no array.
+        """Return the commanded length change u_cmd in m (≤ 0) at ``time``, s since the onset (number or array)."""
+        import numpy as np  # Imported here, because the commands import this module for --help, which needs no NumPy.
 
         phase, share = np.mod(self.frequency * time, 1.0), self.contraction_share
         extending = phase >= share
@@ -174,7 +181,7 @@ GAIT_DEFAULTS: Mapping[str, Any] = {
     if row.default is not dataclasses.MISSING
 }
 GAIT_TYPES: Mapping[str, Any] = get_type_hints(Gait)
-#: column of a table by field: name of the field, followed by its unit unless the unit is 1
+#: columns of a table, by field: the name of the field, followed by its unit unless the unit is 1
 GAIT_COLUMNS: Mapping[str, str] = {
     name: name if unit == "1" else f"{name}_{unit}" for name, unit in GAIT_UNITS.items()
 }
@@ -185,7 +192,7 @@ SHAPE = tuple(name for name in WAVEFORM if name in GAIT_DEFAULTS)
 
 
 def gait_of(source: Any) -> Gait:
-    """Return the gait with the fields of a message, a record or a mapping, by name.
+    """Return a gait whose fields are the items of a mapping, or the attributes of a message or a record.
 
     A field that the source lacks has its default. Raises `GaitError` if a value is not admissible.
     """
@@ -195,12 +202,15 @@ def gait_of(source: Any) -> Gait:
 
 
 def named_values(gait: Gait) -> dict[str, Any]:
-    """Return the fields of a gait or a prediction as in JSON and YAML files, the profile by its name."""
+    """Return the fields of a gait, or of a prediction with the fields of a gait, for JSON and YAML files.
+
+    The profile is represented by its name.
+    """
     return dataclasses.asdict(gait) | {"profile": str(gait.profile)}
 
 
 def check_body(reach: float, length: float) -> None:
-    """Raise `GaitError` unless a contraction o + S in m is shorter than the body, of ``length`` m at rest."""
+    """Raise `GaitError` unless the largest contraction ``reach`` (o + S) is below the body length at rest, in m."""
     if reach >= length:
         raise GaitError(
             f"stroke: {reach:g} m with the pretension; the body is {length:g} m long. Use less than {length:g} m"

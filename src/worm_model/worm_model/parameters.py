@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters of the worm robot and the parameter file.
 
-The keys are those of the parameter table of the paper (``tab1``) in SI units, and some that the table lacks, such as
-``initial_length``, which was calibrated, and the dry friction of both modules (see `Parameters`). The value of one key
-is not a number: ``one_sided_cable`` selects the power model.
+The keys are the parameters of the paper's table ``tab1``, in SI units, and some parameters that the table lacks, such
+as ``initial_length`` and the dry friction of both modules (see `Parameters`). All values are numbers, except that of
+``one_sided_cable``: true or false selects the power model.
 """
 
 from __future__ import annotations
@@ -35,19 +35,19 @@ class ParameterError(InputError):
 class Parameters(RobotParameters):
     """Parameters of the robot in its pipe, SI units. The defaults are the values of the paper's table ``tab1``.
 
-    ``initial_length`` (L0) is missing from the paper. 0.2952 m is this project's calibration: with it the cliff of the
-    price of robustness is at 3.4 mm, as in the paper. It determines the groove phase and thus how many grooves a cycle
-    gains.
+    The paper does not give ``initial_length`` (L0). This project calibrated it: with 0.2952 m, the cliff of the price
+    of robustness is at a margin of 3.4 mm, as in the paper. L0 determines the groove phase, and with it the number of
+    grooves that a cycle gains.
 
-    ``rear_dry_friction`` and ``front_dry_friction`` (D1, D2) are not in the paper's model, which has viscous friction
-    alone. The default 0 is the paper's model.
+    ``rear_dry_friction`` and ``front_dry_friction`` (D1, D2) are not in the paper's model, which has only viscous
+    friction. With the default 0 the model is the paper's.
 
     ``one_sided_cable`` selects the power model of a cable that cannot push: max(F_c, 0) replaces F_c in
-    eq:power_model. c_b and α_P are valid only for the power model with which they were fitted. Both models have the
-    same motion.
+    eq:power_model. The values of ``bellows_damping`` (c_b) and ``power_factor`` (α_P) are valid only for the power
+    model with which they were fitted. The motion is the same with both power models.
 
-    Raises `ParameterError` if a value is not a finite number, is outside its admissible range (orders of magnitude, to
-    detect wrong units), or if values exclude each other.
+    Raises `ParameterError` if a value is not a finite number or is outside its admissible range, or if two values
+    exclude each other. A range spans several orders of magnitude, to detect wrong units.
     """
 
     one_sided_cable: bool = False
@@ -58,7 +58,8 @@ class Parameters(RobotParameters):
         if not isinstance(self.one_sided_cable, bool):
             raise ParameterError(f"{FORM}: {self.one_sided_cable!r}: write true or false")
         if 2.0 * self.switching_threshold < self.pitch:
-            # The deflection of a fin that switches changes by a pitch: past the lower threshold it would switch back.
+            # A switch changes the deflection of the fin by a pitch. If the new deflection is beyond the threshold on
+            # the other side, the fin switches back at once.
             raise ParameterError(
                 f"switching_threshold: {self.switching_threshold:g} m is less than half the pitch "
                 f"({self.pitch:g} m): a fin that switches would switch back at once, without end"
@@ -70,7 +71,7 @@ class Parameters(RobotParameters):
             )
 
     def __repr__(self) -> str:
-        """Return the expression with the values that differ from the paper's, as in ``Parameters(gain=0.85)``."""
+        """Return the constructor call with the values that differ from the default, like ``Parameters(gain=0.85)``."""
         values = (
             (row.name, getattr(self, row.name), row.default) for row in dataclasses.fields(self)
         )
@@ -78,7 +79,7 @@ class Parameters(RobotParameters):
         return f"Parameters({own})"
 
     def replace(self, **changes: Any) -> Parameters:
-        """Return a copy with some values changed; raise `ParameterError` as the constructor does."""
+        """Return a copy with changed values. Raises `ParameterError` for an unknown key or an inadmissible value."""
         unknown = set(changes) - {*KEYS, FORM}
         if unknown:
             raise ParameterError(_unknown_key(sorted(unknown)[0]))
@@ -103,15 +104,18 @@ def _checked(row: dataclasses.Field[float], value: Any) -> float:
     return float(value)
 
 
-KEYS: tuple[str, ...] = tuple(row.name for row in rows_of(Parameters))  # all except FORM
+#: keys of the parameters that are numbers, which are all except FORM
+KEYS: tuple[str, ...] = tuple(row.name for row in rows_of(Parameters))
 UNITS: Mapping[str, str] = {row.name: row.metadata["unit"] for row in rows_of(Parameters)}
 SYMBOLS: Mapping[str, str] = {row.name: row.metadata["paper"] for row in rows_of(Parameters)}
-FORM = "one_sided_cable"  # key of the power model, also in a file's provenance
+FORM = "one_sided_cable"  # key of the choice of the power model, also in a file's provenance
+#: keys of the parameters that affect the power, but not the motion
 POWER_ONLY = frozenset(row.name for row in rows_of(Parameters) if row.metadata["power_only"])
-# not in the paper's model; default 0
+#: keys of the parameters that the paper's model does not contain; their default is 0
 NOT_OF_PAPER = tuple(row.name for row in rows_of(Parameters) if not row.default)
+#: keys of the parameters that are valid only for the power model with which they were fitted
 FITTED_WITH_FORM = ("bellows_damping", "power_factor")
-MADE_BY = "worm_model identify"  # beginning of the provenance's made_by in files of `identify`
+MADE_BY = "worm_model identify"  # beginning of the entry made_by in the provenance of a file of `identify`
 PAPER = Parameters()
 
 
@@ -119,7 +123,8 @@ PAPER = Parameters()
 class ParameterFile:
     """Content of a parameter file: the values, their 95 % intervals and their provenance.
 
-    See `worm_msgs.robot_parameters.ParameterFileContent`; ``correlations`` are by pairs of keys. All may be empty.
+    For the meaning and the units of the mappings see `worm_msgs.robot_parameters.ParameterFileContent`. The keys of
+    ``correlations`` are pairs of parameter keys. A mapping is empty if the file lacks it.
     """
 
     parameters: Parameters = PAPER
@@ -139,7 +144,10 @@ def _unknown_key(key: str) -> str:
 def _check_form(
     parameters: Parameters, keys: Container[str], provenance: Mapping[str, Any]
 ) -> None:
-    """Raise `ParameterError` if c_b and α_P were fitted with another power model than the file selects."""
+    """Raise `ParameterError` unless c_b and α_P of a file belong to the power model that the file selects.
+
+    ``keys`` are the keys that the file contains.
+    """
     form = parameters.one_sided_cable
     if form and not all(key in keys for key in FITTED_WITH_FORM):
         raise ParameterError(
@@ -198,7 +206,8 @@ def format_parameter_file(content: ParameterFile) -> str:
         for key in KEYS
     ]
     form = str(content.parameters.one_sided_cable).lower()
-    lines.append(f"{FORM}: {form}  # the form of the power that c_b and α_P were fitted with")
+    meaning = "true if c_b and α_P were fitted with the power model of a cable that cannot push"
+    lines.append(f"{FORM}: {form}  # {meaning}")
     extra: dict[str, Any] = {}
     if content.intervals:
         extra["intervals"] = {

@@ -26,7 +26,7 @@ STATE_NAMES = ("inactive", "idle", "resting", "running", "stopping", "fault")
 POWER_VALID = 0
 POWER_STATUS_NAMES = ("valid", "overflow", "not ready", "bus error", "sensor reset")
 
-# The driver computes a run's onset in each cycle from two clocks, so that it varies by less than this.
+# ns; the driver computes a run's onset in each cycle from two clocks. The onsets of a run differ by less than this.
 SAME_ONSET_NS = 100_000_000
 
 
@@ -59,12 +59,14 @@ def seconds(stamp: Stamps, origin: int) -> Array:
 
 
 def utc_of(stamp: int) -> str:
-    """Return a stamp (ns since the epoch) as a date in UTC to the second, ISO 8601."""
+    """Return a stamp (ns since the epoch) as date and time in UTC to the second, ISO 8601."""
     return datetime.fromtimestamp(stamp * 1e-9, timezone.utc).isoformat(timespec="seconds")
 
 
 def concatenated(kind: type[Any], parts: Sequence[Any]) -> Any:
-    """Return samples of one of this module's classes as one series; parts without samples are skipped.
+    """Return the samples of several parts, all of the class ``kind`` of this module, as one object of this class.
+
+    Parts without samples are skipped.
 
     Raises:
         ValueError: The joints of `JointSamples` differ between the parts.
@@ -137,10 +139,16 @@ _GaitColumns: Any = make_dataclass(
 
 @dataclass(frozen=True, kw_only=True)
 class GaitStates(_GaitColumns):
-    """States of the driver: `state` as in GaitState, the gait, and its `onset` (ns since the epoch, 0: unknown).
+    """States of the driver. The fields of `Gait` are arrays with the same names.
 
-    The fields of `Gait` are arrays with the same names. Fields that a recording lacks have the defaults of `Gait`.
-    `run` is the driver's number of the run, 0 in recordings without run numbers.
+    A field that a recording lacks has the default of `Gait`, or 0 if it is `cycle`, `cycles` or `run`.
+
+    Attributes:
+        state: state of the driver, a value of GaitState.state.
+        onset: start of the first cycle, ns since the epoch; 0: unknown.
+        cycle: number of the present cycle, from 1.
+        cycles: requested number of cycles.
+        run: number that the driver gave the run.
     """
 
     stamp: Stamps = field(default_factory=_stamps)
@@ -194,7 +202,8 @@ class GaitStates(_GaitColumns):
         before, after = (
             (self.run[part], self.cycle[part], self.onset[part]) for part in (rows[:-1], rows[1:])
         )
-        # A driver that was restarted counts from 1, so two different runs in sequence may have the number 1.
+        # A restarted driver counts from 1, so two successive runs may have the same number. They are different runs if
+        # the driver was in another state between them, and the onset changed.
         ended = np.searchsorted(over, self.stamp[rows[1:]]) > np.searchsorted(
             over, self.stamp[rows[:-1]]
         )
@@ -207,7 +216,7 @@ class GaitStates(_GaitColumns):
 class JointSamples:
     """Servo states: `position` rad, `velocity` rad/s, `effort` N*m, each of shape (n, len(names)) or (n, 0).
 
-    In older bags, `effort` is a current in A, or a ratio of the load.
+    In older bags, `effort` is a current in A, or the load as a ratio of its maximum.
     """
 
     names: tuple[str, ...] = ()

@@ -2,8 +2,8 @@
 """Exclusive use of a namespace: one driver and one node graph for each robot on this computer.
 
 A claim is a listening socket in Linux's abstract socket namespace. The kernel allows one socket per name, for all
-users, and removes the socket when its process ends, for whatever reason. So a claim is never stale. A claim is not
-visible on other computers. The driver searches the ROS graph for drivers on these.
+users, and removes the socket when its process ends, for whatever reason. So a claim is never stale. Other computers do
+not see a claim. To find drivers on other computers, the driver searches the ROS graph.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from collections.abc import Mapping
 
 DRIVER = "driver"
 GRAPH = "node graph"
-#: service that only drivers have, whatever their names
+#: service that every driver has, whatever its name, and no other node
 DRIVER_SERVICE = "run_gait/_action/send_goal"
-#: s, time after which DDS no longer announces a killed driver. A silent participant counts as alive for 20 s
+#: s, time after which DDS no longer announces a killed driver. DDS announces a silent participant for 20 s
 ANNOUNCED_S = 25.0
 _CREDENTIALS = struct.Struct("3i")  # pid, uid, gid: struct ucred, unix(7)
 
@@ -76,7 +76,10 @@ def _address(role: str, namespace: str, domain: int) -> bytes:
 
 
 def _holder(role: str, namespace: str, domain: int) -> str:
-    """Return the name of the process that has a claim. Do not block, although that process accepts no connections."""
+    """Return a description of the process that has a claim, with the process id if it is known.
+
+    The connection does not block, although the other process never accepts it.
+    """
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as client:
         client.setblocking(False)
         try:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Network access of a process with ROS: this machine only, unless an environment variable opens the network.
 
-``ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST`` is no access control. The ports are still bound on every address, and a host
-that names this machine as a static peer finds its topics, services and actions. So this module binds the middleware
-itself to the loopback interface, with the settings of each supported middleware.
+``ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST`` is no access control. A host that names this machine as a static peer still
+finds the topics, services and actions of this machine. So this module restricts each supported middleware to the
+loopback interface, with the middleware's own settings. To bind a process means to restrict it in this way.
 """
 
 from __future__ import annotations
@@ -36,7 +36,8 @@ _BINDINGS: Mapping[str, Mapping[str, str]] = {
     },
     "rmw_cyclonedds": {"CYCLONEDDS_URI": _CYCLONE_DDS, _RANGE: "LOCALHOST"},
 }
-#: Variables of the bindings that open the network if the environment sets them to another value.
+#: Variables that select a middleware profile. If one has a value other than that of the binding, the user's own profile
+#: applies, and the network counts as open.
 _PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE", "CYCLONEDDS_URI")
 
 
@@ -69,7 +70,9 @@ class Reach:
 
 
 def reach(environment: Mapping[str, str], middleware: str) -> Reach:
-    """Return the hosts that can reach a process with this environment and middleware (name of the rmw) after `bind`.
+    """Return the hosts that will be able to reach a process after a call of `bind` with this environment.
+
+    ``middleware`` is the name of the rmw.
 
     Raises:
         NetworkError: WORM_NETWORK has an unknown value, or the network was not opened and this module cannot bind the
@@ -117,7 +120,8 @@ def bind(environment: MutableMapping[str, str], middleware: str) -> Reach:
         environment.update({n: v for n, v in binding.items() if n != _RANGE or not discovers_none})
         return current
     inherited = {n: v for n, v in binding.items() if n != _RANGE}
-    if binding and inherited.items() <= environment.items():  # The parent process was bound.
+    if binding and inherited.items() <= environment.items():
+        # A bound parent process set these variables. Without them, the middleware opens the network as requested.
         for name in inherited:
             del environment[name]
         if environment.get(_RANGE) == binding[_RANGE]:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Command line and declaration of the parameters of a node.
 
-A node rejects an argument, a parameter or a file that it cannot use, with one line and exit status 2. A node that
-ignored them could run the robot with wrong values, for example with the parameter file of another robot.
+If a node cannot use an argument, a parameter or a file, it prints one line and exits with status 2. A node that ignored
+such input could run the robot with wrong values, for example with the parameter file of another robot.
 """
 
 from __future__ import annotations
@@ -79,10 +79,11 @@ def _translated(
 
 
 def _set_changes_alone(node: Node, floats: frozenset[str]) -> None:
-    """Remove parameters that already have the requested value from requests to set parameters.
+    """Wrap the setter of a node so that a request to set parameters sets only those whose values change.
 
     rclpy rejects a read-only parameter even if its value stays the same, so `ros2 param load` of a node's own dump
-    would fail. Callbacks cannot drop a parameter, so this function wraps the method that all setters call.
+    would fail. A callback cannot remove a parameter from a request, so this function wraps the method that all setters
+    call.
     """
     set_all = node._set_parameters_atomically
 

@@ -35,7 +35,7 @@ class ParameterRow:
         description: for --help and ``ros2 param describe``.
         low: lower limit of a number; None without limits.
         high: upper limit, given together with ``low``.
-        read_only: True if it can only be set at the start.
+        read_only: True if the parameter can only be set at the start of the node.
     """
 
     name: str
@@ -46,7 +46,7 @@ class ParameterRow:
     read_only: bool = False
 
     def descriptor(self) -> ParameterDescriptor:
-        """Return a new descriptor each time, because rclpy modifies it when it declares the parameter."""
+        """Return a new descriptor in each call, because rclpy modifies it when it declares the parameter."""
         made = ParameterDescriptor(
             name=self.name, description=self.description, read_only=self.read_only
         )

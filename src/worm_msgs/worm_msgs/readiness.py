@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Report of a node to its parent process that it is ready, in the protocol of systemd, sd_notify(3).
 
-Unlike a look at the ROS graph, the report needs no discovery and cannot confuse nodes of the same name.
+Unlike a query of the ROS graph, the report needs no discovery and cannot confuse nodes of the same name.
 """
 
 from __future__ import annotations

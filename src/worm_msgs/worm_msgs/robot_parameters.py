@@ -3,8 +3,8 @@
 
 No other module declares them. The model, identification, the optimizer, the driver and the virtual robot read the
 parameters from here by key. To add a parameter, add a row. If the parameter acts on the robot, also add a term to the
-equations of the simulator's kernel (`worm_model.simulation.kernel`) and
-of the virtual robot's motion (`worm_driver.virtual_robot.plant`).
+equations of the simulator's kernel (`worm_model.simulation.kernel`) and of the virtual robot's motion
+(`worm_driver.virtual_robot.plant`).
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ def _row(
     Args:
         default: the paper's value, except for L0; 0 for an effect that the paper's model does not contain.
         unit: SI unit of the value.
-        low, high: admissible range, which `settings_file` checks. It is several orders of magnitude wide, and detects
-            wrong units.
-        paper: symbol in the paper.
+        low, high: admissible range, which `settings_file` checks. A range of several orders of magnitude detects wrong
+            units.
+        paper: symbol, as in the paper where the paper has the quantity.
         power_only: True if the value affects the power, but not the motion.
     """
     metadata = {"unit": unit, "low": low, "high": high, "paper": paper, "power_only": power_only}
-    of_file = {"ge": low, "le": high, "description": f"{paper}, {unit}"}  # names of pydantic
+    of_file = {"ge": low, "le": high, "description": f"{paper}, {unit}"}  # for pydantic.Field
     return field(default=default, metadata={**metadata, **of_file})
 
 
@@ -90,7 +90,8 @@ class ParameterFileContent(RobotParameters):
     """Content of a parameter file. A missing key means the default value.
 
     Attributes:
-        one_sided_cable: form of the power for which c_b and α_P were fitted, see `worm_model.parameters`.
+        one_sided_cable: True if c_b and α_P were fitted with the power model of a cable that cannot push, see
+            `worm_model.parameters`.
         intervals: 95 % intervals (low, high) by key, in the key's unit.
         correlations: (key, key, correlation) of the errors of two keys.
         run_to_run: standard deviations of the robot's values from run to run, by key, in the key's unit. The intervals

@@ -25,9 +25,10 @@ from worm_msgs import network
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 #: s, longest time until a signal takes effect
 SPIN_S = 0.1
-#: s, time after the first signal in which a SIGINT belongs to the same Ctrl-C. The terminal and launch may both send it
+#: s, time after the first signal in which a SIGINT belongs to the same Ctrl-C, because both the terminal and launch may
+#: send SIGINT
 _SAME_PRESS_S = 1.5
-#: Start of rcl's message if no node can be created: the middleware lacks security, or there is no network.
+#: Start of rcl's message if no node can be created, for example because the middleware lacks security.
 _NO_NODE = "error creating node"
 
 
@@ -66,7 +67,7 @@ def ros_process(arguments: Sequence[str] | None = None) -> Iterator[ShutdownRequ
     """Initialise ROS for the duration of the context. SIGINT, SIGTERM and SIGHUP then only set the yielded request.
 
     rclpy's own handlers would shut down the context while a node still works. Only this machine can reach the process,
-    unless the environment opens the network. In this case, a line on standard error states it (module network).
+    unless the environment opens the network (module `network`). If it does, a line on standard error reports this.
 
     Args:
         arguments: command line with the program's name; None: the command line of the process.
@@ -138,7 +139,7 @@ def _exit(error: Exception) -> SystemExit:
 
 
 def spare_pauses() -> None:
-    """Exempt all present objects from garbage collection. To be called when a node is complete.
+    """Exempt all present objects from garbage collection. Call this when the node is complete.
 
     A collection through the modules, the compiled kernel and ROS takes some 60 ms, and blocks every thread.
     """

@@ -27,7 +27,12 @@ _YAML_TERMS = {"an object": "a mapping", "valid array": "list", " after validati
 
 
 def key(name: str | None = None, **bounds: Any) -> Any:
-    """Return the annotation of a field: its key in the file (default: its name), and bounds such as gt and le."""
+    """Return the annotation of a field.
+
+    Args:
+        name: key in the file; None: the name of the field.
+        bounds: arguments of pydantic.Field, such as gt and le.
+    """
     return Field(alias=name, **bounds)
 
 
@@ -57,7 +62,7 @@ def _reject_boolean(value: Any) -> Any:
 
 
 class Converted:
-    """Annotation of a field. A function converts its value, after the value was validated as a type."""
+    """Annotation of a field whose value is validated as the type ``kind`` and then converted by ``function``."""
 
     def __init__(self, kind: Any, function: Callable[[Any], Any]) -> None:
         self._kind, self._function = kind, function

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Launch file of the nodes in config/system.yaml: ros2 launch worm_optimizer worm.launch.py mode:=virtual.
 
-Every setting of system.yaml is a launch argument. Other launch files can include this one. A namespace that they push
-with PushRosNamespace is then a prefix of ``namespace``.
+Every setting of system.yaml is a launch argument. Other launch files can include this one. A namespace that such a file
+pushes with PushRosNamespace is then a prefix of ``namespace``.
 
 This file calls no service and publishes nothing. It starts no node in a namespace in which a node graph or a driver
 runs. The driver configures and activates itself after it has verified that it is the only driver.
@@ -47,7 +47,7 @@ from worm_optimizer.operation.system import (
     load_system_file,
 )
 
-RESTART_DELAY_S = 2.0
+RESTART_DELAY_S = 2.0  # time from the end of a node to its restart, s
 OWN_TIME = ("virtual_robot", "driver", "player")  # nodes that never use /clock
 LEVELS = ("debug", "info", "warn", "error", "fatal")
 LAUNCH_ARGUMENTS = (  # arguments of launch itself, which every launch file accepts
@@ -76,7 +76,8 @@ def generate_launch_description() -> LaunchDescription:
             "use_sim_time",
             default_value="",
             choices=["", "true", "false"],
-            description="use_sim_time of the nodes that can use /clock; empty: true in the mode replay only",
+            description="use_sim_time of the nodes that can use /clock, true only with mode:=replay; empty: the "
+            "values in system.yaml",
         ),
     ]
     arguments += [
@@ -92,7 +93,7 @@ def generate_launch_description() -> LaunchDescription:
 def _reject_unknown(context: LaunchContext, known: list[str]) -> None:
     """Raise `SystemFileError` if an argument of the command line is unknown.
 
-    If another launch file includes this one, all arguments are accepted, because some may be those of the other file.
+    If another launch file includes this one, all arguments are accepted, because some may belong to the other file.
     """
     if not any(Path(argument).name == Path(__file__).name for argument in sys.argv):
         return
@@ -136,13 +137,13 @@ def _sim_time(mode: str, requested: str) -> dict[str, bool]:
 
 
 class _Ready(Event):
-    """Event that a node has reported readiness."""
+    """Event: a node has reported readiness."""
 
     name = "worm.Ready"
 
 
 class _Graph:
-    """Nodes of one robot. The object exists while launch runs, and with it the claim of the namespace."""
+    """Nodes of one robot. The object holds the claim of the namespace, and exists as long as launch runs."""
 
     def __init__(
         self, claim: socket, namespace: str, log_level: str, sim_time: dict[str, bool]
@@ -240,9 +241,10 @@ class _Graph:
     def _on_exit(
         self, description: NodeDescription, event: ProcessExited, context: LaunchContext
     ) -> list[LaunchDescriptionEntity]:
-        """End all nodes if a required node has ended. Any other node is restarted by launch; report this.
+        """End all nodes if a required node has ended. Report the end of any other node, which launch restarts.
 
-        A failure is raised when all nodes have ended. It is then the last line of launch, whose exit status is 1.
+        A failure is raised only when all nodes have ended. Its message is then the last line of launch, and the exit
+        status is 1.
         """
         name, status = description.name, event.returncode
         self._running.discard(name)

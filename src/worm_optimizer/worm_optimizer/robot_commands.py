@@ -15,7 +15,7 @@ MOST_CYCLES = 1000  # of one run; the driver has the same limit
 
 @dataclass(frozen=True)
 class GaitCommand:
-    """Gait to run until the first of the given ends is reached; 0 means that an end is not given.
+    """Gait to run until the first of the given ends is reached. An end of 0 is not given.
 
     Attributes:
         gait: the gait.
@@ -67,11 +67,11 @@ class RunProgress:
     """Progress of a run.
 
     Attributes:
-        cycle: number of the present cycle; 0 while the robot rests before the gait.
+        cycle: number of the present cycle, counted from 1; 0 while the robot rests before the gait.
         elapsed: time since the onset, s; negative before the onset.
-        grooves: grooves so far; NaN without a measurement.
-        distance: distance so far, m; NaN without a measurement.
-        power: mean power, W; NaN without a measurement.
+        grooves: distance since the onset along the gait's direction, in grooves; NaN without a tracker.
+        distance: the same distance, m; NaN without a tracker.
+        power: latest valid sample of the source power, W; NaN without one.
     """
 
     cycle: int
@@ -96,7 +96,10 @@ Progress = Callable[[RunProgress], None]
 
 @dataclass(frozen=True)
 class ScanRequest:
-    """Request for a margin scan, in m. If ``highest`` or ``step`` is 0, the optimizer uses its own value."""
+    """Request for a margin scan from ``lowest`` to ``highest`` in steps of ``step``, all in m.
+
+    If ``highest`` or ``step`` is 0, the optimizer uses the value of its settings.
+    """
 
     direction: int
     lowest: float = 0.0
@@ -106,9 +109,14 @@ class ScanRequest:
 
 @dataclass(frozen=True)
 class FrontRequest:
-    """Request for an optimisation; ``margin`` in m, NaN for the margin at the cliff.
+    """Request for the computation of a front.
 
-    If ``probability`` is 0 or ``waveform`` is empty, the optimizer uses its own value.
+    Attributes:
+        direction: FORWARD or REVERSE.
+        robustness: name of a criterion of `search_settings.Robustness`.
+        margin: robustness margin, m; NaN for the last margin of the scan before the cliff.
+        probability: probability for the criterion ``chance``; 0 for that of the optimizer's settings.
+        waveform: name of a `search_settings.Waveform`; empty for that of the optimizer's settings.
     """
 
     direction: int
@@ -120,10 +128,11 @@ class FrontRequest:
 
 @dataclass(frozen=True)
 class SearchResult:
-    """Result of a search. The ``message`` describes the result, or the reason of a failure.
+    """Result of a margin scan or of the computation of a front.
 
-    A scan also has ``margins`` (m), the lowest ``costs`` of transport at these, and the margin at the ``cliff`` (m; NaN
-    without a cliff).
+    The ``message`` describes the result, or the reason of a failure.
+    Only a margin scan has ``margins`` (m), the lowest cost of transport at each of these margins (``costs``), and the
+    margin at the ``cliff`` (m; NaN without a cliff).
     """
 
     success: bool

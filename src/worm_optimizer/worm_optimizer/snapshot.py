@@ -26,7 +26,7 @@ class DriverState:
         stroke: m; 0 without a gait.
         frequency: Hz.
         direction: FORWARD or REVERSE.
-        holding: True from a stop until a person commands otherwise.
+        holding: True from a stop until the operator starts a run or deactivates the driver.
         message: reason of the state.
         stamp_ns: stamp of the message.
         onset_ns: stamp of the gait's onset; 0 without one.
@@ -76,9 +76,10 @@ class Snapshot:
         robot_at_twin: sample of the tracker that is nearest to the stamp of ``twin``.
         lengths: body lengths by source, m.
         power: measured power, W.
-        twin_age: stamp of the latest command minus stamp of the twin's state, s of the robot's time.
+        twin_age: stamp of the latest commanded length minus stamp of ``twin``, in s of the robot's clock.
         received: time at which the latest message of each topic was received, s (monotonic clock).
-        grooves: stamp (ns) and rear grooves since the onset of each state of the twin in the last seconds.
+        grooves: one pair for each state of the twin in the last seconds: its stamp (ns), and the grooves that the rear
+            module has gained since the onset.
     """
 
     driver: DriverState | None = None

@@ -123,7 +123,7 @@ def test_gaits_are_searched_and_parameters_identified_in_the_background(
     expect(status(page)).to_have_text("margin scan: the cliff is at 3.42 mm")
     page.get_by_label("Margin, mm").fill("2.5")
     press(page, "Compute front")
-    expect(status(page)).to_have_text("optimisation: margin 2.50 mm, given")
+    expect(status(page)).to_have_text("computation of the front: margin 2.50 mm, given")
     page.get_by_role("tab", name="Recordings").click()
     page.get_by_role("row", name="forward").get_by_role("checkbox").click()
     page.get_by_role("tab", name="Studies").click()

@@ -3,8 +3,8 @@
 
 Ids and models are read from the bus. Signs and spool radii follow from ruler readings at a few positions, and fin
 angles from positions to which the operator turns the fins. The servos move slowly, and only after the operator has
-answered a question. At the end, the torque is released. While the torque of a servo is on, its bus watchdog is armed.
-While a question waits for its answer, the command resets the watchdog.
+answered a question. At the end, the torque is released. While the torque of a servo is on, the servo's bus watchdog is
+armed. While a question waits for its answer, the command resets this watchdog.
 """
 
 import argparse
@@ -38,7 +38,7 @@ from worm_driver.servos.transmission import Fin, Spool
 
 #: rad/s, speed of the spool during the calibration
 _SPEED = 0.5
-#: ticks, size of the first small motion, which shows the direction
+#: ticks, size of the first small motion, which shows in which direction the spool winds the cable up
 _PROBE = 256
 #: ticks, distance from a goal within which the servo has arrived
 _ARRIVED = 20
@@ -94,8 +94,8 @@ class Calibration:
     def role(self, servo: Servo) -> str:
         """Ask the operator for the role of a servo, with its LED lit. Return c (cable), f (fin) or n (none).
 
-        A lit LED is also the home mark of a cable servo. If the dialogue is interrupted, the LED may stay lit. Position
-        mode is set before, because a driver ignores the mark of a servo in this mode.
+        A lit LED is also the home mark of a cable servo, and the LED may stay lit if the dialogue is interrupted. So
+        the servo is first set to position mode, in which a driver ignores the mark.
         """
         with self._bus.retrying():
             servos.prepare(self._bus, servo, POSITION_MODE)
@@ -107,7 +107,16 @@ class Calibration:
             self._bus.write(servo.number, servo["led"], 0)
 
     def cable(self, servo: Servo, turns: float, points: int) -> Spool:
-        """Return the spool of a cable servo, from ruler readings while it winds the cable up. Raises DriverError."""
+        """Return the spool of a cable servo, from ruler readings while the servo winds the cable up.
+
+        Args:
+            servo: cable servo.
+            turns: turns of the spool from the first to the last reading.
+            points: number of readings.
+
+        Raises:
+            DriverError: The readings are inconsistent, the cable is blocked, or the servo does not answer.
+        """
         self._say(
             f"cable servo {servo.number}: turn the spool manually until the cable is just taut,"
         )
@@ -230,7 +239,7 @@ class Calibration:
 
 
 def calibrate(calibration: Calibration, turns: float, points: int) -> tuple[list[Spool], list[Fin]]:
-    """Run the dialogue. Return the spools and the fins. Raises DriverError."""
+    """Run the dialogue, and return the spools and the fins. Raises DriverError. See `Calibration.cable`."""
     answering = calibration.find_servos()
     if not answering:
         raise ConfigurationError("no servo answers: check the power, the cable and --baud-rate")

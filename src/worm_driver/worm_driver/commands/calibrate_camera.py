@@ -15,12 +15,12 @@ from worm_driver.tracking.image_sources import frames_of_folder
 from worm_driver.tracking.tracking_errors import ImageError
 from worm_driver.tracking.vision import Board, Calibration, Image, VideoSource, calibrate
 
-FEWEST_VIEWS = 8
-_MOST_VIEWS = 60
-_FEWEST_CORNERS = 12
-_MOVED = 25.0  # pixels; an image in which the board has moved less since the last view adds no information
-_GOOD = 0.6  # pixels rms; reprojection error above which a warning follows. Sharp images of a flat board are below
-_BAD = 2.0  # pixels rms; reprojection error at which the calibration is rejected
+FEWEST_VIEWS = 8  # smallest number of views of the board
+_MOST_VIEWS = 60  # number of views after which no further image is read
+_FEWEST_CORNERS = 12  # smallest number of the board's corners in a view
+_MOVED = 25.0  # pixels, smallest motion of the board since the last view; less motion adds no information
+_GOOD = 0.6  # pixels rms, reprojection error above which a warning follows; sharp images of a flat board have less
+_BAD = 2.0  # pixels rms, reprojection error from which on the calibration is rejected
 _COVERED = 0.5  # smallest share of the image's width and height that the corners should span
 
 View = tuple[Array, Array]

@@ -10,6 +10,7 @@ from typing import NoReturn
 
 from worm_driver.tracking.tracking_errors import TrackingError
 
+#: Exit statuses.
 DONE, FAILED, BAD_INPUT = 0, 1, 2
 
 
@@ -26,7 +27,11 @@ def run_command(
     command: Callable[[argparse.Namespace], None],
     arguments: list[str] | None = None,
 ) -> int:
-    """Parse the arguments, run the command and return the exit status."""
+    """Parse the arguments and run the command.
+
+    Returns:
+        Exit status: 2 for bad input, 1 for another error or Ctrl-C, else 0.
+    """
     options = parser.parse_args(arguments)
     try:
         command(options)

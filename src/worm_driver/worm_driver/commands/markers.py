@@ -20,10 +20,11 @@ BOARD = (7, 9, 0.025, "DICT_5X5_100")
 
 _INCH = 0.0254
 _MARGIN = 0.015  # m; margin of the page, which printers may leave empty
-_HEAD = 0.035  # m; height of the title, the ruler and its text
+_HEAD = 0.035  # m; height of the title, the ruler and the text below it
 _RULER = 0.1  # m; length of the line for checking the scale
 _BOARD_PIXELS = 200  # pixels per square of the board
 _TEXT = 8  # points; size of the text
+# End of the instruction below the ruler.
 _MARKER_REMEDY = "set marker_size_m of the setup file to its side"
 
 
@@ -109,7 +110,7 @@ class _Sheet:
 
         cells = marker_cells(dictionary, item.number)
         side = size / len(cells)
-        # White rectangles, one per run of white cells, on one black square leave no seams between cells.
+        # One black square, with a white rectangle for each run of white cells, leaves no seams between cells.
         self._axes.add_patch(Rectangle((x, y), size, size, facecolor="black", linewidth=0))
         for row, line in enumerate(cells):
             for start, end in _runs(line):
@@ -147,7 +148,7 @@ class _Sheet:
 
 
 def _runs(line: Sequence[bool]) -> Iterator[tuple[int, int]]:
-    """Yield start and end of each run of white cells."""
+    """Yield start and end (exclusive) of each run of white cells in a row."""
     start = None
     for index, white in enumerate([*line, False]):
         if white and start is None:

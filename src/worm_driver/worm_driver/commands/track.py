@@ -25,13 +25,13 @@ from worm_driver.tracking.tracking_errors import TrackingError
 from worm_driver.tracking.vision import MarkerDetector, write_image
 
 COLUMNS = ("time_s", "rear_position_m", "front_position_m", "length_m", "reason")
-LAB_COLUMNS = ("time_s", "x1_m", "x2_m")  # columns of import_lab's camera.csv
+LAB_COLUMNS = ("time_s", "x1_m", "x2_m")  # columns of the file camera.csv that import_lab reads
 PICTURES = (".png", ".jpg", ".jpeg")
 _PROGRESS_INTERVAL = 300  # images between two lines of progress
 
 
 def follow(tracker: Tracker, frames: Iterable[Frame]) -> Iterator[TrackedPositions]:
-    """Yield the positions of each image; log events and progress to standard error.
+    """Yield the positions of each image. Print events and progress on standard error.
 
     Raises:
         TrackingError: An image cannot be read or does not have the size of the calibration.

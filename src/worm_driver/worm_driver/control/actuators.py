@@ -15,7 +15,7 @@ from worm_driver.servos.servo_bus import ServoBus
 from worm_driver.servos.servo_setup import Servo
 from worm_driver.servos.servo_state import SILENT, ServoState
 
-#: Largest distance of a fin from its goal, ticks.
+#: Largest distance of a fin from its goal at which the fin counts as set, ticks.
 _FIN_TOLERANCE = 40
 #: Speed below which a fin counts as still, rad/s.
 _FIN_STILL = 0.1
@@ -30,8 +30,8 @@ PAYOUT_TOLERANCE = 0.01
 class Actuators:
     """All servos of a robot, identified and set up, with the torque off.
 
-    If an earlier driver left the torque of a contracted robot on, the torque stays on, as the robot would spring back.
-    See left_on.
+    If an earlier driver left the torque of a contracted robot on, the torque stays on, because the robot would spring
+    back. See `left_on`.
 
     Attributes:
         settings: settings of this robot. `apply_settings` replaces them.
@@ -82,9 +82,9 @@ class Actuators:
             self.home()
 
     def _held_contraction(self) -> float | None:
-        """Return the contraction (m) that cable servos hold with torque that an earlier driver left on.
+        """Return the contraction (m) that the cable servos hold, if an earlier driver left their torque on.
 
-        Return None if a cable servo has no such torque, or if the robot would not spring back.
+        Return None if the torque of a cable servo is off, or if the robot would not spring back.
         """
         longest = 0.0
         for spool, servo in zip(self.settings.spools, self.cables, strict=True):
@@ -114,7 +114,8 @@ class Actuators:
         """Define the present cable length as the initial length.
 
         Raises:
-            HomingError: A torque was left on, or a servo did not accept its new zero.
+            HomingError: A torque was left on, a servo is too far from its encoder's zero, or it did not accept its new
+                zero.
             BusError: A servo does not answer.
         """
         if self.left_on:
@@ -162,7 +163,8 @@ class Actuators:
         """Enable the torque of every servo at its present position, with its bus watchdog armed.
 
         Returns:
-            Length change at which the cable is held, m. It is read here, because the body may still be springing back.
+            Length change at which the servos hold the cable, m. It is read here, because the body may still be
+            springing back.
 
         Raises:
             DriverError: A servo failed to be enabled.
@@ -198,8 +200,9 @@ class Actuators:
     def _bound_goals(self) -> None:
         """Set the bounds of the goals.
 
-        A cable goal lies within the range of the stroke. Its distance from the last plausible position is limited to
-        the following error plus the possible motion since then. A fin goal lies within one turn.
+        A cable goal lies within the range of the stroke. Its distance from the last plausible position is at most
+        the largest following error plus the possible motion since this position was read. A fin goal lies within one
+        turn.
         """
         limits = self.settings.limits
         bounds = {fin.servo: Bound(0, TICKS_PER_TURN - 1) for fin in self.settings.fins}
@@ -214,7 +217,7 @@ class Actuators:
         """Release the torque of every servo and return the failures, one sentence each.
 
         After an error of one servo, the others are still released. While `left_on` is not empty, no servo is released,
-        as the robot would spring back.
+        because the robot would spring back.
         """
         if self.left_on:
             return [self.left_on]
@@ -223,7 +226,7 @@ class Actuators:
         return self.unreleased
 
     def leave_torque_on(self) -> list[str]:
-        """Leave the torque of a contracted robot on, as it would spring back, and return the message about it."""
+        """Leave the torque on, because the contracted robot would spring back. Return the message about this."""
         self.left_on = (
             f"the torque stays on, as the robot is contracted by {self.contraction * 1e3:.1f} mm and would spring "
             "back: start the driver, activate it, then deactivate it to bring the robot to rest; or "
@@ -251,7 +254,7 @@ class Actuators:
 
         Args:
             length_change: ΔL, m.
-            direction: direction of the fins, 0 to hold them.
+            direction: direction of the fins, 1 or -1; 0 to hold them.
 
         Raises:
             BusError: The packet cannot be sent.
@@ -294,7 +297,9 @@ class Actuators:
     def strains(self, states: tuple[ServoState, ...], error: float) -> bool:
         """Return True if a cable servo works nearly at its limit to reduce an error of the length.
 
-        error: commanded minus measured length change, m. NaN yields False.
+        Args:
+            states: states of the servos.
+            error: commanded minus measured length change, m. NaN yields False.
         """
         limits = self.settings.limits
         return any(
@@ -304,7 +309,7 @@ class Actuators:
         )
 
     def fins_set(self, states: tuple[ServoState, ...], direction: int) -> bool:
-        """Return True if every fin stands still at its position for a direction."""
+        """Return True if every fin stands still at its position for a direction (1 or -1). Return False for 0."""
         if direction == 0:
             return False
         return all(

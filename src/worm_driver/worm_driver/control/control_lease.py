@@ -25,11 +25,12 @@ class ControlLease:
     def request(self, client: str, lease: float, now: float) -> None:
         """Give control to a client if no client has it. Otherwise renew the client's lease or store its request.
 
-        Only the first of several requesters is stored, until it withdraws or falls silent.
+        Only one requester is stored, the first one, until it withdraws its request or falls silent.
 
         Args:
             client: name of the client; an empty one changes nothing.
-            lease: time without a request after which the client loses control, s.
+            lease: time without a request after which the client loses control or its request, s. The client's first
+                request sets this time; later ones do not change it.
             now: present time, s.
 
         Raises:
@@ -49,12 +50,12 @@ class ControlLease:
             self._owners.setdefault(client, HeartbeatMonitor(lease, now)).record()
 
     def hand_over(self, client: str) -> None:
-        """Give control to the requester, if the client has it."""
+        """Give control to the requester, if there is one and ``client`` has control."""
         if client == self.holder and self.requester:
             self.release(client)
 
     def release(self, client: str) -> None:
-        """End the lease or the request of a client. The requester, if there is one, obtains control."""
+        """End the control or the request of a client. If the client had control, the requester obtains it."""
         if not client:
             return
         self._owners.pop(client, None)

@@ -2,8 +2,8 @@
 """Threads that own the robot and the power sensor.
 
 Other threads submit commands to the robot's thread, which executes them between two cycles. A callback receives the
-snapshots. Before the robot's thread ends, it releases the robot over the serial bus, without ROS. A robot that would
-spring back keeps its torque.
+snapshots. Before the robot's thread ends, it releases the robot over the serial bus, without ROS. It does not release a
+robot that would spring back, unless an operator requests this.
 """
 
 import contextlib
@@ -44,7 +44,7 @@ class PeriodicThread:
         clock: clock of the thread; None: the machine's.
 
     Attributes:
-        failure: exception that ended the thread.
+        failure: exception that ended the thread; None without one.
     """
 
     def __init__(self, name: str, period: float, clock: Clock | None = None):
@@ -54,7 +54,8 @@ class PeriodicThread:
         self._meter = PeriodMeter(period)
         self._report = self._meter.report()
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
-        self._excused = False  # True if the step took long on purpose: no missed deadline
+        # True if the step took long on purpose. Then no deadline counts as missed.
+        self._excused = False
 
     def _step(self, now: float) -> bool:
         """Do the work of one cycle at a time (s, monotonic). Return False to end the thread."""
@@ -164,7 +165,7 @@ class ControlLoop(PeriodicThread):
 
         Args:
             action: called with the time (s, monotonic).
-            lifetime: time after which the command is stale, s. The loop then rejects it with LimitError.
+            lifetime: time after which the loop rejects the action with LimitError, if the action has not begun, s.
 
         Returns:
             Future of the action's result.
@@ -181,7 +182,8 @@ class ControlLoop(PeriodicThread):
     ) -> T:
         """Submit an action and wait for its result.
 
-        If the timeout expires before the action begins, the action never runs. If it has begun, ``undo`` follows it.
+        If the timeout expires before the action has begun, the action never runs. If the timeout expires later,
+        ``undo`` runs after the action.
 
         Args:
             action: called with the time (s, monotonic).
@@ -240,7 +242,7 @@ class ControlLoop(PeriodicThread):
         self.request_end()
 
     def join(self, timeout: float, meanwhile: Callable[[], None] = lambda: None) -> bool:
-        """Wait for the thread to end. After the timeout, end the thread after its present step, wherever the robot is.
+        """Wait for the thread to end. After the timeout, end it after its present step, even if the robot moves.
 
         Args:
             timeout: longest wait, s.
@@ -346,7 +348,7 @@ class PowerLoop(PeriodicThread):
         return True
 
     def _revive(self, status: SampleStatus) -> None:
-        """Open the bus again at intervals while it returns nothing but errors."""
+        """Open the bus again after every _ERRORS_TO_REOPEN consecutive bus errors."""
         self._errors = self._errors + 1 if status is SampleStatus.BUS_ERROR else 0
         if self._errors and self._errors % _ERRORS_TO_REOPEN == 0:
             with contextlib.suppress(PowerSensorError):

@@ -14,7 +14,7 @@ from worm_driver.servos.bus_types import BusCounters
 from worm_driver.servos.servo_setup import Servo
 from worm_driver.servos.servo_state import SILENT, ServoState
 
-#: Distance from the servo's own temperature limit below which a report warns, degC.
+#: A report warns if the temperature is closer than this to the servo's own limit, degC.
 _WARM = 10.0
 #: 99th percentile of the period error above which a report warns, s.
 _LATE = 0.002
@@ -188,7 +188,7 @@ def gait_report(player: PlayerState, *, active: bool, homed: bool, left_on: str 
         player: state of the gait player.
         active: True if the torque is on.
         homed: True if the length of the cable is known.
-        left_on: message about a torque that an earlier driver left on.
+        left_on: message about a torque that was left on, see `Actuators.left_on`.
     """
     if left_on and not active:
         level, message = Level.WARN, left_on

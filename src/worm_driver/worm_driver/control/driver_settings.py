@@ -30,7 +30,7 @@ class DriverSettings:
         watchdog: time without packets after which the servos stop by themselves, s.
         home_at_start: True if the robot stands at its initial length when the driver is configured.
         rate: rate of commands and telemetry, Hz.
-        real_time_priority: SCHED_FIFO priority of the servo thread, half of it for the other threads; 0 for none.
+        real_time_priority: SCHED_FIFO priority of the servo thread; the other threads have half of it; 0: none.
     """
 
     port: str
@@ -67,7 +67,7 @@ class DriverSettings:
 
 
 def load_body(path: str) -> RobotParameters:
-    """Return the values of a parameter file, the paper's for an empty path. Raises ConfigurationError."""
+    """Return the parameters in a file; for an empty path, the paper's values. Raises ConfigurationError."""
     if not path:
         return RobotParameters()
     return read_settings(Path(path), ParameterFileContent, ConfigurationError)

@@ -17,15 +17,15 @@ _REASON = (
     "(./worm operate emergency_stop off)"
 )
 _VIRTUAL = "emergency_stop_virtual"
-#: Number of stored publishers at which the absent ones are forgotten.
+#: Number of stored publishers. With this many or more, the absent ones are forgotten when a message arrives.
 _MANY = 1000
 
 
 def state_folder(environment: Mapping[str, str], shared: Path = SHARED_FOLDER) -> Path:
     """Return the folder in which an emergency stop is stored.
 
-    The environment variable WORM_STATE_DIRECTORY names the folder, or else systemd's STATE_DIRECTORY. Without both,
-    it is ``shared`` if that exists, and otherwise a folder of the user (XDG base directories).
+    The environment variable WORM_STATE_DIRECTORY names the folder, or else systemd's STATE_DIRECTORY. If neither is
+    set, the folder is ``shared`` if this folder exists, otherwise a folder of the user (XDG base directories).
     """
     for variable in ("WORM_STATE_DIRECTORY", "STATE_DIRECTORY"):
         if environment.get(variable):
@@ -43,7 +43,8 @@ def latch_names(namespace: str, servos: Iterable[int], port: str) -> tuple[str, 
 
     A stop is on if either file exists, so neither another name of the port nor another namespace evades it. A virtual
     robot has one file, named after the link in its own directory. The number of its pseudo-terminal does not identify
-    it, because it is reused; nor does its namespace, because robots in other ROS domains may have an equal one.
+    the robot, because numbers are reused. Its namespace does not identify it either, because a robot in another ROS
+    domain may have the same one.
 
     Args:
         namespace: namespace of the driver.
@@ -87,9 +88,9 @@ class EmergencyLatch:
         )
 
     def adopt(self, names: Iterable[str]) -> str:
-        """Load the stored state of the robot with these file names.
+        """Load the emergency stop from the files with these names, see `latch_names`.
 
-        Return a message if that failed, else an empty string.
+        Return a message if a file cannot be read or written, else an empty string.
         """
         self._paths = [self.folder / name for name in names]
         try:
@@ -100,7 +101,7 @@ class EmergencyLatch:
         return self._store() if self.on else ""
 
     def latch(self) -> str:
-        """Turn the stop on. Return a message if it could not be stored; it is on nevertheless."""
+        """Turn the stop on. Return a message if the stop is on but could not be stored, else an empty string."""
         self.on = self._latched_here = True
         return self._store()
 
@@ -115,7 +116,7 @@ class EmergencyLatch:
         return ""
 
     def reset(self) -> str:
-        """Turn the stop off. Return a message if that failed; the stop then stays on."""
+        """Turn the stop off. Return a message if the stop stays on because a file cannot be removed."""
         try:
             for path in self._paths:
                 path.unlink(missing_ok=True)
@@ -125,7 +126,7 @@ class EmergencyLatch:
         return ""
 
     def why_not_start(self) -> str:
-        """Return why no torque and no run may start, or an empty string."""
+        """Return why neither torque nor a run may start; empty if they may."""
         return _REASON if self.on else ""
 
 
@@ -174,8 +175,8 @@ class StopPublishers:
         """Return the present publishers whose last message is true.
 
         An absent publisher does not count: its stop is latched, and it cannot publish false any more. Some middleware
-        identifies publishers differently in messages and in the graph. Then all stored publishers count as present
-        while the graph shows any publisher.
+        identifies publishers differently in messages and in the graph. In this case all stored publishers count as
+        present while the graph shows any publisher.
         """
         stopping = {publisher for publisher, last in self._last.items() if last.stops}
         if self._identified:

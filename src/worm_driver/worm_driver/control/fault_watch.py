@@ -12,8 +12,8 @@ from worm_driver.servos.registers import WATCHDOG_EXPIRED
 from worm_driver.servos.servo_state import SILENT, ServoState
 from worm_driver.servos.state_reader import StateReader
 
-#: Time for which the loop's own lateness explains an expired bus watchdog, s. It is longer than a cycle, because each
-#: cycle reads the health of one servo only.
+#: Time for which the loop's own lateness explains an expired bus watchdog, s. It is longer than a cycle, because
+#: each cycle examines one suspect servo only.
 _REMEMBERED = 0.5
 
 
@@ -50,7 +50,7 @@ class FaultWatch:
     def step(self, now: float) -> str:
         """Record the start of a cycle (s).
 
-        Return a message if the loop was later than the watchdog, else an empty string.
+        Return a message if more time than the bus watchdog has passed since the previous cycle, else an empty string.
         """
         gap = now - self._last_step
         self._last_step = max(now, self._last_step)
@@ -72,7 +72,7 @@ class FaultWatch:
         self._last_look = ended
 
     def fault(self, states: tuple[ServoState, ...], length_change: float) -> str | None:
-        """Return the fault after `look`, as a message, or None.
+        """Return the present fault as a message, or None. Call `look` first.
 
         Args:
             states: states of the servos while the torque is on.

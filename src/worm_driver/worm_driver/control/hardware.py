@@ -27,10 +27,11 @@ from worm_driver.virtual_robot.wire.virtual_clock import I2C, SERIAL, clock_of
 _ANSWERS = 2
 #: Factor by which late cycles may prolong a return to rest, which does not catch up.
 _LATENESS = 2.0
-#: Age of the oldest unread snapshot beyond which the robot is held, s.
+#: Age of the oldest unread snapshot beyond which the robot enters FAULT, s.
 _LISTENING_TIMEOUT = 3.0
-#: Number of unread snapshots beyond which a virtual robot's time waits for their reader, and the longest wait (s).
+#: Number of unread snapshots beyond which a virtual robot's time waits for their reader.
 _BACKLOG = 250
+#: Longest such wait, s.
 _BACKLOG_TIMEOUT = 10.0
 
 
@@ -69,7 +70,7 @@ class Hardware:
         why_not_start: Callable[[], str] = lambda: "",
     ):
         self.settings = settings
-        # Longest of all settings so far, because a run may have begun with it.
+        # Largest max_stroke of all settings so far, because a run may have begun with it.
         self._longest_stroke = settings.max_stroke
         self.snapshots: deque[Snapshot] = deque()
         self.samples: deque[PowerSample] = deque()
@@ -79,7 +80,7 @@ class Hardware:
             # The bus is opened first: its lock keeps a second driver from resetting the sensor, which has no lock.
             self._bus = ServoBus.open(settings.port, settings.baud_rate)
             opened.callback(self._bus.close)
-            # The sensor precedes the clock: once a thread uses a virtual robot's clock, it may wait only by that clock.
+            # The sensor is opened before the clock: a thread with a virtual robot's clock may wait on this clock only.
             sensor = _open_sensor(settings.power)
             if sensor is not None:
                 opened.callback(sensor.device.close)
@@ -118,7 +119,7 @@ class Hardware:
 
     @property
     def release_time(self) -> float:
-        """Longest duration of a return to rest with its release, s."""
+        """Longest duration of a return to rest and of the release after it, s."""
         travel = self._longest_stroke + 0.02
         return _LATENESS * math.pi / 2 * travel / self.settings.player.return_speed + 1.0
 
@@ -223,7 +224,7 @@ class Hardware:
         return 0 if self._power is None else self._power.valid_samples
 
     def _on_snapshot(self, snapshot: Snapshot) -> None:
-        """Queue a snapshot, in the loop's thread. Report a fault of the robot if the node no longer reads the queue."""
+        """Queue a snapshot, in the loop's thread. Put the robot into FAULT if the node no longer reads the queue."""
         self.snapshots.append(snapshot)
         unread = snapshot.command_time - self._oldest(snapshot).command_time
         if snapshot.active and unread > _LISTENING_TIMEOUT:

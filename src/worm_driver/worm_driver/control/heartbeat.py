@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Supervision of the heartbeats that the owner of a run or of a lease sends."""
+"""Supervision of the heartbeats of a client that has started a run or has a lease."""
 
 import math
 
@@ -10,7 +10,7 @@ PERIOD = 0.1
 class HeartbeatMonitor:
     """Heartbeat monitor of one run or lease. One thread may record heartbeats while another one checks them.
 
-    Time in which the driver itself was late does not count as silence, as heartbeats may wait in its queues.
+    Time by which the driver itself was late does not count as silence, because heartbeats may wait in its queues.
 
     Args:
         timeout: heartbeat timeout, s; infinite if no heartbeats are required.
@@ -39,6 +39,6 @@ class HeartbeatMonitor:
 def shorter_timeout(requested: float, required: float) -> float:
     """Return the shorter of the goal's and the driver's heartbeat timeout, s.
 
-    An argument of 0 stands for no timeout. Without any timeout the result is infinity.
+    An argument of 0 stands for no timeout. If both are 0, the result is infinity.
     """
     return min((value for value in (requested, required) if value > 0.0), default=math.inf)

@@ -34,7 +34,7 @@ VIRTUAL = Scheduling(granted=True, description="not needed: the virtual robot's 
 
 
 def _set_priority(priority: int) -> None:
-    """Set the priority of the calling thread, and half of it for the other threads of the interpreter.
+    """Set SCHED_FIFO with a priority for the calling thread, and with half of it for the other threads of the process.
 
     A thread of normal priority that holds the interpreter and waits for a processor would block the calling thread.
 
@@ -82,12 +82,11 @@ def request_scheduling(
 ) -> Scheduling:
     """Request SCHED_FIFO for the calling thread, half the priority for the other threads, and locked memory.
 
-    Threads must sleep while they wait, as a spinning thread would starve a core.
+    All threads must sleep while they wait, because a spinning real-time thread would block a core.
 
     Args:
         priority: priority, 1 to 99; 0 requests nothing.
-        set_priority: function that raises OSError if it is not permitted.
-        lock_memory: likewise.
+        set_priority, lock_memory: functions that raise OSError if Linux does not permit the change.
 
     Returns:
         The scheduling as far as Linux grants it.

@@ -31,11 +31,11 @@ from worm_driver.servos.state_reader import StateReader
 
 #: Largest number of readings of the state before an activation. Two consecutive ones must agree.
 _ATTEMPTS = 5
-#: Phases in which nothing moves before a new command.
+#: Phases in which nothing moves until a new command arrives.
 _HOLDS = (Phase.HOLDING, Phase.FAULT)
 #: Largest lag of a freely moving cable behind its command, s.
 _LAG = 0.05
-#: Time after a stop for which the robot may still move, s.
+#: Longest time for which the robot may still move after a stop, s.
 _STANDS = 0.5
 #: Largest difference between two agreeing readings of the cable length, m. It is not 0, because the body may be
 #: springing back.
@@ -90,7 +90,7 @@ class Robot:
         self._fins_set_for = 0  # the direction for which the fins have been set; 0: none
 
     def _forget_states(self) -> None:
-        """Drop states from before the servos were set up, as the robot may have moved since."""
+        """Drop the states that were read before the servos were set up, because the robot may have moved since."""
         self._states: tuple[ServoState, ...] = (SILENT,) * len(self.actuators.servos)
 
     @property
@@ -116,7 +116,7 @@ class Robot:
         """Define the present cable length as the initial length.
 
         Raises:
-            HomingError: The torque is on, or a servo did not accept its new zero.
+            HomingError: The torque is on, or a servo is too far from its encoder's zero or did not accept its new zero.
             BusError: A servo does not answer.
         """
         if self.active:
@@ -174,7 +174,7 @@ class Robot:
             raise LimitError(reason)
 
     def _measured_cable(self) -> float:
-        """Return the length change of the cable (m) on which two consecutive new readings agree.
+        """Return the length change of the cable (m), read until two consecutive readings agree.
 
         Raises:
             NoReplyError: No two readings agree.
@@ -207,7 +207,8 @@ class Robot:
     def apply_settings(self, now: float, settings: DriverSettings) -> str:
         """Apply new limits.
 
-        A run that violates them ends at its next point of rest. Return a message in this case, else an empty string.
+        A run that violates the new limits ends at its next point of rest. In this case return a message, else an empty
+        string.
         """
         self.actuators.apply_settings(settings)
         run = self.player.active_run
@@ -239,7 +240,7 @@ class Robot:
         self._adopt(gait_player.fault(self.player, now, self._here(), reason))
 
     def _adopt(self, player: PlayerState) -> None:
-        """Store a new state of the player. If a hold begins, keep the goals of the servos, but stop fins that flip."""
+        """Store a new state of the player. If a hold begins, keep the goals of the servos, but stop flipping fins."""
         if player.phase in _HOLDS and self.player.phase is not player.phase:
             self.actuators.hold()
             if self.player.direction not in (0, self._fins_set_for):
@@ -247,10 +248,11 @@ class Robot:
         self.player = player
 
     def ramp_to_rest(self, now: float, reason: str) -> None:
-        """Begin the return to rest. ``released`` is True once the torque may be switched off.
+        """Begin the return to rest. `released` is True once the torque may be switched off.
 
-        No return to rest begins in two cases. In FAULT a return cannot be relied on, and the torque may be switched off
-        immediately. During an emergency stop nothing may move, and only a robot that would not spring back is released.
+        In two phases no return begins. In FAULT a return cannot be relied on, so the torque may be switched off
+        immediately, also during an emergency stop. In HOLDING, while an emergency stop or another driver forbids
+        motion, only a robot that would not spring back may be released.
 
         Raises:
             StoppedError: The robot holds and would spring back, and no motion may start, as in an emergency stop.
@@ -290,7 +292,7 @@ class Robot:
     def is_closed(self, now: float) -> bool:
         """Return True if the driver may end at a time (s).
 
-        It may end if the torque is off, if the robot is at rest, or some time after a stop on the way to rest.
+        It may end if the torque is off, if the robot is at rest, or 0.5 s after the robot began to hold.
         """
         stands = self.player.phase in _HOLDS and now - self.player.phase_start >= _STANDS
         return not self.active or gait_player.at_rest(self.player) or stands
@@ -369,16 +371,14 @@ class Robot:
             self._send_goals()
 
     def _here(self) -> float:
-        """Return the length change at which a hold begins, m.
+        """Return the length change at which a hold begins, m: the measured one if confirmed, else the last command.
 
-        It is the measured length change if this is supported, else the last command.
-
-        A measurement is supported if it differs from the command by at most the cable's lag. It is also supported if
-        a cable servo strains towards the command, as with a blocked cable. A missing or implausible sample is not
-        supported.
+        A measurement is confirmed if it differs from the command by at most the cable's lag. It is also confirmed if a
+        cable servo strains towards the command, as with a blocked cable. A missing or implausible sample is not
+        confirmed.
         """
         commanded = self.player.length_change
         cable = self.actuators.length_change(self._states)
         lags = abs(cable - commanded) <= _LAG * self.settings.max_cable_speed
-        supported = lags or self.actuators.strains(self._states, commanded - cable)
-        return cable if supported else commanded
+        confirmed = lags or self.actuators.strains(self._states, commanded - cable)
+        return cable if confirmed else commanded

@@ -7,7 +7,8 @@ from dataclasses import dataclass, field, replace
 from worm_driver.servos.registers import WATCHDOG_EXPIRED, hardware_error_text
 from worm_driver.servos.servo_setup import Servo
 
-#: Ratio of a servo's own limit to the level of a fault. At 1 or below, the servo would never reach that level.
+#: Ratio of the limit that a servo enforces itself to the effort that is a fault. At 1 or below, the servo would never
+#: reach this effort.
 _HEADROOM = 1.1
 
 
@@ -33,7 +34,7 @@ class Limits:
 
 
 def own_limit(servo: Servo, limits: Limits) -> float:
-    """Return the limit (A) that a cable servo enforces itself; a load ratio if the servo measures no current."""
+    """Return the limit of the effort that a cable servo enforces itself, A; a load ratio if it measures no current."""
     if servo.model.measures_current:
         return min(_HEADROOM * limits.max_current, servo.model.strongest_current)
     return min(_HEADROOM * limits.max_load, 1.0)
@@ -104,7 +105,7 @@ def lateness(away: float, watchdog: float, load: float) -> str:
 
 
 def crowding(load: float, cores: int) -> str:
-    """Return a further explanation of a silence if the load average exceeds the number of cores, else an empty string.
+    """Return a possible cause of silence if the load average exceeds the number of cores, else an empty string.
 
     The kernel forwards the bytes of a serial line in a thread without real-time priority, even if the servo thread has
     real-time priority.
@@ -144,7 +145,7 @@ def fault_in_counts(
         counts: counts after the present reading.
         limits: limits of the deviations.
         problems: why the state of a servo is missing, by id.
-        otherwise: further explanation of a silence, see `crowding`.
+        otherwise: further possible explanation of a silence, see `crowding`.
     """
     for servo, duration in counts.silence.items():
         if duration >= limits.max_silence:

@@ -24,9 +24,9 @@ class TimingReport:
     """Timing of a periodic loop over its last cycles.
 
     Attributes:
-        mean_period: s; NaN before two cycles.
+        mean_period: mean period, s; NaN before two cycles.
         p99_error: 99th percentile of |period - nominal|, s; NaN before two cycles.
-        max_error: s; NaN before two cycles.
+        max_error: largest |period - nominal|, s; NaN before two cycles.
         p99_wake: 99th percentile of the delay between a deadline and the start of its cycle, s. Caused by the
             computer.
         p99_cycle: 99th percentile of the duration of a cycle, s. Caused by the device and the interpreter.
@@ -109,6 +109,6 @@ class PeriodMeter:
 
 
 def percentile(values: Iterable[float], fraction: float) -> float:
-    """Return the smallest value that at least a fraction of the values do not exceed."""
+    """Return the nearest-rank percentile: the smallest value v such that at least a fraction of the values is <= v."""
     ordered = sorted(values)
     return ordered[max(0, math.ceil(fraction * len(ordered)) - 1)]

@@ -9,9 +9,9 @@ from worm_driver.errors import LimitError
 FORWARD = 1
 REVERSE = -1
 
-_CONTRACTION_SHARES = (0.01, 0.99)
-_RAMP_SHARES = (0.1, 0.5)
-_ROUNDING = 1e-9  # m; tolerance, because 0.02 + 0.07 exceeds 0.09 in floating point
+_CONTRACTION_SHARES = (0.01, 0.99)  # smallest and largest contraction_share
+_RAMP_SHARES = (0.1, 0.5)  # smallest and largest ramp_share
+_ROUNDING = 1e-9  # m; tolerance of max_stroke, because 0.02 + 0.07 exceeds 0.09 in floating point
 
 
 #: Values of `Gait.profile`, the same as in the message worm_msgs/msg/Gait.
@@ -33,8 +33,8 @@ class Gait:
         pretension: o, m; smallest contraction during the gait.
         contraction_share: part of a cycle in which the body contracts; in the rest of the cycle it extends.
         profile: COSINE or TRAPEZOID, waveform of the contraction and of the extension.
-        ramp_share: part of the contraction in which a TRAPEZOID accelerates, and part in which it decelerates; the same
-            for the extension.
+        ramp_share: part of the contraction in which a TRAPEZOID accelerates, equal to the part in which it decelerates;
+            the same for the extension.
     """
 
     stroke: float
@@ -60,7 +60,7 @@ class Gait:
         return (phase - self.contraction_share) / (1.0 - self.contraction_share)
 
     def _progress(self, part: float) -> float:
-        """Return g, the share of the stroke that is done after a part (0 to 1) of the contraction or extension."""
+        """Return g, the covered share of the stroke after a part (0 to 1) of the contraction or of the extension."""
         if self.profile == COSINE:
             return 0.5 * (1.0 - math.cos(math.pi * part))
         ramp = self.ramp_share

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Metrics of a run by the paper's protocol.
 
-Speed and power are means over the last three complete cycles. The idle power is the mean of the first ten valid samples
-at rest. Times are monotonic, in s. Metrics that cannot be computed are NaN, with a reason. A metric is NaN, too, if its
-data contain an overflow or a gap that is too long to bridge, because data are seldom missing at random: a sensor
-overflows where the power is largest.
+Speed and power are means over the last three complete cycles (over all, if there are fewer). The idle power is the mean
+of the first ten valid samples at rest. Times are monotonic, in s. Metrics that cannot be computed are NaN, with a
+reason. A metric is also NaN if its data contain an overflow or a gap that is too long to bridge, because data are
+seldom missing at random: a sensor overflows where the power is largest.
 """
 
 import math
@@ -50,10 +50,11 @@ class RunRecord:
     def position_at(self, time: float) -> tuple[float, float]:
         """Return x1 (m) at a time (s), and the duration (s) of the tracker's gap that contains this time.
 
-        x1 is interpolated linearly between neighbouring samples at most 0.12 s apart; the duration is then 0. A gap up
-        to 0.5 s is bridged by a cubic, fitted to the samples of 0.25 s on either side, because x1 is curved at the
-        start of a cycle. x1 is NaN in a longer gap, and in a gap with fewer than 4 of these samples on a side. Before
-        the first sample and after the last one, x1 is NaN and the duration is infinite.
+        x1 is interpolated linearly between neighbouring samples at most 0.12 s apart; the duration is then 0. A longer
+        gap of at most 0.5 s is bridged by a cubic, because x1 is curved at the start of a cycle. The cubic is fitted to
+        the samples of 0.25 s on either side of the gap. x1 is NaN in a gap of more than 0.5 s, and in a gap with fewer
+        than 4 such samples on a side. Before the first sample and after the last one, x1 is NaN and the duration is
+        infinite.
         """
         after = bisect_left(self.positions, (time, -math.inf))
         if after == len(self.positions):
@@ -92,7 +93,7 @@ class RunMetrics:
 
     Attributes:
         cycles_completed: number of complete cycles.
-        cycles_averaged: number of last complete cycles over which speed and power are averaged.
+        cycles_averaged: number of cycles over which speed and power are averaged, the last complete ones.
         distance: displacement of x1 along the gait's direction over all complete cycles, m.
         speed: mean speed of x1 along the gait's direction, m/s.
         power: mean source power, W.
@@ -163,7 +164,8 @@ def _speed(run: Run, record: RunRecord, start: float, end: float) -> tuple[float
 def _mean_power(samples: Sequence[PowerSample], start: float, end: float) -> tuple[float, str]:
     """Return the mean power over time (W), and a reason if it is NaN.
 
-    A valid sample counts until the next valid sample. The first valid sample counts from the start.
+    Each valid sample counts until the next one, and the last one until the end. The first one also counts from the
+    start.
     """
     window = [sample for sample in samples if start <= sample.time <= end]
     if not window:
@@ -184,7 +186,10 @@ def _mean_power(samples: Sequence[PowerSample], start: float, end: float) -> tup
 
 
 def _cost_of_transport(power: float, speed: float, body: RobotParameters) -> tuple[float, str]:
-    """Return COT = P / (m g |v|), and a reason if the speed is 0. A NaN of power or speed has its own reason."""
+    """Return COT = P / (m g |v|), and a reason if the speed is 0.
+
+    If power or speed is NaN, return NaN and no further reason.
+    """
     if math.isnan(power) or math.isnan(speed):
         return math.nan, ""
     if speed == 0.0:

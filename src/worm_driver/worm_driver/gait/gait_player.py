@@ -7,14 +7,14 @@ A run has these phases:
 - FLIPPING: the fins are set, and the robot settles.
 - RESTING: the robot is at rest, and idle power is sampled.
 - RUNNING: the cycles, each from the point of rest (delta L = 0, or the pretension) back to it.
-- IDLE.
+- IDLE: no run is in progress, and nothing moves.
 
 With a pretension, the cable is tensioned once the fins are set (FLIPPING -> TENSIONING -> FLIPPING). After the end of
 such a run, the cable returns to delta L = 0 (RUNNING -> RETURNING -> IDLE).
 
 A run that is cancelled in RETURNING or RUNNING passes through STOPPING, and ends at the next point of rest. A run that
-is cancelled in another phase ends at once, and the cable returns to delta L = 0. `stop` and `fault` hold the cable.
-Times are monotonic, in s.
+is cancelled in another phase ends at once, and the cable returns to delta L = 0. `stop` holds the cable in the phase
+HOLDING, `fault` in the phase FAULT. Times are monotonic, in s.
 """
 
 import enum
@@ -102,7 +102,7 @@ class PlayerState:
         ramp_from: commanded length change at the start of the phase, m, from which a ramp starts.
         direction: commanded direction of the fins, 1 or -1; 0 before the first run and after a hold.
         stepped: time of the last step, s.
-        still_start: time of the last commanded motion, or of the last observation of fins that are not set, s.
+        still_start: latest time at which a motion was commanded or a fin was not at its goal, s.
         run: present run; after its end, the last run.
         message: message for the operator, such as the reason of a hold or a fault.
     """
@@ -125,7 +125,7 @@ class PlayerState:
 
 @dataclass(frozen=True)
 class Observation:
-    """Observed facts that decide about a change of the phase.
+    """Observations on which the changes of the phase depend.
 
     Attributes:
         fins_set: True if the fins have reached their goals.
@@ -144,10 +144,10 @@ class PlayerSettings:
 
     Attributes:
         rest_duration: shortest rest before a gait, s.
-        settle_time: time between a motion and the rest, in which the robot settles, s.
-        rest_samples: number of valid power samples that the rest waits for.
-        rest_timeout: longest rest, s. The gait then starts even without an idle power, or without a tracker sample at
-            rest.
+        settle_time: time from the end of a motion to the start of the rest, in which the robot settles, s.
+        rest_samples: number of valid power samples before the rest ends, unless rest_timeout expires.
+        rest_timeout: longest rest, s. The gait then starts even if power samples are missing or the tracker has not
+            seen the robot at rest.
         flip_timeout: longest motion of the fins, s. A longer motion is a fault.
         return_speed: peak cable speed of a return to rest and of the tensioning, m/s.
         longest_step: longest time by which a return to rest or the tensioning advances in one step, s. After a late
@@ -164,7 +164,7 @@ class PlayerSettings:
 
 
 def start(state: PlayerState, now: float, gait: Gait, cycles: int) -> PlayerState:
-    """Begin a run. The cable first returns to delta L = 0 if it is elsewhere, for example after a hold.
+    """Begin a run. If the cable is not at delta L = 0, for example after a hold, it first returns there.
 
     Raises:
         LimitError: A run is in progress, or the player is in fault.
@@ -245,7 +245,7 @@ def moving(state: PlayerState) -> bool:
 def step(
     state: PlayerState, now: float, observation: Observation, settings: PlayerSettings
 ) -> PlayerState:
-    """Return the next state, at a time (s). The caller steps in every control cycle while the torque is on."""
+    """Return the next state, at a time (s). Call this function in every control cycle while the torque is on."""
     handler = _STEPS.get(state.phase)
     if handler is None:
         return state

@@ -9,9 +9,10 @@ from worm_driver.gait.gait_limits import Gait, GaitLimits
 from worm_driver.gait.gait_metrics import RunRecord, distance
 from worm_driver.gait.gait_player import Run
 
-#: part of the extension after which x1 hardly changes in this cycle; only the fins still spring back
+#: part of the extension after which x1 hardly changes until the end of the cycle, because only the fins spring back
 _NEAR_END = 0.8
-#: part of a pitch that may be missing from a number of grooves, because the deflection of the fins also moves x1
+#: part of a pitch by which the distance may fall short of a number of grooves, because the deflection of the fins also
+#: moves x1
 _TOLERANCE = 0.25
 #: number of cycles without a gained groove after which a run makes no progress
 _CYCLES_WITHOUT_PROGRESS = 3
@@ -21,7 +22,7 @@ _LATENCY = 0.5
 
 @dataclass(frozen=True)
 class RunEnd:
-    """Requested end of a run. The condition that is reached first ends the run; 0: no condition.
+    """Requested end of a run. The condition that is met first ends the run. A value of 0 stands for no condition.
 
     Attributes:
         cycles: number of cycles.
@@ -39,7 +40,11 @@ class RunEnd:
         return self.grooves > 0 or self.distance > 0.0
 
     def most_cycles(self, gait: Gait, limits: GaitLimits) -> int:
-        """Return the number of cycles after which the run ends at the latest. Raises LimitError."""
+        """Return the number of cycles after which the run ends at the latest.
+
+        Raises:
+            LimitError: The distance is invalid, or no condition is given.
+        """
         if not (math.isfinite(self.distance) and self.distance >= 0.0):
             raise LimitError(f"distance is {self.distance:g} m; it must be 0 m or longer")
         if self.cycles:
@@ -74,7 +79,7 @@ def is_near_cycle_end(run: Run, record: RunRecord) -> bool:
 def makes_no_progress(run: Run, record: RunRecord, pitch: float) -> bool:
     """Return True if the robot gained less than half a pitch in the last three cycles.
 
-    The latest tracker sample must be near the end of a cycle (`is_near_cycle_end`).
+    Call this function only if the latest tracker sample is near the end of a cycle (`is_near_cycle_end`).
     """
     newest, before = record.positions[-1], _CYCLES_WITHOUT_PROGRESS / run.gait.frequency
     if run.onset is None or newest[0] - before < run.onset:
@@ -84,7 +89,7 @@ def makes_no_progress(run: Run, record: RunRecord, pitch: float) -> bool:
 
 
 def unseen_cycle(run: Run, judged: int, now: float) -> int:
-    """Return the number of the last complete cycle if the tracker missed its end; else 0.
+    """Return the number of the last complete cycle if no tracker sample shows the end of this cycle; else 0.
 
     Args:
         run: run in progress.

@@ -5,9 +5,11 @@ import math
 from collections import deque
 from collections.abc import Iterable
 
-#: s, duration of the rest before a gait. The twin determines the initial length from the samples of this span.
+#: s, time for which both modules must be at rest before a gait. The twin determines the initial length from the samples
+#: of this span.
 SPAN = 1.0
-#: m, largest difference between the mean positions in the two halves of the span, about the noise of a tracker
+#: m, largest difference between the mean positions in the two halves of the span at which a module is at rest, about
+#: the noise of a tracker
 TOLERANCE = 3e-4
 #: smallest number of samples for a mean
 FEWEST = 3
@@ -27,7 +29,7 @@ class Stillness:
     def observe(self, time: float, rear: float, front: float) -> None:
         """Add a sample: time of reception (s) and positions (m); a position is NaN while its marker is hidden.
 
-        A time before that of the previous sample is from another clock. It clears the previous samples.
+        A sample with an earlier time than the previous one is from another clock. It clears the previous samples.
         """
         if self._samples and time < self._samples[-1][0]:
             self._samples.clear()

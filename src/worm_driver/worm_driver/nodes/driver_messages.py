@@ -31,13 +31,13 @@ _STATE = {
     Phase.FAULT: GaitState.FAULT,
 }
 
-#: s, smallest change of the difference between two clocks that counts as a step of one of them
+#: s, smallest change of the difference between the clocks that counts as a step of the ROS clock
 _CLOCK_STEP = 0.02
 
 
 @dataclass(frozen=True)
 class ClockPair:
-    """Difference between the ROS clock and the monotonic clock, which converts times of one to times of the other.
+    """Difference between the ROS clock and the monotonic clock, to convert the times of one clock to the other.
 
     Attributes:
         offset_ns: ROS time minus monotonic time, ns.
@@ -52,7 +52,7 @@ class ClockPair:
 
     @staticmethod
     def read(ros_now_ns: Callable[[], int], attempts: int = 3) -> "ClockPair":
-        """Read both clocks. Of several attempts, use the one with the shortest duration."""
+        """Read both clocks several times, and return the difference from the attempt with the shortest duration."""
         readings = []
         for _ in range(attempts):
             before = time.monotonic_ns()
@@ -143,7 +143,7 @@ def gait_state(snapshot: Snapshot, clocks: ClockPair, *, emergency_stop: bool) -
 
 
 def diagnostics(reports: Sequence[Report], stamp: Time, robot: str) -> DiagnosticArray:
-    """Return the message for /diagnostics. All robots share this topic, so each name begins with that of the robot."""
+    """Return the message for /diagnostics. All robots share this topic, so each name begins with ``robot``."""
     return DiagnosticArray(
         header=Header(stamp=stamp),
         status=[

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Lifecycle node ``driver``, which connects ROS to the robot's control loop.
 
-configure opens and checks the devices, activate enables the torque. deactivate, cleanup, shutdown, SIGINT, SIGTERM and
-an uncaught exception bring the gait to rest and release the servos.
+configure opens and checks the devices, activate enables the torque. deactivate, cleanup, shutdown, SIGINT, SIGTERM,
+SIGHUP and an uncaught exception bring the robot to rest and release the servos.
 """
 
 import os
@@ -41,23 +41,26 @@ from worm_msgs.ros_process import ShutdownRequest, spare_pauses
 
 T = TypeVar("T")
 
-#: s, time slice of the interpreter's threads; the default of 5 ms would be half a cycle
+#: s, time slice of the interpreter's threads; Python's default of 5 ms would be half a cycle
 _SWITCH_INTERVAL = 0.0005
 
-#: s, timeouts of enabling the servos, of a service, and of releasing the servos
+#: s, timeout of enabling the servos
 _ACTIVATION = 5.0
+#: s, timeout of a service
 _SERVICE_TIME = 10.0
+#: s, timeout of releasing the servos
 _RELEASE = 5.0
 
-#: s, period of publishing the data of the hardware's threads. It is longer than a cycle, as each wake-up delays the
-#: servo thread.
+#: s, period of publishing the data of the hardware's threads. It is longer than a cycle, because each wake-up
+#: delays the servo thread.
 _PUBLISH_PERIOD = 0.04
 
-#: s, timeout until all goals have results, and further time to send the results, as DDS does not acknowledge responses
+#: s, longest wait at the end of the process until all goals have results
 _ANSWERS = 1.0
+#: s, further time in which the results are sent, because DDS does not acknowledge responses
 _LINGER = 0.3
 
-#: reason of closing when the process ends
+#: reason that is reported when the end of the process closes the robot
 _END = "the driver ends"
 
 _Action = Callable[[Hardware, float], object]
@@ -96,7 +99,7 @@ class DriverNode(LifecycleNode):
         self._emergency = EmergencyLatch(state_folder(os.environ))
         self._adopt_emergency()
         self._action = RunGaitAction(
-            self, self._stamps, lambda: self._hardware, lambda: self._tracker.sees_robot()
+            self, self._stamps, lambda: self._hardware, lambda: self._tracker.is_publishing()
         )
         self._tracker = TrackerListener(self, self._stamps, self._action.on_position)
         self._telemetry = TelemetryPublisher(self, self._stamps, self._action, self._emergency)
@@ -166,11 +169,11 @@ class DriverNode(LifecycleNode):
         return super().on_activate(state)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Bring the gait to rest and release the servos.
+        """Bring the robot to rest and release the servos.
 
         Returns:
-            FAILURE after a stop on the way to rest: the robot holds. ERROR, which closes everything, if a servo does
-            not confirm that its torque is off, or if the servo bus thread does not respond.
+            FAILURE after a stop on the way to rest; the robot then holds. ERROR, which closes everything, if a servo
+            does not confirm that its torque is off, or if the servo bus thread does not respond.
         """
         try:
             self._release()
@@ -187,7 +190,7 @@ class DriverNode(LifecycleNode):
         return super().on_cleanup(state)
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Bring the gait to rest, release the servos and close everything.
+        """Bring the robot to rest, release the servos and close everything.
 
         After a stop on the way to rest the robot holds, with its torque on.
 
@@ -232,7 +235,7 @@ class DriverNode(LifecycleNode):
         return problems
 
     def answer_goals(self, executor: SingleThreadedExecutor) -> None:
-        """Serve for a short time, so that all clients receive the results of their goals and do not wait for ever."""
+        """Serve for a short time, so that every client receives the result of its goal and does not wait for ever."""
         if not self._action.busy:
             return
         end = time.monotonic() + _ANSWERS
@@ -243,7 +246,7 @@ class DriverNode(LifecycleNode):
             executor.spin_once(timeout_sec=0.05)
 
     def reject_transitions(self) -> None:
-        """Reject all further transitions, as the process ends."""
+        """Reject all further transitions, because the process ends."""
         self._lifecycle.reject_all()
 
     def begin_shutdown(self) -> None:
@@ -290,7 +293,7 @@ class DriverNode(LifecycleNode):
         return TransitionCallbackReturn.FAILURE
 
     def _why_not_start(self) -> str:
-        """Return why the torque must stay off and no run may begin; empty if they may. Safe in any thread."""
+        """Return why the torque must stay off and no run may begin; empty if both may start. Safe in any thread."""
         return self._emergency.why_not_start() or self._sole.problem
 
     def _activate(self) -> None:
@@ -331,7 +334,7 @@ class DriverNode(LifecycleNode):
             self.get_logger().error(problem)
 
     def destroy_node(self) -> None:
-        """Also end the services with their own threads, and the claim of the namespace."""
+        """Destroy the node. Also end the services with their own threads, and the claim of the namespace."""
         self._lifecycle.close()
         self._stops.close()
         self._sole.close()

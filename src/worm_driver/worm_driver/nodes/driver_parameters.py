@@ -17,8 +17,9 @@ from worm_driver.servos.transmission import Fin, Spool
 from worm_msgs.parameter_rows import ParameterRow
 
 HEARTBEAT = "heartbeat_s"
-#: Parameters that take effect at once, and those of them that can only be lowered while the driver is configured.
+#: Starts of the names of the parameters that a configured driver accepts.
 _LIVE = ("limits.", "rest_duration_s", "return_speed_m_per_s", HEARTBEAT)
+#: Starts of the names of the parameters that can only be lowered while the driver is configured.
 _BOUNDS = ("limits.", "return_speed_m_per_s")
 _SIMULATED_TIME = "use_sim_time"
 _Row = ParameterRow
@@ -27,7 +28,8 @@ _ROWS = (
     _Row(
         "stay_on_failure",
         False,
-        "If autostart cannot configure, wait for an operator to do it; false: end, so that systemd starts it again.",
+        "true: if autostart cannot configure the driver, wait for an operator; false: end, so that systemd starts the "
+        "driver again.",
     ),
     _Row(
         "parameter_file",
@@ -54,7 +56,7 @@ _ROWS = (
     _Row(
         "home_at_start",
         False,
-        "Use the length at configure as the initial length, if the robot is not homed.",
+        "If the robot is not homed at configure, use its present length as the initial length.",
     ),
     _Row(
         "i2c_bus",
@@ -123,14 +125,14 @@ _ROWS = (
     _Row(
         "limits.max_following_error_m",
         Limits.following_error,
-        "Largest following error of the cable; more is a fault.",
+        "Largest difference of cable and command; more for 50 ms is a fault.",
         1e-3,
         0.2,
     ),
     _Row(
         "limits.max_silence_s",
         Limits.max_silence,
-        "Longest time without the state of a servo; more is a fault.",
+        "Longest time without an answer of a servo; more is a fault.",
         0.0,
         2.0,
     ),
@@ -140,8 +142,8 @@ _ROWS = (
     _Row(
         HEARTBEAT,
         0.0,
-        "Heartbeat timeout of every run. A run without heartbeats ends at its next point of rest; 0: only the timeout "
-        "in the goal counts.",
+        "Time without a heartbeat after which a run ends at its next point of rest; 0: only the timeout in the goal "
+        "counts.",
         0.0,
         60.0,
     ),
@@ -157,7 +159,7 @@ _NAMES = frozenset(row.name for row in _ROWS)
 
 
 def rows() -> list[ParameterRow]:
-    """Return all parameters. Each description ends with the time at which the parameter takes effect."""
+    """Return all parameters. Each description ends with the time at which a change takes effect."""
     return [
         dataclasses.replace(row, description=f"{row.description} {_effect(row.name)}")
         for row in _ROWS
@@ -167,6 +169,8 @@ def rows() -> list[ParameterRow]:
 def _effect(name: str) -> str:
     if name.startswith(_BOUNDS):
         return "Takes effect at once; it can only be lowered while the driver is configured."
+    if name == HEARTBEAT:
+        return "Takes effect for the next goal."
     if name.startswith(_LIVE):
         return "Takes effect at once."
     return "Takes effect at configure; a configured driver rejects changes until cleanup."
@@ -261,7 +265,7 @@ def latch_files(node: Node) -> tuple[str, ...]:
 
 
 def _rows(node: Node, *names: str) -> list[tuple[Any, ...]]:
-    """Return the rows of several arrays of one length. Raises ConfigurationError if their lengths differ."""
+    """Return one tuple per servo from several array parameters. Raises ConfigurationError if their lengths differ."""
     columns = [_array(node, name) for name in names]
     if len({len(column) for column in columns}) != 1:
         lengths = ", ".join(f"{n} has {len(c)}" for n, c in zip(names, columns, strict=True))
@@ -270,5 +274,5 @@ def _rows(node: Node, *names: str) -> list[tuple[Any, ...]]:
 
 
 def _array(node: Node, name: str) -> list[Any]:
-    """Return an array. rcl reads an empty array as a parameter without a value."""
+    """Return an array parameter as a list. rcl reads an empty array as a parameter without a value."""
     return list(node.get_parameter_or(name, Parameter(name)).value or [])

@@ -11,11 +11,12 @@ from rclpy.qos import HistoryPolicy, QoSProfile
 
 from worm_driver.errors import DriverError, LimitError
 
-#: goals that may wait for their start; further ones are rejected at once
+#: number of goals that may wait for their start; further goals are rejected
 QUEUE = 4
 #: The middleware drops no request, however many wait.
 _EVERY_REQUEST = QoSProfile(history=HistoryPolicy.KEEP_ALL)
-#: s, time for which the result of a goal is stored. A client requests the result as soon as its goal is accepted.
+#: s, time for which the result of a goal is stored. It is short, because a client requests the result as soon as its
+#: goal is accepted.
 _RESULT_STORED = 60
 
 
@@ -49,7 +50,7 @@ class GoalServer(ActionServer):
     ):
         self.stops = 0
         self._begin, self._rejected = begin, rejected
-        # Of the present goal: its id, its place in the queue, the number of stops before it arrived.
+        # Id of the present goal, its place in the queue, and the number of stops before it arrived.
         self._goal_id, self._place, self._stops_before = b"", 0, 0
         self._is_goal_request_ready = False
         super().__init__(

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Subscription to a Bool whose callback also receives the publisher and the time of sending.
 
-The middleware delivers both with every message (rmw_message_info_t), but rclpy of Jazzy does not pass the publisher on.
-So this module reads the message with a function of rcl, from a subscription of rclpy.
+The middleware delivers publisher and time with every message (rmw_message_info_t), but rclpy of Jazzy does not pass the
+publisher on. So this module reads the messages of a subscription of rclpy with a function of rcl.
 """
 
 import ctypes
@@ -17,7 +17,7 @@ from std_msgs.msg import Bool
 
 from worm_msgs.ros_process import PolledGroup
 
-#: publisher's identifier, time of sending (ns), value
+#: Callback with the publisher's identifier, the time of sending (ns) and the value.
 OnBool = Callable[[bytes, int, bool], None]
 
 _GID_SIZE = 16  # RMW_GID_STORAGE_SIZE
@@ -59,7 +59,7 @@ class IdentifiedSubscription(Waitable):
 
     def __init__(self, node: Node, topic: str, qos: QoSProfile, callback: OnBool) -> None:
         super().__init__(MutuallyExclusiveCallbackGroup())
-        _rcl_take()  # Called here to detect a library without the function before the first message.
+        _rcl_take()  # A library without this function must be detected before the first message.
         self._logger = node.get_logger()
         self._callback = callback
         self._subscription = node.create_subscription(

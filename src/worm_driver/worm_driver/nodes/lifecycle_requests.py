@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Server of the lifecycle requests in a thread of its own.
 
-rclpy (7.1) serves these requests in the node's executor. A transition blocks the executor for seconds, in which the
-middleware stores ten requests and drops all further ones. A request for a transition that is impossible in the present
-state raises an exception in the executor, which ends the node. This module answers every request in both cases.
+rclpy (7.1) serves these requests in the node's executor. A transition blocks the executor for seconds. During this time
+the middleware stores ten requests and drops all further ones. A request for a transition that is impossible in the
+present state raises an exception in the executor, which ends the node. This module answers every request, during a
+transition, too, and rejects impossible transitions.
 """
 
 import queue
@@ -49,10 +50,11 @@ class _Transition:
 
 
 class LifecycleRequests:
-    """Server of a node's lifecycle in a thread of its own. Transitions run in the node's thread.
+    """Server of a node's lifecycle. Transitions run in the node's thread.
 
-    A request has the response success False if its transition is impossible in the present state, or if another
-    transition is in progress. The reason is logged; the log is rate-limited.
+    The services run in a second node (`SideNode`) with its own executor and thread, here called the side node and the
+    side thread. The response to a request has ``success`` False if the transition is impossible in the present state,
+    or if another transition is in progress. The reason is logged; the log is rate-limited.
     """
 
     def __init__(self, node: LifecycleNode):
@@ -69,11 +71,11 @@ class LifecycleRequests:
         self._side.start()
 
     def reject_all(self) -> None:
-        """Reject all further transitions, as the driver ends."""
+        """Reject all further transitions, because the driver ends."""
         self._rejects_all = True
 
     def close(self) -> None:
-        """End the thread. Transitions that still wait are rejected."""
+        """End the side thread. Transitions that still wait are rejected."""
         self._closing.set()
         self._side.close()
 

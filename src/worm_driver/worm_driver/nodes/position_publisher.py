@@ -10,7 +10,7 @@ from std_msgs.msg import Header
 from worm_msgs.msg import BodyLength, Tracker
 
 FRAME = "pipe"  # x forward along the axis, z up (REP 103)
-_SAMPLES = 30  # length changes are relative to the mean length of so many first samples, at rest
+_SAMPLES = 30  # number of first samples, at rest, whose mean is the zero of the length changes
 
 
 class PositionPublisher:

@@ -2,7 +2,7 @@
 """Server of the action run_gait, with feedback and the metrics of each run.
 
 A goal is accepted when its run has begun, and rejected otherwise. The reason of a rejection is logged and published on
-run_gait/rejections, as the response has no field for it.
+run_gait/rejections, because the response has no field for a reason.
 """
 
 import math
@@ -34,11 +34,11 @@ from worm_msgs.action import RunGait
 from worm_msgs.goal_rejections import GoalRejections
 from worm_msgs.msg import Heartbeat
 
-#: s between two feedback messages
+#: s, time between two feedback messages
 _FEEDBACK_PERIOD = 0.2
-#: s after a run's end that the tracker's samples must reach before the result is computed
+#: s, time after a run's end. The result is computed once a tracker sample from after this time has arrived
 _TRACKER_AFTERWARDS = 0.3
-#: s after a run's end at which the result is computed without them
+#: s, time after a run's end at which the result is computed even without such a sample
 _TRACKER_TIMEOUT = 1.0
 
 
@@ -47,10 +47,15 @@ class _Current:
     """Run in progress, and its goal.
 
     Attributes:
-        goal: the goal, once rclpy has accepted it.
-        run: latest state of the run.
-        judged: last cycle at whose end the tracker saw the robot.
-        end_requested: True if an early end was requested.
+        number: number of the run.
+        done: future of the ended run, or of the reason why there is no result.
+        owner: monitor of the heartbeats of the client that sent the goal.
+        goal: the goal, once rclpy has accepted it; None before.
+        next_feedback: time before which no feedback is published, s.
+        ended: the run after its end; None before.
+        run: latest state of the run; None before the first snapshot.
+        judged: number of the last cycle at whose end the tracker saw the robot.
+        end_requested: True if the end of the run was requested.
     """
 
     goal_id: bytes
@@ -68,18 +73,25 @@ class _Current:
 
 
 class RunGaitAction:
-    """Server of run_gait on a node. Callbacks run in the node's executor thread unless noted."""
+    """Server of run_gait on a node. Callbacks run in the node's executor thread unless noted.
+
+    Args:
+        node: node of the driver.
+        stamps: source of the stamps.
+        hardware: returns the open hardware; None if the driver is not configured.
+        tracker_is_publishing: returns True if the tracker publishes.
+    """
 
     def __init__(
         self,
         node: Node,
         stamps: Stamps,
         hardware: Callable[[], Hardware | None],
-        sees_robot: Callable[[], bool],
+        tracker_is_publishing: Callable[[], bool],
     ):
         self._node = node
         self._hardware = hardware
-        self._sees_robot = sees_robot
+        self._tracker_is_publishing = tracker_is_publishing
         # Only the last run is in progress. The earlier ones have ended and wait for tracker samples.
         self._runs: list[_Current] = []
         self._rejections = GoalRejections(node, "run_gait", stamps.now)
@@ -104,7 +116,7 @@ class RunGaitAction:
                 self._judge(current)
 
     def on_heartbeat(self, beat: Heartbeat) -> None:
-        """Record a heartbeat of the owner of a goal. Safe in any thread."""
+        """Record a heartbeat of the client that sent a goal. Safe in any thread."""
         goal = bytes(beat.goal)
         for current in tuple(self._runs):
             if current.goal_id == goal:
@@ -138,7 +150,7 @@ class RunGaitAction:
         return bool(self._runs)
 
     def abandon(self, reason: str) -> None:
-        """End the goals of all runs, as the robot was closed."""
+        """End the goals of all runs, because the robot was closed."""
         for current in self._runs:
             if not current.done.done():
                 current.done.set_result(current.ended or reason)
@@ -198,7 +210,7 @@ class RunGaitAction:
         current = next(each for each in self._runs if each.goal_id == _id(goal))
         current.goal = goal
         hardware = self._hardware()
-        if goal.is_cancel_requested and hardware is not None:  # before this callback ran
+        if goal.is_cancel_requested and hardware is not None:  # requested before this callback ran
             hardware.loop.submit(hardware.robot.cancel)
         outcome = await current.done
         self._runs.remove(current)
@@ -212,7 +224,7 @@ class RunGaitAction:
         gait = gait_from(request.gait)
         end = RunEnd(request.cycles, request.grooves, request.distance)
         cycles = end.most_cycles(gait, hardware.robot.limits)
-        if end.needs_tracker and not self._sees_robot():
+        if end.needs_tracker and not self._tracker_is_publishing():
             raise DriverError(
                 "a run by grooves or distance needs the topic tracker, but no samples arrive: start the tracker"
             )
@@ -287,7 +299,7 @@ def _id(goal: ServerGoalHandle) -> bytes:
 
 
 def _elapsed(run: Run, snapshot: Snapshot) -> float:
-    """Return the time (s) since the onset. Before the onset, return minus the time spent in the rest before it."""
+    """Return the time (s) since the onset. Before the onset, return the duration of the rest so far, negated."""
     if run.onset is not None:
         return snapshot.command_time - run.onset
     resting = snapshot.player.phase is Phase.RESTING

@@ -17,7 +17,7 @@ class SideNode:
     """Node in addition to the main node, with the namespace and the remappings of the main node.
 
     Attributes:
-        node: the node. Create its services etc. before `start`. Its callbacks run in its own thread.
+        node: the node. Create its services and subscriptions before `start`. Its callbacks run in its own thread.
     """
 
     def __init__(self, main: Node, purpose: str):
@@ -44,7 +44,7 @@ class SideNode:
         self.node.destroy_node()
 
     def _reject(self, _: Sequence[Parameter]) -> SetParametersResult:
-        """Reject every parameter, also use_sim_time, as none would have an effect."""
+        """Reject every parameter, also use_sim_time, because no parameter would have an effect."""
         reason = f"{self.node.get_name()} has no parameters of its own: set those of the main node"
         return SetParametersResult(successful=False, reason=reason)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Check that a namespace has only one driver, as two would both execute each goal."""
+"""Check that a namespace has only one driver, because two drivers would both execute each goal."""
 
 import time
 from collections.abc import Callable
@@ -9,7 +9,8 @@ from rclpy.node import Node
 from worm_driver.errors import ConfigurationError, DriverError
 from worm_msgs.claim import ANNOUNCED_S, DRIVER, DRIVER_SERVICE, ClaimedError, claim
 
-#: s, usual time to discover a driver on the network. A driver that is discovered later still prevents every start.
+#: s, usual time to discover a driver on the network. A driver that is discovered later still prevents torque and runs
+#: from starting.
 _DISCOVERY = 5.0
 #: s, period of the checks
 _PERIOD = 0.05
@@ -23,7 +24,7 @@ class SoleDriver:
         on_network: True if other computers can reach the driver.
 
     Attributes:
-        problem: reason why nothing may start, if another driver was discovered; otherwise empty.
+        problem: reason why neither torque nor a run may start, if another driver was discovered; otherwise empty.
 
     Raises:
         ConfigurationError: Another driver on this computer uses the namespace.
@@ -47,7 +48,7 @@ class SoleDriver:
         Return at once if no other computer can reach the driver.
 
         Raises:
-            ConfigurationError: There is another driver.
+            ConfigurationError: Another driver is still announced after ANNOUNCED_S.
         """
         start = time.monotonic()
         while self._on_network and not ended():

@@ -14,7 +14,8 @@ class Stamps:
     """Source of a node's stamps.
 
     Attributes:
-        robot_clock: clock of the robot that was opened last. It stays after a clean-up, so that stamps continue.
+        robot_clock: clock of the robot that was configured last; None before. It stays after a clean-up, so that stamps
+            continue.
     """
 
     def __init__(self, node: Node) -> None:
@@ -23,9 +24,10 @@ class Stamps:
         self.robot_clock: Clock | None = None
 
     def clocks(self) -> ClockPair:
-        """Return the difference between ROS clock and robot's clock. Log a step of the ROS clock, for example by NTP.
+        """Return the difference between the ROS clock and the robot's clock. Log a step of the ROS clock, as by NTP.
 
-        The robot uses the monotonic clock. Stamps jump with the ROS clock; motion and metrics do not.
+        A real robot uses the monotonic clock. So a step of the ROS clock changes the stamps, but neither motion nor
+        metrics.
         """
         clock = self.robot_clock
         if clock is not None and clock.epoch_ns is not None:

@@ -23,8 +23,8 @@ from worm_msgs.qos import LATCHED
 
 #: The middleware drops no request, so every call of stop gets a response.
 _EVERY_CALL = QoSProfile(history=HistoryPolicy.KEEP_ALL)
-#: Subscriptions to the emergency stop: latched, for messages from before the driver started; reliable, for publishers
-#: that are not latched; and for publishers with best effort.
+#: Subscriptions to the emergency stop: a latched one for messages from before the start of the driver, a reliable one
+#: for publishers that are not latched, and one for publishers with best effort.
 _EMERGENCY_QOS = (
     LATCHED,
     QoSProfile(depth=10),
@@ -39,8 +39,8 @@ class StopServices:
     Args:
         node: node of the driver.
         opened: returns the hardware. Raises DriverError while none is open.
-        emergency: latch that the topic sets.
-        cancel_goals: rejects the goals that have not begun.
+        emergency: emergency stop, which the topic emergency_stop turns on.
+        reject_goals: rejects the goals that have not begun.
         on_heartbeat: called with each heartbeat.
         stamp: returns the present ROS time.
     """
@@ -50,14 +50,14 @@ class StopServices:
         node: Node,
         opened: Callable[[], Hardware],
         emergency: EmergencyLatch,
-        cancel_goals: Callable[[], None],
+        reject_goals: Callable[[], None],
         on_heartbeat: Callable[[Heartbeat], None],
         stamp: Callable[[], Time],
     ) -> None:
         self._logger = node.get_logger()
         self._opened = opened
         self._emergency = emergency
-        self._cancel_goals = cancel_goals
+        self._reject_goals = reject_goals
         self._side = SideNode(node, "stop")
         side = self._side.node
         self._stop = side.create_service(Trigger, "stop", self._on_stop, qos_profile=_EVERY_CALL)
@@ -78,9 +78,9 @@ class StopServices:
         self._side.close()
 
     def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Stop the robot. One stop, which takes a cycle, answers all calls that wait."""
+        """Stop the robot. One stop, which takes a control cycle, answers all waiting calls."""
         others = list(self._further_stops())
-        self._cancel_goals()
+        self._reject_goals()
         try:
             hardware = self._opened()
             hardware.loop.run_without_deadline(
@@ -109,10 +109,10 @@ class StopServices:
         }
 
     def _on_emergency(self, publisher: bytes, sent_ns: int, stops: bool) -> None:  # noqa: FBT001
-        """Latch true: the robot holds and nothing starts. False does not clear the latch."""
+        """Turn the emergency stop on if a message is true: the robot holds. A false message does not turn it off."""
         if not self._publishers.note(publisher, sent_ns, stops, self._present()) or not stops:
             return
-        self._cancel_goals()
+        self._reject_goals()
         if not self._emergency.on:
             problem = self._emergency.latch()
             self._logger.error(f"EMERGENCY STOP on: nothing starts. {problem}".strip())
@@ -125,8 +125,8 @@ class StopServices:
         )
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Clear the emergency stop, unless a publisher still holds it."""
-        for subscription in self._emergencies:  # Messages that arrived before the request count.
+        """Clear the emergency stop, unless the last message of a present publisher is true."""
+        for subscription in self._emergencies:  # Process messages that arrived before the request.
             subscription.drain()
         present = self._present()
         stopping = self._publishers.stopping(present)

@@ -21,18 +21,20 @@ from worm_driver.nodes.stamps import Stamps
 from worm_msgs.msg import BodyLength, GaitState, Power
 from worm_msgs.qos import LATCHED
 
+#: Longest wait for the delivery of the last messages of a topic.
 _DELIVERY = Duration(seconds=0.5)
 #: Reliable, and deep enough for the messages that accumulate while the executor's thread waits for a processor.
 _TELEMETRY = QoSProfile(depth=200)
-#: A user may override history, depth and reliability, as with qos_overrides./worm/power.publisher.reliability.
+#: A user may override history, depth and reliability by parameters such as
+#: qos_overrides./worm/power.publisher.reliability.
 _OPEN = QoSOverridingOptions.with_default_policies()
 
 
 class TelemetryPublisher:
-    """Publisher of telemetry. It also passes the data to the action.
+    """Publisher of telemetry. It also passes the data to the action run_gait.
 
     Attributes:
-        latest: latest snapshot of the open robot; None while none is open.
+        latest: latest snapshot of the open robot; None while no robot is open.
     """
 
     def __init__(

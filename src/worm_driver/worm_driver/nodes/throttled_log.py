@@ -5,13 +5,14 @@ import time
 from collections.abc import Callable
 from typing import Protocol
 
-#: number of lines that may be logged at once, and time until one more line may be logged, s
+#: number of lines that may be logged at once
 _BURST = 5
+#: s, time after which one more line may be logged
 _PERIOD = 1.0
 
 
 class Logger(Protocol):
-    """The used part of rclpy's logger."""
+    """Part of rclpy's logger that this module uses."""
 
     def warning(self, message: str) -> object:
         """Log a warning."""
@@ -21,7 +22,7 @@ class Logger(Protocol):
 
 
 class ThrottledLog:
-    """Logger of a few lines at once, then of one line a second. A line ends with the number of lines omitted before it.
+    """Logger of at most 5 lines at once, then 1 line a second. A line reports how many were omitted before it.
 
     Args:
         logger: logger of a node.

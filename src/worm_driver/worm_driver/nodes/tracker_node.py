@@ -33,9 +33,10 @@ from worm_msgs.ros_process import ShutdownRequest, spare_pauses
 
 #: Value of setup_file that selects the setup of the virtual robot's camera.
 VIRTUAL = "virtual"
+#: Value of source that selects the topics of a camera.
 TOPIC = "topic"
 _TRANSPORTS = ("raw", "compressed")
-#: Largest relative difference between the calibrations of the setup file and of the topic.
+#: Largest relative difference between the calibrations of the setup file and of the topic that causes no warning.
 _DIFFERENT = 1e-3
 _PARAMETERS = tuple(
     ParameterRow(name, default, text, read_only=True)
@@ -62,7 +63,14 @@ def rows() -> tuple[ParameterRow, ...]:
 
 
 class TrackerNode(Node):
-    """Tracker node. Raises TrackingError if the parameters are invalid."""
+    """Node that measures the positions in images and publishes them.
+
+    Attributes:
+        failure: error that ends the node; None while it runs.
+
+    Raises:
+        TrackingError: The parameters are invalid.
+    """
 
     def __init__(self) -> None:
         super().__init__("tracker")
@@ -226,7 +234,7 @@ def _setup_path(text: str) -> Path:
 
 
 def _differ(one: CameraModel, other: CameraModel) -> bool:
-    """Return True if two calibrations differ."""
+    """Return True if two calibrations differ in size or model, or by more than _DIFFERENT in focal length or centre."""
     if (one.width, one.height, one.model) != (other.width, other.height, other.model):
         return True
     numbers = [np.array([*m.focal, *m.centre]) for m in (one, other)]

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Node ``virtual_camera``, which renders and publishes the images of a camera next to the pipe of the virtual robot.
 
-virtual_robot starts the node as a separate process, as rendering an image takes longer than an answer on the servo bus
-may take.
-Each line of standard input is an exposure: stamp in ns, x1 and x2 in m, nan while out of sight. Each line of standard
-output reports that an image was published or lost, so that the virtual time can wait for the camera.
+virtual_robot starts the node as a separate process, because rendering an image takes longer than an answer on the servo
+bus may take. Each line of standard input is an exposure: stamp in ns, x1 and x2 in m, nan while a marker is hidden.
+Each line of standard output reports that an image was published or lost, so that the virtual time can wait for the
+camera.
 """
 
 import contextlib
@@ -36,11 +36,11 @@ from worm_driver.virtual_robot.camera_images import (
 )
 from worm_msgs.ros_process import ros_process
 
-#: REP 103: z forward, x to the right
+#: frame of the images (REP 103): z forward, x to the right
 FRAME = "camera_optical_frame"
 _NANOSECONDS = 10**9
-_CHUNK = 4096  # bytes
-_END_TIMEOUT = 3.0  # s, for the end of the process once its input is closed
+_CHUNK = 4096  # bytes that are read at once
+_END_TIMEOUT = 3.0  # s, longest wait for the end of the process after its input was closed
 
 
 class VirtualCameraNode(Node):
@@ -110,7 +110,13 @@ def _info(settings: CameraSettings, header: Header) -> CameraInfo:
 
 
 class CameraProcess:
-    """Handle of the process, for virtual_robot."""
+    """Process of the node, started by virtual_robot.
+
+    Args:
+        file: settings of the camera.
+        seed: seed of the sensor noise.
+        namespace: namespace of the node.
+    """
 
     def __init__(self, file: Path, seed: int, namespace: str) -> None:
         command = [sys.executable, "-m", __name__, "--parameters", str(file), "--seed", str(seed)]
@@ -125,12 +131,17 @@ class CameraProcess:
         self._process.stdout.readline()  # The process is ready, or has ended.
         os.set_blocking(self._input.fileno(), False)
         self._output = self._process.stdout.fileno()
-        self._ahead = 0  # exposures that are neither published nor lost yet
+        self._ahead = 0  # number of exposures that are neither published nor lost yet
 
     def expose(self, stamp: int, rear: float, front: float, timeout: float) -> None:
-        """Send an exposure (ns, m, m), after waiting up to ``timeout`` s for the publication of the previous one.
+        """Send an exposure. First wait until all earlier exposures are published or lost, at most for the timeout.
 
         If the process is too slow, an exposure is lost: the oldest that waits, or this one if the pipe is full.
+
+        Args:
+            stamp: time of the exposure, ns.
+            rear, front: x1 and x2, m; NaN while a marker is hidden.
+            timeout: longest wait, s.
 
         Raises:
             ChildProcessError: The process has ended.

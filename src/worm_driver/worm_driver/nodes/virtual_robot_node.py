@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Node ``virtual_robot``: serial and I2C ports for the driver, and topics of the camera and fault injection by ROS."""
+"""Node ``virtual_robot``: ports of the servo bus and of the power sensor, topics of the camera, and fault injection."""
 
 import argparse
 import logging
@@ -44,9 +44,9 @@ from worm_msgs.yaml_file import SettingsFileError
 _DEPTH = 500  # samples that may wait for a slow subscriber
 _CLOCK_PERIOD = 0.05  # s, virtual time between two messages on clock
 _VIRTUAL = "virtual"  # selects the installed file of the camera
-# By default Python switches threads after 5 ms, too late for an answer on the bus.
-_SWITCH_INTERVAL = 0.0002  # s
-# Conditions of the parameter file that options override: name, option, unit, meaning.
+# s, time slice of the interpreter's threads; with Python's default of 5 ms, answers on the bus would be too late.
+_SWITCH_INTERVAL = 0.0002
+# Options that override conditions of the parameter file: name of the condition, option, unit, meaning.
 _CONDITIONS = (
     ("slope_deg", "--slope", "DEG", "slope of the pipe, uphill positive"),
     ("tether_n", "--tether", "N", "pull of the tether on the rear module"),
@@ -55,9 +55,9 @@ _CONDITIONS = (
     ("flow_m_per_s", "--flow", "M_PER_S", "velocity of the water towards -x"),
     ("drag_area_m2", "--drag-area", "M2", "drag coefficient times area of each module"),
 )
-_SIGNAL_LATENCY = 0.1  # s, longest time until a signal takes effect
+_SIGNAL_LATENCY = 0.1  # s, longest delay until a signal takes effect
 _CAMERA_TIMEOUT = 2.0  # s, longest wait of the virtual time for an image
-_QUIET = 0.5  # s without an instruction, after which the driver counts as ended
+_QUIET = 0.5  # s, time without an instruction after which the driver counts as ended
 
 log = logging.getLogger("virtual_robot")
 
@@ -68,7 +68,7 @@ class VirtualRobotNode(Node):
     Args:
         robot: the virtual robot.
         directory: folder of the ports.
-        rate: virtual seconds per second, at most; None: real time.
+        rate: largest number of virtual seconds per second; None: real time, like a real robot.
         camera: file of the camera whose images are published; None: positions are published instead.
     """
 
@@ -101,7 +101,7 @@ class VirtualRobotNode(Node):
             self._camera.close()
 
     def _publish_samples(self, samples: list[TrackerSample]) -> None:
-        """Publish tracker samples. Runs in the serving thread, as the executor's thread may be late."""
+        """Publish tracker samples. Runs in the serving thread, because the executor's thread may be late."""
         for sample in samples:
             stamp, places = self._stamp(sample.time), (sample.rear_position, sample.front_position)
             if self._camera is None:
@@ -111,7 +111,7 @@ class VirtualRobotNode(Node):
                 self._camera.expose(stamp.nanoseconds, *places, timeout)
 
     def _publish_time(self, now: float) -> None:
-        """Publish the robot's time for nodes with use_sim_time. Runs in the serving thread."""
+        """Publish the robot's time (s) for nodes with use_sim_time. Runs in the serving thread."""
         if self._time is not None and now >= self._next_tick:
             self._next_tick = now + _CLOCK_PERIOD
             self._time.publish(Clock(clock=self._stamp(now).to_msg()))
@@ -262,7 +262,7 @@ def _run(robot: VirtualRobot, options: argparse.Namespace, ended: ShutdownReques
         sys.stdout.write(f"ready: {options.directory}\n")
         sys.stdout.flush()
         readiness.announce()
-        # If all processes get the signal at once, the robot must serve until the driver has released it.
+        # If all processes receive the signal at once, the robot must serve until the driver has released it.
         while serving.is_alive() and not (ended() and node.server.quiet_for(_QUIET)):
             executor.spin_once(timeout_sec=_SIGNAL_LATENCY)
     finally:

@@ -46,7 +46,11 @@ class I2CDevice:
     address: int
 
     def reopen(self) -> None:
-        """Close the bus and open it again. An unplugged adapter leaves an invalid handle. Raises PowerSensorError."""
+        """Close the bus and open it again, because the handle of an unplugged adapter is invalid.
+
+        Raises:
+            PowerSensorError: The bus cannot be opened.
+        """
         self.close()
         self.bus = open_device(self.bus_name, self.address).bus
 

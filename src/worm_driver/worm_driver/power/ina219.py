@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """INA219 power sensor (TI SBOS448G), with checks of every sample.
 
-The driver computes the current from the shunt voltage and the shunt's resistance. This does not need the calibration
-register. The driver still writes this register, for two reasons: the chip's overflow bit depends on it, and a value of
-0 reveals a brown-out. Every sample includes a check of the calibration and the configuration register. A corrupted
+The driver computes the current from the shunt voltage and the shunt's resistance, without the calibration register. The
+driver still writes this register, for two reasons: the chip's overflow bit depends on its value, and a value of 0
+reveals a brown-out. Every sample includes a check of the calibration and the configuration register. A corrupted
 configuration would change the range of the shunt voltage without any other sign.
 """
 
@@ -23,11 +23,11 @@ RUNNING_CONFIGURATION = 0b0011_1101_1101_1111
 
 SHUNT_LSB_V = 10e-6
 BUS_LSB_V = 4e-3
-#: raw shunt voltage at the ends of the range +-320 mV
+#: absolute value of the raw shunt voltage at the ends of the range +-320 mV
 SHUNT_FULL_SCALE = 32_000
 
-#: number of consecutive samples with identical bits at which the chip counts as frozen. A quiet supply repeats a few
-#: samples, but seldom so many at a resolution of 4 mV and 0.1 mA (shunt of 0.1 ohm).
+#: number of consecutive samples with identical bits at which the chip counts as frozen. With a quiet supply a few
+#: samples are identical, but seldom so many at a resolution of 4 mV and 0.1 mA (shunt of 0.1 ohm).
 FROZEN = 100
 
 _OVERFLOW_BIT = 0b01
@@ -98,7 +98,7 @@ class INA219:
         if configuration == POWER_ON_CONFIGURATION:
             self.set_up()
             return
-        # If the adapter swaps the bytes, RESET has arrived as a setting. Then only the swapped value resets the chip.
+        # If the adapter swaps the bytes, the chip received RESET as a setting. Then only the swapped value resets it.
         if POWER_ON_CONFIGURATION in (swap(configuration), swap(self._reset(swap(RESET)))):
             raise PowerSensorError(swapped)
         raise PowerSensorError(
@@ -135,7 +135,7 @@ class INA219:
     def _sample(self, time: float) -> PowerSample:
         bus = self.device.read(BUS)
         shunt = _signed(self.device.read(SHUNT))
-        if not self.is_set_up():  # Checked after the measured values, so that it also covers them.
+        if not self.is_set_up():  # A check after the values were read also covers them.
             self.set_up()
             return PowerSample(time, SampleStatus.SENSOR_RESET)
         if not bus & _READY_BIT:
@@ -158,7 +158,7 @@ class INA219:
 def calibration_for(shunt_resistance: float, max_current: float) -> int:
     """Return the value of the calibration register for a shunt (ohm) and the largest current (A) without overflow.
 
-    Cal = trunc(0.04096 / (Current_LSB R)) with Current_LSB = max_current / 32768; bit 0 is always 0.
+    Cal = trunc(0.04096 / (Current_LSB R)) with Current_LSB = max_current / 32768 (SBOS448G). Bit 0 is always 0.
 
     Raises:
         ConfigurationError: The current is too large for the shunt's +-320 mV or too small for the register.

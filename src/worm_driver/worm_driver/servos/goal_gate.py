@@ -19,8 +19,9 @@ class Bound:
 
     Attributes:
         low, high: smallest and largest goal, ticks. For a cable servo: the range of the stroke, with a tolerance.
-        lead: largest distance of a goal from a last plausible position of age 0, ticks.
-        speed: increase of this distance per second of the position's age, ticks/s. The servo moves on unobserved.
+        lead: largest distance of a goal from the last plausible position if this position was just read, ticks.
+        speed: increase of this largest distance per second of the position's age, ticks/s, because the servo may have
+            moved on.
     """
 
     low: int

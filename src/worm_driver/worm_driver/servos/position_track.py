@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 from worm_driver.servos.registers import TICKS_PER_TURN
 
-#: Ratio of the highest plausible speed of a shaft to its velocity limit. A load may turn it faster than the motor does.
+#: Ratio of the highest plausible speed of a shaft to its velocity limit. It is above 1, because a load may turn the
+#: shaft faster than the motor does.
 _FASTER = 2.0
 #: Difference between two positions that is always plausible, ticks. At the velocity limits of the supported models, a
 #: delay of 1 ms causes 3 to 7 ticks.

@@ -3,7 +3,7 @@
 
 Each register is a row, and each servo model has a table of rows. Registers have the names of the e-manual, in lower
 case. The scale of a row converts a raw value into the unit of the row. Sources are the ROBOTIS e-manual (control table
-of each model) and the ``.model`` files of DynamixelSDK. These files give 0.0239691227 rad/s for the velocity unit; the
+of each model) and the ``.model`` files of DynamixelSDK. In these files the velocity unit is 0.0239691227 rad/s. The
 manual rounds it to 0.229 rpm.
 """
 
@@ -84,10 +84,11 @@ class ServoModel:
         return self.registers[name]
 
 
+# Scales of the registers: value of one raw unit, in rad, rad/s, rad/s^2 and 1.
 _RAD = 2 * math.pi / TICKS_PER_TURN
 _RAD_S = 0.0239691227
-_RAD_S2 = 214.577 * 2 * math.pi / 3600
-_PWM = 0.00113
+_RAD_S2 = 214.577 * 2 * math.pi / 3600  # 214.577 turns per minute squared
+_PWM = 0.00113  # share of the full output
 
 _COMMON = (
     Register("model_number", 0, 2),

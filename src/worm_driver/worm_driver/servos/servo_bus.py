@@ -7,9 +7,10 @@ This module corrects the following defects of version 4.1.0 of the SDK:
   stuffing. When it removes stuffing, it overwrites bytes before it reads them. See ``_PacketHandler``.
 - The SDK measures timeouts by the wall clock, spins while it waits, and never stops reading while bytes arrive. See
   ``BusPort``.
-- The SDK mistakes a late answer for the answer to the next request. In this module, the next request after a failed
-  exchange waits for a quiet line, and an answer must have the requested length. In addition, ``tick_clock`` compares
-  the servo's clock in an answer with the time of the request, and detects answers that are too old.
+- The SDK mistakes a late answer for the answer to the next request. In this module, an answer must have the requested
+  length, and the next request after a failed exchange waits for a quiet line, on which no late answer can arrive. In
+  addition, ``tick_clock`` compares the servo's clock in an answer with the time of the request, and detects answers
+  that are too old.
 - The SDK's timeout expires even if received bytes are unread. This module first reads such bytes, which exist for
   example after the process was suspended. See ``BusPort.expects``.
 - The SDK's GroupSyncRead drops error and alert bytes, and all answers if one answer is missing. The class also accepts
@@ -45,7 +46,7 @@ from worm_driver.servos.encoding import pack, unpack
 from worm_driver.servos.registers import COMMON, Register
 
 BROADCAST = 254
-_HEADER = b"\xff\xff\xfd"  # start of a packet, apart from a zero byte
+_HEADER = b"\xff\xff\xfd"  # first three bytes of a packet; the fourth is 0
 
 #: Remedy for a silent servo. The text names all possible causes, because silence does not distinguish them.
 SILENCE_REMEDY = (
@@ -59,7 +60,7 @@ _WRITE_TIMEOUT = 0.05
 _SETUP_RETRIES = 8
 #: Largest delay of an answer during setup, s. It is shorter than the servos' bus watchdog.
 _LATEST = 0.06
-#: Largest number of bytes that are read after the timeout of a request. All unread answers to a request are shorter.
+#: Largest number of bytes that are read after the timeout of a request. The answers to one request have fewer bytes.
 _LEFT_OVER = 4096
 # Indices of a packet's fields. Stuffing covers the fields from the instruction on, without the CRC.
 _ID, _LENGTH, _INSTRUCTION, _ERROR, _PARAMETERS = 4, 5, 7, 8, 9
@@ -82,7 +83,7 @@ class BusPort(PortHandler):
         self._left_over = 0
 
     def go_by(self, clock: Clock) -> None:
-        """Set the clock of the thread that uses the port. Call it before the first exchange."""
+        """Set the clock of the thread that uses the port. Call this method before the first exchange."""
         self._clock = clock
 
     def getCurrentTime(self) -> float:  # noqa: N802 (the SDK's name)
@@ -109,7 +110,7 @@ class BusPort(PortHandler):
 
     @property
     def expects(self) -> bool:
-        """True before the timeout, and after it while received bytes are unread (the process was suspended)."""
+        """True until the timeout; then True while received bytes are unread, as after the process was suspended."""
         return self.remaining > 0.0 or (self._left_over > 0 and self._wait(0.0))
 
     def isPacketTimeout(self) -> bool:  # noqa: N802
@@ -122,7 +123,7 @@ class BusPort(PortHandler):
         return 2 * self.latency + 2e-3
 
     def readPort(self, length: int) -> bytes:  # noqa: N802
-        """Return up to ``length`` bytes. Sleep until some are available or the timeout expires."""
+        """Return at most ``length`` bytes. Sleep until some are available or the timeout expires."""
         remaining = self.remaining
         if length <= 0 or self._left_over <= 0 or not self._wait(remaining):
             return b""
@@ -279,7 +280,7 @@ class ServoBus:
     def retrying(self, retries: int = _SETUP_RETRIES) -> Iterator[None]:
         """Enter a context for setup, in which exchanges may take longer but fail less often.
 
-        A failed exchange is repeated up to ``retries`` times, or up to ``self.retries`` times if this is more. Before
+        A failed exchange is repeated at most ``retries`` times, or ``self.retries`` times if this is more. Before
         the first request, and before each request after a failure, the bus waits until no older answer can arrive.
         """
         before = self.retries, self._quiet
@@ -364,9 +365,9 @@ class ServoBus:
     ) -> tuple[float, dict[int, Reply]]:
         """Return a block of the control table of several servos. Servos without an intact answer are omitted.
 
-        There are no retries, because only the caller can decide about a repetition. The data of a reply with an error
-        number have no meaning. Servos answer in the order of the request. The bus accepts one answer per id, and only
-        in this order. If two answers have the same id and different contents, the bus accepts neither.
+        There are no retries, because only the caller can decide about a repetition. A reply with an error number has no
+        valid data. Servos answer in the order of the request. The bus accepts one answer per id, and only in this
+        order. If two answers have the same id and different contents, the bus accepts neither.
 
         Args:
             start: address of the block.

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Functions that identify, check and set up one servo at a time, outside of the 100 Hz cycle.
 
-A value on which a decision depends is read twice on a quiet line, because a late answer must not pass for the answer to
-the present request. Values written to the EEPROM, and the home mark, are read back in the same way. The callers enter
-the context `ServoBus.retrying`.
+A line is quiet if no late answer can arrive any more. A value on which a decision depends is read twice on a quiet
+line, because a late answer must not pass for the answer to the present request. Values written to the EEPROM, and the
+home mark, are read back in the same way. The callers enter the context `ServoBus.retrying`.
 
 The register led of a cable servo is its home mark: 1 means that position 0 is the cable's home. The register is in RAM.
 A reboot or a power failure reduces the position to a single turn, and always clears the mark.
@@ -234,10 +234,10 @@ def home(bus: ServoBus, cables: Sequence[Servo]) -> None:
     """Set the present positions of all cable servos to 0 and mark the servos as homed. Their torque must be off.
 
     All home marks are cleared before any other write. They are set after the new zeros of all servos were read back. So
-    after a failure, only servos whose position 0 is the home have the mark.
+    a servo whose position 0 is not the home has no mark, also after a failure.
 
     Raises:
-        HomingError: A servo did not accept its new zero.
+        HomingError: A servo is too far from its encoder's zero, or did not accept its new zero.
         BusError: A servo does not answer.
     """
     for servo in cables:
@@ -293,7 +293,7 @@ def limit_motion(
 def standing_position(bus: ServoBus, servo: Servo) -> int:
     """Return the position of a servo (ticks) on which two consecutive readings agree within 64 ticks.
 
-    A single wrong reading must not become a goal. The tolerance is needed because a body that springs back moves
+    A single wrong reading must not become a goal. The tolerance is not 0, because a body that springs back moves
     between two readings.
 
     Raises:

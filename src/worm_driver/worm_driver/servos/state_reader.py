@@ -17,14 +17,14 @@ from worm_driver.servos.tick_clock import TickClock
 #: in turn.
 _HEALTH = tuple(COMMON[name] for name in ("torque_enable", "hardware_error_status", "bus_watchdog"))
 
-#: Block that contains a servo's health registers and its clock.
+#: Addresses of the block that contains a servo's health registers and its clock.
 _HEALTH_START, _HEALTH_END = COMMON["torque_enable"].address, COMMON["realtime_tick"].end
-#: Number of exchanges from which a servo's clock is estimated.
+#: Number of exchanges from which the first estimate of a servo's clock is made.
 _FIRST_ANSWERS = 3
 
 
 class StateReader:
-    """Reader of states. It repeats a reading once if an answer is missing, garbled, late, implausible or an error.
+    """Reader of states. If an answer is missing, garbled, late, implausible or has an error number, it reads once more.
 
     Args:
         bus: open servo bus.
@@ -54,7 +54,7 @@ class StateReader:
         """Return the time of the request (s, monotonic) and the states, in the order of the servos.
 
         The state of a servo without a fresh and plausible answer is SILENT. A servo whose position is lost
-        (`PositionTrack.lost`) gets no request. Its bus watchdog then stops it where it is, whatever its goal.
+        (`PositionTrack.lost`) gets no request. The bus watchdog then stops this servo where it is, whatever its goal.
 
         Raises:
             BusError: A request cannot be sent, for example because the port is gone.
@@ -78,7 +78,7 @@ class StateReader:
     def pop_suspect(self) -> int | None:
         """Remove and return the id of a servo that showed a sign of a fault or a restart; None if there is none.
 
-        A sign does not prove a fault, because a late answer can show it, too. The caller reads the servo again.
+        A sign does not prove a fault, because a late answer can also cause it. The caller reads the servo again.
         """
         return self._suspects.pop() if self._suspects else None
 
@@ -105,7 +105,7 @@ class StateReader:
         self.forget_suspects()
 
     def look(self, servo: Servo, names: Sequence[str]) -> Mapping[str, int] | None:
-        """Return raw values of a servo's health registers by name, read on a quiet line; None without a fresh answer.
+        """Return raw values of a servo's health registers ``names``, read on a quiet line; None without a fresh answer.
 
         The registers and the servo's clock are read in one block, so that a late answer is never mistaken for a fault.
         The result includes the clock, realtime_tick.
@@ -161,8 +161,8 @@ class StateReader:
     def _is_fresh(self, servo: int, requested_at: float, received: float, tick: float) -> bool:
         """Return True if the servo's clock shows that an answer belongs to the present request.
 
-        The first answer of a servo only starts the estimate of its clock. So does an answer whose clock has jumped: its
-        servo has restarted. Such answers are not fresh.
+        The first answer of a servo starts the estimate of its clock. A jump of the clock shows that the servo has
+        restarted, and starts the estimate again. Neither answer counts as fresh.
         """
         clock = self._clocks.get(servo)
         if clock is None or abs(tick_clock.jump(clock, tick, received)) >= tick_clock.RESTART:

@@ -6,21 +6,23 @@ request. Every block that the driver trusts contains the servo's Realtime Tick (
 The tick of an answer must not lie before the request. The clock restarts with the servo, which reveals a restart.
 
 The lead of the servo's clock over the host's is unknown. The tick of an answer minus its time of reception is a lower
-bound of the lead, also for a late answer, because an answer is made before it is received. The largest bound is stored.
-It decreases only by the possible drift between the clocks. So a late answer can never make a later, fresh answer look
-old.
+bound of the lead, also for a late answer, because an answer is made before it is received. The largest bound is stored,
+and decreases only by the possible drift between the clocks. So a late answer can never make a subsequent fresh answer
+look old.
 """
 
 from dataclasses import dataclass
 
-WRAP_S = 32.768
-#: Smallest jump of a clock that counts as a restart of its servo, s. No answer is so late.
+WRAP_S = 32.768  # period after which Realtime Tick begins at 0 again, s
+#: Smallest jump of a clock that counts as a restart of its servo, s. A late answer shows a smaller jump, because no
+#: answer is delayed by that much.
 RESTART = 0.3
-#: Largest time by which a fresh answer may seem to be older than its request, s. The servo truncates the tick, and the
-#: moment at which it updates its control table, to whole ms. The rest is reserve. A late answer is at least 4 ms older
-#: than the request, because the wait for the previous answer lasted at least 4 ms.
+#: Largest time by which a fresh answer may seem to be older than its request, s. The servo truncates both the tick and
+#: the moment at which it updates its control table to whole ms, which explains up to 2 ms. The third millisecond is
+#: reserve. A late answer is at least 4 ms older than the request, because the wait for the previous answer lasted at
+#: least 4 ms.
 RESOLUTION = 3e-3
-#: Largest drift between two clocks, s/s.
+#: Largest drift between the servo's and the host's clock, s/s.
 _DRIFT = 2e-3
 
 
@@ -43,7 +45,7 @@ def begin(tick_s: float, received: float) -> TickClock:
 
 
 def jump(clock: TickClock, tick_s: float, received: float) -> float:
-    """Return the lead that an answer shows minus the estimated lead (s); negative for a delayed answer."""
+    """Return the tick of an answer minus its time of reception, minus the estimated lead, s; negative if it is late."""
     return _wrapped(tick_s - received - clock.lead)
 
 
@@ -54,9 +56,12 @@ def update(clock: TickClock, tick_s: float, received: float) -> TickClock:
     return TickClock((clock.lead + ahead) % WRAP_S, received)
 
 
-def age(clock: TickClock, tick_s: float, asked: float) -> float:
-    """Return how old (s) an answer was at least at the time ``asked`` of the request; negative if it was made later."""
-    return _wrapped(asked - (tick_s - clock.lead))
+def age(clock: TickClock, tick_s: float, requested: float) -> float:
+    """Return a lower bound of the age (s) of an answer at the time ``requested`` (s) of the request.
+
+    It is negative if the servo made the answer after the request.
+    """
+    return _wrapped(requested - (tick_s - clock.lead))
 
 
 def _wrapped(difference: float) -> float:

@@ -13,19 +13,21 @@ from worm_driver.tracking.tracker_setup import FEWEST_REFERENCES, TrackerSetup
 from worm_driver.tracking.tracking_errors import PoseError
 
 #: Limits of the rms distance of the reference corners from their positions in the setup file (m). Above _MISPLACED, the
-#: pose is rejected; above DOUBTFUL, the tracker warns. Both are small because the fitted pose absorbs most of a wrong
-#: position: an error of 10 mm along the pipe leaves a residual of 0.9 mm, an error of 2 mm a residual of 0.2 mm.
+#: pose is rejected; above DOUBTFUL, the tracker warns. The limits are small because the fitted pose absorbs most of a
+#: wrong position: an error of 10 mm along the pipe leaves a residual of 0.9 mm, an error of 2 mm a residual of 0.2 mm.
 _MISPLACED, DOUBTFUL = 0.0007, 0.00015
 #: The pose is ambiguous if a second pose has an error below _ALMOST times the best error, and a viewing direction that
 #: differs by more than _OTHER_DIRECTION (rad).
 _ALMOST, _OTHER_DIRECTION = 1.5, 0.03
-#: Displacement of a marker in the image above which the marker counts as moved (pixels): twenty times the noise of its
-#: centre, and a quarter of a millimetre at 2 pixels per mm.
+#: Displacement of a marker in the image above which the marker counts as moved (pixels). It is twenty times the noise
+#: of a marker's centre, and a quarter of a millimetre at 2 pixels per mm.
 _MOVED = 0.5
-#: Number of images averaged for a fixed camera. With more images, errors of the markers' positions dominate.
+#: Number of images averaged for a fixed camera. More images would not help, because the errors of the markers'
+#: positions dominate.
 _AVERAGED = 128
 
-_UNIT_CORNERS = np.array([[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]])  # (right, up)
+#: Corners (right, up) of a print with side 1, in the order of `Detection.corners`.
+_UNIT_CORNERS = np.array([[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]])
 
 Corners = Mapping[int, Array]
 
@@ -39,7 +41,7 @@ class CameraPose:
         shift: translation, shape (3,), m.
         facing: direction of the prints, which face the camera: -1 towards -y, 1 towards +y.
         error: rms reprojection error of the corners, pixels.
-        error_m: rms reprojection error at the distance of the markers, m.
+        error_m: the same error at the mean distance of the markers from the camera, m.
     """
 
     rotation: Array
@@ -147,7 +149,7 @@ class PoseEstimate:
     """Camera pose estimated from one image.
 
     Attributes:
-        pose: None if it cannot be determined or is not reliable.
+        pose: the pose; None if it cannot be determined or is not reliable.
         problem: why `pose` is None; empty otherwise.
         event: message to log once, for example that the camera was moved; usually empty.
     """
@@ -196,6 +198,7 @@ class FixedCamera:
         return float(np.hypot(*(corners - mean).mean(axis=0)))
 
     def _explain(self, moved: Mapping[int, float], corners_of: Corners) -> PoseEstimate:
+        """Return the estimate after markers have moved (pixels, by number). Begin the averages again."""
         names = ", ".join(f"{n} by {distance:.1f} px" for n, distance in moved.items())
         still = len(corners_of) - len(moved)
         if len(moved) == 1 and still >= FEWEST_REFERENCES:
@@ -223,7 +226,7 @@ class FixedCamera:
                 self._counts[number] = self._counts.get(number, 0) + 1
 
     def _improve(self) -> None:
-        """Estimate the pose if it is unknown, and whenever the number of images has doubled, up to _AVERAGED images."""
+        """Estimate the pose if it is unknown, and after 1, 2, 4, ... images, at most _AVERAGED. Raises PoseError."""
         due = self._images <= _AVERAGED and self._images & (self._images - 1) == 0
         if due or self._pose is None:
             means = {n: total / self._counts[n] for n, total in self._sums.items()}

@@ -33,11 +33,11 @@ def frames_of_device(device: str, size: tuple[int, int], rate: float) -> Iterato
 
 
 class FrameThread:
-    """Reader thread that delivers each image at its time.
+    """Thread that reads images, and delivers those of a video or a folder at their times.
 
     Args:
         source: a device under /dev, a video, or a folder of images.
-        setup: the rig, for its rate (`Rig.rate`).
+        setup: setup of the tracker, of which only the rate is used (`Rig.rate`).
         size: (width, height) requested from a camera, pixels.
         arrived: called in the thread when an image is available or the source has ended.
 

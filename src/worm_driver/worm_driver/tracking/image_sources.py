@@ -25,7 +25,9 @@ class Frame:
 
 
 def frames_of_folder(folder: Path, rate: float) -> Iterator[Frame]:
-    """Yield the images of a folder at the times of times.csv (file,time_s); without it, sorted by name at a rate (Hz).
+    """Yield the images of a folder in the order and at the times of its times.csv (columns file,time_s).
+
+    Without this file, yield them sorted by name at a rate (Hz).
 
     Raises:
         ImageError: The folder has no images, an image cannot be read, or the times are unknown.
@@ -96,7 +98,8 @@ def _time(text: str | None, place: str) -> float:
 def frames_of_video(path: Path, rate: float) -> Iterator[Frame]:
     """Yield the images of a video at the times stored in it.
 
-    Images without times are spaced by the frame rate stored in the video; without it, by ``rate`` (Hz).
+    If the video contains no times, the images are spaced by the frame rate stored in the video. If the video contains
+    no frame rate either, they are spaced by ``rate`` (Hz).
 
     Raises:
         ImageError: The video cannot be opened, has no images, or its times are unknown.

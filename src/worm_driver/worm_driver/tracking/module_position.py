@@ -12,19 +12,20 @@ from worm_driver.tracking.camera_pose import CameraPose
 from worm_driver.tracking.tracker_setup import ModuleLine, TrackerSetup
 from worm_driver.tracking.vision import Detection
 
-#: Largest distance of a marker's centre from the modules' line, relative to the marker's side. A module has some play.
+#: Largest accepted distance of a marker's centre from the modules' line, relative to the marker's side. It allows for
+#: the play of a module in the pipe.
 _OFF_LINE = 0.3
-#: Largest relative deviation of a side from marker_size_m.
+#: Largest accepted relative deviation of a side from marker_size_m.
 _SIZE = 0.12
-#: Largest rotation of a side of the marker against its direction in an upright print, rad.
+#: Largest accepted angle between a side of the marker and its direction in an upright print, rad.
 _TURNED = 0.2
-#: Largest width of an edge, cells of the marker. If edges are wider, neighbouring cells merge.
+#: Largest accepted width of an edge, cells of the marker. With wider edges, neighbouring cells merge.
 BLURRED = 0.8
 
 
 @dataclass(frozen=True)
 class Fix:
-    """Position along the pipe (m) of a marker's centre or of a fin root; NaN with the reason if it is rejected."""
+    """Position along the pipe (m) of a marker's centre or of a fin root; NaN with a reason if it was rejected."""
 
     position: float
     reason: str = ""
@@ -33,8 +34,9 @@ class Fix:
 def locate(setup: TrackerSetup, camera: CameraModel, pose: CameraPose, detection: Detection) -> Fix:
     """Return the position (m) of a module's marker on the line that the modules move along.
 
-    The marker's centre is the intersection of the diagonals, also if the print is tilted. The position is that of the
-    point of the line that is closest to the ray through the centre.
+    The marker's centre is the intersection of its diagonals, also if the print is tilted. The returned position is that
+    of the point of the line that is closest to the camera's ray through the marker's centre. It is NaN, with a reason,
+    if the detection is implausible.
     """
     rays = vision.directions(camera, detection.corners)
     if not np.isfinite(rays).all():

@@ -11,15 +11,15 @@ from worm_driver.tracking.camera_pose import CameraPose, print_corners
 from worm_driver.tracking.tracker import TrackedPositions, Tracker
 from worm_driver.tracking.vision import Detection, Image, Label
 
-# blue, green, red
+# Colours (blue, green, red) of markers: reference, module, not in the setup, rejected.
 _REFERENCE, _MODULE, _UNKNOWN, _REJECTED = (
     (255, 190, 60),
     (80, 220, 80),
     (160, 160, 160),
     (60, 60, 255),
 )
-_AXIS = (60, 200, 255)
-_MARGIN = 0.1  # m; length by which the drawn modules' line extends beyond the reference markers on each side
+_AXIS = (60, 200, 255)  # colour of the modules' line and of the expected reference markers
+_MARGIN = 0.1  # m; length by which the drawn line extends beyond the reference markers
 
 
 def preview(

@@ -13,7 +13,7 @@ from worm_driver.tracking.tracker_setup import ModuleMarker, TrackerSetup
 from worm_driver.tracking.tracking_errors import SetupError
 from worm_driver.tracking.vision import Detection
 
-#: Displacement between images that is always accepted (m): noise, and a module's play in the pipe.
+#: Displacement between two images that is always accepted (m), because of noise and the play of a module in the pipe.
 _PLAY = 0.003
 
 
@@ -46,7 +46,7 @@ class Tracker:
     """Tracker of both modules through images in the order of their times.
 
     Args:
-        setup: the rig.
+        setup: setup of the tracker.
         camera: calibrated camera; required if the setup contains none (camera_info: topic).
 
     Raises:
@@ -113,7 +113,7 @@ class Tracker:
         return Fix(fix.position + module.offset - self.setup.origin)
 
     def _plausible(self, name: str, fix: Fix, time: float) -> Fix:
-        """Return the fix, rejected if the module cannot have moved there since its last position."""
+        """Return the fix if the module can have moved there since its last position, else a rejected fix."""
         if fix.reason:
             return fix
         before, where = self._last.get(name, (-math.inf, fix.position))

@@ -28,10 +28,14 @@ DICTIONARIES = {
 #: Smallest number of reference markers. A single marker determines the camera's direction only to one or two degrees,
 #: which is about a centimetre at the modules.
 FEWEST_REFERENCES = 2
-#: Largest side or offset of a marker, distance from the pipe's axis, and distance along this axis (m). Larger values
-#: are probably in mm.
-LARGEST_MARKER, LARGEST_SIDEWAYS, LARGEST_ALONG = 0.5, 3.0, 20.0
+#: Largest side or offset of a marker (m). Larger values, also of the following limits, are probably in mm.
+LARGEST_MARKER = 0.5
+#: Largest distance from the pipe's axis (m).
+LARGEST_SIDEWAYS = 3.0
+#: Largest distance along the pipe's axis (m).
+LARGEST_ALONG = 20.0
 
+#: Values of ``pose``: the camera is stationary, or its pose is estimated from each image.
 POSES = ("fixed", "each_image")
 
 
@@ -67,7 +71,7 @@ class Rig:
         rear, front: markers of the modules.
         line: line along which the centres of the modules' markers move.
         reference: centre (x, y, z) of each marker fixed to the pipe, m, by marker number.
-        rate: rate of images without times, and rate that is requested from a camera, Hz; 0 if not given.
+        rate: rate at which images without times are read, and which is requested from a camera, Hz; 0 if not given.
         delay: delay from exposure to stamp, s.
         pose: one of POSES.
         max_speed: largest speed of a module, m/s; faster detections are rejected.
@@ -99,7 +103,7 @@ class SetupFile(Rig):
 
 @dataclass(frozen=True, kw_only=True)
 class TrackerSetup(Rig):
-    """Validated setup of a tracker rig. camera: calibrated camera; None if the topic camera_info describes it."""
+    """Validated setup of a tracker. camera: calibrated camera; None if the topic camera_info describes the camera."""
 
     camera: CameraModel | None
 
@@ -146,7 +150,7 @@ def _check_numbers(rig: Rig) -> None:
 
 
 def _check_places(rig: Rig) -> None:
-    """Raise SetupError if two reference markers overlap. Positions in another unit than m can cause this, too."""
+    """Raise SetupError if two reference markers overlap. Positions in another unit than m can also be the cause."""
     for (other, other_place), (number, place) in itertools.combinations(rig.reference.items(), 2):
         distance = math.dist(place, other_place)
         if distance < rig.marker_size:

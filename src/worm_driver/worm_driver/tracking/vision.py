@@ -18,20 +18,22 @@ from worm_driver.tracking.tracking_errors import ImageError
 
 Image = NDArray[np.uint8]
 
-# Images are processed one by one; a second thread would bring little.
+# Images are processed one by one, and a second thread would save little time.
 cv2.setNumThreads(1)
 
 _UNIT = np.eye(3)
+# Termination of the iterative removal of distortion.
 _EXACT = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 50, 1e-9)
-_PROFILE = np.linspace(-0.9, 0.9, 19)  # positions across an edge, cells; negative: inside
-#: Positions along an edge, as shares of its length. They keep away from the corners, because blur rounds the corners.
+#: Positions across an edge, cells; negative: inside the black square.
+_PROFILE = np.linspace(-0.9, 0.9, 19)
+#: Positions along an edge, as shares of its length. They exclude the corners, because blur rounds the corners.
 _ALONG = np.linspace(0.1, 0.9, 25)
 _FEWEST = 8  # smallest number of points of an edge that determine its line
 _LEAST_RISE = 12.0  # smallest difference between the frame and the white around it, grey levels
-_REFINEMENTS = 2
-_REJECTIONS = 3
-_USUAL = 0.1  # distance of a point from its line that noise alone causes, pixels
-_BORDER = 2  # cells of the black frame in a row, in addition to the bits
+_REFINEMENTS = 2  # number of refinements of the corners, each from the corners of the previous one
+_REJECTIONS = 3  # number of fits of a line, each followed by a rejection of outliers
+_USUAL = 0.1  # distance of a point from its line that noise alone can cause, pixels
+_BORDER = 2  # cells of the black frame in a row of a marker, in addition to the bits
 
 
 @dataclass(frozen=True)
@@ -41,8 +43,8 @@ class Detection:
     Attributes:
         number: marker id.
         corners: pixels, shape (4, 2): top left, top right, bottom right, bottom left of the print.
-        edge_width: width of the edges from 10 to 90 % of the rise, cells of the marker; well below 0.5 in a sharp
-            image, infinite without clear edges.
+        edge_width: width of the edges from 10 to 90 % of the rise from black to white, cells of the marker; well below
+            0.5 in a sharp image, infinite without clear edges.
     """
 
     number: int
@@ -112,7 +114,10 @@ def _shares(profiles: Array) -> Array:
 
 
 def _crossings(shares: Array) -> Array:
-    """Return the positions where profiles first exceed 0.5, cells from the edge, shape (along, …); NaN if never."""
+    """Return the positions where profiles first exceed 0.5, cells from the edge, shape (along, …).
+
+    The position is NaN if the profile never exceeds 0.5 or begins above 0.5.
+    """
     above = shares > 0.5
     index = np.clip(above.argmax(axis=0), 1, len(_PROFILE) - 1)
     before, after = (np.take_along_axis(shares, index[None] - back, axis=0)[0] for back in (1, 0))
@@ -157,7 +162,7 @@ def _meetings(begin: Array, end: Array) -> Array:
 
 
 def _rises(shares: Array) -> Array:
-    """Return the width of each marker's edges from 10 to 90 %, cells: the larger value of its two directions."""
+    """Return the width of each marker's edges from 10 to 90 %, cells: the larger one of the marker's two directions."""
     there = np.isfinite(shares)
     count = np.maximum(there.sum(axis=1), 1)
     mean = np.where(there, shares, 0.0).sum(axis=1) / count  # (profile, marker, side)
@@ -207,7 +212,7 @@ def directions(camera: CameraModel, pixels: Array) -> Array:
 def poses(points: Array, rays: Array) -> list[tuple[Array, Array]]:
     """Return the refined rotation and shift of each camera pose that maps points (n, 3) to directions (n, 2).
 
-    For coplanar points, two poses can fit; the function returns both (IPPE, Collins and Bartoli 2014).
+    For coplanar points, two poses can fit. In this case the function returns both (IPPE, Collins and Bartoli 2014).
     """
     centre = points.mean(axis=0)
     _, spread, axes = np.linalg.svd(points - centre)
@@ -215,7 +220,8 @@ def poses(points: Array, rays: Array) -> list[tuple[Array, Array]]:
     if np.linalg.det(axes) < 0.0:
         axes[2] = -axes[2]
     own = (points - centre) @ axes.T
-    # IPPE fails where the vanishing line is exactly parallel to an axis; SQPNP returns only one of the two poses.
+    # Both methods are used: IPPE fails if the vanishing line is exactly parallel to an axis, and SQPNP returns only one
+    # of the two poses.
     methods = [cv2.SOLVEPNP_SQPNP]
     if flat:
         own[:, 2] = 0.0
@@ -254,7 +260,7 @@ class Board:
     """ChArUco board: a chessboard with a marker in each white square, usable when partly visible.
 
     Args:
-        columns, rows: numbers of squares.
+        columns, rows: numbers of columns and rows of squares.
         square: side of a square, m; the side of a marker is 0.72 of it.
         dictionary: dictionary of the markers.
     """
@@ -419,7 +425,7 @@ class VideoSource:
             self._capture.set(cv2.CAP_PROP_FPS, rate)
 
     def read(self) -> tuple[Image, float] | None:
-        """Return the next image, grey, and its time (s) in the video; None at the end."""
+        """Return the next grey image and its time (s) in the video; None at the end."""
         success, image = self._capture.read()
         if not success:
             return None

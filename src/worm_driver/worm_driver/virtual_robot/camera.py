@@ -10,9 +10,12 @@ from worm_driver.virtual_robot.virtual_settings import TrackerSettings
 
 @dataclass(frozen=True)
 class TrackerSample:
-    """Positions (m) at the time of exposure (s); NaN while a marker is hidden.
+    """Positions measured in one exposure.
 
-    available: time at which the sample can be read, s.
+    Attributes:
+        time: time of the exposure, s.
+        rear_position, front_position: x1 and x2, m; NaN while the marker is hidden.
+        available: time at which the sample can be read, s.
     """
 
     time: float
@@ -22,7 +25,11 @@ class TrackerSample:
 
 
 class Tracker:
-    """Camera with a fixed rate. Positions are relative to the rear module's start."""
+    """Camera with a fixed rate. Both positions are relative to the start of the rear module.
+
+    Attributes:
+        next_exposure: time of the next exposure, s.
+    """
 
     def __init__(self, settings: TrackerSettings, random: Random) -> None:
         self._settings = settings

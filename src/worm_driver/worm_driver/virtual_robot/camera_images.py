@@ -2,8 +2,8 @@
 """Rendered camera images of the virtual robot.
 
 The geometry shares no code with the tracker that processes the images. Each pixel's ray is intersected with the plane
-of a print (a printed marker), whose reflectance is averaged over the pixel and over the exposure. The reflectance is
-constant in each cell of a print, so both averages are differences of its integral. Edges are therefore exact to a
+of a print (a printed marker). The reflectance of the print is averaged over the pixel and over the exposure. It is
+constant in each cell of the print, so both averages are differences of its integral. Edges are therefore exact to a
 fraction of a pixel without sampling.
 """
 
@@ -25,14 +25,18 @@ Window = tuple[slice, slice]
 DEFAULT_FILE = Path(str(files("worm_driver").joinpath("config/virtual_camera.yaml")))
 
 _QUIET = 1.0  # width of the white margin around a print, cells
-_PAPER, _INK = 1.0, 0.07  # reflectance
+_PAPER, _INK = 1.0, 0.07  # reflectances of a print
+# Reflectances of a module, of the pipe's wall and beyond the pipe.
 _MODULE, _WALL, _BACKGROUND = 0.38, 0.55, 0.72
 _MODULE_SIZE = (0.048, 0.062)  # visible part of a module along x and z, m
 _UNDISTORTIONS = 25  # fixed-point iterations; the error is well below a thousandth of a pixel
 
 
 def framed(rows: Sequence[str]) -> Array:
-    """Return the reflectance of a print's cells, row by row from the top, with black frame and white margin."""
+    """Return the reflectances of a print's cells with its black frame and white margin, row by row from the top.
+
+    ``rows`` contain the marker's bits, "1" for white and "0" for black.
+    """
     bits = np.array([[float(bit) for bit in row] for row in rows])
     return _INK + (_PAPER - _INK) * np.pad(np.pad(bits, 1), 1, constant_values=1.0)
 
@@ -94,18 +98,23 @@ def load_camera_settings(path: Path | None = None) -> CameraSettings:
 
 
 class Pattern:
-    """Print of rectangular cells in its plane, centred at (0, 0), u right, v up."""
+    """Print of rectangular cells. In its plane, the centre is (0, 0), u points right and v up, m."""
 
     def __init__(self, cells: Array, cell: tuple[float, float]) -> None:
-        """Create a print. cells: reflectances, row by row from the top; cell: size of a cell along u and v, m."""
+        """Create a print.
+
+        Args:
+            cells: reflectances, row by row from the top.
+            cell: size of a cell along u and v, m.
+        """
         rows, columns = cells.shape
         self.half = (columns * cell[0] / 2.0, rows * cell[1] / 2.0)
         self._cell = cell
-        # For each corner of the cells: integral over the area to the left and below, in units of a cell's area.
+        # Integral of the reflectance over the area to the left of and below each corner, in units of a cell's area.
         self._sums = np.pad(np.cumsum(np.cumsum(cells[::-1], axis=0), axis=1), ((1, 0), (1, 0)))
 
     def average(self, u: Array, v: Array, du: Array, dv: Array) -> tuple[Array, Array]:
-        """Return the print's mean reflectance and covered share of each rectangle du x dv (m) around (u, v)."""
+        """Return the print's mean reflectance in rectangles du x dv (m) around (u, v), and the shares it covers."""
         left, right = (self._along(u + sign * du / 2.0, 0) for sign in (-1, 1))
         low, high = (self._along(v + sign * dv / 2.0, 1) for sign in (-1, 1))
         inside = (right - left) * (high - low)
@@ -123,7 +132,7 @@ class Pattern:
         return np.clip((place + self.half[axis]) / self._cell[axis], 0.0, count)
 
     def _at(self, column: Array, row: Array) -> Array:
-        """Return the integral up to positions in cells; it is bilinear within each cell."""
+        """Return the integral of the reflectance to the left of and below positions, which are in cells."""
         c = np.minimum(column.astype(int), self._sums.shape[1] - 2)
         r = np.minimum(row.astype(int), self._sums.shape[0] - 2)
         fc, fr = column - c, row - r
@@ -149,7 +158,7 @@ def _put(
     centre: tuple[float, float],
     sweep: float,
 ) -> None:
-    """Draw a pattern at (x, z) into a scene; sweep: its motion along x during the exposure, m."""
+    """Draw a pattern at (x, z) into a scene. ``sweep`` is its motion along x during the exposure, m."""
     u, v = footprints.x - centre[0], footprints.z - centre[1]
     near = (np.abs(u) < pattern.half[0] + footprints.width + sweep) & (
         np.abs(v) < pattern.half[1] + footprints.height
@@ -164,7 +173,7 @@ def _put(
 
 
 class VirtualCamera:
-    """Renderer of the rig's images for given module positions. seed: seed of the sensor noise."""
+    """Renderer of the camera's images for given module positions. ``seed`` is the seed of the sensor noise."""
 
     def __init__(self, settings: CameraSettings, seed: int = 0) -> None:
         self.settings = settings
@@ -217,7 +226,7 @@ class VirtualCamera:
         return camera[0] + along * rays[..., 0], camera[2] + along * rays[..., 2]
 
     def _window(self, centre: tuple[float, float, float], half: tuple[float, float]) -> Window:
-        """Return the pixels that can contain a rectangle of half sizes (m) in a plane at y."""
+        """Return the pixels that can contain a rectangle with a centre (x, y, z) and half sizes along x and z, m."""
         s, axes, (x, y, z) = self.settings, self._orientation(), centre
         corners = np.array(
             [[x + a * half[0], y, z + b * half[1]] for a in (-1, 1) for b in (-1, 1)]
@@ -270,7 +279,8 @@ class VirtualCamera:
     def image(self, path: Array) -> Image:
         """Return an image, shape (height, width), 8 bit grey.
 
-        path: x1 and x2 (m) at the centres of equal parts of the exposure, shape (parts, 2); NaN if hidden.
+        Args:
+            path: x1 and x2 (m) at the centres of equal parts of the exposure, shape (parts, 2); NaN if hidden.
         """
         levels = self._empty.copy()
         for column, module in enumerate((self.settings.rear, self.settings.front)):
@@ -306,7 +316,7 @@ class VirtualCamera:
         return Footprints(x, z, *widths)
 
     def _exposed(self, scene: Array, window: Window = (slice(None), slice(None))) -> Array:
-        """Return the grey levels of a scene's reflectance."""
+        """Return the grey levels of a scene of reflectances, without noise."""
         return scene * self._light[window] * self._gain[window] + self._glare[window]
 
     def _digitise(self, levels: NDArray[np.float32]) -> Image:
@@ -318,7 +328,7 @@ class VirtualCamera:
         return np.clip(levels, 0.0, 255.0, out=levels).astype(np.uint8)
 
 
-_PARTS = 3  # number of equal parts of an exposure
+_PARTS = 3  # number of equal parts of an exposure in `exposure_path`
 
 
 def exposure_path(

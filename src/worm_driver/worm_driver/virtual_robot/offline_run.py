@@ -24,11 +24,12 @@ from worm_msgs.robot_parameters import RobotParameters
 
 Array = NDArray[np.float64]
 
-_PERIOD = 0.01  # s between commands
-_AVERAGING = 0x1DDF  # 16 V, 320 mV, 8 samples of 12 bit each, continuous: a sample every 8.5 ms
-_SHUNT_LSB = 10e-6  # V
-_BUS_LSB = 4e-3  # V
-_READY = 0x0002
+_PERIOD = 0.01  # s, time between two commands
+_AVERAGING = 0x1DDF  # 16 V, 320 mV, each value the mean of 8 conversions of 12 bit, continuous: one every 8.5 ms
+_SHUNT_LSB = 10e-6  # V per raw unit of the shunt voltage
+_BUS_LSB = 4e-3  # V per raw unit of the bus voltage
+_READY = 0x0002  # bit of BUS: there is a new conversion
+# These registers have the same address in every model.
 _GOAL_POSITION = XM430_W350.registers["goal_position"]
 _TORQUE_ENABLE = XM430_W350.registers["torque_enable"]
 
@@ -39,10 +40,10 @@ class Run:
 
     Attributes:
         onset: start of the gait.
-        servo_time, goal_ticks, encoder_ticks: first cable servo, positions relative to the start, pulses. They
+        servo_time, goal_ticks, encoder_ticks: first cable servo, positions relative to the start, ticks. They
             increase with the contraction if the servo's sign is 1, and decrease if it is -1.
         tracker_time, rear_position, front_position: camera, m; NaN while a marker is hidden.
-        power_time, bus_voltage, current: new conversions of the power sensor, V and A.
+        power_time, bus_voltage, current: conversions of the power sensor, V and A.
         truth: true parameters of the robot.
     """
 
@@ -68,7 +69,8 @@ def run_offline(
 ) -> Run:
     """Simulate a run: a rest (s), then a command for a duration (s).
 
-    If the command does not begin at 0, as with pretension, the cable moves there in the first half of the rest.
+    If the command does not begin at 0, as with pretension, the cable moves to the first value in the first half of the
+    rest.
 
     Args:
         settings: the robot, with its seed.
@@ -98,9 +100,9 @@ def run_offline(
 
 
 def _tensioned(time: float, rest: float) -> float:
-    """Return the ratio of the length change to its value at the onset, at a time (s) of a rest (s).
+    """Return the ratio of the length change to its value at the onset, at a time (s) after the start of a rest (s).
 
-    The ratio increases from 0 to 1 as a half cosine over the first half of the rest.
+    The ratio increases from 0 to 1 as a half cosine in the first half of the rest.
     """
     return 0.5 * (1.0 - math.cos(math.pi * min(time / (0.5 * rest), 1.0))) if rest else 1.0
 
@@ -114,7 +116,7 @@ def _with_fins_set(settings: RobotSettings, direction: int) -> RobotSettings:
 
 
 def _cable_ticks(servo: Servo, home: int) -> tuple[int, int]:
-    """Return goal and encoder position relative to the start, pulses."""
+    """Return goal and encoder position relative to the start, ticks."""
     row = XM430_W350.registers["present_position"]
     position = row.decode(servo.read(row.address, row.size))
     return servo.memory["goal_position"] - home, position - home

@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Plant of the virtual robot: fixed-step integration of the two-mass model with loads and additional effects.
 
-The model follows the paper (eq:x1_ddot_full to eq:power_model). Additional effects are dry
-friction of both modules, fins whose threshold and stiffness differ from groove to groove, and optionally a compliant
-cable. The force of a compliant cable drives the two masses, so loads change the body length. In the paper's model the
-length depends on the command alone. The weight of the modules in a sloping pipe, the pull of a tether and the drag
-of flowing water load the robot along the pipe. SI units; forward is +x; contraction is negative; a positive load acts
-towards -x.
+The model follows the paper (eq:x1_ddot_full to eq:power_model). Additional effects are dry friction of both modules,
+fins whose threshold and stiffness differ from groove to groove, and optionally a compliant cable. The force of a
+compliant cable drives the two masses, so loads change the body length. In the paper's model the length depends on the
+command alone. The weight of the modules in a sloping pipe, the pull of a tether and the drag of flowing water load the
+robot along the pipe. SI units; forward is +x; contraction is negative; a positive load acts towards -x.
 
 The state contains the centre of mass, y = x1 + M2/(M1+M2)*(L - L0). Its equation of motion is the sum of
 eq:x1_ddot_full and eq:x2_ddot_full, which contains no second derivative of the length.
@@ -25,12 +24,13 @@ FORWARD = 1
 REVERSE = -1
 LOOSE = 0  # the fins are between their two angles: neither bar touches the wall
 
-_GROOVES = 512  # number of different grooves; the pattern repeats after them
-# m/s; dry friction is regularised below this speed. A loaded robot at rest creeps at a speed of this order.
+_GROOVES = 512  # number of different grooves; then they repeat
+# m/s; at lower speeds dry friction decreases to 0. So a loaded robot at rest creeps at a speed of this order.
 _SLOW = 1e-6
 _STANDARD_GRAVITY = 9.80665  # m/s^2
 _WATER_DENSITY = 998.2  # kg/m^3 at 20 degrees Celsius
-# The fins hold a loaded robot if it slows down to _SETTLED within the time _SETTLING, and moves by at most _HELD.
+# The fins count as holding a loaded robot if it slows down to _SETTLED within the time _SETTLING, and moves by at most
+# _HELD.
 _SETTLING = 600.0  # s
 _SETTLING_STEP = 0.01  # s; the explicit integration of the fin forces is stable up to about 50 ms
 _SETTLED = 1e-7  # m/s
@@ -46,8 +46,8 @@ class PlantEffects:
         stiffness_scatter: relative standard deviation of the fin stiffness from groove to groove.
         slack_engagement: contraction of the cable beyond which the slack is taken up, m.
         slack_release: time without such a contraction after which the slack returns, s.
-        cable_stiffness: stiffness of cable, servo and transmission, N/m; 0 means rigid, as in the paper. A
-            compliant cable cannot push. It replaces gain and time constant by k_cable/(k_cable + k_b) and
+        cable_stiffness: stiffness k_cable of cable, servo and transmission together, N/m; 0 means rigid, as in the
+            paper. A compliant cable cannot push. With it, gain and time constant are k_cable/(k_cable + k_b) and
             c_b/(k_cable + k_b).
     """
 
@@ -79,9 +79,10 @@ class Conditions:
     drag_area_m2: Annotated[float, key(ge=0.0, le=1.0)] = 0.0
 
     def drag(self, velocity: float) -> float:
-        """Return the drag of the water on a module divided by its velocity relative to the water, N*s/m.
+        """Return the drag of the water on a module divided by the velocity of the module relative to the water, N*s/m.
 
-        velocity: velocity of the module, m/s.
+        Args:
+            velocity: velocity of the module, m/s.
         """
         if self.drag_area_m2 == 0.0:
             return 0.0
@@ -91,7 +92,7 @@ class Conditions:
     def loads(self, parameters: RobotParameters, rear_position: float) -> tuple[float, float]:
         """Return the loads of the rear and the front module (N) due to slope and tether.
 
-        A tether does not push. Its length in the pipe never becomes shorter than at the start.
+        A tether does not push. The length of tether in the pipe never becomes shorter than at the start.
 
         Args:
             parameters: parameters of the robot, for the masses.
@@ -124,7 +125,7 @@ class PlantState(NamedTuple):
         length_rate: derivative of the length change, m/s.
         centre: centre of mass coordinate y, m.
         centre_velocity: derivative of y, m/s.
-        rear_groove, front_groove: anchors in units of the pitch.
+        rear_groove, front_groove: anchors A1 and A2, divided by the pitch.
         slack_taken: True while the slack of the transmission is taken up.
         cable_rest: time since the cable was last contracted by more than slack_engagement, s.
         cable_force: cable force, N; positive when the cable pulls.
@@ -156,7 +157,15 @@ def make_grooves(parameters: RobotParameters, effects: PlantEffects, seed: int) 
 
 @dataclass(frozen=True)
 class Plant:
-    """Robot in a pipe. step_s: integration step, s; at most 1 ms."""
+    """Robot in a pipe.
+
+    Attributes:
+        parameters: parameters of the body.
+        effects: effects that the paper's model does not contain.
+        rear_grooves, front_grooves: grooves, as the rear and the front fins meet them.
+        step_s: step of the integration, s.
+        conditions: loads along the pipe.
+    """
 
     parameters: RobotParameters
     effects: PlantEffects
@@ -172,7 +181,7 @@ class Plant:
 
     @cached_property
     def _decay(self) -> float:
-        """Factor by which the length approaches its target in one step: remaining difference / present difference."""
+        """Ratio of the difference between length change and target after a step to the difference before the step."""
         return math.exp(-self.step_s / self.parameters.time_constant)
 
     @cached_property
@@ -185,8 +194,8 @@ class Plant:
         """Return the initial state.
 
         Without a load, x1 is 0, and both anchors are in the grooves nearest to their fins. Under a load, the initial
-        state is the equilibrium that the robot reaches from there. If the fins do not hold the robot, it starts as
-        without a load, and slides.
+        state is the equilibrium that the robot reaches from this state. If the fins do not hold the robot, the initial
+        state is that without a load, and the robot slides from it.
 
         Args:
             laws: directions in which the rear and the front fins slide (FORWARD, REVERSE or LOOSE).
@@ -292,7 +301,7 @@ class Plant:
         bellows = p.bellows_stiffness * state.length_change - preload
         stiffness = self.effects.cable_stiffness
         pull = preload + stiffness * (state.length_change - min(cable, -p.slack if taken else 0.0))
-        for held, k in ((pull, stiffness), (0.0, 0.0)):  # taut, else slack
+        for held, k in ((pull, stiffness), (0.0, 0.0)):  # first a taut cable, then a slack one
             inner = (k + p.bellows_stiffness) * h + p.bellows_damping
             a1, a2 = rear[0] + rear[2] + inner, front[0] + front[2] + inner
             b1, b2 = rear[1] + held + bellows, front[1] - held - bellows

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Virtual robot: servos, plant, power sensor, camera and faults on a common simulated clock.
 
-Time is an argument. Equal settings and equal bytes at equal times produce exactly equal results.
+No method reads a clock: time is an argument. Equal settings and equal bytes at equal times produce exactly equal
+results.
 """
 
 import math
@@ -39,13 +40,23 @@ from worm_driver.virtual_robot.wire.smbus_frames import Answer, Request
 from worm_driver.virtual_robot.wire.virtual_bus import ServoBus, Transmission
 from worm_msgs.robot_parameters import RobotParameters
 
-_HOUSEKEEPING = 0.005  # s between updates of faults
-_SUPERVISION = 0.050  # s between the servos' checks of their protections
-_TOO_HOT = 100.0  # degC; temperature rise of the overheating fault
+_HOUSEKEEPING = 0.005  # s, time between two updates of the faults
+_SUPERVISION = 0.050  # s, time between two checks of the servos' protections
+_TOO_HOT = 100.0  # degC, rise of the ambient temperature during the fault overheating
 
 
 class VirtualRobot:
-    """Virtual robot that starts at time 0 (s), at rest, with torque off."""
+    """Virtual robot that starts at time 0 (s), at rest, with torque off.
+
+    Attributes:
+        board: injected faults.
+        plant: body, pipe and conditions.
+        state: state of the plant.
+        servos: cable servos, then fin servos, in the order of the settings.
+        chip: power sensor.
+        laws: directions in which the rear and the front fins slide, see `Plant.step`.
+        bus_voltage: supply voltage at the power sensor, V.
+    """
 
     def __init__(self, settings: RobotSettings, board: FaultBoard | None = None) -> None:
         self.settings = settings
@@ -143,7 +154,7 @@ class VirtualRobot:
 
     @property
     def cable_change(self) -> float:
-        """Cable displacement since the start, m; negative when wound in."""
+        """Displacement of the cable since the start, m; negative when the servos have wound it up."""
         wound = sum(
             item.sign * (servo.shaft_angle - item.start_angle) * item.spool_radius
             for item, servo in self._cable

@@ -19,7 +19,7 @@ from worm_msgs.yaml_file import SettingsFileError, read_yaml
 
 DEFAULT_FILE = Path(str(files("worm_driver").joinpath("config/virtual_robot.yaml")))
 
-# Parameters that are measured with a ruler or a scale; the seed does not perturb them.
+# Parameters that are measured with a ruler or a scale; `perturbed` does not change them.
 _MEASURED = ("rear_mass", "front_mass", "unstressed_length", "initial_length", "pitch")
 
 ServoNumber = Annotated[int, key(ge=0, le=HIGHEST_ID)]
@@ -37,7 +37,13 @@ class LineSettings:
 
 @dataclass(frozen=True)
 class CableServoSettings:
-    """Servo of the cable. sign: 1 if an increasing position shortens the body, else -1."""
+    """Servo of the cable.
+
+    Attributes:
+        sign: 1 if an increasing position shortens the body, else -1.
+        spool_radius: distance from the spool's axis to the middle of the cable, m.
+        start_angle: shaft angle at the start, rad.
+    """
 
     id: ServoNumber
     model: Model
@@ -48,7 +54,7 @@ class CableServoSettings:
 
 @dataclass(frozen=True)
 class FinServoSettings:
-    """Servo that turns the fins of a module."""
+    """Servo that turns the fins of a module. Angles are shaft angles in rad."""
 
     id: ServoNumber
     model: Model
@@ -60,7 +66,7 @@ class FinServoSettings:
 
 @dataclass(frozen=True)
 class SupplySettings:
-    """Electrical source. power_noise: standard deviation of the noise in each step."""
+    """Electrical source. power_noise: standard deviation of the noise of the power in each step, W."""
 
     voltage: Annotated[float, key("voltage_V", gt=0.0)]
     resistance: Annotated[float, key("resistance_ohm", ge=0.0)]
@@ -69,7 +75,7 @@ class SupplySettings:
 
 @dataclass(frozen=True)
 class SensorSettings:
-    """INA219. address: 7 bit; shunt_noise, bus_noise: standard deviations of one conversion."""
+    """INA219. address: 7 bit; shunt_noise, bus_noise: standard deviations of the noise of one conversion, V."""
 
     address: Annotated[int, key(ge=0, le=127)]
     shunt: Annotated[float, key("shunt_ohm", gt=0.0)]
@@ -90,7 +96,16 @@ class TrackerSettings:
 
 @dataclass(frozen=True)
 class RobotSettings:
-    """Settings of a virtual robot. The seed determines robot and pipe; seed and recording determine the noise."""
+    """Settings of a virtual robot.
+
+    Attributes:
+        seed: seed of the robot and the pipe. Together with ``recording`` it is also the seed of the noise.
+        step: step of the integration, s.
+        fin_tolerance: largest distance from the angle for a direction at which the bar of this direction touches the
+            wall, rad.
+        parameter_spread: spread of the random factors on the parameters of the body, see `perturbed`.
+        recording: number of a recording of the same robot in the same pipe, with other noise.
+    """
 
     seed: int
     step: Annotated[float, key("step_s", gt=0.0, le=0.001)]
@@ -113,21 +128,24 @@ class RobotSettings:
 
 
 def perturbed(body: RobotParameters, spread: float, random: Random) -> RobotParameters:
-    """Return the parameters with a random, log-normal error in each one that an identification estimates.
+    """Return the parameters with a random log-normal factor on each one that an identification estimates.
 
-    spread: standard deviation of the errors' logarithm.
+    Args:
+        body: the parameters.
+        spread: standard deviation of the logarithm of the factors.
+        random: source of the factors.
     """
     moved = {
         field.name: getattr(body, field.name) * math.exp(random.gauss(0.0, spread))
         for field in fields(body)
-        if field.default
-        and field.name not in _MEASURED  # Effects with default 0 are not perturbed.
+        if field.default  # Parameters with the default 0 are effects that the paper does not contain.
+        and field.name not in _MEASURED
     }
     return replace(body, **moved)
 
 
 def load_settings(path: Path | None = None) -> RobotSettings:
-    """Return the settings in a file (None: the installed one). Raises SettingsFileError."""
+    """Return the settings in a file (None: the installed file). Raises SettingsFileError."""
     path = DEFAULT_FILE if path is None else path
     content = read_yaml(path)
     try:
@@ -142,7 +160,7 @@ def load_settings(path: Path | None = None) -> RobotSettings:
 
 
 def _check_body(body: RobotParameters, given: Container[str]) -> None:
-    """Raise SettingsFileError unless all parameters of the paper's robot are given and positive."""
+    """Raise SettingsFileError unless all parameters of the paper's model are given and positive."""
     for name in ROWS:
         value, of_paper = getattr(body, name), bool(getattr(RobotParameters, name))
         if of_paper and name not in given:

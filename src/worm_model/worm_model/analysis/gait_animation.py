@@ -30,17 +30,17 @@ MOST_FRAMES = 3000
 _SIZE, _DPI = (8.4, 4.8), 100  # inches; 840 by 480 pixels, both even as H.264 requires
 # Left, bottom, width and height of the axes of pipe, length and power, relative to the figure and equal in all frames.
 _PLACES = ((0.01, 0.55, 0.98, 0.37), (0.1, 0.325, 0.88, 0.17), (0.1, 0.11, 0.88, 0.17))
-_COLOURS = 128
-_DISTANCE = 8  # of 255, smallest difference between two colours of a palette
-_ROOM = 0.07  # m of pipe shown behind and before the robot
-_MOST_TRAVEL = 0.2  # m; the view follows a robot that crawls farther
+_COLOURS = 128  # largest number of colours in a palette
+_DISTANCE = 8  # of 255; any two colours of a palette differ by at least this in red, green or blue
+_ROOM = 0.07  # m of pipe shown behind and ahead of the robot
+_MOST_TRAVEL = 0.2  # m; if the robot crawls farther than this, the view follows it
 
 
 def check_animation(path: Path, rate: float, frames: float) -> None:
     """Raise `InputError` unless an animation with a number of ``frames`` at a rate in Hz can be written to ``path``."""
     if frames > MOST_FRAMES:
         raise InputError(
-            f"--output {path}: {frames:.0f} frames at --rate {rate:g} Hz; an animation may have {MOST_FRAMES}. "
+            f"--output {path}: {frames:.0f} frames at --rate {rate:g} Hz; an animation may have at most {MOST_FRAMES}. "
             "Use fewer --cycles or a lower --rate."
         )
     ticks = GIF_TICK_HZ / rate
@@ -56,9 +56,9 @@ def check_animation(path: Path, rate: float, frames: float) -> None:
 
 
 def write_animation(run: SimulatedRun, path: Path, report: Callable[[float], None]) -> None:
-    """Write a run as an animation that plays in real time, a frame for each sample.
+    """Write a run as an animation in real time, with one frame per sample.
 
-    ``report`` receives the fraction done, 0 to 1. An unfinished file is removed.
+    ``report`` is called with the fraction done, 0 to 1. After an exception, the unfinished file is removed.
     """
     figure, show = animated_figure(run)
     write = _write_gif if path.suffix.lower() == ".gif" else _write_mp4
@@ -115,14 +115,14 @@ def palette_of(image: Image.Image) -> Image.Image:
 
 
 def _write_mp4(figure: Figure, shown: Iterator[int], rate: float, path: Path) -> None:
-    writer = FFMpegWriter(fps=rate, codec="h264")  # type: ignore[arg-type]  # takes fractions, too
+    writer = FFMpegWriter(fps=rate, codec="h264")  # type: ignore[arg-type]  # fractions are accepted
     with writer.saving(figure, str(path), _DPI):
         for _ in shown:
             writer.grab_frame()
 
 
 def animated_figure(run: SimulatedRun) -> tuple[Figure, Callable[[int], None]]:
-    """Return the figure and the function that shows a sample in it."""
+    """Return a figure and the function that shows the sample with a given index in this figure."""
     figure = Figure(figsize=_SIZE, dpi=_DPI)
     pipe, length, power = (figure.add_axes(place) for place in _PLACES)
     move_robot = _animated_robot(pipe, run)
@@ -151,7 +151,7 @@ def _dot(axes: Axes) -> Line2D:
 
 
 def _animated_robot(axes: Axes, run: SimulatedRun) -> Callable[[int], None]:
-    """Draw the pipe and the robot; return the function that shows a sample."""
+    """Draw the pipe and the robot, and return the function that shows the sample with a given index."""
     motions, pitch = run.motions, run.parameters.pitch
     low, high = float(motions.x1.min()) - _ROOM, float(motions.x2.max()) + _ROOM
     travel = float(np.ptp(motions.x1))

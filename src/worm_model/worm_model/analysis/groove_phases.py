@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Grooves per cycle over stroke and groove phase, and the margin's cliff over the phase.
 
-The map shows the effect of adjusting L0. A change of L0 by millimetres shifts the groove phase. This changes the
-largest margin, and the strokes from which a cycle gains one more groove.
+The map shows the effect of adjusting L0. A change of L0 by millimetres shifts the groove phase by the same amount. The
+shift changes the cliff of the margin, and the smallest strokes with which a cycle gains one, two or more grooves.
 """
 
 from __future__ import annotations
@@ -23,10 +23,16 @@ from worm_model.simulation.closed_form import cliff_margin, front_groove, groove
 
 @dataclass(frozen=True)
 class PhaseMap:
-    """``grooves`` (m, n) per cycle over ``phase`` (m,) and ``stroke`` (n,) in m, at one frequency in Hz.
+    """Grooves per cycle and cliff of the margin, over the groove phase.
 
-    ``cliff`` (m,) is the closed-form cliff of the margin in m. ``phase_now`` and ``cliff_now``, m, are phase and cliff
-    with the L0 of the parameters.
+    Attributes:
+        frequency: frequency of all gaits, Hz.
+        stroke: strokes (n,), m.
+        phase: groove phases (m,), m.
+        grooves: grooves per cycle (m, n) with each phase and each stroke.
+        cliff: closed-form cliff of the margin with each phase (m,), m.
+        phase_now: groove phase with the L0 of the parameters, m.
+        cliff_now: closed-form cliff of the margin with the L0 of the parameters, m.
     """
 
     frequency: float
@@ -45,7 +51,10 @@ def compute_phase_map(
     phase: Array,
     progress: Callable[[float], None] | None = None,
 ) -> PhaseMap:
-    """Simulate a gait with all strokes (n,) in m at all groove phases (m,) in m; L0 alone determines φ."""
+    """Simulate a gait with each stroke of ``stroke`` (n,) in m at each groove phase of ``phase`` (m,) in m.
+
+    Only L0 is changed to obtain a phase. ``progress`` is called with the fraction done, 0 to 1.
+    """
     groove = front_groove(parameters)
     lengths = groove * parameters.pitch + phase
     table = evaluate_gaits(
@@ -68,7 +77,7 @@ def compute_phase_map(
 
 
 def phase_map_figure(content: PhaseMap) -> Figure:
-    """Return a figure with the map and, next to it, the cliff."""
+    """Return a figure with the map of the grooves per cycle and, next to it, the cliff over the groove phase."""
     figure = plot_style.new_figure(10.5, 4.5)
     left, right = figure.subplots(1, 2, sharey=True, width_ratios=(3, 2))
     plot_style.draw_groove_map(

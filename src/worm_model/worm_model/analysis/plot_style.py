@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from worm_model.errors import InputError
 
-# Okabe and Ito's palette (https://jfly.uni-koeln.de/color), and colours that contrast with all of it.
+# Okabe and Ito's palette (https://jfly.uni-koeln.de/color). The colours of the second assignment contrast with it.
 BLUE, VERMILION, GREEN, PINK, SKY, ORANGE = (
     "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00",
 )  # fmt: skip
@@ -35,7 +35,7 @@ PREDICTED: Style = {"color": VERMILION, "linewidth": 1.5, "linestyle": "--"}
 COMMANDED: Style = {"color": LIGHT_GREY, "linewidth": 4.0}  # wide, because other curves cover it
 CABLE: Style = {"color": BLACK, "linewidth": 0.8}
 EFFECTIVE: Style = {"color": GREEN, "linewidth": 1.5, "linestyle": "-."}
-_AVERAGED = "#FFF3CF"  # behind the averaged cycles
+_AVERAGED = "#FFF3CF"  # background of the averaged cycles
 
 DPI = 150
 FORMATS = (".png", ".pdf", ".svg")
@@ -75,9 +75,9 @@ COMMANDED_INPUT, EFFECTIVE_INPUT = f"commanded {symbol('u_cmd')}", f"effective {
 
 
 def finish(axes: Axes, ylabel: str, note: str = "") -> None:
-    """Add unit, grid, a note on the left above the axes and the legend on the right above them.
+    """Set the y label, the grid, a note above the axes on the left, and the legend above the axes on the right.
 
-    With a note, the legend has rows of three, so that both fit next to each other.
+    With a note, a row of the legend has at most three entries, so that note and legend fit next to each other.
     """
     axes.set_ylabel(ylabel)
     axes.grid(visible=True, linewidth=0.4)
@@ -89,7 +89,7 @@ def finish(axes: Axes, ylabel: str, note: str = "") -> None:
 
 
 def legend_above(axes: Axes, columns: int = 5) -> None:
-    """Put the legend in rows above the axes, if a curve has a label."""
+    """Put the legend above the axes, with at most ``columns`` entries per row; no legend if no curve has a label."""
     handles, _ = axes.get_legend_handles_labels()
     if handles:
         axes.legend(
@@ -111,7 +111,7 @@ def letter(panels: Sequence[Axes]) -> None:
 
 
 def shade(axes: Axes, start: float, end: float, label: str = "") -> None:
-    """Mark the averaged cycles."""
+    """Shade the averaged cycles, from ``start`` to ``end`` on the x axis."""
     axes.axvspan(start, end, color=_AVERAGED, zorder=0, label=label or None)
 
 

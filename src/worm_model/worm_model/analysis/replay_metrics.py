@@ -23,18 +23,22 @@ from worm_model.twin.samples import NO_SAMPLES, Kind, Rows
 from worm_model.twin.twin import ClosedCycle, Output
 from worm_model.twin.twin_settings import DEFAULTS
 
-RESUMED_AFTER_NS = 500_000_000  # after a cycle's end, within which a live twin stores its memory
-SETTLED_NS = 2_000_000_000  # after a cycle's end, when all its samples have been processed
-NEAR_NS = 1_000_000_000  # before and after a stamp: positions used for the position at the stamp
+#: time after the end of a cycle within which a live twin stores its memory
+RESUMED_AFTER_NS = 500_000_000
+#: time after the end of a cycle by which all samples of the cycle have been processed
+SETTLED_NS = 2_000_000_000
+#: the position at a stamp is interpolated from the samples whose stamps differ by at most this
+NEAR_NS = 1_000_000_000
 _FOREVER = int(np.iinfo(np.int64).max)
 _RESIDUALS = ("rear_position", "length", "power")
 
 
 @dataclass(frozen=True)
 class Residuals:
-    """Means and root mean squares of measured minus predicted over a span; NaN without samples.
+    """Means (``_residual``) and root mean squares (``_rmse``) of the residuals over a span; NaN without samples.
 
-    x1 in m; length (measured minus estimated from the command) in m; power in W.
+    Residuals are measured minus predicted: x1 in m, power in W, and the length in m. The predicted length is the one
+    that is estimated from the command.
     """
 
     x1_residual: float
@@ -51,7 +55,7 @@ class CycleReport:
 
     Attributes:
         number: number of the cycle in its run, from 1.
-        start: s since the recording's first sample.
+        start: start of the cycle, s since the recording's first sample.
         grooves: grooves that the twin's rear anchor gained in the cycle, along +x; NaN without a state of the twin.
         measured_grooves: displacement of the rear module according to the tracker, in pitches.
         residuals: residuals over the cycle.
@@ -70,9 +74,15 @@ class CycleReport:
 
 @dataclass(frozen=True)
 class RunReport:
-    """One run of a recording, with its worst ``health``, and ``events`` with times in s since the first sample.
+    """One run of a recording.
 
-    ``not_judged`` is the reason why the run could not be judged, or empty.
+    Attributes:
+        played: gait of the run.
+        onset: start of the first cycle, s since the recording's first sample.
+        cycles: cycles of the run that the recording contains, at least in part.
+        events: times (s since the recording's first sample) and events.
+        health: worst health during the run.
+        not_judged: reason why the run could not be judged; empty if it was.
     """
 
     played: PlayedGait
@@ -98,7 +108,7 @@ class ReplayReport:
 
 
 def report_replay(run: Run, replay: Replay, pitch: float) -> ReplayReport:
-    """Return the report on a replay; ``pitch`` of the grooves in m."""
+    """Return the report on the replay of a run; ``pitch`` is that of the grooves, m."""
     samples = RecordedSamples(lambda: (run,), round(DEFAULTS.jump_back_s * 1e9))
     reporter = ReplayReporter(samples, pitch, replay.resumed_ns)
     rows = np.concatenate([NO_SAMPLES, *samples.rows()])
@@ -111,7 +121,7 @@ def report_replay(run: Run, replay: Replay, pitch: float) -> ReplayReport:
 
 @dataclass
 class _CycleData:
-    """Cycle of a run: its span in ns, and its metrics as soon as they are computed."""
+    """Cycle of a run: its start and end (ns), and its metrics, which are unknown until the cycle is closed."""
 
     start: int
     end: int
@@ -122,7 +132,10 @@ class _CycleData:
 
 @dataclass
 class _RunData:
-    """Run: its end and the onset of the next run in ns, the number of the first cycle, its cycles, its worst health."""
+    """Run with its end and the onset ``until`` of the next run (ns), its cycles, and its worst health so far.
+
+    ``first_cycle`` is the number of the first cycle in ``cycles``.
+    """
 
     played: PlayedGait
     end: int
@@ -133,7 +146,9 @@ class _RunData:
 
 
 class ReplayReporter:
-    """Builder of the report on a replay, which is added in parts. Memory holds only the samples of unfinished cycles.
+    """Builder of the report on a replay, whose samples and output are added in parts.
+
+    Only the samples of unfinished cycles are in memory.
 
     Args:
         samples: the recording.
@@ -141,7 +156,7 @@ class ReplayReporter:
         resumed_ns: stamp of the stored memory from which the replay resumes, 0 without one.
 
     Attributes:
-        events: events of the twin.
+        events: events of the twin so far.
     """
 
     def __init__(self, samples: RecordedSamples, pitch: float, resumed_ns: int = 0) -> None:
@@ -167,7 +182,7 @@ class ReplayReporter:
         self._positions: Series = {}
 
     def add(self, rows: Rows, output: Output) -> None:
-        """Add samples and the output of the twin over them."""
+        """Add samples (rows of SAMPLE) and the output of the twin for these samples."""
         self.events += output.events
         for closed in output.cycles:
             self._closed.setdefault(closed.number, []).append(closed)
@@ -184,9 +199,8 @@ class ReplayReporter:
         self._states = _appended(self._states, output.states, ("stamp_ns", "rear_groove"))
         self._residuals = _appended(self._residuals, residuals, ("stamp_ns", *_RESIDUALS))
         self._positions = _appended(self._positions, position, ("stamp", "a"))
-        if (
-            not self._samples.clock_went_back
-        ):  # otherwise later samples may belong to earlier cycles
+        # If the clock went back, later samples may belong to earlier cycles.
+        if not self._samples.clock_went_back:
             self._close(int(self._states["stamp_ns"].max(initial=0)) - SETTLED_NS)
 
     def report(self, unusable: Mapping[int, str]) -> ReplayReport:
@@ -247,10 +261,11 @@ class ReplayReporter:
         return float(np.interp(0.0, (stamp - when) * 1e-9, values))
 
     def _groove_at(self, when: int, resumed: int = 0) -> float:
-        """Return the twin's rear groove in the first state from a stamp (ns) on; missed grooves are accounted for.
+        """Return the twin's rear groove in the first state from a stamp (ns) on, or else in the last state.
 
-        If the replay resumed from a stored memory shortly after the stamp, the first state after ``resumed`` is used,
-        because earlier states count from another groove. The result is NaN without a state.
+        The groove includes the twin's corrections for missed and gained grooves. If the replay resumed from a stored
+        memory (stamp ``resumed``, ns) shortly after the stamp, the first state after ``resumed`` is used, because
+        earlier states count from another groove. The result is NaN without any state.
         """
         if 0 <= resumed - when <= RESUMED_AFTER_NS:
             when = resumed + 1
@@ -315,7 +330,7 @@ class _ResidualSums:
             self._sums[:, channel] += values.sum(), np.square(values).sum(), values.size
 
     def residuals(self) -> Residuals:
-        """Return means and root mean squares."""
+        """Return means and root mean squares of the residuals added so far; NaN for a channel without residuals."""
         total, square, count = np.where(self._sums[2] > 0, self._sums, math.nan)
         columns = zip((total / count).tolist(), np.sqrt(square / count).tolist(), strict=True)
         return Residuals(*(value for column in columns for value in column))
@@ -325,7 +340,8 @@ class _Energy:
     """Energy error at the last energy residual. The measured energy (J) is integrated by the trapezoidal rule.
 
     Args:
-        start: stamp at which the integral begins, ns. Before the first power sample, its value is used.
+        start: stamp at which the integral begins, ns. Until the first power sample, the power is assumed to have the
+            value of this sample.
     """
 
     def __init__(self, start: int) -> None:
@@ -353,17 +369,20 @@ class _Energy:
             self._stamp, self._power = self._stamp[done[-1] :], self._power[done[-1] :]
 
     def error(self) -> float:
-        """Return the residual over the measured energy; NaN without either."""
+        """Return the last energy residual divided by the measured energy; NaN if one of them is unknown."""
         return self._residual / self._measured if self._measured else math.nan
 
 
 def _appended(series: Series, more: Any, names: tuple[str, ...]) -> Series:
-    """Return copies of some columns with more rows."""
+    """Return the columns ``names`` of a series, followed by those of ``more``; an empty series has no columns."""
     return {n: np.append(series[n], more[n]) if series else more[n].copy() for n in names}
 
 
 def _since(series: Series, stamps: str, begin: int) -> Series:
-    """Return the rows from a stamp (ns) on, and at least the last row."""
+    """Return the rows of a series from the stamp ``begin`` (ns) on, and at least the last row.
+
+    ``stamps`` is the name of the column with the stamps.
+    """
     if not series or not len(series[stamps]) or series[stamps][0] >= begin:
         return series
     kept = series[stamps] >= begin
@@ -372,7 +391,7 @@ def _since(series: Series, stamps: str, begin: int) -> Series:
 
 
 def run_end(run: Run, played: PlayedGait) -> int:
-    """Return the stamp (ns) at which a run ends: after its last cycle, at an earlier stop, or with the recording."""
+    """Return the stamp (ns) at which a run ends: after its last cycle, or earlier at a stop or the recording's end."""
     lasts = [s.stamp[-1] for s in (run.commanded, run.measured, run.tracker) if len(s.stamp)]
     return _end_of_run(run.gait_state, int(max(lasts, default=run.origin)), played)
 
@@ -382,6 +401,6 @@ def _end_of_run(states: GaitStates, last: int, played: PlayedGait) -> int:
     requested = played.cycle_window(1, played.cycles).end if played.cycles else last
     over = states.stamp[(states.stamp > played.onset) & ~np.isin(states.state, (RUNNING, STOPPING))]
     stopped = int(over.min(initial=last))
-    if stopped + END_TOLERANCE_NS >= requested:  # two clocks determine both
+    if stopped + END_TOLERANCE_NS >= requested:  # the two stamps come from different clocks
         return min(requested, last)
     return min(max(stopped, played.onset), last)

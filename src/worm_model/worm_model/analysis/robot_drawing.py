@@ -29,7 +29,7 @@ from worm_model.twin.scene import FREE, HOLDING, YIELDING, engagement
 RIDGE_RADIUS, GROOVE_RADIUS, WALL_RADIUS = 38.0, 46.0, 51.0
 MODULE_RADIUS, MODULE_WIDTH = 20.0, 30.0
 _BELLOWS_RADIUS, _FOLD_DEPTH, _FOLDS = 13.0, 4.0, 13
-_SAG = 1.2  # mm that the drawn cable hangs down for each mm of slack
+_SAG = 1.2  # mm by which the drawn cable hangs down for each mm of slack
 _POINTS_PER_PITCH = 24
 _PIPE_COLOUR, _MODULE_COLOUR, _BELLOWS_COLOUR = "#D9DBE0", "#BFD7EA", "#E8F0F7"
 
@@ -46,7 +46,7 @@ class Pose:
 
 
 def pose_at(motions: Motions, command: Array, parameters: Parameters, index: int) -> Pose:
-    """Return the pose at one of the sampled times; ``command`` (n,) is u_cmd in m at the same times."""
+    """Return the pose at the time with the given index; ``command`` (n,) is u_cmd in m at the times of ``motions``."""
     return Pose(
         x1=float(motions.x1[index]),
         x2=float(motions.x2[index]),

@@ -78,7 +78,10 @@ def plot_simulated_run(run: SimulatedRun) -> Figure:
 
 
 def position_curves(run: Run, replay: Replay, onset: int) -> tuple[Curves, Curves]:
-    """Return x1 (measured, and of the twin) relative to its value at rest before the onset (ns), and the difference."""
+    """Return (curves of x1, measured and of the twin; curve of the residual) over the time since the onset (ns).
+
+    x1 is relative to the measured value at the onset.
+    """
     time = seconds(run.tracker.stamp, onset)
     rest = value_at_onset(time, run.tracker.rear_position)
     measured = Curve("measured", time, run.tracker.rear_position - rest, plot_style.MEASURED)
@@ -88,9 +91,10 @@ def position_curves(run: Run, replay: Replay, onset: int) -> tuple[Curves, Curve
 
 
 def length_curves(run: Run, onset: int, parameters: Parameters) -> tuple[Curves, Curves]:
-    """Return the length changes of cable and body, their prediction from the command, u_cmd and u_eff (eq:slack_clip).
+    """Return (curves of the length changes of cable and body; curves of u_cmd and u_eff, eq:slack_clip).
 
-    The change is relative to the value that each instrument measured at rest, which removes offsets.
+    The length change of the body is shown as measured and as predicted from the command. A measured change is relative
+    to the value of the same instrument at the onset (ns), which removes offsets.
     """
     time, command = seconds(run.commanded.stamp, onset), run.commanded.length_change
     time, command = time[time >= 0.0], command[time >= 0.0]
@@ -113,7 +117,7 @@ def length_curves(run: Run, onset: int, parameters: Parameters) -> tuple[Curves,
 
 
 def power_curves(run: Run, replay: Replay, onset: int) -> Curves:
-    """Return the source power, measured and of the twin. The twin's power is shown from the onset on."""
+    """Return the curves of the source power, measured and of the twin. The twin's curve begins at the onset (ns)."""
     known = np.isfinite(run.power.valid_power)
     measured = seconds(run.power.stamp[known], onset)
     stamp, power = settled_power(run, replay)
@@ -125,7 +129,7 @@ def power_curves(run: Run, replay: Replay, onset: int) -> Curves:
 
 
 def energy_curves(run: Run, replay: Replay, onset: int) -> tuple[Curves, Curves]:
-    """Return the energy since the onset (measured, and of the twin), and the difference."""
+    """Return (curves of the energy since the onset (ns), measured and of the twin; curve of the residual)."""
     stamp, energy = accumulated_energy((run.power.stamp, run.power.valid_power))
     time = seconds(stamp, onset)
     measured = Curve("measured", time, energy - value_at_onset(time, energy), plot_style.MEASURED)
@@ -134,7 +138,10 @@ def energy_curves(run: Run, replay: Replay, onset: int) -> tuple[Curves, Curves]
 
 
 def settled_power(run: Run, replay: Replay) -> Samples:
-    """Return the twin's power (W) at the sensor's stamps."""
+    """Return (stamps, the twin's power in W) at the power samples for which the twin has a residual.
+
+    The twin's power is the measured power minus the residual.
+    """
     residuals = replay.residuals
     judged = np.isfinite(residuals["power"])
     stamp, residual = residuals["stamp_ns"][judged], residuals["power"][judged]
@@ -157,7 +164,7 @@ def value_at_onset(time: Array, values: Array) -> float:
 
 
 def _of_twin(series: Series, name: str, onset: int, label: str, style: plot_style.Style) -> Curve:
-    """Return the known values of one of the twin's columns within the run that began at the onset."""
+    """Return the curve of one of the twin's columns from the onset (ns) on, without unknown values."""
     time, values = seconds(series["stamp_ns"], onset), series[name]
     shown = np.isfinite(values) & (time >= 0.0)
     return Curve(label, time[shown], values[shown], style)

@@ -2,7 +2,7 @@
 """Metrics of a run: averaged cycles, mean rates such as speed and power, energy, idle power, rms.
 
 The protocol is the paper's: the last three of the played whole cycles are averaged. The driver does not depend on this
-package and computes its own metrics for the result of RunGait. A test compares both on one run.
+package and computes its own metrics for the result of RunGait. A test compares these with the metrics of this module.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ Samples = tuple[Stamps, Array]  # stamps in ns since the epoch and values, NaN i
 
 AVERAGED_CYCLES = AVERAGED
 IDLE_SAMPLES = 10  # valid samples at rest whose mean is the idle power (eq:Pidle_est)
-END_TOLERANCE_NS = 100_000_000  # the end of a gait is computed from two clocks
+END_TOLERANCE_NS = 100_000_000  # tolerance of the end of a gait, which is computed from two clocks
 _FOREVER = int(np.iinfo(np.int64).max)
 
 
@@ -50,12 +50,17 @@ class Window:
 
 @dataclass(frozen=True)
 class PlayedGait:
-    """Played gait: ``cycles`` is the requested number, from the ``onset`` on (ns since the epoch).
+    """Gait that was played. Stamps are in ns since the epoch.
 
-    ``run`` is the driver's number of the run, 0 in recordings without run numbers. ``end`` is the stamp (ns) at which
-    the driver reported the end of the gait. ``state_after`` is the state that the driver reported at the end, an index
-    of `worm_model.run.STATE_NAMES`, or STOPPING if the gait was stopped at its next point of rest. Both are None if the
-    recording ends earlier. ``rest_start`` is the stamp (ns) at which the rest before the onset began, None if unknown.
+    Attributes:
+        gait: the gait.
+        onset: stamp at which the first cycle began.
+        cycles: requested number of cycles.
+        end: stamp at which the driver reported the end of the gait; None if the recording ends earlier.
+        state_after: state that the driver reported at the end, an index of `worm_model.run.STATE_NAMES`, or STOPPING
+            if the gait was stopped at a point of rest; None if the recording ends earlier.
+        rest_start: stamp at which the rest before the onset began; None if unknown.
+        run: the driver's number of the run; 0 in recordings without run numbers.
     """
 
     gait: Gait
@@ -124,14 +129,14 @@ def _played_gait(states: GaitStates, rows: NDArray[np.int64]) -> PlayedGait:
 
 
 def _state_after(states: GaitStates, after: int, stopping: NDArray[np.int64]) -> int:
-    """Return the driver's state at the end, or STOPPING if the gait was stopped."""
+    """Return the driver's state in row ``after``; STOPPING if the gait was stopped and did not end in FAULT."""
     state = int(states.state[after])
     stopped = np.any(states.stamp[stopping] <= states.stamp[after])
     return STOPPING if stopped and state != FAULT else state
 
 
 def completed_cycles(run: Run, played: PlayedGait) -> int:
-    """Return the number of whole cycles that were played and recorded to their end."""
+    """Return the number of whole cycles that were played, and recorded by tracker and power sensor, to their end."""
     stamps = (
         run.tracker.stamp[np.isfinite(run.tracker.rear_position)],
         run.power.stamp[np.isfinite(run.power.valid_power)],
@@ -151,7 +156,7 @@ def averaged_cycles(run: Run, played: PlayedGait) -> tuple[int, int]:
 
 
 def early_end(run: Run, played: PlayedGait) -> str:
-    """Return the reason why fewer cycles were played or recorded than requested; empty if none is missing."""
+    """Return the reason why fewer cycles than requested were played or recorded; empty if there is none."""
     if played.state_after is not None and played.end is not None:
         done = played.whole_cycles_until(_FOREVER)
         if played.state_after == FAULT:
@@ -167,7 +172,10 @@ def early_end(run: Run, played: PlayedGait) -> str:
 
 
 def mean_rate(samples: Samples, window: Window, name: str) -> float:
-    """Return the mean rate of change over a window, per s; raise `RecordingError` if the samples do not cover it."""
+    """Return the mean rate of change of the samples over a window, per s.
+
+    Raises `RecordingError` with the ``name`` of the quantity if the samples do not cover the window.
+    """
     stamps, values = _known(samples)
     if stamps.size == 0 or stamps[0] > window.start or stamps[-1] < window.end:
         raise RecordingError(f"the recording has no {name} over the averaged cycles")
@@ -177,13 +185,16 @@ def mean_rate(samples: Samples, window: Window, name: str) -> float:
 
 
 def accumulated_energy(power: Samples) -> Samples:
-    """Return the energy (J) at each valid sample of a power (W) since the first, by the trapezoidal rule."""
+    """Return the energy (J) since the first valid sample of a power (W), at each valid sample (trapezoidal rule)."""
     stamps, values = _known(power)
     return stamps, accumulated((stamps - stamps[:1]).astype(np.float64) * 1e-9, values)
 
 
 def idle_power(run: Run, played: PlayedGait) -> float:
-    """Return the mean power (W) of the first ten valid samples at rest; NaN for fewer (eq:Pidle_est)."""
+    """Return the mean power (W) of the first ten valid samples in the rest before a gait (eq:Pidle_est).
+
+    The result is NaN with fewer samples.
+    """
     if played.rest_start is None:
         return math.nan
     power = run.power
@@ -194,7 +205,7 @@ def idle_power(run: Run, played: PlayedGait) -> float:
 
 
 def single_cycles(window: Window, cycles: int) -> Iterator[Window]:
-    """Yield the single cycles of a window."""
+    """Yield the window of each cycle of a window with a number of ``cycles``."""
     borders = np.linspace(window.start, window.end, cycles + 1).round().astype(np.int64).tolist()
     for start, end in pairwise(borders):
         yield Window(start, end)

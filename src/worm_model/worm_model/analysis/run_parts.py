@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from worm_model.run import RESTING, GaitStates, Run
 
-_REST_NS = 3_000_000_000  # assumed rest before a gait without the state RESTING
+_REST_NS = 3_000_000_000  # assumed rest before a gait if no state RESTING was recorded
 _SERIES = tuple(field.name for field in fields(Run) if field.name != "origin")
 
 
@@ -49,7 +49,7 @@ def last_stamp(run: Run) -> int:
 
 
 def _rest_before(states: GaitStates, previous: int, onset: int) -> int:
-    """Return the stamp (ns) at which the rest before an onset began."""
+    """Return the stamp (ns) at which the rest between the onset of the previous gait and an onset (ns) began."""
     rests = states.stamp[
         (states.state == RESTING) & (states.stamp > previous) & (states.stamp <= onset)
     ]
@@ -66,7 +66,7 @@ def _cut(run: Run, start: int, end: int) -> Run:
 
 
 def _rows(series: Any, rows: NDArray[np.bool_]) -> Any:
-    """Return some samples of a series."""
+    """Return the samples of a series for which ``rows`` (n,) is True."""
     columns = {field.name: getattr(series, field.name) for field in fields(series)}
     arrays = {name: col[rows] for name, col in columns.items() if isinstance(col, np.ndarray)}
     return replace(series, **arrays)

@@ -47,6 +47,17 @@ class Frame:
 
 @dataclass(frozen=True)
 class _Panel:
+    """One diagram of a figure.
+
+    Attributes:
+        label: label of the y axis.
+        curves: the curves.
+        scale: factor from SI units to the unit of the y axis.
+        weight: relative height.
+        note: text above the axes; empty: none.
+        pitch: distance of horizontal lines at the pipe's ridges, m; None: no lines.
+    """
+
     label: str
     curves: Curves
     scale: float = 1.0
@@ -56,14 +67,14 @@ class _Panel:
 
 
 def motion_figure(frame: Frame, positions: Curves, residuals: Curves, pitch: float) -> Figure:
-    """Draw x1 over the pipe's ridges, ``pitch`` (m) apart, and measured minus predicted."""
+    """Return a figure of x1, with lines at the ridges of the pipe (``pitch`` in m), and of the residual of x1."""
     return _figure(
         frame, [_positions(positions, pitch), _residuals(residuals, "mm", plot_style.MM)]
     )
 
 
 def length_figure(frame: Frame, lengths: Curves, inputs: Curves) -> Figure:
-    """Draw the length change, measured and predicted, over the commanded and the effective input (eq:slack_clip)."""
+    """Return a figure of the length change and, below it, of the commanded and effective inputs (eq:slack_clip)."""
     return _figure(
         frame,
         [
@@ -74,7 +85,7 @@ def length_figure(frame: Frame, lengths: Curves, inputs: Curves) -> Figure:
 
 
 def energy_figure(frame: Frame, powers: Curves, energies: Curves, residuals: Curves) -> Figure:
-    """Draw the source power, its energy, and measured minus predicted energy."""
+    """Return a figure of the source power, of the energy, and of the residual of the energy."""
     return _figure(
         frame,
         [

@@ -22,13 +22,15 @@ _LENGTHS = ("commanded", "cable", "measured", "estimated")
 
 @dataclass(frozen=True)
 class RunTable:
-    """Columns of equal length by name, with the unit at the end of the name. Values are not interpolated.
+    """Columns of equal length by name. Values are not interpolated.
+
+    The name of a quantity ends in its unit, except ``…_effort`` (N*m; in older bags A, or a ratio).
 
     Each row is a moment at which something was measured or commanded, in the order of the stamps. Values without a
     sample at that moment are NaN, or None for texts. The first columns are
 
     - ``time_s``: time since the onset of the row's gait; without any gait, since the first sample;
-    - ``gait``: number of the gait in the recording, from 1; 0 without a gait. The rest before a gait belongs to it;
+    - ``gait``: number of the gait in the recording, from 1; 0 without a gait. The rest before a gait has its number;
     - ``cycle``: number of the cycle, from 1; 0 before the gait and after its requested end;
     - ``stamp_ns``: acquisition stamp, ns since the epoch.
     """
@@ -83,7 +85,7 @@ def _time_columns(run: Run, stamp: Stamps) -> dict[str, Column]:
 
 
 def _series(run: Run) -> Iterator[tuple[Stamps, dict[str, Column]]]:
-    """Return stamps and columns of each source."""
+    """Yield the stamps of each source, and the source's columns by name."""
     states, power, tracker, joints = run.gait_state, run.power, run.tracker, run.joint_states
     yield states.stamp, {"state": _texts([state_name(state) for state in states.state.tolist()])}
     for name in _LENGTHS:

@@ -17,7 +17,7 @@ from worm_model.simulation.closed_form import front_groove, groove_phase
 from worm_model.simulation.simulator import Motions, simulate
 from worm_model.twin.records import LengthSource
 
-# 2026-01-01 00:00 UTC. A simulation has no date, but a stamp of 0 means "unknown" in ROS.
+# 2026-01-01 00:00 UTC. A simulation has no date, and 0 cannot be the first stamp, because it means "unknown" in ROS.
 EPOCH_NS = 1_767_225_600 * 10**9
 REST_S = 2.0  # rest before the gait in a recorded run
 BUS_VOLTAGE = 12.0  # V; determines the current in a recorded run
@@ -35,7 +35,7 @@ class SimulatedRun:
     motions: Motions
 
     def table(self) -> dict[str, Array]:
-        """Return the columns by name, which includes the unit."""
+        """Return the columns by name; each name ends in the unit."""
         motions = self.motions
         return {
             "time_s": self.time,
@@ -55,7 +55,7 @@ class SimulatedRun:
         return EPOCH_NS + round(REST_S * 1e9) + np.round(1e9 * self.time).astype(np.int64)
 
     def provenance(self) -> dict[str, str]:
-        """Return the provenance for a bag: a simulation, with its parameters."""
+        """Return the metadata that a bag with this run stores: the program, and the parameters of the simulation."""
         values = {f"parameter.{key}": repr(v) for key, v in self.parameters.as_dict().items()}
         return {"made_by": "worm_model simulate", **values}
 
@@ -114,7 +114,7 @@ class SimulatedRun:
         )
 
     def _states(self, onset: int) -> run.GaitStates:
-        """Return the driver's states: the rest, each cycle, the end."""
+        """Return the driver's states at the start of the rest, at the start of each cycle, and at the end."""
         period = 1e9 * self.gait.period
         cycle = np.array([0, *range(1, self.cycles + 1), self.cycles])
         begins = [onset + round(k * period) for k in range(self.cycles + 1)]

@@ -53,7 +53,8 @@ class Bag:
 
     Attributes:
         channels: topics with their layouts; a topic whose layout changes occurs several times.
-        start, end: smallest log time and largest log time up to LATEST_NS, ns since the epoch; 0 in an empty bag.
+        start, end: smallest log time, and largest log time that is at most LATEST_NS, ns since the epoch; 0 in an empty
+            bag.
         records: metadata records in the order of the files; identical records occur once. A recording has one record
             ``worm_gait`` for each gait that was run.
         topics: topics by name, with the last layout and the number of messages of all layouts.
@@ -82,7 +83,7 @@ class Bag:
         self._given: dict[Topic, Topic] = {}
 
     def _span(self) -> tuple[int, int]:
-        """Return the smallest log time, and the largest one up to LATEST_NS, ns; report later log times."""
+        """Return (smallest log time, largest log time that is at most LATEST_NS) in ns, and report later log times."""
         extents = [(file, extent) for file in self._files for extent in file.contents.extents]
         start = min((extent.start for _, extent in extents), default=0)
         latest = max((extent.end for _, extent in extents), default=0)
@@ -105,7 +106,7 @@ class Bag:
         return iter(dict.fromkeys(attached))
 
     def define(self, definitions: Path | None) -> None:
-        """Set definitions for the topics without a definition in the bag, and report these topics.
+        """Set definitions for the topics whose definition the bag lacks, and report these topics.
 
         Args:
             definitions: folder with the ``.msg`` files of worm_msgs from the time of the recording. None: the
@@ -161,7 +162,7 @@ class Bag:
             yield from block
 
     def blocks(self, topics: Iterable[str] | None = None) -> Iterator[Messages]:
-        """Yield the messages in blocks, like `messages`. Each block begins no earlier than the previous one ends."""
+        """Yield the messages in blocks, in the order of `messages`. No block begins before the end of the previous."""
         wanted = frozenset(self.topics if topics is None else topics)
         unknown = sorted(wanted - self.topics.keys())
         if unknown:
@@ -172,7 +173,10 @@ class Bag:
         return map(self._defined, blocks) if self._given else blocks
 
     def _defined(self, block: Messages) -> Messages:
-        """Return a block with the definitions set by `define`. Raises BagError if the length of a message differs."""
+        """Return a block with the definitions set by `define`.
+
+        Raises BagError if a message does not have the length that its definition requires.
+        """
         taken = np.array([channel in self._given for channel in block.channels], bool)
         channels = tuple(self._given.get(channel, channel) for channel in block.channels)
         defined = replace(block, channels=channels)
@@ -216,7 +220,8 @@ def _plausible_end(file: StoredFile, extent: Extent) -> int:
 def _decompressed(block: Messages) -> Iterator[Messages]:
     """Yield a block with all messages decompressed; rosbag2's compression mode MESSAGE compresses each message.
 
-    No CDR message begins like a compressed one. A block is divided where it grows beyond DECOMPRESSED_BYTES.
+    A compressed message is recognised by its first bytes, with which no CDR message begins. The block is divided where
+    it becomes larger than DECOMPRESSED_BYTES.
     """
     rows = np.flatnonzero(block.size >= len(zstandard.FRAME_HEADER))
     beginnings = cells(block.buffer, len(zstandard.FRAME_HEADER))[block.offset[rows]]

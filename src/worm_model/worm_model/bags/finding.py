@@ -32,7 +32,7 @@ def check_readable(path: Path) -> None:
 
 
 def is_storage(name: str) -> bool:
-    """Return True if a name has the ending of a bag's file, also if rosbag2 has compressed this file."""
+    """Return True if a file name has the ending of a file of a bag, with or without rosbag2's compression."""
     return name.removesuffix(COMPRESSED).endswith(STORAGE)
 
 
@@ -45,8 +45,8 @@ def bags_below(folder: Path) -> dict[Path, list[Path]]:
     """Return all bags below a folder, sorted by path, each with its recovered copies, the highest number last.
 
     A bag is a folder with a metadata.yaml, a single file, or a folder that a killed recorder left without
-    metadata.yaml. The files of such a folder have its name and a number. If ``folder`` itself is a bag, it is the only
-    result. Raises `InputError` if there is no bag.
+    metadata.yaml. The files of such a folder have the folder's name and a number. If ``folder`` itself is a bag, it is
+    the only result. Raises `InputError` if there is no bag.
     """
     check_readable(folder)
     bags = [folder] if folder.is_file() else _walked(folder)

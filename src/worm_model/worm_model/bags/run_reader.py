@@ -22,9 +22,11 @@ from worm_model.gait import GAIT_DEFAULTS
 from worm_model.run import GaitStates, Run, Stamps, concatenated
 
 RUN_TOPICS = tuple(SERIES)
-_INSTRUMENTS = TWIN_INPUTS[1:]  # without gait_state, which may have been published long before
-_LONGEST_DELAY_NS = 10**9  # between the stamp of a message and its reception by the recorder
-# number of messages (a quarter of an hour) up to which the decoded samples stay in memory
+# without gait_state, whose last message may be much older than the recording
+_INSTRUMENTS = TWIN_INPUTS[1:]
+# largest normal delay from the stamp of a message to its reception by the recorder
+_LONGEST_DELAY_NS = 10**9
+# number of messages, those of a quarter of an hour, up to which the decoded samples stay in memory
 MOST_KEPT = 250_000
 
 
@@ -148,7 +150,7 @@ def _located(bag: Bag, topic: Topic | None) -> Iterator[None]:
 
 
 def _report_unexpected_topics(bag: Bag, topics: Mapping[str, Topic | None], namespace: str) -> None:
-    """Report topics with a worm's name but another type, and topics under several namespaces."""
+    """Report topics with the name but not the type of one of the worm's topics, and topics under several namespaces."""
     for name, topic in topics.items():
         ending = f"{namespace.rstrip('/')}/{name}"
         others = [t for t in bag.topics.values() if t.count and f"/{t.name}".endswith(ending)]
@@ -210,7 +212,7 @@ def read_columns(bag: Bag, topics: Sequence[Topic]) -> dict[str, Columns]:
 class _Filter:
     """Filter of one topic's messages; it excludes and counts repeated messages and messages with an infinite number.
 
-    A message is repeated if it equals the previous one, as in a recording that was merged with itself.
+    A message counts as repeated if it equals the previous one, as in a recording that was merged with itself.
 
     Attributes:
         repeated, infinite: number of excluded messages of each kind.
@@ -270,9 +272,10 @@ def stamps_of(columns: Columns, path: str = "header.stamp") -> NDArray[np.int64]
 
 
 def clock_offset(bag: Bag, namespace: str) -> int:
-    """Return the log time minus the stamp of the first message from an instrument in a bag, ns.
+    """Return the log time minus the stamp of the first message in a bag with a length, a position or a power, ns.
 
-    A difference of up to one second is a normal delay; the function then returns 0, as for a bag without such messages.
+    A difference of at most one second is a normal delay; the function then returns 0. It also returns 0 for a bag
+    without such messages.
     """
     topics = [find_topic(bag.topics.values(), name, namespace) for name in _INSTRUMENTS]
     names = [topic.name for topic in topics if topic is not None]

@@ -25,7 +25,7 @@ LENGTH_SOURCES = {"commanded": 0, "cable": 1, "estimated": 2, "measured": 3}  # 
 
 
 def write_run(writer: BagFiles, run: Run, namespace: str = "/worm") -> None:
-    """Append a run's samples, except joint states, in order of stamp; publish and log time are equal to the stamp.
+    """Append the samples of a run, except joint states, in order of stamp. Publish and log times equal the stamp.
 
     Raises:
         BagError: The definitions of worm_msgs are not installed.
@@ -46,7 +46,7 @@ def write_run(writer: BagFiles, run: Run, namespace: str = "/worm") -> None:
 def stamped_messages(
     topic: Topic, stamp: Stamps, numbers: Numbers, texts: Mapping[str, Any] | None = None
 ) -> list[Message]:
-    """Return messages of a type with a header, in order of stamp; publish and log time are equal to the stamp.
+    """Return messages of a type with a header, in order of stamp. Publish and log times equal the stamp.
 
     Args:
         topic: topic of the messages.

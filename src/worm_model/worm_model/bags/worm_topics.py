@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Names and types of the worm's topics, which are found in a bag under any namespace."""
+"""Names and types of the worm's topics, and the search for these topics in a bag under any namespace."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ SERIES: Mapping[str, tuple[str, type[Any]]] = {
     "twin/memory": ("memory", MemorySamples),
 }
 
-LATCHED = frozenset({"gait_state", "twin/memory"})  # later subscribers get the last message
+LATCHED = frozenset({"gait_state", "twin/memory"})  # a later subscriber receives the last message
 TWIN_INPUTS = (
     "gait_state",
     "body_length/commanded",

@@ -18,7 +18,7 @@ MISSING = "–"
 
 @dataclass(frozen=True)
 class Column:
-    """Column of the table. To add a column, add a row to COLUMNS.
+    """Column of the table of recorded runs. To add a column, add a row to COLUMNS.
 
     Attributes:
         key: key of the value in a row and in `--json`.
@@ -38,7 +38,7 @@ def _number(scale: float, decimals: int) -> Callable[[float], str]:
 
 
 def gait_text(gait: Mapping[str, Any] | None) -> str:
-    """Return the gait of a row as text; empty without a gait."""
+    """Return the gait of a row as text: stroke, frequency and direction; empty without a gait."""
     if gait is None:
         return ""
     way = "" if gait["direction"] > 0 else " reverse"

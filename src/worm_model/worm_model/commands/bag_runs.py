@@ -37,7 +37,7 @@ RECOVER = "./worm run worm_model recover writes its readable messages to a new b
 
 
 def state_of_bag(path: Path) -> tuple[str, str]:
-    """Return (state, reason for it). A bag that must first be recovered is not opened."""
+    """Return (state of the files, reason for this state). A bag that must first be recovered is not opened."""
     if path.is_dir() and (
         not (path / METADATA_FILE).is_file() or is_unfinished(read_metadata(path))
     ):
@@ -92,7 +92,10 @@ class RunMetrics:
 
     @property
     def start(self) -> str:
-        """UTC of the onset by the recorder's clock, like the bag's name. A virtual robot's clock may lag behind it."""
+        """Onset as UTC, by the recorder's clock, which also determines the bag's name.
+
+        The onset in the messages of a virtual robot may lag behind the recorder's clock.
+        """
         return utc_of(self.played.onset + self.clock_offset_ns)
 
     @property
@@ -114,14 +117,14 @@ class RunMetrics:
 
     @cached_property
     def speed(self) -> float:
-        """Mean speed along the gait's direction, m/s."""
+        """Mean speed along the gait's direction over the averaged cycles, m/s."""
         tracker = self.run.tracker
         rate = _rate(self._window, (tracker.stamp, tracker.rear_position), "position")
         return rate * self.played.gait.direction
 
     @cached_property
     def power(self) -> float:
-        """Mean power, W."""
+        """Mean power over the averaged cycles, W."""
         power = self.run.power
         return _rate(
             self._window, run_metrics.accumulated_energy((power.stamp, power.valid_power)), "power"
@@ -129,7 +132,7 @@ class RunMetrics:
 
     @property
     def grooves_per_cycle(self) -> float:
-        """Mean displacement in a cycle, in pitches."""
+        """Mean displacement per averaged cycle, in pitches."""
         return self.speed / self.played.gait.frequency / self.parameters.pitch
 
     @property
@@ -171,7 +174,7 @@ def _last(run: Run, played: run_metrics.PlayedGait) -> int:
 
 
 def _rate(window: run_metrics.Window | None, samples: Any, name: str) -> float:
-    """Return the mean rate, or NaN without a completed cycle or without samples over the averaged cycles."""
+    """Return the mean rate of samples over the averaged cycles; NaN without a completed cycle or without samples."""
     if window is None:
         return math.nan
     try:

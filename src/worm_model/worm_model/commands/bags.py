@@ -148,7 +148,7 @@ def _trim(options: argparse.Namespace) -> None:
 
 
 def _spans(bag: Bag) -> list[tuple[int, int]]:
-    """Return the first and the last log time (ns) of each run. A run includes the time since the previous one."""
+    """Return the first and the last log time (ns) of each run. A run includes the time since the previous run's end."""
     from worm_model.analysis.run_metrics import played_gaits
     from worm_model.bags.run_reader import read_run, received_at
 
@@ -206,7 +206,7 @@ VERBS = (TABLE, "info", "trim", "split", "merge", "clean")
 
 
 def _arguments(given: list[str]) -> list[str]:
-    """Return the arguments with the default verb if none is given."""
+    """Return the arguments, preceded by the default verb if they begin neither with a verb nor with --help."""
     has_verb = bool(given) and (given[0] in VERBS or given[0] in ("-h", "--help"))
     return given if has_verb else [TABLE, *given]
 

@@ -117,7 +117,7 @@ class Parser(argparse.ArgumentParser):
         )
 
     def add_transmission(self) -> None:
-        """Add --onset and --spool-radius of a lab's logs; by default they are estimated."""
+        """Add --onset and --spool-radius, for the logs of a lab; without these options, both values are estimated."""
         self.add_number(
             "--onset",
             "S",
@@ -126,7 +126,8 @@ class Parser(argparse.ArgumentParser):
         self.add_number(
             "--spool-radius",
             "M",
-            "spool radius of the cable servo in a lab's logs in m; default: computed from its goals and the stroke",
+            "spool radius of the cable servo in a lab's logs in m; default: computed from the servo's goals and the "
+            "stroke",
         )
 
     def add_definitions(self) -> None:
@@ -193,7 +194,7 @@ def notifier(program: str) -> Callable[[str], None]:
 
 
 def number(text: str) -> float:
-    """Return a finite number, for argparse."""
+    """Convert a command-line argument to a finite number; a ``type`` for argparse."""
     value = float(text)
     if not math.isfinite(value):
         raise argparse.ArgumentTypeError(f"{text} is not a finite number")
@@ -201,7 +202,7 @@ def number(text: str) -> float:
 
 
 def not_negative(text: str) -> float:
-    """Return a finite number of at least 0, for argparse."""
+    """Convert a command-line argument to a finite number of at least 0; a ``type`` for argparse."""
     value = number(text)
     if value < 0.0:
         raise argparse.ArgumentTypeError(f"{text} is negative")

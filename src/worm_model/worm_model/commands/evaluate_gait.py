@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 def gait_json(result: GaitResult, conditions: Conditions) -> dict[str, Any]:
-    """Return a gait under conditions for the machine-readable output."""
+    """Return the results of a gait under conditions, for the machine-readable output."""
     return {
         **asdict(result.gait),
         "conditions": asdict(conditions),
@@ -62,7 +62,10 @@ def _load(parameters: Parameters) -> list[str]:
 
 
 def describe(result: GaitResult, parameters: Parameters, cycles: int = 5) -> str:
-    """Return a gait's results after a number of cycles as text. The speed is valid only at the stated groove phase."""
+    """Return the results of a gait that was run for a number of cycles, as text.
+
+    The text states the groove phase, because the speed is valid only at this phase.
+    """
     gait = result.gait
     way = "forward" if gait.direction == FORWARD else "reverse"
     return "\n".join(

@@ -29,7 +29,7 @@ from worm_model.bags.run_reader import RUN_TOPICS, read_run
 from worm_model.bags.worm_topics import TYPES
 from worm_model.commands import command_line
 
-STEM_BYTES = 200
+STEM_BYTES = 200  # longest file name without its ending
 MERGED = "run"  # name of the table with all measurements and commands
 _NOTIFY = command_line.notifier("export")
 
@@ -113,7 +113,7 @@ class Exported:
 def export(bag: Bag, output: Path, kind: str, topics: list[str], namespace: str = "") -> Exported:
     """Write one table per topic to a new folder and, without ``topics``, the merged table of the robot's namespace.
 
-    Only the merged table's memory grows with the bag. If the export fails, no folder remains.
+    Only the memory for the merged table grows with the bag. If the export fails, no folder remains.
 
     Raises:
         BagError: The bag lacks a topic or is damaged.
@@ -155,7 +155,7 @@ def _export_merged(bag: Bag, path: Path, namespace: str, exported: Exported) -> 
 
 
 def file_stems(topics: Iterable[str]) -> dict[str, str]:
-    """Return a unique file name for each topic: a__b for /a/b, and a__b_2 for /a__b next to it."""
+    """Return a unique file name, without ending, for each topic: a__b for /a/b, and a__b_2 if /a__b exists, too."""
     stems: dict[str, str] = {}
     for topic in topics:
         stem = wanted = _file_stem(topic)

@@ -145,7 +145,7 @@ def _lines(chart: Chart, bags: Sequence[BagEstimates]) -> list[str]:
 
 
 def _remarks(bags: Sequence[BagEstimates], charts: Sequence[Chart]) -> list[str]:
-    """Return the limitations of all verdicts."""
+    """Return remarks on limitations that apply to all verdicts."""
     remarks = []
     few = [chart.key for chart in charts if chart.state is State.TOO_FEW]
     if few:
@@ -161,7 +161,7 @@ def _remarks(bags: Sequence[BagEstimates], charts: Sequence[Chart]) -> list[str]
 
 
 def _named(bag: ExcludedBag) -> str:
-    """Return the reason, with the bag's name in front unless the reason contains it."""
+    """Return the reason why a bag is excluded, preceded by the bag's name unless the reason contains the name."""
     return bag.reason if bag.name in bag.reason else f"{bag.name}: {bag.reason}"
 
 

@@ -204,10 +204,11 @@ def _pull_test(options: argparse.Namespace, inputs: Inputs, output: Path | None)
 def _describe(result: Identification, advice: str) -> str:
     parts = [
         parameter_table(result.estimates),
-        "Held out, in brackets the paper's table:\n" + error_table(result.held_out, result.paper),
+        "Held-out errors, in brackets with the paper's table:\n"
+        + error_table(result.held_out, result.paper),
     ]
     if result.validation:
-        parts.append("Validation runs:\n" + error_table(result.validation, {}))
+        parts.append("Errors of the validation runs:\n" + error_table(result.validation, {}))
     parts += [delay_text(result.camera_delay), f"Recommended measurement: {advice}."]
     return "\n\n".join(parts)
 

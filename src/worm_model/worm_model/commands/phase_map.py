@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Command line: effect of trimming the initial length."""
+"""Command line: effect of adjusting the initial length."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def _parser() -> Parser:
     parser = Parser(
         prog="phase_map",
         description="Compute grooves per cycle over stroke and groove phase, and the margin's cliff over the phase. "
-        "They show the effect of trimming the initial length.",
+        "They show the effect of adjusting the initial length.",
     )
     parser.add_number("--frequency", "HZ", "frequency in Hz", 0.15)
     parser.add_number("--lowest", "M", "smallest stroke in m", STROKE_RANGE[0])

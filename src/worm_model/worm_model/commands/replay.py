@@ -57,16 +57,16 @@ from worm_model.twin.records import (
 )
 from worm_model.twin.twin import Output, residual_messages
 
-DRIVES = ("body_length/commanded", "body_length/measured")
-DISORDER_NS = 10 * NANOSECONDS  # largest age of an event relative to the states before it
+DRIVES = ("body_length/commanded", "body_length/measured")  # the twin requires one of these topics
+DISORDER_NS = 10 * NANOSECONDS  # an event is older by at most this than the newest state before it
 _notify = notifier("replay")
 
 
 def write_replay(bag: Bag, output: Path, replay: OfflineReplay, namespace: str) -> None:
     """Write a bag with the original messages and the twin's messages; equal replays produce equal bytes.
 
-    The twin's topics in the original bag are replaced. The log time of a twin's message is its stamp, plus the offset
-    between log times and stamps in the original bag.
+    The twin's messages replace those of the same topics in the original bag. The log time of such a message is its
+    stamp plus the offset between log times and stamps in the original bag (`run_reader.clock_offset`).
 
     Raises:
         BagError: The output exists or cannot be written.
@@ -88,7 +88,10 @@ def write_replay(bag: Bag, output: Path, replay: OfflineReplay, namespace: str) 
 
 
 def _in_order(batches: Iterable[list[Message]]) -> Iterator[Message]:
-    """Yield messages in order of log time; a batch contains none more than DISORDER_NS older than earlier batches."""
+    """Yield the messages of batches in order of log time.
+
+    No message may be more than DISORDER_NS older than a message of an earlier batch.
+    """
     waiting: list[Message] = []
     for batch in batches:
         waiting = sorted([*waiting, *batch], key=attrgetter("log_time"))

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stage 5: δ_s, K and τ with intervals from a bootstrap over runs, or over cycles if there are few runs."""
+"""Stage 5: slack δ_s, gain K and time constant τ, with intervals from a bootstrap over runs.
+
+With fewer than `FEWEST_RUNS` runs, the bootstrap draws cycles instead of runs.
+"""
 
 from __future__ import annotations
 
@@ -26,16 +29,15 @@ from worm_model.identification.fits.estimate import (
 from worm_model.identification.fits.resampling import correlation, estimates, refitted, unit_weights
 from worm_model.parameters import PAPER
 
-USUAL = (PAPER.slack, PAPER.gain, PAPER.time_constant)
-# smallest effect of a parameter's derivative step: sum of squares of the changed lengths, in squared camera noises
+USUAL = (PAPER.slack, PAPER.gain, PAPER.time_constant)  # usual values, see `if_identifiable`
+# A parameter has no effect if a change by its derivative step changes the residuals by a smaller sum of squares.
 LEAST_INFORMATION = 1e-9
 NO_BEARING = "the parameter has no effect on these runs"
 AT_BOUND = "the fit is at a bound, where no interval is valid"
 FEWEST_RUNS = 4  # smallest number of runs for a bootstrap over runs
-LEAST_STEP = 1e-9  # m; smaller steps are rounding errors
-LEAST_FRACTION = (
-    0.02  # largest deviation of quantised commands from whole steps, relative to a step
-)
+LEAST_STEP = 1e-9  # m, smallest change between two samples of a command that is no rounding error
+# A command is quantised if each change deviates from a multiple of the smallest change by less than this share of it.
+LEAST_FRACTION = 0.02
 
 
 @dataclass(frozen=True)
@@ -45,7 +47,7 @@ class ActuationResult:
     Attributes:
         slack, gain, time_constant: estimates, m, 1, s.
         correlation: correlation of the three estimates, shape (3, 3).
-        fit: the fit, with the nuisance parameters.
+        fit: the fit to all runs, with the nuisance parameters.
         clock_deviation: standard deviations of the clock offsets, s, shape (runs,); NaN where the data do not determine
             the offset.
     """
@@ -94,7 +96,11 @@ def identify_actuation(
 
 
 def _checked(estimate: Estimate, entry: int, information: float) -> Estimate:
-    """Return the estimate; not identifiable with too little ``information``, at a bound, or if its interval is wide."""
+    """Return the estimate, marked as not identifiable if the runs do not determine it.
+
+    ``entry`` is the index of the parameter in `actuation_fit.SHARED`. ``information`` is its diagonal entry in the
+    matrix of the normal equations, in the inverse square of its unit.
+    """
     bounds = actuation_fit.SHARED[entry]
     if information * bounds.step**2 < LEAST_INFORMATION:
         return not_identifiable(estimate.value, NO_BEARING)
@@ -106,7 +112,8 @@ def _checked(estimate: Estimate, entry: int, information: float) -> Estimate:
 def command_resolution(recording: Recording) -> float:
     """Return the quantisation step of the recorded command in m; 0 if it was not quantised.
 
-    A servo's goal is quantised to ticks, so that its zero has the same error of up to half a tick in all runs.
+    A servo's goal is rounded to ticks. The zero of the command therefore has an error of at most half a tick. The error
+    is the same in all runs, so that a bootstrap does not show it.
     """
     steps = np.abs(np.diff(recording.command))
     steps = steps[steps > LEAST_STEP]
@@ -124,7 +131,10 @@ def _widened(estimate: Estimate, half: float) -> Estimate:
 
 
 def _units(recordings: Sequence[Recording]) -> list[NDArray[np.int64]]:
-    """Return the bootstrap unit (run or cycle) of every fitted sample of each recording."""
+    """Return for each recording the numbers of the bootstrap units of its fitted samples, shape (samples,).
+
+    A unit is a run, or a cycle if there are fewer than `FEWEST_RUNS` runs.
+    """
     times = [r.camera_time[actuation_fit.fitted_samples(r)] for r in recordings]
     if len(recordings) >= FEWEST_RUNS:
         return [np.full(time.size, index) for index, time in enumerate(times)]

@@ -13,7 +13,7 @@ from worm_model.identification.fits.robust import OUTLIER, dependence, scale_of
 from worm_model.identification.identification_errors import IdentificationError
 
 COLUMNS = ("compression_m", "force_N")
-FEWEST_POINTS = 5
+FEWEST_POINTS = 5  # smallest number of points of a test
 
 
 @dataclass(frozen=True)
@@ -35,8 +35,9 @@ class BellowsFit:
 def fit_bellows(compression: Array, force: Array) -> BellowsFit:
     """Fit a straight line by least squares; outliers are excluded.
 
-    The interval follows from Student's t distribution and is exact for white noise. Correlated residuals (hysteresis)
-    count as a smaller number of independent samples. The load cell's scale factor is assumed correct.
+    The interval follows from Student's t distribution and is exact for white noise. If the residuals are correlated
+    (hysteresis), the interval is that of a smaller number of independent points. The scale factor of the load cell is
+    assumed to be correct.
 
     Args:
         compression: m, shape (n,), in the order of measurement.
@@ -49,7 +50,7 @@ def fit_bellows(compression: Array, force: Array) -> BellowsFit:
     x, y = compression[known], force[known]
     if x.size < FEWEST_POINTS or np.ptp(x) <= 0.0:
         raise IdentificationError(
-            f"bellows test: {x.size} usable points at different compressions; at least {FEWEST_POINTS} are needed"
+            f"bellows test: {x.size} usable points; at least {FEWEST_POINTS} at different compressions are needed"
         )
     used = np.ones(x.size, bool)
     for _ in range(10):

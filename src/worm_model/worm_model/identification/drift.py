@@ -19,7 +19,7 @@ from worm_model.identification.fits.estimate import Estimate, quantile
 from worm_model.parameters import ParameterFile
 
 FEWEST_BAGS = 5  # smallest number of bags for limits from moving ranges
-ONE_SIDE = 8  # bags in a row on one side of the centre
+ONE_SIDE = 8  # bags in a row above, or below, the parameter's interval (the centre if limits come from bags)
 MONOTONE = 6  # bags in a row, each above, or each below, the previous bag
 SIGMAS = 3.0  # distance of a limit from the centre, in standard deviations
 INDIVIDUALS = 2.66  # SIGMAS / 1.128: distance of a limit from the centre, in mean moving ranges
@@ -48,8 +48,9 @@ class Limits:
 
     Attributes:
         low, high: control limits.
-        middle_low, middle_high: interval of the parameter itself; equal if the centre is the mean of the bags.
-        resolution: half-width of a single bag's 95 % interval.
+        middle_low, middle_high: 95 % interval of the parameter in the parameter file. If the limits come from the bags,
+            both are the mean of the bags.
+        resolution: half-width of a single bag's 95 % interval, median over the bags.
         source: origin of the limits, as text.
     """
 
@@ -192,9 +193,9 @@ def limits_of_bags(value: Array, resolution: float) -> Limits | None:
 def find_signals(value: Array, limits: Limits) -> tuple[Signal, ...]:
     """Return the violations of ``value`` (n,); NaN values are skipped.
 
-    A run of bags counts only if its change exceeds the uncertainty that follows from the resolution. The change is
-    the difference of its first and last value (monotone run), or the distance of its mean from the parameter's
-    interval (run on one side).
+    A series of bags violates `Rule.MONOTONE` or `Rule.ONE_SIDE` only if its change exceeds the uncertainty that follows
+    from the resolution. The change of a monotone series is the difference between its last and its first value. The
+    change of a series on one side is the distance of its mean from the parameter's interval.
     """
     index = np.flatnonzero(np.isfinite(value))
     known = value[index]
@@ -223,7 +224,7 @@ def _broken(value: Array, limits: Limits) -> list[tuple[Rule, int, int]]:
 
 
 def _stretches(broken: NDArray[np.bool_], least: int) -> list[tuple[int, int]]:
-    """Return (first, last) of each maximal run of True with at least ``least`` entries."""
+    """Return (first, last) of each uninterrupted sequence of True with at least ``least`` entries."""
     edges = np.diff(np.concatenate([[0], broken.astype(int), [0]]))
     first, last = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1
     return [(int(a), int(b)) for a, b in zip(first, last, strict=True) if b - a + 1 >= least]

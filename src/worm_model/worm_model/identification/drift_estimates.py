@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Estimates of the drifting parameters from single bags, by the stages of the identification."""
+"""Estimates of the parameters that may drift (`drift.ADVICE`) from single bags, by the stages of the identification."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class BagEstimates:
         name: name of the bag.
         start: start of the bag, ns since the epoch.
         gait: gait of the run.
-        estimates: estimates by key.
+        estimates: estimates by key, for the keys of `drift.ADVICE`.
         remarks: remarks on the data.
     """
 
@@ -70,7 +70,7 @@ def estimate_bags(
     progress: Callable[[float], None] = lambda _done: None,
     definitions: Path | None = None,
 ) -> tuple[tuple[BagEstimates, ...], tuple[ExcludedBag, ...]]:
-    """Estimate the drifting parameters from each bag.
+    """Estimate the parameters that may drift from the first run in each bag.
 
     Args:
         paths: the bags.
@@ -115,7 +115,7 @@ def _content(recording: Recording) -> str:
 
 
 def estimate_bag(recording: Recording, start: int, parameters: Parameters) -> BagEstimates:
-    """Estimate the drifting parameters from one recording that starts at ``start`` (ns since the epoch).
+    """Estimate the parameters that may drift from a recording of a bag that starts at ``start`` (ns since the epoch).
 
     Raises:
         IdentificationError: A marker was hidden for too long, the body did not follow its command, the strides
@@ -153,6 +153,6 @@ def _check_seen(recording: Recording) -> None:
 
 
 def _idle_power(recording: Recording) -> Estimate:
-    """Return the idle power; not identifiable if the power was not recorded at rest."""
+    """Return the idle power; not identifiable if no power was recorded at rest, or if the cable held a pretension."""
     idle = idle_power_of(recording)
     return idle_power([idle]) or Estimate(np.nan, np.nan, np.nan, False, idle.warning)

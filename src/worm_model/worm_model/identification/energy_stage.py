@@ -3,7 +3,7 @@
 
 Each refit draws weights of the runs, and values of k_b, L_free and the locomotion fit (with friction and fins) within
 their uncertainty. Gaits of a single frequency cannot separate c_b from α_P, because the effects of both are then
-proportional. The notes of the result report this.
+proportional. In this case both estimates are not identifiable, and their notes state the reason.
 """
 
 from __future__ import annotations
@@ -24,9 +24,10 @@ from worm_model.identification.fits.estimate import VAGUE, Estimate, not_identif
 from worm_model.identification.fits.resampling import correlation, estimates, refitted, unit_weights
 from worm_model.parameters import Parameters
 
-LEAST_FREQUENCY_RATIO = 1.4  # smallest ratio of highest to lowest gait frequency
+# Smallest ratio of the highest to the lowest gait frequency that separates c_b from α_P
+LEAST_FREQUENCY_RATIO = 1.4
 FEWEST_RUNS = 2
-LEAST_SCATTER = 1e-6  # J
+LEAST_SCATTER = 1e-6  # J, lower bound of the root mean square of a run's energy residuals
 NO_POWER = "no run has power samples over its five ridges: record the power until the run ends"
 
 
@@ -64,8 +65,8 @@ def identify_energy(
     Args:
         runs: the runs.
         frequencies: gait frequency of each run, Hz.
-        forces: draws the static forces (n,) of each run, N.
-        parameters: given c_b, and given α_P if there are no runs.
+        forces: draws the static forces of each run (`PowerRun.static_force`) within their uncertainty, N.
+        parameters: source of c_b if c_b is not identifiable, and of α_P if there are no runs.
         random: source of the bootstrap.
         hindrance: reason why no interval would be valid; empty if there is none.
     """
@@ -91,7 +92,7 @@ def identify_energy(
     damping, factor = estimates(np.array([fit.damping, fit.factor]), refits, len(runs))
     identifiable = [e.spread <= VAGUE * e.value for e in (damping, factor)]  # False for NaN as well
     if not all(identifiable):
-        return _given(runs, parameters, "its interval is wider than half its value")
+        return _given(runs, parameters, "its interval is wider than half its value on either side")
     shares = (min(float(inherited[0]), 1.0), min(float(inherited[1]), 1.0))
     return EnergyResult(damping, factor, correlation(refits), shares, fit, _clocks(runs, fit))
 
@@ -130,7 +131,10 @@ def _given(runs: Sequence[energy.PowerRun], parameters: Parameters, note: str) -
 
 
 def _clocks(runs: Sequence[energy.PowerRun], fit: energy.EnergyFit) -> Array:
-    """Return the standard deviations of the clock offsets from residuals and uncertainty of the idle power."""
+    """Return the standard deviations (s) of the clock offsets, due to the residuals and the uncertain idle power.
+
+    The entry of a run is NaN if the data do not determine its offset.
+    """
     if not runs:
         return np.empty(0)
     scatter = np.maximum([np.sqrt(np.mean(r**2)) for r in fit.residuals], LEAST_SCATTER)
@@ -152,7 +156,7 @@ def _clocks(runs: Sequence[energy.PowerRun], fit: energy.EnergyFit) -> Array:
 
 
 def _shift_by_idle(run: energy.PowerRun, fit: energy.EnergyFit, offset: float) -> float:
-    """Return the error of the fitted clock offset per error of the idle power, s/W.
+    """Return the magnitude of the fitted clock offset's error per error of the idle power, s/W.
 
     An error of the idle power adds a ramp to the energy, which resembles the effect of a clock offset.
     """

@@ -26,11 +26,9 @@ from worm_model.identification.identification_errors import IdentificationError
 COLUMNS = ("displacement_m", "force_N")
 KEYS = ("clearance", "engaged_stiffness", "disengaged_stiffness")
 FEWEST_POINTS = 12
-TOO_VAGUE = (
-    "its interval from the fin test is wider than half its value; repeat the test with more points"
-)
+TOO_VAGUE = "its interval from the fin test exceeds half its value on either side; repeat the test with more points"
 ANISOTROPY = 1.15  # smallest ratio of the stiffnesses that determines the engaging side
-SIGNIFICANT = 3.0  # standard deviations above which the test stand has a zero offset
+SIGNIFICANT = 3.0  # standard deviations above which the test stand's zero offset is significant
 
 
 @dataclass(frozen=True)
@@ -87,8 +85,8 @@ def fit_fin(displacement: Array, force: Array, engages: int = 0) -> FinFit:
         engages: sign of the displacement that engages, −1 or +1; 0 detects it.
 
     Raises:
-        IdentificationError: There are too few points on both sides of 0, a side shows no force, or the two stiffnesses
-            are too similar to detect the engaging side.
+        IdentificationError: There are fewer than `FEWEST_POINTS` points, all points are on one side of 0, a side shows
+            no force, or the two stiffnesses are too similar to detect the engaging side.
     """
     known = np.isfinite(displacement) & np.isfinite(force)
     x, y = displacement[known], force[known]
@@ -129,7 +127,11 @@ def _engaging_side(values: Array) -> int:
 
 
 class _BrokenLine:
-    """Robust fit of (clearance, stiffness below, stiffness above, centre) to a test."""
+    """Robust fit of (clearance, stiffness below, stiffness above, centre) to a test.
+
+    ``worth`` is the factor on the variance for correlated residuals (`dependence`). ``noise`` is the robust standard
+    deviation of the force, N.
+    """
 
     def __init__(self, x: Array, y: Array) -> None:
         self.x, self.y = x, y
@@ -138,7 +140,7 @@ class _BrokenLine:
         self.noise = max(SIGMA_PER_MAD * float(np.median(np.abs(y - _force(start, x)))), 1e-9)
 
     def start(self) -> Array:
-        """Return the best start values for a grid of clearances, because the cost has several local minima."""
+        """Return start values of a fit: the best of a grid of clearances, as the cost has several local minima."""
         x, y = self.x, self.y
         tried = []
         for clearance in np.linspace(0.02, 1.9, 48) * min(-x.min(), x.max()):
@@ -162,7 +164,7 @@ class _BrokenLine:
         return values, covariance
 
     def interval(self, values: Array, covariance: Array, entry: int) -> Estimate:
-        """Return an entry's 95 % interval from the profile of the cost."""
+        """Return the estimate of an entry, with the 95 % interval from the profile of the cost."""
         free = [k for k in range(4) if k != entry and covariance[k, k] > 0.0]
         freedom = max(self.x.size - len(free) - 1, 1)
         best = self._solve(values, np.array(free))

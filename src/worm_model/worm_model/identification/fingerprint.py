@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any
 
 PACKAGE = Path(__file__).resolve().parents[1]
-ENTRY = "commands/identify.py"
+ENTRY = "commands/identify.py"  # file whose direct and indirect imports the fingerprint covers
 VERSION = "0.1.0"
 
 
 def code_version() -> str:
-    """Return the version of the package and the fingerprint."""
+    """Return a text with the version of the package and the fingerprint of the sources that `identify` imports."""
     digest = hashlib.sha256()
     for file in imported_files(PACKAGE, ENTRY):
         digest.update(str(file.relative_to(PACKAGE)).encode() + file.read_bytes())

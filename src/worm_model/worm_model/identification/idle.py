@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Stage 6: idle power P_idle of each run from its first ten samples (eq:Pidle_est).
 
-The rule requires that the robot rests during these samples. If the sensor is slow or starts with the gait, some of the
-samples contain motion. Then only the samples before the onset are used. A run with fewer than three of these has no
-estimate.
+The rule requires that the robot rests during these samples. If the sensor is slow or starts with the gait, the robot
+moves during some of them. Then only those before the onset are used. A run with fewer than three samples before the
+onset has no estimate.
 
 The servo may need power to hold a pretension. The idle power of a run with pretension is used for this run alone.
 """
@@ -18,10 +18,12 @@ import numpy as np
 from worm_model.identification.data.observed_run import Recording
 from worm_model.identification.fits.estimate import Estimate, half_of_mean, quantile
 
-SAMPLES = 10
-FEWEST_SAMPLES = 3
-SETTLED = 5.0  # largest difference of the ten samples from all samples at rest, in standard errors
-LEAST_DIFFERENCE = 0.02  # smallest relative difference for a warning
+SAMPLES = 10  # number of samples in the paper's rule
+FEWEST_SAMPLES = 3  # smallest number of samples at rest
+# There is a warning if the mean of the first ten samples differs from the median of all samples at rest by more than
+# SETTLED standard errors of the mean, and by more than LEAST_DIFFERENCE times the median.
+SETTLED = 5.0
+LEAST_DIFFERENCE = 0.02
 NO_IDLE = "no run has power samples at rest without pretension: record at least 2 s before the gait starts"
 HOLDING = (
     "the idle power includes the power that holds the pretension and is used for this run alone"

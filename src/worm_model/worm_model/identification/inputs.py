@@ -26,8 +26,9 @@ from worm_model.run import utc_of
 
 RUN_FILE = "camera.csv"  # file that marks a run of a lab
 BELLOWS_FILE, FIN_FILE = "bellows.csv", "fin.csv"
-EPOCH = 10**9  # ns; a lab's logs contain no date, and a stamp of 0 would mean "unknown"
-LOGS = LabSettings(epoch=EPOCH)
+# ns, stamp of time 0 in a lab's logs, which contain no date; a stamp of 0 would mean "unknown"
+EPOCH = 10**9
+LOGS = LabSettings(epoch=EPOCH)  # default settings, which contain no given value
 TOPICS = (
     "body_length/commanded",
     "body_length/cable",
@@ -54,7 +55,8 @@ class BenchTest:
 class Inputs:
     """Recordings and bench tests (None if missing).
 
-    ``folder`` is the lab's folder, None for bags. ``remarks`` name data that were found but not used.
+    ``folder`` is the lab's folder; None for bags, or for runs of several labs. ``remarks`` name data that are not used,
+    and assumptions.
     """
 
     recordings: tuple[Recording, ...]
@@ -73,7 +75,7 @@ def read_inputs(
 ) -> Inputs:
     """Read bags and folders or runs of a lab.
 
-    The bench tests of a single lab are used unless others are given.
+    If all logs belong to one lab, the bench tests in the lab's folder are used unless others are given.
 
     Args:
         paths: bags, folders of a lab or single runs of it.
@@ -82,7 +84,7 @@ def read_inputs(
         logs: settings that the lab's logs do not contain.
 
     Raises:
-        IdentificationError: A file is missing or invalid.
+        IdentificationError: A file is missing or invalid, or two runs have the same name.
         BagError: A bag cannot be read.
     """
     recordings = tuple(read_recordings(paths, definitions, logs))

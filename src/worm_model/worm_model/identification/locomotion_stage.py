@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stage 4 of `identification.stages`, the fit of the motion: search, grooves, and intervals of η, p_sw and the pitch.
+"""Stage 4, the fit of the motion: friction η, switching threshold p_sw and pitch, with intervals.
 
-The intervals are profiles, because the cost jumps: one value is fixed and all others are fitted again, until the cost
-has risen to the 95 % level. The intervals are widened by Student's t for a small number of grooves, by the correlation
-of the residuals, and by the uncertainty of the fin test. The pitch is a nuisance parameter with the given value as its
-prior, because the ridges that x1 passes determine it better than a ruler does.
+The intervals follow from profiles of the cost, because the cost jumps. For a profile, one parameter is moved away from
+its best value and fixed, and all others are fitted again. The interval ends where the cost has risen to the 95 % level.
+A small number of grooves (Student's t), correlated residuals and the uncertainty of the fin test widen the intervals.
+The pitch is estimated with the given value as its prior, because the ridges that x1 passes determine it better than a
+ruler does.
 """
 
 from __future__ import annotations
@@ -57,20 +58,19 @@ from worm_model.simulation.kernel.march import FORCE
 Progress = Callable[[float], None]
 Variants = tuple[tuple[Parameters, GrooveFit], ...]
 
-FRICTION, SWITCHING, REAR_DRY, FRONT_DRY, PITCH, ONSET = range(6)  # entries of the means
+FRICTION, SWITCHING, REAR_DRY, FRONT_DRY, PITCH, ONSET = range(6)  # entries of `GrooveFit.means`
 USUAL_DRY = 0.3  # N, viscous friction of the paper's robot at 3.5 mm/s; see `if_identifiable`
-SOUGHT = (FRICTION, SWITCHING, PITCH)
-FIRST_REACH = {
-    FRICTION: 1.0,
-    SWITCHING: 3e-5,
-    PITCH: 5e-6,
-}  # first step of the search for a profile's end
-SCATTERED = {FRICTION: STIFFNESS, SWITCHING: THRESHOLD}  # column of grooves that affects a mean
+SOUGHT = (FRICTION, SWITCHING, PITCH)  # means whose intervals follow from profiles
+# First step of the search for the end of a profile: N·s/m, m, m
+FIRST_REACH = {FRICTION: 1.0, SWITCHING: 3e-5, PITCH: 5e-6}
+# Column of the tables of grooves whose scatter makes a mean uncertain
+SCATTERED = {FRICTION: STIFFNESS, SWITCHING: THRESHOLD}
 LEAST_EIGENVALUE = 1e-9  # smaller eigenvalues of a correlation are rounding errors
+# Half-width of the 95 % interval of a normal distribution, in standard deviations
 NORMAL = quantile(np.inf)
 LONGEST_MEMORY = 30  # largest lag of correlated residuals, in samples
 BETTER = 0.5  # least decrease of the cost by which another fit replaces the present one
-MOST_RESTARTS = 3
+MOST_RESTARTS = 3  # number of better fits found by the profiles after which the stage fails
 
 
 @dataclass(frozen=True)
@@ -90,11 +90,12 @@ class LocomotionResult:
         dry_friction: estimates for the rear and the front module, N.
         onset: how the modules share the first rate of ΔL, see `simulation.kernel.whole_run.run_from_rest`.
         initial_length: L0 of each run, m, shape (runs,).
-        inflation: factor on the variances for correlated residuals.
+        inflation: factor on the variances for large or correlated residuals.
         correlation: correlation of (η, p_sw, rear and front dry friction, pitch, onset), shape (6, 6).
         landscape: J_loc on the grid of the search.
         fit: the fit with all nuisance parameters.
-        variants: fits with fin values one standard deviation off, one for each direction of their covariance.
+        variants: parameters with fin values one standard deviation off, and the fit with them, one pair for each
+            independent direction of the fin values' covariance.
         stiffer: fit with an η that is one standard deviation higher.
         as_printed: (η, p_sw) that minimise J_loc as the paper prints it, without dry friction and with even grooves.
             The pitch and the onset are those of the fit with even grooves.
@@ -124,7 +125,8 @@ def identify_locomotion(
     """Estimate η, p_sw and the pitch from all runs.
 
     ``known`` contains the other parameters, ``fin`` the uncertainty of the fin parameters. Without ``fin``, the
-    intervals are valid only for the given fins. Raises `IdentificationError` if the fit does not settle.
+    intervals are valid only for the given fins. Raises `IdentificationError` if no fit explains the motion, or if the
+    profiles repeatedly find a better fit.
     """
     landscape = search(traverses, known, lambda done: progress(0.3 * done))
     start = find_locomotion(traverses, known, landscape)
@@ -199,7 +201,10 @@ def refit(
     own: Array,
     iterations: int = 10,
 ) -> GrooveFit:
-    """Return the fit to other runs or with other parameters, from a known fit and its scatter; ``own`` (runs, 2)."""
+    """Return a fit to other runs or with other parameters, with the scatter of the fit ``like``, from which it starts.
+
+    ``own`` (runs, 2) contains the start values of each run's nuisance parameters.
+    """
     problem = groove_problem(traverses, known, like.places, like.scatter)
     return replace(like, solution=solve(problem, like.solution.shared, own, iterations=iterations))
 
@@ -233,7 +238,10 @@ def variance_inflation(traverses: Sequence[Traverse], solution: Solution) -> flo
 def _profiles(
     traverses: Sequence[Traverse], known: Known, fit: GrooveFit, inflation: float
 ) -> tuple[list[tuple[float, float]], Solution | None]:
-    """Return (low, high) of each estimated mean, and a better solution found on the way, or None."""
+    """Return the interval (low, high) of each mean of `SOUGHT`, and None.
+
+    If the profiles find a solution with a lower cost, the result is an empty list and this solution.
+    """
     rise = NORMAL**2 * inflation
     quantities = shared_quantities(known)
     met: list[Solution] = []
@@ -262,7 +270,7 @@ def _profiles(
 
 
 def _scattered(fit: GrooveFit, entry: int) -> float:
-    """Return the standard deviation of a mean due to the scatter of the grooves, in the mean's unit."""
+    """Return the standard deviation of a mean that is due to the scatter of the grooves, in the mean's unit."""
     if entry not in SCATTERED:
         return 0.0
     column = SCATTERED[entry]
@@ -277,7 +285,10 @@ def _estimate(
     interval: tuple[float, float],
     variants: Variants,
 ) -> Estimate:
-    """Return an estimate. Student's t (for few grooves) and the fin test's uncertainty widen the profile's interval."""
+    """Return the estimate of a mean from the ``interval`` of its profile.
+
+    The interval is widened by Student's t, for few grooves, and by the uncertainty of the fin test.
+    """
     value = float(fit.means[entry])
     widening = 1.0
     if entry in SCATTERED:
@@ -310,7 +321,7 @@ def _variants(
 def deviations_of(covariance: Array) -> Array:
     """Return deviations (r, k) whose outer products add up to a covariance (k, k) of rank r.
 
-    Entries without variance, such as values given as exact, do not deviate.
+    The deviations of an entry without variance, such as an exactly known value, are 0.
     """
     scale = np.sqrt(np.diag(covariance))
     unit = np.where(scale > 0.0, scale, 1.0)
@@ -321,7 +332,7 @@ def deviations_of(covariance: Array) -> Array:
 
 
 def _as_printed(traverses: Sequence[Traverse], known: Known, start: Solution) -> Array:
-    """Return (η, p_sw) without dry friction, at the start's pitch and onset."""
+    """Return (η, p_sw) of a fit without dry friction, with the pitch and the onset of the solution ``start``."""
     problem = with_fixed(locomotion_problem(traverses, known), ONSET, start.shared[ONSET])
     problem = with_fixed(problem, PITCH, start.shared[PITCH])
     frictionless = with_fixed(with_fixed(problem, FRONT_DRY, 0.0), REAR_DRY, 0.0)

@@ -3,7 +3,7 @@
 
 All instruments share one clock, L0 is the measured length at rest, the pitch is as given, all grooves are equal, there
 is no dry friction, all samples have equal weight, and there are no intervals. J_loc is discontinuous where a groove is
-gained or lost; it is therefore evaluated on a grid first. The paper does not state how it was minimised.
+gained or lost. It is therefore evaluated on a grid first. The paper does not state how J_loc was minimised.
 """
 
 from __future__ import annotations
@@ -36,18 +36,26 @@ from worm_model.simulation.quadrature import accumulated
 from worm_model.simulation.simulator import Locomotion, SimulationError
 from worm_model.simulation.smoothing import smooth
 
-THRESHOLD_STEP = 2.5e-4  # m, step of the grid
+THRESHOLD_STEP = 2.5e-4  # m, step of p_sw on the grid
 REFINED = 3  # number of best grid points that are refined by a simplex search
 PRETENSION = (
     "{}: the gait has a pretension, but the paper's procedure assumes a slack cable at rest; "
     "omit --literal or exclude this run"
 )
-LOST = 1.0  # m², cost of a run whose anchors switch infinitely often
+LOST = 1.0  # m², J_loc if the anchors switch endlessly in a run
 
 
 @dataclass(frozen=True)
 class _Traverse:
-    """Run over five ridges: ``time`` (s), ``x1`` and ``change`` (m), shape (n,), where both markers were visible."""
+    """Part of a run until x1 has advanced by five pitches.
+
+    Attributes:
+        recording: the run.
+        time: times of the camera samples in which both markers are visible, s, shape (n,).
+        x1: position of the rear module, m, shape (n,).
+        change: ΔL, m, shape (n,).
+        initial_length: L0, m.
+    """
 
     recording: Recording
     time: Array
@@ -61,7 +69,8 @@ def literal(
 ) -> tuple[Parameters, dict[str, float]]:
     """Minimise the paper's costs with the paper's power model.
 
-    Parameters from bench tests and ``known`` ones are fixed.
+    The bench tests determine the stiffnesses and the clearance. All parameters that neither the recordings nor the
+    bench tests determine have the values of ``known``.
 
     Returns:
         The parameters, and the minimal costs: J_loc and J_act in m², J_E in J².
@@ -200,7 +209,12 @@ def _energy(runs: Sequence[_Traverse], p: Parameters) -> tuple[Array, float]:
 
 
 def _power_table(run: _Traverse, p: Parameters) -> tuple[Array, Array, Array, Array, float]:
-    """Return time, L̇ of the smoothed length, F_c without damping and power at the power samples, and idle power."""
+    """Return the power samples of a run and the quantities from which their prediction follows.
+
+    Returns:
+        Time (s), L̇ of the smoothed length (m/s), F_c without damping (N) and power (W) at the power samples, and the
+        idle power (W).
+    """
     recording = run.recording
     length = smooth(np.concatenate([[0.0], run.time]), np.concatenate([[0.0], run.change]))
     known = np.isfinite(length.value) & np.isfinite(length.rate)

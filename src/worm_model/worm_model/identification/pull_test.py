@@ -63,12 +63,12 @@ NUISANCES = {
     "disengaged_stiffness": 4.0,
 }
 DRY = ("rear_dry_friction", "front_dry_friction")
-ONSET = Quantity(0.1, 0.0, 1.0, 0.5, 0.5)  # see `Worm`
-EXACT = 1e-7  # standard deviation of an exact parameter, relative to its value
-LOAD_STEP, MOST_LOAD = 0.05, 50.0  # N
+ONSET = Quantity(0.1, 0.0, 1.0, 0.5, 0.5)  # `Worm.onset`
+EXACT = 1e-7  # prior standard deviation of an exact parameter, relative to its value
+LOAD_STEP, MOST_LOAD = 0.05, 50.0  # N, derivative step and largest magnitude of the load
 SEARCHED = np.linspace(-12.0, 12.0, 13)  # N, loads from which fits start
 FIRST_REACH = 0.1  # N, first step of the search for the end of the profile
-MOST_RESTARTS = 10
+MOST_RESTARTS = 10  # number of better fits found by the profile after which the test fails
 LOAD = 0  # entry of the load among the shared parameters
 NO_FIT = "no load between -12 and 12 N explains the motion of x1; check the parameter file and the starts of the runs"
 NOT_SETTLED = (
@@ -90,7 +90,8 @@ class PullTest:
 def estimate_rear_load(inputs: Inputs, reference: ReferenceValues) -> PullTest:
     """Estimate the load on the rear module of a known robot, positive towards −x.
 
-    Raises `IdentificationError` if no load explains the runs.
+    The front load of ``reference`` is subtracted from the estimated sum of both loads. Raises `IdentificationError` if
+    no load explains the runs, if the strides contradict the pitch, or if the profile repeatedly finds a better fit.
     """
     parameters = reference.parameters
     runs, warnings = fitted_runs(inputs.recordings, parameters.pitch)
@@ -120,7 +121,10 @@ def estimate_rear_load(inputs: Inputs, reference: ReferenceValues) -> PullTest:
 
 
 def _quantity(reference: ReferenceValues, key: str) -> Quantity:
-    """Return a parameter of the robot with its interval as the prior."""
+    """Return a parameter of the robot with its interval as the prior.
+
+    Without an interval, the prior of dry friction is `USUAL_DRY`, and any other parameter counts as exact.
+    """
     estimate, row = reference.estimate(key), ROWS[key]
     spread = estimate.spread / NORMAL
     if not np.isfinite(spread):
@@ -156,7 +160,10 @@ def _problem(
 
 
 def _loaded(worm: Worm, values: Array, own: Array) -> Worm:
-    """Return the robot with the shared parameters, both loads acting on its rear module, and a run's own parameters."""
+    """Return the robot with given shared ``values`` and the nuisance parameters ``own`` of a run.
+
+    The sum of both loads acts on the rear module.
+    """
     load, onset, *others = values
     robot = worm.with_values((KEY, *NUISANCES), np.array([load, *others]), own[0])
     return robot._replace(deflection=float(own[1]), onset=float(onset))
@@ -165,7 +172,7 @@ def _loaded(worm: Worm, values: Array, own: Array) -> Worm:
 def _start(
     traverses: Sequence[Traverse], build: partial[Problem], parameters: Parameters
 ) -> Solution:
-    """Return the best of the fits with even grooves that start from the searched loads."""
+    """Return the best of the fits with even grooves that start from the loads `SEARCHED`."""
     problem = build(np.empty((0, 3), np.int64), Scatter(0.0, 0.0))
     centres = np.array([quantity.centre for quantity in problem.shared])
 
@@ -186,7 +193,11 @@ def _start(
 def _profile(
     traverses: Sequence[Traverse], build: partial[Problem], fit: GrooveFit
 ) -> tuple[tuple[float, float], Solution | None]:
-    """Return (low, high) of the load of both modules, and a better solution found on the way, or None."""
+    """Return the interval (low, high) of the sum of both loads in N, and None.
+
+    If the profile finds a solution with a lower cost, the result contains this solution instead of None. The interval
+    is then invalid.
+    """
     problem = build(fit.places, fit.scatter)
     rise = NORMAL**2 * variance_inflation(traverses, fit.solution)
     value = float(fit.solution.shared[LOAD])

@@ -16,6 +16,7 @@ from worm_model.identification.fits.estimate import Estimate, not_identifiable
 from worm_model.parameters import KEYS, PAPER, ParameterFile, Parameters
 
 LOADS = ("rear_load", "front_load")  # conditions of the runs, which count as exact
+# keys whose given values count as measured, also without bounds
 MEASURED = ("rear_mass", "front_mass", "unstressed_length", "pitch", *LOADS)
 # Default half-widths of the 95 % bounds: a kitchen scale, a ruler, a ruler over many ridges
 READING = {
@@ -41,10 +42,10 @@ class ReferenceValues:
     """Given parameters with known intervals.
 
     Attributes:
-        parameters: start values of the identification.
+        parameters: the given values.
         intervals: known 95 % intervals by key.
         source: source of the values, as text.
-        others: sources of keys whose source differs from ``source``.
+        others: sources of the values with another source, by key.
         fitted_otherwise: True if the given c_b and α_P were fitted with another power model than the one that
             ``parameters`` selects.
     """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""All stages of the identification in the order of the paper's Section V, with held-out errors."""
+"""Identification with all stages of the paper's Section V, and held-out errors."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ from worm_model.parameters import FITTED_WITH_FORM, KEYS, Parameters
 
 Progress = Callable[[str, float], None]
 
-NO_FIN = "x1 determines only the ratio to the fin stiffness; fitted for the given stiffness; add a fin test"
+NO_FIN = "x1 determines only the ratio of friction to fin stiffness; fitted for the given stiffness; add a fin test"
 UNDER_GIVEN_FINS = "fitted for the given fins; add a fin test"
 NOT_OF_PAPER = "not in the paper's model; without it η would be {:.1f} N·s/m"
 NO_BELLOWS = "no bellows test, and c_b and α_P depend on k_b"
@@ -70,11 +70,11 @@ class Identification:
         runs: runs that were used.
         bellows, fin: bench tests, None if missing.
         locomotion, actuation, energy: results of the stages.
-        power_runs: runs with power samples.
+        power_runs: data of the runs whose power samples cover the traverse, for the energy model.
         held_out: errors of each run with the parameters fitted to the other runs; empty with one run.
         paper: errors of each run with the paper's table.
         validation: errors of the validation runs with ``parameters``.
-        camera_delay: remaining delay of the camera's stamps, s.
+        camera_delay: part of the delay of the camera's stamps that ``delay_s`` does not correct, s.
         warnings: remarks on data and results.
         seed: seed of the bootstrap.
     """
@@ -97,7 +97,10 @@ class Identification:
     seed: int
 
     def power_clock(self, name: str) -> tuple[float, float]:
-        """Return a run's power clock delay relative to the camera, and its standard deviation, s; NaN if unknown."""
+        """Return the clock offset of the power sensor in a run, and the standard deviation of the offset, s.
+
+        The offset is positive if the sensor's stamps are early relative to those of the camera. Unknown values are NaN.
+        """
         for run, offset, deviation in zip(
             self.power_runs,
             self.energy.fit.clock_offset,
@@ -202,7 +205,7 @@ def _energy(
     reference: ReferenceValues,
     random: np.random.Generator,
 ) -> tuple[EnergyResult, list[PowerRun]]:
-    """Run stage 7 with the forces of stage 4, for the runs with power samples."""
+    """Run stage 7 with the forces of stage 4, for the runs whose power samples cover the traverse."""
     powered = [index for index, run in enumerate(runs) if run.powered]
     stiffness = estimates["bellows_stiffness"]
     forces = forces_of(
@@ -244,7 +247,7 @@ def _bench_estimates(bellows: BellowsFit | None, fin: FinFit | None) -> dict[str
 
 
 def _fin_knowledge(estimates: Mapping[str, Estimate], fin: FinFit | None) -> FinKnowledge | None:
-    """Return the fin values from the fin test, else from the given bounds; None without either."""
+    """Return the fin values from the fin test, else from the given bounds; None without test and bounds."""
     if fin is not None:
         return FinKnowledge(fin.values, fin.covariance)
     known = [estimates[key] for key in FIN]
@@ -257,7 +260,11 @@ def _fin_knowledge(estimates: Mapping[str, Estimate], fin: FinFit | None) -> Fin
 def _locomotion_estimates(
     locomotion: LocomotionResult, estimates: Mapping[str, Estimate], fin: FinFit | None
 ) -> dict[str, Estimate]:
-    """Return the estimates of stage 4; without a fin test only the ratio of η to the fin stiffness is identifiable."""
+    """Return the estimates of stage 4.
+
+    If neither a fin test nor bounds of the fin parameters are given, only the ratio of η to the fin stiffness is
+    identifiable.
+    """
     friction, threshold = locomotion.viscous_friction, locomotion.switching_threshold
     note = NOT_OF_PAPER.format(locomotion.as_printed[0])
     dry = [replace(estimate, note=estimate.note or note) for estimate in locomotion.dry_friction]
@@ -296,7 +303,7 @@ def _with_values(parameters: Parameters, estimates: Mapping[str, Estimate]) -> P
 
 
 def _power_runs(runs: Sequence[Run], forces: Forces, known: Parameters) -> list[PowerRun]:
-    """Return the data of the power runs, with each run's own idle power if known."""
+    """Return the data of the runs for the energy model, with each run's own idle power if it is known."""
     return [
         power_run(
             run.recording,

@@ -14,7 +14,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def keys_of_terminal() -> Iterator[None]:
-    """Deliver keys without waiting for Enter within the context. Without a terminal as input, do nothing."""
+    """Within the context, deliver keys without waiting for Enter. Do nothing if the input is not a terminal."""
     if not sys.stdin.isatty():
         yield
         return

@@ -126,7 +126,7 @@ class PlayNode(Node):
         return publishers
 
     def _converter(self, channel: Topic, type_name: str) -> Converter:
-        """Return a converter from the bag's message type to the installed one, and log fields that it adds."""
+        """Return a converter from the message type in the bag to the installed one, and log the fields that it adds."""
         message_class(type_name)  # Raises an error if the type is not installed.
         converter = Converter(with_definition(channel), topic_of(channel.name, type_name))
         if converter.added:
@@ -184,9 +184,10 @@ class PlayNode(Node):
         return due
 
     def _is_connected(self, wall: float) -> bool:
-        """Return True if the subscribers have not changed for the delay, plus MATCHING_S if some are not connected.
+        """Return True if the subscribers have not changed for the time of --delay, or longer if some are not connected.
 
-        The two sides of a connection discover each other at different times, and subscribers are discovered one by one.
+        The additional time is MATCHING_S. The two sides of a connection discover each other at different times, and
+        subscribers are discovered one by one.
         """
         publishers = [self._clock_publisher, *self._publishers_by_topic.values()]
         counts = {
@@ -325,7 +326,11 @@ def _parser() -> Parser:
     )
     parser.add_argument("-l", "--loop", action="store_true", help="start again at the end")
     parser.add_argument(
-        "--start", type=not_negative, default=0.0, metavar="S", help="play from this time on, in s"
+        "--start",
+        type=not_negative,
+        default=0.0,
+        metavar="S",
+        help="play from this time on, in s since the start of the bag",
     )
     parser.add_argument("--paused", action="store_true", help="start paused")
     parser.add_argument(

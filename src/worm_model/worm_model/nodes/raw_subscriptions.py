@@ -39,7 +39,8 @@ from worm_model.bags.worm_topics import GAIT_STATE, TWIN_EVENT
 from worm_model.run import INACTIVE
 from worm_msgs.node_command import declare_none
 
-# Number of polls with both subscriptions: publishers discover the second one later than it discovers them.
+# Number of polls for which the first subscription stays after the second one has discovered all publishers, because
+# publishers discover the second subscription later than it discovers them.
 OVERLAP_POLLS = 50
 
 SETTLING_S = 3.0  # A publisher that appears later than this counts as started after the recorder.
@@ -118,7 +119,7 @@ class _RawSubscription:
     def resubscribe(self) -> None:
         """Adapt to the present publishers."""
         if self._old is not None:
-            # The old subscription receives the same messages.
+            # The first subscription still exists and receives the messages in the meantime.
             self._node.destroy_subscription(self._subscription)
         else:
             self._old = self._subscription
@@ -189,9 +190,9 @@ class RecordNode(Node):
         self._depth = depth
         self._subscriptions_by_name: dict[str, _RawSubscription] = {}
         self._rejected: set[str] = set()
-        self._run, self._onset = 0, 0  # of the last reported gait
+        self._run, self._onset = 0, 0  # number and onset (ns) of the last reported run
         self._reported = False
-        self._drivers: dict[str, int] = {}  # the last state, by topic
+        self._drivers: dict[str, int] = {}  # last state of each driver, by topic
         self._settled = time.monotonic() + SETTLING_S
 
     def _full_name(self, name: str) -> str:
@@ -227,7 +228,10 @@ class RecordNode(Node):
 
     @property
     def missed(self) -> dict[str, int]:
-        """Number of messages, by topic, that publishers sent before their connection, if they started later."""
+        """Number of messages, by topic, that publishers sent before they were connected.
+
+        Only publishers that started after the recorder count.
+        """
         by_name = self._subscriptions_by_name.items()
         return {name: s.loss.missed for name, s in by_name if s.loss.missed}
 
@@ -319,7 +323,10 @@ class RecordNode(Node):
         return next((e.message or e.code for e in reversed(events) if e.code), "")
 
     def _is_known(self, state: Any) -> bool:
-        """Return True if a state belongs to the last reported run. The onset identifies the run after a restart."""
+        """Return True if a state belongs to the last reported run, and store its run as the last reported one.
+
+        The onset distinguishes runs with the same number, because a restarted driver counts from 1.
+        """
         onset = state.onset.sec * 10**9 + state.onset.nanosec
         same_onset = onset == self._onset or not self._onset
         known = self._reported and state.run == self._run and same_onset

@@ -31,9 +31,9 @@ from worm_model.nodes.raw_subscriptions import RecordNode
 from worm_msgs import readiness
 from worm_msgs.ros_process import ShutdownRequest, own_arguments, ros_process
 
-POLL_S = 0.01
-DISCOVERY_S = 0.1
-REPORT_S = 0.5
+POLL_S = 0.01  # time between two polls of the subscriptions
+DISCOVERY_S = 0.1  # time between two searches for new topics, and between two polls of the services
+REPORT_S = 0.5  # time between two updates of the live line
 
 
 SERVICES = ("start", "stop", "pause", "resume", "split", "snapshot")
@@ -178,9 +178,9 @@ class _Recording:
         self._end_at_once = True
 
     def to_rest(self, ended: Callable[[], bool]) -> bool:
-        """Return True if the end is requested and the driver has released the robot, or an immediate end is requested.
+        """Return True if the end is requested, and either the driver has released the robot or the end is immediate.
 
-        With --to-rest, `run` uses this function instead of ``ended``.
+        The end is immediate after a second request. With --to-rest, `run` uses this function instead of ``ended``.
         """
         if not ended():
             return False
@@ -188,7 +188,7 @@ class _Recording:
         return self._end_at_once or not self._node.awaits_rest
 
     def run(self, ended: Callable[[], bool], duration: float) -> None:
-        """Record messages until the end is requested, the time is over or writing fails."""
+        """Record messages until the end is requested, ``duration`` (s; 0: no limit) is over, or writing fails."""
         live = sys.stderr.isatty()
         discovery = report = time.monotonic()
         while not (ended() or self._session.error or 0.0 < duration <= self.elapsed):
@@ -299,7 +299,7 @@ def _run(arguments: argparse.Namespace, command: Sequence[str], ended: ShutdownR
     session = RecordingSession(options)
     for name in SERVICES:
         node.offer_service(name, getattr(session, name))
-    what = f"the last {options.ring_s:g} s for snapshots of" if options.ring_s else "to"
+    what = f"the last {options.ring_s:g} s, for snapshots named after" if options.ring_s else "to"
     if options.output != output:
         node.get_logger().warning(
             f"{output} was not closed by its recorder; the recording continues in {options.output}"

@@ -63,7 +63,7 @@ Row = tuple[int | float, ...]
 
 
 def gait_sample(message: Any) -> Row:
-    """Return the sample of a GaitState, a row of SAMPLE."""
+    """Return the sample of a GaitState, a row of `twin.samples.SAMPLE`."""
     stamp, gait = nanoseconds(message.header.stamp), message.gait
     identity = nanoseconds(message.onset), message.state, message.run, message.cycle
     values = (float(getattr(gait, name)) for name in GAIT_VALUES)
@@ -97,14 +97,14 @@ _STATE = tuple(name for name in STATE_ROW.names or () if name != "stamp_ns")
 
 
 def state_message(row: Any) -> TwinState:
-    """Return the TwinState of a row of STATE_ROW."""
+    """Return the TwinState of a row of `twin.records.STATE_ROW`."""
     message = _filled(TwinState(), row, _STATE)
     message.header.frame_id = scene.FRAME
     return message
 
 
 def residuals_message(row: Any, warnings: Mapping[int, str]) -> TwinResiduals:
-    """Return the TwinResiduals of a row of RESIDUAL_ROW; ``warnings`` contains the texts of the warnings by number."""
+    """Return the TwinResiduals of a row of `twin.records.RESIDUAL_ROW`; ``warnings`` are texts by number."""
     message = _filled(TwinResiduals(), row, RESIDUAL_FIELDS)
     if message.health > TwinResiduals.HEALTHY:
         message.message = residual_message(row, warnings)
@@ -112,7 +112,7 @@ def residuals_message(row: Any, warnings: Mapping[int, str]) -> TwinResiduals:
 
 
 def length_message(row: Any) -> BodyLength:
-    """Return the BodyLength of a row of LENGTH_ROW, with the source ESTIMATED."""
+    """Return the BodyLength of a row of `twin.core.memory.LENGTH_ROW`, with the source ESTIMATED."""
     return _filled(BodyLength(source=BodyLength.ESTIMATED), row, ("length", "length_change"))
 
 
@@ -134,7 +134,7 @@ def memory_message(stamp_ns: int, content: str) -> TwinMemory:
 
 
 def joint_state(row: Any) -> JointState:
-    """Return the joints of urdf/worm.urdf (m) for a row of STATE_ROW."""
+    """Return the positions (m) of the joints of urdf/worm.urdf for a row of `twin.records.STATE_ROW`."""
     rear = float(row["rear_position"])
     return JointState(
         header=Header(stamp=time_message(int(row["stamp_ns"]))),

@@ -47,7 +47,7 @@ from worm_msgs.node_command import declare, run_node
 from worm_msgs.ros_process import PolledGroup, ShutdownRequest, exiting_on_signal, spare_pauses
 from worm_msgs.srv import PredictGait
 
-POLL_S = 0.02
+POLL_S = 0.02  # time between two polls of the subscriptions
 MARKER_PERIOD_S = 0.1
 SIGHTINGS = 100  # stored samples of the tracker: 3 s of a camera at 30 Hz
 BURST = 200  # queue length of publishers that publish many messages per poll after a stall of the machine

@@ -32,7 +32,7 @@ from worm_msgs.node_command import declare_none
 from worm_msgs.qos import LATCHED
 from worm_msgs.ros_process import own_arguments, ros_process, spin
 
-PERIOD_S = 0.2
+PERIOD_S = 0.2  # time between two drawings of the view
 STORED = 200  # samples of an instrument: 2 s at 100 Hz
 NAMESPACE = "/worm"
 LEAST_WIDTH, MOST_WIDTH = 40, 120
@@ -155,7 +155,7 @@ class WatchNode(Node):
 
 
 def _nearest(samples: deque[tuple[int, Any]], stamp: int, default: Any) -> Any:
-    """Return the sample of an instrument nearest to a stamp (ns)."""
+    """Return the value of the sample whose stamp is nearest to a stamp (ns); ``default`` without samples."""
     if not samples:
         return default
     return min(samples, key=lambda sample: abs(sample[0] - stamp))[1]

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Hybrid simulator of actuation, locomotion and energy, exact between events."""
+"""Hybrid simulator of actuation, locomotion and energy, with closed forms between events."""

@@ -68,7 +68,7 @@ def actuator(parameters: Parameters) -> Actuator:
 
 
 def resting_change(gait: Gait, parameters: Parameters) -> float:
-    """Return ΔL in m at which a run of a gait begins: −K·max(o, δ_s) with a pretension o, otherwise 0."""
+    """Return ΔL in m at the start of a run: −K·max(o, δ_s) with a pretension o of the gait, otherwise 0."""
     return float(rest_of(gait.pretension, actuator(parameters)))
 
 
@@ -94,7 +94,10 @@ def length_change_range(gait: Gait, parameters: Parameters) -> tuple[float, floa
 def _cycle(
     gait: Gait, parameters: Parameters, length_change: float
 ) -> tuple[float, list[tuple[float, Coefficients, float]]]:
-    """Return (ΔL in m at the end of a cycle, (duration in s, ΔL, ω in 1/s) of each part) for ΔL at its start."""
+    """Return (ΔL in m at the end of a cycle, parts), for a ΔL in m at the start of the cycle.
+
+    A part is (duration in s, ΔL as a function of the time in the part, ω of this function in 1/s).
+    """
     row, a = gait_rows(gait)[0], actuator(parameters)
     parts, start = [], 0.0
     for part, end in enumerate(borders_of(0.0, row, a)):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Many gaits and many parameter sets at once, on all cores."""
+"""Evaluation of many gaits with many parameter sets, on all cores."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ from worm_model.simulation.simulator import (
 
 Array = NDArray[np.float64]
 
-CHUNK = 256  # gaits in one task of a thread: some milliseconds
+CHUNK = 256  # gaits in one task of a thread; the task takes some milliseconds
 
 
 @dataclass(frozen=True)
 class GaitTable:
-    """Results of many gaits, each field an array of the broadcast shape; see `simulator.GaitResult`.
+    """Results of many gaits. Each field is an array of the broadcast shape; for the meaning see `simulator.GaitResult`.
 
-    ``gait`` maps the fields of `Gait` to such arrays. Speed, power, cost and grooves are NaN if the fins chatter, or if
-    they do not hold the load at rest.
+    ``gait`` contains such an array for each field of `Gait`. Speed, power and grooves of a gait are NaN, and its cost
+    of transport is infinite, if the anchors switch to and fro without end, or if the fins do not hold the load at rest.
     """
 
     gait: Mapping[str, Array]
@@ -60,7 +60,8 @@ def _gait_rows(fields: Mapping[str, ArrayLike], shape: tuple[int, ...]) -> Rows:
         raise GaitError("direction: every direction must be 1 (forward) or -1 (reverse)")
     if not np.all(np.isin(rows["profile"], list(Profile))):
         raise GaitError(f"profile: every profile must be one of {', '.join(map(str, Profile))}")
-    for extreme in (np.min, np.max):  # each column has its own limits, so that its extremes suffice
+    # The limits of a column do not depend on other columns, so it is sufficient to check the extremes of each column.
+    for extreme in (np.min, np.max):
         Gait(**{name: extreme(rows[name]).item() for name in GAIT_ROW.names or ()})
     return rows
 
@@ -82,7 +83,7 @@ def _parameter_rows(
 
 
 def check_bodies(reach: ArrayLike, initial_length: ArrayLike) -> None:
-    """Raise `GaitError` unless every o + S (m) is below the length of the body (m). The arguments broadcast."""
+    """Raise `GaitError` unless each ``reach`` (o + S, m) is below the body length at rest (m). Arguments broadcast."""
     reaches, lengths = np.broadcast_arrays(*np.atleast_1d(reach, initial_length))
     if reaches.size:
         worst = np.unravel_index(np.argmax(reaches - lengths), reaches.shape)
@@ -90,7 +91,11 @@ def check_bodies(reach: ArrayLike, initial_length: ArrayLike) -> None:
 
 
 def _check_rows(rows: Rows) -> None:
-    """Raise the `ParameterError` of `Parameters` if a row is not admissible. The extremes of each column suffice."""
+    """Raise the `ParameterError` of `Parameters` if a row is not admissible.
+
+    Only the rows are checked that contain the extremes of a column, or the smallest 2·p_sw − d or 2·p_sw − δ_c. If
+    these rows are admissible, all rows are.
+    """
     suspects = [pick(rows[key]) for key in KEYS for pick in (np.argmin, np.argmax)]
     suspects += [
         np.argmin(2.0 * rows["switching_threshold"] - rows[key]) for key in ("pitch", "clearance")
@@ -113,14 +118,25 @@ def evaluate_gaits(
 ) -> GaitTable:
     """Return for every gait the results that `simulator.evaluate_gait` returns for a single gait.
 
-    ``stroke`` m, ``frequency`` Hz, ``margin`` m, ``direction`` ±1, ``further`` fields of `Gait` (by default the gait's
-    own defaults) and the values of ``overrides`` (parameter key to array, SI) are broadcast against each other.
-    ``progress`` is called with the fraction done, in the calling thread; an exception that it raises cancels the rest.
-    Stroke plus pretension must be below the body length. This is not checked if ``overrides`` contain that length,
-    because a scenario may draw any length.
+    The fields of the gaits and the values of ``overrides`` are broadcast against each other. Stroke plus pretension
+    must be below the body length. This is not checked if ``overrides`` contains ``initial_length``, because a scenario
+    may draw any length.
+
+    Args:
+        stroke: m.
+        frequency: Hz.
+        margin: m.
+        direction: ±1.
+        parameters: parameters of the robot.
+        overrides: values that replace parameters, in SI units, by parameter key.
+        cycles: cycles of each run, from the start.
+        averaged: number of cycles at the end of the run over which the results are averaged.
+        progress: called in the calling thread with the fraction done, 0 to 1. An exception that it raises is passed on,
+            and the remaining gaits are not evaluated.
+        further: further fields of `Gait`; without a value, the default of `Gait` is used.
 
     Raises:
-        GaitError: A field of a gait is out of its limits.
+        GaitError: A field of a gait is out of its limits, or stroke plus pretension is not below the body length.
         ParameterError: An override is out of its limits.
         ValueError: A value is not finite, or the number of cycles is impossible.
     """
@@ -153,7 +169,7 @@ def _evaluate_rows(
     results: Array,
     progress: Callable[[float], None] | None,
 ) -> None:
-    """Fill the results."""
+    """Fill ``results`` (n, RESULT_COLUMNS), one row for each row of gaits."""
     shared = len(parameters_of_rows) == 1
 
     def work(part: slice) -> None:
@@ -168,9 +184,14 @@ def _on_all_cores(
     count: int,
     progress: Callable[[float], None] | None = None,
 ) -> None:
-    """Process all chunks in a pool of threads, a single one in this thread. The kernel releases the lock of Python."""
+    """Process ``count`` rows in chunks, in a pool of threads.
+
+    The threads run in parallel, because the kernel releases Python's global interpreter lock.
+    """
     parts = [slice(start, min(start + CHUNK, count)) for start in range(0, count, CHUNK)]
-    if len(parts) == 1:  # starting a thread takes longer than many a search's rows
+    # A single chunk is processed in this thread: searches evaluate a few rows at a time, which takes less time than
+    # starting a thread.
+    if len(parts) == 1:
         work(parts[0])
         if progress is not None:
             progress(1.0)
@@ -198,12 +219,19 @@ def sample_cycle(
     phases: ArrayLike,
     **further: ArrayLike,
 ) -> tuple[Array, Array]:
-    """Return (cable force F_c in N, source power in W) within a cycle of gaits from the start.
+    """Return (cable force F_c in N, source power in W) of gaits at times within one cycle of their runs.
 
-    ``stroke`` m and ``frequency`` Hz of shape (n,); ``cycle`` counts from 0; ``phases`` in [0, 1], ascending, are
-    shares of the cycle, (m,) or (n, m); ``further`` as in `evaluate_gaits`.
-    Both results have the shape (n, m) and equal those of `simulator.simulate`. They are NaN for a gait whose fins
-    chatter or do not hold the load.
+    Force and power have the shape (n, m) and equal those of `simulator.simulate`. They are NaN for a gait whose anchors
+    switch to and fro without end, or whose fins do not hold the load at rest.
+
+    Args:
+        stroke: strokes (n,), m.
+        frequency: frequencies (n,), Hz.
+        direction: ±1.
+        parameters: parameters of the robot.
+        cycle: number of the cycle in the run, from 0.
+        phases: times as fractions of the cycle, 0 to 1, ascending, (m,) or (n, m).
+        further: as in `evaluate_gaits`.
     """
     gaits = {"stroke": stroke, "frequency": frequency, "direction": direction}
     columns = _columns({**GAIT_DEFAULTS, **gaits, **further})

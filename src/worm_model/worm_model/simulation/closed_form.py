@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Closed forms of the slow limit: groove phase, groove count and the cliff of the margin.
 
-These formulas are not in the paper. In the slow limit the viscous friction is negligible: the module whose fins are
-engaged holds while the other module is dragged. The grooves gained are the number of times that the dragged fin passes
-its threshold. This number agrees with the simulator for 99 % of the gaits in the paper's box.
+These formulas are not in the paper. In the slow limit, viscous friction is negligible: the fin of one module is engaged
+and holds, while the other module is dragged. The number of grooves gained is the number of times that the dragged fin
+passes its threshold. This number agrees with the simulator for 99 % of the gaits in the paper's box.
 """
 
 from __future__ import annotations
@@ -18,23 +18,24 @@ from worm_model.simulation.kernel.mode import nearest_groove
 
 
 def front_groove(parameters: Parameters) -> int:
-    """Return the number n of the groove nearest to the front module at the start: A2 = n·d, x1 = 0."""
+    """Return n0, the number of the groove in which the front module starts: A2 = n0·d, with x1 = 0."""
     return int(nearest_groove(parameters.initial_length, parameters.pitch))
 
 
 def groove_phase(parameters: Parameters) -> float:
-    """Return φ = L0 − n·d in m, in (−d/2, d/2], the distance of the front module from its groove at the start."""
+    """Return φ = L0 − n0·d in m, in (−d/2, d/2], the distance of the front module from its groove at the start."""
     return parameters.initial_length - front_groove(parameters) * parameters.pitch
 
 
 def switching_travel(
     parameters: Parameters, margin: float = 0.0, direction: int = FORWARD
 ) -> float:
-    """Return the length change c in m from one threshold to the other.
+    """Return c, the length change in m that one switch needs, from the length at which both fins are undeflected.
 
     c = δ_c + (p_sw + δ_m − δ_c/2)(1 + k_dis/k_eng) + Q/k_eng. The dragged fin moves across its clearance to its
-    threshold. Meanwhile the engaged fin deflects under the dragged fin's force and the load Q against the direction.
-    If a load along the direction exceeds the dragged fin's force, the other fin does not engage but is dragged as well.
+    threshold. Meanwhile the engaged fin deflects under the force of the dragged fin and the load Q, which is positive
+    against the direction. If a load along the direction exceeds the force of the dragged fin, the other fin does not
+    engage but is dragged as well, and another equation holds.
     """
     half = 0.5 * parameters.clearance
     threshold = parameters.switching_threshold + margin
@@ -45,14 +46,14 @@ def switching_travel(
 
 
 def _load(parameters: Parameters, direction: int) -> float:
-    """Return the load of both modules in N, positive against the direction."""
+    """Return Q, the sum of the loads on both modules in N, positive against the direction."""
     return direction * (parameters.rear_load + parameters.front_load)
 
 
 def grooves_per_cycle(gait: Gait, parameters: Parameters) -> int:
-    """Return the grooves that a cycle gains after the transient, in the slow limit.
+    """Return the number of grooves that a cycle gains after the transient, in the slow limit.
 
-    The engaged fin must be able to hold the load.
+    The result is valid only if the engaged fin can hold the load.
     """
     lowest, highest = length_change_range(gait, parameters)
     travel = switching_travel(parameters, gait.margin, gait.direction)
@@ -63,11 +64,11 @@ def grooves_per_cycle(gait: Gait, parameters: Parameters) -> int:
 
 
 def largest_load(gait: Gait, parameters: Parameters, grooves: int = 1) -> float:
-    """Return the load Q1 + Q2 in N against the direction up to which a gait gains ``grooves`` a cycle, slow limit.
+    """Return the largest load Q in N with which a gait still gains ``grooves`` a cycle, in the slow limit.
 
-    The loads in ``parameters`` are ignored. The result is NaN if the gait does not gain these grooves without a load.
-    The engaged fin also limits the load, because it must not reach its threshold before the dragged fin does:
-    Q < (k_eng − k_dis)·(p_sw + δ_m − δ_c/2).
+    Q is the sum of the loads on both modules, positive against the direction. The loads in ``parameters`` are ignored.
+    The result is NaN if the gait does not gain these grooves without a load. The engaged fin also limits the load,
+    because it must not reach its threshold before the dragged fin does: Q < (k_eng − k_dis)·(p_sw + δ_m − δ_c/2).
     """
     free = parameters.replace(rear_load=0.0, front_load=0.0)
     if grooves_per_cycle(gait, free) < grooves:
@@ -75,7 +76,8 @@ def largest_load(gait: Gait, parameters: Parameters, grooves: int = 1) -> float:
     lowest, highest = length_change_range(gait, free)
     travel = switching_travel(free, gait.margin, gait.direction)
     pitch, offset = parameters.pitch, -groove_phase(parameters) - highest
-    # the travel lies in (−first, pitch − first] for the point ``first`` of the lattice from which a cycle counts
+    # `grooves_per_cycle` counts from ``first``, the smallest of the values offset + k·pitch above −travel. So with a
+    # given ``first``, the travel lies in (−first, pitch − first]. A load increases the travel and lowers ``first``.
     firsts = [offset + (math.floor((-travel - offset) / pitch) + 1 - k) * pitch for k in range(50)]
     swing = highest - lowest - (grooves - 1) * pitch
     longest = max(
@@ -89,10 +91,11 @@ def largest_load(gait: Gait, parameters: Parameters, grooves: int = 1) -> float:
 
 
 def largest_static_load(parameters: Parameters, side: int, gait: Gait) -> float:
-    """Return the size in N of the load that the fins hold at the start of a gait, towards −x (``side`` 1) or +x (−1).
+    """Return the largest load in N, as a positive number, that the fins hold at rest at the start of a gait.
 
-    One fin is at its threshold. The distance of the other fin from its threshold is the phase of the front module
-    between two grooves, or the pitch minus this phase.
+    ``side`` is 1 for a load towards −x, and −1 for a load towards +x. Under this load, one fin is at its threshold. The
+    distance of the other fin from its own threshold is the phase of the front module between two grooves, or the pitch
+    minus this phase.
     """
     stiff, soft = parameters.engaged_stiffness, parameters.disengaged_stiffness
     if side != gait.direction:
@@ -113,8 +116,8 @@ def cliff_margin(
 ) -> float:
     """Return the margin δ_m* in m beyond which the branch with two grooves a cycle is lost, in the slow limit.
 
-    The value is valid unless the largest allowed stroke ends the branch at a smaller margin. A negative value means
-    that the branch is lost even without a margin. A load Q against the direction reduces the value by
+    The result is valid unless the largest allowed stroke ends the branch at a smaller margin. A negative result means
+    that the branch is lost even without a margin. A load Q, positive against the direction, reduces the result by
     Q/(k_eng + k_dis).
     """
     yielding = 1.0 + parameters.disengaged_stiffness / parameters.engaged_stiffness

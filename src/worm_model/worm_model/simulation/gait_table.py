@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tables of gaits as CSV. Each row is a gait; further columns override parameters of the robot for this gait."""
+"""Tables of gaits as CSV. Each row is a gait; its further columns replace parameters of the robot for this gait."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from worm_model.errors import InputError
 from worm_model.gait import GAIT_COLUMNS, GAIT_DEFAULTS, GaitError, Profile
-from worm_model.parameters import KEYS, Parameters
+from worm_model.parameters import FORM, KEYS, Parameters
 from worm_model.simulation.batch import GaitTable, check_bodies, evaluate_gaits
 
 REQUIRED = tuple(column for name, column in GAIT_COLUMNS.items() if name not in GAIT_DEFAULTS)
@@ -59,7 +59,7 @@ def _check_header(path: str | Path, header: list[str]) -> None:
         if name not in (*REQUIRED, *OPTIONAL, *RESULTS, *KEYS):
             raise InputError(
                 f"{path}: unknown column {name!r}; known: {', '.join((*REQUIRED, *OPTIONAL))} "
-                "and the numbers of a parameter file"
+                f"and the keys of a parameter file, except {FORM}"
             )
     if len(set(header)) != len(header) or {"L0_m", "initial_length"} <= set(header):
         raise InputError(f"{path}: a column appears twice (L0_m is initial_length)")
@@ -84,7 +84,10 @@ def _number(path: str | Path, line: int, name: str, text: str | None) -> float:
 def evaluate_table(
     columns: Columns, parameters: Parameters, progress: Callable[[float], None] | None = None
 ) -> tuple[Columns, GaitTable]:
-    """Return (overridden parameters, results) of every row. Raises the errors of `batch.evaluate_gaits`."""
+    """Return (values of the overridden parameters by key, results), with one value per row of the table.
+
+    Raises the errors of `batch.evaluate_gaits`.
+    """
     overrides = {key: columns[key] for key in KEYS if key in columns}
     if "L0_m" in columns:
         overrides["initial_length"] = columns["L0_m"]
@@ -98,7 +101,10 @@ def evaluate_table(
 
 
 def write_table(path: Path, table: GaitTable, overrides: Columns, parameters: Parameters) -> None:
-    """Write the table: the gait, its results, then a column for every other overridden parameter."""
+    """Write a new file with a row for each gait: stroke, frequency, margin, L0, direction, results, further columns.
+
+    The further columns are the other fields of the gait and the other overridden parameters.
+    """
     rows = table.speed.size
     length = np.broadcast_to(overrides.get("initial_length", parameters.initial_length), (rows,))
     further = {key: values for key, values in overrides.items() if key != "initial_length"}

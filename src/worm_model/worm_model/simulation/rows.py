@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters and gaits as rows of structured arrays, the form in which the compiled kernel reads them.
 
-The columns are the fields of `Parameters` and `Gait`, under their names, so that a new field becomes a column of every
-batch. All columns are float64; True and False are 1 and 0.
+The columns are the fields of `Parameters` and `Gait` and have the same names. A new field therefore becomes a column of
+every batch. All columns are float64; True and False are 1 and 0.
 """
 
 from __future__ import annotations

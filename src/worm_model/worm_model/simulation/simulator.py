@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Hybrid simulator: from a gait, or any length signal, to the motion and power of the robot.
 
-It is exact: between events everything has a closed form, and events are located, so there is no step size.
-`evaluate_gait` returns the results of a gait and `simulate` its trajectory. `Locomotion` follows a measured or
-estimated length. Batches are in `worm_model.simulation.batch`.
+The simulator is exact and has no step size, because between events all quantities have closed forms, and each event is
+located. `evaluate_gait` returns the results of a gait and `simulate` its trajectory. `Locomotion` follows a measured or
+estimated length. `worm_model.simulation.batch` evaluates many gaits.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from worm_model.simulation.rows import gait_rows, parameter_rows
 
 Array = NDArray[np.float64]
 
-CYCLES = 5  # cycles of a run, from the start
-AVERAGED = 3  # the last cycles of the run
+CYCLES = 5  # number of cycles of a run, from the start
+AVERAGED = 3  # number of cycles at the end of the run over which speed and power are averaged
 
 _NO_ROWS = np.empty((0, march.SAMPLE_COLUMNS))
 
 
 class SimulationError(RuntimeError):
-    """The simulation stopped because a fin switches to and fro without end (chatter)."""
+    """The simulation stopped because an anchor switches to and fro without end (the fin chatters)."""
 
 
 class LoadError(InputError):
@@ -42,7 +42,10 @@ class LoadError(InputError):
 
 
 def _check(failure: float, subject: object, parameters: Parameters) -> None:
-    """Raise the error of a kernel failure, unless it is 0; ``subject`` is the gait of a run from the start."""
+    """Raise the error that belongs to a failure of the kernel; 0 is no failure.
+
+    ``subject`` is the gait of a run from the start, or a text for the message.
+    """
     if failure == run.SLIDES and isinstance(subject, Gait):
         load = parameters.rear_load + parameters.front_load
         side = 1 if load > 0.0 else -1
@@ -59,9 +62,15 @@ def _check(failure: float, subject: object, parameters: Parameters) -> None:
 class GaitResult:
     """Results of a gait over its averaged cycles.
 
-    ``speed`` m/s along the gait's direction; ``power`` W, mean source power; ``cost_of_transport`` 1, infinite
-    for a gait that does not advance; ``grooves_per_cycle`` 1, mean advance in pitches; ``min_grooves`` 1, advance of
-    the averaged cycle that advances least; ``groove_phase`` m; ``switches`` in all cycles from the start.
+    Attributes:
+        gait: the gait.
+        speed: mean speed along the gait's direction, m/s.
+        power: mean source power, W.
+        cost_of_transport: cost of transport, 1; infinite for a gait that does not advance.
+        grooves_per_cycle: mean advance per cycle, pitches.
+        min_grooves: smallest advance of an averaged cycle, pitches.
+        groove_phase: groove phase, m.
+        switches: number of switches in all cycles from the start.
     """
 
     gait: Gait
@@ -91,7 +100,7 @@ def check_cycles(cycles: int, averaged: int) -> None:
 def evaluate_gait(
     gait: Gait, parameters: Parameters = PAPER, cycles: int = CYCLES, averaged: int = AVERAGED
 ) -> GaitResult:
-    """Return speed, power and grooves of a gait over the last ``averaged`` of ``cycles`` from the start.
+    """Return speed, power and grooves of a gait over the last ``averaged`` of a number of ``cycles`` from the start.
 
     Raises:
         GaitError: Stroke plus pretension is not below the body length.
@@ -122,8 +131,9 @@ def evaluate_gait(
 class Event:
     """Event: a fin leaves its region at ``time`` s.
 
-    ``fin`` is 1 (rear) or 2 (front), ``direction`` +1 or −1 along x. ``switched`` is True if the fin's anchor moved by
-    a pitch, and False if the fin met or left a ridge.
+    ``fin`` is 1 (rear) or 2 (front). ``direction`` is +1 or −1, the direction along x in which the fin's deflection
+    passed the border of the region. ``switched`` is True if the anchor of the fin moved by a pitch, and False if the
+    fin touched or left the wall.
     """
 
     time: float
@@ -134,11 +144,11 @@ class Event:
 
 @dataclass(frozen=True)
 class Motions:
-    """Dense output at ``time`` (n,): every field has shape (n,), SI units.
+    """Dense output: the motion at the times ``time`` (n,). Every field has the shape (n,) and SI units.
 
-    ``cable_force`` F_c (eq:Fc; below 0 a cable would have to push), ``rear_force`` F_1 and ``front_force`` F_2 in N;
-    anchors A1, A2 in m and as numbers of their grooves; ``energy`` in J since the start. At an event, the values are
-    those before the event.
+    ``cable_force`` is F_c (eq:Fc); below 0 a cable would have to push. ``rear_force`` and ``front_force`` are the
+    forces of the fins, F_1 and F_2. The anchors A1 and A2 are given in m and as numbers of their grooves. ``energy``
+    counts from the start. At the time of an event, the values are those before the event.
     """
 
     time: Array
@@ -160,7 +170,7 @@ class Motions:
 
 
 def _motions(samples: Array, parameters: Parameters, energy: Array | None = None) -> Motions:
-    """Return the columns of the kernel's samples by name; without ``energy``, it is computed from the cable work."""
+    """Return the kernel's samples as `Motions`; without ``energy``, the energy is computed from the cable work."""
     time, force, rate = (samples[:, k] for k in (march.TIME, march.FORCE, march.LENGTH_RATE))
     mechanical = cable_power(force, rate, parameters.one_sided_cable)
     power = parameters.idle_power + parameters.power_factor * mechanical
@@ -247,9 +257,9 @@ def _events(rows: Array) -> list[Event]:
 def play_gait(
     gait: Gait, parameters: Parameters, start: LocomotionState, times: ArrayLike
 ) -> Motions:
-    """Return dense output of a gait that begins at time 0 from a state.
+    """Return dense output of a gait that begins at time 0 in a given state.
 
-    Energy counts from time 0.
+    The energy counts from time 0. The gait's margin is ignored.
 
     Args:
         gait: the gait.
@@ -286,7 +296,7 @@ def _motion_of(state: LocomotionState) -> Motion:
 
 
 def simulate(gait: Gait, parameters: Parameters = PAPER, cycles: int = CYCLES) -> Trajectory:
-    """Return the trajectory of a gait from rest, with the anchors in grooves, see `kernel.start`.
+    """Return the trajectory of a gait from rest; for the initial state see `kernel.start.start_of`.
 
     Raises:
         GaitError: Stroke plus pretension is not below the body length.
@@ -299,10 +309,11 @@ def simulate(gait: Gait, parameters: Parameters = PAPER, cycles: int = CYCLES) -
 
 @dataclass(frozen=True)
 class LocomotionState:
-    """State of the robot whose length is an input.
+    """State of a robot whose length is an input.
 
-    ``time`` s; ``length_change`` ΔL in m; ``y`` = x1 + μ·ΔL in m and its rate in m/s, with which the dynamics
-    need no derivative of the length; grooves and regions of both fins; ``switches`` so far.
+    ``time`` in s; ``length_change`` ΔL in m; ``y`` = x1 + μ·ΔL in m, with which the dynamics contain no second
+    derivative of the length, and its rate in m/s; grooves and regions of both fins (`kernel.mode`); number of
+    ``switches`` so far.
     """
 
     time: float
@@ -318,7 +329,10 @@ class LocomotionState:
 
 @dataclass(frozen=True)
 class Locomotion:
-    """Locomotion model (eq:continuous_model to eq:A2_switch) of a robot that moves in one direction."""
+    """Locomotion model (eq:continuous_model to eq:A2_switch) of a robot with the fins in one direction.
+
+    ``direction`` is FORWARD or REVERSE. ``margin`` in m is added to the switching threshold.
+    """
 
     parameters: Parameters = PAPER
     direction: int = FORWARD
@@ -337,7 +351,7 @@ class Locomotion:
             time: time of the state, s.
             length_change: ΔL, m.
             x1: position of the rear module, m.
-            front: groove of the front anchor; by default the groove nearest to L0.
+            front: number of the front anchor's groove; by default the groove nearest to L0.
         """
         c = self._constants()
         groove = front_groove(self.parameters) if front is None else front
@@ -356,15 +370,15 @@ class Locomotion:
     def at_rest(self, time: float = 0.0, length_change: float = 0.0) -> LocomotionState:
         """Return the state at rest at ``time`` (s), after ΔL has moved from 0 to ``length_change`` (m).
 
-        The fins were straight at ΔL = 0. Since then, a pretension (which has moved ΔL) and a load have bent them.
-        Raises `SimulationError` if a fin chatters.
+        At ΔL = 0 the state is that of `start`. The change of the length (by a pretension) and a load then deflect the
+        fins. Raises `SimulationError` if a fin chatters.
         """
         if length_change == 0.0 and not (self.parameters.rear_load or self.parameters.front_load):
             return self.start(time)
         return self.settled(self.start(time - 2.0 * run.SETTLING_TIME), length_change)
 
     def settled(self, state: LocomotionState, length_change: float) -> LocomotionState:
-        """Return the state after the body has moved to a ΔL in m and come to rest, 2·`run.SETTLING_TIME` later."""
+        """Return the state 2·`run.SETTLING_TIME` later, after the length has moved to a ΔL in m and the robot rests."""
         times = [state.time + run.SETTLING_TIME, state.time + 2.0 * run.SETTLING_TIME]
         return self.follow(state, times, [length_change, length_change])[0]
 
@@ -385,8 +399,8 @@ class Locomotion:
     ) -> tuple[LocomotionState, Motions]:
         """Return (state at the end, dense output at every sample) under samples of ΔL joined by straight lines.
 
-        ``times`` (n,) in s, ascending from the state's; ``length_changes`` (n,) in m. Power and energy of
-        the output use the slopes of those lines; for noisy samples see `worm_model.simulation.smoothing`.
+        ``times`` (n,) in s ascend from the time of the state on; ``length_changes`` (n,) are in m. Power and energy of
+        the output use the slopes of the lines; for noisy samples see `worm_model.simulation.smoothing`.
         """
         time = np.atleast_1d(np.asarray(times, dtype=float))
         values = np.concatenate([[state.length_change], np.atleast_1d(length_changes)])
@@ -402,8 +416,16 @@ class Locomotion:
     ) -> tuple[LocomotionState, Motions]:
         """Return (state at the last break, dense output at ``times``) under a piecewise cubic ΔL.
 
-        ``breaks`` (n + 1,) in s from the state's time on; ``coefficients`` (4, n) in m, m/s, …, constant
-        term first, of the time since each break; ``times`` (m,) in s, ascending within the breaks.
+        Args:
+            state: state at the first break.
+            breaks: borders of the pieces (n + 1,), s, ascending.
+            coefficients: coefficients of each piece (4, n), constant term first (m, m/s, …), for the time since the
+                break at which the piece begins.
+            times: times of the output (m,), s, ascending within the breaks.
+
+        Raises:
+            ValueError: A break or a coefficient is not finite, or the times do not ascend within the breaks.
+            SimulationError: A fin chatters.
         """
         knots = np.ascontiguousarray(breaks, dtype=float)
         forms = np.ascontiguousarray(coefficients, dtype=float)
@@ -432,5 +454,5 @@ class Locomotion:
 
 @lru_cache(maxsize=16)
 def _constants_of(parameters: Parameters, direction: int, margin: float) -> Constants:
-    """Return the kernel's constants. They are cached, because a twin requests them a hundred times a second."""
+    """Return the kernel's constants. They are cached, because the twin requests them about 100 times per second."""
     return run.constants_of(parameter_rows(parameters)[0], float(direction), margin)

@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Smoothing of a sampled length, whose rate the prediction of the power requires.
 
-The motion never needs the derivative of a measured length, but the cable force (eq:Fc) and the power do. At every
-requested time, a parabola is fitted by least squares to the samples within a window (a Savitzky–Golay filter for any
-sampling). Its value and slope there are the length and its rate. A centred window of half-width h reduces the slope of
-a sinusoid of angular frequency ω by the factor 1 − (ωh)²/10. With the default h and a 30 Hz camera, the energy of a
-gait is 0.3 % too low at 0.15 Hz, 0.7 % at 0.2 Hz and 3 % at 0.4 Hz (a test checks these numbers).
+The cable force (eq:Fc) and the power depend on the rate of the length. With equal masses and without dry friction, the
+motion does not. At each requested time, a parabola is fitted by least squares to the samples within a window around
+this time (a Savitzky–Golay filter for any sampling). The value and the slope of the parabola at the requested time are
+the smoothed length and its rate. A centred window of half-width h multiplies the slope of a sinusoid of angular
+frequency ω by 1 − (ωh)²/10. With the default h and a 30 Hz camera, the energy of a gait is 0.3 % too low at 0.15 Hz,
+0.7 % at 0.2 Hz and 3 % at 0.4 Hz (a test checks these numbers).
 """
 
 from __future__ import annotations
@@ -17,8 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
-HALF_WINDOW = 0.15  # s: nine or ten samples of a 30 Hz camera
-FEWEST_SAMPLES = 4  # in a window; a parabola through three would follow the noise
+HALF_WINDOW = 0.15  # s; a window then contains nine or ten samples of a 30 Hz camera
+FEWEST_SAMPLES = 4  # in a window; a parabola through three samples would follow the noise
 _CHUNK = 4096  # times that are fitted at once
 
 
@@ -31,7 +32,10 @@ class Smoothed:
     rate: Array
 
     def cubic(self) -> tuple[Array, Array]:
-        """Return (breaks (n,), coefficients (4, n − 1)) of the cubics through values and rates, constant first."""
+        """Return (breaks (n,) in s, coefficients (4, n − 1)) of the cubics with these values and rates at the breaks.
+
+        A cubic is a function of the time since the break at which it begins; its constant term is first.
+        """
         step = np.diff(self.time)
         rise = np.diff(self.value) / step
         start, end = self.rate[:-1], self.rate[1:]
@@ -53,12 +57,17 @@ def smooth(
 ) -> Smoothed:
     """Fit a parabola to the samples within [t − before, t + after] around every time t of ``at``.
 
-    ``times`` (n,) in s, ascending; ``values`` (n,), NaN where a sample is missing; ``at`` (m,) in s, by
-    default ``times``; ``after=0`` makes a causal filter. Where a window contains fewer than FEWEST_SAMPLES, value
-    and rate are NaN, so that no gap is bridged.
+    If a window contains fewer than FEWEST_SAMPLES, value and rate are NaN, so that no gap is bridged.
+
+    Args:
+        times: times of the samples (n,), s, ascending.
+        values: samples (n,), NaN where a sample is missing.
+        at: times of the result (m,), s; by default ``times``.
+        before: part of the window before t, s.
+        after: part of the window after t, s. With 0 the filter is causal.
 
     Raises:
-        ValueError: The times do not ascend.
+        ValueError: The times do not ascend, or their number differs from that of the values.
     """
     time, value = np.asarray(times, dtype=float), np.asarray(values, dtype=float)
     target = time if at is None else np.atleast_1d(np.asarray(at, dtype=float))
@@ -91,7 +100,7 @@ def _fit(time: Array, value: Array, at: Array, before: float, after: float) -> A
     powers = np.stack([inside.astype(float), t, t * t])
     normal = np.einsum("iab,jab->aij", powers, powers)
     moments = np.einsum("iab,ab->ai", powers, y)
-    # The eigenvalues ascend. Samples at fewer than three times define no parabola.
+    # The smallest eigenvalue is almost 0 if the samples have fewer than three different times and define no parabola.
     spread = np.linalg.eigvalsh(normal)
     enough = (last - first >= FEWEST_SAMPLES) & (spread[:, 0] > 1e-10 * spread[:, 2])
     solution = np.full((at.size, 3), np.nan)

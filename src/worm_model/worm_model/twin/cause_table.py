@@ -44,7 +44,8 @@ MISSED_REAR = EventCode(
 MISSED_FRONT = EventCode(
     "missed_groove_front",
     "a groove missed by the front fin",
-    "the front fin missed its last groove of the previous cycle; x1 falls behind in the reported cycle",
+    "the front fin missed its last groove in the cycle before the one that the event names; x1 falls behind only in "
+    "the named cycle",
     "tracker; power",
 )
 GAINED = EventCode(
@@ -94,14 +95,14 @@ LOAD_DOWN = EventCode(
 )
 POWER_SCALE = EventCode(
     "power_scale",
-    "another scale of the power",
-    "the scale of the power has changed: supply or shunt",
+    "another gain of the power measurement",
+    "the gain of the power measurement has changed: supply or shunt",
     "power",
 )
 POWER_OFFSET = EventCode(
     "power_offset",
-    "another zero of the power",
-    "the zero of the power has changed: sensor, or another consumer on the supply",
+    "another offset of the power measurement",
+    "the offset of the power measurement has changed: sensor, or another consumer on the supply",
     "power",
 )
 INITIAL_LENGTH = EventCode(
@@ -256,7 +257,7 @@ LASTING = {
             size=0.1,
             unit="%",
             scale=100.0,
-            description="the scale of the power changed by {}",
+            description="the gain of the power measurement changed by {}",
             hint="supply or shunt",
             trials=((0.04, 0.10, 0.20),),
         ),
@@ -268,7 +269,7 @@ LASTING = {
             size=0.6,
             unit="W",
             scale=1.0,
-            description="the zero of the power changed by {}",
+            description="the offset of the power measurement changed by {}",
             hint="power sensor, or another consumer on the supply",
             trials=((0.1, 0.3, 0.6),),
         ),

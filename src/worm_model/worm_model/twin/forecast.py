@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Forecast of a gait that would begin now, in the twin's present state."""
+"""Forecast of a gait: its motion from the twin's present state on, and the results of a run from rest."""
 
 from __future__ import annotations
 
@@ -41,8 +41,8 @@ class Forecast:
         front_position: x2 in the tracker's frame, m, shape (n,).
         power: predicted source power, W, shape (n,).
         energy: energy over the horizon, J.
-        grooves: grooves gained by the rear anchor along the gait's direction.
-        groove_phase: groove phase, m.
+        grooves: grooves that the rear anchor gains over the horizon, along the gait's direction.
+        groove_phase: groove phase of the L0 that the twin uses, m.
     """
 
     robust: GaitResult
@@ -57,7 +57,11 @@ class Forecast:
 
 
 def forecast(twin: Twin, state: TwinState, gait: Gait, horizon_s: float = HORIZON_S) -> Forecast:
-    """Return the forecast of a gait; a horizon of 0 means `HORIZON_S`. Raises `ForecastError`."""
+    """Return the forecast of a gait for a horizon in s, where 0 means `HORIZON_S`.
+
+    Raises:
+        ForecastError: The gait cannot be predicted, or the horizon is not in the range from `STEP_S` to `LONGEST_S`.
+    """
     horizon = horizon_s or HORIZON_S
     if not STEP_S <= horizon <= LONGEST_S:
         raise ForecastError(f"horizon: {horizon_s:g} s is not between {STEP_S} and {LONGEST_S:g} s")

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Replay: the twin processes a recording offline, with a reproducible result.
 
-If the recording contains a memory of the live twin, the replay resumes from this memory. Otherwise the state of the
-fins at the first gait is unknown. If straight fins do not explain the first cycle, the twin estimates the state from
-this cycle, and then processes the recording again. A gait during which the clock was set is not judged.
+If the recording contains a memory of the live twin, the replay resumes from this memory. Otherwise the deflection of
+the fins at the first gait is unknown, and the twin assumes that only load and pretension deflect them. If this
+assumption does not explain the first cycle, the twin estimates the deflection from this cycle, and then processes the
+recording again. A gait during which the clock was set is not judged.
 """
 
 from __future__ import annotations
@@ -35,7 +36,8 @@ class Replay:
 
     Attributes:
         states: fields of STATE_ROW (the message TwinState).
-        residuals: fields of RESIDUAL_ROW (TwinResiduals without the message, sizes and levels of the channels).
+        residuals: fields of RESIDUAL_ROW: those of TwinResiduals except the message, the sizes and levels of the
+            channels, and the number of the warning.
         lengths: fields of LENGTH_ROW, the estimated lengths (BodyLength).
         notices: events of the twin (TwinEvent).
         dropped: number of excluded samples, by reason.
@@ -165,8 +167,8 @@ def unusable_runs(samples: RecordedSamples) -> dict[int, str]:
     """Return the runs during which the clock was set, with the reason why they cannot be judged.
 
     Keys are run numbers, or onsets in ns for runs without a number. If log times and stamps were both set back, the
-    order of the messages in a bag does not reveal this. Two other facts reveal it: the driver reports another onset for
-    the same run, and the command alternates between two values where two time spans overlap.
+    order of the messages in a bag does not reveal this. Either of two other facts reveals it: the driver reports
+    another onset for the same run, or the command alternates between two values where two time spans overlap.
     """
     states, found = samples.gait_state, {}
     for rows in states.rows_of_runs():

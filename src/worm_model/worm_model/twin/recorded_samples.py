@@ -13,11 +13,10 @@ from worm_model.run import GaitStates, LengthSamples, Run, concatenated
 from worm_model.twin.samples import SAMPLE, Kind, Rows, series_of, topic_rows
 from worm_model.twin.stored_memory import StoredMemory, read_memory
 
-IMPOSSIBLE_SPEED = 1.0  # m/s; the paper's gaits change the command by less than 0.12 m/s
+IMPOSSIBLE_SPEED = 1.0  # m/s, no gait moves the command faster; the paper's stay below 0.12 m/s
 _FOREVER = int(np.iinfo(np.int64).max)
-_Place = tuple[
-    int, int
-]  # number of backward jumps of the clock before a sample, and its stamp in ns
+# Place of a sample in the order: number of backward jumps of the clock before it, and its stamp in ns
+_Place = tuple[int, int]
 
 
 def rows_of_run(run: Run, jump_back_ns: int) -> Rows:
@@ -93,9 +92,10 @@ class RecordedSamples:
         self.impossible_steps: NDArray[np.int64] = np.concatenate(steps)
 
     def rows(self, until_ns: int = _FOREVER) -> Iterator[Rows]:
-        """Yield all samples in order, in blocks.
+        """Yield the samples in order, in blocks.
 
-        The last block is the one after which no sample has a stamp up to ``until_ns``, unless the clock has gone back.
+        The blocks end when all samples with stamps up to ``until_ns`` have been returned. If the clock has gone back,
+        all samples are returned.
         """
         counts = dict.fromkeys(Kind, 0)
         waiting, jumps = np.zeros(0, SAMPLE), np.zeros(0, np.int64)

@@ -4,15 +4,16 @@
 All samples before the onset have been processed when the run starts.
 
 - The position of the rear module is the mean of the tracker's positions during the last ``rest_s``.
-- L0 is the mean measured length of the same time span. Without one it is the L0 of the previous run, and before the
-  first run the parameter.
+- L0 is the mean measured length of the same time span. Without a measured length, L0 is that of the previous run. In a
+  first run without a measured length, L0 is the parameter.
 - The first run starts with straight fins, or with fins that only load and pretension deflect.
 - After a run the fins stay deflected, so that the modules are up to some millimetres off their grooves. The next run
   starts in this state.
 - While the cable is at rest, the body returns to its initial length. Fins that are turned for the other direction move
   to the nearest grooves. If they are turned shortly after a pull, the body is still shorter by the effect of the slack
   (K·δ_s), which may change these grooves. If the twin cannot determine the grooves, the start is unknown.
-- A pretension shortens the body. L0 is then the measured length plus this effect, and ΔL starts at minus the effect.
+- A pretension o shortens the body by K·max(o, δ_s). L0 is then the measured length plus this amount, and ΔL starts at
+  minus this amount.
 - If a body at rest is shorter by the effect of the slack, the slack is still taken up. L0 then remains that of the
   previous run, and ΔL starts at the measured difference from L0.
 """
@@ -45,7 +46,7 @@ from worm_model.twin.start_estimate import Start
 from worm_model.twin.twin_settings import TwinSettings
 
 PLAYING = (Activity.RUNNING, Activity.STOPPING)
-LATE_NS = 20_000_000  # delay of the twin after the onset beyond which the delay is reported
+LATE_NS = 20_000_000  # longest delay after the onset with which the twin joins a run without reporting the delay
 PLAUSIBLE_M = 0.02  # largest plausible difference between a measured L0 and the parameter
 # Tolerance for the length change of a body whose slack is taken up, relative to the effect of the slack.
 TIGHTENED = 0.35
@@ -56,8 +57,9 @@ STILL_M, STILL_NOISE = 0.0005, 5.0
 GUARD_NS = 100_000_000
 TURNED_NS = 2_500_000_000  # longest time from the turning of the fins to the onset
 SLACK_NS = 2_000_000_000  # longest time after a pull until the slack has returned
-TOLERANCE = 0.3  # largest deviation, in pitches, of a robot that was not moved between two runs
-SURE_M = 0.002  # largest deviation at which the state that the previous run left is certain
+# Largest deviations from the place where the previous run left the robot, modulo the pitch
+TOLERANCE = 0.3  # pitches; beyond this, the robot was moved between the runs
+SURE_M = 0.002  # beyond this, the state of the fins is uncertain
 JOIN_STEP_S = 0.01  # time step of the commands that a late twin did not receive
 
 
@@ -115,7 +117,7 @@ class Place:
     anchor: float
 
     def off(self, position: float, pitch: float) -> float:
-        """Return the distance (m) of a rear module at a position (m) from this place, apart from whole grooves."""
+        """Return the distance (m) between a rear module at ``position`` (m) and this place, modulo the ``pitch``."""
         off = position - (self.anchor + self.x1)
         return abs(off - round(off / pitch) * pitch)
 
@@ -130,7 +132,7 @@ def begin_run(
     """Initialize a run in the memory.
 
     If the twin has already passed the onset, because the driver's message or the twin was late, the run starts at the
-    current stamp and position. ΔL then has the value that it would have in the gait by now.
+    current stamp and position. The gait then determines the present ΔL.
 
     Args:
         memory: the twin's memory, updated in place.
@@ -140,7 +142,7 @@ def begin_run(
         starts: starts that are already known, by onset in ns.
 
     Returns:
-        Stamp (ns) from which the run is followed, and a message.
+        Stamp (ns) from which the twin follows the run, and a message.
     """
     m = memory.record[0]
     text, tightened = _stand(memory, driver, parameters, settings, starts.get(driver.onset_ns))
@@ -249,7 +251,7 @@ def _lengths_when_turned(
         memory: the twin's memory.
         onset_ns: onset of the run.
         standing: length of the body at rest, m.
-        shorter: effect of slack that may still have been taken up then, m.
+        shorter: effect of the slack, which may still have been taken up when the fins were turned, m.
     """
     m = memory.record[0]
     rows = memory.rows[: int(m["place"])]
@@ -332,7 +334,7 @@ def _joined(gait: Gait, elapsed: float, parameters: Parameters) -> tuple[float, 
 def _left_behind(
     m: Any, parameters: Parameters, length: float, direction: int, turned_at: float
 ) -> Place | None:
-    """Return where the previous run leaves the robot, or None if this is unknown.
+    """Return the place where the previous run leaves the robot, or None if the place is unknown.
 
     Args:
         m: record of the memory.

@@ -33,7 +33,8 @@ GAIT_VALUES = dict(zip(GAIT_UNITS, VALUES, strict=True))
 
 #: A sample takes effect at its ``stamp`` (ns); ``sent`` (ns) is the stamp of its message. The values ``a``, ``b``, …
 #: depend on the kind. COMMAND: u_cmd (m). LENGTH: L (m). POSITION: x1, x2 (m). POWER: power (W). GAIT: the gait's
-#: fields. Only driver states (GAIT) have ``onset`` (ns), ``state``, ``run`` and ``cycle``.
+#: fields. Only driver states (GAIT) have ``onset`` (ns), ``state``, ``run`` and ``cycle``. In the row of a LENGTH, the
+#: estimator stores the answer to the command in ``c``.
 SAMPLE = np.dtype(
     [
         *((name, np.int64) for name in ("stamp", "kind", "onset", "state", "run", "cycle", "sent")),

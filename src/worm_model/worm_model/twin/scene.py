@@ -17,7 +17,7 @@ from worm_model.twin.records import NANOSECONDS, StateRecord
 
 FRAME = "pipe"
 PIPE_RADIUS = 0.06
-MODULE = (0.04, 0.07, 0.07)
+MODULE = (0.04, 0.07, 0.07)  # size of a module along x, y and z
 BELLOWS_DIAMETER = 0.05
 LOST_S = 1.0  # age of the latest tracker sample beyond which the robot is not drawn
 VIEW = 0.6  # length of pipe shown ahead of the robot and behind it
@@ -43,7 +43,11 @@ class Kind(enum.Enum):
 
 @dataclass(frozen=True)
 class Shape:
-    """Shape with a unique ``name``; ``points`` are the centres of BOXES relative to ``position``."""
+    """Shape with a unique ``name``.
+
+    ``size`` is the extent of a box along x, y and z, or two diameters and the length of a cylinder. ``points`` are the
+    centres of BOXES relative to ``position``.
+    """
 
     name: str
     kind: Kind

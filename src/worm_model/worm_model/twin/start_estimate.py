@@ -2,9 +2,9 @@
 """Estimate of the fins' state at the beginning of a gait, from the positions during the first cycle.
 
 The twin uses this estimate if the state is unknown. A gait leaves the fins deflected and the modules off their grooves,
-which affects the first cycle of the next gait. The exact model follows each possible pose at rest under
-the measured length, or under the answer to the command. The estimate is the pose from which the predicted positions
-match the tracker's.
+which affects the first cycle of the next gait. The exact model computes the motion from each possible pose at rest,
+with the measured ΔL or the answer to the command. The estimate is the pose whose motion agrees best with the tracker's
+positions.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from worm_model.twin.core.memory import NANOSECONDS, Memory
 from worm_model.twin.samples import Kind
 
 FIT_M = 0.0012  # largest root mean square of the residuals at which a start explains the positions
-STEP_M = 0.001  # step between the tested offsets
-REACH = 1.0  # largest offset of the rear module from its groove, in pitches; its fin switches at about this offset
+STEP_M = 0.001  # step between the tested offsets of the rear module from its groove
+REACH = 1.0  # largest of these offsets, in pitches; the rear fin switches at about this offset
 SAME_M = 0.0002  # distance below which two poses count as one
 FEWEST = 20  # smallest number of positions in the cycle
 LEAST_RATE_HZ = 5.0  # smallest rate of measured lengths that can drive the twin
-REST_S = 1.0  # time after which a tested pose is at rest
+REST_S = 1.0  # time after which a robot that starts with a tested offset is at rest
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class EstimatedStart:
 def estimate_start(memory: Memory, parameters: Parameters, end_ns: int) -> EstimatedStart | None:
     """Return the start of the running gait, estimated from the samples since its onset.
 
-    ``parameters`` contain the run's L0. The motion is followed up to ``end_ns``. The result is None if the samples do
+    ``parameters`` contain the run's L0. The motion is computed up to ``end_ns``. The result is None if the samples do
     not suffice, or if no start explains the positions.
     """
     m = memory.record[0]

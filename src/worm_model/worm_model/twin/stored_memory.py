@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""JSON text of the twin's memory. A replay resumes from the memory in a recording, in the live twin's state.
+"""JSON text of the twin's memory. A replay that resumes from a recorded memory begins in the live twin's state.
 
 The text contains the core's record by field name, the measured lengths shortly before the stamp of the memory, the
 residuals of the running cycle and the history of the run. It is valid for one set of parameters and settings, which a
@@ -172,11 +172,11 @@ def read_memory(stamp_ns: int, text: str) -> StoredMemory | None:
 def memory_to_resume(
     memories: Sequence[StoredMemory], first: int | None, onsets: Sequence[int]
 ) -> StoredMemory | None:
-    """Return the memory from which to follow a recording, or None if no memory is usable.
+    """Return the memory from which a replay resumes, or None if no memory is usable.
 
-    It is the first memory that is not earlier than the first sample, because the recording then contains all samples
-    after the memory. If a gait of the recording begins before that memory, the last memory before the first sample is
-    used instead, provided that the robot was at rest.
+    The result is the first memory that is not earlier than the first sample, because the recording contains all samples
+    after this memory. If a gait of the recording begins before this memory, the result is the last memory before the
+    first sample instead, provided that the robot was at rest then.
 
     Args:
         memories: usable memories, in the order of their stamps.

@@ -51,7 +51,7 @@ class TwinSettings:
         86400.0,
         "held samples that are confirmed further ahead than this show a jump of the clock",
     )
-    # Shorter than the driver's period of 10 ms by more than its jitter, so that each of its commands yields a state.
+    # Shorter than the driver's period of 10 ms by more than the period's jitter, so that each command yields a state.
     output_period_s: float = _row(
         0.008, 0.0, 1.0, "shortest interval of published states and of estimated lengths"
     )

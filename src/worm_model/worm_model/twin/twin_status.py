@@ -17,7 +17,7 @@ from worm_model.twin.records import (
 )
 from worm_model.twin.twin import TwinState
 
-SAYS_S = 5.0  # age beyond which residuals do not determine the health
+SAYS_S = 5.0  # age of the last residual beyond which the health is UNKNOWN
 SILENT_S = 2.0  # time without input after which missing input is reported instead of the health
 
 
@@ -48,7 +48,7 @@ def _quiet_message(state: TwinState, health: Health) -> str:
 
 
 def report(state: TwinState, newest: Any, silent_s: float = 0.0) -> Report:
-    """Return the twin's health and the values behind it.
+    """Return the twin's health, and the values that explain it.
 
     Args:
         state: the state of the twin.

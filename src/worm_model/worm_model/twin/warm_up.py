@@ -28,7 +28,7 @@ from worm_model.twin.offline_replay import replay_run
 
 
 def main() -> None:
-    """Call the compiled functions of kernel and core once, so that they are compiled."""
+    """Call the functions of kernel and core once, which compiles them into the cache."""
     gait = Gait(0.07, 0.2)
     evaluate_gait(gait)
     evaluate_gaits([0.07, 0.08], 0.2)

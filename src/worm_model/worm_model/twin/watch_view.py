@@ -41,9 +41,9 @@ class Trend:
 
 @dataclass(frozen=True)
 class View:
-    """Latest values in SI units, NaN where none has arrived yet. Positions are in the tracker's frame.
+    """Latest values in SI units, NaN for a number that has not arrived yet. Positions are in the tracker's frame.
 
-    Pairs of positions are (x1, x2), pairs of grooves (rear, front).
+    Pairs of positions are (x1, x2), pairs of grooves (rear, front). ``silent`` contains the messages on silent sources.
     """
 
     activity: Activity | None = None
@@ -68,8 +68,7 @@ class View:
     def aged(self, ages: Mapping[str, float]) -> View:
         """Return the view without the robot's positions, measured power and health whose source is silent.
 
-        ``ages`` contains the time (s) since the last input of each of `SOURCES` that has had an input. ``silent`` of
-        the result lists the silent sources.
+        ``ages`` contains the time (s) since the last input of each of `SOURCES` that has had an input.
         """
         silent = [name for name in SOURCES if ages.get(name, 0.0) > STALE_S]
         view = self

@@ -47,7 +47,7 @@ from worm_optimizer.report.recordings import read_recorded_gaits
 from worm_optimizer.report.report_page import PAGE, Report, build_report
 from worm_optimizer.robot_commands import GaitCommand
 
-_GAITS = 3  # runs of a campaign without repeats and comparisons; the spread of more runs is drawn
+_GAITS = 3  # number of runs without repeats and comparisons; the spread is drawn only if there are more runs
 SPREAD_FIGURE = "spread.png"
 _MODES = ("virtual", "robot")
 _CONTINUE = "campaign: continue with --resume {}"
@@ -166,7 +166,7 @@ def _campaign(options: argparse.Namespace) -> int:
 
 
 def _plan(options: argparse.Namespace, conditions: Conditions) -> Plan:
-    """Return the plan of the validation: gaits of the exact front, and gaits to compare with."""
+    """Return the plan of the validation: the gaits of the exact front, and gaits with which they are compared."""
     content = load_parameter_file(options.parameters)
     settings = replace(chosen_settings(options), conditions=conditions)
     plan = make_plan(content, settings, options.direction)
@@ -177,7 +177,10 @@ def _plan(options: argparse.Namespace, conditions: Conditions) -> Plan:
 def _identify(
     options: argparse.Namespace, robot: Robot, folder: Path, work: Path, say: ProgressLog
 ) -> dict[str, Any]:
-    """Record the missing runs and identify, unless results exist. Return the results of `identify`, file and bags."""
+    """Record the missing runs, and identify the parameters unless the results exist.
+
+    Return the results of `identify`, the path of the parameter file and the paths of the bags.
+    """
     known = load_parameter_file(options.parameters)
     folder.mkdir(parents=True, exist_ok=True)
     orders = identification_runs.identification_orders(options.direction, known.parameters.pitch)
@@ -255,7 +258,7 @@ def _folder(options: argparse.Namespace) -> Path:
 
 
 def _promise(plan: Plan, folder: Path) -> None:
-    """Write the predictions of a new campaign. Raise `InputError` if those of a continued campaign differ."""
+    """Write the predictions of a new campaign. In a continued one, raise `InputError` if the written ones differ."""
     folder.mkdir(parents=True, exist_ok=True)
     if not (folder / PROMISES).exists():
         write_promises(plan, folder)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Command line: the largest loads and slopes of a robot's gaits, and cost of transport and speed over the load."""
+"""Command line: largest loads and slopes of a robot's gaits, and lowest cost of transport and highest speed by load."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ from worm_optimizer.search.front import make_front, task_of
 def _parser() -> Parser:
     parser = Parser(
         prog="capability",
-        description="Compute the largest load on the rear module and the largest slope up to which gaits move: a given "
-        "gait, the three gaits of the front, and the strongest gait. Also compute the lowest cost of transport and the "
-        "highest speed over the load and, with --tether-per-metre and without --tether-length, how many metres of "
-        "tether the robot can drag.",
+        description="Compute the largest load on the rear module and the largest slope for a given gait, the three "
+        "gaits of the front (min_power, cruise, max_speed) and the strongest gait (best), which moves with the largest "
+        "load. Also compute the lowest cost of transport and the highest speed as functions of the load. With "
+        "--tether-per-metre and without --tether-length, also compute how many metres of tether each gait can drag.",
     )
     parser.add_number("--stroke", "M", "stroke of the given gait in m")
     parser.add_number("--frequency", "HZ", "frequency of the given gait in Hz")
@@ -48,7 +48,7 @@ def _parser() -> Parser:
 def capability_json(
     found: dict[str, Capability], points: tuple[LoadPoint, ...], per_metre: float
 ) -> dict[str, Any]:
-    """Return capabilities for the machine-readable output.
+    """Return capabilities by name of the gait for the machine-readable output. The last one is the strongest gait.
 
     ``per_metre`` is the force of the tether in N/m; 0 without a tether.
     """

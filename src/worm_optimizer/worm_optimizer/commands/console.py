@@ -23,7 +23,9 @@ from worm_optimizer.operation.processes import counted_interrupts
 from worm_optimizer.operation.system import RESTARTS
 
 PORT = 8080
-CONTROL_TIMEOUT_S, MAX_CONTROL_TIMEOUT_S = 5.0, 600.0  # the driver accepts no longer lease
+CONTROL_TIMEOUT_S = 5.0  # default of --control-timeout
+# The driver lets no client keep control for longer without a request.
+MAX_CONTROL_TIMEOUT_S = 600.0
 
 
 def _parser() -> Parser:
@@ -170,7 +172,7 @@ def _secret(options: argparse.Namespace) -> str:
 
 
 def _check_control_timeout(timeout_s: float) -> None:
-    """Raise `InputError` if the timeout is longer than the driver permits, or so short that late messages exceed it."""
+    """Raise `InputError` if the timeout is longer than the driver permits, or so short that a message may exceed it."""
     if not 2.0 <= timeout_s <= MAX_CONTROL_TIMEOUT_S:
         raise InputError(
             f"--control-timeout {timeout_s:g}: give 2 to {MAX_CONTROL_TIMEOUT_S:g} seconds"

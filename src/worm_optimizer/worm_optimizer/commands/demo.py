@@ -63,7 +63,7 @@ def _parser() -> Parser:
 
 
 def _demo(options: argparse.Namespace) -> int:
-    load_parameter_file(options.parameters)  # raises errors in the file before anything starts
+    load_parameter_file(options.parameters)  # raises an error of the file before any node starts
     new = new_bag(options.bags, "demo")
     say = ProgressLog("demo")
     try:
@@ -109,7 +109,7 @@ def _title(prediction: Prediction) -> str:
     gait = prediction.gait
     return (
         f"stroke {1e3 * gait.stroke:.1f} mm, frequency {gait.frequency:.3f} Hz, "
-        f"robust by {1e3 * gait.margin:.1f} mm"
+        f"margin {1e3 * gait.margin:.1f} mm"
     )
 
 

@@ -38,7 +38,7 @@ from worm_optimizer.operation.recorded_run import new_bag, recorded
 from worm_optimizer.robot_commands import GaitCommand, RunProgress, RunResult
 from worm_optimizer.snapshot import Snapshot
 
-_PROGRESS_S = 2.0  # time between two lines of progress
+_PROGRESS_S = 2.0  # shortest time between two lines of progress within a cycle, s
 #: fields of the driver's state that `operate state` returns
 _STATE = (
     *("holding", "homed", "emergency_stop", "cycle", "cycles"),
@@ -67,7 +67,7 @@ def _parser() -> Parser:
             type=number,
             default=10.0,
             metavar="S",
-            help="timeout for the driver (default: 10)",
+            help="time to wait for a driver, s (default: 10)",
         )
         added.add_json()
         return added
@@ -98,7 +98,7 @@ def _parser() -> Parser:
         "emergency_stop",
         _emergency_stop,
         "on: hold immediately and reject every start, also after a restart of the driver; off: reset the emergency "
-        "stop, which the driver rejects while the latest message of a publisher on the topic emergency_stop is true.",
+        "stop. The driver rejects a reset while the latest message of a publisher on the topic emergency_stop is true.",
     )
     switch.add_argument("switch", choices=("on", "off"))
     _add_fault(add("fault", _fault, "Rehearse a fault on the virtual robot."))
@@ -148,7 +148,7 @@ def _operate(options: argparse.Namespace) -> int:
         raise InputError(f"--timeout {options.timeout:g}: give a positive time in s")
     action: Action = options.action
     if action is _run:
-        _ends(options, _own_gait(options) or Gait(0.05, 0.1))  # rejected before any request
+        _ends(options, _own_gait(options) or Gait(0.05, 0.1))  # raises errors before any request
     try:
         with operator(namespace, name=f"operate_{os.getpid()}") as node:
             node.wait_for_driver(options.timeout)
@@ -171,7 +171,7 @@ def _state(node: OperatorNode, options: argparse.Namespace) -> int:
 
 
 def _state_content(lifecycle: str, now: Snapshot) -> dict[str, Any]:
-    """Return the fields of the output; NaN, an empty text or 0 for values that were not received."""
+    """Return the fields of the output. A value that was not received is NaN, an empty text or 0."""
     assert now.driver is not None
     return {
         "lifecycle": lifecycle,
@@ -222,16 +222,16 @@ def _fault(node: OperatorNode, options: argparse.Namespace) -> int:
 def _run(node: OperatorNode, options: argparse.Namespace) -> int:
     say = ProgressLog("operate")
     conditions = _conditions(node, options, say)
-    order = _ends(options, _own_gait(options) or _requested(node, options, say))
+    command = _ends(options, _own_gait(options) or _requested(node, options, say))
     new = None if options.record is None else new_bag(options.record)
-    say(f"running {order}")
+    say(f"running {command}")
     recorder = (
         nullcontext()
         if new is None
         else recorded(node, new, options.parameters, conditions, str(os.getpid()))
     )
     with recorder as bag:
-        result = _attended(node, order, say)
+        result = _attended(node, command, say)
     content = {**asdict(result), "bag": None if bag is None else str(bag)}
     print_result(options, content, _result_text(result, bag))
     if not result.success:
@@ -240,9 +240,9 @@ def _run(node: OperatorNode, options: argparse.Namespace) -> int:
 
 
 def _conditions(node: OperatorNode, options: argparse.Namespace, say: ProgressLog) -> Conditions:
-    """Set the conditions of the options in twin and optimizer, and return the present conditions of the optimizer.
+    """Set the conditions that the options state in twin and optimizer, and return the conditions of the optimizer.
 
-    Without an optimizer, nothing is set, and the conditions of the options are returned.
+    Without an optimizer, set nothing and return the conditions of the options.
     """
     stated = {
         key: value
@@ -278,13 +278,13 @@ def _own_gait(options: argparse.Namespace) -> Gait | None:
 
 
 def _ends(options: argparse.Namespace, gait: Gait) -> GaitCommand:
-    """Return a gait with the ends of the options; without any end, with `CYCLES` cycles. Raises `InputError`."""
+    """Return a gait with the ends that the options state; without any, it ends after `CYCLES`. Raises `InputError`."""
     default = 0 if options.grooves or options.distance else CYCLES
     return GaitCommand(gait, options.cycles or default, options.grooves, options.distance)
 
 
 def _requested(node: OperatorNode, options: argparse.Namespace, say: ProgressLog) -> Gait:
-    """Request a gait of the optimizer's front, for the initial length according to the twin if there is one."""
+    """Request a gait from the optimizer, for the initial length in the twin's latest state if there is a twin."""
     request = request_of_options(options)
     twin = node.current_snapshot().twin
     length = 0.0 if twin is None else twin.initial_length
@@ -297,10 +297,10 @@ def _requested(node: OperatorNode, options: argparse.Namespace, say: ProgressLog
     return answer.gait
 
 
-def _attended(node: OperatorNode, order: GaitCommand, say: ProgressLog) -> RunResult:
+def _attended(node: OperatorNode, command: GaitCommand, say: ProgressLog) -> RunResult:
     """Run a gait to its end. Ctrl-C stops it at the next point of rest; a second Ctrl-C holds immediately."""
     with counted_interrupts() as interrupts:
-        run = node.begin(order)
+        run = node.begin(command)
         try:
             if not node.follow(run, _progress(say), lambda: interrupts() > 0):
                 run.cancel()

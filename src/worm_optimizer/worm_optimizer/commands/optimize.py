@@ -33,14 +33,14 @@ from worm_optimizer.search.search_settings import Waveform
 if TYPE_CHECKING:
     from worm_optimizer.search.nsga2 import Comparison
 
-# Fields that only the three gaits have.
+# Fields of `Prediction` that only the three gaits have; for the gaits of the front they are NaN.
 _FULL = {
     row.name
     for row in fields(Prediction)
     if isinstance(row.default, float) and math.isnan(row.default)
 }
 EXACT, NSGA2 = "exact", "nsga2"
-_POPULATION, _GENERATIONS = 100, 100
+_POPULATION, _GENERATIONS = 100, 100  # defaults of NSGA-II
 
 
 def _parser() -> Parser:

@@ -18,7 +18,7 @@ from worm_optimizer.search import search_settings
 from worm_optimizer.search.gait_request import GaitRequest, Objective
 
 _OBJECTIVES = (Objective.MIN_POWER, Objective.CRUISE, Objective.MAX_SPEED)
-# Placeholder of the value in the help, by the end of the parameter's name. Longer ends precede shorter ones.
+# Placeholder of an option's value in the help, by the ending of the node parameter's name. Longer endings come first.
 _VALUES = {
     "_m_per_s": "MPS",
     "_n_per_m": "N_PER_M",

@@ -23,7 +23,7 @@ from worm_optimizer.study.sensitivity import Sensitivity, sensitivity
 from worm_optimizer.study.sensitivity_figure import sensitivity_figure
 from worm_optimizer.study.sobol import index_text, warnings_of
 
-MOST_SAMPLES = 1 << 16
+MOST_SAMPLES = 1 << 16  # largest number of base samples
 
 
 def _parser() -> Parser:

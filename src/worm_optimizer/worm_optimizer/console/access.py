@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from urllib.parse import urlsplit
 
-SESSION_S = 12 * 3600.0  # length of a session
+SESSION_S = 12 * 3600.0  # duration of a session, s
 LOCAL = ("localhost", "127.0.0.1", "::1")
 # Sign-ins are locked while the latest _FAILURES wrong secrets are all younger than _FAILURES_S (s).
 _FAILURES, _FAILURES_S = 10, 60.0
@@ -36,7 +36,7 @@ class Access:
     """Rules of access and open sessions.
 
     Args:
-        secret: token or password. If it is empty, only users of this computer have access, all of them.
+        secret: token or password. If it is empty, all users of this computer have access, and no others.
         clock: returns the present time, s.
     """
 

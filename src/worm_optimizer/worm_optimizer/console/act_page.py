@@ -26,6 +26,7 @@ from worm_optimizer.search.gait_request import GaitRequest, Objective
 
 REFRESH_S = 0.25
 _RECORDED = "Every run is recorded."
+# Label, factor from the SI unit to the displayed unit, and displayed unit of each value of a gait
 _SHOWN = {
     "stroke": ("stroke", 1e3, "mm"),
     "frequency": ("frequency", 1.0, "Hz"),

@@ -23,9 +23,9 @@ from worm_optimizer.console.run_traces import RunTraces, traces_of
 from worm_optimizer.operation.processes import executable_command
 from worm_optimizer.report.report_page import PAGE, REPORT_SUFFIX, report_name
 
-_LONGEST = 200  # characters of a name that every file system accepts
+_LONGEST = 200  # number of characters to which names are cut; every file system accepts so many
 _IDENTIFIED = "identified_"  # prefix of the names of identified parameter files
-_DIGEST = 8  # characters of a digest in a name
+_DIGEST = 8  # number of characters of a digest in a name
 
 Row = dict[str, Any]
 
@@ -184,7 +184,7 @@ def _code_digest() -> bytes:
 async def _run(
     command: Sequence[str], *arguments: str, progress: Callable[[str], None] = lambda _: None
 ) -> str:
-    """Return the output of a process with low priority, so that the robot does not wait for it.
+    """Run a process with low priority, so that it does not delay the robot's nodes, and return its output.
 
     Args:
         command: the command.

@@ -13,8 +13,8 @@ from nicegui import events, ui
 from worm_model.analysis.plot_style import BLUE, GREEN, VERMILION
 from worm_optimizer.console.run_traces import RunTraces
 
-_CURSOR = "#c62828"
-# title, scale, and the traces with their colours
+_CURSOR = "#c62828"  # colour of the line at the time of the slider
+# title, factor from SI units to those of the title, and the traces with their colours
 _CHARTS: tuple[tuple[str, float, dict[str, str]], ...] = (
     (
         "length, mm",
@@ -24,10 +24,10 @@ _CHARTS: tuple[tuple[str, float, dict[str, str]], ...] = (
     ("power, W", 1.0, {"power": BLUE, "predicted": VERMILION}),
     ("position x1, mm", 1e3, {"x1": BLUE, "x1 of the twin": VERMILION}),
 )
-_HEIGHT, _GAP = 190, 70  # px, of a chart and between charts
+_HEIGHT, _GAP = 190, 70  # height of a chart and distance between two charts, px
 _DASHES = ("solid", "dashed")  # lines of the first and of the second run
 _SLIDER_STEP_S = 0.02
-_REDRAW_S = 0.05  # shortest time between two pictures
+_REDRAW_S = 0.05  # shortest time between two pictures, s
 
 
 class CloserLook:
@@ -54,8 +54,8 @@ class CloserLook:
                 js_handler="(event) => emit(event.target.value)",
             )
         ui.label(
-            "Drag in a chart to move it, turn the wheel to zoom, point at a line to read its values. "
-            f"Time counts from the onset. There is one value every {1e3 * _step_s(runs):.0f} ms."
+            "Drag in a chart to move it, turn the wheel to zoom, point at a chart to read all values at that moment. "
+            f"Times are since the onset. There is one value every {1e3 * _step_s(runs):.0f} ms."
         )
         self._chart = ui.echart(_options(runs), renderer="svg").classes("w-full chart")
         self._chart.props('role=img aria-label="Length, power and position over time"')

@@ -20,24 +20,27 @@ from worm_optimizer.console.view import History, is_live, sample
 from worm_optimizer.robustness.prediction import Prediction
 from worm_optimizer.snapshot import Snapshot
 
-_FRESH_S = 0.02  # time for which all pages share a snapshot
-_NOTICES = 50
+_FRESH_S = 0.02  # time for which all pages share a snapshot, s
+_NOTICES = 50  # largest number of stored messages
 
 
 @dataclass
 class ConsoleState:
-    """Shared state. Only the pages' thread uses it, except for ``notices``, to which the worker's threads append.
+    """Shared state, which the pages use in their thread.
+
+    Commands in the worker's command thread change ``fronts``, ``conditions``, ``parameters`` and ``parameter_file``.
+    Both threads of the worker append to ``notices``, too.
 
     Attributes:
         worker: threads that operate the robot.
-        control: which page has control.
+        control: requests of the pages for control, and which page has control.
         library: folder of recordings.
         parameters: parameters in use.
-        parameter_file: file of these parameters; empty: the paper's values.
+        parameter_file: path of the file with these parameters; empty: the paper's values.
         notices: messages, the newest last.
         fronts: gaits of the displayed front, by direction.
         conditions: conditions in the pipe that the optimizer assumes, as the console last read or set them.
-        history: values of the last minute.
+        history: values of the last minute, and grooves of each cycle of the present run.
     """
 
     worker: RobotWorker
@@ -107,7 +110,7 @@ class ConsoleState:
 
 
 def new_notices() -> deque[Notice]:
-    """Return an empty list of messages, which keeps the newest `_NOTICES`."""
+    """Return an empty list of messages, which stores only the newest `_NOTICES`."""
     return deque(maxlen=_NOTICES)
 
 

@@ -21,7 +21,7 @@ class _Page:
     last_message_s: float = -math.inf
     wants_control: bool = False
     has_control: bool = False
-    loss: str = ""  # reason of the latest loss of control or of the request
+    loss: str = ""  # reason why control, or the request for it, was lost last
 
 
 class ConsoleControl:
@@ -30,7 +30,8 @@ class ConsoleControl:
     Args:
         console: name of this console, which is unique among all consoles.
         clock: returns the present time, s.
-        send: sends the name of a client, its wish and the length of its lease (s) to the driver.
+        send: sends a client's name and wish to the driver, and the time (s) after which the driver ends the client's
+            control if the client does not renew its request.
         timeout_s: time without a message from a page after which the page loses control, s.
     """
 

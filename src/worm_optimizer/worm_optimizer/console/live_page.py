@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from nicegui import ui
@@ -28,10 +30,15 @@ _ROWS = (
 
 
 class LivePage:
-    """View of the robot, which is updated unless it is paused."""
+    """View of the robot. It is updated while its tab is shown, unless it is paused.
 
-    def __init__(self, state: ConsoleState) -> None:
-        self._state = state
+    Args:
+        state: shared state of the pages.
+        is_shown: returns True while the tab is shown.
+    """
+
+    def __init__(self, state: ConsoleState, is_shown: Callable[[], bool]) -> None:
+        self._state, self._is_shown = state, is_shown
         self._drawn = ""
         with ui.column().classes("w-full gap-2"):
             ui.html("Live", tag="h2", sanitize=False).classes("text-lg")
@@ -48,21 +55,24 @@ class LivePage:
                 with ui.column().style("flex: 1 1 18rem; min-width: 0"):
                     self._lengths = _chart("length, mm", _LENGTHS)
                     self._powers = _chart("power, W", _POWERS)
-        ui.timer(FRAME_S, self._draw)
-        ui.timer(REFRESH_S, self._refresh)
-        ui.timer(CHART_S, self._plot)
+        for period, update in (
+            (FRAME_S, self._draw),
+            (REFRESH_S, self._refresh),
+            (CHART_S, self._plot),
+        ):
+            ui.timer(period, partial(self._unless_paused, update))
+
+    def _unless_paused(self, update: Callable[[], None]) -> None:
+        if self._is_shown() and not self._pause.value:
+            update()
 
     def _draw(self) -> None:
-        if self._pause.value:
-            return
         drawn = self._state.picture()
         if drawn != self._drawn:
             self._drawn = drawn
             self._scene.set_content(drawn)
 
     def _refresh(self) -> None:
-        if self._pause.value:
-            return
         snapshot, now = self._state.snapshot(), time.monotonic()
         self._missing.set_text("; ".join(missing_sources(snapshot, now)))
         self._health.set_text(twin_text(snapshot, now))
@@ -70,8 +80,6 @@ class LivePage:
             self._cells[name].set_text(text)
 
     def _plot(self) -> None:
-        if self._pause.value:
-            return
         samples = list(self._state.history.samples)
         _fill(self._lengths, samples, _LENGTHS, 1e3)
         _fill(self._powers, samples, _POWERS, 1.0)

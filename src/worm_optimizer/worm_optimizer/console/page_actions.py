@@ -17,7 +17,7 @@ from worm_optimizer.robot_commands import GaitCommand
 from worm_optimizer.robustness.prediction import Prediction
 from worm_optimizer.search.gait_request import GaitRequest, Objective
 
-_GAITS = 32  # steps of speed between the gaits of the displayed front
+_GAITS = 32  # number of equal steps of speed into which the displayed front is divided
 
 _numbers: Iterator[int] = count(1)  # numbers in the names of recorders
 
@@ -62,7 +62,7 @@ def run(
 
     Args:
         node: the operator.
-        command: the gait and its end.
+        command: the gait, and the condition at which its run ends.
         folder: folder of the new bag.
         parameter_file: parameters to store in the bag; empty: the paper's values.
         cancellation: returns the reason why the run must end; empty if it may continue. As long as there is a reason,
@@ -70,8 +70,8 @@ def run(
         report: called with each line of progress.
 
     Raises:
-        OperatorError: The gait did not start, it failed, or a node does not answer. Also if the gait was cancelled, but
-            not if STOP ended it.
+        OperatorError: The gait did not start, failed or was cancelled, or a node does not answer. A run that STOP ended
+            raises no error.
         InputError: The bag cannot be created.
     """
     recorder = f"console_{os.getpid()}_{next(_numbers)}"

@@ -92,7 +92,7 @@ class ConsolePage:
             recordings, studied = ui.tab("Recordings"), ui.tab("Studies")
         with ui.tab_panels(tabs, value=live).classes("w-full"):
             with ui.tab_panel(live):
-                LivePage(state)
+                LivePage(state, lambda: tabs.value == "Live")
             with ui.tab_panel(act):
                 ActPage(state, self._why_not)
             with ui.tab_panel(recordings):

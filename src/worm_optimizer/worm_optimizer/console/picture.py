@@ -8,8 +8,8 @@ from worm_model.parameters import Parameters
 from worm_model.twin.records import StateRecord
 from worm_model.twin.scene import PIPE_RADIUS, Kind, PositionSample, Shape, scene
 
-BEFORE, BEHIND = 0.12, 0.12  # m of pipe shown before and behind the robot
-_WALL = 0.006  # m
+BEFORE, BEHIND = 0.12, 0.12  # length of the pipe that is shown ahead of and behind the robot, m
+_WALL = 0.006  # thickness of the drawn wall, m
 _VIEW_STEP = 0.05  # m; the view follows the robot in steps, so that the drawn pipe does not move all the time
 _NAMES = {"twin": "ghost", "robot": "robot", "pipe": "pipe", "rear": "fins", "front": "fins"}
 

@@ -19,9 +19,9 @@ from worm_optimizer.nodes.operator_node import OperatorNode
 from worm_optimizer.operation.bring_up import FAILURES, Check, Say
 from worm_optimizer.snapshot import Snapshot, Wish
 
-STOP_PRESSED = "STOP was pressed"  # cancellation of a command by a person
-_POLL_S = 1.0
-_JOIN_S = 0.1
+STOP_PRESSED = "STOP was pressed"  # reason of the cancellation of a command by a person
+_POLL_S = 1.0  # longest wait of a thread for a command or a request, s
+_JOIN_S = 0.1  # period of the checks while the console ends, s
 
 Command = Callable[[OperatorNode], str]
 
@@ -42,10 +42,10 @@ class RobotWorker:
     """Command thread and stop thread.
 
     Args:
-        open_robot: opens the operator node of the command thread. Its first argument is called with progress messages,
-            its second one repeatedly while it waits; both raise an exception to end the wait.
-        open_stop: opens the operator node of the stop thread. Its argument is called repeatedly while it waits, and
-            raises an exception to end the wait.
+        open_robot: opens the operator node of the command thread. It calls its first argument with progress messages
+            and its second argument repeatedly while it waits. Both may raise an exception to end the wait.
+        open_stop: opens the operator node of the stop thread. It calls its argument repeatedly while it waits. The
+            argument may raise an exception to end the wait.
         notify: called with each notice, from either thread.
 
     Attributes:

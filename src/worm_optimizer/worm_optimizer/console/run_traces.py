@@ -31,6 +31,7 @@ from worm_optimizer.console.picture import picture
 POINTS = 3000  # largest number of points of a trace
 SHORTEST_STEP_S = 0.01
 LATEST_S = 0.2  # a sample that is older than this plus a grid step has no effect, s
+# Fields of StateRecord that the picture needs
 _TWIN = ("rear_position", "front_position", "rear_anchor", "front_anchor")
 
 

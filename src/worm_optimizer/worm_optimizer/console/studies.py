@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Background work that takes minutes: searches of the optimizer, and identifications."""
+"""Background work that takes minutes, for the tab Studies: searches of the optimizer, and identifications.
+
+The studies of many robots or bags (`worm_optimizer.study`) have nothing to do with it.
+"""
 
 from __future__ import annotations
 
@@ -19,8 +22,10 @@ from worm_optimizer.robot_commands import FrontRequest, ScanRequest, SearchResul
 class Studies:
     """Searches and identifications, at most one of each at a time, which all pages share.
 
+    A search is a margin scan or the computation of a front.
+
     Attributes:
-        scan: latest margin scan, None before the first.
+        scan: result of the latest margin scan; None before the first.
         identifying: progress of the present identification; empty if there is none.
         identified: name of the parameter file of the latest identification; empty before the first.
         initial_file: parameter file at the start of the console; empty: the paper's values.
@@ -44,14 +49,14 @@ class Studies:
         return self._search_name
 
     def search(self, request: ScanRequest | FrontRequest) -> bool:
-        """Start a search. Return False, and do nothing, if another search or another command is under way."""
+        """Start a search. Return False, and do nothing, if another search or a command, such as a run, is under way."""
         scans = isinstance(request, ScanRequest)
 
         def begin(node: OperatorNode) -> str:
             if self._goal is not None:
                 self._goal.close()
             self._goal = node.search(request, self._store)
-            self._search_name = "margin scan" if scans else "optimisation"
+            self._search_name = "margin scan" if scans else "computation of the front"
             return f"the {self._search_name} has begun"
 
         return not self._search_name and self._state.worker.submit(

@@ -22,19 +22,19 @@ from worm_optimizer.robot_commands import FrontRequest, ScanRequest, SearchResul
 REFRESH_S = 0.5
 _KINDS = {
     "margin": "an enlarged threshold",
-    "chance": "a probability of the grooves",
-    "any_phase": "the grooves at every phase",
+    "chance": "a probability of gaining the grooves",
+    "any_phase": "gaining the grooves at every phase",
 }
 _WAVEFORMS = {"": "as the optimizer", "sinusoid": "the paper's", "shaped": "shaped"}
 _INITIAL = "those at the start of the console"
 
 
 class StudiesPage:
-    """Searches and parameters.
+    """Content of the tab Studies: margin scans, computation of fronts, identification and choice of the parameters.
 
     Args:
         state: shared state of the pages.
-        studies: searches and identifications, which all pages share.
+        studies: background work, which all pages share.
         why_not: returns the reason why this page may not command the robot; empty if it may.
         selected: returns the names of the bags that are selected in the tab Recordings.
     """
@@ -80,7 +80,8 @@ class StudiesPage:
             self._waveform = ui.select(_WAVEFORMS, value="", label="Waveform").classes("w-40")
             self._controlled.append(ui.button("Compute front", on_click=self._ask_front))
         ui.label(
-            "For empty fields, the optimizer uses its own values; for an empty margin, the margin at the cliff."
+            "For an empty field, the optimizer uses the value of its settings. Exceptions: From is then 0 mm, and the "
+            "margin is the last one of the scan before the cliff."
         )
         with ui.row().classes("items-center gap-2 w-full no-wrap"):
             self._search = ui.label().classes("line").props("role=status")

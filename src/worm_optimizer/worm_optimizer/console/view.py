@@ -84,7 +84,7 @@ def twin_text(snapshot: Snapshot, now: float) -> str:
 
 
 def obstacles(snapshot: Snapshot, hindrance: str) -> dict[str, str]:
-    """Return the reason why each action is impossible now; empty texts for possible actions.
+    """Return the reason why each action is impossible now, by action; the reason is empty for a possible action.
 
     Args:
         snapshot: latest state of the robot.
@@ -179,9 +179,10 @@ class History:
             self._count(self._run, snapshot.grooves)
 
     def _follow_driver(self, driver: DriverState, oldest_ns: int) -> None:
-        """Detect the begin and the end of a run.
+        """Detect the beginning and the end of a run.
 
-        If the run is already under way, the count begins with the first cycle that starts after ``oldest_ns``.
+        ``oldest_ns`` is the stamp of the oldest stored state of the twin. If a run is already under way, its count
+        begins with the first cycle that starts after this stamp.
         """
         run = self._run
         if driver.state in PLAYING and driver.onset_ns:

@@ -134,9 +134,10 @@ def peaks(
     limits: ActuatorLimits = NO_LIMITS,
     shape: Shapes = SINUSOID,
 ) -> Peaks:
-    """Return the peaks of gaits over a periodic cycle; NaN for a gait that the simulator cannot evaluate.
+    """Return the peaks of gaits over a cycle in the periodic state; NaN for gaits that the simulator cannot evaluate.
 
-    ``stroke`` in m and ``frequency`` in Hz have shape (n,). ``limits`` contain the ends of the motors' line.
+    ``stroke`` in m and ``frequency`` in Hz have shape (n,). Of ``limits``, only the ends of the motors' speed-torque
+    line are used.
     """
     shapes = np.broadcast_to(shape, np.shape(stroke))
     phases = sample_phases(shapes, _SAMPLES)
@@ -167,9 +168,10 @@ def describe_limit(
     parameters: Parameters,
     shape: Shapes = SINUSOID,
 ) -> str:
-    """Return a text with the limit that excludes all of the given gaits, and the least excess over it.
+    """Return an error text that names the limit because of which none of the given gaits is admissible.
 
-    ``stroke`` in m and ``frequency`` in Hz have shape (n,), n ≥ 1. None of the gaits satisfies all limits.
+    The text also contains by how much the least demanding gait exceeds this limit. If no single limit excludes all
+    gaits, the text names all limits. ``stroke`` in m and ``frequency`` in Hz have shape (n,), n ≥ 1.
     """
     peak = peaks(stroke, frequency, direction, parameters, limits, shape)
     speed = peak_rate(shape) * stroke * frequency

@@ -44,7 +44,7 @@ def peak_rate(shape: Shapes) -> Array:
 def pull_rate(shape: Shapes, phases: Array) -> Array:
     """Return the speed at which shapes (n,) wind up the cable, divided by stroke times frequency, shape (n, m).
 
-    ``phases`` (n, m) are times since the begin of the cycle, divided by its period. The speed is 0 while the body
+    ``phases`` (n, m) are times since the beginning of the cycle, divided by its period. The speed is 0 while the body
     extends.
     """
     share, ramp = shape["contraction_share"][:, np.newaxis], shape["ramp_share"][:, np.newaxis]
@@ -59,8 +59,9 @@ def sample_phases(shape: Shapes, count: int) -> Array:
     """Return the phases at which cycles of shapes (n,) are sampled, ascending, shape (n, count).
 
     ``count`` is even. Half of the phases lie in the contraction, half in the extension. In a trapezoid, each ramp has a
-    quarter of these, and the steady part has the rest. The ends of the ramps, where force and power are often extreme,
-    are among the phases, so that the sampled extremes are continuous functions of the shape.
+    quarter of the phases of its half, and the steady part has the other two quarters. The ends of the ramps, where
+    force and power are often extreme, are among the phases. The sampled extremes are therefore continuous functions of
+    the shape.
     """
     share, ramp = shape["contraction_share"][:, np.newaxis], shape["ramp_share"][:, np.newaxis]
     part = np.arange(count // 2) / (count // 2)

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-# Returns the labels (values of the step function) of strokes (n,) in m in columns (n,). Each column has its own step
-# function, for example because it is another frequency.
+# Returns the labels (values of the step function), shape (n,). Arguments: strokes in m, and indices of their columns,
+# (n,) each. Each column has its own step function, for example because each column has another frequency.
 Label = Callable[[Array, Index], Index]
 
 _PARTS = 8  # number of parts into which an interval with a step is divided first, to find narrow runs next to the step

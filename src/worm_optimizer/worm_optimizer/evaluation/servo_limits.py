@@ -18,7 +18,7 @@ from worm_optimizer.evaluation.actuator_limits import ActuatorLimits
 from worm_optimizer.evaluation.task import Bounds
 from worm_optimizer.optimizer_errors import OptimizerError
 
-_SHUNT_RANGE = 0.32  # V over the shunt of an INA219 at its widest (TI SBOS448, PGA = /8)
+_SHUNT_RANGE = 0.32  # largest shunt voltage that an INA219 measures, V (TI SBOS448, PGA = /8)
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,8 @@ class DriverFile:
     max_servo_load: Annotated[float, key("limits.max_servo_load", gt=0.0)] = 0.9
 
 
-# Former names in the driver's file. worm_msgs.parameter_rows contains them for the driver itself.
+# Present names of parameters by their former names in the driver's file. The driver itself uses the list in
+# worm_msgs.parameter_rows.
 DRIVER_RENAMED: Mapping[str, str] = {
     "ina219.max_current_A": "ina219.max_current_a",
     "limits.max_frequency_Hz": "limits.max_frequency_hz",
@@ -112,7 +113,7 @@ def _initial(value: Initial) -> int:
 
 
 def servo_model(name: str) -> ServoModel | None:
-    """Return the model of a name; None for an empty name.
+    """Return the servo model with a name, which may end with the bus (-T or -R); None for an empty name.
 
     Raises `OptimizerError`, with the known names, if the name is unknown.
     """
@@ -126,7 +127,10 @@ def servo_model(name: str) -> ServoModel | None:
 
 
 def load_driver_file(path: str | Path) -> DrivenBy:
-    """Return the limits in the driver's parameter file. Raises `OptimizerError`, with the path, if it is invalid."""
+    """Return the limits in the driver's parameter file. A former name of a parameter causes a FutureWarning.
+
+    Raises `OptimizerError`, with the path, if the file is invalid.
+    """
     from_file = _parameters_of_driver(read_yaml(Path(path), OptimizerError))
     if not from_file:
         raise OptimizerError(f"{path}: contains no ros__parameters of a node named driver")
@@ -159,8 +163,8 @@ def load_driver_file(path: str | Path) -> DrivenBy:
 def limits_of(driver: DrivenBy, model: ServoModel | None, voltage: float | None) -> ActuatorLimits:
     """Return the limits of a driver and its cable servos.
 
-    Without a model, only the driver's limits apply: that of the cable speed and, if the supply ``voltage`` (V) is
-    given, that of the power. With a model, a ``voltage`` of None means the nominal voltage of the model. Parallel
+    Without a model, only the driver's limits apply: the limit of the cable speed and, if the supply ``voltage`` (V) is
+    given, the limit of the power. With a model, a ``voltage`` of None means the nominal voltage of the model. Parallel
     cables share the force equally.
     """
     volts = voltage or (model.voltage if model else math.inf)

@@ -26,19 +26,21 @@ from worm_optimizer.optimizer_errors import OptimizerError
 
 Mask = NDArray[np.bool_]
 
-_TRANSIENT = 0.05  # largest shortfall of a cycle's advance from whole grooves that counts as transient, pitches
+# Largest amount, in pitches, by which the transient may reduce the advance of a cycle below a whole number of grooves
+_TRANSIENT = 0.05
 EDGE_TOLERANCE = 1e-8  # width of the bracket to which the edge of a branch is bisected, m
-# Distance of a gait from that bracket, m. On the exact edge, rounding on another processor could lose a groove. The
-# allowance costs less than a millionth of the power.
+# Length that is added to the stroke at the edge, m. With the exact stroke, rounding on another processor could lose a
+# groove. The addition costs less than a millionth of the power.
 EDGE_ALLOWANCE = 1e-8
 
 
 @dataclass(frozen=True)
 class Bounds:
-    """Box of gaits: p_min ≤ [S, f] ≤ p_max in the paper, below eq:moo_formulation; strokes in m, frequencies in Hz.
+    """Box of gaits, with strokes in m and frequencies in Hz.
 
-    The defaults are the paper's. Equal ends fix a value. Raises `OptimizerError` unless 0 < low ≤ high ≤ the maximum of
-    a gait, for strokes and frequencies.
+    In the paper, it is p_min ≤ [S, f] ≤ p_max in the text after eq:moo_formulation. The defaults are the paper's. If
+    both bounds of a quantity are equal, it is fixed. Raises `OptimizerError` unless 0 < low ≤ high ≤ the maximum of a
+    gait, for strokes and frequencies.
     """
 
     stroke_low: float = gait.STROKE_RANGE[0]
@@ -66,7 +68,7 @@ class Points:
     ``speed`` is along the gait's direction. ``count`` identifies the branch: the grooves gained in all averaged cycles
     together, or 0 if one of these cycles gains none. ``violation`` is the largest ratio of a quantity to its actuator
     limit, minus 1. It is 1 for a gait with count 0, and at most 0 for a moving gait that satisfies all limits. The
-    default of ``shape`` is the paper's.
+    default ``shape`` is the paper's sinusoid.
     """
 
     stroke: Array  # m
@@ -123,7 +125,7 @@ def gained_of(table: GaitTable) -> Index:
 
 @dataclass(frozen=True)
 class Edges:
-    """Lower edges of branches: ``points`` and, for each of them, the index of its ``column``, shape (n,)."""
+    """Lower edges of branches: ``points``, and the index of the ``column`` (frequency) of each of them, shape (n,)."""
 
     column: Index
     points: Points
@@ -137,15 +139,15 @@ class Task(Protocol):
         """Box of gaits."""
 
     def points(self, stroke: ArrayLike, frequency: ArrayLike, shape: Shapes = SINUSOID) -> Points:
-        """Evaluate gaits. ``stroke`` in m, ``frequency`` in Hz and ``shape`` have shape (n,)."""
+        """Return the evaluated gaits. ``stroke`` in m, ``frequency`` in Hz and ``shape`` have shape (n,)."""
 
     def edges(self, frequency: Array, strokes: Array, count: Index | None = None) -> Edges:
-        """Find the shortest admissible stroke of each branch at each frequency (column).
+        """Find the shortest admissible stroke of each branch at each frequency, here called a column.
 
         Args:
             frequency: frequency of each column in Hz, shape (m,).
-            strokes: rising strokes in m, shape (m, scan), which span the range to search within the box.
-            count: if given, only edges with this count are needed in each column, shape (m,).
+            strokes: rising strokes of each column in m, shape (m, scan). They span the range that is searched.
+            count: count (see `Points`) of the edge that is needed in each column, shape (m,). None finds all edges.
         """
 
 
@@ -231,7 +233,7 @@ class MarginTask:
         shape: Shapes = SINUSOID,
         margin: ArrayLike | None = None,
     ) -> Points:
-        """Evaluate gaits, see `Task`. ``margin`` in m replaces that of the task."""
+        """Return the evaluated gaits, see `Task`. ``margin`` in m replaces that of the task."""
         strokes, frequencies = np.asarray(stroke, dtype=float), np.asarray(frequency, dtype=float)
         shapes = np.broadcast_to(shape, strokes.shape)
         table = self.table(strokes, frequencies, margin, shape=shapes)
@@ -251,7 +253,10 @@ class MarginTask:
         count: Index | None = None,
         margin: Array | None = None,
     ) -> Edges:
-        """Find the lower edges of all branches by scan and bisection, see `Task`. ``margin`` in m has shape (m,)."""
+        """Find the lower edges of all branches by scan and bisection, see `Task`.
+
+        ``margin`` contains the margin of each column in m, shape (m,). None uses the margin of the task.
+        """
         margins = np.full(frequency.shape, self.margin) if margin is None else margin
         within = np.clip(strokes, self.bounds.stroke_low, self.bounds.stroke_high)
 
@@ -273,7 +278,7 @@ class MarginTask:
         return Edges(runs.column[is_edge], found.take(is_edge))
 
     def held_power(self, stroke: Array, frequency: Array, shape: Shapes) -> Array:
-        """Return the holding power of gaits (n,) in W."""
+        """Return the power (W) that the servos need in addition to hold the mean cable force, by gait, shape (n,)."""
         if not self.holding_power:
             return np.zeros(stroke.shape)
         peak = peaks(stroke, frequency, self.direction, self.parameters, shape=shape)

@@ -16,7 +16,7 @@ from unique_identifier_msgs.msg import UUID
 from worm_msgs.goal_rejections import REJECTIONS_QOS, rejections_topic
 from worm_msgs.msg import GoalRejection
 
-REASON_S = 2.0  # timeout for the reason of a rejection, s
+REASON_S = 2.0  # longest time from a rejection to the message with its reason, s
 
 
 class ActionGoal:
@@ -82,7 +82,7 @@ class ActionGoal:
         )
 
     def cancel(self) -> None:
-        """Cancel the goal. If it is not yet accepted, it is cancelled as soon as it is."""
+        """Cancel the goal. A goal that is not accepted yet is cancelled as soon as the server accepts it."""
         self._cancelled = True
         if self._handle is not None:
             self._handle.cancel_goal_async()

@@ -28,19 +28,19 @@ class GaitRun(ActionGoal):
     Args:
         node: the client's node.
         heartbeat: publisher of Heartbeat. It must exist before the run, so that the driver has discovered it.
-        order: the gait to run and its end.
+        command: the gait, and the condition at which its run ends.
         wanted: called before each heartbeat. If it returns False, no heartbeat is sent and the robot comes to rest.
 
     Attributes:
-        order: see above.
+        command: see above.
         progress: latest feedback of the run; None before the first feedback.
     """
 
     def __init__(
-        self, node: Node, heartbeat: Publisher, order: GaitCommand, wanted: Callable[[], bool]
+        self, node: Node, heartbeat: Publisher, command: GaitCommand, wanted: Callable[[], bool]
     ) -> None:
-        super().__init__(node, RunGait, "run_gait", _goal_of(order))
-        self.order = order
+        super().__init__(node, RunGait, "run_gait", _goal_of(command))
+        self.command = command
         self.progress: RunProgress | None = None
         self._heartbeat, self._wanted = heartbeat, wanted
         self._timer = node.create_timer(
@@ -57,8 +57,8 @@ class GaitRun(ActionGoal):
     def result(self) -> RunResult:
         """Result of a run that is done."""
         if self.rejected:
-            return value_of(RunResult, _no_result(self.rejection), gait=self.order.gait)
-        return value_of(RunResult, self._message(), gait=self.order.gait)
+            return value_of(RunResult, _no_result(self.rejection), gait=self.command.gait)
+        return value_of(RunResult, self._message(), gait=self.command.gait)
 
     def close(self) -> None:
         """Stop the heartbeats and free the client. A run that has not ended comes to rest."""
@@ -78,11 +78,11 @@ def _no_result(message: str) -> RunGait.Result:
     return RunGait.Result(message=message, **dict.fromkeys(names, math.nan))
 
 
-def _goal_of(order: GaitCommand) -> RunGait.Goal:
+def _goal_of(command: GaitCommand) -> RunGait.Goal:
     return RunGait.Goal(
-        gait=Gait(**asdict(order.gait)),
-        cycles=order.cycles,
-        grooves=order.grooves,
-        distance=order.distance,
+        gait=Gait(**asdict(command.gait)),
+        cycles=command.cycles,
+        grooves=command.grooves,
+        distance=command.distance,
         heartbeat=SILENCE_S,
     )

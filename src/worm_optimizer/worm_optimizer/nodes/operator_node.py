@@ -61,9 +61,9 @@ from worm_optimizer.search.gait_request import GaitRequest, Objective
 from worm_optimizer.snapshot import Snapshot, Wish
 
 DRIVER, TWIN, OPTIMIZER = "driver", "twin", "optimizer"  # names of the nodes in system.yaml
-SILENCE_S = 60.0  # timeout for feedback of a running gait
-REASON_S = 1.0  # timeout for the driver's log message about a failed transition
-TELEMETRY_S = 1.0  # timeout of `current_snapshot` for the topics of power, tracker and twin
+SILENCE_S = 60.0  # timeout for feedback of a running gait, s
+REASON_S = 1.0  # timeout for the driver's log message about a failed transition, s
+TELEMETRY_S = 1.0  # timeout of `current_snapshot` for power, tracker and twin, s
 ATTEMPTS = 2  # largest number of transitions to the state active, one from unconfigured and one from inactive
 _NEXT = {
     State.PRIMARY_STATE_UNCONFIGURED: Transition.TRANSITION_CONFIGURE,
@@ -298,7 +298,10 @@ class OperatorNode(ServiceCaller):
         return "holding; nothing starts before the emergency stop is reset"
 
     def request_control(self, client: str, wish: Wish, lease_s: float) -> None:
-        """Publish a client's wish to have, hand over or release control. `Snapshot.control` contains the answer."""
+        """Publish a client's wish to have, hand over or release control. `Snapshot.control` contains the answer.
+
+        ``lease_s`` is the time (s) after which the driver ends the client's control without a further request.
+        """
         self._control.publish(ControlRequest(client=client, wish=wish, lease_s=lease_s))
 
     def reset_emergency_stop(self) -> str:
@@ -359,26 +362,26 @@ class OperatorNode(ServiceCaller):
             raise UnreachableError(response.message)
         raise OperatorError(f"the optimizer has no gait: {response.message}")
 
-    def begin(self, order: GaitCommand, wanted: Callable[[], bool] = lambda: True) -> GaitRun:
+    def begin(self, command: GaitCommand, wanted: Callable[[], bool] = lambda: True) -> GaitRun:
         """Start a gait. The caller must close the returned handle.
 
-        This operator sends heartbeats while its node spins and ``wanted``, which is called before each, returns True.
-        Without heartbeats, the robot comes to rest.
+        This operator sends heartbeats while its node spins. Before each heartbeat it calls ``wanted``. If this returns
+        False, no heartbeat is sent. Without heartbeats, the robot comes to rest.
 
         Raises:
             OperatorError: There is no driver, there are several, or the driver does not answer.
         """
         self.graph.require_sole_driver()
-        return self._sent(GaitRun(self, self._heartbeat, order, wanted))
+        return self._sent(GaitRun(self, self._heartbeat, command, wanted))
 
     def search(
-        self, order: ScanRequest | FrontRequest, on_end: Callable[[SearchResult], None]
+        self, request: ScanRequest | FrontRequest, on_end: Callable[[SearchResult], None]
     ) -> SearchGoal:
-        """Start a margin scan or an optimisation. The caller must close the returned handle.
+        """Start a margin scan or the computation of a front. The caller must close the returned handle.
 
         ``on_end`` is called later with the result, while the node spins. Raises `OperatorError` without an optimizer.
         """
-        return self._sent(SearchGoal(self, order, on_end))
+        return self._sent(SearchGoal(self, request, on_end))
 
     def set_parameters(self, node: str, values: Mapping[str, str | float]) -> None:
         """Set parameters of a node atomically: if a value is rejected, none is set.
@@ -397,7 +400,8 @@ class OperatorNode(ServiceCaller):
         """Set parameters of twin and optimizer, such as their parameter file and the conditions in the pipe.
 
         Raises:
-            OperatorError: A node rejects a value or does not answer. The message states if the twin accepted them.
+            OperatorError: A node rejects a value or does not answer. The message states whether the twin has accepted
+                the values.
         """
         self.set_parameters(TWIN, values)
         try:
@@ -438,7 +442,7 @@ class OperatorNode(ServiceCaller):
                 progress(last)
         return run.done
 
-    def run(self, order: GaitCommand, progress: Progress) -> RunResult:
+    def run(self, command: GaitCommand, progress: Progress) -> RunResult:
         """Run a gait to its end and return its result.
 
         Raises:
@@ -446,7 +450,7 @@ class OperatorNode(ServiceCaller):
             OperatorError: There is no driver, there are several, or the driver does not answer.
         """
         before = self._runs
-        run = self.begin(order)
+        run = self.begin(command)
         try:
             self.follow(run, progress)
             result = run.result
@@ -460,10 +464,12 @@ class OperatorNode(ServiceCaller):
     # --- calls ---------------------------------------------------------------------------------
 
     def _sent(self, goal: _Goal) -> _Goal:
-        """Send a goal, and return it when it is accepted or rejected. Close the goal if this raises an exception."""
+        """Send a goal, and return it when the server has accepted or rejected it. On an exception, close the goal."""
         try:
             if not self.wait(lambda: goal.possible, DISCOVERY_TIMEOUT_S):
-                raise OperatorError(f"no action {goal.name}")
+                raise OperatorError(
+                    f"no server of the action {goal.name} within {DISCOVERY_TIMEOUT_S:g} s"
+                )
             goal.send()
             if not self.wait(lambda: goal.answered, CALL_TIMEOUT_S):
                 raise NoAnswerError(f"no answer from {goal.name} within {CALL_TIMEOUT_S:g} s")

@@ -64,7 +64,10 @@ def _no_prediction() -> GaitPrediction:
 
 
 def settings_of_goal(base: Settings, goal: OptimizeGaits.Goal) -> Settings:
-    """Return the settings of a goal, with the settings ``base`` of the node for values that the goal leaves empty or 0.
+    """Return the settings of the node (``base``), changed by a goal.
+
+    Seed and margin are always those of the goal. If it contains no margin (NaN, and a force of 0), the last margin of
+    the scan before the cliff is used. A waveform, robustness or probability that is empty or 0 keeps that of ``base``.
 
     Raises:
         OptimizerError: A value is inadmissible.
@@ -90,9 +93,9 @@ def direction_of(value: int) -> int:
 
 
 def scan_of_goal(base: Settings, goal: ScanMargin.Goal) -> Settings:
-    """Return the node's settings with the margins of a goal; ``highest`` and ``step`` of 0 keep those of the node.
+    """Return the settings of the node (``base``) with the margins of a goal.
 
-    Raises `OptimizerError` if the margins are inadmissible.
+    A ``highest`` or ``step`` of 0 keeps that of ``base``. Raises `OptimizerError` if the margins are inadmissible.
     """
     margins = ScanSettings(
         goal.lowest, goal.highest or base.scan.highest, goal.step or base.scan.step
@@ -101,7 +104,7 @@ def scan_of_goal(base: Settings, goal: ScanMargin.Goal) -> Settings:
 
 
 def optimize_result(front: RobustFront) -> OptimizeGaits.Result:
-    """Return the result message of an optimisation."""
+    """Return the result message of the computation of a front."""
     three = {name: prediction_message(gait) for name, gait in front.three.items()}
     return OptimizeGaits.Result(
         success=True,

@@ -32,7 +32,8 @@ from worm_optimizer.search.front import RobustFront, make_front, scanned_price
 from worm_optimizer.search.search_settings import SETTINGS, Settings, settings_of
 
 PARAMETER_FILE = "parameter_file"
-MOST_RESTING = 8  # largest number of stored fronts for other initial lengths
+# Largest number of stored fronts for initial lengths other than that of the parameters
+MOST_RESTING = 8
 _NAMES = {FORWARD: "forward", REVERSE: "reverse"}
 
 
@@ -97,9 +98,9 @@ class _RejectingServer(ActionServer):
 class OptimizerNode(Node):
     """Server of request_gait, optimize_gaits and scan_margin, which processes one request at a time.
 
-    Computing a front takes half a second, or some seconds with a success probability or shaped gaits. The forward front
-    is computed at the start, the reverse one at the first request that needs it. Fronts are stored until the settings,
-    the conditions or the parameter file change.
+    Computing a front takes half a second, or some seconds for shaped gaits or another criterion of robustness than the
+    margin. The forward front is computed at the start, the reverse front at the first request that needs it. Fronts are
+    stored until the settings, the conditions or the parameter file change.
 
     Raises:
         ParameterError, OptimizerError, OSError: A parameter of the node is invalid.
@@ -181,7 +182,11 @@ class OptimizerNode(Node):
         self._first.reset()
 
     def _under(self, changes: Mapping[str, Any]) -> Settings:
-        """Return the settings under changed conditions, see `CONDITION_PARAMETERS`. Raises `ConditionsError`."""
+        """Return the settings with changed conditions.
+
+        ``changes`` contains new values of node parameters by name, of which only the conditions are used. Raises
+        `ConditionsError` if they are inadmissible.
+        """
         conditions = {
             field: changes[name] for name, field in CONDITION_PARAMETERS.items() if name in changes
         }

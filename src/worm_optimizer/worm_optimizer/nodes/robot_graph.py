@@ -9,8 +9,9 @@ from collections.abc import Iterable
 from worm_msgs.claim import ANNOUNCED_S, DRIVER_SERVICE
 from worm_optimizer.nodes.service_caller import DISCOVERY_TIMEOUT_S, OperatorError, ServiceCaller
 
-NODES_TIMEOUT_S = 120.0  # timeout for all nodes; the first start of the twin compiles its kernel
-NODE_S = 5.0  # timeout for the discovery of a node that may be missing
+# Timeout of `wait_for_nodes`, s. At its first start, the twin compiles its kernel.
+NODES_TIMEOUT_S = 120.0
+NODE_S = 5.0  # timeout for the discovery of a node that may be missing, s
 
 
 class RobotGraph:
@@ -68,7 +69,7 @@ class RobotGraph:
 
         Args:
             name: name of the recorder's node.
-            excluded: regular expression of the topics that it does not record; empty: it records all.
+            excluded: regular expression of the topics that the recorder does not record; empty: it records all topics.
 
         Raises:
             OperatorError: The recorder did not subscribe in time. The message contains a missing topic.

@@ -31,9 +31,9 @@ from worm_optimizer.snapshot import Control, DriverState, Snapshot
 
 RESIDUALS = ("rear_position", "length", "power")
 _NEWEST = QoSProfile(depth=1)
-# Number of stored tracker messages, 2 s at 100 Hz. The twin lags behind the tracker by less than this.
+# Number of stored tracker messages, 2 s at 100 Hz. The twin lags behind the tracker by less than 2 s.
 _SIGHTINGS = 200
-_GROOVES = 400  # number of stored rear grooves of the twin, 4 s at 100 Hz
+_GROOVES = 400  # number of stored pairs of stamp and rear groove of the twin, 4 s at 100 Hz
 _LENGTHS = {
     LengthSource.COMMANDED: "body_length/commanded",
     LengthSource.CABLE: "body_length/cable",
@@ -68,7 +68,7 @@ class Telemetry:
         self._received: dict[str, tuple[float, Any]] = {}
         self._sightings: deque[Any] = deque(maxlen=_SIGHTINGS)
         self._grooves: deque[tuple[int, int]] = deque(maxlen=_GROOVES)
-        # receive time (s) and newest message that contains the residual
+        # for each residual, receive time (s) and content of the newest message that contains it
         self._residuals: dict[str, tuple[float, Any]] = {}
         self._subscribe(_LATCHED_TOPICS)
 
@@ -162,7 +162,10 @@ def _measured(residuals: Any) -> list[str]:
 
 
 def _residuals_of(message: Any, kept: Mapping[str, tuple[float, Any]]) -> ResidualRecord | None:
-    """Return the newest value of each residual; NaN if it was received more than `STALE_S` before the newest of all."""
+    """Return the newest value of each residual.
+
+    A residual is NaN if its newest value was received more than `STALE_S` before the newest value of all residuals.
+    """
     if message is None:
         return None
     newest = max((at for at, _ in kept.values()), default=0.0)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Client of one margin scan or optimisation of the optimizer node."""
+"""Client of one goal of the optimizer node: a margin scan or the computation of a front."""
 
 from __future__ import annotations
 
@@ -20,24 +20,27 @@ _LOOK_S = 0.25  # period of the checks for the result, s
 
 
 class SearchGoal(ActionGoal):
-    """Goal of a margin scan or an optimisation.
+    """Goal of a margin scan or of the computation of a front.
 
     Args:
         node: the client's node.
-        order: the requested search.
+        request: the margin scan or the front to compute.
         on_end: called once with the result, in the thread that spins the node.
     """
 
     def __init__(
-        self, node: Node, order: ScanRequest | FrontRequest, on_end: Callable[[SearchResult], None]
+        self,
+        node: Node,
+        request: ScanRequest | FrontRequest,
+        on_end: Callable[[SearchResult], None],
     ) -> None:
-        super().__init__(node, *_action_of(order))
+        super().__init__(node, *_action_of(request))
         self._on_end = on_end
         clock = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = node.create_timer(_LOOK_S, self._look, clock=clock)
 
     def close(self) -> None:
-        """Stop waiting for the result and free the client. The optimizer finishes a search that has begun."""
+        """Stop waiting for the result and free the client. The optimizer finishes a computation that has begun."""
         self._node.destroy_timer(self._timer)
         super().close()
 
@@ -55,10 +58,10 @@ class SearchGoal(ActionGoal):
         self._on_end(result)
 
 
-def _action_of(order: ScanRequest | FrontRequest) -> tuple[Any, str, Any]:
-    if isinstance(order, ScanRequest):
-        return ScanMargin, "scan_margin", ScanMargin.Goal(**asdict(order))
-    goal = OptimizeGaits.Goal(seed=Settings().seed, **asdict(order))
+def _action_of(request: ScanRequest | FrontRequest) -> tuple[Any, str, Any]:
+    if isinstance(request, ScanRequest):
+        return ScanMargin, "scan_margin", ScanMargin.Goal(**asdict(request))
+    goal = OptimizeGaits.Goal(seed=Settings().seed, **asdict(request))
     return OptimizeGaits, "optimize_gaits", goal
 
 

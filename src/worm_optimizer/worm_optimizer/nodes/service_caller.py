@@ -12,9 +12,9 @@ from rclpy.client import Client
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
-DISCOVERY_TIMEOUT_S = 30.0
-CALL_TIMEOUT_S = 30.0
-SPIN_S = 0.05  # longest wait for a callback between two calls of ``check``
+DISCOVERY_TIMEOUT_S = 30.0  # timeout for the discovery of a service, action or topic, s
+CALL_TIMEOUT_S = 30.0  # timeout for the answer to a request, s
+SPIN_S = 0.05  # longest wait for a callback between two calls of ``check``, s
 
 
 class OperatorError(RuntimeError):

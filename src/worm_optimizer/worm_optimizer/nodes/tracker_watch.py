@@ -11,8 +11,8 @@ from rclpy.node import Node
 
 from worm_msgs.msg import Tracker
 
-# Time without a position after which the tracker counts as lost, s of the robot's time. Markers are often hidden for a
-# moment.
+# Time without a position, in s of the robot's clock, after which the tracker counts as lost. Markers are often hidden
+# for a moment.
 SILENCE_S = 2.0
 LOOK_S = 0.25  # period of the checks, s
 

@@ -34,15 +34,14 @@ from worm_optimizer.operation.processes import (
 from worm_optimizer.operation.system import NodeDescription, System, SystemFile, load_system_file
 from worm_optimizer.robot_commands import GaitCommand, RunProgress, RunResult
 
-READY_TIMEOUT_S = 120.0  # timeout of a node's start, sufficient on a busy computer
+READY_TIMEOUT_S = 120.0  # timeout for the start of a node, s; sufficient on a busy computer
 CYCLES = 5  # default number of cycles of a run
-AFTERWARDS_S = 2.0  # rest at the end of a recording, in which the cable becomes slack again
+AFTERWARDS_S = 2.0  # rest at the end of a recording, s, during which the cable becomes slack again
 RECORDER = "recorder"  # name of the node in system.yaml
 BUSY = 1.5  # load average per processor above which the load may be the cause of a failure
-_TO_REST = (
-    "--to-rest"  # makes a recorder record until torque is released; not used for a single run
-)
-_EXCLUDE = "--exclude"
+# Option of a recorder: after an interrupt, record until torque is released. Removed if a single run is recorded.
+_TO_REST = "--to-rest"
+_EXCLUDE = "--exclude"  # option of a recorder, followed by a regular expression of topics
 FAILURES = (ProcessError, OperatorError, RecordingError)
 
 Say = Callable[[str], None]
@@ -51,7 +50,7 @@ Check = Callable[[], None]
 
 
 class ProgressLog:
-    """Log of the progress on standard error, with the time since its creation."""
+    """Log of the progress on standard error. Each line contains the time since the creation of the log."""
 
     def __init__(self, program: str) -> None:
         self._program = program
@@ -87,7 +86,14 @@ def installed_system_file() -> SystemFile:
 
 @dataclass(frozen=True)
 class Session:
-    """Running nodes and an operator node."""
+    """Running nodes and an operator node.
+
+    Attributes:
+        group: processes of the nodes.
+        node: the operator node, in the namespace of the system.
+        system: the nodes.
+        say: called with each line of progress.
+    """
 
     group: ProcessGroup
     node: OperatorNode
@@ -99,21 +105,21 @@ class Session:
         self.say("activating the driver")
         self.node.activate()
 
-    def run_gait(self, order: GaitCommand) -> RunResult:
+    def run_gait(self, command: GaitCommand) -> RunResult:
         """Run a gait. If it fails, report the reason and run it once more, from rest.
 
         Raises:
             OperatorError: The gait failed twice, or a node did not answer. After two failures, the message contains the
-                computer's load if this may be the cause.
+                computer's load if the load may be the cause.
         """
         try:
-            return self.node.run(order, once_per_cycle(self.say, order))
+            return self.node.run(command, once_per_cycle(self.say, command))
         except GaitFailedError as error:
             self.say(f"{error}{load(self.node.late_cycles)}: once more")
             self.node.deactivate()
             self.node.activate()
         try:
-            return self.node.run(order, once_per_cycle(self.say, order))
+            return self.node.run(command, once_per_cycle(self.say, command))
         except GaitFailedError as error:
             raise GaitFailedError(f"{error}, twice{load(self.node.late_cycles)}") from None
 
@@ -137,7 +143,8 @@ def session(
         system: the nodes.
         logs: folder of the log files.
         say: called with each line of progress.
-        restarts: number of restarts of each optional node that ends. After these, the session continues without it.
+        restarts: largest number of restarts of each optional node. After these, the session continues without the
+            node. If it is 0, an error of any node ends the session.
         check: called during waits; raises an exception to end the session.
 
     Raises:
@@ -284,14 +291,14 @@ def left_out(recorder: NodeDescription) -> str:
     return words[words.index(_EXCLUDE) + 1] if _EXCLUDE in words else ""
 
 
-def once_per_cycle(say: Say, order: GaitCommand) -> Callable[[RunProgress], None]:
-    """Return a callback that reports the progress of a run once per cycle."""
+def once_per_cycle(say: Say, command: GaitCommand) -> Callable[[RunProgress], None]:
+    """Return a callback that reports the progress of a run once per cycle, as one line."""
     reported = {0}
 
     def progress(now: RunProgress) -> None:
         if now.cycle not in reported:
             reported.add(now.cycle)
-            say(f"cycle {now.cycle} of {order.cycles}" if order.cycles else str(now))
+            say(f"cycle {now.cycle} of {command.cycles}" if command.cycles else str(now))
 
     return progress
 

@@ -24,12 +24,12 @@ from worm_optimizer.search.front import (
 )
 from worm_optimizer.search.search_settings import Settings, Waveform
 
-PROMISES = "promised.json"
+PROMISES = "promised.json"  # name of the file with the predictions of a campaign
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Predictions of the gaits, by name in the order of the runs, and the front from which they come."""
+    """Predictions of the gaits by name, in the order of the runs, and the front with its price of robustness."""
 
     gaits: Mapping[str, Prediction]
     optimisation: Optimisation
@@ -57,14 +57,15 @@ def make_plan(content: ParameterFile, settings: Settings, direction: int) -> Pla
 def with_comparisons(
     plan: Plan, content: ParameterFile, settings: Settings, direction: int, *, nominal: bool
 ) -> Plan:
-    """Return a plan in which comparable gaits follow each of its three gaits.
+    """Return a plan in which each of the three gaits is followed by gaits with which it is compared.
 
-    Under conditions other than level ground, these are the gaits designed for level ground. In a plan of shaped gaits,
-    they are the sinusoids. Both have the margin of the plan.
+    Under conditions other than level ground, it is followed by the corresponding gait designed for level ground. In a
+    plan of shaped gaits, it is followed by the corresponding sinusoid. Both have the margin of the plan.
 
     Args:
-        plan, content, settings, direction: see `make_plan`.
-        nominal: True to include the gaits that are best without a margin, too.
+        plan: plan with three gaits.
+        content, settings, direction: the arguments of `make_plan`.
+        nominal: True to include the gait that is best without a margin, too.
 
     Raises:
         OptimizerError: No gait moves on level ground, or no sinusoid moves.
@@ -88,7 +89,9 @@ def with_comparisons(
 
 
 def write_promises(plan: Plan, folder: Path) -> Path:
-    """Write the predictions to a new file and return its path. The file proves that they were not adapted to the runs.
+    """Write the predictions to a new file and return its path.
+
+    The file proves that the predictions were not adapted to the runs.
 
     Raises:
         FileExistsError: The folder already contains such a file.

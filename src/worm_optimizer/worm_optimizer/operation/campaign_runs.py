@@ -20,7 +20,8 @@ from worm_optimizer.robot_commands import GaitCommand
 #: Prepares a run. Arguments: session, and description of the run.
 Prepare = Callable[[Session, str], None]
 
-_UNUSED = {"optimizer", RECORDER}  # the front is known, and each gait has its own recorder
+# Nodes that a campaign does not start: the front is known, and each gait has its own recorder.
+_UNUSED = {"optimizer", RECORDER}
 _ELSEWHERE = "this run may have started at another position and with bent fins"
 _TRACKER = "tracker"
 _NO_TRACKER = "without it no speed can be measured: start the tracker in the robot's namespace"
@@ -80,14 +81,14 @@ def run_gaits(
 
     Args:
         robot: the robot.
-        orders: gaits to run, with their ends, by name.
+        orders: commands to run, by the name of the recording.
         folder: folder of the recordings.
         logs: folder of the log files.
         say: called with each line of progress.
         prepare: called before each gait; may raise.
 
     Raises:
-        ProcessError, OperatorError: A stage failed; the message names it.
+        ProcessError, OperatorError: A stage failed. The message contains the node or service, and the reason.
     """
     missing = {name: order for name, order in orders.items() if not is_recorded(folder / name)}
     for name in orders:
@@ -128,7 +129,7 @@ def is_recorded(bag: Path) -> bool:
 
 
 def put_aside(bag: Path, say: Say) -> None:
-    """Rename an existing bag or folder, so that nothing is lost and a new one can be created."""
+    """Rename a bag or folder if it exists, so that nothing is lost and a new one can be created under its name."""
     if not bag.exists():
         return
     number = 1

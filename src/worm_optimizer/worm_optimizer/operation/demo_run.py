@@ -80,7 +80,7 @@ class Comparison:
         measured: measurement of tracker and power sensor.
         twin: prediction of the twin from the recorded lengths.
         predicted: prediction of the optimizer before the run, without the margin.
-        robust: prediction of the optimizer before the run with the margin, which the search optimises.
+        robust: prediction of the optimizer before the run, with the margin; the search optimises this prediction.
     """
 
     window: Window
@@ -121,7 +121,7 @@ def relative_difference(value: float, reference: float) -> float:
 
 
 def comparison_table(measured: Performance, predictions: Mapping[str, Performance]) -> str:
-    """Return a text table of the measurement, and of each prediction with its relative difference.
+    """Return a text table of the measurement and the predictions, with their relative differences from the measurement.
 
     The units of the table are mm/s, W and percent.
     """

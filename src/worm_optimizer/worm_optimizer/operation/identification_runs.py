@@ -26,7 +26,7 @@ from worm_optimizer.operation.processes import ProcessError, ProcessGroup, execu
 from worm_optimizer.robot_commands import GaitCommand
 
 # Several frequencies are needed to separate damping and power factor (docs/model.md), several strokes to separate gain
-# and slack. Each of these gaits passes the ridges at any groove phase.
+# and slack. Each of these gaits passes the ridges (`RIDGES`) at any groove phase.
 GAITS = (
     Gait(0.07, 0.1),
     Gait(0.07, 0.2),
@@ -35,11 +35,14 @@ GAITS = (
     Gait(0.08, 0.25),
     Gait(0.09, 0.2),
 )
-# Distance of the end of a run from the last ridge, pitches, so that a single outlier does not end it at the ridge
+# A run ends at this distance beyond the last ridge, in pitches, so that a single outlier of the tracker does not end
+# the run too early.
 _BEYOND = 0.3
-# A gait that has not passed the ridges after so many cycles never does. The advice of `identify` has the same limit.
+# A gait that has not passed the ridges after this number of cycles never does. The advice of `identify` has the same
+# limit.
 _MOST_CYCLES = 12
 BENCH, BENCH_S = "bench_tests", 60.0  # folder of the bench tests, and their timeout (s)
+# Names of the results in the folder of a campaign: folder of the bags, parameter file, folder of the report, summary
 RUNS, PARAMETERS = "identification", "parameters.yaml"
 REPORT, SUMMARY = "identification_report", "identification.json"
 
@@ -93,7 +96,10 @@ def put_back(running: Session, text: str) -> None:
 
 
 def virtual_bench(robot: Robot, folder: Path, logs: Path) -> Bench:
-    """Return the bench tests of a virtual robot, which are run if their folder is missing. Raises `ProcessError`."""
+    """Return the files of the bench tests of a virtual robot. Simulate the tests if their folder is missing.
+
+    Raises `ProcessError` if the simulation fails.
+    """
     bench = folder / BENCH
     if not bench.exists():
         words = [str(bench)]

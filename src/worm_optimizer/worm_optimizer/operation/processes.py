@@ -17,7 +17,7 @@ from types import FrameType, TracebackType
 
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 
-POLL_PERIOD_S = 0.02
+POLL_PERIOD_S = 0.02  # period of the checks in `wait_for`, s
 GRACE_S = 30.0  # default time from an interrupt to a kill, s
 ENDING_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _LIBC = ctypes.CDLL(None, use_errno=True)
@@ -57,8 +57,8 @@ def wait_for(condition: Callable[[], bool], timeout_s: float) -> bool:
 class Process:
     """Process in its own session, with its output in a file.
 
-    After its end, the process remains a zombie until `release`. Until then, no other process or process group gets its
-    id, so that a signal to its group cannot reach another process.
+    After its end, the process remains a zombie until `release`. Until then, its id is not used again, so that a signal
+    to its group cannot reach another process.
 
     Attributes:
         name: name of the process.
@@ -260,7 +260,7 @@ class ProcessGroup:
         self.check()
 
     def stop(self) -> None:
-        """Interrupt the processes in reverse order, wait for each, and kill the remaining processes of their groups."""
+        """Interrupt the processes in the reverse order of their start and wait for each, then kill what is left."""
         try:
             for process in reversed(self.processes.values()):
                 if process.exit_code is None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Statistics of the repeats of a gait (scatter, and repeats that gained the predicted grooves), as table and figure."""
+"""Statistics of the repeats of a gait as table and figure: scatter, and repeats that gained the predicted grooves."""
 
 from __future__ import annotations
 
@@ -85,8 +85,11 @@ def spread(name: str, promise: Prediction, runs: Sequence[RecordedGait]) -> Spre
 
 
 def spread_table(spreads: Sequence[Spread]) -> str:
-    """Return a text table with the successful repeats of each gait, and mean ± standard deviation of each quantity."""
-    rows = [("gait", "promise kept", *(quantity.title for quantity in QUANTITIES.values()))]
+    """Return a text table with a row for each gait.
+
+    It contains the number of repeats that gained the predicted grooves, and mean ± standard deviation of each quantity.
+    """
+    rows = [("gait", "grooves as predicted", *(quantity.title for quantity in QUANTITIES.values()))]
     for row in spreads:
         kept = f"{row.kept} of {row.repeats} ({row.promised} a cycle)"
         cells = (
@@ -110,7 +113,7 @@ def draw_spread(path: Path, spreads: Sequence[Spread]) -> None:
     axes.set_xticks(
         range(len(spreads)),
         [
-            f"{title_of(row.name).replace(', ', chr(10))}\n{row.kept} of {row.repeats} kept"
+            f"{title_of(row.name).replace(', ', chr(10))}\n{row.kept} of {row.repeats} as predicted"
             for row in spreads
         ],
     )

@@ -19,9 +19,7 @@ Value = bool | int | float | str | list[bool] | list[int] | list[float] | list[s
 
 MODES = ("robot", "virtual", "replay")
 RESTARTS = 3  # largest number of restarts of an optional node
-ALSO_REQUIRED = (
-    "also_required"  # name of the setting that contains the names of further required nodes
-)
+ALSO_REQUIRED = "also_required"  # name of the setting that lists further required nodes
 
 
 class SystemFileError(ValueError):
@@ -36,12 +34,13 @@ class NodeDescription:
         name: name of the node.
         package, executable: ROS package and executable of the node.
         awaited: True if the following nodes start after this one has reported readiness (`worm_msgs.readiness`).
-        lifecycle: True for a lifecycle node, which is the driver. Its servos keep their torque when it crashes.
-        required: True if all nodes end when this one ends. Other nodes are restarted.
+        lifecycle: True for a lifecycle node. Only the driver is one. If the driver crashes, the servos keep their
+            torque.
+        required: True if all nodes end when this one ends. A node that is not required is restarted.
         end_timeout_s: time from an interrupt to a kill, s.
         arguments: command-line arguments.
         parameters: ROS parameters.
-        remappings: names of topics and services, by their original names.
+        remappings: new names of topics and services, by original name.
     """
 
     name: str
@@ -241,7 +240,7 @@ def conditions_of(settings: Mapping[str, str]) -> Conditions:
 def _parameters(
     parameters: Mapping[str, Value], values: Mapping[str, str | float]
 ) -> dict[str, Value]:
-    """Return the parameters with settings filled in. Empty ones are omitted, so that the node uses its default."""
+    """Return parameters with settings filled in. Empty parameters are omitted, so that the node uses its defaults."""
     filled = {key: _fill(value, values) for key, value in parameters.items()}
     return {key: value for key, value in filled.items() if value != ""}
 

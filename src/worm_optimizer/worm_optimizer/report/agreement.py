@@ -46,8 +46,8 @@ QUANTITIES = {
 # A relative difference of this size or more never counts as agreement. An interval that contains such differences shows
 # that the parameters are poorly known, not that the prediction is good.
 LEAST_DISAGREEMENT = 0.20
-# A measurement can contradict an expected number of grooves only if its probability is at least CERTAIN. Numbers with a
-# probability below POSSIBLE count as impossible.
+# A measurement can contradict the expected number of grooves only if the probability of this number is at least
+# CERTAIN. Numbers of grooves with a probability below POSSIBLE count as impossible.
 CERTAIN, POSSIBLE = 0.9, 0.05
 # Prefixes of the names of gaits that a campaign runs for comparison: designed without a margin, for level ground, and
 # with the paper's waveform.
@@ -92,12 +92,15 @@ class Grooves:
 
     @property
     def is_fragile(self) -> bool:
-        """True if the most probable number of grooves is not probable enough for a measurement to contradict it."""
+        """True if the probability of the expected (most probable) number of grooves is below CERTAIN."""
         return self.expected[0].probability < CERTAIN
 
     @property
     def agrees(self) -> bool | None:
-        """True if the expected grooves were measured, False if not; None if a fragile gait gained a possible number."""
+        """True if the expected number of grooves was measured, False if not.
+
+        None if the gait is fragile (`is_fragile`) and gained a possible number of grooves.
+        """
         tolerance = 0.5 / self.cycles
         if not self.is_fragile:
             return abs(self.measured - self.expected[0].grooves) < tolerance

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figure of a robot's capability: cost of transport and speed over the load, and the largest loads of its gaits."""
+"""Figure of a robot's capability: lowest cost of transport and highest speed by load, and largest loads of gaits."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from worm_optimizer.search.capability import Capability, LoadPoint
 
 
 def capability_figure(found: Mapping[str, Capability], points: Sequence[LoadPoint]) -> Figure:
-    """Draw the lowest cost of transport and the highest speed over the load, and the largest load of each gait."""
+    """Draw lowest cost of transport and highest speed as functions of the load, and the largest load of each gait."""
     figure = plot_style.new_figure(11.0, 4.2)
     curves, bars = figure.subplots(1, 2, width_ratios=(1.4, 1.0))
     loads = [point.load for point in points]

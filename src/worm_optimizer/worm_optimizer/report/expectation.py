@@ -23,10 +23,10 @@ from worm_model.simulation.simulator import (
 from worm_optimizer.robustness.uncertainty import phase_known, power_draws
 
 SAMPLES = 500  # number of draws of the parameters
-SEED = 1
+SEED = 1  # seed of these draws
 _STEADY = (CYCLES - AVERAGED + 1, CYCLES)  # first and last of the usual averaged cycles
 _TAIL = 2.5  # percentage of the draws beyond each end of a 95 % interval
-FEWEST_DRAWS = 10  # least number of draws for an interval
+FEWEST_DRAWS = 10  # least number of draws with the same grooves from which a band is computed
 
 
 @dataclass(frozen=True)
@@ -91,8 +91,8 @@ def expect(
         gait: gait; its margin affects only the robust prediction.
         content: parameters with their intervals.
         averaged: first and last averaged cycle, counted from 1. The first cycles differ from later ones, because the
-            fins are straight at the onset. If the last cycle is the fifth or a later one, the last three of five cycles
-            are predicted instead, because all later cycles are like the fifth.
+            fins are straight at the onset. If the last averaged cycle is the fifth or a later one, the last three of
+            five cycles are predicted instead, because all later cycles are like the fifth.
         measured_grooves: measured grooves per cycle over the averaged cycles; NaN if not measured.
     """
     first, last = averaged if averaged[1] < CYCLES else _STEADY

@@ -20,7 +20,7 @@ from worm_optimizer.robustness.prediction import Prediction
 from worm_optimizer.search.front import RobustFront
 from worm_optimizer.search.price_of_robustness import PriceOfRobustness
 
-_MAP_STROKES, _MAP_FREQUENCIES = 241, 161
+_MAP_STROKES, _MAP_FREQUENCIES = 241, 161  # size of the map of the grooves per cycle
 _COSTS = (25, 50, 100, 200)  # costs of transport for which a line is drawn over speed and power
 
 # The measured value usually lies within the expected interval, so a small filled marker is drawn in a large hollow one.

@@ -69,7 +69,7 @@ def add_identification(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="PATH",
-        help="parameter file or folder of the report that identify has written; may be given once for each of both",
+        help="parameter file that identify has written, or folder of its report; for both, give the option twice",
     )
     parser.add_argument(
         "--bellows", type=Path, metavar="CSV", help="bellows test: compression_m, force_N"
@@ -117,7 +117,7 @@ def _fit(
 
 
 def _read_folder(folders: Sequence[Path]) -> tuple[str, dict[str, bytes]]:
-    """Return text (HTML) and figures of a report of ``identify``, the figures in the order of `FIGURE_TITLES`."""
+    """Return text (HTML) and figures (PNG) by title of a report of ``identify``, in the order of `FIGURE_TITLES`."""
     if not folders:
         return "", {}
     folder = folders[0]
@@ -149,14 +149,14 @@ def _as_html(markdown: str) -> str:
 def comparable_with_paper(content: ParameterFile) -> list[str]:
     """Return the keys of the parameters that are comparable with the paper.
 
-    Parameters that were fitted with a form of the power other than the paper's are omitted.
+    Parameters that were fitted with a power model other than the paper's are omitted.
     """
     other = FITTED_WITH_FORM if content.parameters.one_sided_cable else ()
     return [key for key in KEYS if key not in other]
 
 
 def parameters_figure(content: ParameterFile) -> Figure:
-    """Draw the ratio of each identified parameter to the paper's value, unless that is 0 or not comparable."""
+    """Draw the ratio of each identified parameter to the paper's value, unless this value is 0 or not comparable."""
     values, paper = content.parameters.as_dict(), PAPER.as_dict()
     keys = [
         key for key in comparable_with_paper(content) if key in content.intervals and paper[key]

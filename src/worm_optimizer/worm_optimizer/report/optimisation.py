@@ -13,7 +13,7 @@ from worm_optimizer.search.front import RobustFront, make_front, reason_for, sca
 from worm_optimizer.search.price_of_robustness import PriceOfRobustness
 from worm_optimizer.search.search_settings import Settings
 
-_SAME_MARGIN = 1e-7  # m
+_SAME_MARGIN = 1e-7  # margins that differ by less count as equal, m
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,7 @@ class Optimisation:
     Attributes:
         front: robust front.
         price: price of robustness.
-        note: difference between the front and the gaits in margin or waveform, as text; empty without one.
+        note: difference between the front and the gaits in margin or waveform, as text; empty without a difference.
     """
 
     front: RobustFront
@@ -55,7 +55,7 @@ def sinusoid_of(gait: Gait) -> Gait:
 def optimise(gaits: Sequence[RecordedGait]) -> Optimisation:
     """Return front and price of robustness for gaits for which `why_no_front` returns an empty text.
 
-    The front has the margin of the gaits. If their margins differ, it has the margin before the cliff.
+    The front has the margin of the gaits. If their margins differ, it has the last margin of the scan before the cliff.
 
     Raises:
         OptimizerError: No gait moves.

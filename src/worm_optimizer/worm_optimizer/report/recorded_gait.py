@@ -33,7 +33,7 @@ class RecordedGait:
         replay: output of the twin for the part.
         judged: metrics of the replay.
         measured: mean of the averaged cycles, with the lowest and highest cycle as bounds.
-        twin: these means according to the twin, which is driven by the recorded lengths.
+        twin: the same means and bounds according to the twin, which is driven by the recorded lengths.
         expected: prediction for the averaged cycles, from the command alone.
         idle_power: power measured at rest, W.
         events: events of the part.

@@ -24,7 +24,7 @@ from worm_optimizer.report.recorded_gait import RecordedGait
 
 RIDGES = 5  # number of ridges that the paper's runs traverse
 _BEFORE = 1.0  # rest at the beginning and at the end of the figures, s
-_MODEL_SAMPLES = 2000
+_MODEL_SAMPLES = 2000  # number of samples of the predicted motion
 _MODEL = "model, from the command alone"
 
 

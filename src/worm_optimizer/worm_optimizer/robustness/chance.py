@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Gaits that keep their grooves with a given probability, and the margin equivalent to that probability.
+"""Gaits that keep their grooves with a given probability, and the largest margin that a gait tolerates.
 
-A gait's promise is the largest number of grooves per cycle that it keeps with the given probability. The paper enlarges
-the switching threshold to stay away from the edges of a branch. Here the edges follow from the uncertainty itself: the
-edge of a promise is the shortest stroke at which enough scenarios gain the grooves. The scenarios are the same at every
-stroke (common random numbers). If they cover all groove phases and the probability is 1, the gaits keep their grooves
-at any phase.
+A gait keeps a number of grooves in a scenario if it gains at least this number in every averaged cycle. Its promise is
+the largest number of grooves per cycle that it keeps with the given probability. The paper enlarges the switching
+threshold to stay away from the edges of a branch. Here the edges follow from the uncertainty itself: the edge of a
+promise is the shortest stroke with which the gait keeps the promise in enough scenarios. The scenarios are the same at
+every stroke (common random numbers). If they cover all groove phases and the probability is 1, the gaits keep their
+grooves at any phase.
 """
 
 from __future__ import annotations
@@ -35,9 +36,9 @@ from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.robustness.success_probability import grooves_in
 from worm_optimizer.robustness.uncertainty import Scenarios
 
-_MARGIN_STEP = 2.5e-4  # step of the scan for the margin that a gait tolerates, m
+_MARGIN_STEP = 2.5e-4  # step of the scan for the largest margin that a gait tolerates, m
 _MOST_MARGIN = 2e-2  # end of this scan, m
-_MARGIN_PASSES = 10  # bisections of this margin
+_MARGIN_PASSES = 10  # number of bisections of a step of this scan
 
 # Returns the grooves (n,) gained in the worst averaged cycle. Arguments: strokes in m, indices of gaits, and indices of
 # scenarios, (n,) each.
@@ -46,11 +47,11 @@ _Gained = Callable[[Array, Index, Index], Index]
 
 @dataclass(frozen=True)
 class PromiseTask:
-    """Task of eq:moo_formulation with P(n ≥ promised) ≥ ``probability`` over ``scenarios``.
+    """Task of eq:moo_formulation in which promises replace the grooves gained with an enlarged threshold.
 
-    A gait's promise is the largest number of grooves per cycle that it keeps with this probability. Its speed is
-    promise · d · f, and its power is that of the nominal robot. The margin of ``task``, usually 0, applies in all
-    scenarios. Raises `OptimizerError` unless 0 < probability ≤ 1.
+    A gait's promise is the largest number of grooves per cycle that it keeps in a share of at least ``probability`` of
+    the ``scenarios``. The speed of the gait is promise · d · f, and its power is that of the nominal robot. The margin
+    of ``task``, usually 0, applies in all scenarios. Raises `OptimizerError` unless 0 < probability ≤ 1.
     """
 
     task: MarginTask
@@ -67,7 +68,7 @@ class PromiseTask:
         return self.task.bounds
 
     def points(self, stroke: ArrayLike, frequency: ArrayLike, shape: Shapes = SINUSOID) -> Points:
-        """Evaluate gaits by the grooves that they promise, see `Task`."""
+        """Return gaits evaluated by their promises, see `Task`."""
         points = self.task.with_margin(0.0).points(stroke, frequency, shape)
         promise = self._promise(
             grooves_in(self.task, points.stroke, points.frequency, self.scenarios, points.shape)
@@ -85,10 +86,10 @@ class PromiseTask:
         )
 
     def edges(self, frequency: Array, strokes: Array, count: Index | None = None) -> Edges:
-        """Find the shortest strokes that keep each promise, see `Task`.
+        """Find the shortest stroke that keeps each promise at each frequency, see `Task`.
 
         The search assumes that a longer stroke never gains fewer grooves in a scenario. The gaits found are then
-        evaluated in all scenarios, and only those that keep their promise are returned.
+        evaluated in all scenarios, and only the gaits that keep their promise are returned.
         """
         low, high = (
             np.clip(strokes[:, end], self.bounds.stroke_low, self.bounds.stroke_high)
@@ -114,11 +115,12 @@ class PromiseTask:
 
     @property
     def _required(self) -> int:
-        """Number of scenarios that must keep a promise."""
+        """Number of scenarios in which a promise must be kept."""
         return len(self.scenarios) - self._spared
 
     @property
     def _spared(self) -> int:
+        """Largest number of scenarios in which a promise may fail."""
         spared = math.floor((1.0 - self.probability) * len(self.scenarios) + 1e-9)
         return min(spared, len(self.scenarios) - 1)
 
@@ -138,14 +140,16 @@ class PromiseTask:
 
 @dataclass
 class _Brackets:
-    """Brackets of the shortest strokes that keep promises. A stroke is evaluated only in scenarios that are undecided.
+    """Brackets of the shortest strokes that keep promises.
+
+    A stroke is evaluated only in the scenarios whose result does not follow from strokes that were evaluated before.
 
     Attributes:
         low, high: ends of the brackets in m, shape (n,).
         promise: grooves per cycle to be kept, shape (n,).
         fails: longest stroke in m that is known to fail the promise in a scenario, shape (n, scenarios).
         keeps: shortest stroke in m that is known to keep the promise in a scenario, shape (n, scenarios).
-        required: number of scenarios that must keep a promise.
+        required: number of scenarios in which a promise must be kept.
         stepped: True if the promise is not kept at the initial ``low``, shape (n,).
     """
 
@@ -161,7 +165,10 @@ class _Brackets:
     def between(
         low: Array, high: Array, promise: Index, at_low: Index, at_high: Index, required: int
     ) -> _Brackets:
-        """Return brackets from the grooves (n, scenarios) that are gained at both ends."""
+        """Return the initial brackets.
+
+        ``at_low`` and ``at_high`` are the grooves gained at their ends, shape (n, scenarios).
+        """
         keeps_low, keeps_high = (gained >= promise[:, np.newaxis] for gained in (at_low, at_high))
         columns = low[:, np.newaxis], high[:, np.newaxis]
         keeps = np.where(keeps_low, columns[0], np.where(keeps_high, columns[1], np.inf))
@@ -190,9 +197,10 @@ class _Brackets:
 
 
 def tolerated_margins(task: MarginTask, front: Points) -> Array:
-    """Return the largest margin in m, up to 20 mm, at which each gait of a front still gains its grooves, shape (n,).
+    """Return the largest margin in m at which each gait of a front still gains its grooves, shape (n,).
 
-    The result is 0 for a gait whose grooves the nominal robot does not gain.
+    Margins above 20 mm are not searched. The result is 0 for a gait with which the nominal robot does not gain its
+    grooves.
     """
     scanned = np.arange(0.0, min(_MOST_MARGIN, MAX_MARGIN), _MARGIN_STEP)
     strokes = np.repeat(front.stroke[:, np.newaxis], scanned.size, axis=1)

@@ -23,10 +23,19 @@ from worm_optimizer.robustness.uncertainty import phase_known, phase_unknown
 class Prediction(Gait):
     """Gait with the model's predictions for the last three of five cycles, in SI units.
 
-    ``speed`` (along the gait's direction), ``power``, ``cost_of_transport`` and ``grooves_per_cycle`` are predicted
-    with the gait's margin, and the nominal ones without it. All of these hold for the ``groove_phase``. The distances
-    to the edges of the nominal branch, and the probabilities that the robot gains the grooves predicted with the
-    margin, are NaN in an `outline`.
+    Attributes:
+        speed, power, cost_of_transport, grooves_per_cycle: prediction with the gait's margin; the speed is along the
+            gait's direction.
+        groove_phase: groove phase for which the predictions hold, m.
+        nominal_speed, nominal_power, nominal_cost_of_transport, nominal_grooves_per_cycle: prediction without the
+            margin.
+        stroke_to_lower_edge, stroke_to_upper_edge: decrease and increase of the stroke, m, at which the nominal branch
+            ends.
+        success_probability: probability that the robot gains the grooves predicted with the margin, if the groove phase
+            is known.
+        success_probability_any_phase: the same probability if the groove phase is uniformly distributed over a pitch.
+
+    The last four are NaN in an `outline`.
     """
 
     speed: float
@@ -56,20 +65,23 @@ def outline(
     margin: Array,
     shape: Shapes = SINUSOID,
 ) -> tuple[Prediction, ...]:
-    """Predict gaits with and without their margins, but no distances to edges and no probabilities.
+    """Predict gaits with and without their margins, but without distances to edges and success probabilities.
 
     ``stroke`` in m, ``frequency`` in Hz, ``margin`` in m and ``shape`` have shape (n,). The task defines the direction
     and the robot.
     """
     robust = task.table(stroke, frequency, margin, shape=shape)
     nominal = task.table(stroke, frequency, np.zeros_like(margin), shape=shape)
-    held = task.held_power(stroke, frequency, np.broadcast_to(shape, stroke.shape))
+    holding_power = task.held_power(stroke, frequency, np.broadcast_to(shape, stroke.shape))
     columns = {
         **robust.gait,
         "direction": np.full(stroke.shape, task.direction),
-        **_results(task, robust, held),
+        **_results(task, robust, holding_power),
         "groove_phase": np.full_like(stroke, groove_phase(task.parameters)),
-        **{f"nominal_{name}": values for name, values in _results(task, nominal, held).items()},
+        **{
+            f"nominal_{name}": values
+            for name, values in _results(task, nominal, holding_power).items()
+        },
     }
     rows = zip(*(np.asarray(values).tolist() for values in columns.values()), strict=True)
     return tuple(Prediction(**dict(zip(columns, row, strict=True))) for row in rows)
@@ -89,10 +101,12 @@ def predict(
 
     ``samples`` parameter sets are drawn with ``seed`` from the uncertainty in ``content``.
     """
-    promised = branch_of(task.table(stroke, frequency, margin, shape=shape))
+    robust_grooves = branch_of(task.table(stroke, frequency, margin, shape=shape))
     lower, upper = stroke_to_edges(task, stroke, frequency, shape)
     known, unknown = (
-        success_probability(task, stroke, frequency, promised, draw(content, samples, seed), shape)
+        success_probability(
+            task, stroke, frequency, robust_grooves, draw(content, samples, seed), shape
+        )
         for draw in (phase_known, phase_unknown)
     )
     more = zip(*(column.tolist() for column in (lower, upper, known, unknown)), strict=True)
@@ -110,9 +124,12 @@ def predict(
     )
 
 
-def _results(task: MarginTask, table: GaitTable, held: Array) -> dict[str, Array]:
-    """Return speed, power with the holding power ``held`` (W), cost of transport and grooves per cycle of a table."""
-    power = table.power + held
+def _results(task: MarginTask, table: GaitTable, holding_power: Array) -> dict[str, Array]:
+    """Return speed, power, cost of transport and grooves per cycle of a table.
+
+    The power includes ``holding_power`` (W), which the servos need in addition to hold the mean cable force.
+    """
+    power = table.power + holding_power
     return {
         "speed": table.speed,
         "power": power,

@@ -15,7 +15,7 @@ from worm_optimizer.evaluation.task import EDGE_TOLERANCE, Array, Index, MarginT
 from worm_optimizer.robustness.uncertainty import Scenarios
 
 _BATCH = 200_000  # largest number of gaits that are evaluated in one call, which bounds the memory
-_EDGE_STROKES = 41  # strokes of the scan for a gait's edges
+_EDGE_STROKES = 41  # number of strokes in the scan for the edges of a gait's branch
 
 
 def grooves_in(
@@ -45,23 +45,23 @@ def success_probability(
     task: MarginTask,
     stroke: ArrayLike,
     frequency: ArrayLike,
-    promised: ArrayLike,
+    required: ArrayLike,
     scenarios: Scenarios,
     shape: Shapes = SINUSOID,
 ) -> Array:
-    """Return the share of the scenarios in which the robot gains the promised grooves in every averaged cycle.
+    """Return the share of the scenarios in which each gait gains the required grooves in every averaged cycle.
 
-    The task's margin is ignored. ``promised`` (grooves per cycle), ``stroke`` in m, ``frequency`` in Hz and the result
+    The task's margin is ignored. ``required`` (grooves per cycle), ``stroke`` in m, ``frequency`` in Hz and the result
     have shape (n,).
     """
     gained = grooves_in(task.with_margin(0.0), stroke, frequency, scenarios, shape)
-    return np.mean(gained >= np.asarray(promised)[:, np.newaxis], axis=1)
+    return np.mean(gained >= np.asarray(required)[:, np.newaxis], axis=1)
 
 
 def stroke_to_edges(
     task: MarginTask, stroke: Array, frequency: Array, shape: Shapes = SINUSOID
 ) -> tuple[Array, Array]:
-    """Return by how much each stroke may decrease, and increase, before the grooves per cycle change, in m.
+    """Return by how much each stroke may decrease and increase before the grooves per cycle change, m, shape (n,) each.
 
     The task's margin and limits are ignored. If a branch reaches a bound of the box, the result is the distance to this
     bound. ``stroke`` in m and ``frequency`` in Hz have shape (n,).
@@ -77,7 +77,7 @@ def stroke_to_edges(
     strokes = np.column_stack([scan, stroke])
     runs = find_runs(label, np.sort(strokes, axis=1), EDGE_TOLERANCE)
     own = (runs.low <= stroke[runs.column]) & (stroke[runs.column] <= runs.high)
-    # Each stroke is part of its own scan, so that a run of its column contains it. If several do, use the first.
+    # Each stroke is part of its own scan, so that a run of its column contains it. If several runs do, use the first.
     place = np.flatnonzero(own)[np.unique(runs.column[own], return_index=True)[1]]
     lower = np.where(runs.stepped[place], runs.low[place], box.stroke_low)
     following = np.minimum(place + 1, len(runs.column) - 1)

@@ -29,15 +29,15 @@ MOTION_HALF_WIDTHS: Mapping[str, float] = {
     "gain": 0.02,
     "slack": 0.05,
 }
-# 95 % half-widths of parameters that affect only the power. A fit determines the product of damping and power factor
-# better than either factor. The interval of the power therefore depends on their correlation in the file.
+# The same for parameters that affect only the power. A fit determines the product of bellows damping and power factor
+# better than either factor. The uncertainty of the power therefore depends on the correlation of both in the file.
 POWER_HALF_WIDTHS: Mapping[str, float] = {
     "bellows_stiffness": 0.03,
     "bellows_damping": 0.10,
     "idle_power": 0.05,
     "power_factor": 0.05,
 }
-LENGTH = "initial_length"  # the groove phase is drawn instead
+LENGTH = "initial_length"  # is not drawn itself, but follows from the drawn pitch and groove phase
 # All parameters that are drawn. Those without a half-width above vary only if the file has an interval or a scatter.
 MOTION_KEYS = (
     *MOTION_HALF_WIDTHS,
@@ -46,10 +46,12 @@ MOTION_KEYS = (
 POWER_KEYS = (*POWER_HALF_WIDTHS, *(k for k in KEYS if k in POWER_ONLY - {*POWER_HALF_WIDTHS}))
 
 _PHASES = 64  # number of phases of `every_phase`
-# Streams of random numbers of the first parameter of MOTION_KEYS and of POWER_KEYS
+# Numbers of the streams of random numbers for the first parameter of MOTION_KEYS and of POWER_KEYS. The stream of each
+# further parameter has the next number.
 _MOTION_STREAM, _POWER_STREAM = 10, 1000
-_NORMAL_95 = 1.959963984540054  # standard deviations within which a normal variable lies in 95 %
-_MOST_DEVIATIONS = 4.0  # draws are limited to this, so that they stay in the admissible range
+_NORMAL_95 = 1.959963984540054  # half-width of the central 95 % of a normal distribution, standard deviations
+# Largest deviation of a draw, in standard deviations, so that draws stay admissible
+_MOST_DEVIATIONS = 4.0
 
 
 @dataclass(frozen=True)
@@ -63,10 +65,10 @@ class Scenarios:
 
 
 def reach_of(content: ParameterFile, key: str) -> tuple[float, float]:
-    """Return the 95 % reach below and above a value, in its unit.
+    """Return the 95 % reach of a parameter: how far its interval extends below and above its value, in its unit.
 
-    It is that of the file's interval. Without an interval it is the default half-width, or 0 for a parameter without
-    one. The scatter from run to run is added in quadrature.
+    If the file contains no interval, both are the default half-width, or 0 without a default. The scatter from run to
+    run is added in quadrature.
     """
     width = MOTION_HALF_WIDTHS.get(key, POWER_HALF_WIDTHS.get(key, 0.0))
     value = content.parameters.as_dict()[key]
@@ -98,9 +100,9 @@ def _parameters_described(content: ParameterFile) -> str:
 def phase_known(content: ParameterFile, samples: int, seed: int) -> Scenarios:
     """Return draws of the parameters near the file's groove phase φ.
 
-    The phase is drawn with the reach of the initial length in the next run (interval of the mean, and scatter from run
-    to run). Drawing the length instead would add 17 times the error of the pitch to the phase, because φ = L0 − n·d
-    with n = 17. Deviations are normal, with a separate width on each side.
+    The reach of the drawn phase is that of the initial length in the next run (interval of the mean, and scatter from
+    run to run). Drawing the length instead would add 17 times the error of the pitch to the phase, because
+    φ = L0 − n·d with n = 17 for the paper's robot. Deviations are normal, with a separate width on each side.
     """
     overrides = _draws(content, MOTION_KEYS, samples, seed, _MOTION_STREAM)
     trim = _offset(_deviates(samples, seed, stream=1), reach_of(content, LENGTH))
@@ -132,21 +134,21 @@ def phase_guard(parameters: Parameters) -> float:
     """Return the margin (m) with which gaits that keep their grooves at the phases of `every_phase` do so at any phase.
 
     In the slow limit, the travel c from threshold to threshold determines the grooves of a gait
-    (`worm_model.simulation.closed_form.switching_travel`). Compared with the nearest of these phases, another phase has
-    at most the effect of a c that is longer by the spacing of the phases.
+    (`worm_model.simulation.closed_form.switching_travel`). A phase between two phases of `every_phase` has at most the
+    effect of a c that is longer by their spacing. A margin δ_m makes c longer by δ_m·(1 + k_dis/k_eng).
     """
     spacing = parameters.pitch / _PHASES
     return spacing / (1.0 + parameters.disengaged_stiffness / parameters.engaged_stiffness)
 
 
 def _at_phase(parameters: Parameters, pitch: Array, phase: Array) -> dict[str, Array]:
-    """Return the initial length with a groove phase, which is first wrapped to half a pitch on both sides of 0."""
+    """Return the initial lengths (m) that result in groove phases (m). Phases are wrapped to ± half a pitch."""
     wrapped = phase - pitch * np.round(phase / pitch)
     return {"initial_length": front_groove(parameters) * pitch + wrapped}
 
 
 def _deviates(samples: int, seed: int, stream: int) -> Array:
-    """Return standard normal deviates, limited to `_MOST_DEVIATIONS`."""
+    """Return standard normal deviates (samples,), limited to ± `_MOST_DEVIATIONS`."""
     return _cut(np.random.default_rng([seed, stream]).standard_normal(samples))
 
 
@@ -175,7 +177,7 @@ def correlated(
 
 
 def _offset(deviate: Array, reach: tuple[float, float]) -> Array:
-    """Scale standard normal deviates (n,) to offsets from a value, in its unit, with a 95 % reach on each side."""
+    """Return standard normal deviates (n,) as offsets from a value, in its unit; ``reach`` as from `reach_of`."""
     below, above = reach
     share = _cut(deviate) / _NORMAL_95
     return np.where(share > 0.0, share * above, share * below)
@@ -196,14 +198,14 @@ def values_at(
         threshold, pitch, clearance = (
             drawn.get(key, values[key]) for key in ("switching_threshold", "pitch", "clearance")
         )
-        # `Parameters` requires this least threshold, because a fin that switches must not switch back.
+        # `Parameters` requires p_sw ≥ d/2, so that a fin that switches does not switch back, and p_sw > δ_c/2.
         least = np.maximum(0.5 * pitch, 0.5 * clearance) * 1.001
         drawn["switching_threshold"] = np.maximum(threshold, least)
     return drawn
 
 
 def _least(key: str, value: float) -> float:
-    """Return the lower limit of drawn values, which keeps a positive quantity positive."""
+    """Return the smallest admissible draw of a parameter with this value. A positive quantity stays positive."""
     lowest = float(ROWS[key]["low"])
     return 0.1 * value if lowest >= 0.0 else lowest
 
@@ -211,7 +213,7 @@ def _least(key: str, value: float) -> float:
 def _draws(
     content: ParameterFile, keys: Iterable[str], samples: int, seed: int, stream: int
 ) -> dict[str, Array]:
-    """Return draws of parameters from the reach of each key, with the correlations in the file."""
+    """Return ``samples`` draws of the parameters ``keys``, with their reaches and with the correlations in the file."""
     reach = {key: reach_of(content, key) for key in keys}
     independent = {
         key: _deviates(samples, seed, number) for number, key in enumerate(reach, stream)

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Search for robust gaits: exact fronts, NSGA-II, the margin scan and its cliff, and requests for single gaits."""
+"""Search for robust gaits: exact fronts, NSGA-II, the margin scan, requests for single gaits, and largest loads."""

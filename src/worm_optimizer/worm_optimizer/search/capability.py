@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Capability of a robot: the largest load and slope of its gaits, and its best gaits over the load."""
+"""Capability of a robot: largest load and slope of gaits, and lowest cost of transport and highest speed by load."""
 
 from __future__ import annotations
 
@@ -20,13 +20,14 @@ from worm_optimizer.search.exact import Resolution, Zoom, exact_front
 # Returns values of parameters by key for an array of loads or slopes. The result has the shape of this array.
 Overrides = Callable[[Array], Mapping[str, Array]]
 
-_SCAN = 65  # loads or slopes of the first scan of a gait
-_TOLERANCE = 1e-4  # of the bisection, relative to the range of the scan
-_STROKES, _FREQUENCIES = 41, 17  # first grid over the box in the search for the strongest gait
-_ZOOMS = 4
+_SCAN = 65  # number of loads or slopes in the first scan of a gait
+_TOLERANCE = 1e-4  # tolerance of the bisection, relative to the range of the scan
+# Size of the first grid over the box in the search for the strongest gait
+_STROKES, _FREQUENCIES = 41, 17
+_ZOOMS = 4  # number of finer grids around the strongest gait found so far
 _CURVE = 13  # number of loads in `curve`
-_RESOLUTION, _ZOOM = Resolution(strokes=21, frequencies=17), Zoom(points=9, rounds=5)
-_STEEPEST = 90.0  # degrees
+_RESOLUTION, _ZOOM = Resolution(strokes=21, frequencies=17), Zoom(points=9, rounds=5)  # of `curve`
+_STEEPEST = 90.0  # largest slope that is searched, degrees
 
 
 @dataclass(frozen=True)
@@ -37,9 +38,11 @@ class Capability:
         gait: gait, with margin 0.
         largest_load: largest load on the rear module with which the gait gains a groove in every averaged cycle, N; 0
             for a gait that does not move.
-        largest_slope_deg: largest slope with which it does so, degrees; 0 for a gait that does not move.
-        full_load: largest load on the rear module with which the gait gains as many grooves as without it, N.
-        closed_form_largest_load: ``largest_load`` in the slow limit, N; NaN for a gait that does not move there.
+        largest_slope_deg: largest slope on which the gait gains a groove in every averaged cycle, degrees; 0 for a gait
+            that does not move.
+        full_load: largest load on the rear module with which the gait gains as many grooves as without this load, N.
+        closed_form_largest_load: ``largest_load`` in the slow limit, N; NaN for a gait that does not move in the slow
+            limit.
     """
 
     gait: Gait
@@ -79,7 +82,7 @@ def slopes(task: MarginTask) -> Overrides:
 
 
 def most_load(task: MarginTask) -> float:
-    """Return a load in N with which no gait moves, because it pushes both engaged fins to their thresholds at rest."""
+    """Return a load in N with which no gait moves: it deflects both engaged fins to their thresholds even at rest."""
     p = task.parameters
     carried = 2.0 * p.engaged_stiffness * p.switching_threshold
     return (
@@ -96,13 +99,14 @@ def largest(
 ) -> Array:
     """Return the largest load or slope (n,) up to which each gait gains ``least_grooves`` in every averaged cycle.
 
-    The result is 0 for a gait that fails at 0, and ``most`` for a gait that never fails.
+    The result is 0 for a gait that does not gain them without load or slope, and ``most`` for a gait that gains them up
+    to the end of the searched range.
 
     Args:
         task: robot and margin.
         gaits: stroke in m, frequency in Hz, and shape, (n,) each.
         overrides: returns the parameters under loads or slopes.
-        most: end of the searched range, which begins at 0.
+        most: end of the searched range, which begins at 0, in N or degrees.
         least_grooves: required grooves of each gait in every averaged cycle, (n,).
     """
     stroke, frequency = (column[:, np.newaxis] for column in gaits[:2])
@@ -125,7 +129,7 @@ def largest(
 
 
 def capabilities(task: MarginTask, gaits: Sequence[Gait]) -> tuple[Capability, ...]:
-    """Return the capabilities of gaits, computed without margins and in addition to the loads of the task's robot."""
+    """Return the capability of each gait, computed without a margin."""
     robot = task.with_margin(0.0)
     shape = shapes_of(len(gaits))
     for name in shape.dtype.names or ():
@@ -152,7 +156,10 @@ def capabilities(task: MarginTask, gaits: Sequence[Gait]) -> tuple[Capability, .
 
 
 def strongest(task: MarginTask) -> Gait | None:
-    """Return the sinusoid of the task's box that moves with the largest load; None if no gait moves without load."""
+    """Return the sinusoid within the box that moves with the largest load; None if no gait moves without a load.
+
+    The margin of the task is ignored.
+    """
     robot, box = task.with_margin(0.0), task.bounds
     low = np.array([box.stroke_low, box.frequency_low])
     high = np.array([box.stroke_high, box.frequency_high])
@@ -181,7 +188,10 @@ def strongest(task: MarginTask) -> Gait | None:
 
 
 def curve(task: MarginTask, most: float) -> tuple[LoadPoint, ...]:
-    """Return the lowest cost of transport and the highest speed at loads in N on the rear module, up to ``most``."""
+    """Return the lowest cost of transport and the highest speed at evenly spaced loads on the rear module.
+
+    The loads range from 0 to ``most`` (N). The gaits have the margin of the task.
+    """
     points = []
     for load in np.linspace(0.0, most, _CURVE).tolist():
         changed = {

@@ -34,22 +34,22 @@ from worm_optimizer.evaluation.task import (
 )
 from worm_optimizer.optimizer_errors import OptimizerError
 
-# Accuracies in m of successive rounds. Each round locates both borders, because the location of one depends on the
-# other. If longer ramps replace the pretension, the borders meet at a small angle. Each round must then be only a
-# little finer than the one before.
+# Accuracies in m of successive rounds. Each round locates both borders, because the location of each depends on that of
+# the other. If longer ramps replace the pretension, the borders meet at a small angle. The accuracy must then not
+# change too much from one round to the next.
 COARSE = (8e-4, 1e-4, 1.25e-5, 1.6e-6)
 FINE = (*COARSE, EDGE_TOLERANCE)
 _WINDOW = (
     3.0  # size of the window in which a border is located again, relative to the previous accuracy
 )
 _RAMP_PER_METRE = 30.0  # change of the ramp share that counts like 1 m of pretension
-_REACHES = (
-    16  # number of equal steps within one pitch below the longest reach at which a gait is tried
-)
-_PRETENSIONS = 4  # tried pretensions from the least one on, a quarter of the pitch apart
-# Tried longer ramps at the least pretension: 0 is the given ramp share, 1 the longest one.
+# A gait is tried at the longest reach and at shorter ones, down to one pitch less, in this number of equal steps.
+_REACHES = 16
+_PRETENSIONS = 4  # number of pretensions that are tried, in steps of a quarter of the pitch
+# Longer ramps that are tried at the least pretension, from 0 (the given ramp share) to 1 (the longest ramps)
 _RAMP_PARTS = (1.0, 0.925)
-# Number of steps of the reach for these ramps. Near the end of a branch, only a narrow range of reaches suffices.
+# Number of steps of the reach with these ramps. Near the end of a branch, a gait gains the grooves only in a narrow
+# range of reaches.
 _REACHES_OF_RAMPS = 48
 
 
@@ -175,7 +175,7 @@ class _Problem:
 
     @cached_property
     def loosest(self) -> Array:
-        """Tightness (n,) with the longest ramps; 0 for a cosine, which has none."""
+        """Tightness (n,) with the longest ramps; 0 for a cosine, which has no ramps."""
         longest = self.bounds.ramp_share[1]
         return np.where(self.columns.has_ramps, self.shares[:, 1] - longest, 0.0) / _RAMP_PER_METRE
 
@@ -202,7 +202,10 @@ class _Problem:
         return self.gained(rows, tightness, reach) >= self.columns.count[rows]
 
     def started(self) -> tuple[Mask, Array, Array]:
-        """Find a gait of each row that gains its grooves: return a mask of success, tightness and reach, (n,) each."""
+        """Find a gait of each row that gains its grooves.
+
+        Return a mask that is True for rows with such a gait, and the tightness and reach of the gaits, (n,) each.
+        """
         size = self.columns.count.size
         found, tightness = np.zeros(size, dtype=bool), np.zeros(size)
         reach = np.full(size, self.task.bounds.stroke_high)
@@ -248,10 +251,10 @@ class _Problem:
 
 
 def _places(task: MarginTask, bounds: ShapeBounds) -> list[Array]:
-    """Return groups of places (n, 3) at which a gait is tried, in order.
+    """Return groups of places (n, 3) at which a gait is tried, in the order of the trials.
 
-    A place is (position in the range of longer ramps, 0 to 1; pretension minus the least one, m; reach, m). For most
-    gaits, the first place suffices.
+    A place is (lengthening of the ramps, from 0 to 1 as in `_RAMP_PARTS`; pretension minus the least pretension, m;
+    reach, m). For most gaits, the first place suffices.
     """
     places = [(0.0, *start) for start in _starts(task, bounds)]
     longer = [
@@ -264,10 +267,10 @@ def _places(task: MarginTask, bounds: ShapeBounds) -> list[Array]:
 
 
 def _starts(task: MarginTask, bounds: ShapeBounds) -> list[tuple[float, float]]:
-    """Return the pairs (pretension minus the least one, reach) in m at which a gait is tried.
+    """Return the pairs (pretension minus the least pretension, reach) in m at which a gait is tried.
 
-    Pretensions rise from the least one, and reaches fall from the longest one: near the highest frequency or largest
-    margin of a branch, a long stroke loses the grooves.
+    Pretensions rise from the least one, and reaches fall from the longest one. Shorter reaches are needed because near
+    the highest frequency or largest margin of a branch, a long stroke loses the grooves.
     """
     low, high = bounds.pretension
     above = np.arange(_PRETENSIONS) * task.parameters.pitch / _PRETENSIONS
@@ -279,7 +282,7 @@ def _starts(task: MarginTask, bounds: ShapeBounds) -> list[tuple[float, float]]:
 
 
 def _reaches(task: MarginTask, pretension: float, parts: int) -> list[float]:
-    """Return reaches in m that fall from the longest one by one pitch, in ``parts`` equal steps."""
+    """Return reaches in m, from the longest one down to one pitch less, in ``parts`` equal steps."""
     reaches = task.bounds.stroke_high - np.arange(parts + 1) * task.parameters.pitch / parts
     return [float(reach) for reach in reaches if reach >= pretension + task.bounds.stroke_low]
 
@@ -287,7 +290,7 @@ def _reaches(task: MarginTask, pretension: float, parts: int) -> list[float]:
 def _bisected(
     keeps: Callable[[Index, Array], Mask], good: Array, bad: Array, width: float
 ) -> Array:
-    """Bisect between ``good`` and ``bad`` values (n,) to a distance of at most ``width``. Return the last good values.
+    """Bisect between ``good`` and ``bad`` values (n,) until they differ by at most ``width``. Return the good values.
 
     ``keeps`` returns True for good values. Its arguments are indices (m,) and values (m,).
     """

@@ -35,13 +35,13 @@ Cost = Callable[[Points], Array]
 # (n, scan) in m between which the edges are searched. The result may also contain edges with other counts.
 FindEdges = Callable[[Index, Index, Array, Array], Edges]
 
-# A local minimum over the columns is followed if it exceeds the lowest one by at most this share. Between the columns,
-# it may be lower than the lowest one.
+# A local minimum over the columns is refined if it exceeds the lowest one by at most this share. After the refinement,
+# which includes frequencies between the columns, it may be the lowest. `_rivals` uses the same share for the power.
 _NEAR_BEST = 0.02
 _FASTER = 1e-12  # `_rivals` searches other branches for a cheaper gait at a speed that is higher by this share
 _WINDOW_SCAN = 5  # number of strokes that are evaluated in the window around an edge
-_LEAST_WINDOW = 1e-6  # m
-_LONGER = 4  # longer strokes at which the rise of the power is verified
+_LEAST_WINDOW = 1e-6  # least extension of a window beyond the known strokes of an edge, m
+_LONGER = 4  # number of longer strokes per gait at which the rise of the power is verified
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class Resolution:
 
 @dataclass(frozen=True)
 class Zoom:
-    """Refinement of a minimum. Each of ``rounds`` evaluates ``points`` of a bracket and narrows it around the best."""
+    """Refinement of a minimum: each of ``rounds`` evaluates ``points`` frequencies of a bracket, then narrows it."""
 
     points: int = 17
     rounds: int = 6
@@ -111,8 +111,8 @@ def _completed(task: Task, surveyed: Survey, step: float) -> Survey:
     """Return the survey with the edges that the scan missed because a branch is narrower than the ``step`` (m).
 
     A branch may lack an edge in a column, or have one at a clearly longer stroke than in the neighbouring column. Its
-    edge is then searched near the straight line through the edges in the next two columns. If the search succeeds, the
-    column on the other side follows.
+    edge is then searched near the straight line through the edges in the next two columns on one side. If the search
+    succeeds, the next column on the other side is treated in the same way.
     """
     tried: set[tuple[int, int, int]] = set()
     while True:
@@ -142,7 +142,7 @@ def _seeds(surveyed: Survey, step: float) -> list[tuple[int, int, int, tuple[flo
         _, strokes = _by_column(surveyed, surveyed.points.stroke, int(count))
         for side in (-1, 1):
             near, beyond = (np.roll(strokes, by * side) for by in (1, 2))
-            near[0 if side > 0 else -1] = np.nan  # The outermost column has one neighbour only.
+            near[0 if side > 0 else -1] = np.nan  # The outermost column lacks this neighbour.
             missed = np.isfinite(near) & ~(strokes <= near + 0.5 * step)
             for place in np.flatnonzero(missed):
                 pair = near[place], beyond[place] if np.isfinite(beyond[place]) else near[place]
@@ -153,7 +153,7 @@ def _seeds(surveyed: Survey, step: float) -> list[tuple[int, int, int, tuple[flo
 
 
 def finder(task: Task) -> FindEdges:
-    """Return a function that finds the edges of a task and ignores the indices of the brackets."""
+    """Return the `FindEdges` function of a task, which ignores the indices of the brackets."""
     return lambda _, count, frequency, strokes: task.edges(frequency, strokes, count)
 
 
@@ -175,7 +175,7 @@ def transport_cost(points: Points) -> Array:
 def lowest(task: Task, surveyed: Survey, costs: Sequence[Cost], zoom: Zoom) -> Points:
     """Minimise each cost along the edges, continuously in the frequency.
 
-    Returns the local minima that are close to the lowest one of each cost; none for a cost if no gait qualifies.
+    Return the local minima of each cost that are close to its lowest one. A cost for which no gait qualifies has none.
     """
     brackets = [bracket for cost in costs for bracket in brackets_of(surveyed, cost)]
     return minimise(finder(task), brackets, zoom)
@@ -203,7 +203,10 @@ def brackets_of(surveyed: Survey, cost: Cost, owner: int = 0) -> list[Bracket]:
 
 
 def _by_column(surveyed: Survey, costs: Array, count: int) -> tuple[Array, Array]:
-    """Return lowest cost and its stroke among the edges with a count in each column; inf and NaN without an edge."""
+    """Return the lowest cost among the edges with a count in each column, and the stroke (m) of that edge.
+
+    In a column without such an edge, they are infinity and NaN.
+    """
     columns, points = surveyed.columns, surveyed.points
     rows = np.flatnonzero(points.count == count)
     rows = rows[np.argsort(-costs[rows], kind="stable")]  # The lowest cost is written last.
@@ -214,7 +217,10 @@ def _by_column(surveyed: Survey, costs: Array, count: int) -> tuple[Array, Array
 
 
 def _window(strokes: Array, least: float = _LEAST_WINDOW) -> tuple[float, float]:
-    """Return a range of strokes that contains an edge near these strokes. Its size is three times their range."""
+    """Return a window (m) around strokes in which an edge is searched.
+
+    It extends beyond the strokes on both sides by their range, but at least by ``least`` (m).
+    """
     low, high = float(np.nanmin(strokes)), float(np.nanmax(strokes))
     reach = max(high - low, least)
     return low - reach, high + reach
@@ -295,7 +301,7 @@ def _nothing(count: int) -> Points:
 
 
 def _where(condition: Mask, first: Points, second: Points) -> Points:
-    """Return the rows of the first where the condition is True, else those of the second."""
+    """Return the rows of ``first`` where the condition is True, and those of ``second`` elsewhere."""
     count = len(second)
     return Points.join(first, second).take(
         np.where(condition, np.arange(count), np.arange(count) + count)
@@ -367,7 +373,8 @@ def exact_front(task: Task, resolution: Resolution, zoom: Zoom) -> ExactFront:
 def _rivals(task: Task, surveyed: Survey, front: Points, reach: float) -> Points:
     """Return edges of other branches that are as fast as a gait of the front, but need less power.
 
-    They may lie between columns. They are searched within at least ``reach`` m of the edges in the nearest columns.
+    Such an edge may lie between two columns. It is searched near the strokes of the edges in these columns, up to a
+    distance of at least ``reach`` (m).
     """
     if surveyed.columns.size < 2:
         return front.take(np.empty(0, dtype=np.int64))

@@ -76,7 +76,7 @@ class RobustFront:
 
 
 def task_of(content: ParameterFile, settings: Settings, direction: int) -> MarginTask:
-    """Return the optimisation task of these settings without a margin, under the conditions of ``content``."""
+    """Return the optimisation task of some settings without a margin, under the conditions of ``content``."""
     return MarginTask(
         content.parameters,
         direction,
@@ -94,14 +94,14 @@ def waveform_task(task: MarginTask, settings: Settings) -> MarginTask | ShapedTa
 
 
 def scanned_price(content: ParameterFile, settings: Settings, direction: int) -> PriceOfRobustness:
-    """Return the margin scan of these settings."""
+    """Return the price of robustness for some settings, under their conditions."""
     return price_of(
         task_of(content_under(settings.conditions, content), settings, direction), settings
     )
 
 
 def price_of(task: MarginTask, settings: Settings) -> PriceOfRobustness:
-    """Return the margin scan of a task among the gaits of the chosen waveform."""
+    """Return the price of robustness of a task among the gaits of the chosen waveform; its own margin has no effect."""
     margins = settings.scan.margins()
     if settings.waveform is Waveform.SHAPED:
         over = ShapedTask.over_margins(task, settings.shapes, margins)
@@ -110,7 +110,7 @@ def price_of(task: MarginTask, settings: Settings) -> PriceOfRobustness:
 
 
 def make_front(content: ParameterFile, settings: Settings, direction: int) -> RobustFront:
-    """Compute the front of these settings. Raises `OptimizerError` if no gait moves within the limits."""
+    """Compute the front for some settings. Raises `OptimizerError` if no gait moves within the limits."""
     content = content_under(settings.conditions, content)
     nominal = task_of(content, settings, direction)
     task, margin, reason = _robust_task(nominal, content, settings)
@@ -139,7 +139,7 @@ def make_front(content: ParameterFile, settings: Settings, direction: int) -> Ro
 
 
 def front_of_task(task: Task, resolution: Resolution) -> ExactFront:
-    """Compute the exact front of a task, with fewer columns if its edges take long to compute."""
+    """Compute the exact front of a task, at fewer frequencies if the edges of the task take long to compute."""
     if isinstance(task, PromiseTask):
         frequencies = min(resolution.frequencies, _PROMISE_COLUMNS)
         fewer = dataclasses.replace(resolution, frequencies=frequencies)
@@ -152,7 +152,7 @@ def front_of_task(task: Task, resolution: Resolution) -> ExactFront:
 
 
 def replaced(front: RobustFront, gaits: Points) -> RobustFront:
-    """Return a front with ``gaits`` (at least one, by rising speed, of the same task) instead of the exact ones."""
+    """Return a front in which ``gaits`` replace the exact ones: at least one, of the same task, by rising speed."""
     margins = _margins(front.nominal, front.settings, front.margin, gaits)
     chosen = gaits.take(three_rows(gaits, front.content.parameters))
     min_power, cruise, max_speed = front.predicted(chosen)
@@ -168,7 +168,8 @@ def replaced(front: RobustFront, gaits: Points) -> RobustFront:
 def _margins(nominal: MarginTask, settings: Settings, margin: float, points: Points) -> Array:
     """Return the margin of each gait in m.
 
-    With `Robustness.MARGIN` it is the margin of the front, otherwise the largest at which the gait keeps its grooves.
+    With `Robustness.MARGIN` it is the margin of the front, otherwise the largest margin at which the gait keeps its
+    grooves.
     """
     if settings.robustness is Robustness.MARGIN:
         return np.full(len(points), margin)
@@ -217,12 +218,13 @@ def _robust_task(
 
 
 def given_margin(parameters: Parameters, settings: Settings) -> tuple[float, str] | None:
-    """Return the margin in m that settings contain, and the reason for it; None if they contain none."""
+    """Return the margin in m that the settings contain, and the reason for it; None if they contain no margin."""
     if settings.margin is not None:
         return settings.margin, "given"
     if settings.margin_force is None:
         return None
-    # In the slow limit a load Q deflects the engaged fin, so that a switch needs Q/(k_eng + k_dis) more margin.
+    # In the slow limit, a load Q makes the travel from threshold to threshold longer by Q/k_eng, a margin δ_m by
+    # δ_m·(1 + k_dis/k_eng). Both are equal for δ_m = Q/(k_eng + k_dis).
     stiffness = parameters.engaged_stiffness + parameters.disengaged_stiffness
     return settings.margin_force / stiffness, f"for a load of {settings.margin_force:g} N"
 
@@ -277,7 +279,7 @@ def reason_for(price: PriceOfRobustness) -> str:
 
 
 def thinned(front: Points, parameters: Parameters, count: int) -> Index:
-    """Return at most ``count`` rows of a front, at evenly spaced speeds and including those of `three_rows`."""
+    """Return at most ``count`` rows of a front at evenly spaced speeds, and among them the rows of `three_rows`."""
     if len(front) <= count:
         return np.arange(len(front))
     wanted = np.linspace(front.speed[0], front.speed[-1], count - 1)

@@ -20,12 +20,10 @@ from worm_optimizer.robustness.prediction import Prediction
 from worm_optimizer.search.exact import Cost
 from worm_optimizer.search.front import RobustFront
 
-SAME_LENGTH = (
-    1e-4  # m; lengths that differ by less count as equal, because a camera is not more accurate
-)
-_TOLERANCE = (
-    1e-9  # relative tolerance, with which a rounded speed or power of a front is still reachable
-)
+# Initial lengths that differ by less than this count as equal, m. A camera is not more accurate.
+SAME_LENGTH = 1e-4
+# Relative tolerance of a requested speed or power, so that a rounded value of the front is still reachable
+_TOLERANCE = 1e-9
 
 
 class Objective(enum.IntEnum):
@@ -106,8 +104,8 @@ def check_direction(direction: int) -> None:
 def resting_content(content: ParameterFile, initial_length: float) -> ParameterFile:
     """Return the parameters with the initial length (m) of a robot at rest.
 
-    A length of 0, or one that differs by less than `SAME_LENGTH`, changes nothing. Raises `OptimizerError` if the
-    length differs from that of the parameters by half of the latter or more.
+    A length of 0 changes nothing, nor does a length that differs by less than `SAME_LENGTH` from that of the
+    parameters. Raises `OptimizerError` if the difference is half the length of the parameters or more.
     """
     known = content.parameters.initial_length
     if not initial_length or abs(initial_length - known) < SAME_LENGTH:
@@ -120,7 +118,7 @@ def resting_content(content: ParameterFile, initial_length: float) -> ParameterF
 
 
 def select(front: RobustFront, request: GaitRequest) -> GaitAnswer:
-    """Answer a request exactly, with a gait on the edges of the branches and not only on the computed front."""
+    """Return the exact answer to a request. The gait at a speed or power may lie between two of ``front.gaits``."""
     match request.objective:
         case Objective.MIN_POWER_AT_SPEED:
             found = front.exact.cheapest(at_speed(request.value))
@@ -139,13 +137,13 @@ def select(front: RobustFront, request: GaitRequest) -> GaitAnswer:
 
 
 def at_speed(speed: float) -> Cost:
-    """Return the cost of requests at a speed in m/s: the power, infinite for slower gaits."""
+    """Return the `Cost` of a request for the lowest power at a speed (m/s): the power, infinite for slower gaits."""
     least = speed * (1.0 - _TOLERANCE)
     return lambda points: np.where(points.speed >= least, points.power, np.inf)
 
 
 def at_power(power: float) -> Cost:
-    """Return the cost of requests at a power in W: the negative speed, infinite for gaits that need more power."""
+    """Return the `Cost` of a request for the highest speed at a power (W): minus the speed, infinite at more power."""
     most = power * (1.0 + _TOLERANCE)
     return lambda points: np.where(points.power <= most, -points.speed, np.inf)
 

@@ -124,7 +124,8 @@ class Comparison:
         front: front of NSGA-II.
         hypervolume_share: its hypervolume, relative to that of the exact front; see `reference_power_of`.
         missed_branches: grooves per cycle of the branches that only the exact front contains.
-        largest_excess_power: largest relative excess of a gait's power over the lowest power at its speed.
+        largest_excess_power: largest relative excess of the power of a gait of NSGA-II over the lowest power of all
+            gaits that are at least as fast.
     """
 
     front: Points

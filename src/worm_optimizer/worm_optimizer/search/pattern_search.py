@@ -12,14 +12,15 @@ from worm_optimizer.evaluation.task import Array, Index, Mask, Points
 
 FORBIDDEN = 1e6  # least cost of a gait that violates a limit, W
 _FIRST_STEPS = (0.08, 0.1)  # usual first steps of contraction share and ramp share
-LEAST_STEP = 0.015  # step at which a search usually ends, relative to the usual first one
-_SHRINK = 0.4
+LEAST_STEP = 0.015  # step at which a search usually ends, relative to _FIRST_STEPS
+_SHRINK = 0.4  # factor by which the steps of a pattern shrink
 _MOST_ROUNDS = 30
+# Eight neighbours of the centre of a pattern, in steps of (contraction share, ramp share)
 _PATTERN = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j], dtype=float)
 _FARTHEST = 1.5  # largest distance of the minimum of a quadratic from the centre, in steps
 _SPARE = 3e-5  # amount by which the predicted violation stays below 0
-_GRIDS = 3  # grids on which limited quadratics are minimised, each around the best point of the one before
-_GRID = np.linspace(-1.0, 1.0, 13)
+_GRIDS = 3  # number of grids on which limited quadratics are minimised, each around the best point of the previous grid
+_GRID = np.linspace(-1.0, 1.0, 13)  # points of a grid along each share, relative to its half-width
 
 
 @dataclass(frozen=True)
@@ -50,9 +51,10 @@ def improve(
     """Search the shares (n, 2) with the lowest costs, for all problems at once.
 
     Each round evaluates the eight neighbours of the best point in a pattern, fits a quadratic to the costs, and
-    evaluates the minimum of the quadratic. If a point violates a limit, the violation is approximated by a quadratic,
-    too, which limits the minimum. The best of all these points is the centre of the next pattern. The pattern shrinks
-    if its centre remains the best point, or if the minimum of the quadratic is the best and lies within the pattern.
+    evaluates the minimum of the quadratic. If a point violates a limit, a second quadratic is fitted to the violations,
+    and only points at which it predicts no violation qualify as the minimum. The best of all evaluated points is the
+    centre of the next pattern. The pattern shrinks if its centre remains the best point, or if the minimum of the
+    quadratic is the best point and lies within the pattern.
 
     Args:
         cost_of: returns the costs (m,). Arguments: indices of the problems (m,), and shares (m, 2).

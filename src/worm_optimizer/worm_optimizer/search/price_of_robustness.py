@@ -21,8 +21,8 @@ from worm_optimizer.evaluation.task import Array, Bounds, Edges, Index, Points
 from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.search import exact
 
-CLIFF_RISE = 1.25
-CLIFF_TOLERANCE = 1e-6  # m
+CLIFF_RISE = 1.25  # least factor by which the lowest cost of transport rises at a cliff
+CLIFF_TOLERANCE = 1e-6  # accuracy of the margin at the cliff, m
 CLIFF_RULE = (
     "the cliff is the margin at which the branch (grooves per cycle) with the lowest cost of transport is lost and the "
     f"lowest cost of transport rises by a factor of {CLIFF_RISE} or more within a step of the scan, bisected to "
@@ -146,7 +146,7 @@ def price_of_robustness(task: ScannedTask, margins: Array) -> PriceOfRobustness:
 
 
 def scan(task: ScannedTask, margins: Array) -> tuple[MarginPoint, ...]:
-    """Find the lowest cost of transport at each of ``margins`` in m of shape (n,)."""
+    """Return the gait with the lowest cost of transport at each of ``margins`` in m of shape (n,)."""
     columns, box = _RESOLUTION.columns(task.bounds), task.bounds
     at = np.repeat(margins, columns.size)
     strokes = np.linspace(box.stroke_low, box.stroke_high, _RESOLUTION.strokes)
@@ -209,6 +209,7 @@ def _is_lost(before: MarginPoint, after: MarginPoint) -> bool:
 
 
 def _bisected(task: ScannedTask, before: MarginPoint, after: MarginPoint) -> float:
+    """Return the margin at the cliff between two points in m: the largest known margin before the branch is lost."""
     low, high = before.margin, after.margin
     while high - low > CLIFF_TOLERANCE:
         middle = 0.5 * (low + high)

@@ -27,12 +27,12 @@ from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.search.corners import ShapeBounds
 from worm_optimizer.search.exact import Resolution
 
-_MOST_MARGINS = 10_000
+_MOST_MARGINS = 10_000  # largest number of margins of a scan
 
 
 @dataclass(frozen=True)
 class ScanSettings:
-    """Margins of the price-of-robustness scan, in m: from ``lowest`` to ``highest`` by ``step``."""
+    """Margins of a margin scan: from ``lowest`` to ``highest`` in steps of ``step``, all in m."""
 
     lowest: float = 0.0
     highest: float = 8e-3
@@ -72,7 +72,7 @@ class Waveform(str, enum.Enum):
 
 
 def waveform_of(name: str) -> Waveform:
-    """Return the waveform of a name. Raises `OptimizerError`, with the known names, if the name is unknown."""
+    """Return the waveform with a name. Raises `OptimizerError`, with the known names, if the name is unknown."""
     try:
         return Waveform(name)
     except ValueError:
@@ -81,7 +81,7 @@ def waveform_of(name: str) -> Waveform:
 
 
 def robustness_of(name: str) -> Robustness:
-    """Return the criterion of a name. Raises `OptimizerError`, with the known names, if the name is unknown."""
+    """Return the criterion with a name. Raises `OptimizerError`, with the known names, if the name is unknown."""
     try:
         return Robustness(name)
     except ValueError:
@@ -143,7 +143,7 @@ class Settings:
         if self.margin is not None and not 0.0 <= self.margin <= MAX_MARGIN:
             raise OptimizerError(
                 f"margin: {self.margin} m is not between 0 and {MAX_MARGIN:g} m; "
-                "without it, the margin at the cliff is used"
+                "without it, the last margin of the scan before the cliff is used"
             )
         if not (1 <= self.samples <= 1_000_000 and 0 <= self.seed < 2**32):
             raise OptimizerError(
@@ -189,7 +189,7 @@ _CONDITIONS = tuple(
     for row in (CONDITION_ROWS[name],)
 )
 
-# Settings of a margin scan, and thus also of a front.
+# Settings of a margin scan. A front has them, too.
 SCAN_SETTINGS: tuple[SettingRow, ...] = (
     _Row("stroke_low_m", "strokes", _BOX.stroke_low, "least stroke, m", 1e-4, MAX_STROKE),
     _Row("stroke_high_m", "strokes", _BOX.stroke_high, "greatest stroke, m", 1e-4, MAX_STROKE),
@@ -226,21 +226,23 @@ SCAN_SETTINGS: tuple[SettingRow, ...] = (
     _Row("scan_step_m", "step", _SCAN.step, "step between the margins of the scan, m", 1e-6, MAX_MARGIN),
 )  # fmt: skip
 FRONT_SETTINGS: tuple[SettingRow, ...] = (
-    _Row("margin_m", "margin", math.nan, "robustness margin, m; NaN or not given: at the cliff of the scan"),
-    _Row("margin_n", "margin-n", math.nan, "robustness margin, as the load that it allows for, N"),
-    _Row("robustness", "robustness", Robustness.MARGIN.value, "criterion of robustness: an enlarged threshold "
-         "(margin), a probability of keeping the promised grooves (chance), or keeping them at every groove phase "
-         "(any_phase)", choices=tuple(kind.value for kind in Robustness)),
-    _Row("probability", "probability", _PLAIN.probability, "for chance: probability of keeping the grooves, 1", 0.0,
-         1.0),
+    _Row("margin_m", "margin", math.nan, "robustness margin, m; NaN or not given: the last margin of the scan before "
+         "the cliff"),
+    _Row("margin_n", "margin-n", math.nan, "robustness margin, given as the load that it allows for, N"),
+    _Row("robustness", "robustness", Robustness.MARGIN.value, "criterion of robustness: an enlarged switching "
+         "threshold (margin), a given probability that the gait gains its grooves (chance), or that it gains them at "
+         "every groove phase (any_phase)", choices=tuple(kind.value for kind in Robustness)),
+    _Row("probability", "probability", _PLAIN.probability, "for robustness chance: lowest admissible probability "
+         "that the gait gains its grooves", 0.0, 1.0),
     _Row("seed", "seed", _PLAIN.seed, "seed of the Monte Carlo draws, and of NSGA-II", 0, 2**32 - 1),
-    _Row("samples", "samples", _PLAIN.samples, "draws of the success probability", 1, 1_000_000),
+    _Row("samples", "samples", _PLAIN.samples, "number of draws of the parameters for a success probability", 1,
+         1_000_000),
 )  # fmt: skip
 SETTINGS = (*SCAN_SETTINGS, *FRONT_SETTINGS)
 
 
 def settings_of(values: Mapping[str, Any]) -> Settings:
-    """Return the settings of values by `SettingRow.parameter`, with the defaults of missing ones.
+    """Return the settings from values by `SettingRow.parameter`. A missing value is the default of its row.
 
     Raises `OptimizerError` if the values are inadmissible or inconsistent.
     """

@@ -49,27 +49,28 @@ from worm_optimizer.search.pattern_search import (
     improve,
 )
 
-_FREQUENCIES = 13  # frequencies at which shares are searched
-_FREQUENCIES_OF_NODES = 9  # their number if shares are searched at several margins
-_NODES = 5  # margins of a scan at which shares are searched (nodes)
+_FREQUENCIES = 13  # number of frequencies at which shares are searched
+_FREQUENCIES_OF_NODES = 9  # the same number if shares are searched at several margins
+_NODES = 5  # number of margins of a scan at which shares are searched (nodes)
 # A branch that is lost between two nodes gets further nodes, because its shares change quickly there. They lie between
 # the last node with the branch (1) and the largest margin with the branch (0).
 _CLIFF_NODES = (0.5, 0.2, 0.05, 0.0)
 _START_SHARES = (0.35, 0.5, 0.65, 0.8)  # contraction shares from which the search starts
 _START_RAMPS = (0.1, 0.25, 0.5)  # ramp shares of a trapezoid from which the search starts
-_LEAST_FIRST_STEP = (
-    0.04  # relative step at which the first search ends; near a minimum the power hardly changes
-)
-_SMALL_STEP = 0.25  # relative first step of the search from a neighbouring frequency
-_LIMIT_STEPS = (0.1, 0.02)  # relative steps of the search for the contraction share at a limit
-# That search continues for gaits beyond a limit, and for gaits whose relative distance from the limit is between these.
+# All steps are relative to `pattern_search._FIRST_STEPS`. The first search ends at this step, because near a minimum
+# the power hardly changes.
+_LEAST_FIRST_STEP = 0.04
+_SMALL_STEP = 0.25  # first step of the search from a neighbouring frequency
+_LIMIT_STEPS = (0.1, 0.02)  # steps of the two searches for the contraction share at a limit
+# The second of these searches includes gaits beyond a limit, and gaits whose relative distance from the limit is
+# between _AT_LIMIT and _NEAR_LIMIT.
 _NEAR_LIMIT, _AT_LIMIT = 0.1, 3e-4
 _APART = 0.03  # two minima with a larger difference of a share are different minima
-_ENDING = 10  # bisections of the highest frequency of a branch
-_ENDING_SHARES = 6  # contraction shares that are tried in each of these bisections
+_ENDING = 10  # number of bisections of the highest frequency of a branch
+_ENDING_SHARES = 6  # number of contraction shares that are tried in each of these bisections
 # Positions of further frequencies between the third-last (0) and the last one (1) of a branch
 _END_PARTS = (0.2, 0.4, 0.6, 0.8, 0.9)
-_CLIFF_HALVINGS = 7  # bisections of the largest margin of a branch between two nodes
+_CLIFF_HALVINGS = 7  # number of bisections of the largest margin of a branch between two nodes
 
 
 @dataclass(frozen=True)
@@ -101,7 +102,7 @@ class Track:
 
 @dataclass(frozen=True)
 class ShapedTask:
-    """`MarginTask` extended to shaped gaits. Each edge has the shape that needs the least power.
+    """Task of a `MarginTask`, extended to shaped gaits. Each edge has the shape that needs the least power.
 
     Attributes:
         task: task of the sinusoids. The largest stroke of its bounds limits the reach (stroke plus pretension).
@@ -131,12 +132,12 @@ class ShapedTask:
 
     @staticmethod
     def over_margins(task: MarginTask, shapes: ShapeBounds, margins: Array) -> ShapedTask:
-        """Return a task for edges at any margin within the range of ``margins`` (n,) in m."""
+        """Return a task that finds edges at any margin within the range of ``margins`` (n,) in m."""
         nodes = np.unique(np.linspace(margins.min(), margins.max(), _NODES))
         return ShapedTask(task, shapes, tuple(nodes.tolist()))
 
     def points(self, stroke: ArrayLike, frequency: ArrayLike, shape: Shapes = SINUSOID) -> Points:
-        """Evaluate gaits, see `Task`."""
+        """Return the evaluated gaits, see `Task`."""
         return self.task.points(stroke, frequency, shape)
 
     def edges(
@@ -167,15 +168,15 @@ class ShapedTask:
     def _candidates(
         self, frequency: Array, margin: Array, count: Index | None
     ) -> Iterator[tuple[Index, Columns, Array]]:
-        """Yield the shares to be tried for each branch with one of the counts.
+        """Yield the shares to be tried at each frequency for each branch, or only for the branch with its ``count``.
 
         Each element is (index of the column (n,), problems (n,), shares (n, 2)).
         """
         yield np.empty(0, dtype=np.int64), NO_COLUMNS, np.empty((0, 2))
         for own, profile in sorted({(track.count, track.profile) for track in self.tracks}):
-            asked = np.ones(frequency.size, dtype=bool) if count is None else count == own
+            wanted = np.ones(frequency.size, dtype=bool) if count is None else count == own
             for shares in self._shares(own, profile, frequency, margin):
-                rows = np.flatnonzero(asked & np.isfinite(shares[:, 0]))
+                rows = np.flatnonzero(wanted & np.isfinite(shares[:, 0]))
                 key = np.full(rows.size, own), np.full(rows.size, profile)
                 yield rows, Columns(frequency[rows], margin[rows], *key), shares[rows]
 
@@ -290,7 +291,7 @@ class _Search:
         return Solved(columns, found, costs.total)
 
     def within_limits(self, columns: Columns, shares: Array) -> Array:
-        """Search the contraction shares again if the hardware has limits, and return the shares."""
+        """Search the contraction shares again if the task has limits of the actuators, and return all shares."""
         if self.task.limits == NO_LIMITS:
             return shares
         moved, rows = shares.copy(), np.arange(len(shares))
@@ -320,7 +321,7 @@ class _Search:
         return known.take(known.cost < FORBIDDEN)
 
     def begun(self, margins: Array, frequencies: Array) -> Solved:
-        """Search the shares of each branch that a gait with one of the start shares reaches, from the best of these."""
+        """Search the shares of each branch, beginning with the cheapest start shares with which a gait reaches it."""
         columns, starts, gained = self._started(margins, frequencies)
         wanted = [
             np.flatnonzero(gained >= count)
@@ -356,7 +357,7 @@ class _Search:
         return columns, shares, most_gained(self.task, self.shapes, columns, shares)
 
     def continued(self, known: Solved) -> Solved:
-        """Search from the shares of neighbouring frequencies, if these shares are cheaper than the known ones."""
+        """Search from the shares of a neighbouring frequency where they are cheaper than the known shares."""
         parts = []
         for group in known.groups():
             places = np.arange(group.cost.size)
@@ -390,7 +391,7 @@ class _Search:
         return self.improved(good.columns, good.shares, _SMALL_STEP)
 
     def _cheapest_share(self, columns: Columns, shares: Array) -> Solved:
-        """Return the cheapest of some contraction shares between the least and the given ones, with the least ramp."""
+        """Return the cheapest of some contraction shares from the least to the given one, with the least ramp share."""
         least = self.shapes.shares[:, 0]
         parts = []
         for part in np.linspace(0.0, 1.0, _ENDING_SHARES):
@@ -401,7 +402,7 @@ class _Search:
         return Solved.join(*parts).best()
 
     def filled(self, known: Solved, frequencies: Array) -> Solved:
-        """Add the frequencies (Hz) that a branch lacks between others. The search starts from interpolated shares."""
+        """Add ``frequencies`` (Hz) that a branch lacks between two of its own, starting from interpolated shares."""
         parts = []
         for group in known.groups():
             own = group.columns.frequency

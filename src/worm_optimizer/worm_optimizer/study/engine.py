@@ -27,7 +27,7 @@ from distributed.comm import CommClosedError
 from worm_model.errors import InputError
 from worm_optimizer.study.version import identity
 
-_AHEAD = 2  # pieces submitted for each worker: one in work, one waiting
+_AHEAD = 2  # number of pieces submitted for each worker: one in work, one waiting
 _UPDATE = 1.0  # interval between two updates of the workers, s
 _CONNECT = 10.0  # timeout of the connection, s
 
@@ -172,7 +172,7 @@ class _Dispatcher:
     name: str = field(default_factory=lambda: uuid.uuid4().hex)
 
     def fill(self) -> None:
-        """Submit pieces up to the capacity of the workers, first those whose workers are all lost."""
+        """Submit pieces up to the capacity of the workers, first the pieces whose workers are all lost."""
         accepted = self.pool.accepted
         if not accepted:
             return

@@ -211,7 +211,8 @@ class _Fleet:
 
 def _fleet(folder: Path, parameters: str) -> _Fleet:
     load_parameter_file(parameters)  # raises if the file is invalid, before any bag is read
-    bags = tuple(bags_below(folder))  # a bag that needs its recovered copy is read from it
+    # Without recovered copies, because opening a damaged bag opens its copy
+    bags = tuple(bags_below(folder))
     marks = tuple(_mark(bag, parameters) for bag in bags)
     whole = hashlib.sha256(" ".join([*marks, identity()]).encode()).hexdigest()[:24]
     return _Fleet(bags, tuple(name_below(folder, bag) for bag in bags), marks, whole)
@@ -244,7 +245,7 @@ def _read(
 
 
 def _mark(bag: Path, parameters: str) -> str:
-    """Return a hash of all inputs of the rows of a bag: its path and files, the parameter file and the code."""
+    """Return a hash of all inputs of the rows of a bag: path and files of the bag, the parameter file, and the code."""
     content = Path(parameters).read_text() if parameters else ""
     text = [str(bag.resolve()), identity(), content, mark_of(bag)]
     return hashlib.sha256("\n".join(text).encode()).hexdigest()[:24]

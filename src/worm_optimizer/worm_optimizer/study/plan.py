@@ -19,21 +19,22 @@ from worm_optimizer.search.search_settings import ScanSettings, Waveform
 
 Array = NDArray[np.float64]
 
-PARAMETER_FILE, SAMPLE = "parameter_file", "sample"  # dimensions that are not quantities
+# Dimensions of the points that are no quantities
+PARAMETER_FILE, SAMPLE = "parameter_file", "sample"
 SOBOL, SALTELLI, LATIN_HYPERCUBE = "sobol", "saltelli", "latin_hypercube"
 METHODS = (SOBOL, SALTELLI, LATIN_HYPERCUBE)
-EXTENDABLE = (SOBOL, SALTELLI)  # more samples continue the same sequence
-MOST_POINTS = 10_000_000
+EXTENDABLE = (SOBOL, SALTELLI)  # methods with which more samples continue the same sequence
+MOST_POINTS = 10_000_000  # largest number of points of a study
 COMPUTABLE = ("front", "gaits", "cliff", "success", "any_phase")
 
-_BLOCK_SECONDS = (
-    5.0  # nominal duration of a block; the client needs some 50 ms to submit and store it
-)
-_FEWEST_BLOCKS = 20  # so that the progress bar of a small study advances
-# Nominal durations on one core at the default resolution, s; constant, so that block sizes are the same everywhere.
+# Nominal duration of a block, s. The client needs some 0.05 s to submit and store a block.
+_BLOCK_SECONDS = 5.0
+_FEWEST_BLOCKS = 20  # least number of blocks, so that the progress bar of a small study advances
+# Nominal durations of a front, of an any-phase front and of one margin of a scan, on one core at the default
+# resolution, s. They are constant, so that blocks have the same size on all computers.
 _FRONT_SECONDS, _ANY_PHASE_SECONDS, _MARGIN_SECONDS = 0.5, 2.8, 0.03
 _SHAPED = 15.0  # duration of a front or a scan of shaped gaits, relative to that of sinusoids
-_DRAW_SECONDS = 2.5e-4  # of one draw of a success probability
+_DRAW_SECONDS = 2.5e-4  # nominal duration of one draw of a success probability, s
 
 
 @dataclass(frozen=True)
@@ -128,7 +129,7 @@ class Study:
         axes: quantities that vary.
         sample: sampling of the axes with a range.
         fixed: values of the quantities that do not vary.
-        margin_at_cliff: True if each point uses the margin at the cliff of its own scan.
+        margin_at_cliff: True if each point uses the last margin before the cliff of its own scan.
         hardware: limits of driver and servos.
         compute: requested results, some of `COMPUTABLE`.
         resolution: resolution of the computation.
@@ -199,7 +200,11 @@ class Study:
         return np.stack([columns[name].astype(float) for name in self.varied], axis=-1)
 
     def default_block_points(self) -> int:
-        """Return a number of points that takes longer than submitting a block, but lets the progress bar advance."""
+        """Return the number of points in a block.
+
+        Such a block takes about `_BLOCK_SECONDS`, or less if the study would otherwise have fewer than `_FEWEST_BLOCKS`
+        blocks.
+        """
         scan = self.resolution.scan
         share = scan.strokes * scan.frequencies / (41 * 161)
         seconds = 1e-3

@@ -47,7 +47,7 @@ from worm_optimizer.study.quantities import LIMITS, SHAPE_BOUNDS
 
 FRONT, GAIT, SCAN = "front_gait", "gait", "scan_margin"  # dimensions of the results of one point
 OPEN, DONE, FAILED = 0, 1, 2  # values of the variable "state"
-# Default power up to which hypervolumes count, W; more than the fastest gait of the paper's robot needs.
+# Default reference power of hypervolumes, W; more than the fastest gait of the paper's robot needs.
 REFERENCE_POWER = 20.0
 THREE_GAITS = (Objective.MIN_POWER, Objective.CRUISE, Objective.MAX_SPEED)
 REQUESTS = {
@@ -62,7 +62,7 @@ class PointError(InputError):
 
 @dataclass(frozen=True)
 class Variable:
-    """Kind of result, which each point has: its own ``dimensions``, its ``unit`` and its descriptive ``long_name``."""
+    """Result that each point has: its ``dimensions`` in addition to those of the points, ``unit`` and ``long_name``."""
 
     dimensions: tuple[str, ...]
     unit: str
@@ -70,7 +70,7 @@ class Variable:
 
 
 def gait_names(study: Study) -> list[str]:
-    """Return the names of the gaits of a point: `THREE_GAITS`, and those at a speed or power that the study names."""
+    """Return the names of the gaits of a point: `THREE_GAITS`, and gaits at a speed or power if the study states it."""
     named = {*study.fixed, *study.varied}
     wanted = [objective for key, objective in REQUESTS.items() if key in named]
     return [objective.name.lower() for objective in (*THREE_GAITS, *wanted)]
@@ -97,7 +97,7 @@ def _of_gait(study: Study) -> dict[str, tuple[str, str]]:
 
 
 def variables(study: Study) -> dict[str, Variable]:
-    """Return the kinds of results of a study, by name."""
+    """Return the variables of a study, by name."""
     of_gait = _of_gait(study)
     variables_of = {
         "margin": Variable((), "m", "margin of front and gaits"),
@@ -118,7 +118,7 @@ def variables(study: Study) -> dict[str, Variable]:
         rows = {**of_gait, **_NOMINAL}
         variables_of |= {name: Variable((GAIT,), *row) for name, row in rows.items()}
     if "cliff" in study.compute or study.margin_at_cliff:
-        variables_of["cliff_margin"] = Variable((), "m", "last margin before the cliff of the scan")
+        variables_of["cliff_margin"] = Variable((), "m", "margin at the cliff")
         variables_of["cliff_rise"] = Variable(
             (), "1", "factor of the lowest cost of transport at the cliff"
         )
@@ -153,7 +153,7 @@ Results = dict[str, np.ndarray]
 
 
 def compute_block(study: Study, points: Array) -> Results:
-    """Return the variables of a block of points, with ``state`` and ``reason``.
+    """Return the values of all variables for a block of points, and the ``state`` and ``reason`` of each point.
 
     Args:
         study: study.
@@ -177,12 +177,13 @@ def compute_block(study: Study, points: Array) -> Results:
             results["reason"][row] = " ".join(str(error).split())
             continue
         for name, value in of_point.items():
-            results[name][row] = np.where(np.isnan(value), np.nan, value)  # one NaN, without a sign
+            # All NaN get the same bits.
+            results[name][row] = np.where(np.isnan(value), np.nan, value)
     return results
 
 
 def compute_point(study: Study, values: Mapping[str, float]) -> dict[str, Any]:
-    """Return the results of one point, by name. Missing results are left out, such as a front where no gait moves.
+    """Return the results of one point, by name. Unavailable results, such as the gaits of an empty front, are omitted.
 
     Args:
         study: study.
@@ -192,15 +193,15 @@ def compute_point(study: Study, values: Mapping[str, float]) -> dict[str, Any]:
         InputError: The point is not admissible.
         SimulationError: The simulator failed at the point.
     """
-    asked = {**study.fixed, **values}
-    content = content_of(study, asked)
-    task = task_of(study, asked, content.parameters)
+    given = {**study.fixed, **values}
+    content = content_of(study, given)
+    task = task_of(study, given, content.parameters)
     results: dict[str, Any] = {
         "groove_phase": groove_phase(content.parameters),
         "closed_form_cliff_margin": cliff_margin(content.parameters),
     }
-    settings = settings_of(study, asked)
-    margin: float | None = asked.get("margin_m")
+    settings = settings_of(study, given)
+    margin: float | None = given.get("margin_m")
     if "cliff" in study.compute or study.margin_at_cliff:
         price = price_of(task, settings)
         results |= _cliff(price)
@@ -212,31 +213,38 @@ def compute_point(study: Study, values: Mapping[str, float]) -> dict[str, Any]:
             exact = front_of_task(
                 waveform_task(task.with_margin(margin), settings), study.resolution.scan
             )
-            results |= _robust(study, asked, content, task, exact)
+            results |= _robust(study, given, content, task, exact)
     if "any_phase" in study.compute:
         front = front_of_task(any_phase_task(task), study.resolution.scan)
-        chosen = _chosen(study, asked, front, content.parameters)
+        chosen = _chosen(study, given, front, content.parameters)
         results |= {f"any_phase_{name}": column for name, column in chosen.items()}
     return results
 
 
-def content_of(study: Study, asked: Mapping[str, float]) -> ParameterFile:
-    """Return the robot of a point: its parameter file with the requested values, under the requested conditions.
+def content_of(study: Study, given: Mapping[str, float]) -> ParameterFile:
+    """Return the robot of a point: its parameter file with the given values, under the given conditions.
 
     If a value changes, its interval is scaled by the same factor. The interval of a value that was 0 is shifted.
+
+    Args:
+        study: study.
+        given: values of all varied and fixed quantities, by name.
+
+    Raises:
+        PointError: The groove phase is not admissible.
     """
-    content = study.files[int(asked.get(PARAMETER_FILE, 0))][1]
+    content = study.files[int(given.get(PARAMETER_FILE, 0))][1]
     old = content.parameters
-    changes = {key: asked[key] for key in KEYS if key in asked}
+    changes = {key: given[key] for key in KEYS if key in given}
     new = old.replace(**changes)
-    if "groove_phase_m" in asked:
-        phase = asked["groove_phase_m"]
+    if "groove_phase_m" in given:
+        phase = given["groove_phase_m"]
         if not -0.5 * new.pitch < phase <= 0.5 * new.pitch:
             raise PointError(
                 f"groove_phase_m: {phase:g} m is not within half a pitch of {new.pitch:g} m"
             )
         new = new.replace(initial_length=front_groove(old) * new.pitch + phase)
-    conditions = {key: asked[key] for key in CONDITION_ROWS if key in asked}
+    conditions = {key: given[key] for key in CONDITION_ROWS if key in given}
     new = under(Conditions(**conditions), new)
     before, after = old.as_dict(), new.as_dict()
 
@@ -259,47 +267,47 @@ def content_of(study: Study, asked: Mapping[str, float]) -> ParameterFile:
     )
 
 
-def settings_of(study: Study, asked: Mapping[str, float]) -> Settings:
-    """Return the settings of the search at a point that `task_of` does not contain."""
+def settings_of(study: Study, given: Mapping[str, float]) -> Settings:
+    """Return those settings of the search at a point that are not part of its task, see `task_of`."""
     plain = dataclasses.astuple(ShapeBounds())
     ends = (
-        tuple(asked.get(name, end) for name, end in zip(names, row, strict=True))
+        tuple(given.get(name, end) for name, end in zip(names, row, strict=True))
         for names, row in zip(SHAPE_BOUNDS, plain, strict=True)
     )
     return Settings(scan=study.scan, waveform=study.waveform, shapes=ShapeBounds(*ends))
 
 
-def task_of(study: Study, asked: Mapping[str, float], parameters: Parameters) -> MarginTask:
+def task_of(study: Study, given: Mapping[str, float], parameters: Parameters) -> MarginTask:
     """Return the optimisation task of a point, without a margin."""
     plain = Bounds()
     box = {
-        "stroke_low": asked.get("min_stroke_m", plain.stroke_low),
-        "stroke_high": asked.get("max_stroke_m", plain.stroke_high),
-        "frequency_low": asked.get("min_frequency_Hz", plain.frequency_low),
-        "frequency_high": asked.get("max_frequency_Hz", plain.frequency_high),
+        "stroke_low": given.get("min_stroke_m", plain.stroke_low),
+        "stroke_high": given.get("max_stroke_m", plain.stroke_high),
+        "frequency_low": given.get("min_frequency_Hz", plain.frequency_low),
+        "frequency_high": given.get("max_frequency_Hz", plain.frequency_high),
     }
-    limits = ActuatorLimits(*(asked.get(name, math.inf) for name in LIMITS))
+    limits = ActuatorLimits(*(given.get(name, math.inf) for name in LIMITS))
     if study.hardware.driver is not None:
-        driver = _driver(study.hardware.driver, asked)
+        driver = _driver(study.hardware.driver, given)
         box["stroke_high"] = min(box["stroke_high"], driver.max_stroke)
         box["frequency_high"] = min(box["frequency_high"], driver.max_frequency)
         model = servo_model(study.hardware.model)
         limits = limits.tightened(limits_of(driver, model, study.hardware.voltage))
-    direction = int(asked.get("direction", FORWARD))
+    direction = int(given.get("direction", FORWARD))
     return MarginTask(
         parameters,
         direction,
         bounds=Bounds(**box),
         limits=limits,
-        holding_power=asked.get("holding_power_W_per_N", 0.0),
+        holding_power=given.get("holding_power_W_per_N", 0.0),
     )
 
 
-def _driver(plain: DrivenBy, asked: Mapping[str, float]) -> DrivenBy:
+def _driver(plain: DrivenBy, given: Mapping[str, float]) -> DrivenBy:
     """Return the driver's limits with the spool radius of the point."""
-    if "spool_radius_m" not in asked:
+    if "spool_radius_m" not in given:
         return plain
-    radius = asked["spool_radius_m"]
+    radius = given["spool_radius_m"]
     if not radius > 0.0:
         raise PointError(f"spool_radius_m: {radius:g} m is not positive")
     return dataclasses.replace(plain, spool_radii=(radius,) * len(plain.spool_radii))
@@ -316,23 +324,26 @@ def _cliff(price: PriceOfRobustness) -> dict[str, Any]:
 
 def _robust(
     study: Study,
-    asked: Mapping[str, float],
+    given: Mapping[str, float],
     content: ParameterFile,
     task: MarginTask,
     exact: ExactFront,
 ) -> dict[str, Any]:
-    """Return stored front, chosen gaits and success probabilities of an exact front; ``task`` has no margin."""
+    """Return the results of an exact front: stored front, chosen gaits and success probabilities.
+
+    ``task`` is the same task without a margin, for the nominal predictions.
+    """
     front = exact.front
     results: dict[str, Any] = {}
     if "front" in study.compute:
         results["front_size"] = len(front)
-        corner = asked.get("reference_power_W", REFERENCE_POWER)
+        corner = given.get("reference_power_W", REFERENCE_POWER)
         results["hypervolume"] = hypervolume(front, corner)
         if len(front):
             results |= _kept_front(study, front, content.parameters)
     if not len(front) or not {"gaits", "success"} & set(study.compute):
         return results
-    chosen = _chosen(study, asked, exact, content.parameters)
+    chosen = _chosen(study, given, exact, content.parameters)
     results |= chosen
     known = np.isfinite(chosen["stroke"])
     gaits = chosen["stroke"][known], chosen["frequency"][known]
@@ -341,19 +352,19 @@ def _robust(
     results["nominal_speed"] = _spread(nominal.speed, known)
     results["nominal_power"] = _spread(nominal.power + task.held_power(*gaits, shape), known)
     if "success" in study.compute:
-        promised = chosen["grooves_per_cycle"][known]
+        required = chosen["grooves_per_cycle"][known]
         samples, seed = study.resolution.samples, study.resolution.seed
         for name, draw in (("", phase_known), ("_any_phase", phase_unknown)):
             draws = draw(content, samples, seed)
-            share = success_probability(task, *gaits, promised, draws, shape)
+            share = success_probability(task, *gaits, required, draws, shape)
             results[f"success_probability{name}"] = _spread(share, known)
     return results
 
 
 def _shapes(chosen: Mapping[str, Array], known: np.ndarray) -> Shapes:
     """Return the shapes of the chosen gaits for which ``known`` is True; in a study of sinusoids, the paper's shape."""
-    given = {name: chosen[name][known] for name in SHAPE_ROW.names or () if name in chosen}
-    return shapes_of(int(np.count_nonzero(known)), **given)
+    fields = {name: chosen[name][known] for name in SHAPE_ROW.names or () if name in chosen}
+    return shapes_of(int(np.count_nonzero(known)), **fields)
 
 
 def _spread(values: Array, known: np.ndarray) -> Array:
@@ -364,7 +375,7 @@ def _spread(values: Array, known: np.ndarray) -> Array:
 
 
 def _kept_front(study: Study, front: Points, parameters: Parameters) -> dict[str, Array]:
-    """Return the columns of the gaits of a front that are stored, padded with NaN to ``front_gaits`` rows."""
+    """Return the quantities of the stored gaits of a front, padded with NaN to ``front_gaits`` rows."""
     count = study.resolution.front_gaits
     kept = front.take(thinned(front, parameters, count))
     columns = _figures(study, kept, parameters)
@@ -378,7 +389,7 @@ def _kept_front(study: Study, front: Points, parameters: Parameters) -> dict[str
 
 
 def _chosen(
-    study: Study, asked: Mapping[str, float], exact: ExactFront, parameters: Parameters
+    study: Study, given: Mapping[str, float], exact: ExactFront, parameters: Parameters
 ) -> dict[str, Array]:
     """Return the quantities of the gaits of `gait_names`, one column per quantity; NaN if no gait meets a request."""
     names = gait_names(study)
@@ -386,7 +397,7 @@ def _chosen(
     if not len(exact.front):
         return columns
     costs: list[Cost] = [power_cost, transport_cost, speed_cost]
-    costs += [_COSTS[objective](asked[key]) for key, objective in REQUESTS.items() if key in asked]
+    costs += [_COSTS[objective](given[key]) for key, objective in REQUESTS.items() if key in given]
     for place, cost in enumerate(costs):
         gait = exact.cheapest(cost)
         for name, value in _figures(study, gait, parameters).items():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Quantities that a study may vary or fix: keys of a parameter file, conditions in the pipe, and `_OTHERS`."""
+"""Quantities that a study may vary or fix: keys of a parameter file, conditions in the pipe, and others (`_OTHERS`)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from worm_model.gait import (
 )
 from worm_msgs.robot_parameters import ROWS
 
-_SMALL, _LARGE = 1e-6, 1e6  # bounds of positive quantities
+_SMALL, _LARGE = 1e-6, 1e6  # bounds of positive quantities, in their units
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,8 @@ SHAPE_BOUNDS = (  # lower and upper end of each field of ShapeBounds, in the ord
     ("min_contraction_share", "max_contraction_share"),
     ("min_ramp_share", "max_ramp_share"),
 )
-_CF_UNITS = {"°": "degree", "m²": "m2", "N·s/m": "N s/m"}  # as the CF conventions write them
+# Units in the notation of the CF conventions
+_CF_UNITS = {"°": "degree", "m²": "m2", "N·s/m": "N s/m"}
 QUANTITIES: Mapping[str, Quantity] = {
     **{
         key: Quantity(

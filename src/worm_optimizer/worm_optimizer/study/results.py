@@ -17,7 +17,7 @@ from worm_optimizer.study.store import CHECKSUM, STATE, open_result
 
 @contextlib.contextmanager
 def point_table(path: Path) -> Iterator[xarray.Dataset]:
-    """Open the results of a study. One dimension ``point`` replaces all dimensions over which the points extend."""
+    """Open the results of a study as a dataset with one dimension ``point`` instead of all dimensions of the points."""
     with open_result(path) as data:
         yield data.stack(point=data[STATE].dims).reset_index("point")
 

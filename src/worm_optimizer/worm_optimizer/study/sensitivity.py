@@ -28,7 +28,7 @@ from worm_optimizer.robustness.uncertainty import (
 from worm_optimizer.study.plan import SALTELLI, Sample
 from worm_optimizer.study.sobol import Indices, indices_of
 
-FIGURES = ("speed", "power", "cliff_margin")
+FIGURES = ("speed", "power", "cliff_margin")  # quantities whose indices are computed
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ def sensitivity(gait: Gait, content: ParameterFile, samples: int, seed: int) -> 
 
 
 def _reach(content: ParameterFile) -> dict[str, tuple[float, float]]:
-    """Return the reach of each uncertain parameter. That of L0 is the reach of the groove phase, see `_figures`."""
+    """Return the reach of each uncertain parameter. The reach of L0 is that of the groove phase, see `_figures`."""
     reaches = {key: reach_of(content, key) for key in (*MOTION_KEYS, *POWER_KEYS, LENGTH)}
     return {key: ends for key, ends in reaches.items() if max(ends) > 0.0}
 
@@ -81,9 +81,9 @@ def _reach(content: ParameterFile) -> dict[str, tuple[float, float]]:
 def _figures(
     gait: Gait, content: ParameterFile, reach: Mapping[str, tuple[float, float]], deviates: Array
 ) -> Array:
-    """Return the quantities, shape (figures, n), at standard normal deviates of shape (parameters, n).
+    """Return the quantities of `FIGURES`, shape (3, n), at standard normal deviates of shape (parameters, n).
 
-    L0 changes with the drawn pitch, such that the groove phase depends on the draw of L0 alone.
+    L0 changes with the drawn pitch, such that the groove phase depends only on the draw of L0.
     """
     p = content.parameters
     drawn = values_at(p, reach, dict(zip(reach, deviates, strict=True)))

@@ -44,13 +44,14 @@ Region = tuple[slice, ...]  # one slice for each dimension of the points
 
 STATE, REASON, CHECKSUM = "state", "reason", "block_checksum"
 _FORMAT = 2
-_NEW = int(zarr.__version__.split(".")[0]) >= 3  # Python 3.10 needs an older release
-_CHUNK_POINTS = 1024  # few files; rewriting the chunks of a block takes some 50 ms
+_NEW = int(zarr.__version__.split(".")[0]) >= 3  # Python 3.10 needs an older release of zarr
+# Nominal number of points in a chunk. The store then has few files, and rewriting the chunks of a block takes 50 ms.
+_CHUNK_POINTS = 1024
 _OTHER_COORDINATES = {
     PARAMETER_FILE: ("1", "parameter file of the robot"),
     SAMPLE: ("1", "number of the sample"),
     "front_gait": ("1", "gait of the front, by rising speed"),
-    "gait": ("1", "gait, by what is best"),
+    "gait": ("1", "gait, by its objective"),
     "scan_margin": ("m", "margin of the scan"),
 }
 _STUDY, _HASH, _CODE, _BLOCK = "study", "study_hash", "code", "block_shape"  # attributes

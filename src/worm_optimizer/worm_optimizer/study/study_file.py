@@ -35,7 +35,7 @@ from worm_optimizer.search.search_settings import ScanSettings, Waveform
 from worm_optimizer.study import plan
 from worm_optimizer.study.quantities import QUANTITIES, SHAPE_BOUNDS
 
-CLIFF = "cliff"  # value of margin_m that selects the margin at the cliff of the point's own scan
+CLIFF = "cliff"  # value of margin_m that selects the last margin before the cliff of the point's own scan
 _FINEST = 10_000  # largest value of a resolution
 _MOST_VALUES = 100_000  # largest number of values of an axis
 _SCAN, _PLAIN = ScanResolution(), plan.Resolution()

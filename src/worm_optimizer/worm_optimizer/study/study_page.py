@@ -18,13 +18,14 @@ from worm_optimizer.study.study_indices import study_indices
 from worm_optimizer.study.study_plots import label, pictures, shown
 from worm_optimizer.study.summary import Summary, summarise
 
-_BEST = 10  # number of points in the table
+_BEST = 10  # largest number of rows of the tables of best points and of failures
+# Limit of the model that the page states if the study varies the quantity
 _COUPLED = {
     "bellows_stiffness": "A stiffer bellows extends faster: on a real robot time_constant, gain and slack change, too. "
-    "This study keeps them unless it varies them, and bellows_stiffness affects the power alone.",
+    "They stay unless the study varies them, so that bellows_stiffness affects only the power.",
     "bellows_damping": "Damping and stiffness of a bellows depend on the same material; here they vary independently.",
     "slack": "Less slack needs a tighter cable. The model does not compute whether the cable stays tight during a run.",
-    "pitch": "Another pitch needs other fins, but their threshold and stiffnesses stay unless the study varies them. "
+    "pitch": "Another pitch needs other fins, but threshold and stiffnesses stay unless the study varies them. "
     "With a fixed initial_length, the groove phase changes with the pitch (vary or fix groove_phase_m).",
     "clearance": "Clearance depends on the shape of the fin, but the fin's stiffnesses stay unless the study varies "
     "them.",
@@ -33,6 +34,7 @@ _COUPLED = {
     "spool_radius_m": "The spool radius affects speed and force of the servos only. Winding and inertia are not "
     "modelled.",
 }
+# Limits of the model that each page states
 _ALWAYS = (
     "All numbers are predictions for the groove phase of the point. A robot with another groove phase gains other "
     "numbers of grooves.",
@@ -123,7 +125,7 @@ def _sentence(summary: Summary, row: int) -> str:
         ", ".join(f"{label(column)} {shown(column)[row]:.4g}" for column in columns)
         for columns in (summary.varied, summary.figures)
     )
-    return f"{design}. There: {figures}."
+    return f"{design}. Results: {figures}."
 
 
 def _best_table(summary: Summary) -> Table:

@@ -18,8 +18,9 @@ from worm_optimizer.study.summary import Column, Summary
 
 Array = NDArray[np.float64]
 
-_COMPARED = (("speed_m_s", 1e3, "speed (mm/s)"), ("power_W", 1.0, "power (W)"))  # of a fleet
-_LINES = 400  # lines of parallel coordinates; more are not distinguishable
+# Columns of a fleet that are compared with expected values, with their scales and labels
+_COMPARED = (("speed_m_s", 1e3, "speed (mm/s)"), ("power_W", 1.0, "power (W)"))
+_LINES = 400  # largest number of lines of parallel coordinates; more are not distinguishable
 _SHOWN = {"m": (1e3, "mm"), "m/s": (1e3, "mm/s")}  # units that are shown instead of SI units
 
 

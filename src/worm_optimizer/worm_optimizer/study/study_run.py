@@ -24,7 +24,7 @@ from worm_optimizer.study.store import (
     regions,
 )
 
-_TIMED_POINTS = 3
+_TIMED_POINTS = 3  # number of points whose computation `estimate` times
 
 
 @dataclass(frozen=True)

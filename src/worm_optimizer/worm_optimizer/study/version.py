@@ -58,7 +58,7 @@ def sources() -> list[Path]:
 
 
 def identity() -> str:
-    """Return a hash of `sources`, followed by the versions of the numerical packages. All workers must agree in it."""
+    """Return a hash of `sources` with the versions of the numerical packages. It must be equal on all workers."""
     digest = hashlib.sha256()
     for path in sources():
         digest.update(path.name.encode() + b"\0" + path.read_bytes())

@@ -489,7 +489,7 @@ def test_values_of_another_form_of_the_power_are_not_held_against_the_papers(tmp
     parts = IdentificationParts(content, "mine.yaml")
     page = build_report(Report("identified", identification=parts), tmp_path / "r")
     text = page.read_text(encoding="utf-8")
-    assert "with the power of a cable that cannot push" in text
+    assert "with the power model of a cable that cannot push" in text
     rows = {key: line for line in text.splitlines() for key in KEYS if f"<code>{key}<" in line}
     assert rows["bellows_damping"].count("862.4") == rows["power_factor"].count("3.22") == 1
     assert rows["bellows_stiffness"].count("968.8") == 2  # its value and the paper's

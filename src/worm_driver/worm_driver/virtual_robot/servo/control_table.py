@@ -2,8 +2,8 @@
 """Control tables of the virtual servos, one row per register, one table per model.
 
 The registers are written from the ROBOTIS e-manual, independently of the driver's tables, with the manual's names in
-lower case. The data of the models come from `worm_msgs.servo_models`, which the driver uses, too.
-Indirect addressing (168 and above) is not implemented and returns an access error.
+lower case. The data of the models come from `worm_msgs.servo_models`, which the driver uses, too. Indirect
+addressing (168 and above) is not implemented; an access to it returns an access error.
 """
 
 from collections.abc import Mapping
@@ -12,8 +12,8 @@ from functools import cached_property
 
 from worm_msgs.servo_models import RPM, SERVO_MODELS, Initial, ServoRow
 
-EEPROM_END = 64  # addresses below are locked while torque is on
-TABLE_END = 168
+EEPROM_END = 64  # registers at lower addresses are locked while torque is on
+TABLE_END = 168  # address after the last implemented register
 
 CURRENT_MODE = 0
 VELOCITY_MODE = 1
@@ -22,7 +22,7 @@ EXTENDED_POSITION_MODE = 4
 CURRENT_POSITION_MODE = 5
 PWM_MODE = 16
 
-PULSES_PER_TURN = 4096
+PULSES_PER_TURN = 4096  # a pulse is one count of the position registers; the driver calls it a tick
 EXTENDED_RANGE = 1_048_575  # pulses, +-256 turns
 
 BAUD_RATES = (9600, 57600, 115200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
@@ -30,7 +30,7 @@ BAUD_RATES = (9600, 57600, 115200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4
 
 @dataclass(frozen=True)
 class Register:
-    """One register. initial: factory value; low, high: lowest and highest allowed raw value."""
+    """One register. size: in bytes; initial: factory value, raw; low, high: lowest and highest allowed raw value."""
 
     name: str
     address: int
@@ -145,7 +145,7 @@ _COMMON = (
     _status("backup_ready", 147, 1),
 )
 
-# Goals that a servo rejects in the Bus Watchdog's error state.
+# Registers to which a servo rejects writes after the Bus Watchdog has fired.
 GOALS = ("goal_pwm", "goal_current", "goal_velocity", "goal_position")
 
 
@@ -163,7 +163,9 @@ _LOAD_REGISTERS = (_status("present_load", 126, 2, _INT16),)
 def _table(extra: tuple[Register, ...], initial: Mapping[str, Initial]) -> dict[str, Register]:
     """Return the common and extra registers by name.
 
-    initial: by name, the factory values of the model, or (factory value, low, high).
+    Args:
+        extra: registers that not every model has.
+        initial: factory values of the model, or (factory value, lowest, highest), by name.
     """
     rows = {row.name: row for row in sorted(_COMMON + extra, key=lambda row: row.address)}
     for name, value in initial.items():

@@ -19,14 +19,15 @@ REVERSE_DRIVE = 0x01
 TIME_BASED_PROFILE = 0x04
 TORQUE_ON_BY_GOAL = 0x08
 
-SPEED_UNIT = 0.229 / 60 * PULSES_PER_TURN  # pulses/s
-FULL_PWM = 885
+SPEED_UNIT = 0.229 / 60 * PULSES_PER_TURN  # pulses/s per raw unit of a velocity register
+FULL_PWM = 885  # raw value of a PWM register at full output
 
-_ACCELERATION_UNIT = 214.577 / 3600 * PULSES_PER_TURN  # pulses/s^2
+# pulses/s^2 per raw unit of profile_acceleration
+_ACCELERATION_UNIT = 214.577 / 3600 * PULSES_PER_TURN
 
 
 def direction_of(memory: RegisterMemory) -> int:
-    """Return the direction in which the registers count: 1, or -1 in reverse mode."""
+    """Return the direction in which the registers count: 1, or -1 in reverse mode (drive_mode)."""
     return -1 if memory["drive_mode"] & REVERSE_DRIVE else 1
 
 
@@ -64,7 +65,7 @@ def _full_speed(model: ServoModel, voltage: float) -> float:
 def _speed_goal(memory: RegisterMemory, full_speed: float) -> float | None:
     """Return the commanded speed, pulses/s; None if the motor controls its position.
 
-    It controls its position in the position modes and, after the Bus Watchdog has fired, in all modes.
+    The motor controls its position in the position modes and, after the Bus Watchdog has fired, in all modes.
     """
     if memory["bus_watchdog"] < 0:
         return None
@@ -88,9 +89,9 @@ def _torque_limit(memory: RegisterMemory, model: ServoModel) -> float:
 
 
 def _profile(memory: RegisterMemory, distance: float) -> tuple[float, float]:
-    """Return acceleration (pulses/s^2) and velocity (pulses/s) of the profile; register value 0 means no limit."""
+    """Return acceleration (pulses/s^2) and velocity (pulses/s) of a profile over a distance (pulses); inf: no limit."""
     velocity, acceleration = memory["profile_velocity"], memory["profile_acceleration"]
-    if memory["drive_mode"] & TIME_BASED_PROFILE:  # duration and ramp in ms
+    if memory["drive_mode"] & TIME_BASED_PROFILE:  # The registers contain duration and ramp in ms.
         if velocity == 0:
             return math.inf, math.inf
         ramp = min(acceleration, velocity / 2) * 1e-3

@@ -15,13 +15,13 @@ INPUT_VOLTAGE_ERROR = 1 << 0
 OVERHEATING_ERROR = 1 << 2
 OVERLOAD_ERROR = 1 << 5
 
-_IN_POSITION = 20  # pulses
+_IN_POSITION = 20  # pulses; distance from the goal within which Moving Status reports the arrival
 _BLOCKED_ERROR = 0.2  # rad; following error at which a blocked motor reaches its strongest torque
-_OVERLOAD_LEVEL = 0.9  # relative to the strongest torque
-_OVERLOAD_TIME = 1.0  # s
-_HEATING_TIME = 300.0  # s
-_IDLE_HEAT = 5.0  # degC
-_STALL_HEAT = 20.0  # degC
+_OVERLOAD_LEVEL = 0.9  # torque above which a servo is overloaded, relative to its strongest torque
+_OVERLOAD_TIME = 1.0  # s; duration of an overload after which the servo reports it
+_HEATING_TIME = 300.0  # s; time constant of the temperature
+_IDLE_HEAT = 5.0  # degC; rise above ambient without torque
+_STALL_HEAT = 20.0  # degC; further rise at the stall torque
 
 
 @dataclass
@@ -43,7 +43,12 @@ class Surroundings:
 
 @dataclass(frozen=True)
 class Wear:
-    """Thermal and overload state. heat: rise above ambient, degC; overload: duration of the present overload, s."""
+    """Thermal and overload state.
+
+    Attributes:
+        heat: temperature rise above ambient, degC.
+        overload: duration of the present overload, s.
+    """
 
     heat: float = _IDLE_HEAT
     overload: float = 0.0
@@ -60,7 +65,7 @@ def strongest_torque(memory: RegisterMemory, model: ServoModel) -> float:
 def motor_torque(
     command: MotorCommand, state: MotorState, around: Surroundings, strongest: float
 ) -> float:
-    """Return the motor torque, N*m; positive when it acts forward against the load or the obstacle."""
+    """Return the motor torque, N*m; positive when it acts forward, against the load or the obstacle."""
     if command.kind == motor.LIMP:
         return 0.0
     if not around.blocked:
@@ -79,7 +84,7 @@ def supervise(
     around: Surroundings,
     duration: float,
 ) -> tuple[Wear, int]:
-    """Return the wear after a duration (s) with a torque (N*m), and the resulting error bits."""
+    """Return the wear after a duration (s) with a torque (N*m), and the bits of Hardware Error Status that it sets."""
     heating = _IDLE_HEAT + _STALL_HEAT * (torque / model.stall_torque) ** 2
     heat = wear.heat + (heating - wear.heat) * min(duration / _HEATING_TIME, 1.0)
     overloaded = abs(torque) >= _OVERLOAD_LEVEL * strongest_torque(memory, model)
@@ -119,9 +124,13 @@ def motion_registers(
 def torque_registers(
     memory: RegisterMemory, model: ServoModel, torque: float, noise: float
 ) -> dict[str, int]:
-    """Return the raw values of the registers that report a torque (N*m).
+    """Return the raw values of the registers that report the torque.
 
-    noise: measurement noise, counts of Present Current or Present Load.
+    Args:
+        memory: registers of the servo.
+        model: servo model.
+        torque: motor torque, N*m.
+        noise: measurement noise, raw units of Present Current or Present Load.
     """
     signed = direction_of(memory) * torque
     share = signed / model.stall_torque

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Motion of a servo's shaft: profile, position loop, speed limit, stall, back-driving.
 
-Positions are in pulses of the shaft (4096 per turn, never folded), speeds in pulses/s, torques in N*m.
+Positions are in pulses of the shaft (4096 per turn, counted over all turns), speeds in pulses/s, torques in N*m. The
+present point of the motor's profile is also called its trajectory, as in the e-manual.
 """
 
 import math
@@ -13,9 +14,9 @@ PULSES_PER_RADIAN = PULSES_PER_TURN / (2 * math.pi)
 
 _POSITION_LOOP_TIME = 0.020  # s, position error divided by the speed that corrects it
 _VELOCITY_LOOP_TIME = 0.006  # s, lag of the speed behind the commanded speed
-_BREAKAWAY = 0.1  # gear friction that a load must overcome, relative to the stall torque
-_BACKDRIVE_SPEED = 2.0  # rad/s at a load of one stall torque above the breakaway
-_STILL = 1e-3  # pulses and pulses/s; below both, a motor at its goal is not integrated
+_BREAKAWAY = 0.1  # friction of the gear, which a load must overcome, relative to the stall torque
+_BACKDRIVE_SPEED = 2.0  # rad/s of the shaft, at a load of one stall torque above the gear friction
+_STILL = 1e-3  # pulses and pulses/s; with a smaller error and speed, a motor at its goal is not integrated
 
 LIMP = 0
 POSITION = 1
@@ -24,7 +25,7 @@ BLOCKED = 3
 
 
 class MotorState(NamedTuple):
-    """Shaft motion and the present point of the profile (trajectory)."""
+    """Motion of the shaft, and the present point of the profile."""
 
     position: float
     velocity: float = 0.0
@@ -59,7 +60,7 @@ def at_rest(position: float) -> MotorState:
 def step(
     state: MotorState, command: MotorCommand, load: float, model: ServoModel, step_s: float
 ) -> MotorState:
-    """Return the state one step (s) later; a positive load (N*m) turns the shaft backward."""
+    """Return the state one step (s) later. A positive load (N*m) turns the shaft backward."""
     kind, goal = command.kind, command.goal
     if kind == POSITION and load_is_held(load, command, model):
         if (
@@ -89,7 +90,7 @@ def load_is_held(load: float, command: MotorCommand, model: ServoModel) -> bool:
 
 
 def backdrive_velocity(load: float, motor_torque: float, model: ServoModel) -> float:
-    """Return the velocity (pulses/s) at which a load (N*m) turns a shaft that the motor holds with a torque (N*m)."""
+    """Return the velocity (pulses/s) at which a load (N*m) turns a shaft against the torque (N*m) of its motor."""
     excess = abs(load) - motor_torque - _BREAKAWAY * model.stall_torque
     if excess <= 0:
         return 0.0

@@ -14,7 +14,7 @@ _LIMITED_BY = {
 
 
 class RegisterError(Exception):
-    """Access that a servo rejects; number is the error number of its status packet."""
+    """Access that a servo rejects. ``number`` is the error number of the status packet."""
 
     def __init__(self, number: Error) -> None:
         super().__init__(number.name)
@@ -25,7 +25,7 @@ class RegisterMemory:
     """Control table of a servo with its present values."""
 
     def __init__(self, model: control_table.ServoModel, settings: Mapping[str, int]) -> None:
-        """Create the memory. settings: raw EEPROM values that differ from the factory values."""
+        """Create the memory. ``settings`` are raw EEPROM values that differ from the factory values, by name."""
         self._rows = model.registers
         self._modes = model.modes
         self._by_address = {row.address: row for row in self._rows.values()}
@@ -75,7 +75,7 @@ class RegisterMemory:
         self["goal_velocity"] = 0
 
     def read(self, address: int, length: int) -> bytes:
-        """Return the bytes of a range; gaps between registers read as 0. Raises RegisterError beyond the table."""
+        """Return the bytes of a range, with 0 in the gaps between registers. Raises RegisterError beyond the table."""
         if address + length > control_table.TABLE_END:
             raise RegisterError(Error.ACCESS)
         return bytes(self._bytes[address : address + length])

@@ -2,9 +2,10 @@
 """Virtual servo: power cycle, instructions and shaft.
 
 Times are seconds of the virtual robot's clock and do not decrease. Where the e-manual is silent, the servo behaves as
-follows. Of the packets, only intact ones with the servo's id or the broadcast id reset the Bus Watchdog. After the
-watchdog has fired, the shaft holds its position in all modes until 0 is written to the watchdog's register. The servo
-answers Result Fail to torque on after a shutdown, and to a factory reset with torque on.
+follows. Only an intact packet that addresses the servo resets the Bus Watchdog: by the servo's id, by the broadcast id,
+or, in a group read or write, by the servo's entry in the list. After the watchdog has fired, the shaft holds its
+position in all modes until 0 is written to the watchdog's register. The servo answers Result Fail to torque on after a
+shutdown, and to a factory reset with torque on.
 """
 
 import math
@@ -20,10 +21,11 @@ from worm_driver.virtual_robot.servo.motor import PULSES_PER_RADIAN, MotorState
 from worm_driver.virtual_robot.servo.register_memory import RegisterError, RegisterMemory
 from worm_driver.virtual_robot.wire.packet import ALERT, Error
 
-_WATCHDOG_UNIT = 0.020  # s
-_TICK_WRAP = 32768  # ms
-_CLEAR_KEY = b"\x01\x44\x58\x4c\x22"
-_CLEAR_FIRMWARE = 42
+_WATCHDOG_UNIT = 0.020  # s per raw unit of bus_watchdog
+_TICK_WRAP = 32768  # ms, period of Realtime Tick
+_CLEAR_KEY = b"\x01\x44\x58\x4c\x22"  # required parameters of the Clear instruction
+_CLEAR_FIRMWARE = 42  # first firmware version with the Clear instruction
+# Registers that a Factory Reset does not change, by the parameter of the instruction.
 _FACTORY_RESET_KEEPS: Mapping[int, tuple[str, ...]] = {
     0xFF: (),
     0x01: ("id",),
@@ -37,7 +39,7 @@ class Servo:
 
     Attributes:
         settings: raw EEPROM values that differ from the factory values.
-        start: shaft position at time 0, pulses, unfolded.
+        start: shaft position at time 0, pulses, unfolded (see `encoder`).
         boot_time: time for which the servo does not answer after a reboot, s.
     """
 
@@ -59,7 +61,7 @@ class Servo:
     # --- life ---------------------------------------------------------------------------------
 
     def reboot(self, time: float) -> None:
-        """Power up or reboot: RAM is reset, torque is off, the position is folded to one turn."""
+        """Boot, after a reboot or at power-up: RAM is reset, torque is off, the position is folded to one turn."""
         self._silent_until = time + self.boot_time
         self._time = time
         self._power_up()
@@ -119,7 +121,7 @@ class Servo:
         self._update_command()
 
     def register_write(self, address: int, data: bytes) -> None:
-        """Store a write for action(). Raises RegisterError."""
+        """Store a write until `action` executes it. Raises RegisterError."""
         self.memory.check_write(address, data)
         self._registered = (address, data)
         self.memory["registered_instruction"] = 1
@@ -220,10 +222,10 @@ class Servo:
         self.memory["bus_watchdog"] = -1
         goal = self.memory["goal_position"]
         self._hold()
-        self.memory["goal_position"] = goal  # the register is read-only now
+        self.memory["goal_position"] = goal  # The watchdog does not change this register.
 
     def _update_command(self) -> None:
-        """Compute the motor command from the registers, so that a step does not decode them."""
+        """Compute the motor command from the registers, so that a step need not decode them."""
         watchdog = self.memory["bus_watchdog"]
         armed = watchdog > 0 and self.memory["torque_enable"]
         self._watchdog_time = watchdog * _WATCHDOG_UNIT if armed else math.inf

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Simulated time: it never advances past an event that a client waits for, and never while a client computes.
+"""Simulated time, which never advances past an event that a client waits for, and never while a client computes.
 
-The methods do not read the machine's time: it is an argument.
+The methods do not read the machine's time, which is an argument.
 """
 
 import math
@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 from worm_driver.virtual_robot.wire.virtual_clock import SERIAL, Wait
 
-#: Delay that a robot may catch up by running faster than its rate, s.
+#: Largest delay that simulated time catches up by advancing faster than its rate, s of machine time.
 _SLACK = 0.1
-#: Machine time after which bytes in transit count as lost, s.
+#: Machine time for which bytes may be in transit before they count as lost, s.
 _LOST = 2.0
 
 
@@ -31,7 +31,12 @@ class ClockClient:
     since: float = 0.0
 
     def waits(self, sent: float, received: float) -> bool:
-        """Return True if the client is idle, given the bytes sent to it and received from it over the serial line."""
+        """Return True if the client is idle.
+
+        Args:
+            sent: number of bytes that the server has sent over the serial line.
+            received: number of bytes that the server has received over the serial line.
+        """
         if self.wait is None or self.port != SERIAL:
             return self.wait is not None
         all_read = not self.wait.listening or self.wait.read >= sent
@@ -64,10 +69,11 @@ class ClockServer:
 
     @property
     def _pace(self) -> float:
+        """Rate for computations; 1 if the rate is infinite."""
         return self.rate if math.isfinite(self.rate) else 1.0
 
     def alone(self, machine: float) -> float:
-        """Return the simulated time without clients: it advances at its rate."""
+        """Advance simulated time without clients, at its rate, to a machine time (s), and return it."""
         self.now = max(self.now, (machine - self._start) * self._pace)
         self._machine = machine
         return self.now
@@ -77,7 +83,7 @@ class ClockServer:
 
         Args:
             machine: machine time, s.
-            clients: True for each client that is idle. Time advances only if all are.
+            clients: for each client, True if it is idle. Time advances only if all clients are idle.
             until: simulated time of the next event, s. Time does not advance past it.
         """
         waiting = all(clients)

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Final
 
-# Faults of status packets: each affects `count` packets.
+# Faults of status packets.
 NO_ANSWER: Final = "no_answer"
 CORRUPTED_CRC: Final = "corrupted_crc"
 TRUNCATED: Final = "truncated"
@@ -19,10 +19,10 @@ WRONG_POSITION: Final = "wrong_position"
 # Events of the whole robot.
 PUT_BACK: Final = "put_back"
 OCCLUDED: Final = "occluded"
-# Changes of the plant's conditions: each lasts `duration`.
+# Changes of the plant's conditions.
 SLOPE: Final = "slope"
 TETHER: Final = "tether"
-# Faults of servos, of the serial port and of the power sensor: each lasts `duration`.
+# Faults of servos, of the serial port and of the power sensor.
 VANISHED: Final = "vanished"
 STALLED: Final = "stalled"
 OVERLOAD: Final = "overload"
@@ -38,7 +38,15 @@ INA219_RESET: Final = "ina219_reset"
 
 @dataclass(frozen=True)
 class FaultKind:
-    """Kind of fault: description, and default count, duration (s) and value."""
+    """Kind of fault.
+
+    Attributes:
+        text: description.
+        count: default number of times that the fault takes effect (packets, transactions or events); 0: always within
+            the duration.
+        duration: default duration, s.
+        value: default value, in the unit of the description.
+    """
 
     text: str
     count: int = 0
@@ -91,7 +99,7 @@ KINDS: dict[str, FaultKind] = {
 
 
 class FaultError(ValueError):
-    """Invalid fault; the message contains the remedy."""
+    """The fault is invalid. The message contains the remedy."""
 
 
 @dataclass(frozen=True)
@@ -103,8 +111,9 @@ class Fault:
         target: id of the servo; None: any.
         start: time of the virtual robot's clock, s.
         duration: duration, s; inf: until the count is used up.
-        count: number of packets or transactions; 0: all within the duration.
-        value: see KINDS.
+        count: number of times that the fault takes effect (packets, transactions or events); 0: always within the
+            duration.
+        value: value, in the unit of the description in KINDS.
     """
 
     name: str
@@ -131,7 +140,7 @@ class Fault:
         return replace(self, start=self.start + time)
 
     def hits(self, target: int | None) -> bool:
-        """Return True if the fault affects a servo."""
+        """Return True if the fault affects a servo with this id; None: something else than a servo."""
         return self.target is None or self.target == target
 
 
@@ -198,7 +207,7 @@ class FaultBoard:
         self._left.clear()
 
     def active(self, name: str, time: float, target: int | None = None) -> Fault | None:
-        """Return the fault of a name that is active for a target at a time (s); None if there is none."""
+        """Return the active fault with a name, for a target (id of a servo) at a time (s); None if there is none."""
         if not self._left:
             return None
         for fault, _ in self._left:
@@ -207,7 +216,7 @@ class FaultBoard:
         return None
 
     def consume(self, name: str, time: float, target: int | None = None) -> Fault | None:
-        """Like active(), and reduce the fault's count by one."""
+        """Return the fault like `active`, and reduce its count by one."""
         fault = self.active(name, time, target)
         if fault is not None:
             index = next(i for i, (other, _) in enumerate(self._left) if other is fault)
@@ -219,7 +228,7 @@ class FaultBoard:
         return fault
 
     def forget_past(self, time: float) -> None:
-        """Remove the faults that have ended."""
+        """Remove the faults that have ended at a time (s)."""
         self._left = [(f, left) for f, left in self._left if time <= f.start + f.duration]
 
 

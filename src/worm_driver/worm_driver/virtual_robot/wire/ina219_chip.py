@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """INA219 power sensor at register level, and its I2C bus.
 
-Each step of the virtual robot sets shunt and bus voltage (V). A conversion is the mean over its duration. The integer
-arithmetic is that of the data sheet SBOS448G.
+Each step of the virtual robot sets shunt and bus voltage (V). A conversion yields the mean voltage over its duration.
+The integer arithmetic is that of the data sheet SBOS448G.
 """
 
 import errno
@@ -21,17 +21,23 @@ POWER_ON_CONFIGURATION = 0x399F
 _RESET_BIT = 0x8000
 _CONVERSION_READY = 0x0002
 _OVERFLOW = 0x0001
-_SHUNT_LSB = 10e-6  # V
-_BUS_LSB = 4e-3  # V
-_BUS_PIN_LIMIT = 26.0  # V, in the 32 V range too
-_BASE_TIMES = (84e-6, 148e-6, 276e-6, 532e-6)  # 9, 10, 11, 12 bit
+_SHUNT_LSB = 10e-6  # V per raw unit of the shunt voltage
+_BUS_LSB = 4e-3  # V per raw unit of the bus voltage
+_BUS_PIN_LIMIT = 26.0  # V, largest measurable bus voltage, also in the 32 V range
+_BASE_TIMES = (84e-6, 148e-6, 276e-6, 532e-6)  # s, one conversion of 9, 10, 11, 12 bit
 _RELEASED = 0xFF  # value of a bus that no device drives
 _UNAVERAGED = 532e-6  # s, one 12-bit conversion
 
 
 @dataclass(frozen=True)
 class Converter:
-    """Meaning of an ADC field of the configuration: time (s), averaged samples, lost low bits."""
+    """Setting of a converter.
+
+    Attributes:
+        time: duration of a conversion, s.
+        samples: number of averaged samples.
+        lost_bits: number of low bits that are always 0.
+    """
 
     time: float
     samples: int
@@ -39,7 +45,7 @@ class Converter:
 
 
 def converter(field: int) -> Converter:
-    """Return the meaning of a 4-bit ADC field (BADC or SADC)."""
+    """Return the setting that a 4-bit field of the configuration (BADC or SADC) selects."""
     if field & 0x8:
         samples = 1 << (field & 0x7)
         return Converter(_UNAVERAGED * samples, samples, 0)
@@ -49,14 +55,14 @@ def converter(field: int) -> Converter:
 
 @dataclass(frozen=True)
 class AdcNoise:
-    """Standard deviation of one conversion (V) at the shunt and at the bus pin."""
+    """Standard deviations of the noise of one conversion at the shunt and at the bus pin, V."""
 
     shunt: float
     bus: float
 
 
 class Ina219:
-    """INA219 chip with 16-bit raw registers; times in s must not decrease.
+    """INA219 chip with 16-bit raw registers. Times are in s and must not decrease.
 
     ``forced_overflow`` sets the overflow bit regardless of the arithmetic.
     """
@@ -78,7 +84,7 @@ class Ina219:
     # --- the bus side -------------------------------------------------------------------------
 
     def read(self, register: int) -> int:
-        """Return a register's value; pointers beyond the last register read 0. Reading POWER clears the ready bit."""
+        """Return a register's value; 0 beyond the last register. Reading POWER clears the ready bit."""
         if register > CALIBRATION:
             return 0
         value = self._registers[register]
@@ -90,7 +96,7 @@ class Ina219:
         return value
 
     def write(self, register: int, value: int) -> None:
-        """Set a register; writes to measured registers are ignored, as on the chip."""
+        """Set a register. Writes to measured registers are ignored, as on the chip."""
         if register == CONFIGURATION:
             if value & _RESET_BIT:
                 self.power_on()
@@ -127,7 +133,7 @@ class Ina219:
         self._weight = 0.0
 
     def advance(self, time: float, shunt_voltage: float, bus_voltage: float) -> None:
-        """Apply the pin voltages (V) from the last call until a time (s)."""
+        """Simulate from the time of the last call until a time (s), with constant pin voltages (V)."""
         start = self._time
         while self._end <= time:
             self._observe(self._end - start, shunt_voltage, bus_voltage)

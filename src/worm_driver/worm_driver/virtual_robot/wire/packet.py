@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Dynamixel Protocol 2.0 packets on the servo's side: checksum, byte stuffing, framing.
 
-The module is written from the ROBOTIS e-manual, independently of the SDK. If the SDK understands its packets, this is
-therefore evidence that both are correct.
+The module is written from the ROBOTIS e-manual, independently of the SDK. If the SDK understands packets of this
+module, this is therefore evidence that both are correct.
 """
 
 import re
@@ -17,7 +17,7 @@ ALERT = 0x80  # bit 7 of the error byte: look at Hardware Error Status
 
 _PREFIX = HEADER + b"\x00"
 _OVERHEAD = 7  # header, reserved byte, id, length
-_LONGEST = 1024  # bytes after the length field; more than any instruction of the driver needs
+_LONGEST = 1024  # largest accepted number of bytes after the length field; instructions of the driver need fewer
 _BARE_HEADER = re.compile(rb"\xff\xff\xfd(?!\xfd)")
 
 
@@ -57,7 +57,8 @@ class Error(IntEnum):
 class Packet:
     """Instruction packet without byte stuffing.
 
-    instruction is the received byte, which may not be a valid Instruction. intact is True if the checksum is correct.
+    ``instruction`` is the received byte, which need not be a valid Instruction. ``intact`` is True if the checksum is
+    correct.
     """
 
     servo_id: int
@@ -108,7 +109,7 @@ def instruction_packet(servo_id: int, instruction: int, parameters: bytes = b"")
 
 
 def status_packet(servo_id: int, error: int, parameters: bytes = b"") -> bytes:
-    """Return the bytes of a status packet; error is the complete error byte including the alert bit."""
+    """Return the bytes of a status packet. ``error`` is the complete error byte, with the alert bit."""
     return frame(servo_id, stuff(bytes([STATUS, error]) + parameters))
 
 
@@ -136,7 +137,7 @@ class InstructionReader:
     """Parser of instruction packets in a byte stream.
 
     A real servo drops a packet with a gap of more than 1.5 ms between bytes. A pseudo-terminal delivers bytes when the
-    reader is scheduled, so that the allowed gap (s) is an argument.
+    reader is scheduled. Therefore the allowed gap (s) is an argument.
     """
 
     def __init__(self, allowed_gap: float) -> None:

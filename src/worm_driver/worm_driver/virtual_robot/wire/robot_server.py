@@ -3,7 +3,7 @@
 
 One thread owns the robot. It waits in select(), so that an answer leaves some hundred microseconds after its request,
 and wakes up regularly to advance the plant. With clients of its clock (virtual_clock), simulated time advances from
-event to event and waits for clients that are late. Without clients it advances at the robot's rate.
+event to event and waits for clients that are late. Without clients it advances at the argument ``rate``.
 """
 
 import contextlib
@@ -34,9 +34,9 @@ SERIAL_NAME = "servo_bus"
 I2C_NAME = "i2c.sock"
 
 _LOCK_NAME = ".virtual_robot.lock"
-_WAKE_UP = 0.004  # s; longest time between two updates
-_COMPUTING_PERIOD = 0.1  # s of machine time between two updates while a client computes
-_CHUNK = 4096  # bytes
+_WAKE_UP = 0.004  # s; longest time between two updates of the robot
+_COMPUTING_PERIOD = 0.1  # s of machine time; time between two updates while a client computes
+_CHUNK = 4096  # bytes that are read at once
 
 # pyserial stores the baud rate in the terminal's settings, where the other end can read it.
 _SPEEDS = {
@@ -45,7 +45,7 @@ _SPEEDS = {
 
 
 class DirectoryError(Exception):
-    """Unusable directory; the message contains reason and remedy."""
+    """The directory cannot be used. The message contains reason and remedy."""
 
 
 class PtyPort:
@@ -100,8 +100,12 @@ class RobotServer:
         on_samples: called in the serving thread with new camera samples.
         rate: largest ratio of simulated to machine time; inf for as fast as the clients allow; None for real time
             that never waits for clients, as with a real robot.
-        epoch_ns: ROS time (ns) of the robot's time 0.
-        on_time: called in the serving thread with the time (s) at each update.
+        epoch_ns: ROS time at the robot's time 0, ns.
+        on_time: called in the serving thread with the robot's time (s) at each update.
+
+    Attributes:
+        shares_time: True if clients can use the robot's clock; False in real time.
+        time: simulated time and its rate.
     """
 
     def __init__(
@@ -124,7 +128,7 @@ class RobotServer:
         self.time.begin(self._clock())
         self._page: virtual_clock.Page | None = None
         self._clients: dict[socket.socket, ClockClient] = {}  # clients of the clock
-        # Bytes over the serial line since a client connected; infinite if they are no longer counted.
+        # Numbers of bytes over the serial line since a client connected; -inf and inf if they are no longer counted.
         self._bytes_sent = self._bytes_received = 0.0
         self._selector = selectors.SelectSelector()  # epoll would round timeouts up to 1 ms
         self._serial: PtyPort | None = None
@@ -182,31 +186,32 @@ class RobotServer:
                 self._on_samples(samples)
 
     def stop(self) -> None:
-        """End run(); may be called from any thread."""
+        """End run(). Safe in any thread."""
         self._stopped = True
         self._wake_writer.send(b"x")
 
     def quiet_for(self, duration: float) -> bool:
-        """Return True if the servo bus was silent for a duration (s of machine time); callable from any thread."""
+        """Return True if the servo bus has been silent for a duration (s of machine time). Safe in any thread."""
         return self._clock() - self._last_received > duration
 
     def inject(self, fault: Fault) -> None:
-        """Inject a fault whose start is relative to now; callable from any thread."""
+        """Inject a fault whose start is relative to the present time. Safe in any thread."""
         self._submit(lambda now: self._robot.board.add(fault.delayed(now)))
 
     def clear_faults(self) -> None:
-        """End all faults; callable from any thread."""
+        """End all faults. Safe in any thread."""
         self._submit(lambda _: self._robot.board.clear())
 
     def close(self) -> None:
-        """Remove what open() created, after run() has ended; repeated calls have no effect."""
+        """Remove the devices that open() created. Call this after run() has ended; repeated calls have no effect."""
         if not self._opened:
             return
         self._opened = False
         if self._serial is not None:
             self._serial.close()
         for key in list(self._selector.get_map().values()):
-            if isinstance(key.fileobj, socket.socket):  # the listener, its clients, the wake-up
+            # The sockets are those of the listeners, of their clients and of the wake-up.
+            if isinstance(key.fileobj, socket.socket):
                 key.fileobj.close()
         self._selector.close()
         self._wake_writer.close()
@@ -239,7 +244,7 @@ class RobotServer:
             self._page.time = now
 
     def _next_event(self) -> float:
-        """Return the time (s) of the next event, which must not be skipped."""
+        """Return the time (s) of the next event. Simulated time must not advance past it."""
         dues = [client.wait.until for client in self._clients.values() if client.wait is not None]
         dues += [item.time for item in self._pending[:1]]
         return min([*dues, self.time.now + _WAKE_UP])
@@ -322,7 +327,7 @@ class RobotServer:
     # --- the time -----------------------------------------------------------------------------
 
     def _on_clock(self, connection: socket.socket) -> None:
-        """Process a packet of a clock client: first its interface, then each wait."""
+        """Process a packet of a clock client. The first packet names its interface; each later one requests a wait."""
         try:
             packet = _received(connection)
             client = self._clients.get(connection)
@@ -335,7 +340,7 @@ class RobotServer:
             if not self._clients:
                 self.time.begin(self._clock())
             return
-        self._show(self.now())  # the client reads the time at once
+        self._show(self.now())  # The client reads the time as soon as it is connected.
         self._clients[connection] = ClockClient(packet)
         _send(connection, virtual_clock.WAKE.pack(0))
         if packet == virtual_clock.SERIAL:
@@ -348,7 +353,7 @@ class RobotServer:
         heapq.heapify(self._pending)
 
     def _cut_line(self) -> None:
-        """Stop counting: bytes that no client will receive must not stop the time."""
+        """Stop counting bytes, because simulated time must not wait for bytes that no client will receive."""
         self._bytes_sent, self._bytes_received = -math.inf, math.inf
 
     def _await_delayed_answer(self, port: bytes) -> None:
@@ -395,7 +400,11 @@ class RobotServer:
 
 
 def _lock_directory(directory: Path) -> int:
-    """Lock a directory, creating it if necessary; the lock ends with the process."""
+    """Create a directory if necessary, lock it and return the lock's descriptor. The lock ends with the process.
+
+    Raises:
+        DirectoryError: The directory cannot be created, or another virtual robot uses it.
+    """
     try:
         directory.mkdir(parents=True, exist_ok=True)
         lock = os.open(directory / _LOCK_NAME, os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o600)
@@ -415,7 +424,7 @@ def _lock_directory(directory: Path) -> int:
 
 
 def _received(connection: socket.socket) -> bytes:
-    """Return the next packet of a client. Raises ConnectionError if it has disconnected."""
+    """Return the next packet of a client. Raises ConnectionError if the client has disconnected."""
     packet = connection.recv(_CHUNK)
     if not packet:
         raise ConnectionResetError
@@ -423,13 +432,13 @@ def _received(connection: socket.socket) -> bytes:
 
 
 def _send(port: Port, data: bytes) -> None:
-    """Send bytes; they are lost if the client's buffer is full, as on a bus, or if it has disconnected."""
+    """Send bytes. They are lost if the client's buffer is full, as on a bus, or if the client has disconnected."""
     with contextlib.suppress(OSError):
         port.send(data)
 
 
 def _listening(path: Path) -> socket.socket:
-    """Return a listening socket that preserves packets."""
+    """Return a listening socket that preserves packets. Raises DirectoryError."""
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     try:
         listener.bind(str(path))

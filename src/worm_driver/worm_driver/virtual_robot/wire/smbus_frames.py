@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Packets with single SMBus transactions, for a socket that preserves packets (SOCK_SEQPACKET).
 
-A request is four bytes (operation, address, register, read length) followed by the data to write. An answer is errno
-as two bytes followed by the data read. Data bytes are in bus order; the client interprets words, as with a real
-adapter.
+A request is four bytes (operation, address, register, number of bytes to read) followed by the data to write. An answer
+is errno as two bytes followed by the data read. Data bytes are in the order of the bus. As with a real adapter, the
+client combines them to words.
 """
 
 import struct
@@ -12,13 +12,13 @@ from dataclasses import dataclass
 _REQUEST = struct.Struct("<BBBB")
 _ANSWER = struct.Struct("<H")
 
-READ = 0  # write the register pointer, then read `length` bytes
-WRITE = 1  # write the register pointer and the data
+READ = 0  # the master writes the register number, then reads `length` bytes
+WRITE = 1  # the master writes the register number and the data
 
 
 @dataclass(frozen=True)
 class Request:
-    """SMBus transaction. address: 7 bit; length: number of bytes to read."""
+    """SMBus transaction. operation: READ or WRITE; address: 7 bit; length: number of bytes to read."""
 
     operation: int
     address: int

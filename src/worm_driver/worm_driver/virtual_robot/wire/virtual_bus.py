@@ -23,9 +23,9 @@ from worm_driver.virtual_robot.wire.packet import (
 
 #: The address is the same in every model.
 _POSITION = XM430_W350.registers["present_position"]
-_ALLOWED_GAP = (
-    0.050  # s; 1.5 ms on a real line, but a pseudo-terminal is read only when the scheduler permits
-)
+#: s, longest gap between the bytes of a packet; 1.5 ms on a real line, but a pseudo-terminal is read when the scheduler
+#: permits
+_ALLOWED_GAP = 0.050
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Transmission:
 
 @dataclass(frozen=True)
 class _Answer:
-    """Answer of a servo: id at the time of the request, delay (s), complete error byte, data."""
+    """Answer of a servo: its id when the request arrived, delay (s), complete error byte, data."""
 
     servo_id: int
     delay: float
@@ -51,7 +51,7 @@ def _answer_of(servo: Servo, number: int = Error.NONE, data: bytes = b"") -> _An
 
 
 class ServoBus:
-    """Servos on one serial line. They send exactly the bytes that real servos would send.
+    """Servos on one serial line. Without injected faults, they send exactly the bytes that real servos would send.
 
     Args:
         servos: the servos.
@@ -137,7 +137,7 @@ class ServoBus:
         parts = []
         for answer in answers:
             if self._board.consume(faults.NO_ANSWER, time, answer.servo_id):
-                break  # the next servo waits for the one before it
+                break  # Each servo waits for the one before it.
             parts.append((answer.error, answer.servo_id, answer.data))
         if not parts:
             return []
@@ -176,7 +176,7 @@ def _offset(data: bytes, begin: int, end: int, ticks: int) -> bytes:
 
 
 def _fuzz(data: bytes, random: Random) -> bytes:
-    """Return data with up to three bytes changed, some lost and some added."""
+    """Return data with at most three bytes changed, and possibly some lost and some added."""
     fuzzed = bytearray(data)
     for _ in range(random.randint(0, 3)):
         fuzzed[random.randrange(len(fuzzed))] = random.randrange(256)
@@ -246,7 +246,7 @@ def _address(parameters: bytes) -> int:
 
 
 def _range(parameters: bytes, *, exactly: bool) -> tuple[int, int]:
-    """Return address and length at the start of the parameters."""
+    """Return address and length from the first four parameter bytes. Raises RegisterError."""
     if len(parameters) < 4 or (exactly and len(parameters) != 4):
         raise RegisterError(Error.DATA_LENGTH)
     return int.from_bytes(parameters[:2], "little"), int.from_bytes(parameters[2:4], "little")

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Clients of the virtual robot's simulated clock: a memory page to read the time, a socket to wait.
 
-The page contains the ROS time of the clock's zero (int64, ns) and the time (float64, s). When a thread connects as a
-client, simulated time advances only while the thread waits. A wait request contains its number, its latest end,
-whether bytes from the device end it, and the number of bytes that the thread has written to and read from the serial
-line. The byte counts matter because a pseudo-terminal on a busy machine delivers bytes late, and no simulated time may
-pass while bytes are in transit. The server reports the end of a wait by its number, except when bytes end it.
+The page contains the ROS time at which the clock shows 0 (int64, ns) and the clock's time (float64, s). Once a thread
+has connected as a client, simulated time advances only while the thread waits. The thread requests each wait from the
+server (`Wait`). The byte counts in the request matter because a pseudo-terminal on a busy machine delivers bytes late,
+and no simulated time may pass while bytes are in transit. The server reports the end of a wait by its number, unless
+bytes from the device end the wait.
 """
 
 import contextlib
@@ -31,13 +31,20 @@ I2C: Final = b"I"
 _WAIT = struct.Struct("<Qd?QQ")
 WAKE = struct.Struct("<Q")  # number of a wait that has ended
 _PAGE_SIZE = 16
-_SHORTEST = 1e-6  # shortest wait, s; shorter ones would not end because of rounding
-_LEAST_TIMEOUT = 60.0  # s
+_SHORTEST = 1e-6  # shortest wait, s; a shorter one would not end because of rounding
+_LEAST_TIMEOUT = 60.0  # s, see `Clock.least_timeout`
 
 
 @dataclass(frozen=True)
 class Wait:
-    """Wait request, see the module. until: latest end, s; inf for none."""
+    """Wait request.
+
+    Attributes:
+        number: number of the wait, counted by the client.
+        until: latest end, s; inf for none.
+        listening: True if bytes from the device also end the wait.
+        written, read: numbers of bytes that the client has written to and read from the serial line.
+    """
 
     number: int
     until: float
@@ -71,7 +78,7 @@ class Page:
 
     @staticmethod
     def make(path: Path, epoch_ns: int) -> "Page":
-        """Create a page at time 0; it appears atomically."""
+        """Create a page at time 0. Its file appears atomically."""
         unfinished = path.with_suffix(".unfinished")
         unfinished.write_bytes(bytes(_PAGE_SIZE))
         page = Page(unfinished)
@@ -81,12 +88,12 @@ class Page:
 
     @property
     def epoch_ns(self) -> int:
-        """ROS time of the clock's zero, ns."""
+        """ROS time at which the clock shows 0, ns."""
         return self._epoch[0]
 
     @property
     def time(self) -> float:
-        """Time since the clock's zero, s."""
+        """Time of the clock, s."""
         return self._time[0]
 
     @time.setter
@@ -136,7 +143,7 @@ class VirtualClock:
             self._wait(due, None)
 
     def wait_readable(self, descriptor: int, timeout: float) -> bool:
-        """Wait until a file is readable, at most for a timeout (s); return True if it is."""
+        """Wait at most ``timeout`` (s) for data on a file descriptor. Return True if there is data."""
         if select.select([descriptor], [], [], 0.0)[0]:
             return True
         return timeout > 0.0 and self._wait(self() + max(timeout, _SHORTEST), descriptor)
@@ -148,7 +155,7 @@ class VirtualClock:
         self._socket.close()
 
     def _wait(self, until: float, descriptor: int | None) -> bool:
-        """Wait until a time (s), or until a file (None: no file) is readable; return True if it is."""
+        """Wait until a time (s) or for data on a file descriptor (None: no file). Return True if there is data."""
         self._number += 1
         traffic = self.traffic
         listening = descriptor is not None

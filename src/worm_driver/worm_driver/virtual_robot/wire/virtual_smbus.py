@@ -19,7 +19,7 @@ _LONGEST = 512  # longest answer, bytes; at most 255 of them are data
 class SocketSMBus:
     """Methods of smbus2.SMBus that power/i2c.py uses, on the socket of a virtual robot. All raise OSError.
 
-    i2c_addr is the 7-bit address; register is a byte and value a word.
+    ``i2c_addr`` is the 7-bit address, ``register`` a byte and ``value`` a word.
     """
 
     def __init__(self, bus: str) -> None:
@@ -54,7 +54,7 @@ class SocketSMBus:
             raise OSError(errno.ETIMEDOUT, os.strerror(errno.ETIMEDOUT)) from None
         except ConnectionError:
             packet = b""
-        # no packet: the robot's process has ended
+        # Without a packet, the robot's process has ended.
         answer = frames.unpack_answer(packet) if packet else frames.Answer(errno.EIO)
         if answer.errno:
             raise OSError(answer.errno, os.strerror(answer.errno))

@@ -163,7 +163,10 @@ def qos_profiles(text: str) -> list[Any]:
 
 
 def named_qos(text: str) -> str:
-    """Return QoS profiles with the names of metadata version 9, which replace numbers; invalid text is unchanged."""
+    """Return the text of QoS profiles with the names of metadata version 9 in place of the numbers of older versions.
+
+    Invalid text is returned unchanged.
+    """
     if not re.search(r"durability: *\d", text):
         return text
     try:
@@ -173,7 +176,7 @@ def named_qos(text: str) -> str:
 
 
 def first_qos_profile(topic: Topic) -> dict[str, Any]:
-    """Return the QoS that a topic's first publisher offered; empty if the bag does not contain it."""
+    """Return the QoS profile that a topic's first publisher offered; empty if the bag does not contain the profile."""
     first, *_ = qos_profiles(topic.offered_qos) or [None]
     return first if isinstance(first, dict) else {}
 
@@ -200,7 +203,16 @@ def metadata_text(
     files: Mapping[str, Extent],
     custom: Mapping[str, str],
 ) -> str:
-    """Return the content of metadata.yaml below its root key. The MCAP record "rosbag2" repeats this content."""
+    """Return the content of metadata.yaml below its root key.
+
+    The metadata record "rosbag2" of an MCAP file contains the same text without files.
+
+    Args:
+        total: number of messages of the bag and their time span.
+        topics: topics with their numbers of messages.
+        files: number of messages and time span of each file, by file name.
+        custom: entries that the writer adds for its own use.
+    """
     return dump_yaml(
         {
             "version": VERSION,

@@ -37,7 +37,7 @@ class WriteOptions:
 
     Attributes:
         compression: compression of chunks: ``none`` (rosbag2's default), ``lz4`` or ``zstd``.
-        chunk_bytes: a chunk is closed at this size even if no synchronisation is due.
+        chunk_bytes: size at which a chunk is closed even if no synchronisation is due.
         split_bytes: approximate size at which a new file begins; 0: never.
         split_s: span of log time after which a new file begins, s; 0: never.
     """
@@ -130,7 +130,7 @@ class BagFiles:
                 self.add_metadata(record.name, dict(record.values))
 
     def split(self) -> None:
-        """Continue in a new file."""
+        """Finish the present file and continue in a new one."""
         self._file.finish(self._text({}))
         self._file = self._open()
         self.describe()
@@ -140,7 +140,7 @@ class BagFiles:
         self._file.sync()
 
     def describe(self) -> None:
-        """Write a metadata.yaml of the present state."""
+        """Write a metadata.yaml that describes the present state of the bag."""
         write_metadata(self.directory, self._text(self._extents), self._synchronise)
 
     def finish(self) -> None:
@@ -149,7 +149,7 @@ class BagFiles:
         self.describe()
 
     def abandon(self) -> None:
-        """Close the open file in its present state, like a crash."""
+        """Close the open file in its present state, as after a crash."""
         with suppress(OSError):  # the buffer still contains bytes for which the disk had no space
             self._file.stream.close()
 
@@ -212,10 +212,10 @@ class _OpenFile:
             return False
 
     def is_full(self, options: WriteOptions, log_time: int) -> bool:
-        """Return True if a message with this log time (ns) belongs into the next file."""
+        """Return True if a message with this log time (ns) belongs in the next file."""
         if not self._extent.count:
             return False  # a file has at least one message
-        by_size = 0 < options.split_bytes <= self.stream.tell()  # without the open chunk
+        by_size = 0 < options.split_bytes <= self.stream.tell()  # the open chunk does not count
         by_time = 0 < options.split_s * 1e9 <= log_time - self._extent.first
         return by_size or by_time
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Conversion of CDR messages to columns of numbers, thousands at a time, and of columns to messages.
+"""Conversion of CDR messages to columns of numbers, thousands of messages at a time, and of columns to messages.
 
 All messages of a topic whose strings and sequences have the same lengths have the same layout. Their numbers have the
 same offsets and become columns of one array. Only the first message of each layout is decoded field by field. The
@@ -169,7 +169,10 @@ class _Layout:
             raise BagError(f"a message is {surplus} bytes longer than its definition requires")
 
     def fits(self, data: Bytes) -> NDArray[np.bool_]:
-        """Return a mask of the messages with this layout: shape (messages,), for messages of its size, one per row."""
+        """Return a mask (messages,) of the messages that have this layout.
+
+        ``data`` (messages, bytes) contains one message per row, all of the size of the layout.
+        """
         fixed = [0, 1] + [offset + i for offset in self._length_offsets for i in range(4)]
         expected = np.frombuffer(self._message, np.uint8)[fixed]
         same: NDArray[np.bool_] = (data[:, fixed] == expected).all(axis=1)
@@ -203,7 +206,7 @@ class _Layout:
         return position
 
     def _read_length(self) -> int:
-        """Return the length of a string (terminator included) or sequence, read at the position."""
+        """Return the length of a string (with its terminator) or of a sequence, read at the present position."""
         offset = self._advance(4, 4)
         self._length_offsets.append(offset)
         length: int = struct.unpack_from(f"{self._order}I", self._message, offset)[0]
@@ -330,7 +333,8 @@ class Converter:
         source, target: topics with their definitions.
 
     Raises:
-        DefinitionError: The target lacks a field of the source, a field has another type, or the message type differs.
+        DefinitionError: The target lacks a field of the source, a field has another type in the target, or the message
+            types have different names.
 
     Attributes:
         added: names of the fields that only the target has.

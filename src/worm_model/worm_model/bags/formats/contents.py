@@ -20,7 +20,7 @@ class AttachedFile:
 
 
 class Extent(NamedTuple):
-    """Part of a file with messages: a chunk, a run of plain records, or rows of a database.
+    """Part of a file with messages: a chunk, consecutive records outside of chunks, or rows of a database.
 
     Attributes:
         start, end: smallest and largest log time, ns.
@@ -66,7 +66,7 @@ class Contents:
         complete: True if the data section is complete up to its end record, or a database has all its pages.
         whole: True if the file ends like a closed file.
         complaints: one line per inconsistency of the file.
-        expected: number of messages by channel according to an intact summary.
+        expected: number of messages by channel according to an intact summary; None without an intact summary.
     """
 
     unit: str = "bytes"
@@ -95,7 +95,7 @@ class Contents:
         return max(before, default=0), min(after, default=0)
 
     def missing(self) -> Counter[int]:
-        """Return the known number of missing messages by channel, from the summary or, without one, the indexes."""
+        """Return the known number of missing messages by channel, from the summary or else from the chunks' indexes."""
         if self.expected is not None:
             return Counter(self.expected) - self.counts
         total: Counter[int] = Counter()

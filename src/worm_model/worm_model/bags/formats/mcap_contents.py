@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Contents of an MCAP file, collected from its records. Where they differ, the data section overrides the summary."""
+"""Contents of an MCAP file, collected from its records. Where data section and summary differ, the data is used."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ from worm_model.bags.formats.mcap_records import (
     release,
 )
 
-RUN_BYTES = 1 << 20  # size of the runs in which messages outside of chunks are read
-# opcode, length, start of the summary, start of its offsets, checksum
+RUN_BYTES = 1 << 20  # size of the extents into which messages outside of chunks are divided
+# opcode, length, start of the summary, start of the summary's offsets, checksum
 _FOOTER = struct.Struct("<BQQQI")
 
 
@@ -44,9 +44,10 @@ def extent_records(data: Buffer, extent: Extent) -> Buffer:
 
 
 def _run_pieces(records: Buffer, first: int, last: int) -> Iterator[Buffer]:
-    """Yield the records of a run in pieces. A run of a single record gets its length from the run.
+    """Yield the records of a range of `Extent.runs` in pieces.
 
-    The stored length of such a record (a definition, or a record that declares a larger length) may be damaged.
+    If the range is a single record (a definition, or a record that declares a larger length), the stored length of the
+    record may be damaged. It is replaced by the length of the range.
     """
     begin = first + RECORD.size
     opcode, length = RECORD.unpack_from(records, first)
@@ -117,7 +118,10 @@ def salvage(data: Buffer) -> Contents:
 
 
 def _appended(data: Buffer, end: int) -> Iterator[str]:
-    """Yield a complaint about bytes after the first footer and its MAGIC; ``end`` is the end of the data section."""
+    """Yield a complaint about bytes after the first footer and the MAGIC that follows it.
+
+    ``end`` is the end of the data section.
+    """
     try:
         for opcode, _, last in records_in(data[end : len(data) - len(MAGIC)]):
             if opcode == Opcode.FOOTER and (size := len(data) - end - last - len(MAGIC)):
@@ -168,7 +172,7 @@ class _Summary:
 
 
 def _read_summary(data: Buffer) -> tuple[_Summary | None, str]:
-    """Return the summary and a complaint: None if the summary is missing or damaged; empty unless it is damaged."""
+    """Return (the summary, or None if it is missing or damaged; a complaint, empty unless the summary is damaged)."""
     tail = bytes(data[-_FOOTER.size - len(MAGIC) :])
     if len(tail) < _FOOTER.size + len(MAGIC) or tail[_FOOTER.size :] != MAGIC:
         return None, ""
@@ -295,7 +299,7 @@ class _Survey:
             self._lost = loss
 
     def add_by_head(self, part: mcap_walk.Part) -> None:
-        """Add a chunk according to its head."""
+        """Add a chunk with the log times that its head declares."""
         head = chunk_head(self._data[part.first + RECORD.size : part.last])
         extent = Extent(head.start, head.end, part.first, part.last, True, part.runs)
         self.contents.extents.append(extent)
@@ -304,7 +308,7 @@ class _Survey:
             self._lose(part)
 
     def add_by_content(self, part: mcap_walk.Part) -> None:
-        """Add a chunk according to its messages."""
+        """Add a chunk with the log times and the number of its messages."""
         found = self._add_extent(Extent(0, 0, part.first, part.last, True, part.runs))
         if part.runs:
             self._lose(part, found)

@@ -17,7 +17,8 @@ from worm_model.bags.formats.mcap_contents import extent_records, salvage, scan
 from worm_model.bags.formats.message_block import Messages, Topic
 from worm_model.bags.formats.stored_file import StoredFile, explained
 
-TOGETHER_BYTES = 1 << 20  # of small extents per block: numpy's cost is per call
+# size up to which small extents form one block, to reduce the number of calls of numpy
+TOGETHER_BYTES = 1 << 20
 
 
 class McapFile(StoredFile):
@@ -78,7 +79,10 @@ class McapFile(StoredFile):
     def _messages(
         self, parts: Sequence[mcap_records.Buffer], span: tuple[int, int], topics: frozenset[str]
     ) -> Messages:
-        """Return messages of some topics in file order. Raises ValueError for a message outside of ``span`` (ns)."""
+        """Return messages of some topics in the order of the file.
+
+        Raises ValueError if the log time of a message is outside of ``span`` (first and last log time, ns).
+        """
         records = b"".join(parts) if len(parts) > 1 else parts[0]
         offset, heads = mcap_records.message_heads(records)
         times = heads["log_time"]

@@ -48,7 +48,8 @@ HEAD = np.dtype(
 MESSAGE_BODY = HEAD.itemsize - RECORD.size  # bytes before the payload
 LARGEST_CHUNK = 256 << 20  # decompressed bytes; writers make chunks of about a megabyte
 _PIECE = 4 << 20  # bytes that are processed at a time
-_CHUNK = struct.Struct("<QQQII")  # first and last log time, size, checksum, length of compression
+# first and last log time, size, checksum, length of the name of the compression algorithm
+_CHUNK = struct.Struct("<QQQII")
 _ZSTD = zstandard.ZstdDecompressor()
 
 DAMAGE = (
@@ -97,7 +98,10 @@ def records_in(data: Buffer, position: int = 0) -> Iterator[tuple[int, int, int]
 
 
 class _Fields(ReadDataStream):
-    """Fields of a record; a damaged length raises EndOfFile, where the library's stream returns fewer bytes."""
+    """Stream of the fields of a record. It raises EndOfFile where the library's stream would return fewer bytes.
+
+    A damaged length is therefore detected.
+    """
 
     def __init__(self, body: Buffer) -> None:
         super().__init__(BytesIO())
@@ -138,14 +142,14 @@ def read_record(opcode: int, body: Buffer) -> object | None:
 
 
 def fields_size(opcode: int, body: Buffer) -> int:
-    """Return the size (bytes) of a record's fields, whatever length it declares. Raises one of DAMAGE."""
+    """Return the size (bytes) of the fields of a record; the declared length is ignored. Raises one of DAMAGE."""
     fields = _Fields(body)
     _READERS[opcode](fields)
     return fields.count
 
 
 def message_heads(records: Buffer) -> tuple[NDArray[np.int64], NDArray[np.void]]:
-    """Return offsets and heads of the messages among records, shape (messages,). Raises one of DAMAGE."""
+    """Return (offsets in bytes, heads) of the messages among records, each (messages,). Raises one of DAMAGE."""
     wanted = Opcode.MESSAGE.value
     starts = [start for opcode, start, _ in records_in(records) if opcode == wanted]
     offset = np.array(starts, np.int64) - RECORD.size
@@ -213,7 +217,8 @@ def joined(pieces: Iterable[Buffer]) -> Buffer:
 def chunk_pieces(head: ChunkHead, body: Buffer) -> Iterator[Buffer]:
     """Yield the decompressed records of a chunk in pieces.
 
-    Decompression ends after LARGEST_CHUNK, because of decompression bombs. The declared size may be damaged.
+    Decompression ends after LARGEST_CHUNK bytes, as a protection against decompression bombs. It does not end at the
+    size that the chunk declares, because this size may be damaged.
 
     Raises:
         one of DAMAGE: The compressed bytes are damaged. The earlier pieces contain the data up to the damage.
@@ -226,7 +231,8 @@ def chunk_pieces(head: ChunkHead, body: Buffer) -> Iterator[Buffer]:
     while size <= LARGEST_CHUNK:
         declared = head.size - size
         try:
-            # Bytes other than records may follow the declared ones. A read of both would lose the declared ones.
+            # Invalid data may follow the declared bytes. A read beyond the declared bytes would then fail, and the
+            # declared bytes of this read would be lost.
             piece = read(min(declared, _PIECE) if declared > 0 else _PIECE)
         except DAMAGE:
             if size < head.size:

@@ -4,9 +4,9 @@
 A record is plausible if all of these hold:
 
 - Its kind is allowed at its place, and its length fits into the data.
-- Its body is valid for its kind. A chunk has a correct checksum, or else its declared size, and consists of complete
-  records. The checksum of an attachment is correct. A message belongs to a defined channel. An index of messages
-  consists of complete entries. In records of other kinds, texts and maps are UTF-8 and fit into the record.
+- Its body is valid for its kind. A chunk has a correct checksum or, without a checksum, the declared size, and consists
+  of complete records. The checksum of an attachment is correct. A message belongs to a defined channel. An index of
+  messages consists of complete entries. In records of other kinds, texts and maps are UTF-8 and fit into the record.
 - The next record satisfies the two conditions above, or there is no next record. This condition does not apply to a
   chunk that contains records.
 
@@ -44,8 +44,8 @@ from worm_model.bags.formats.mcap_records import (
 
 DAMAGED = 0  # used as an opcode: bytes that are not part of a complete record
 FIRST_PRIVATE_OPCODE = 0x80
-_NUMBER = struct.Struct("<H")  # of a channel
-_INDEX = struct.Struct("<HI")  # channel, bytes of entries
+_NUMBER = struct.Struct("<H")  # number of a channel
+_INDEX = struct.Struct("<HI")  # number of a channel, size of the entries in bytes
 _ENTRY_BYTES = 16
 DEFINITIONS = frozenset({Opcode.SCHEMA, Opcode.CHANNEL})
 _INSIDE = DEFINITIONS | {Opcode.MESSAGE}  # allowed inside a chunk
@@ -54,7 +54,7 @@ _PROTECTED = frozenset(
     {Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.ATTACHMENT, Opcode.METADATA, Opcode.DATA_END}
 )
 _DATA = _INSIDE | _PROTECTED | {Opcode.HEADER}
-# records whose end is verified
+# kinds of parts whose end is certain
 _PROVEN = frozenset({DAMAGED, Opcode.CHUNK, Opcode.ATTACHMENT, Opcode.DATA_END})
 _SUMMARY = range(Opcode.FOOTER, Opcode.DATA_END)
 
@@ -100,7 +100,7 @@ def _belongs(opcode: int, kinds: frozenset[int]) -> bool:
 
 
 class Walk:
-    """Iterable over the parts of a file's data section, in their order.
+    """Iterable over the parts of a file's data section, or of the records of a chunk, in their order.
 
     Args:
         data: the records.
@@ -211,7 +211,8 @@ class Walk:
         runs = _whole_runs(records, parts)
         if not runs:
             return None
-        if head.compression:  # its end is uncertain, and other records may follow inside it
+        # The end of damaged compressed data is uncertain: further records may begin before the declared end.
+        if head.compression:
             return Part(Opcode.CHUNK, place, self._next_plausible(place + 1, self._size), runs)
         last = min(place + RECORD.size + head.last, self._size)
         return Part(Opcode.CHUNK, place, last, runs)
@@ -245,7 +246,7 @@ class Walk:
         return Part(DAMAGED, place, self._next_plausible(place + 1, end))
 
     def _defined(self, part: Part) -> Part:
-        """Return a record; if it defines a channel, add its number."""
+        """Return a record. If it defines a channel, add the channel's number to the defined ones."""
         if part.opcode == Opcode.CHANNEL:
             (number,) = _NUMBER.unpack_from(self._data, part.first + RECORD.size)
             self._channels.add(number)
@@ -262,7 +263,10 @@ class Walk:
 
     @property
     def _has_checksums(self) -> bool:
-        """True if the first intact chunk has a checksum; if there is none, the first whose two lengths agree."""
+        """True if the chunks have checksums.
+
+        The first intact chunk decides or, without an intact chunk, the first chunk whose two declared lengths agree.
+        """
         damaged: list[bool] = []
         for match in re.finditer(rb"(?s)\x06(?=.{5}\0\0\0)", self._data):
             head, first = self._chunk_head(match.start()), match.start() + RECORD.size
@@ -319,7 +323,7 @@ def first_records(body: Buffer) -> Buffer:
 def _whole_runs(records: Buffer, parts: Iterable[Part]) -> tuple[tuple[int, int], ...]:
     """Return the ranges of consecutive complete records without damage.
 
-    A definition, or a record that declares a length larger than it has, forms a separate range.
+    A definition forms a separate range, and so does a record that declares a larger length than it has.
     """
     runs: list[tuple[int, int]] = []
     alone = True

@@ -20,8 +20,8 @@ from worm_model.bags.formats.stored_file import LATEST_NS, StoredFile, explained
 
 MAGIC = b"SQLite format 3\0"
 TOGETHER = 1000  # rows per extent
-_JOURNALS = ("-wal", "-journal")  # from which SQLite recovers an unclosed database
-_PAGES = slice(28, 32)  # number of pages, in the head of a database
+_JOURNALS = ("-wal", "-journal")  # endings of files from which SQLite recovers an unclosed database
+_PAGES = slice(28, 32)  # place of the number of pages in the head of a database
 
 Row = tuple[Any, ...]
 
@@ -85,7 +85,7 @@ class SqliteFile(StoredFile):
         if not journals:
             uri = f"{Path(self._stream.name).resolve().as_uri()}?mode=ro&immutable=1"
             database = sqlite3.connect(uri, uri=True, check_same_thread=False)
-            # With the default, SQLite rejects a truncated file.
+            # Without this setting, SQLite rejects a truncated file.
             database.execute("PRAGMA writable_schema = ON")
             return database
         self._copies = TemporaryDirectory()
@@ -95,9 +95,9 @@ class SqliteFile(StoredFile):
         return sqlite3.connect(copy, check_same_thread=False)
 
     def _rows(self, table: str, columns: str) -> Iterator[tuple[Row | None, int, int]]:
-        """Yield (row, first id, last id), the last id exclusive, for each row of a table; a row begins with its id.
+        """Yield (row, first id, last id) for each row of a table and for each range of unreadable rows.
 
-        For a range of unreadable rows, the row is None.
+        The last id is exclusive. The first value of a row is its id. For unreadable rows, the row is None.
         """
         query = f"SELECT id, {columns} FROM {table} WHERE id >= ? ORDER BY id"
         first: int | None = -(1 << 63)

@@ -23,8 +23,10 @@ from worm_model.bags.formats.contents import AttachedFile, Contents, Extent
 from worm_model.bags.formats.mcap_records import DAMAGE
 from worm_model.bags.formats.message_block import Messages, Topic
 
-LARGEST_RATIO = 1000  # of a compressed file's content to its size; recordings compress to a tenth
-LATEST_NS = (1 << 63) - 1  # in the year 2262; later times in ns exceed 64 bits with a sign
+# largest ratio of the decompressed size of a file to its compressed size; that of a recording is about 10
+LARGEST_RATIO = 1000
+# in the year 2262; later times in ns do not fit into a signed number of 64 bits
+LATEST_NS = (1 << 63) - 1
 
 
 @contextmanager

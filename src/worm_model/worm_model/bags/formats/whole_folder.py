@@ -79,7 +79,7 @@ def _synchronise(folder: Path) -> None:
 
 def _move(unfinished: Path, target: Path) -> None:
     try:
-        unfinished.rename(target)  # also replaces an empty folder; one with content stays
+        unfinished.rename(target)  # replaces an empty folder, and fails if the folder has content
     except OSError as error:
         if error.errno not in (errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR):
             raise

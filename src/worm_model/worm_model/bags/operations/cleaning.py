@@ -26,7 +26,7 @@ HOST_PLACEHOLDER = "host"
 
 
 class Cleaner:
-    """Removes host name and absolute paths from texts, manifests and messages.
+    """Cleaner that removes host name and absolute paths from texts, manifests and messages.
 
     Args:
         host: name of the computer, replaced wherever it occurs; empty: unknown.
@@ -47,7 +47,7 @@ class Cleaner:
         self._roots.update(name.lstrip("/").split("/")[0] for name in topics)
 
     def text(self, text: str) -> str:
-        """Return a text in which each path is replaced by its last part, and the host by a placeholder."""
+        """Return a text in which each path is replaced by its last part, and the host name by a placeholder."""
         if "/" in text:
             text = _PATH.sub(self._last_part, text)
         return self._host.sub(HOST_PLACEHOLDER, text) if self._host else text
@@ -116,7 +116,7 @@ def _clean_texts(content: Any, clean: Callable[[str], str]) -> bool:
 
 
 def clean_bag(bag: Bag, output: Path) -> Cleaner:
-    """Write a copy of a bag without host name and absolute paths; return the cleaner.
+    """Write a copy of a bag without host name and absolute paths; return the cleaner, which counts the changes.
 
     Raises:
         BagError: The output exists, or a message cannot be decoded.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Copies of bags: a time span, joined bags, or added messages. Equal inputs produce equal bytes."""
+"""Copies of bags: of a time span, of several bags together, or with other messages. Equal inputs give equal bytes."""
 
 from __future__ import annotations
 

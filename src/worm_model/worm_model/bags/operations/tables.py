@@ -59,7 +59,7 @@ class _Field:
         return (self.width or 0) > MOST_ELEMENTS
 
     def columns(self, path: str, width: int | None) -> Iterator[tuple[str, list[Any]]]:
-        """Yield one column, or one column for each of ``width`` elements."""
+        """Yield names and values of the columns: one column, or one for each of ``width`` elements of an array."""
         if width is None or width > MOST_ELEMENTS:
             yield path, self.values
             return
@@ -70,7 +70,8 @@ class _Field:
 def find_tables(bag: Bag, topics: Iterable[str]) -> tuple[list[Table], dict[str, BagError]]:
     """Return the tables of the topics that can be decoded, and the errors of the other topics by name.
 
-    Topics without messages have no table. The whole bag is read once, because its sequences may change in length.
+    Topics without messages have no table. The whole bag is read once, because the length of a sequence may change from
+    message to message.
     """
     fields: dict[str, dict[str, _Field]] = {name: {} for name in topics}
     failed: dict[str, BagError] = {}
@@ -132,7 +133,7 @@ def _fields(messages: Messages) -> dict[str, _Field]:
 
 
 def _nanoseconds(columns: Columns, stem: str) -> list[Any]:
-    """Return times as Python integers, which do not overflow like the type of the seconds."""
+    """Return times in ns as Python integers, because they would overflow the number type of the seconds."""
     seconds, rest = columns.numbers[stem + SECONDS], columns.numbers[stem + NANOSECONDS]
     pairs = zip(seconds.tolist(), rest.tolist(), strict=True)
     return [

@@ -2,9 +2,9 @@
 """Counter of a topic's lost messages, based on the publishers' sequence numbers.
 
 The middleware numbers the messages of each publisher (1, 2, 3, …) but does not identify the publisher of a number.
-The number of lost messages is the sum of the advances of all publishers minus the number of received messages. If two
-publishers have similar numbers, this sum is correct even if a number is assigned to the wrong one. The counter uses
-the present number of publishers to distinguish a publisher that joins late from lost messages.
+The number of lost messages is the sum of the advances of all publishers' numbers minus the number of received messages.
+If two publishers have similar numbers, this sum is correct even if a number is assigned to the wrong publisher. The
+counter uses the present number of publishers to distinguish a publisher that joins late from lost messages.
 """
 
 from __future__ import annotations
@@ -13,32 +13,33 @@ from collections.abc import Callable
 
 
 class LossCounter:
-    """Loss of one topic.
+    """Counter of the lost messages of one topic.
 
     Args:
         publishers: returns the present number of publishers of the topic; called only for a number out of sequence.
 
     Attributes:
-        lost: missing messages between two received messages of a publisher.
-        missed: messages that a publisher sent before its first received message, if it joined during the recording.
+        lost: number of missing messages between received messages of the same publisher.
+        missed: number of messages that a publisher sent before its first received message, summed over the publishers
+            that joined during the recording.
     """
 
     def __init__(self, publishers: Callable[[], int]) -> None:
         self._publishers = publishers
-        self._received_from = 0  # number of publishers
-        self._outstanding = 0  # publishers from before the recording without a received message
-        self._last: list[
-            int
-        ] = []  # last number of each publisher, the least recently received first
+        self._received_from = 0  # number of publishers from which a message was received
+        # Number of publishers from before the recording from which no message was received yet
+        self._outstanding = 0
+        # Last sequence number of each publisher, the least recently received first
+        self._last: list[int] = []
         self.lost = 0
         self.missed = 0
 
     def expect(self, publishers: int) -> None:
-        """Set the number of publishers that existed before the recording; their earlier messages are not missed."""
+        """Set the number of publishers from before the recording, whose earlier messages do not count as missed."""
         self._outstanding = max(publishers - self._received_from, 0)
 
     def observe(self, sequence: int) -> None:
-        """Record a received message's sequence number (counted by its publisher, from 1)."""
+        """Account for a received message with a sequence number, which its publisher counts from 1."""
         if sequence - 1 in self._last:  # the usual case
             self._last.remove(sequence - 1)
         else:
@@ -56,5 +57,5 @@ class LossCounter:
             self.missed += 0 if self._outstanding else sequence - 1
             self._received_from += 1
             self._outstanding = max(self._outstanding - 1, 0)
-        while len(self._last) >= publishers:  # numbers of publishers that have ended
-            self._last.pop(0)
+        while len(self._last) >= publishers:
+            self._last.pop(0)  # the number of a publisher that has ended

@@ -19,7 +19,8 @@ from worm_model.bags.recording.recorder import BagRecorder, Manifest
 from worm_model.bags.recording.recording_thread import RecordingThread, Tally
 
 TIME_FIELD = "{time}"  # placeholder in a bag's name for the time at which its recording begins
-BACKLOG_BYTES = 100 * 2**20  # rosbag2's cache size; also the limit of the ring buffer
+# largest size of the messages that wait for the disk (the default of rosbag2's cache), and of the ring buffer
+BACKLOG_BYTES = 100 * 2**20
 
 
 @dataclass(frozen=True)
@@ -144,7 +145,7 @@ class RecordingSession:
     def snapshot(self) -> str:
         """Write the content of the ring buffer into a separate bag."""
         if not self.options.ring_s:
-            raise BagError("there is no ring: record with --snapshot S")
+            raise BagError("there is no ring buffer: record with --snapshot S")
         messages = self._ring.take()
         if not messages:
             raise BagError("nothing has been received since the last snapshot")
@@ -194,7 +195,10 @@ def after_crash(output: Path) -> Path:
 
 
 class _Ring:
-    """Messages of the last ``length_ns``, at most BACKLOG_BYTES, and the latest older message of each latched topic."""
+    """Ring buffer with the messages of the last ``length_ns``, but at most BACKLOG_BYTES.
+
+    It also contains the latest message of each latched topic that is older than the other messages.
+    """
 
     def __init__(self, length_ns: int) -> None:
         self._length_ns = length_ns

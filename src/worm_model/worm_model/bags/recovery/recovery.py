@@ -52,8 +52,8 @@ class DamagedFile:
             may be missing (s since the start of the bag; None: open).
         is_closed: True if the file ends like a closed file.
         cut_off: number of bytes at the end of the file that are not part of a complete record.
-        missing: number of missing messages by topic; None if neither the summary nor an index
-            of the file contains the number.
+        missing: number of missing messages by topic; None if neither the summary nor an index of the file contains this
+            number.
         contradictions: inconsistencies within the file.
     """
 
@@ -213,7 +213,7 @@ def _silent_topics(path: Path, bag: Bag) -> Iterable[Topic]:
 
 
 def named(path: Path) -> Path:
-    """Return a path whose last part is a name; the path is resolved if it is ``.`` or ends in ``..``."""
+    """Return a path that ends in a name: the resolved path if the given one is ``.`` or ends in ``..``."""
     return path.resolve() if path.name in ("", "..") else path
 
 
@@ -223,9 +223,9 @@ def is_unfinished(content: Mapping[str, Any]) -> bool:
 
 
 def undeclared(path: Path, counts: Mapping[str, int]) -> dict[str, int]:
-    """Return the number of messages that a closed bag's metadata.yaml declares minus ``counts``, by topic.
+    """Return the number of messages that a bag's metadata.yaml declares minus the number in ``counts``, by topic.
 
-    Topics without a difference are omitted.
+    Topics without a difference are omitted. The result is empty if the bag is not closed or declares no messages.
     """
     try:
         content = read_metadata(path) if path.is_dir() else {}
@@ -274,7 +274,7 @@ def _absent(path: Path) -> tuple[str, ...]:
     matches = [match for name in there if (match := _NUMBERED.fullmatch(name))]
     for match in matches:
         others = (int(m["number"]) for m in matches if m["stem"] == match["stem"])
-        if int(match["number"]) == max(others) < 10_000:  # more parts are implausible
+        if int(match["number"]) == max(others) < 10_000:  # a larger number is implausible
             expected |= {
                 f"{match['stem']}{n}{match['ending']}": None for n in range(int(match["number"]))
             }

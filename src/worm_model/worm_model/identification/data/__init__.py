@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs as data of the identification, their selection and their quality."""
+"""Runs as data of the identification: import of lab logs, selection, and quality checks."""

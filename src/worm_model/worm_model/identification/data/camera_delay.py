@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Delay of the camera's stamps (the tracker's ``delay_s``), estimated from runs.
 
-The actuation fit estimates how long the measured length lags behind the command, in addition to the body's lag τ. This
-lag is the sum of the servo's lag behind its goals, measured by its encoder, and the camera's delay.
+The measured length lags behind the command by more than the body's lag τ. The actuation fit estimates this additional
+lag, which is minus the clock offset. It is the sum of two lags: that of the servo behind its goals, which the servo's
+encoder shows, and the delay of the camera's stamps.
 """
 
 from __future__ import annotations
@@ -23,18 +24,21 @@ from worm_model.identification.fits.estimate import (
 )
 
 LONGEST_LAG = 0.2  # s, upper bound of a servo's lag
-STAMPED = 3e-3  # s, assumed accuracy of the driver's stamps of goals and encoders
+STAMPED = 3e-3  # s, assumed 95 % half-width of the error of the driver's stamps
 NOTHING = "no run determines the camera's clock offset"
 NO_ENCODER = (
-    "the length lags {:.1f} ms behind the command. Either the camera's stamps are late or the servo lags its goals; "
-    "record body_length/cable to separate the two"
+    "the length lags {:.1f} ms behind the command. Either the camera's stamps are late or the servo lags behind its "
+    "goals; record body_length/cable to separate the two"
 )
 PROPOSED = "add {:+.4f} s to delay_s in the tracker's setup file"
 NONE_NEEDED = "delay_s in the tracker's setup file needs no change"
 
 
 def camera_delay(recordings: Sequence[Recording], actuation: ActuationResult) -> Estimate:
-    """Return the remaining delay (s) of the camera's stamps, mean over runs, with a note on the correction."""
+    """Return the part of the delay (s) of the camera's stamps that ``delay_s`` does not correct yet, mean over runs.
+
+    The note proposes a correction. The result is not identifiable if a run has no encoder data.
+    """
     known = np.isfinite(actuation.clock_deviation)
     if not known.any():
         return not_identifiable(float("nan"), NOTHING)
@@ -55,7 +59,7 @@ def camera_delay(recordings: Sequence[Recording], actuation: ActuationResult) ->
 
 
 def servo_lag(recording: Recording) -> float:
-    """Return the lag (s) of the servo's encoder behind its goals; NaN if it was not recorded."""
+    """Return the lag (s) of the servo's encoder behind the servo's goals; NaN if the encoder was not recorded."""
     if not recording.cable.size:
         return float("nan")
 

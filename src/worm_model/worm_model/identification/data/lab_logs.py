@@ -46,11 +46,11 @@ FILES = {
 }
 GAITS_FILE = "runs.json"
 USUAL_ONSET = 2.0  # s, used if the logs do not show the onset
-CONTRACTION_STEPS = 2000  # points of the gait's contraction, interpolated to find the onset
+CONTRACTION_STEPS = 2000  # number of points of the gait's contraction, for finding the onset
 USUAL_SPOOL = 0.012  # m, used if the logs do not show the spool radius
-SPOOL_TOLERANCE = 2e-3  # largest relative difference between given and estimated radius
-FEWEST_MOVED = 10  # samples that are necessary to estimate the onset
-FEWEST_TICKS = 200  # smallest range of the goal; it determines the radius to half a percent
+SPOOL_TOLERANCE = 2e-3  # relative difference of given and estimated radius that is reported
+FEWEST_MOVED = 10  # smallest number of goals for an estimate of the onset or of the radius
+FEWEST_TICKS = 200  # smallest range of the goals, which yields the radius to half a percent
 
 
 class LabError(InputError):
@@ -109,7 +109,8 @@ def read_lab_run(folder: Path, settings: LabSettings) -> LabRun:
     """Read a run's folder.
 
     Raises:
-        LabError: A file is missing or does not have the format described above.
+        LabError: The folder contains none of the files, a file does not have the format that the module's docstring
+            describes, or runs.json does not contain a valid gait of the run.
     """
     if not folder.is_dir():
         raise LabError(f"{folder} is not a folder; expected one with {', '.join(FILES)}")
@@ -167,9 +168,10 @@ def _transmission(table: Table | None, gait: Gait | None, settings: LabSettings)
 
 
 def _onset_of(table: Table, gait: Gait | None) -> float | None:
-    """Return the time at which the goal begins to move from its rest before the gait, s; None if it never does.
+    """Return the time (s) at which the goal begins to move from its rest before the gait.
 
-    With a known gait, the first samples are extrapolated back along its contraction, which begins as a parabola.
+    With a known gait, the first goals that have moved are extrapolated back along the gait's contraction, which begins
+    as a parabola. The result is None if fewer than `FEWEST_MOVED` goals have moved.
     """
     moved = _contraction(table["goal_ticks"], gait)
     rows = np.flatnonzero(moved > 0.5)[:FEWEST_MOVED]
@@ -185,16 +187,18 @@ def _onset_of(table: Table, gait: Gait | None) -> float | None:
 
 
 def _contraction(goal_ticks: Array, gait: Gait | None) -> Array:
-    """Return the ticks by which goals exceed the rest before the gait; negative before its pretension is reached."""
+    """Return the ticks by which the goals exceed the goal at rest; negative until the gait's pretension is reached."""
     if gait is None or gait.pretension == 0.0:
         return np.abs(goal_ticks - goal_ticks[0])
     ticks = np.abs(goal_ticks)
-    # The rounding of the greatest goal makes the rest uncertain by less than a tick.
+    # The rounding of the greatest goal makes the goal at rest uncertain by less than a tick.
     return ticks - math.ceil(float(np.nanmax(ticks)) * gait.pretension / gait.reach)
 
 
 def _spool_of(table: Table, gait: Gait) -> float | None:
-    """Return the radius (m) for which the goals produce a gait's stroke, or None if the log is too short.
+    """Return the radius (m) for which the goals produce a gait's stroke, or None if the goals do not suffice.
+
+    The log must contain `FEWEST_MOVED` goals, a range of `FEWEST_TICKS` and a whole period of the gait.
 
     The radius is rounded to a tenth of a millimetre if the rounding of the goals permits this value.
     """

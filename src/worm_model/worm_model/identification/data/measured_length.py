@@ -2,9 +2,9 @@
 """Measured body length and its rate as smooth functions of time.
 
 A filter wide enough for the camera's noise would smooth the corners that the slack causes. Therefore only the
-difference between the measured length and the run's actuation fit is smoothed (a parabola through the samples within
-± HALF_WINDOW, `simulation.smoothing`), and the fit is added back. Where the model is correct, nothing is lost. Where
-the model is wrong, the result follows the camera with the filter's bandwidth. The rate is computed in the same way. In
+difference between the measured length and the run's actuation fit is smoothed (by a parabola through the samples within
+± HALF_WINDOW, see `simulation.smoothing`), and the fit is added back. Where the fit is correct, the corners remain.
+Where it is wrong, the result follows the camera with the filter's bandwidth. The rate is computed in the same way. In
 gaps of the camera, the difference is interpolated linearly.
 """
 
@@ -28,21 +28,24 @@ from worm_model.identification.fits.block_least_squares import own_deviations
 from worm_model.identification.fits.robust import OUTLIER, scale_of
 from worm_model.simulation.smoothing import smooth
 
-HALF_WINDOW = 2.0  # s
+HALF_WINDOW = 2.0  # s, half the width of the filter's window
 GRID_STEP = 0.008  # s, step of the smoothed length: a tenth of the fastest time constant of a fin
-FINE_STEP = 0.001  # s, step for the rate of the actuation fit
+FINE_STEP = 0.001  # s, step of the differences that yield the rate of the actuation fit
 
 
 @dataclass(frozen=True)
 class MeasuredLength:
-    """Length change ΔL of a run on the camera's clock, from the onset on.
+    """Length change ΔL of a run on the camera's clock, from the moment at which the slack is taken up.
 
     Attributes:
         step: time step, s.
-        time, length_change, rate: s, m, m/s, shape (n,); at rest at the first step.
+        time, length_change, rate: s, m, m/s, shape (n,). The first ΔL is that of the body at rest, and the first rate
+            is the rate immediately afterwards.
         initial_length: L0, m.
-        initial_spread: standard deviation of L0, m, due to the mean length at rest and to the effect of a pretension.
-        misfit: measured length minus the run's actuation fit, m, shape (samples,).
+        initial_spread: standard deviation of L0, m. It results from the noise of the length at rest, and from the
+            uncertain effect of a pretension.
+        misfit: measured length minus the run's actuation fit at the camera's samples, m, shape (samples,); NaN where a
+            marker is hidden.
         outliers: mask of the excluded lengths, shape (samples,).
     """
 
@@ -57,14 +60,14 @@ class MeasuredLength:
 
 
 def measured_length(recording: Recording) -> MeasuredLength:
-    """Smooth the length of a run whose body follows its command at least roughly."""
+    """Return the smoothed length of a run. The body must follow its command at least roughly."""
     fit = fit_actuation([recording])
     offset, engagement = float(fit.clock_offset[0]), float(fit.engagement[0])
 
     def modelled(times: Array) -> Array:
         return predicted_length_change(recording, fit.values, times, offset, engagement)
 
-    # The onset is on the servo's clock, at −offset on the camera's.
+    # The onset is time 0 on the servo's clock, which is −offset on the camera's clock.
     start = engagement - offset
     steps = np.arange(int((recording.end - start) / GRID_STEP) + 1, dtype=np.float64)
     time: Array = start + GRID_STEP * steps
@@ -73,7 +76,8 @@ def measured_length(recording: Recording) -> MeasuredLength:
     kept = np.where(outliers | (recording.camera_time < start - HALF_WINDOW), np.nan, misfit)
     smoothed = smooth(recording.camera_time, kept, at=time, before=HALF_WINDOW, after=HALF_WINDOW)
     value, rate = _bridged(smoothed.value), _bridged(smoothed.rate)
-    fade = np.minimum((time - start) / HALF_WINDOW, 1.0)  # L0 is the length at rest
+    # At the start the body is at rest, so that ΔL is known there.
+    fade = np.minimum((time - start) / HALF_WINDOW, 1.0)
     rest = recording.length[recording.at_rest & ~outliers]
     spread = float(max(rest.std(ddof=1), 1e-6) / np.sqrt(rest.size))
     half = 0.5 * FINE_STEP
@@ -100,7 +104,7 @@ def _spread_by_pretension(recording: Recording, fit: ActuationFit) -> float:
 
 
 def _bridged(values: Array) -> Array:
-    """Return values with gaps filled by linear interpolation."""
+    """Return the values with gaps filled by linear interpolation; zeros if all values are NaN."""
     present = np.isfinite(values)
     if not present.any():
         return np.zeros_like(values)

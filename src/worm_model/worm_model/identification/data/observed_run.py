@@ -31,17 +31,19 @@ from worm_model.simulation.simulator import Locomotion
 # ns before the onset that are read if the recording does not contain the beginning of the rest
 LONGEST_REST = 3_000_000_000
 FEWEST_SAMPLES = 20  # smallest number of samples of an instrument
-# m, largest distance of starts that count as the same place; about half the paper's clearance
+# m, largest distance between starts that count as the same place; about half the paper's clearance
 SAME_PLACE = 4e-3
-TENSIONED = 5e-4  # m, deviation from a pretension within which the cable has reached it
+TENSIONED = 5e-4  # m, largest deviation of the command from a pretension that the cable has reached
 # ns from reaching the pretension until the body rests: five time constants; a driver waits longer
 TENSIONED_REST = 800_000_000
-MOST_MISFIT = 1e-3  # m, largest deviation of the commanded lengths from the recorded gait
+MOST_MISFIT = 1e-3  # m, largest median deviation of the commanded lengths from the recorded gait
 
 
 @dataclass(frozen=True)
 class Recording:
-    """Data of one run. Times are in s from the onset by the stamps of each instrument; the clocks may differ by ms.
+    """Data of one run.
+
+    Times are in s since the onset, on the clock of each instrument. These clocks may differ by some milliseconds.
 
     Attributes:
         name, gait: name of the run and its gait.
@@ -51,8 +53,8 @@ class Recording:
         power_time, power: s and W, shape (p,); empty if not recorded.
         cable_time, cable: s and m, shape (k,): length change by the servo's encoder; empty if not recorded.
         sources: SHA-256 by file.
-        date: UTC of the first stamp.
-        remarks: excluded data and assumptions.
+        date: UTC date of the first stamp, empty if unknown.
+        remarks: remarks on excluded data and on assumptions.
         start: position (m) of the rear module in the camera's frame before the cable was tensioned. Runs with similar
             values began in the same grooves.
     """
@@ -193,7 +195,7 @@ def _check_sizes(recording: Recording) -> None:
 
 
 def _span(states: GaitStates, row: int) -> tuple[int, int]:
-    """Return two stamps: the beginning of the rest before the gait of a row, and the end of the gait."""
+    """Return two stamps: the beginning of the rest before the gait that begins with a row, and the end of this gait."""
     onset = int(states.onset[row])
     rests = states.stamp[(states.state == RESTING) & (states.stamp <= onset)]
     first = int(rests[-1]) if rests.size else onset - LONGEST_REST
@@ -204,14 +206,20 @@ def _span(states: GaitStates, row: int) -> tuple[int, int]:
 
 
 def _rest_under_pretension(commanded: LengthSamples, gait: Gait, onset: int, first: int) -> int:
-    """Return the stamp from which the body rests under a gait's pretension; ``first`` if it rests from the start."""
+    """Return the stamp from which the body rests under a gait's pretension.
+
+    The result is ``first`` if the command has the value of the pretension from the start of the recording on.
+    """
     off = np.abs(commanded.length_change + gait.pretension) > TENSIONED
     before = commanded.stamp[off & (commanded.stamp <= onset)]
     return int(before.max()) + TENSIONED_REST if before.size else first
 
 
 def _onset_shift(time: Array, command: Array, gait: Gait, name: str) -> float:
-    """Return the delay (s) of the commanded lengths behind the reported onset."""
+    """Return the delay (s) of the commanded lengths behind a gait that begins at the reported onset.
+
+    Raises `IdentificationError` if the commanded lengths are not those of the gait.
+    """
 
     def misfit(shift: Array) -> Array:
         return 1e3 * (command - gait.command(np.maximum(time - shift[0], 0.0)))
@@ -232,7 +240,7 @@ def _onset_shift(time: Array, command: Array, gait: Gait, name: str) -> float:
 def _from_onset(recording: Recording) -> Recording:
     """Return the recording with commands from the onset on, beginning with the command at rest."""
     after, turned = recording.command_time > 0.0, recording.cable_time > 0.0
-    first = np.zeros(int(turned.any()))  # only for a recorded encoder
+    first = np.zeros(int(turned.any()))  # a sample at time 0, only if the encoder was recorded
     rest = 0.0 - recording.gait.pretension
     return replace(
         recording,
@@ -259,7 +267,7 @@ def _counted_from_rest(recording: Recording) -> Recording:
 
 
 def _moved_by_pretension(recording: Recording) -> float:
-    """Return the distance (m) by which a pretension has moved the rear module of the paper's robot.
+    """Return the distance (m) by which the run's pretension would move the rear module of the paper's robot.
 
     The parameters of the recorded robot are not known yet. The resulting error is below a millimetre, which
     `SAME_PLACE` permits.

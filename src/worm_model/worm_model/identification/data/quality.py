@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Quality checks of runs: hidden markers, gaps, outliers, too few ridges, a body that did not follow its command."""
+"""Quality checks of runs: hidden markers, gaps, outliers, too few ridges, a body that did not follow its command.
+
+The traverse is the part of a run until x1 has advanced by five pitches, see `locomotion.Traverse`.
+"""
 
 from __future__ import annotations
 
@@ -13,14 +16,15 @@ from worm_model.identification.fits.locomotion import RIDGES, Traverse
 from worm_model.identification.fits.robust import noise_of
 from worm_model.identification.identification_errors import IdentificationError
 
-LONGEST_GAP = 1.0  # s without a length; longer gaps are reported
-FOLLOWS = 0.4  # smallest ratio of realised to commanded range of a body that follows its command
-POWER_GAP = 8.0  # reported gap between power samples, in median intervals
+LONGEST_GAP = 1.0  # s; the interpolated length within a longer gap is uncertain
+# Smallest ratio of the range of the measured lengths to that of the commanded ones, if the body follows
+FOLLOWS = 0.4
+POWER_GAP = 8.0  # shortest gap between power samples that is reported, in median intervals
 ASTRAY = 10.0  # largest deviation from the actuation fit, in units of the camera's noise
-LEAST_ASTRAY = 1.5e-3  # m, lower bound of the largest deviation
-FEWEST_POWER = 10  # smallest number of power samples over the five ridges
-POWER_SPAN = 0.9  # smallest share of the time over the five ridges with power samples
-AVERAGED = 9  # samples in the window of the moving median
+LEAST_ASTRAY = 1.5e-3  # m, smallest limit of this deviation, for a camera with little noise
+FEWEST_POWER = 10  # smallest number of power samples during the traverse
+POWER_SPAN = 0.9  # smallest share of the traverse's duration that the power samples must span
+AVERAGED = 9  # number of deviations in the window of their moving median
 
 
 def follows_command(recording: Recording, length: MeasuredLength) -> str:
@@ -99,7 +103,10 @@ def remarks(recording: Recording, length: MeasuredLength, traverse: Traverse) ->
 
 
 def starts_apart(recordings: Sequence[Recording]) -> list[str]:
-    """Return a warning if runs did not start in the same grooves, as all stages assume."""
+    """Return a warning if the runs started in different grooves, otherwise an empty list.
+
+    All stages of the identification assume that the runs started in the same grooves.
+    """
     *_, last = ordered = sorted(recordings, key=lambda recording: recording.start)
     first = ordered[0]
     apart = last.start - first.start
@@ -113,7 +120,7 @@ def starts_apart(recordings: Sequence[Recording]) -> list[str]:
 
 
 def power_missing(recording: Recording, traverse: Traverse) -> str:
-    """Return the reason why a run's energy over its five ridges is unknown; empty if it is known."""
+    """Return the reason why the energy over a run's traverse is unknown; empty if it is known."""
     begin, end = max(0.0, float(traverse.length.time[0])), traverse.end
     time = recording.power_time
     times = time[(time >= begin) & (time <= end)]
@@ -127,6 +134,6 @@ def power_missing(recording: Recording, traverse: Traverse) -> str:
 
 
 def longest_gap(recording: Recording) -> float:
-    """Return the longest time without a measured length, s."""
+    """Return the longest time between two successive measured lengths, s; 0 with fewer than two."""
     times = recording.camera_time[np.isfinite(recording.length)]
     return float(np.diff(times).max()) if times.size > 1 else 0.0

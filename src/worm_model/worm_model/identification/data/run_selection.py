@@ -22,9 +22,9 @@ ONE_RUN = "measured in this single run; the variation between runs is unknown"
 
 @dataclass(frozen=True)
 class Run:
-    """Run used for fitting or validation: recording, smoothed length, five ridges and idle power.
+    """Run used for fitting or validation: recording, smoothed length, traverse and idle power.
 
-    ``powered`` is True if the run has power samples over the five ridges and is used for c_b and α_P.
+    ``powered`` is True if power samples cover the traverse, so that the run is used for c_b and α_P.
     """
 
     recording: Recording

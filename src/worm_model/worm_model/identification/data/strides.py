@@ -2,8 +2,8 @@
 """Plausibility check of the pitch from x1: a robot advances by whole grooves per cycle.
 
 After one period, the rear module has the same position in its groove again, so that it has advanced by n·d. The check
-detects a wrong given pitch. Such a pitch would bias all other estimates, because the front fin starts L0/d ≈ 17 grooves
-ahead of the rear fin.
+detects a wrong given pitch. Such a pitch would bias all other estimates: the front fin starts L0/d ≈ 17 grooves ahead
+of the rear fin, so that its start would be wrong by 17 times the error.
 """
 
 from __future__ import annotations
@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 from worm_model.identification.data.observed_run import Recording
 from worm_model.identification.identification_errors import IdentificationError
 
-# Largest deviation from whole grooves, in pitches per groove of the stride. Beyond it a fin was moving at one of the
-# two times.
+# Largest deviation of a stride from whole grooves, in pitches per groove. If it is larger, a fin was slipping at the
+# beginning or at the end of the stride.
 SLIPPING = 0.15
-FEWEST = 20  # smallest number of samples
-# Relative to the pitch: three times the error of strides on a robot with varying grooves.
+FEWEST = 20  # smallest number of camera samples, and of strides
+# Largest difference between the given pitch and that of the strides, relative to the pitch. It is three times the error
+# of strides on a robot with varying grooves.
 TOLERANCE = 0.008
 
 

@@ -22,13 +22,14 @@ from worm_model.parameters import PAPER
 from worm_model.simulation.actuation import resting_change
 from worm_model.simulation.kernel.actuation_law import Actuator, respond_at, rest_of
 
-INITIAL_LENGTH, CLOCK, ENGAGEMENT = range(3)  # nuisance parameters of a run
-CLOCK_SPREAD = 0.02  # s, prior standard deviation of the offset: clocks, and the servo's delay
-LATEST_ENGAGEMENT = 0.25  # s after the onset, upper bound
-ENGAGEMENT_SPREAD = 0.05  # s, prior standard deviation
+INITIAL_LENGTH, CLOCK, ENGAGEMENT = range(3)  # entries of the nuisance parameters of a run
+CLOCK_SPREAD = 0.02  # s, prior standard deviation of the clock offset (with the servo's delay)
+# The engagement is the time after the onset at which the slack is taken up, s.
+LATEST_ENGAGEMENT = 0.25  # s, upper bound of the engagement
+ENGAGEMENT_SPREAD = 0.05  # s, standard deviation of its prior, whose centre is 0
 LEAST_NOISE = 2e-5  # m, lower bound of the noise of a measured length
 KEYS = ("slack", "gain", "time_constant")
-START = (PAPER.slack, PAPER.gain, PAPER.time_constant)
+START = (PAPER.slack, PAPER.gain, PAPER.time_constant)  # values from which a fit starts
 SHARED = (
     Quantity(1e-5, 0.0, 0.05),  # slack, m
     Quantity(1e-3, 0.05, 5.0),  # gain
@@ -45,8 +46,9 @@ class ActuationFit:
         initial_length: L0 of each run, m, shape (runs,).
         clock_offset: offset of the camera's clock in each run, s, shape (runs,). Positive offsets mean early stamps: a
             sample with stamp t was measured at t + offset.
-        engagement: time at which the slack is taken up in each run, s, shape (runs,); 0 with a pretension.
-        residuals: residuals of each run, m.
+        engagement: time after the onset at which the slack is taken up in each run, s, shape (runs,); 0 with a
+            pretension.
+        residuals: measured minus predicted lengths of each run, m.
         solution: solution of the least-squares problem.
     """
 
@@ -72,9 +74,14 @@ def predicted_length_change(
     clock_offset: float = 0.0,
     engagement: float = 0.0,
 ) -> Array:
-    """Return ΔL (m) at the camera's ascending ``times`` (n,) in s for (δ_s, K, τ).
+    """Return ΔL (m), shape (n,), that follows from a run's command.
 
-    Until the engagement (s after the onset), ΔL has its value at rest. For a gait with pretension it is ignored.
+    Args:
+        recording: the run.
+        values: δ_s in m, K and τ in s.
+        times: ascending times on the camera's clock, s, shape (n,).
+        clock_offset: offset of the camera's clock, s, see `ActuationFit`.
+        engagement: time after the onset until which ΔL has its value at rest, s. Ignored for a gait with pretension.
     """
     slack, gain, time_constant = map(float, values)
     actuator = Actuator(gain, slack, time_constant)
@@ -121,7 +128,7 @@ def actuation_problem(recordings: Sequence[Recording], known_noise: float = 0.0)
 
 
 def _slack_length(recording: Recording) -> float:
-    """Return L0 (m): the length at rest minus the length change by a pretension on the paper's robot."""
+    """Return the start value of L0 (m): the length at rest minus ΔL of the paper's robot under the run's pretension."""
     return float(np.median(recording.length[recording.at_rest])) - resting_change(
         recording.gait, PAPER
     )
@@ -132,11 +139,11 @@ def fit_actuation(
     start: ActuationFit | None = None,
     weights: Sequence[Array] | None = None,
 ) -> ActuationFit:
-    """Fit the three parameters to all recordings.
+    """Fit slack, gain and time constant to all recordings.
 
     Args:
         recordings: the runs.
-        start: start of the fit; default: the values of the paper.
+        start: earlier fit to the same runs, from which this fit starts; default: the values of the paper.
         weights: weights of each run's `fitted_samples`; default: 1.
     """
     if start is None:

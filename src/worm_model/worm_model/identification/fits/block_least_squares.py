@@ -18,11 +18,13 @@ from worm_model.arrays import Array
 
 Residuals = Callable[[int, Array, Array], Array]
 
-HUBER = 2.5  # residuals above this count by their absolute value instead of their square
+# Residual, in units of the noise, beyond which its cost is linear instead of quadratic
+HUBER = 2.5
 MOST_ITERATIONS = 40
-MOST_DAMPING = 1e6
+MOST_DAMPING = 1e6  # damping at which the search for a step that lowers the cost ends
 NARROW = 0.15  # factor on the derivative steps, applied when the full steps make no progress
-INFORMATIVE = 0.5  # ratio to the prior deviation above which an estimate is mostly prior
+# An estimate contains information from the data if its standard deviation is at most this share of the prior's.
+INFORMATIVE = 0.5
 TOLERANCE = 1e-6  # relative decrease of the cost at which a fit has converged
 
 
@@ -68,7 +70,7 @@ class Solution:
 
 
 def with_fixed(problem: Problem, entry: int, value: float) -> Problem:
-    """Return the problem with one shared parameter fixed at a value."""
+    """Return the problem without the shared parameter ``entry``, which is fixed at a value."""
 
     def residuals(run: int, shared: Array, own: Array) -> Array:
         return problem.residuals(run, np.insert(shared, entry, value), own)
@@ -84,7 +86,10 @@ def solve(
     weights: Sequence[Array] | None = None,
     iterations: int = MOST_ITERATIONS,
 ) -> Solution:
-    """Return the local minimum near the start ``shared``, ``own``; all samples have weight 1 without ``weights``."""
+    """Return the local minimum near the start values ``shared`` (s,) and ``own`` (runs, q).
+
+    ``weights`` contains the weights of each run's samples; by default all are 1.
+    """
     state = evaluate(problem, np.array(shared, float), np.array(own, float), weights)
     damping, width = 1e-3, 1.0
     for _ in range(iterations):
@@ -244,5 +249,8 @@ def own_deviations(
 
 
 def informative(deviation: Array, prior: float) -> Array:
-    """Return the standard deviations; NaN where the data add little to the ``prior`` standard deviation."""
+    """Return the standard deviations of estimates, NaN where they are mostly due to the prior.
+
+    ``prior`` is the standard deviation of the prior. See `INFORMATIVE`.
+    """
     return np.where(deviation <= INFORMATIVE * prior, deviation, np.nan)

@@ -27,18 +27,17 @@ from worm_model.simulation.kernel.work import cable_power
 from worm_model.simulation.quadrature import accumulated
 
 CLOCK_SPREAD = 0.02  # s, prior standard deviation of the clock offset
-SCALE = 0.05  # J, scale of a residual; samples beyond a few of these count as outliers
-INDEPENDENT = (
-    20.0  # effective number of independent residuals of a run, as accumulated energy is correlated
-)
+SCALE = 0.05  # J, unit of the residuals; residuals of more than `HUBER` units count as outliers
+# Effective number of independent residuals of a run. It is small, because accumulated energies are correlated.
+INDEPENDENT = 20.0
 KEYS = ("bellows_damping", "power_factor")
-START = (860.0, 3.2)  # values of the paper, rounded
+START = (860.0, 3.2)  # N·s/m and 1, values from which a fit starts: those of the paper, rounded
 SHARED = (Quantity(5.0, 0.0, 1e5), Quantity(0.01, 0.05, 50.0))
 
 
 @dataclass(frozen=True)
 class PowerRun:
-    """Data of one run over five ridges for the energy model.
+    """Data of one run for the energy model, from the onset to the end of the traverse (`locomotion.Traverse`).
 
     Attributes:
         name: name of the run.
@@ -67,7 +66,16 @@ class PowerRun:
 
 @dataclass(frozen=True)
 class EnergyFit:
-    """Fitted ``damping`` (N·s/m) and ``factor``; ``clock_offset`` (s) and energy ``residuals`` (J) of each run."""
+    """Fit of the energy model.
+
+    Attributes:
+        damping: c_b, N·s/m.
+        factor: α_P.
+        clock_offset: offset of the power sensor's clock from the camera's in each run, s, shape (runs,). Positive
+            offsets mean early stamps of the sensor.
+        residuals: measured minus predicted energy of each run, J.
+        solution: solution of the least-squares problem.
+    """
 
     damping: float
     factor: float
@@ -86,7 +94,7 @@ def power_run(
     *,
     one_sided_cable: bool,
 ) -> PowerRun:
-    """Return the part of a run from the onset to ``end`` (s)."""
+    """Return the part of a run from the onset to ``end`` (s); for the other arguments see `PowerRun`."""
     kept = time <= end
     during = (recording.power_time >= 0.0) & (recording.power_time <= min(end, time[kept][-1]))
     return PowerRun(
@@ -109,7 +117,10 @@ def predicted_power(run: PowerRun, damping: float, factor: float) -> Array:
 
 
 def predicted_energy(run: PowerRun, damping: float, factor: float, offset: float = 0.0) -> Array:
-    """Return the predicted energy (J) since the first power sample; the sensor's stamps are early by ``offset`` (s)."""
+    """Return the predicted energy (J) since the first power sample, at the power samples, shape (m,).
+
+    ``offset`` (s) is the clock offset, see `EnergyFit`.
+    """
     energy = accumulated(run.time, predicted_power(run, damping, factor))
     at = run.power_time + offset
     # Outside of the run the power is the idle power.
@@ -120,7 +131,10 @@ def predicted_energy(run: PowerRun, damping: float, factor: float, offset: float
 
 
 def energy_problem(runs: Sequence[PowerRun], scale: float = SCALE) -> Problem:
-    """Return the least-squares problem of (c_b, α_P) and the clock offsets; residuals in units of ``scale`` (J)."""
+    """Return the least-squares problem of (c_b, α_P) and the clock offsets.
+
+    The residuals are measured minus predicted accumulated energies, in units of ``scale`` (J).
+    """
     measured = [run.energy for run in runs]
 
     def residuals(index: int, shared: Array, own: Array) -> Array:
@@ -165,6 +179,6 @@ def fit_energy(
 
 
 def unseen_energy(damping: float, factor: float) -> EnergyFit:
-    """Return a fit to no runs that contains the given values."""
+    """Return a fit without any run, which contains the given c_b (N·s/m) and α_P."""
     nothing = Solution(np.array([damping, factor]), np.empty((0, 1)), (), 0.0)
     return EnergyFit(damping, factor, np.empty(0), (), nothing)

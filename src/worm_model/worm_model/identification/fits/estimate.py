@@ -14,11 +14,11 @@ from worm_model.arrays import Array
 
 CONFIDENCE = 0.95
 MOST_STEPS = 12  # largest number of evaluations of a profile
-NARROW = (
-    0.03  # relative bracket at which the search ends; a discontinuous cost may never equal the rise
-)
+# The search in a profile ends when its bracket is narrower than this, relative to the outer end of the bracket. A
+# discontinuous cost may never equal the required rise.
+NARROW = 0.03
 VAGUE = 0.5  # largest half-width of a useful interval, relative to the value
-LEFT_OPEN = "its interval is wider than half its value; add longer runs or runs with other gaits"
+LEFT_OPEN = "its interval is wider than half its value on either side; add longer runs or runs with other gaits"
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ def follow_profile(
 ) -> float:
     """Return the position on one side of ``best`` at which a profile exceeds its minimum by ``rise``.
 
-    Each step of the search assumes a parabola.
+    A profile is the lowest cost as a function of one parameter. Each step of the search assumes a parabola.
 
     Args:
         cost: cost above the minimum as a function of the parameter.
@@ -92,7 +92,8 @@ def follow_profile(
         reach: largest offset to evaluate.
 
     Returns:
-        The position; infinite if the cost rises by less. At a discontinuity, the position on its far side.
+        The position; infinite if the cost rises by less within ``reach``. If the cost jumps over ``rise``, a position
+        just beyond the jump.
     """
     offset, low, high = min(abs(guess), reach), 0.0, np.inf
     for _ in range(MOST_STEPS):

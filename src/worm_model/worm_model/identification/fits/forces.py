@@ -18,10 +18,11 @@ from worm_model.parameters import Parameters
 
 @dataclass(frozen=True)
 class Forces:
-    """Forces F_c + c_b·L̇ = H + k_b(L_free − L) of each run at the times of its length.
+    """Forces F_c + c_b·L̇ = H + k_b(L_free − L) of each run at the times of its length; H as in `fits.energy`.
 
     Attributes:
-        holding: H (N) by fit and run; the first fit is the best, the further fits are one standard deviation away.
+        holding: H (N) by fit and run. The first fit is the best one. In each further fit, an uncertain value is one
+            standard deviation away from its best value.
         change: ΔL of each run, m.
         initial_length: L0 of each run, m, shape (runs,).
         stiffness, stiffness_deviation: k_b with standard deviation, N/m.
@@ -37,7 +38,7 @@ class Forces:
     free_length_deviation: float
 
     def of(self, indices: Sequence[int]) -> Forces:
-        """Return the forces of some of the runs."""
+        """Return the forces of the runs with given indices."""
         return replace(
             self,
             holding=tuple(tuple(fit[index] for index in indices) for fit in self.holding),
@@ -47,11 +48,11 @@ class Forces:
 
     @property
     def best(self) -> list[Array]:
-        """Forces of the best fit, N."""
+        """Forces of each run for the best fit, N."""
         return self._force(list(self.holding[0]), self.stiffness, self.free_length)
 
     def draw(self, random: np.random.Generator) -> list[Array]:
-        """Draw forces (N) from their distribution."""
+        """Return forces (N) of each run, drawn from their distribution."""
         size = random.standard_normal(len(self.holding) - 1)
         holding = [
             best

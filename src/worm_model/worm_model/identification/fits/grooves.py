@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Stage 4, continued: differences between grooves, and their effect on the intervals of η and p_sw.
 
-All runs pass the same few ridges. A robot with uneven grooves therefore shows the same deviation in every run, and a
-bootstrap over runs would not detect it. Each groove has a deviation of its threshold and of its stiffness for each
-module. The standard deviations are estimated from the data (expectation maximisation) and vanish for even grooves.
-η and p_sw are the means. Their intervals are profiles over all deviations.
+All runs pass the same few ridges. Uneven grooves therefore cause the same deviation of x1 in every run, which a
+bootstrap over runs would not detect. Each groove has a deviation of its threshold and of its stiffness for each module.
+The standard deviations of these deviations, the scatter, are estimated from the data by expectation maximisation. For
+even grooves the scatter vanishes. η and p_sw are means over the grooves. Their intervals follow from profiles, in which
+all deviations are fitted again.
 """
 
 from __future__ import annotations
@@ -39,13 +40,14 @@ from worm_model.identification.fits.locomotion import (
 from worm_model.simulation.kernel.grooves import GROOVE_COLUMNS, STIFFNESS, THRESHOLD
 
 ROWS = 10  # grooves of each module: FIRST_GROOVE behind the start, the rest ahead
-MEANS = 6  # shared parameters before the deviations
-FIRST_SCATTER = (1e-4, 0.02)  # m and 1, start of the search for the scatter
-LEAST_SCATTER = (1e-6, 1e-4)  # smaller scatter counts as none
-STEPS = (3e-5, 0.01)  # of numerical derivatives by deviations, m and 1
+MEANS = 6  # number of shared parameters before the deviations
+# Pairs of values for threshold (m) and relative stiffness (1)
+FIRST_SCATTER = (1e-4, 0.02)  # start of the search for the scatter
+LEAST_SCATTER = (1e-6, 1e-4)  # lower bound of the scatter
+STEPS = (3e-5, 0.01)  # steps of the numerical derivatives with respect to the deviations
 SCANNED = np.linspace(-6e-4, 6e-4, 13)  # m, tested deviations of a threshold
-ROUNDS = 4  # number of linearisations
-INNER_ROUNDS = 300
+ROUNDS = 4  # number of times that fit and scatter are computed alternately
+INNER_ROUNDS = 300  # iterations of expectation maximisation in each of these rounds
 
 
 @dataclass(frozen=True)
@@ -62,10 +64,10 @@ class Scatter:
 
 @dataclass(frozen=True)
 class GrooveFit:
-    """``solution`` of a `groove_problem` under a ``scatter``.
+    """``solution`` of a problem with deviations of the grooves, which have a ``scatter``.
 
-    ``places`` (k, 3) has module, row and column of each deviation after the means, as in the tables of
-    `worm_model.simulation.kernel.grooves`.
+    The deviations are the last shared parameters. ``places`` (k, 3) contains the place of each deviation: the module
+    (0 rear, 1 front), and row and column of its table in `worm_model.simulation.kernel.grooves`.
     """
 
     solution: Solution
@@ -74,10 +76,11 @@ class GrooveFit:
 
     @property
     def means(self) -> Array:
-        """(η, p_sw, rear and front dry friction, pitch, onset)."""
+        """(η, p_sw, rear and front dry friction, pitch, onset) of a `groove_problem`."""
         return self.solution.shared[:MEANS]
 
 
+# Function that returns the problem for places and scatter
 Build = Callable[[NDArray[np.int64], Scatter], Problem]
 
 
@@ -159,7 +162,10 @@ def _scanned(problem: Problem, solution: Solution, places: NDArray[np.int64]) ->
 
 
 def _passed(build: Build, start: Solution) -> NDArray[np.int64]:
-    """Return the places of the deviations that affect the residuals, which belong to the grooves that runs pass."""
+    """Return the places of the deviations that affect the residuals, shape (k, 3).
+
+    These are deviations of the grooves that the runs pass.
+    """
     places = np.argwhere(np.ones((2, ROWS, GROOVE_COLUMNS)))  # all possible deviations
     problem = build(places, Scatter(*FIRST_SCATTER))
     first = start.shared.size
@@ -212,13 +218,16 @@ def _learned_scatter(
 def held(
     traverses: Sequence[Traverse], known: Known, fit: GrooveFit, entry: int, value: float
 ) -> Solution:
-    """Return the solution with one of the means fixed at a value and all other parameters fitted again."""
+    """Return the solution with the mean ``entry`` fixed at a value and all other parameters fitted again."""
     problem = groove_problem(traverses, known, fit.places, fit.scatter)
     return fixed_at(problem, fit.solution, entry, value)
 
 
 def fixed_at(problem: Problem, solution: Solution, entry: int, value: float) -> Solution:
-    """Return the solution with one shared parameter fixed at a value and all other parameters fitted again."""
+    """Return the solution with the shared parameter ``entry`` fixed at a value and all other parameters fitted again.
+
+    ``solution`` contains the start values.
+    """
     shared = np.delete(solution.shared, entry)
     found = solve(with_fixed(problem, entry, value), shared, solution.own, iterations=8)
     prior = prior_cost([value], [problem.shared[entry]])

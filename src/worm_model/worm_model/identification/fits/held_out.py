@@ -18,12 +18,12 @@ from worm_model.identification.idle import idle_power
 from worm_model.identification.locomotion_stage import ONSET, LocomotionResult, refit
 from worm_model.parameters import PAPER, Parameters
 
-ITERATIONS = 4
+ITERATIONS = 4  # iterations of the locomotion fit, which starts from the fit to all runs
 FEWEST = 2  # smallest number of runs for leaving one out
 
 
 def run_errors(run: Run, parameters: Parameters, clock_offset: float) -> Errors:
-    """Return the errors of one run; ``clock_offset`` (s) of the camera as in `ActuationFit`."""
+    """Return the errors of one run. ``clock_offset`` (s) is positive if the camera's stamps are early."""
     prediction = predict(run.recording, run.traverse, parameters, clock_offset)
     return errors(run.recording, run.traverse, prediction)
 

@@ -6,14 +6,14 @@ refines the deepest valleys. The nuisance parameters are:
 
 - the dry friction of each module, which would otherwise count as η
 - L0 of each run, which the camera measures at rest
-- the pose at rest of each run with pretension, because dry friction holds the modules anywhere near the balance of
-  the bent fins: up to (D1 + D2)/(k_eng + k_dis) from it
-- the pitch: the front fin starts L0/d ≈ 17 grooves ahead of the rear one, so that an error of 0.05 mm in d moves its
-  start by almost 1 mm
-- the onset: the length starts with a finite rate (eq:slack_clip), which the modules of a robot share. The paper's
-  v1(0) = 0 shifts the centre of mass by 0.1 mm
+- the pose at rest of each run with pretension: dry friction can hold the modules at a distance of at most
+  (D1 + D2)/(k_eng + k_dis) from the pose in which the bent fins balance each other
+- the pitch: the front fin starts L0/d ≈ 17 grooves ahead of the rear one, so that an error of 0.05 mm in d moves the
+  start of the front fin by almost 1 mm
+- the parameter ``onset``: ΔL starts with a finite rate (eq:slack_clip), and this parameter determines how the modules
+  share the rate. The paper's assumption v1(0) = 0 shifts the centre of mass by 0.1 mm
 
-The kernel computes x1 without time steps, for a length given by cubics between every fourth sample (`KNOTS`).
+The kernel computes x1 without time steps. The length is given by cubics between every fourth sample (`KNOTS`).
 """
 
 from __future__ import annotations
@@ -40,18 +40,20 @@ from worm_model.simulation.kernel.whole_run import run_from_rest
 from worm_model.simulation.rows import parameter_rows
 from worm_model.simulation.smoothing import Smoothed
 
-RIDGES = 5  # number of ridges of a traverse
-LEAST_NOISE = 2e-5  # m, noise of a position from a perfect camera
-SEARCHED_FRICTION = np.geomspace(4.0, 1500.0, 14)  # N·s/m
-SEARCHED_THRESHOLD_STEP = 2e-4  # m
-MOST_THRESHOLD = 1.7  # pitches
-VALLEYS = 6  # number of valleys from which fits start
+RIDGES = 5  # number of ridges of a traverse; a module passes a ridge when it advances by a pitch
+LEAST_NOISE = 2e-5  # m, lower bound of the noise of a position
+# Grid of the search
+SEARCHED_FRICTION = np.geomspace(4.0, 1500.0, 14)  # N·s/m, values of η
+SEARCHED_THRESHOLD_STEP = 2e-4  # m, step of p_sw
+MOST_THRESHOLD = 1.7  # largest p_sw, in pitches
+VALLEYS = 6  # number of local minima on the grid from which fits start
 ROUGH_ITERATIONS = 10  # iterations of the fit from each start
 REFINED = 4  # number of these fits that are completed
-FIRST_DRY = (0.05, 0.05)  # N, start of the search for dry friction
-FIRST_ONSET = 0.5
+FIRST_DRY = (0.05, 0.05)  # N, dry friction of both modules from which fits start
+FIRST_ONSET = 0.5  # onset from which fits start
 LOST = 1e3  # residual of each sample if the anchors switch endlessly
-KNOTS = 4  # samples of the length between the knots of its cubics, 32 ms
+KNOTS = 4  # distance of the knots of the cubics, in samples of the length: 32 ms
+#: names of the shared parameters of all runs
 SHARED = (
     "viscous_friction",
     "switching_threshold",
@@ -60,7 +62,7 @@ SHARED = (
     "pitch",
     "onset",
 )
-LEAST_DEVIATION = 1e-8  # m, of a pitch or a pose given as exact
+LEAST_DEVIATION = 1e-8  # m, prior standard deviation of a pitch or a pose that is fixed
 TRIED_PITCHES = (-1.5, 0.0, 1.5)  # starts of a fit, in standard deviations from the given pitch
 
 
@@ -77,10 +79,15 @@ class Known:
 
 @dataclass(frozen=True)
 class Traverse:
-    """Run over the five ridges: camera samples ``time`` (n,) s, ``x1`` (n,) m, and the length that drives it.
+    """Part of a run until x1 has advanced by five pitches, so that the rear module has passed five ridges.
 
-    ``noise`` (m) is the camera's noise. ``end`` (s) is the end of the traverse; ``complete`` is True if the run passed
-    five ridges.
+    Attributes:
+        direction: direction of the gait, ±1.
+        time, x1: camera samples with a visible rear marker, s and m, shape (n,).
+        length: measured length, which drives the motion.
+        noise: the camera's noise, m.
+        end: end of the traverse on the camera's clock, s. If the run passes fewer ridges, it is the end of the run.
+        complete: True if the run passed five ridges.
     """
 
     direction: int
@@ -93,7 +100,7 @@ class Traverse:
 
     @cached_property
     def sampled(self) -> Array:
-        """Time of the rest, followed by the times at which x1 is compared, s, shape (n + 1,)."""
+        """Last time at rest, followed by the times at which x1 is compared, s, shape (n + 1,)."""
         return np.append(self.length.time[0], self.time)
 
     @property
@@ -111,7 +118,7 @@ class Traverse:
 
 
 def traverse_of(recording: Recording, length: MeasuredLength, pitch: float) -> Traverse:
-    """Return the part of a run from the onset until x1 has advanced by five pitches."""
+    """Return the traverse of a run."""
     advance = recording.gait.direction * recording.x1
     known = np.isfinite(advance)
     beyond = median_filter(advance[known], 5) >= RIDGES * pitch  # a single outlier does not count
@@ -164,7 +171,10 @@ def worm_of(parameters: Parameters) -> Worm:
 
 
 def with_means(worm: Worm, means: Array, own: Array) -> Worm:
-    """Return the robot with (η, p_sw, both dry frictions, pitch, onset), and a run's L0 and pose at rest (m)."""
+    """Return the robot with the shared and the nuisance parameters of a run.
+
+    ``means`` are (η, p_sw, both dry frictions, pitch, onset). ``own`` are L0 and the pose at rest, m.
+    """
     robot = worm.with_values(SHARED[:-1], means[:-1], own[0])
     return robot._replace(onset=float(means[-1]), deflection=float(own[1]))
 
@@ -176,7 +186,10 @@ def follow(
     rear_grooves: Array = EVEN,
     front_grooves: Array = EVEN,
 ) -> Array | None:
-    """Return the kernel's samples at ascending ``times`` (n,) in s; None if the anchors switch endlessly."""
+    """Return the kernel's samples (n, SAMPLE_COLUMNS) at ascending ``times`` (n,) in s.
+
+    The result is None if the anchors switch endlessly.
+    """
     breaks, coefficients = traverse.form
     samples = np.empty((times.size, march.SAMPLE_COLUMNS))
     samples[:, march.TIME] = times
@@ -212,9 +225,10 @@ def shared_quantities(known: Known) -> list[Quantity]:
 def own_quantities(
     traverse: Traverse, parameters: Parameters, pose_deviation: float
 ) -> list[Quantity]:
-    """Return the nuisance parameters of a run: L0, with the length at rest as its prior, and the pose at rest.
+    """Return the nuisance parameters of a run: L0 and the pose at rest.
 
-    The pose (m) is `Worm.deflection`; 0 with a standard deviation of ``pose_deviation`` is its prior.
+    The prior of L0 is the measured value. The pose (m) is `Worm.deflection`. Its prior is 0 with the standard deviation
+    ``pose_deviation`` (m).
     """
     length, pitch = traverse.length, parameters.pitch
     return [
@@ -233,14 +247,14 @@ def own_of_unloaded(traverses: Sequence[Traverse], known: Known) -> list[list[Qu
 
 
 def first_own(traverses: Sequence[Traverse]) -> Array:
-    """Return the nuisance parameters of runs from which fits start, shape (runs, 2)."""
+    """Return the values of the runs' nuisance parameters from which fits start, shape (runs, 2)."""
     return np.array([[t.length.initial_length, 0.0] for t in traverses])
 
 
 def x1_residuals(
     traverse: Traverse, worm: Worm, rear_grooves: Array = EVEN, front_grooves: Array = EVEN
 ) -> Array:
-    """Return measured minus predicted x1, both from the rest on, in units of the camera's noise."""
+    """Return measured minus predicted x1, both relative to the position at rest, in units of the camera's noise."""
     samples = follow(traverse, worm, traverse.sampled, rear_grooves, front_grooves)
     if samples is None:
         return np.full(traverse.time.size, LOST)
@@ -249,7 +263,10 @@ def x1_residuals(
 
 
 def locomotion_problem(traverses: Sequence[Traverse], known: Known) -> Problem:
-    """Return the problem with even grooves; all other parameters are given."""
+    """Return the problem of x1 with even grooves.
+
+    The parameters that are neither in `shared_quantities` nor in `own_of_unloaded` have the values of ``known``.
+    """
     worm = worm_of(known.parameters)
 
     def residuals(run: int, values: Array, own: Array) -> Array:
@@ -260,13 +277,19 @@ def locomotion_problem(traverses: Sequence[Traverse], known: Known) -> Problem:
 
 
 def least_threshold(parameters: Parameters) -> float:
-    """Return the smallest threshold (m). Below it, a fin would switch back at once, or switch without touching."""
+    """Return the smallest threshold (m) of a fit.
+
+    With a smaller threshold, a fin would switch back at once, or switch without having touched the wall.
+    """
     return 0.5 * max(parameters.pitch, parameters.clearance) + 1e-4
 
 
 @dataclass(frozen=True)
 class Landscape:
-    """J_loc over ``friction`` (m,) in N·s/m and ``threshold`` (n,) in m: ``cost`` (m, n), mean squared error in m²."""
+    """J_loc on a grid.
+
+    ``cost`` (m, n) is the mean squared error of x1 in m², for ``friction`` (m,) in N·s/m and ``threshold`` (n,) in m.
+    """
 
     friction: Array
     threshold: Array
@@ -323,7 +346,7 @@ def valleys(landscape: Landscape, count: int = VALLEYS) -> Array:
 
 
 def find_locomotion(traverses: Sequence[Traverse], known: Known, landscape: Landscape) -> Solution:
-    """Return the best of the landscape's valleys, refined with all nuisance parameters and even grooves.
+    """Return the best fit with even grooves and all nuisance parameters, of the fits that start in `valleys`.
 
     Raises `IdentificationError` if the anchors of the best fit switch endlessly in a run.
     """

@@ -32,7 +32,10 @@ def refitted(refit: Callable[[int], Array]) -> Array:
 
 
 def spread_factor(units: int) -> float:
-    """Return the ratio of a 95 % half-width to the standard deviation of the refits."""
+    """Return the ratio of a 95 % half-width to the standard deviation of the refits.
+
+    ``units`` is the number of runs or cycles that the bootstrap draws.
+    """
     if units < 2:
         return np.inf
     return float(np.sqrt((units + 1) / (units - 1))) * quantile(units - 1)

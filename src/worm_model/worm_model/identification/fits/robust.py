@@ -8,9 +8,8 @@ from numpy.typing import ArrayLike
 
 from worm_model.arrays import Array
 
-SIGMA_PER_MAD = (
-    1.4826  # ratio of standard deviation to median absolute deviation of a normal distribution
-)
+# Ratio of the standard deviation to the median absolute deviation of a normal distribution
+SIGMA_PER_MAD = 1.4826
 OUTLIER = 5.0  # residual of an outlier, in robust standard deviations
 MOST_MEMORY = 0.9  # largest correlation of successive residuals; at 1 `dependence` is infinite
 ONE_SIDED = 1.645  # one-sided 95 % quantile of the normal distribution
@@ -42,6 +41,6 @@ def dependence(residuals: Array) -> float:
     correlation = float(np.sum(r[1:] * r[:-1]) / max(float(np.sum(r * r)), 1e-300))
     if correlation < ONE_SIDED / np.sqrt(count):
         return 1.0
-    # The estimate around a fitted line is too small by about (2 + 4ρ)/n (Kendall 1954).
+    # The correlation ρ of residuals of a fitted line is too small by about (2 + 4ρ)/n (Kendall 1954).
     memory = min(correlation + (2.0 + 4.0 * correlation) / count, MOST_MEMORY)
     return (1.0 + memory) / (1.0 - memory)

@@ -25,9 +25,10 @@ class RunPrediction:
 
     Attributes:
         time: time on the camera's clock, s, shape (n,).
-        x1: rear position for the measured length, m, shape (n,).
-        power, energy: W and J since the onset, shape (n,).
-        length_change: ΔL for the command at the camera's samples, m, shape (samples,).
+        x1: position of the rear module that follows from the measured length, relative to the rest, m, shape (n,).
+        power: predicted source power, W, shape (n,).
+        energy: integral of the power since the first time, J, shape (n,).
+        length_change: ΔL that follows from the command, at the camera's samples, m, shape (samples,).
     """
 
     time: Array
@@ -39,10 +40,12 @@ class RunPrediction:
 
 @dataclass(frozen=True)
 class Errors:
-    """Rms errors of x1 (m), ΔL (m) and power (W), and relative energy error at the end of the five ridges.
+    """Errors of a prediction over the traverse, which ends when x1 has advanced by five pitches.
 
-    Power and energy errors are NaN without power samples. The energy error is also NaN if the power samples do not
-    cover the five ridges.
+    ``x1_rmse`` (m), ``length_rmse`` (of ΔL, m) and ``power_rmse`` (W) are root mean squares. ``energy_error`` is the
+    predicted minus the measured energy, relative to the measured energy. Without power samples, the errors of power and
+    energy are NaN. If the power samples do not cover the traverse, the error of the energy is NaN. For the traverse see
+    `locomotion.Traverse`.
     """
 
     x1_rmse: float
@@ -54,7 +57,10 @@ class Errors:
 def predict(
     recording: Recording, traverse: Traverse, parameters: Parameters, clock_offset: float = 0.0
 ) -> RunPrediction:
-    """Predict a run with its own initial length; ``clock_offset`` (s) of the camera as in `ActuationFit`."""
+    """Predict a run with the initial length that was measured in it.
+
+    ``clock_offset`` (s) is positive if the camera's stamps are early, see `ActuationFit`.
+    """
     length = traverse.length
     values = parameters.replace(initial_length=length.initial_length)
     time, change, rate = length.time, length.length_change, length.rate
@@ -75,7 +81,7 @@ def predict(
 
 
 def errors(recording: Recording, traverse: Traverse, prediction: RunPrediction) -> Errors:
-    """Return the errors of a prediction over the five ridges."""
+    """Return the errors of a prediction over the traverse."""
     x1 = traverse.x1 - np.interp(traverse.time, prediction.time, prediction.x1)
     during = (recording.camera_time >= 0.0) & (recording.camera_time <= traverse.end)
     change = recording.length - traverse.length.initial_length - prediction.length_change
@@ -96,7 +102,7 @@ def _energy_error(time: Array, power: Array, prediction: RunPrediction) -> float
 
 
 def measured_power(recording: Recording, traverse: Traverse) -> tuple[Array, Array]:
-    """Return times (s) and values (W) of the power samples over the five ridges."""
+    """Return times (s) and values (W) of the power samples during the traverse."""
     time = recording.power_time
     during = (time >= max(0.0, traverse.length.time[0])) & (time <= traverse.end)
     return time[during], recording.power[during]

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recommendation of the next run: the gait that would shrink the widest interval most.
 
-For each candidate gait, the exact model computes a run over five ridges. The Fisher information of this run about the
-parameters, with the run's nuisance parameters marginalised, is added to the present information.
+For each candidate gait, the exact model computes a run until the robot has passed five ridges. The Fisher information
+of this run about the parameters, with the run's nuisance parameters marginalised, is added to the present information.
 """
 
 from __future__ import annotations
@@ -42,12 +42,13 @@ STAGES = {
     "actuation": ACTUATION,
     "energy": ENERGY,
 }
-NO_RUN_HELPS = {
+# Measurements that shrink the intervals of parameters for which no candidate gait is evaluated
+MEASUREMENTS = {
     "bellows_stiffness": "repeat the bellows test with four times the points",
     "clearance": "repeat the fin test with four times the points near its knees",
     "engaged_stiffness": "repeat the fin test with four times the points on its engaging side",
     "disengaged_stiffness": "repeat the fin test with four times the points on its sliding side",
-    "idle_power": "let the robot rest longer before each run",
+    "idle_power": "record more runs without pretension, at rest before the gait",
 }
 
 
@@ -62,13 +63,13 @@ def advise(result: Identification) -> str:
         return f"{vague[0]}: {result.estimates[vague[0]].note}"
     width = {
         key: _relative_spread(result.estimates[key], key)
-        for key in (*NO_RUN_HELPS, *sought)
+        for key in (*MEASUREMENTS, *sought)
         if result.estimates[key].identifiable
     }
     key = max(width, key=lambda k: width[k])
     head = f"the widest interval is that of {key} (±{100 * width[key]:.1f} %)"
-    if key in NO_RUN_HELPS:
-        return f"{head}; further runs would not shrink it: {NO_RUN_HELPS[key]}"
+    if key in MEASUREMENTS:
+        return f"{head}; {MEASUREMENTS[key]}"
     stage = next(name for name, keys in STAGES.items() if key in keys)
     best = _best_gait(result, stage, key)
     if best is None:
@@ -86,7 +87,7 @@ def advise(result: Identification) -> str:
 
 
 def _relative_spread(estimate: Estimate, key: str) -> float:
-    """Return the half-width relative to the value, or to a tenth of the paper's value if that is larger."""
+    """Return the half-width relative to the value, or to a tenth of the paper's value if the tenth is larger."""
     return estimate.spread / max(abs(estimate.value), 0.1 * getattr(PAPER, key))
 
 
@@ -113,7 +114,10 @@ def _limited_by_grooves(result: Identification, key: str) -> bool:
 
 
 def _best_gait(result: Identification, stage: str, key: str) -> tuple[Gait, float] | None:
-    """Return the best gait and the ratio by which it shrinks the interval; None if no gait passes the ridges."""
+    """Return the best gait, and the ratio of the interval's width after and before a run with this gait.
+
+    The result is None if no candidate gait passes the ridges.
+    """
     keys = STAGES[stage]
     entry = keys.index(key)
     inherited = _inherited(result, key)
@@ -144,7 +148,7 @@ def _covariance(result: Identification, stage: str) -> Array:
 
 
 def recorded(gait: Gait, result: Identification) -> Recording | None:
-    """Return the noise-free recording of a gait over five ridges; None if it does not pass them."""
+    """Return the noise-free recording of a gait until the robot has passed five ridges, or None if it never does."""
     parameters = result.parameters
     trajectory = simulate(gait, parameters, MOST_CYCLES)
     camera = np.arange(0.0, trajectory.duration, 1.0 / CAMERA_RATE)

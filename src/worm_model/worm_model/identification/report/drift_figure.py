@@ -18,7 +18,10 @@ SCALES = {"m": (1e3, "mm")}  # displayed factor and unit by unit
 
 
 def draw_health(names: Sequence[str], charts: Sequence[Chart], path: Path) -> None:
-    """Write the figure in the format of the file extension; ``names`` of the bags in the charts' order."""
+    """Write the figure in the format of the file extension.
+
+    ``names`` are the names of the bags, in the order of the values in each chart.
+    """
     width = min(max(7.5, 2.5 + 0.55 * len(names)), 16.0)
     figure = plot_style.new_figure(width, 1.9 * len(charts) + 1.2)
     rows = figure.subplots(len(charts), 1, sharex=True)
@@ -31,7 +34,7 @@ def draw_health(names: Sequence[str], charts: Sequence[Chart], path: Path) -> No
     last.set_xlim(-0.5, len(names) - 0.5)
     last.set_xlabel(
         "bag, in the order of time; bars: 95 % interval of each\n"
-        "squares: beyond a control limit; diamonds: part of a run that trends"
+        "squares: beyond a control limit; diamonds: part of a trend"
     )
     plot_style.save_figure(figure, path)
 

@@ -73,9 +73,9 @@ def text_of(result: Identification, advice: str, figures: list[str]) -> str:
         "Errors of each run with the parameters identified from the *other* runs, in brackets with the paper's table. "
         "Predictions use the exact model with the run's own initial length and the clock offset between camera and "
         "servo from the other runs. x1 is predicted from the measured length, ΔL from the command. Errors are rms "
-        "values over the five ridges; the energy error is that at their end. Three quantities still depend on the run "
-        "itself: its smoothed length, the scatter of the grooves, and the forces in the energy fit.\n\n"
-        + error_table(result.held_out, result.paper),
+        "values from the onset until the rear module has passed five ridges. The energy error is that at the end of "
+        "this time. Three quantities still depend on the run itself: its smoothed length, the scatter of the grooves, "
+        "and the forces in the energy fit.\n\n" + error_table(result.held_out, result.paper),
     ]
     if result.validation:
         parts.append("## Validation runs\n\n" + error_table(result.validation, {}))
@@ -141,7 +141,7 @@ def _open_ends(result: Identification, advice: str) -> str:
 
 
 def error_table(errors: Mapping[str, Errors], paper: Mapping[str, Errors]) -> str:
-    """Return a table of the errors of each run, in brackets those with the paper's table."""
+    """Return a table of the errors of each run, followed by the errors with the paper's table in brackets."""
     if not errors:
         return "Held-out errors need at least two runs."
     lines = [

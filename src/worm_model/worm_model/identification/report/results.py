@@ -53,7 +53,7 @@ def parameter_file(result: Identification, inputs: Inputs) -> ParameterFile:
 
 
 def summary(result: Identification) -> dict[str, Any]:
-    """Return the JSON object of the command line; unknown numbers are NaN."""
+    """Return the result as a JSON object; unknown numbers are NaN."""
     return {
         "parameters": {key: e.as_dict() for key, e in result.estimates.items()},
         FORM: result.parameters.one_sided_cable,
@@ -117,7 +117,7 @@ def _correlated(result: Identification) -> list[tuple[str, str, float]]:
 
 
 def _of_parameters(result: Identification) -> dict[tuple[str, str], float]:
-    """Return the known correlations between the keys of a parameter file."""
+    """Return the known correlations of estimates, by pairs of keys of a parameter file."""
     return {
         (a, b): round(rho, 4)
         for a, b, rho in _correlated(result)

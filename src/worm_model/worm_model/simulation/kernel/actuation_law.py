@@ -34,7 +34,7 @@ def effective(command: float, a: Actuator) -> float:
 
 @inlined
 def rest_of(pretension: float, a: Actuator) -> float:
-    """Return ΔL in m at which a run under a pretension in m begins. Without pretension, the cable is still slack."""
+    """Return ΔL in m at the start of a run with a pretension in m. It is 0 without a pretension: the cable is slack."""
     return 0.0 if pretension == 0.0 else effective(-pretension, a)
 
 
@@ -42,7 +42,11 @@ def rest_of(pretension: float, a: Actuator) -> float:
 def answer_to_parabola(
     length_change: float, target: float, slope: float, bend: float, a: Actuator
 ) -> Coefficients:
-    """Return ΔL (m) from its present value on, for a target with a slope (m/s) that changes by ``bend`` (m/s²)."""
+    """Return ΔL (m) as a function of time, from its present value on.
+
+    The target K·u_eff has the value ``target`` (m), the rate ``slope`` (m/s) and the constant second derivative
+    ``bend`` (m/s²).
+    """
     slope -= a.time_constant * bend
     behind = target - a.time_constant * slope
     rest = length_change - behind
@@ -51,9 +55,10 @@ def answer_to_parabola(
 
 @inlined
 def answer_to_line(length_change: float, target: float, slope: float, a: Actuator) -> Coefficients:
-    """Return ΔL (m) from its present value on, for a target that moves with a constant slope in m/s.
+    """Return ΔL (m) as a function of time, from its present value on, for a target K·u_eff with a constant rate.
 
-    The response lags the ramp by τ·slope; the deviation from this lag decays.
+    ``target`` (m) is the present value of the target, and ``slope`` (m/s) its rate. ΔL finally lags the target by
+    τ·slope; the initial deviation from this lag decays.
     """
     return answer_to_parabola(length_change, target, slope, 0.0, a)
 
@@ -62,7 +67,10 @@ def answer_to_line(length_change: float, target: float, slope: float, a: Actuato
 def answer_to_sinusoid(
     length_change: float, stroke: float, omega: float, phase: float, pretension: float, a: Actuator
 ) -> Coefficients:
-    """Return ΔL (m) from its present value on, for u_cmd = −o − S/2·(1 − cos(phase + ωσ)) beyond the slack."""
+    """Return ΔL (m) as a function of the time σ (s), from its present value on, for a sinusoidal command.
+
+    The command is u_cmd = −o − S/2·(1 − cos(phase + ωσ)) and lies beyond the slack.
+    """
     lag = omega * a.time_constant
     amplitude = 0.5 * a.gain * stroke / (1.0 + lag * lag)
     # amplitude·(cos(ωt) + lag·sin(ωt)), ωt = phase + ωσ
@@ -75,7 +83,7 @@ def answer_to_sinusoid(
 
 @inlined
 def value_at(form: Coefficients, time: float, omega: float, time_constant: float) -> float:
-    """Return ΔL in m at a time in s after the form's start."""
+    """Return ΔL in m according to ``form``, which gives ΔL as a function of time, ``time`` s after its start."""
     wave = 0.0
     if omega != 0.0:
         wave = form.cos * math.cos(omega * time) + form.sin * math.sin(omega * time)

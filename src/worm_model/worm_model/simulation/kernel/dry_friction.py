@@ -2,12 +2,14 @@
 """Dry (Coulomb) friction of the modules, exact. Events separate the modes in which a module slides or sticks.
 
 A constant force D opposes a module that slides. A module that sticks does not move, so that ΔL alone moves the other
-module. It slides again when the force that friction must hold exceeds D. Both modules can stick only while ΔL is
-constant. At the start of each mode, the velocity of a module decides whether it slides or sticks. If the velocity is
-zero, the forces decide.
+module. The sticking module slides again when the force that friction must hold exceeds D. Both modules can stick only
+while ΔL is constant. At the start of each mode, the velocity of a module decides whether it slides or sticks. If the
+velocity is zero, the forces decide.
 
-`STILL` and `SPARE` are the widths of the borders between sliding and sticking. They prevent that rounding switches a
-module to and fro: a module sticks when its velocity is below STILL, and slides again when the force exceeds D by SPARE.
+The tolerances `STILL` and `SPARE` prevent that rounding switches a module between sliding and sticking without end. The
+mode of a sliding module ends when its velocity has passed zero by STILL, and velocities up to 2·STILL then count as
+zero. The mode of a sticking module ends when the force exceeds D by 2·SPARE, and it then slides, because the force
+exceeds D by more than SPARE.
 """
 
 from __future__ import annotations
@@ -52,7 +54,7 @@ from worm_model.simulation.kernel.mode import (
 
 STILL = 1e-11  # m/s
 SPARE = 1e-9  # N
-LOCATED = 0.1  # accuracy of a located event, relative to these widths
+LOCATED = 0.1  # accuracy with which the end of a mode is located, as a fraction of STILL or SPARE
 
 
 class Grip(NamedTuple):
@@ -71,8 +73,9 @@ def _sign(value: float) -> int:
 def _from_rest(load: float, stretch: int, bend: float, c: Constants) -> Grip:
     """Return the grip of two modules at rest.
 
-    ``load`` in N pushes both, ``stretch`` is the sign of L̇ from here on (0: ΔL is constant), ``bend`` is L̈. As the
-    load along the stretch grows, first no module, then one, then both move along the stretch.
+    ``load`` in N is the force on both modules together, ``stretch`` is the sign of L̇ from now on (0: ΔL is constant),
+    and ``bend`` is L̈ in m/s². With a growing force in the direction of ``stretch``, first no module, then one, then
+    both move in this direction.
     """
     both = c.rear_dry + c.front_dry
     if stretch == 0:
@@ -95,7 +98,7 @@ def _from_rest(load: float, stretch: int, bend: float, c: Constants) -> Grip:
 def _judge(
     motion: Motion, length_change: Coefficients, wave: Wave, c: Constants, b: Basis
 ) -> tuple[Grip, float]:
-    """Return (the grip from here on, ẏ). If a module rests, ẏ is free of rounding."""
+    """Return (the grip from now on, ẏ). If a module rests, ẏ is computed from L̇ alone, without a rounding error."""
     roots = roots_of(c.mass, c.friction, 0.0)
     rate_form = derivative(length_change, roots, wave)
     bend_form = derivative(rate_form, roots, wave)
@@ -134,7 +137,7 @@ def _judge(
 
 @inlined
 def _held(mode: Mode, grip: Grip, motion: Motion, wave: Wave, c: Constants) -> Coefficients:
-    """Return the force in N that dry friction must hold on the module that sticks, or on both together."""
+    """Return the force in N that dry friction must hold: on the module that sticks, or on both if both stick."""
     rate = derivative(mode.length_change, mode.roots, wave)
     bend = derivative(rate, mode.roots, wave)
     fins = combine(
@@ -154,11 +157,11 @@ def _held(mode: Mode, grip: Grip, motion: Motion, wave: Wave, c: Constants) -> C
 def enter_dry_mode(
     motion: Motion, length_change: Coefficients, wave: Wave, c: Constants, start: Basis
 ) -> tuple[Mode, Coefficients, Grip]:
-    """Return (the mode that begins with ``motion``, F_c over it, its grip).
+    """Return (the mode that begins with ``motion``, F_c in this mode, the grip in this mode).
 
-    Only the segment's part of the basis is used. If both modules stick, the distribution of the load over them is
-    statically indeterminate. It is assumed to be proportional to the forces that they can hold. No work depends on this
-    assumption, because ΔL is constant.
+    Of the basis ``start``, only the functions of σ are used (see `kernel.linear`). If both modules stick, the
+    distribution of the load over them is statically indeterminate. It is assumed to be proportional to the forces that
+    the modules can hold. No work depends on this assumption, because ΔL is constant.
     """
     grip, rate = _judge(motion, length_change, wave, c, start)
     motion = Motion(
@@ -187,7 +190,10 @@ def enter_dry_mode(
 def _watched(
     at_front: bool, mode: Mode, grip: Grip, motion: Motion, wave: Wave, c: Constants
 ) -> tuple[Coefficients, float, float]:
-    """Return (the quantity that decides on a module's grip, the borders below and above at which the grip changes)."""
+    """Return (the quantity that decides on a module's grip, its lower and upper limit, at which the mode ends).
+
+    A limit of ±NEVER has no effect.
+    """
     side = grip.front if at_front else grip.rear
     dry = c.front_dry if at_front else c.rear_dry
     together = grip.rear == 0 and grip.front == 0
@@ -214,7 +220,10 @@ def look_for_grip(
     wave: Wave,
     c: Constants,
 ) -> Horizon:
-    """Return the horizon, narrowed by the changes of the modules' grips."""
+    """Return the bounds on the next event, narrowed by the next changes of the modules' grips.
+
+    ``s`` is the time in the mode, ``b`` the basis at this time, and ``left`` the rest of the segment, s.
+    """
     coarse = mode.roots.joined or mode.resonant
     for at_front in (False, True):
         watched, low, high = _watched(at_front, mode, grip, motion, wave, c)
@@ -241,7 +250,7 @@ def locate_grip(
     wave: Wave,
     c: Constants,
 ) -> tuple[float, Basis]:
-    """Return (time in the mode, basis) at which a grip changes."""
+    """Return (time in the mode in s, basis) at which a grip changes; for the arguments see `guard.locate`."""
     at_front = ahead.stop in (FRONT_GRIP_HIGH, FRONT_GRIP_LOW)
     watched, low, high = _watched(at_front, mode, grip, motion, wave, c)
     border = high if ahead.stop in (REAR_GRIP_HIGH, FRONT_GRIP_HIGH) else low

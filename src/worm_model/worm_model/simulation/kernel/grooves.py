@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Grooves of a pipe with individual thresholds and stiffnesses; the parameters of the robot are the means.
+"""Grooves of a pipe with individual thresholds and stiffnesses, whose means are the parameters of the robot.
 
-Identification estimates the differences between grooves. All other modules assume even grooves, which do not differ.
+The identification estimates the differences between grooves. All other modules assume even grooves, which are alike.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ EVEN = np.zeros((1, GROOVE_COLUMNS))
 
 
 class Grooves(NamedTuple):
-    """Grooves that the modules pass, (m, GROOVE_COLUMNS), in the order of +x.
+    """Grooves that each module passes, an array (m, GROOVE_COLUMNS) with one groove per row, in the order of +x.
 
-    A row contains the differences from the robot's parameters: threshold in m and relative stiffness. A module starts
-    in row FIRST_GROOVE, which is groove 0 for the rear module and groove ``front_start`` for the front module. Grooves
-    beyond the outer rows are like the outer rows.
+    A row contains the differences from the robot's parameters: that of the threshold in m, and the relative one of the
+    stiffness. A module starts in row FIRST_GROOVE, which is groove 0 for the rear module and groove ``front_start`` for
+    the front module. Grooves before the first row and after the last row are like these rows.
     """
 
     rear: np.ndarray
@@ -47,7 +47,10 @@ def _fin_in(groove: int, grooves: np.ndarray, fin: Fin) -> Fin:
 
 @inlined
 def in_grooves(even: Constants, motion: Motion, grooves: Grooves) -> Constants:
-    """Return the constants of a robot whose fins are in the grooves of a motion's anchors."""
+    """Return the constants of a robot whose fins sit in the grooves of a motion's anchors.
+
+    ``even`` are the constants in grooves that do not differ.
+    """
     return Constants(
         even.mass,
         even.mu,

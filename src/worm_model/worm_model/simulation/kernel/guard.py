@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Search for the first zero of several gaps, without stepping past any.
 
-A guard watches a gap that is positive until its event. From the gap's value, its rate and bounds on its second
-derivative follow two parabolas that enclose the gap for the time ahead. The gap stays open at least until the lower
-parabola reaches zero. When the upper parabola reaches zero, the event has happened. Between these times the gap has
-exactly one zero, which Halley's method locates. A gap that only touches zero, within rounding, triggers nothing.
+A guard watches a gap, the distance of a quantity from a border. The gap is positive until the event of the guard. The
+gap's value, its rate and bounds on its second derivative define two parabolas between which the gap lies for the time
+ahead. The gap is positive at least until the lower parabola reaches zero. When the upper parabola reaches zero, the
+event has happened. Between these times the gap has exactly one zero, which Halley's method locates. A gap that only
+touches zero, within rounding, triggers no event.
 """
 
 from __future__ import annotations
@@ -27,17 +28,19 @@ NOTHING, REAR_HIGH, REAR_LOW, FRONT_HIGH, FRONT_LOW, FORCE_SIGN, RATE_SIGN, END 
 # Beyond END: dry friction, see `worm_model.simulation.kernel.dry_friction`
 REAR_GRIP_HIGH, REAR_GRIP_LOW, FRONT_GRIP_HIGH, FRONT_GRIP_LOW = range(8, 12)
 
-SHORTEST_STEP = 1e-10  # s; guarantees progress where a gap opens from zero
-# m, or N and m/s for the signs of F_c and L̇. A gap that falls below 0 by at most TOUCH triggers nothing, so that
-# rounding alone triggers nothing.
+SHORTEST_STEP = 1e-10  # s; step that guarantees progress where a gap is zero and grows
+# m, or N and m/s for the signs of F_c and L̇. A gap that falls below 0 by at most TOUCH triggers no event, so that
+# rounding alone triggers none.
 TOUCH = 1e-13
-SIMULTANEOUS = 1e-11  # s; of events closer than this, the one whose guard was read first precedes
-MOST_NEWTON_STEPS = 50
-NEVER = 1e300  # s; infinity has no meaning here, see `worm_model.simulation.kernel.compiled`
+SIMULTANEOUS = 1e-11  # s; of two events that are closer than this, the one whose guard is read first comes first
+MOST_NEWTON_STEPS = 50  # limit of the iterations of Halley's method
+# s, or the unit of a border. It replaces infinity, which compiled code may not contain, see
+# `worm_model.simulation.kernel.compiled`.
+NEVER = 1e300
 
 
 class Followed(NamedTuple):
-    """Quantity over a mode, its derivatives, and the amplitude of its acceleration's wave."""
+    """Quantity ``position`` in a mode, its two derivatives, and the amplitude of the sinusoid in ``acceleration``."""
 
     position: Coefficients
     rate: Coefficients
@@ -46,7 +49,7 @@ class Followed(NamedTuple):
 
 
 class Reading(NamedTuple):
-    """Present value and rate of a followed quantity, and bounds of its second derivative for the time left."""
+    """Present value and rate of a quantity or a gap, and bounds of its second derivative for the time ahead."""
 
     position: float
     rate: float
@@ -55,10 +58,10 @@ class Reading(NamedTuple):
 
 
 class Horizon(NamedTuple):
-    """Bounds on the next event.
+    """Bounds on the next event, in s from the present moment.
 
-    Nothing happens before ``earliest``. The event ``stop`` has happened at ``time`` at the latest. If ``stop`` is
-    NOTHING or END, the search ends at ``time`` without an event.
+    No event happens before ``earliest``. The event ``stop`` happens at ``time`` at the latest. If ``stop`` is NOTHING
+    or END, no event happens until ``time``. With NOTHING the search continues from there; with END the segment ends.
     """
 
     earliest: float
@@ -77,7 +80,10 @@ def follow(position: Coefficients, roots: Roots, wave: Wave) -> Followed:
 
 @compiled
 def _coarse_swing(c: Coefficients, s: float, end: float, roots: Roots, mass: float) -> float:
-    """Return a bound on the h1, h2 and R terms over [s, end] for joined roots or a resonance, which are rare."""
+    """Return a bound on the absolute value of the h1, h2 and R terms over the times [s, end] in the mode, s.
+
+    It is used for joined roots and for resonance, which are rare.
+    """
     if not roots.joined:
         swing = abs(c.h1) * math.exp(roots.r1 * s) + abs(c.h2) * math.exp(roots.r2 * s)
     elif roots.discriminant < 0.0:
@@ -92,7 +98,10 @@ def _coarse_swing(c: Coefficients, s: float, end: float, roots: Roots, mass: flo
 def read(
     f: Followed, b: Basis, s: float, left: float, roots: Roots, wave: Wave, coarse: bool
 ) -> Reading:
-    """Return a followed quantity at the moment of the basis, with bounds for the next ``left`` seconds."""
+    """Return a quantity at the moment of the basis ``b``, with bounds for the next ``left`` seconds.
+
+    ``s`` is the time in the mode, s. ``coarse`` is True for joined roots or resonance, for which wider bounds are used.
+    """
     c = f.acceleration
     if wave.q != 0.0:
         decaying = c.exp * b.exp
@@ -126,7 +135,7 @@ def above(r: Reading, border: float) -> Reading:
 
 @compiled
 def _enclosure(gap: float, rate: float, least: float, most: float) -> tuple[float, float]:
-    """Return the (earliest, latest) zero of a gap; the latest is NEVER where a zero is not certain."""
+    """Return the earliest and latest time (s from now) of a gap's zero. The latest is NEVER if no zero is certain."""
     discriminant = rate * rate - 2.0 * least * gap
     if rate >= 0.0:
         return ((rate + math.sqrt(discriminant)) / -least if least < 0.0 else NEVER), NEVER
@@ -139,7 +148,7 @@ def _enclosure(gap: float, rate: float, least: float, most: float) -> tuple[floa
 
 @inlined
 def narrow(ahead: Horizon, gap: Reading, stop: int) -> Horizon:
-    """Return the horizon, narrowed by one more guard."""
+    """Return the bounds on the next event, narrowed by the guard of one more gap; ``stop`` is the guard's event."""
     h, least = ahead.time, min(gap.least, 0.0)
     if gap.position + h * (gap.rate + 0.5 * least * h) >= -TOUCH:
         return ahead
@@ -171,9 +180,11 @@ def locate(
     wave: Wave,
     resonant: bool,
 ) -> tuple[float, Basis]:
-    """Return (time s in the mode, basis) at which the quantity meets the border, once within the horizon ``ahead``.
+    """Return (time in the mode in s, basis) at which a quantity meets the border, which happens once within ``ahead``.
 
-    ``s`` and ``b`` are the present moment. Halley's method starts where a parabola would meet the border.
+    ``s`` is the present time in the mode, ``b`` the basis at this time, and ``offset`` the start of the mode in its
+    segment, s. ``tolerance`` is the accuracy in the unit of the quantity. Halley's method starts where a parabola with
+    the present value and derivatives of the quantity would meet the border.
     """
     low, high = s + ahead.earliest, s + ahead.time
     gap, rate, bend = value(f.position, b) - border, value(f.rate, b), value(f.acceleration, b)

@@ -2,14 +2,14 @@
 """Closed form of M·ÿ + 2η·ẏ + k·y = forcing, for every kind of roots.
 
 Every quantity of a mode (y, a fin's displacement, the cable force) is a sum over one set of functions with the factors
-`Coefficients`. Its derivative is such a sum, too. σ is the time in the segment, within which the forcing keeps its
-form; s is the time in the mode, within which the fins stay in their regions:
+`Coefficients`. The derivative of a quantity is such a sum, too. σ is the time in the segment, within which the forcing
+keeps its form. s is the time in the mode, within which the fins stay in their regions. These are the functions:
 
-    1, σ, σ², σ³          a piecewise polynomial length
-    cos ωσ, sin ωσ, e^qσ  a gait's length; q = −1/τ
-    h1, h2                the free response over s: e^(r1·s), e^(r2·s), or of joined roots (double or nearly, or
-                          complex) e^(−γs)·C(s), e^(−γs)·S(s)
-    R                     the response to e^qs from rest, used only where q nearly is a root
+    1, σ, σ², σ³          for a piecewise polynomial length
+    cos ωσ, sin ωσ, e^qσ  for a gait's length; q = −1/τ
+    h1, h2                the free response. Separated real roots: e^(r1·s), e^(r2·s). Joined roots (double, nearly
+                          double or complex): e^(−γs)·C(s), e^(−γs)·S(s), see `joined_response`
+    R                     the response to the forcing e^(q·s) from rest, used only where q is nearly a root (resonance)
 """
 
 from __future__ import annotations
@@ -19,14 +19,15 @@ from typing import NamedTuple
 
 from worm_model.simulation.kernel.compiled import compiled, inlined
 
-_JOINED_BELOW = 1e-3  # |r1 − r2| / (|r1| + |r2|) below which the separated form loses digits
-_RESONANT_BELOW = 1e-5  # relative distance of q from a root below which R is used
-_GONE = -42.0  # exponent below which a term is lost in rounding
-_SERIES_BELOW = 0.05  # relative distance of q from both roots below which R is summed as a series
+_JOINED_BELOW = 1e-3  # |r1 − r2| / (|r1| + |r2|) below which separated roots would lose digits
+_RESONANT_BELOW = 1e-5  # |(q − r1)·(q − r2)| / (|q| + γ)² below which R is used
+_GONE = -42.0  # exponent below which an exponential is smaller than rounding errors
+# distance of q from both roots, relative to |q| + γ, below which R is summed as a series
+_SERIES_BELOW = 0.05
 
 
 class Roots(NamedTuple):
-    """Roots −γ ± √D of M·r² + 2η·r + k = 0, 1/s; r1, r2 are the real roots, or −γ twice."""
+    """Roots −γ ± √D of M·r² + 2η·r + k = 0, 1/s. r1 and r2 are the real roots, or both −γ if the roots are complex."""
 
     joined: bool
     gamma: float
@@ -36,7 +37,7 @@ class Roots(NamedTuple):
 
 
 class Coefficients(NamedTuple):
-    """Coefficients of a quantity that is a sum over the functions in the module's docstring."""
+    """Coefficients of a quantity that is a sum over the functions in the module's docstring; ``res`` is that of R."""
 
     one: float
     t1: float
@@ -51,7 +52,7 @@ class Coefficients(NamedTuple):
 
 
 class Basis(NamedTuple):
-    """Values of the functions at one moment, in the order of `Coefficients` from t1 on."""
+    """Values of the functions at one moment; ``t1`` is σ, from which σ² and σ³ are computed."""
 
     t1: float
     cos: float
@@ -63,7 +64,10 @@ class Basis(NamedTuple):
 
 
 class Wave(NamedTuple):
-    """Parameters of the functions: mass M, angular frequency ω (0: polynomial length), q = −1/τ."""
+    """Parameters of the functions: mass M in kg, angular frequency ω in 1/s, and q = −1/τ in 1/s.
+
+    ω is 0 for a length without a sinusoid, and q is 0 for a piecewise polynomial length.
+    """
 
     mass: float
     omega: float
@@ -112,8 +116,8 @@ def _difference_quotient(a: float, b: float, s: float) -> float:
 def resonant_response(s: float, roots: Roots, q: float, mass: float) -> float:
     """Return R(s), the response to e^(q·s) from rest, M·R'' + 2η·R' + k·R = e^(q·s).
 
-    It is a divided difference of the exponential over r1, r2 and q, in the order that cancels least. Where all three
-    nearly meet (or meet a complex pair) it is summed as a series.
+    R is a divided difference of the exponential function over r1, r2 and q, computed in the order with the least
+    cancellation. If q is near both roots, which may be complex, R is summed as a series.
     """
     near, far = roots.r1, roots.r2
     if abs(q - near) > abs(q - far):
@@ -135,7 +139,7 @@ def resonant_response(s: float, roots: Roots, q: float, mass: float) -> float:
 
 @inlined
 def is_resonant(roots: Roots, q: float) -> bool:
-    """Return True if e^qσ as a particular solution would cancel against the free response."""
+    """Return True if q is so near a root that a particular solution e^qσ and the free response would nearly cancel."""
     scale = _RESONANT_BELOW * (abs(q) + abs(roots.gamma)) ** 2
     return abs((q + roots.gamma) ** 2 - roots.discriminant) < scale
 
@@ -189,7 +193,7 @@ def shifted(c: Coefficients, offset: float) -> Coefficients:
 
 @inlined
 def basis_at(sigma: float, s: float, roots: Roots, wave: Wave, resonant: bool) -> Basis:
-    """Return the functions at σ in the segment and s in the mode."""
+    """Return the values of the functions at the times ``sigma`` in the segment and ``s`` in the mode, s."""
     if roots.joined:
         h1, h2 = joined_response(s, roots)
     else:
@@ -205,7 +209,7 @@ def basis_at(sigma: float, s: float, roots: Roots, wave: Wave, resonant: bool) -
 
 @inlined
 def basis_at_start(b: Basis, roots: Roots) -> Basis:
-    """Return the basis at the moment of ``b`` in a mode that starts there."""
+    """Return the values of the functions at the moment of ``b`` in a mode that starts at this moment."""
     return Basis(b.t1, b.cos, b.sin, b.exp, 1.0, 0.0 if roots.joined else 1.0, 0.0)
 
 

@@ -68,9 +68,10 @@ from worm_model.simulation.kernel.mode import (
 from worm_model.simulation.kernel.work import cable_power_of, cable_work
 
 POSITION_TOLERANCE = 1e-14  # m; accuracy with which a border is located
-SIGN_TOLERANCE = 1e-9  # N, m/s; below it the sign is irrelevant, as the power is almost zero
-TIME_ROUNDING = 1e-14  # relative; a sample that exceeds the end of a run by this belongs to the run
-MOST_STEPS = 20_000  # in a segment; beyond it the march reports chatter
+# N for F_c, m/s for L̇; below it the sign of the quantity is irrelevant, because the power is almost zero
+SIGN_TOLERANCE = 1e-9
+TIME_ROUNDING = 1e-14  # relative; a sample that is later than the end of a run by at most this belongs to the run
+MOST_STEPS = 20_000  # steps in a segment; if they are not sufficient, the march reports CHATTERS
 
 # Columns of a row of samples
 (
@@ -95,11 +96,11 @@ EVENT_COLUMNS = 3
 # Entries of the totals
 WORK_DONE, SWITCHES, STEPS, SAMPLED, EVENTS, FAILURE = range(6)
 TOTALS_SIZE = 6
-CHATTERS = 1.0  # in the entry FAILURE: the anchors switch back and forth without end
+CHATTERS = 1.0  # in the entry FAILURE: the anchors switch to and fro without end
 
 
 class Segment(NamedTuple):
-    """Piece of the length signal: start (s since the run's start), duration (s), ΔL as a function, and its wave."""
+    """Piece of the length signal: start (s since the run's start), duration (s), ΔL, and the functions' parameters."""
 
     start: float
     duration: float
@@ -108,8 +109,10 @@ class Segment(NamedTuple):
 
 
 class Stage(NamedTuple):
-    """Mode with all quantities whose zeros end it; ``offset`` is the start of the mode in its segment.
+    """Mode with the quantities that are watched for its events.
 
+    ``offset`` is the start of the mode in its segment, s. ``rear`` and ``front`` are the displacements of the fins, and
+    ``rear_low`` to ``front_high`` the displacements at which the fins leave their regions, m. ``force`` is F_c.
     ``grip`` has no meaning without dry friction.
     """
 
@@ -127,7 +130,11 @@ class Stage(NamedTuple):
 
 
 class PositiveWork(NamedTuple):
-    """Integral of the cable work: signs of F_c and L̇, True if the power is positive, antiderivative at the start."""
+    """State of the integration of the positive cable work, over a time in which F_c and L̇ keep their signs.
+
+    ``force_side`` and ``rate_side`` are these signs. ``active`` is True if the power of the cable is positive. ``mark``
+    is the antiderivative (`work.cable_work`) at the start of this time, J.
+    """
 
     force_side: float
     rate_side: float
@@ -187,7 +194,7 @@ def _look_ahead(
     wave: Wave,
     c: Constants,
 ) -> Horizon:
-    """Return the bounds on the next event within the ``left`` seconds of the segment."""
+    """Return the bounds on the next event within the remaining ``left`` seconds of the segment."""
     roots = stage.mode.roots
     coarse = roots.joined or stage.mode.resonant
     ahead = Horizon(left, left, END)
@@ -203,7 +210,8 @@ def _look_ahead(
         ahead = narrow(ahead, gap, FORCE_SIGN)
     length_rate = stage.length_rate.position
     polynomial = length_rate.one != 0.0 or length_rate.t1 != 0.0
-    if wave.omega != 0.0 or (wave.q != 0.0 and polynomial):  # else it decays and keeps its sign
+    # Otherwise L̇ decays exponentially and keeps its sign, or the length is sampled and no work is integrated.
+    if wave.omega != 0.0 or (wave.q != 0.0 and polynomial):
         rate = read(stage.length_rate, b, s, left, roots, wave, coarse)
         gap = above(rate, 0.0) if work.rate_side > 0.0 else below(rate, 0.0)
         ahead = narrow(ahead, gap, RATE_SIGN)
@@ -222,7 +230,7 @@ def _go(
     wave: Wave,
     c: Constants,
 ) -> tuple[float, Basis]:
-    """Return (time in the mode, basis) of the next stop."""
+    """Return (time in the mode in s, basis) of the next event, or of the point from which the search continues."""
     mode, offset = stage.mode, stage.offset
     if ahead.stop == NOTHING or ahead.stop == END:
         s += max(ahead.time, SHORTEST_STEP) if ahead.stop == NOTHING else ahead.time
@@ -245,7 +253,7 @@ def _go(
 
 @inlined
 def _side(quantity: Followed, b: Basis) -> float:
-    """Return the sign of a quantity from here on: of its value, or of its rate where the value vanishes."""
+    """Return the sign of a quantity from now on: that of its value, or that of its rate if the value is almost zero."""
     here = value(quantity.position, b)
     if abs(here) <= SIGN_TOLERANCE:
         here = value(quantity.rate, b)
@@ -299,7 +307,7 @@ def _crossed(motion: Motion, stop: int, y: float, y_rate: float, c: Constants) -
 def _write_sample(
     row: np.ndarray, stage: Stage, motion: Motion, b: Basis, wave: Wave, c: Constants
 ) -> None:
-    """Fill a row of samples except for its time and work."""
+    """Fill a row of samples, except for the columns TIME and WORK."""
     mode = stage.mode
     length_change, length_rate = value(mode.length_change, b), value(stage.length_rate.position, b)
     rear, front = value(mode.rear, b), value(mode.front, b)
@@ -411,18 +419,19 @@ def march(
 ) -> Motion:
     """Return the motion at the end of a segment.
 
-    A motion does not contain which module sticks, because this is determined at the start of every mode.
+    The motion does not state which module sticks, because this is determined at the start of each mode.
 
     Args:
         segment: piece of the length signal.
-        motion: motion at its start.
+        motion: motion at the start of the segment.
         even: constants of the robot in even grooves.
         grooves: individual grooves; None for even grooves.
         totals: (TOTALS_SIZE,); accumulates the positive cable work in J (not for a sampled length, whose rate is not
-            usable), switches, and the numbers of used rows of ``samples`` and of events. The entry STEPS is that of
-            this segment. The entry FAILURE becomes CHATTERS if a segment needs more than MOST_STEPS.
-        samples: (n, SAMPLE_COLUMNS), to be filled; the TIME column is given, ascending.
-        events: (m, EVENT_COLUMNS), to be filled; further events are only counted.
+            usable), the number of switches, the number of filled rows of ``samples``, and the number of events. The
+            entry STEPS counts the steps of this segment. The entry FAILURE becomes CHATTERS if a segment needs more
+            than MOST_STEPS.
+        samples: (n, SAMPLE_COLUMNS), to be filled; the column TIME contains the times of the rows, ascending, s.
+        events: (m, EVENT_COLUMNS), to be filled; if there are more than m events, the others are only counted.
     """
     c = even if grooves is None else in_grooves(even, motion, grooves)
     totals[STEPS] = 0.0

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """One mode: the fins stay in their regions, so every quantity has a closed form until the next event.
 
-The state is that of the pseudo-position y = x1 + μ·ΔL with μ = M2 / (M1 + M2), in which the reduced
-dynamics (eq:continuous_model) need no second derivative of the length:
+The state is the pseudo-position y = x1 + μ·ΔL with its rate, where μ = M2 / M and M = M1 + M2. With y, the reduced
+dynamics (eq:continuous_model) contain no second derivative of the length:
 
     M·ÿ + 2η·ẏ = (2μ − 1)·η·L̇ − f(x1 − A1) − f(x2 − A2) − Q1 − Q2
 
@@ -41,7 +41,10 @@ class Fin(NamedTuple):
 
 
 class Constants(NamedTuple):
-    """Parameters in SI units, as the kernel uses them; for the meaning see docs/model.md."""
+    """Parameters in SI units, as the kernel uses them; for the meaning see docs/model.md.
+
+    ``mass`` is M1 + M2, ``mu`` is M2 / (M1 + M2), ``friction`` is η.
+    """
 
     mass: float
     mu: float
@@ -63,7 +66,7 @@ class Constants(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """State between events: y and ẏ, the anchors as numbers of grooves, the fins' regions."""
+    """State between events: y in m, ẏ in m/s, the anchors as numbers of grooves, the regions of the fins."""
 
     y: float
     rate: float
@@ -74,7 +77,10 @@ class Motion(NamedTuple):
 
 
 class Mode(NamedTuple):
-    """Closed form of a mode: y, ΔL, deflections of both fins, and the roots on which the functions of time depend."""
+    """Closed form of a mode: y, ΔL, displacements x − A of both fins, and the roots on which the functions depend.
+
+    ``resonant`` is True if y contains the response R, see `kernel.linear`.
+    """
 
     y: Coefficients
     length_change: Coefficients
@@ -85,10 +91,10 @@ class Mode(NamedTuple):
 
 
 def nearest_groove(length: Any, pitch: Any) -> Any:
-    """Return the number of the groove nearest to the front module at a length in m, with the rear module at 0.
+    """Return the number of the groove nearest to the front module at a body length in m, with the rear module at 0.
 
-    Halfway between two grooves, it is the lower one. The arguments are numbers or, outside the kernel, arrays. The
-    result is a whole number as a float.
+    Halfway between two grooves, the lower number is returned. The arguments are numbers or, outside the kernel, arrays.
+    The result is a whole number as a float.
     """
     return np.ceil(length / pitch - 0.5 - 1e-12)
 
@@ -126,7 +132,10 @@ def fin_force(
 def _polynomial_response(
     g: Coefficients, k: float, friction: float, mass: float
 ) -> tuple[float, float, float, float]:
-    """Return the polynomial response to the forcing's polynomial part, constant term first."""
+    """Return the coefficients of the polynomial response to the polynomial part of the forcing g, constant term first.
+
+    ``k`` is the stiffness of both fins together, N/m.
+    """
     if k > 0.0:
         p3 = g.t3 / k
         p2 = (g.t2 - 6.0 * friction * p3) / k
@@ -142,7 +151,7 @@ def _polynomial_response(
 def _particular(
     g: Coefficients, k: float, c: Constants, wave: Wave, resonant: bool, start: Basis
 ) -> Coefficients:
-    """Return a response to the forcing g. Its resonant part starts from rest with the mode."""
+    """Return a particular response to the forcing g. If q is resonant, it contains R, which starts from rest."""
     p0, p1, p2, p3 = _polynomial_response(g, k, c.friction, c.mass)
     in_phase = k - c.mass * wave.omega * wave.omega
     in_quadrature = 2.0 * c.friction * wave.omega
@@ -193,9 +202,10 @@ def enter_mode(
     start: Basis,
     push: float,
 ) -> Mode:
-    """Return the mode that begins with ``motion``. Only the segment's part of the basis ``start`` is used.
+    """Return the mode that begins with ``motion``.
 
-    ``push`` in N is a constant force on both modules together, that of dry friction on modules that slide.
+    Of the basis ``start``, only the functions of σ are used (see `kernel.linear`). ``push`` in N is the constant dry
+    friction on the modules that slide, positive towards +x.
     """
     rear_k = fin_stiffness(motion.rear_region, c.rear_fin)
     front_k = fin_stiffness(motion.front_region, c.front_fin)
@@ -216,7 +226,7 @@ def enter_mode(
     forcing = shifted(forcing, rear_k * rear_rest + front_k * front_rest + push - c.load)
     p = _particular(forcing, k, c, wave, resonant, start)
     p_rate = derivative(p, roots, wave)
-    # The resonant part of the particular response starts from rest, so only the segment's part has a value here.
+    # R and its rate are 0 at the start of the mode, so only the functions of σ contribute to the initial values.
     moment = Basis(start.t1, start.cos, start.sin, start.exp, 0.0, 0.0, 0.0)
     y0, rate0 = value(p, moment), value(p_rate, moment)
     h1, h2 = _free(motion.y - y0, motion.rate - rate0, roots)
@@ -226,7 +236,7 @@ def enter_mode(
 
 @inlined
 def cable_force(mode: Mode, rear_region: int, wave: Wave, c: Constants) -> Coefficients:
-    """Return F_c over the mode (eq:Fc)."""
+    """Return F_c in N in a mode (eq:Fc), without dry friction."""
     length_rate = derivative(mode.length_change, mode.roots, wave)
     x1 = combine(1.0, mode.y, -c.mu, mode.length_change)
     x1_rate = derivative(x1, mode.roots, wave)

@@ -23,10 +23,12 @@ REGIONS = 3
 
 @compiled
 def _balance(offset: float, c: Constants) -> tuple[float, int, int]:
-    """Return (deflection of the rear fin in m, the regions of both fins) at which the fins hold the load.
+    """Return (deflection of the rear fin in m, region of the rear fin, region of the front fin) in the equilibrium.
 
-    ``offset`` in m is the deflection of the front fin minus that of the rear one. The force of both fins grows with
-    the deflection. Therefore one pair of regions contains its own balance, except for rounding at a border.
+    ``offset`` in m is the deflection of the front fin minus that of the rear one. For each pair of regions, the
+    equilibrium of the fins with the load is computed as if the fins were in these regions. The force of both fins grows
+    with the deflection, so one pair contains the equilibrium that is computed for it. At a border, rounding may prevent
+    this. Therefore the pair is returned whose equilibrium is least outside of the pair's regions.
     """
     best, deflection, regions = NEVER, 0.0, 0
     for pair in range(REGIONS * REGIONS):
@@ -55,11 +57,11 @@ def _outside(deflection: float, region: int, c: Constants) -> float:
 
 @compiled
 def start_of(g: Any, c: Constants, a: Actuator) -> tuple[bool, float, Motion]:
-    """Return (True if the fins hold the load, ΔL in m, the motion) at the start of a gait's row.
+    """Return (True if the fins hold the load, ΔL in m, the motion) at the start of a gait.
 
-    Without a load, x1 = 0. With a load, the fins balance it. The front anchor is the groove nearest to the front module
-    at ΔL = 0. A fin beyond its threshold slips into the next groove at once, the rear fin first. The fins do not hold
-    the load if they slip repeatedly. v1 = 0, and ẏ = v1 + μ·L̇.
+    ``g`` is a row of GAIT_ROW. Without a load, x1 = 0. With a load, the fins are in equilibrium with it. The front
+    anchor is the groove nearest to the front module at ΔL = 0. A fin beyond its threshold slips into the next groove at
+    once, the rear fin first. The fins do not hold the load if the slipping does not end. v1 = 0, so that ẏ = μ·L̇.
     """
     length_change = rest_of(g.pretension, a)
     length_rate = 0.0 if g.pretension > 0.0 else -a.gain * a.slack / a.time_constant

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parts of a cycle of a gait (`worm_model.gait.Gait`) over which the effective command has one form.
 
-A cycle begins and ends in the slack, unless the pretension exceeds it. In between, each half is a half wave of a
-cosine or three pieces of the trapezoidal velocity profile. Two half waves of equal duration form one sinusoid.
+A cycle begins and ends with a part within the slack, unless the pretension exceeds the slack. Between these parts, each
+half of the cycle is a half wave of a cosine, or three pieces of the trapezoidal velocity profile. Two half waves of
+equal duration form one sinusoid. In this module ``g`` is a gait as a row of GAIT_ROW (`worm_model.simulation.rows`).
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ Borders = tuple[float, float, float, float, float, float, float, float]
 
 @inlined
 def _slack_time(share: float, g: Any, a: Actuator) -> float:
-    """Return how long (s) the command is in the slack at the outer end of a half that is ``share`` of the cycle."""
+    """Return how long (s) the command is within the slack in a half that takes the fraction ``share`` of the cycle."""
     taken_up = (a.slack - g.pretension) / g.stroke
     if taken_up <= 0.0:
         return 0.0
@@ -47,7 +48,7 @@ def _slack_time(share: float, g: Any, a: Actuator) -> float:
 
 @compiled
 def borders_of(begin: float, g: Any, a: Actuator) -> Borders:
-    """Return the ends of the parts of a cycle that begins at ``begin`` in s, ascending; parts may have no duration."""
+    """Return the ends in s of the PARTS of a cycle that begins at ``begin`` in s; a part may have the duration 0."""
     period = 1.0 / g.frequency
     opening = begin + _slack_time(g.contraction_share, g, a)
     closing = begin + period - _slack_time(1.0 - g.contraction_share, g, a)
@@ -67,10 +68,10 @@ def borders_of(begin: float, g: Any, a: Actuator) -> Borders:
 def _answer_to_piece(
     piece: int, half: float, time: float, length_change: float, g: Any, a: Actuator
 ) -> Coefficients:
-    """Return ΔL (m) over a piece of the trapezoid, from a time on.
+    """Return ΔL (m) as a function of time over a piece of the trapezoid, from ``time`` on.
 
-    The pieces 0 to 2 belong to the contraction, and 3 to 5 to the extension. ``half`` is the duration of the
-    half and ``time`` the time in it, s.
+    The pieces 0 to 2 belong to the contraction, and 3 to 5 to the extension. ``half`` is the duration of this half of
+    the cycle, and ``time`` is the time since the start of the half, s. ``length_change`` is ΔL at this time.
     """
     ramp, speed = g.ramp_share * half, g.stroke / ((1.0 - g.ramp_share) * half)
     bend = speed / ramp
@@ -94,9 +95,9 @@ def _answer_to_piece(
 def answer_to_part(
     part: int, begin: float, start: float, length_change: float, g: Any, a: Actuator
 ) -> tuple[Coefficients, float]:
-    """Return (ΔL in m, angular frequency ω in 1/s or 0) over a part of a cycle, from ``start`` on.
+    """Return (ΔL in m as a function of time, ω of this function in 1/s or 0) over a part of a cycle, from ``start`` on.
 
-    The cycle begins at ``begin``, s.
+    ``begin`` is the start of the cycle, s. ``length_change`` is ΔL at ``start``, m.
     """
     if part in (0, PARTS - 1):
         return answer_to_line(length_change, -a.gain * a.slack, 0.0, a), 0.0

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whole runs: gaits from the start, sampled lengths, and batches over all cores."""
+"""Whole runs: gaits from the start, motions under a sampled length, and batches of gaits.
+
+In this module ``g`` is a gait as a row of GAIT_ROW, and ``p`` are parameters as a row of PARAMETER_ROW
+(`worm_model.simulation.rows`).
+"""
 
 from __future__ import annotations
 
@@ -40,19 +44,23 @@ from worm_model.simulation.kernel.waveform import PARTS, answer_to_part, borders
 # Columns of a result row
 MEAN_ADVANCE, MEAN_POWER, LEAST_ADVANCE, RUN_SWITCHES, RUN_FAILURE = range(5)
 RESULT_COLUMNS = 5
-# Failure of a run, in the entry FAILURE of the totals like the march's own CHATTERS
-SLIDES = 2.0  # the fins do not hold the load at rest
-# Columns of a row with the progress of a run at the start of a cycle
+SLIDES = 2.0  # value of the entry FAILURE of the totals: the fins do not hold the load at rest
+# Columns of a row with the progress of a run at the start of a cycle: x1 in m, cable work in J, number of switches
 REACHED, CABLE_WORK, SWITCHED = range(3)
 BOUNDARY_COLUMNS = 3
 
-SETTLING_TIME = 1.0  # s for a change of the length, and s for the motion to decay afterwards
-STEADY = 1e-14  # m, m/s; largest difference of equal states, the accuracy of located events
+#: s; duration of a change of the length, and also of the decay of the motion after this change
+SETTLING_TIME = 1.0
+# m, m/s; states that differ by at most this count as equal. It is the accuracy with which events are located.
+STEADY = 1e-14
 
 
 @entry
 def constants_of(p: Any, direction: float, margin: float) -> Constants:
-    """Return the constants of a parameter row. Forward fins are stiff when pushed backward (below the clearance)."""
+    """Return the constants of a parameter row for a direction (±1) and a margin in m.
+
+    In the forward direction, a fin is stiff below its clearance, where it is when its module is pushed backward.
+    """
     mass = p.rear_mass + p.front_mass
     below, above = p.engaged_stiffness, p.disengaged_stiffness
     if direction < 0:
@@ -100,7 +108,7 @@ def play(
 ) -> tuple[float, Motion]:
     """Play a gait from ``first`` to ``last`` in s since its onset, and return (ΔL in m, the motion) at the end.
 
-    ``g`` is a gait's row, ``length_change`` is ΔL at the start; the arrays are those of `march`.
+    ``length_change`` and ``motion`` are ΔL in m and the motion at ``first``. For the arrays see `march`.
     """
     period = 1.0 / g.frequency
     start, cycle = first, math.floor(first * g.frequency + 1e-9)
@@ -161,9 +169,9 @@ def run_cycles(
 ) -> None:
     """Run a gait from the start for a number of cycles, or until it fails; for ``totals`` see `march`.
 
-    ``boundaries`` (cycles + 1, BOUNDARY_COLUMNS) receives x1 in m, the cable work so far in J and the switches so far
-    at the start of each cycle and at the end. The state at its start determines a cycle. Once two cycles start in the
-    same state, all further cycles are repetitions and are not simulated.
+    ``boundaries`` (cycles + 1, BOUNDARY_COLUMNS) receives x1 in m, the cable work so far in J and the number of
+    switches so far, at the start of each cycle and at the end of the run. A cycle is determined by the state at its
+    start. Once two successive cycles start in the same state, all further cycles are repetitions and are not simulated.
     """
     nothing = np.empty((0, SAMPLE_COLUMNS))
     held, length_change, motion = start_of(g, c, a)
@@ -203,10 +211,11 @@ def evaluate(
     averaged: int,
     result: np.ndarray,
 ) -> None:
-    """Fill a result row for a gait.
+    """Run a gait from the start for a number of ``cycles``, and fill a result row.
 
-    Entries: mean advance of x1 per cycle in m along the direction, mean power in W, smallest advance of an averaged
-    cycle in m, switches in the whole run, and the failure of the run or 0.
+    The entries are the mean advance of x1 per cycle in m along the direction and the mean power in W, both over the
+    last ``averaged`` cycles; the smallest advance of one of these cycles in m; the number of switches in the whole run;
+    and the failure of the run, or 0.
     """
     frequency, direction = g.frequency, g.direction
     boundaries = np.empty((cycles + 1, BOUNDARY_COLUMNS))
@@ -234,10 +243,10 @@ def evaluate(
 def evaluate_many(
     gaits: np.ndarray, parameters: np.ndarray, cycles: int, averaged: int, results: np.ndarray
 ) -> None:
-    """Apply `evaluate` to rows, without the interpreter's lock.
+    """Apply `evaluate` to many gaits, without Python's global interpreter lock.
 
-    ``gaits`` (n,) of GAIT_ROW; ``parameters`` (n,) of PARAMETER_ROW, or one row, shared (`simulation.rows`);
-    ``results`` (n, RESULT_COLUMNS).
+    ``gaits`` (n,) of GAIT_ROW; ``parameters`` (n,) of PARAMETER_ROW, or (1,) for all gaits; ``results``
+    (n, RESULT_COLUMNS) to be filled.
     """
     shared = parameters.shape[0] == 1
     for k in range(gaits.shape[0]):
@@ -253,10 +262,10 @@ def sample_many(
     force: np.ndarray,
     length_rate: np.ndarray,
 ) -> None:
-    """Sample a cycle, counted from 0, of gaits (n,) of GAIT_ROW, without the interpreter's lock.
+    """Sample one cycle (counted from 0) of gaits (n,) of GAIT_ROW, without Python's global interpreter lock.
 
-    ``phases`` (n, m), ascending, are shares of the cycle; ``force`` and ``length_rate`` (n, m) receive F_c in N and L̇
-    in m/s there, NaN if the run of a gait failed.
+    ``phases`` (n, m) are times as fractions of the cycle, ascending. ``force`` and ``length_rate`` (n, m) receive F_c
+    in N and L̇ in m/s at these times, NaN if the run of a gait failed.
     """
     samples = np.empty((phases.shape[1], SAMPLE_COLUMNS))
     for k in range(gaits.shape[0]):
@@ -281,8 +290,9 @@ def run_sampled(
 ) -> Motion:
     """Run under a piecewise cubic ΔL from breaks[0] to breaks[-1], and return the motion at the end.
 
-    ``breaks`` (n + 1,) in s, ascending; ``coefficients`` (4, n or more), constant term first, of the time since
-    the segment's break; for the grooves and the other arrays see `march`.
+    ``breaks`` (n + 1,) in s, ascending, are the borders of the segments. Column k of ``coefficients`` (4, n or more)
+    contains the coefficients of ΔL in m in the time in s since breaks[k], constant term first. For the grooves and the
+    other arrays see `march`.
     """
     still = Wave(c.mass, 0.0, 0.0)
     for k in range(breaks.size - 1):
@@ -310,9 +320,9 @@ def run_sampled(
 
 @compiled
 def rest_at(length_change: float, c: Constants) -> Motion:
-    """Return the motion of a robot at rest at a ΔL in m, whose fins were straight at ΔL = 0.
+    """Return the motion of a robot at rest at a ΔL in m, to which its length has moved from the start at ΔL = 0.
 
-    Loads and dry friction are neglected, so that the fins alone balance each other.
+    At the start x1 = 0. Loads and dry friction are neglected, so the fins are in equilibrium with each other.
     """
     groove = int(nearest_groove_of(c.initial_length, c.pitch))
     front = region_of(c.initial_length - groove * c.pitch, c.half_clearance)
@@ -365,11 +375,13 @@ def run_from_rest(
         coefficients: as in `run_sampled`.
         p: parameter row.
         direction: direction of the fins, ±1.
-        deflection: distance of both modules at rest from `rest_at`, which dry friction or a load may hold, m.
-        onset: distribution of the first rate of ΔL, which begins with a step. 0: the modules share the rate so that the
-            centre of mass stays at rest. 1: the rear module stays at rest, as in the paper's initial values.
-        rear_grooves: see `Grooves`.
-        front_grooves: see `Grooves`.
+        deflection: distance in m by which both modules are at first displaced from the position that `rest_at` returns.
+            Dry friction or a load may hold them there.
+        onset: distribution over the modules of the initial rate of ΔL, which is a step. 0: the modules share the rate
+            so that their centre of mass stays at rest. 1: the rear module stays at rest, as in the paper's initial
+            values.
+        rear_grooves: grooves of the rear module, see `Grooves`.
+        front_grooves: grooves of the front module, see `Grooves`.
         samples: see `march`.
     """
     c = constants_of(p, direction, 0.0)
@@ -397,7 +409,7 @@ def run_from_rest(
 def step(
     segment: Segment, motion: Motion, c: Constants, totals: np.ndarray, sample: np.ndarray
 ) -> Motion:
-    """Return the motion at a segment's end; ``sample`` (1, SAMPLE_COLUMNS) receives its quantities. See `march`."""
+    """Return the motion at the end of a segment, and fill ``sample`` (1, SAMPLE_COLUMNS) for this moment; see `march`."""
     totals[SAMPLED] = 0.0
     sample[0, TIME] = segment.start + segment.duration
     return march(segment, motion, c, None, totals, sample, sample[:0])
@@ -413,7 +425,10 @@ def play_on(
     totals: np.ndarray,
     samples: np.ndarray,
 ) -> Motion:
-    """Play a gait that begins at time 0 with a motion and ΔL (m), up to the last row's time of ``samples``."""
+    """Play a gait that begins at time 0 with a motion and ΔL (m), up to the time of the last row of ``samples``.
+
+    Returns the motion at this time; for the arrays see `march`.
+    """
     last = samples[samples.shape[0] - 1, TIME]
     a = actuator_of(p)
     _, motion = play(0.0, last, g, length_change, motion, c, a, totals, samples, samples[:0])

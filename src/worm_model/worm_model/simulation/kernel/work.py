@@ -1,5 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Mechanical power of the cable (eq:power_model), and the antiderivative of F_c·L̇ over a mode, in closed form."""
+"""Mechanical power of the cable (eq:power_model), and the antiderivative of F_c·L̇ over a mode, in closed form.
+
+The functions (1, σ, cos ωσ, e^qσ, h1, h2, R) and the kinds of roots are those of `kernel.linear`. The wave terms are
+those with cos ωσ, sin ωσ and e^qσ. r and f are the coefficients of the rate L̇ and of the force F_c. ∫ is an
+antiderivative over the time in s, at the moment of the basis b.
+"""
 
 from __future__ import annotations
 
@@ -59,7 +64,7 @@ def _separated_products(
 
 @inlined
 def _rotated(z: complex, factor: complex, h1: float, h2: float, b: Basis, roots: Roots) -> float:
-    """Return Re ∫ factor·(h1 term + h2 term) where d factor/dt = z·factor, for joined roots."""
+    """Return Re ∫ factor·(h1·b.h1 + h2·b.h2) for joined roots, where the derivative of ``factor`` is z·factor."""
     p = z - roots.gamma
     det = p * p - roots.discriminant
     a1 = (p * h1 - h2) / det
@@ -81,12 +86,17 @@ def _joined_products(r: Coefficients, f: Coefficients, b: Basis, wave: Wave, roo
 def _resonant_products(
     r: Coefficients, f: Coefficients, b: Basis, wave: Wave, roots: Roots
 ) -> float:
-    """Return ∫ of the wave terms of the rate times f.res·R, by parts: R' = q·R + S/M, S free from rest."""
+    """Return ∫ of the wave terms of the rate times f.res·R, by integration by parts.
+
+    R is the response to e^(q·s) from rest. It satisfies R′ = q·R + S/M, where S is the free response with S = 0 and
+    S′ = 1 at the start of the mode.
+    """
     turning = (r.cos - 1j * r.sin) * (b.cos + 1j * b.sin)
     decaying = r.exp * b.exp
     z = complex(0.0, wave.omega) + wave.q
     total = (turning / z).real * b.res + decaying * b.res / (2.0 * wave.q)
-    # −(1/M)·∫ e^(zσ)·S / (z + q): the same integral as of the free response, its rate divided by z + q.
+    # The remaining term is −(1/M)·∫ W·S, where W is the rate with each wave term divided by its exponent (iω or q)
+    # plus q. The functions for the free response integrate it.
     turned = (r.cos - 1j * r.sin) / z
     scaled = Coefficients(
         0.0, 0.0, 0.0, 0.0, turned.real, -turned.imag, r.exp / (2.0 * wave.q), 0.0, 0.0, 0.0
@@ -101,7 +111,7 @@ def _resonant_products(
 
 @inlined
 def _line_times_free(p0: float, p1: float, h1: float, h2: float, b: Basis, roots: Roots) -> float:
-    """Return ∫ (p0 + p1·σ) times the free response with the coefficients h1 and h2, by parts."""
+    """Return ∫ (p0 + p1·σ) times the free response with the coefficients h1 and h2, by integration by parts."""
     line = p0 + p1 * b.t1
     if roots.joined:
         det = roots.discriminant - roots.gamma * roots.gamma
@@ -109,7 +119,8 @@ def _line_times_free(p0: float, p1: float, h1: float, h2: float, b: Basis, roots
         b1, b2 = (roots.gamma * a1 + a2) / det, (roots.discriminant * a1 + roots.gamma * a2) / det
         return (line * a1 - p1 * b1) * b.h1 + (line * a2 - p1 * b2) * b.h2
     total = h2 * b.h2 * (line - p1 / roots.r2) / roots.r2
-    if roots.r1 != 0.0:  # both fins are clear: F_c contains no constant free response
+    # r1 = 0 if both fins are in their clearance. Then the h1 term is constant, and F_c does not contain it.
+    if roots.r1 != 0.0:
         total += h1 * b.h1 * (line - p1 / roots.r1) / roots.r1
     return total
 
@@ -118,7 +129,11 @@ def _line_times_free(p0: float, p1: float, h1: float, h2: float, b: Basis, roots
 def _polynomial_products(
     r: Coefficients, f: Coefficients, b: Basis, wave: Wave, roots: Roots
 ) -> float:
-    """Return the part of ∫ rate · force that the rate's polynomial, or the force beyond its constant, contributes."""
+    """Return ∫ of the products of rate and force that contain a power of σ.
+
+    These are the polynomial of the rate times the whole force, and the exponential of the rate times the linear and
+    quadratic terms of the force.
+    """
     t, q = b.t1, wave.q
     total = t * (r.one * f.one + t * 0.5 * (r.one * f.t1 + r.t1 * f.one))
     total += t * t * t * ((r.one * f.t2 + r.t1 * f.t1) / 3.0 + t * 0.25 * r.t1 * f.t2)
@@ -128,7 +143,8 @@ def _polynomial_products(
     total += _line_times_free(r.one, r.t1, f.h1, f.h2, b, roots)
     if f.res == 0.0:
         return total
-    # of the response R to e^qσ, R' = q·R + S/M with S free from rest: ∫ P·R = G·R − ∫ G·S / M with G' + q·G = P
+    # The term f.res·R is integrated by parts. With R′ = q·R + S/M as in `_resonant_products`, the polynomial P of the
+    # rate, and G with G′ + q·G = P: ∫ P·R = G·R − (1/M)·∫ G·S.
     gap = roots.r1 - roots.r2
     h1, h2 = (0.0, 1.0) if roots.joined else (1.0 / gap, -1.0 / gap)
     free = _line_times_free(r.one / q - r.t1 / (q * q), r.t1 / q, h1, h2, b, roots)
@@ -144,7 +160,10 @@ def cable_work(
     wave: Wave,
     roots: Roots,
 ) -> float:
-    """Return ∫ F_c·L̇ dt up to the moment of the basis, J, up to a constant; only for a gait's length.
+    """Return an antiderivative of F_c·L̇ in J at the moment of the basis ``b``.
+
+    Its constant is arbitrary, so only differences within a mode have a meaning. The length must follow from a gait: the
+    function does not apply to a length that is given by cubics.
 
     ``length_change`` and ``rate`` are ΔL and its derivative, ``force`` is F_c.
     """

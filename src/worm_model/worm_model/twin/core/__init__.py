@@ -3,7 +3,7 @@
 
 `sample_buffer` orders the samples by stamp. `estimator` advances the motion from sample to sample. `residuals` compares
 the measurements with the motion. `memory` declares the state of the twin. The estimator returns at boundaries, such as
-a driver state or the end of a cycle, which `worm_model.twin.twin` handles in Python. A cycle has only a few of them.
+a driver state or the end of a cycle, which `worm_model.twin.twin` handles in Python. A cycle contains few boundaries.
 """
 
 from pathlib import Path

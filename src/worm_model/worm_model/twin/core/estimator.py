@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Estimation of the ΔL that follows from the command, and of motion, power and residuals, from sample to sample.
+"""Estimation of motion, power and residuals from sample to sample, and of the ΔL that follows from the command.
 
 Samples are processed in the order of their stamps, once they are older than the newest sample by ``delay_s`` plus the
 look-ahead. The look-ahead is the larger of ``measured_stale_s`` and ``smoothing_s``.
@@ -65,11 +65,12 @@ from worm_model.twin.core.residuals import judge
 from worm_model.twin.records import LengthSource
 
 SECOND = 1e-9  # s per ns
-MOVED_M = 1e-6  # smallest absolute value of the command that counts as a motion
-FEWEST_LENGTHS = 4  # for a fit, because a parabola through three lengths would follow their noise
+MOVED_M = 1e-6  # m, commanded contraction above which a run has begun, even without a driver state
+FEWEST_LENGTHS = 4  # fewest lengths of a fit; a parabola through three would follow their noise
 ESTIMATED, MEASURED = int(LengthSource.ESTIMATED), int(LengthSource.MEASURED)
 
-# Reasons to return to the Python code: no row is due, a driver state, the end of a cycle, a command without a driver.
+# Reasons to return to the Python code: no row to process, a driver state, the end of a cycle, a run that no driver
+# state has announced.
 DONE, DRIVER_STATE, CYCLE_END, UNANNOUNCED_RUN = range(4)
 # Events: a gap in the lengths (value: duration, s), a motion that switches endlessly (0), a moved tracker (shift, m).
 GAP, ZENO, TRACKER_MOVED = range(3)
@@ -90,7 +91,10 @@ def begins(rows: np.ndarray, k: int) -> bool:
 
 @entry
 def next_of(memory: Memory, kind: int, until: int) -> int:
-    """Return the index of the first row of a kind after the one being processed, up to a stamp; −1 without one."""
+    """Return the index of the first row of a kind after the row being processed, or −1.
+
+    The search ends after the stamp ``until``, and at the onset of another run.
+    """
     m, rows = memory.record[0], memory.rows
     k = m.place + 1
     while k < m.filled and rows[k].stamp <= until and not begins(rows, k):
@@ -107,7 +111,10 @@ def _line(value: float, slope: float) -> Coefficients:
 
 @entry
 def _answers_ahead(memory: Memory, until: int, a: Actuator) -> None:
-    """Store the answer (m) in the column c of the later measured lengths up to a stamp, NaN where it is unknown."""
+    """Store the answer (m) at each later measured length in the column `c` of its row, up to the stamp ``until``.
+
+    `c` becomes NaN where the answer is unknown.
+    """
     m, rows = memory.record[0], memory.rows
     when, command, answer = m.command_ns, m.command, m.answer
     k = m.place + 1
@@ -190,7 +197,10 @@ def _slope(memory: Memory, stamp: int, rules: Rules, a: Actuator) -> tuple[float
 def put_at_rest(
     memory: Memory, stamp: int, length_change: float, source: int, c: Constants
 ) -> None:
-    """Put the twin at rest at a stamp, with ΔL in m and the pose that the memory contains for the run's start."""
+    """Put the twin at rest at a stamp, with ΔL in m and the pose that the memory contains for the run's start.
+
+    ``source`` is the `LengthSource` of ΔL.
+    """
     m = memory.record[0]
     x1 = m.pose_x1
     x2 = x1 + c.initial_length + length_change
@@ -277,7 +287,10 @@ def _answer(memory: Memory, stamp: int, command: float, a: Actuator) -> None:
 
 @entry
 def drag_of(c: Constants) -> float:
-    """Return minus the derivative (N·s/m) of F_c with respect to L̇ at constant ẏ; the effect of L̈ is neglected."""
+    """Return minus the derivative (N·s/m) of F_c with respect to L̇ at constant ẏ, where y = x1 + μ·ΔL.
+
+    The effect of L̈ is neglected.
+    """
     return c.bellows_damping + c.friction * c.mu
 
 
@@ -285,7 +298,7 @@ def drag_of(c: Constants) -> float:
 def _update_power(
     memory: Memory, stamp: int, rules: Rules, c: Constants, a: Actuator, p: Any
 ) -> float:
-    """Compute power and energy at the stamp of the motion; return the length's rate in m/s."""
+    """Compute power and energy at ``stamp``, up to which the motion is computed, and return L̇ in m/s."""
     m, sample = memory.record[0], memory.sample[0]
     rate, variance = math.nan, 0.0
     if not m.on_estimate:
@@ -308,7 +321,7 @@ def _update_power(
 
 @entry
 def publish(memory: Memory, rate: float, c: Constants, out: OutputRows) -> None:
-    """Add the state of the motion to the output; ``rate`` (m/s) is that of the length."""
+    """Add the state of the motion to the output; ``rate`` (m/s) is L̇."""
     m, sample = memory.record[0], memory.sample[0]
     row = out.states[out.counts[0]]
     zero = m.origin + m.moved * c.pitch
@@ -344,7 +357,7 @@ def begin_track(
 
 @entry
 def _follow_command(memory: Memory, next_command: int, a: Actuator) -> None:
-    """Advance the answer to the row being processed. `answered` becomes 1 if the command there is known, else 0."""
+    """Advance the answer to the row being processed. `answered` becomes 1 if the command at it is known, else 0."""
     m, row = memory.record[0], memory.rows[memory.record[0].place]
     m.answered = 1
     if row.kind == LENGTH_KIND:
@@ -454,7 +467,7 @@ def _leaves_zero(memory: Memory, rules: Rules) -> bool:
 
 @entry
 def _gap(memory: Memory, rules: Rules) -> float:
-    """Return the duration (s) of a gap before the next driving length when it is first detected; otherwise 0."""
+    """Return the duration (s) of a gap before the next driving length when the gap is first detected; otherwise 0."""
     m, row = memory.record[0], memory.rows[memory.record[0].place]
     if not m.moving or row.stamp - m.motion_ns <= rules.pause - rules.look_ahead:
         return 0.0
@@ -475,7 +488,7 @@ def _gap(memory: Memory, rules: Rules) -> float:
 
 @entry
 def _boundary(memory: Memory, rules: Rules) -> int:
-    """Return the boundary that Python has to handle before the next row; DONE if there is none."""
+    """Return the boundary that Python has to handle before the next row; DONE if there is no boundary."""
     m, row = memory.record[0], memory.rows[memory.record[0].place]
     if m.cycle_end_ns and row.stamp >= m.cycle_end_ns:
         return CYCLE_END

@@ -20,11 +20,12 @@ GAIT_KIND, COMMAND_KIND, LENGTH_KIND, POSITION_KIND, POWER_KIND = (int(kind) for
 CHANNELS = 3  # quantities with a residual: position, length, power
 POSITION, LENGTH, POWER = range(CHANNELS)
 ROOM = 16384  # rows of recent and waiting samples: some 3 s of five topics at 1 kHz
-HELD = 100  # number of held samples of a single topic that confirm their stamps
+HELD = 100  # largest number of held samples; so many samples confirm each other even if they are of one topic
 PHASES = 200  # bins of a cycle in which residuals are summed
 
 # Fates of a sample; CROWDED means that `rows` is full. `counts` contains the number of samples by fate.
 ACCEPTED, DUPLICATE, LATE, AHEAD, NOT_A_NUMBER, CROWDED = range(6)
+# Names of the fates in outputs
 VERDICTS = ("taken", "duplicate", "late", "ahead", "not a number", "crowded")
 
 # Columns of `Memory.sums`: sum and number of the residuals of each channel.
@@ -40,7 +41,7 @@ SUMS = 6
 
 
 class Field(NamedTuple):
-    """Field of the record with ``entries`` values. A stamp of 0 means that there is none."""
+    """Field of the record with ``entries`` values. A stamp of 0 means that there is no such stamp."""
 
     name: str
     kind: type[np.generic]
@@ -64,10 +65,10 @@ FIELDS = (
     Field("command_ns", np.int64, "ns", "stamp of `command` and `answer`"),
     Field("command", np.float64, "m", "u_cmd"),
     Field("answer", np.float64, "m", "ΔL that the actuation model computes from the command"),
-    Field("engaged", np.int64, "1", "1 from the onset of the first run on: ΔL answers the command"),
+    Field("engaged", np.int64, "1", "1 from the first onset on: ΔL answers the command"),
     Field("answered", np.int64, "1", "1 if the answer is known at the row being processed"),
     # motion
-    Field("moving", np.int64, "1", "1 once the twin has a motion, also at rest"),
+    Field("moving", np.int64, "1", "1 once the motion is computed, also while the robot rests"),
     Field("motion_ns", np.int64, "ns", "stamp up to which the motion is computed"),
     Field("length_change", np.float64, "m", "ΔL at `motion_ns`"),
     Field("y", np.float64, "m", "x1 + μ·ΔL relative to the run's first rear groove"),
@@ -119,17 +120,17 @@ FIELDS = (
     Field("channel_ns", np.int64, "ns", "stamp of the last residual", CHANNELS),
     Field("channel_square", np.float64, "1", "mean square of residual over usual size", CHANNELS),
     Field("channel_level", np.int64, "1", "Health of the channel", CHANNELS),
-    Field("level_ns", np.int64, "ns", "last stamp whose residuals justified that level", CHANNELS),
+    Field("level_ns", np.int64, "ns", "last stamp that justified `channel_level`", CHANNELS),
     Field("noise_count", np.int64, "1", "number of residuals in `noise_square`", CHANNELS),
     Field("noise_square", np.float64, "m², m², W²", "variance of the noise", CHANNELS),
     Field("noise_last", np.float64, "m, m, W", "last residual", CHANNELS),
     Field("noise_before", np.float64, "m, m, W", "residual before the last", CHANNELS),
     Field("warning", np.int64, "1", "number of the last warning"),
-    Field("warned_until", np.int64, "ns", "end of that warning's effect on the health"),
+    Field("warned_until", np.int64, "ns", "end of the effect of `warning` on the health"),
     # positions
-    Field("accepted_ns", np.int64, "ns", "stamp of the last accepted position"),
-    Field("accepted", np.float64, "m", "last accepted position"),
-    Field("rejected_ns", np.int64, "ns", "stamp of the first rejected position of a jump"),
+    Field("accepted_ns", np.int64, "ns", "stamp of `accepted`"),
+    Field("accepted", np.float64, "m", "last accepted position of the rear module"),
+    Field("rejected_ns", np.int64, "ns", "stamp of `rejected`"),
     Field("rejected", np.float64, "m", "first rejected position of a jump"),
 )
 MEMORY = np.dtype(
@@ -170,9 +171,10 @@ class Memory(NamedTuple):
 class Rules(NamedTuple):
     """Settings for the core, from `TwinSettings`.
 
-    ``smoothing`` is in s, all other times are in ns. ``gate`` and the scales are in the SI unit of their quantity.
-    ``look_ahead`` is the time after a row whose samples the computation at this row uses. Processed rows are stored for
-    at least ``history``, unless they are too many. ``period`` is the shortest interval of published states.
+    ``smoothing`` is in s, all other times are in ns. ``gate`` and the scales are in the SI unit of their quantity. The
+    computation at a row uses the samples of the time ``look_ahead`` after the row. Processed rows are stored for at
+    least ``history``, unless there are too many. ``period`` is the shortest interval of published states. The tracker
+    counts as moved if rejected positions agree with each other for the time ``moved``.
     """
 
     delay: int

@@ -3,8 +3,8 @@
 
 For each channel (position, length, power), the residuals are divided by their usual size, squared and averaged over
 ``MEMORY_S``. The root of this average determines the level of the channel: suspect above ``SUSPECT_FROM``, faulty above
-``FAULTY_FROM``. A level improves only after the root has been at most ``RECOVERY`` times the limit for a whole cycle,
-so that the level does not change within each cycle. A channel without samples for ``SILENT_S`` is ignored.
+``FAULTY_FROM``. A level improves only after the root has been at most ``RECOVERY`` times the limit for a whole cycle.
+Otherwise the level could alternate within each cycle. A channel without samples for ``SILENT_S`` is ignored.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ from worm_model.twin.core.memory import (
 from worm_model.twin.records import Activity, Health
 
 MEMORY_S = 2.0  # s, time constant of the average
-SILENT_S = 5.0  # s
-SUSPECT_FROM = 2.0  # usual sizes
-FAULTY_FROM = 4.0  # usual sizes
-RECOVERY = 0.75
-NOISE_SAMPLES = 500  # number of residuals over which their noise is averaged
+SILENT_S = 5.0  # s, age of the last residual from which a channel does not affect the health
+SUSPECT_FROM = 2.0  # limits of the root mean square, in usual sizes
+FAULTY_FROM = 4.0
+RECOVERY = 0.75  # share of a limit at which the level of a channel improves
+NOISE_SAMPLES = 500  # number of residuals over which the noise of a channel is averaged
 TOP_SPEED = 0.15  # m/s, above the speed of all gaits of the paper's box
 RESTING = int(Activity.RESTING)
 UNKNOWN, HEALTHY, SUSPECT, FAULTY = (int(health) for health in Health)
@@ -47,7 +47,7 @@ UNKNOWN, HEALTHY, SUSPECT, FAULTY = (int(health) for health in Health)
 def observe(memory: Memory, channel: int, stamp: int, residual: float, scale: float) -> None:
     """Add a residual to the mean square of its channel.
 
-    ``scale`` is the usual size, without noise. ``residual`` and ``scale`` are in the unit of the channel, m or W.
+    ``scale`` is the usual size, to which the noise is added. ``residual`` and ``scale`` are in m or W.
     """
     m = memory.record[0]
     square = residual**2 / (scale**2 + m.noise_square[channel])

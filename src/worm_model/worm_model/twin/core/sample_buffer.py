@@ -4,13 +4,17 @@
 "The newest" is the newest sample of all topics except the driver states.
 
 - **Late.** A sample more than ``delay_s`` older than the newest is counted and excluded, because the estimator may
-  already have used later samples. All others are inserted by stamp, in whatever order they arrive.
-- **Duplicate**, **not a number** (or not a plausible length, position or power). These are counted and excluded.
-- **Jump back.** Three successive late samples are more than ``jump_back_s`` older than the newest of any topic.
-- **Ahead.** A sample that is ahead of the newest by more than ``hold_ahead_s`` is held. Three held samples in a row
-  confirm each other, but must come from two topics if two were active. 100 samples of one topic suffice, too. If they
-  are up to ``jump_ahead_s`` ahead, a pause has ended, and they are inserted. If they are further ahead, the clock has
-  jumped. If a sample that is not ahead arrives before the confirmation, the held samples are excluded.
+  already have used later samples. Samples that are less late are inserted by stamp, in whatever order they arrive.
+- **Duplicate**, **not a number**. These samples are counted and excluded. A length, position or power that is not
+  plausible counts as not a number.
+- **Jump back.** The clock has jumped back if three successive late samples are older by more than ``jump_back_s`` than
+  the newest sample of all topics, including the driver states.
+- **Ahead.** A sample that is ahead of the newest by more than ``hold_ahead_s`` is held. Samples held before, and ahead
+  of this sample by more than ``hold_ahead_s``, are excluded. Three held samples confirm each other. If several topics
+  are active, the held samples must be of at least two topics, unless 100 samples are held. If the first confirmed
+  sample is at most ``jump_ahead_s`` ahead, a pause has ended, and the held samples are inserted. If it is further
+  ahead, the clock has jumped. If a sample that is not ahead arrives before the confirmation, the held samples are
+  excluded.
 - A **driver state** is never late, because its topic is latched. A state of a running gait is inserted at the onset, or
   at the earliest stamp that is not late.
 """
@@ -47,7 +51,7 @@ RUNNING, STOPPING = int(Activity.RUNNING), int(Activity.STOPPING)
 LONGEST_M = 1.0  # longest plausible body; a wrong unit would give millions of grooves
 FARTHEST_M = 1e5  # largest plausible position
 MOST_W = 1e5  # largest plausible power
-CONFIRMATIONS = 3  # successive samples that confirm a jump, because a single stamp may be wrong
+CONFIRMATIONS = 3  # number of successive samples that confirm a jump; a single stamp may be wrong
 # An onset that is later than its message by more than this is invalid.
 ONSET_AHEAD_NS = 5 * NANOSECONDS
 
@@ -186,7 +190,7 @@ def _hold(memory: Memory, s: np.ndarray, rules: Rules) -> int:
 def insert(memory: Memory, s: np.ndarray, rules: Rules) -> int:
     """Insert, hold or exclude a sample (a row, shape (1,)); return the jump of the clock that the sample reveals.
 
-    After a jump, `held` contains the first samples with stamps of the new time.
+    After a jump, `held` contains the samples that revealed it.
     """
     m, row = memory.record[0], s[0]
     if not _is_number(s):
