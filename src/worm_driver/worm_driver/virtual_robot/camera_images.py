@@ -24,7 +24,6 @@ Window = tuple[slice, slice]
 
 DEFAULT_FILE = Path(str(files("worm_driver").joinpath("config/virtual_camera.yaml")))
 
-_QUIET = 1.0  # width of the white margin around a print, cells
 _PAPER, _INK = 1.0, 0.07  # reflectances of a print
 # Reflectances of a module, of the pipe's wall and beyond the pipe.
 _MODULE, _WALL, _BACKGROUND = 0.38, 0.55, 0.72

@@ -34,11 +34,12 @@ HOLDING = (
 class IdlePower:
     """Idle power of a run: ``value`` (W, NaN if unknown) and standard ``deviation`` of the mean (W).
 
-    ``holding`` is True if the cable held a pretension.
+    ``samples`` is the number of samples at rest. ``holding`` is True if the cable held a pretension.
     """
 
     value: float
     deviation: float
+    samples: int
     warning: str = ""
     holding: bool = False
 
@@ -52,6 +53,7 @@ def idle_power_of(recording: Recording) -> IdlePower:
         return IdlePower(
             np.nan,
             np.nan,
+            count,
             f"{recording.name}: {count} of the first ten power samples were measured at rest, so that the run "
             "has no idle power; start the sensor before the gait",
         )
@@ -72,7 +74,7 @@ def idle_power_of(recording: Recording) -> IdlePower:
             f"({later:.3f} W): the power was still settling"
         )
     warning = f"{recording.name}: {'; '.join(remarks)}" if remarks else ""
-    return IdlePower(value, deviation, warning, holding)
+    return IdlePower(value, deviation, count, warning, holding)
 
 
 def idle_power(runs: Sequence[IdlePower]) -> Estimate | None:
@@ -88,5 +90,5 @@ def idle_power(runs: Sequence[IdlePower]) -> Estimate | None:
     if len(known) > 1:
         half = half_of_mean(values)
     else:
-        half = quantile(SAMPLES - 1) * known[0].deviation
+        half = quantile(known[0].samples - 1) * known[0].deviation
     return Estimate(mean, mean - half, mean + half)

@@ -229,7 +229,7 @@ class OptimizerNode(Node):
         """Return the front for the initial length in ``content``, with the margin of ``front``."""
         key = front.direction, round(content.parameters.initial_length / gait_request.SAME_LENGTH)
         if key not in self._resting:
-            settings = dataclasses.replace(front.settings, margin=front.margin)
+            settings = front.settings.with_margin(front.margin)
             if len(self._resting) >= MOST_RESTING:
                 self._resting.pop(next(iter(self._resting)))
             self._resting[key] = make_front(content, settings, front.direction)

@@ -47,10 +47,11 @@ def make_plan(content: ParameterFile, settings: Settings, direction: int) -> Pla
         OptimizerError: No gait moves.
     """
     price = scanned_price(content, settings, direction)
-    margin = price.margin if settings.margin is None else settings.margin
-    front = make_front(content, replace(settings, margin=margin), direction)
-    if settings.margin is None:
+    if settings.scans_margins:  # the scan is not repeated
+        front = make_front(content, settings.with_margin(price.margin), direction)
         front = replace(front, reason=reason_for(price))
+    else:
+        front = make_front(content, settings, direction)
     return Plan(front.three, Optimisation(front, price))
 
 
@@ -70,7 +71,7 @@ def with_comparisons(
     Raises:
         OptimizerError: No gait moves on level ground, or no sinusoid moves.
     """
-    settings = replace(settings, margin=plan.optimisation.front.margin, margin_force=None)
+    settings = settings.with_margin(plan.optimisation.front.margin)
     compared: dict[str, Mapping[str, Prediction]] = {}
     if nominal:
         compared[NOMINAL] = nominal_gaits(content, settings, direction)

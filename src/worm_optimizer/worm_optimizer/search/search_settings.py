@@ -6,7 +6,7 @@ from __future__ import annotations
 import enum
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -124,6 +124,16 @@ class Settings:
     shapes: ShapeBounds = field(default_factory=ShapeBounds)
     holding_power: float = 0.0
     margin_force: float | None = None
+
+    @property
+    def scans_margins(self) -> bool:
+        """True if the margin is the last one before the cliff, which a margin scan finds."""
+        given = self.margin is not None or self.margin_force is not None
+        return self.robustness is Robustness.MARGIN and not given
+
+    def with_margin(self, margin: float) -> Settings:
+        """Return these settings with a margin in m instead of the one that they contain."""
+        return replace(self, margin=margin, margin_force=None)
 
     def __post_init__(self) -> None:
         if self.margin_force is not None and not 0.0 <= self.margin_force < math.inf:

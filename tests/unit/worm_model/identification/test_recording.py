@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import t as student
 from twin_samples import run_of_rows
 from virtual_campaign import RESTING, RUNNING, Instruments, exact_run
 from virtual_session import Session
@@ -184,6 +185,14 @@ def test_a_slow_sensor_does_not_bill_motion_as_idle_power():
     slow = idle_power_of(recording(power_rate=3.0))
     assert "not at rest in 4 of the first ten" in slow.warning
     assert slow.value == pytest.approx(PAPER.idle_power, abs=0.05)
+
+
+def test_the_interval_of_few_samples_at_rest_is_students_of_these_samples():
+    idle = idle_power_of(recording(power_rate=1.5, power_noise=0.02))
+    estimate = idle_power([idle])
+    assert idle.samples == 3
+    half = student.ppf(0.975, idle.samples - 1) * idle.deviation
+    assert (estimate.low, estimate.high) == pytest.approx((idle.value - half, idle.value + half))
 
 
 def test_a_sensor_that_starts_with_the_gait_gives_no_idle_power():

@@ -13,7 +13,7 @@ from recorded_run import GAIT, simulated_run, write_bag
 from worm_model.commands.command_line import finite
 from worm_model.conditions import Conditions
 from worm_model.gait import named_values
-from worm_model.parameters import ParameterFile
+from worm_model.parameters import PAPER, ParameterFile
 from worm_optimizer.commands import campaign as command
 from worm_optimizer.operation.bring_up import left_out
 from worm_optimizer.operation.campaign_plan import (
@@ -68,6 +68,16 @@ def test_the_plan_has_the_papers_three_gaits_by_rising_speed(plan):
     speeds = [gait.nominal_speed for gait in plan.gaits.values()]
     assert speeds == sorted(speeds)
     assert {gait.margin for gait in plan.gaits.values()} == {0.0034}
+
+
+def test_a_margin_as_a_load_is_that_of_all_gaits_of_the_plan(quick):
+    loaded = dataclasses.replace(quick, margin=None, margin_force=0.5)
+    plan = make_plan(ParameterFile(), loaded, 1)
+    margin = 0.5 / (PAPER.engaged_stiffness + PAPER.disengaged_stiffness)
+    compared = with_comparisons(plan, ParameterFile(), loaded, 1, nominal=True)
+    assert plan.optimisation.front.margin == pytest.approx(margin)
+    assert {gait.margin for gait in plan.gaits.values()} == {plan.optimisation.front.margin}
+    assert len(compared.gaits) == 2 * len(plan.gaits)
 
 
 def test_under_conditions_each_gait_is_followed_by_the_one_for_level_ground(quick):

@@ -409,7 +409,7 @@ def run_from_rest(
 def step(
     segment: Segment, motion: Motion, c: Constants, totals: np.ndarray, sample: np.ndarray
 ) -> Motion:
-    """Return the motion at the end of a segment, and fill ``sample`` (1, SAMPLE_COLUMNS) for this moment; see `march`."""
+    """Return the motion at the end of a segment, and fill ``sample`` (1, SAMPLE_COLUMNS) there; see `march`."""
     totals[SAMPLED] = 0.0
     sample[0, TIME] = segment.start + segment.duration
     return march(segment, motion, c, None, totals, sample, sample[:0])
