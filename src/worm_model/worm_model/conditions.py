@@ -119,7 +119,7 @@ def under(conditions: Conditions, parameters: Parameters) -> Parameters:
 
 
 def content_under(conditions: Conditions, content: ParameterFile) -> ParameterFile:
-    """Return the content of a parameter file under conditions; each interval is shifted by the change of its value.
+    """Return the content of a parameter file under conditions; the interval of a parameter moves with its value.
 
     Raises `ParameterError` as `under` does.
     """

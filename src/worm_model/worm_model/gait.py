@@ -61,7 +61,8 @@ class Profile(enum.IntEnum):
 class Gait:
     """Periodic command of the cable that contracts the body and extends it again.
 
-    With the phase p in [0, 1) of a cycle, the command swings between −o and −(o + S):
+    The symbols o, S and s are defined below, and p in [0, 1) is the phase of a cycle. The command swings between −o
+    and −(o + S):
 
         u_cmd = −o − S·g(p/s)                        for p < s
         u_cmd = −o − S·(1 − g((p − s)/(1 − s)))      for p ≥ s

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recording of the robot as typed arrays: commands, measurements and states of the driver, from any recorder.
+"""Recording of the robot as typed arrays: commands, measurements and states of the driver.
 
 Stamps are acquisition stamps in ns since the epoch (int64, shape (n,)), in the order of reception. Other quantities
 are in SI units, float64 of shape (n,) unless stated otherwise. A topic that was not recorded has no samples.
@@ -26,7 +26,8 @@ STATE_NAMES = ("inactive", "idle", "resting", "running", "stopping", "fault")
 POWER_VALID = 0
 POWER_STATUS_NAMES = ("valid", "overflow", "not ready", "bus error", "sensor reset")
 
-# ns; the driver computes a run's onset in each cycle from two clocks. The onsets of a run differ by less than this.
+# ns. The driver converts a run's onset from its monotonic clock to system time for each message, so the published
+# onsets of one run differ slightly. They differ by less than this; onsets of different runs differ by more.
 SAME_ONSET_NS = 100_000_000
 
 

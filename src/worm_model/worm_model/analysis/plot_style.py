@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from worm_model.errors import InputError
 
-# Okabe and Ito's palette (https://jfly.uni-koeln.de/color). The colours of the second assignment contrast with it.
+# Okabe and Ito's palette (https://jfly.uni-koeln.de/color), and further colours that contrast with it
 BLUE, VERMILION, GREEN, PINK, SKY, ORANGE = (
     "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00",
 )  # fmt: skip
@@ -32,7 +32,7 @@ Style = Mapping[str, Any]
 MEASURED: Style = {"color": BLUE, "linewidth": 1.5}
 SAMPLES: Style = {"color": BLUE, "linestyle": "none", "marker": ".", "markersize": 3}
 PREDICTED: Style = {"color": VERMILION, "linewidth": 1.5, "linestyle": "--"}
-COMMANDED: Style = {"color": LIGHT_GREY, "linewidth": 4.0}  # wide, because other curves cover it
+COMMANDED: Style = {"color": LIGHT_GREY, "linewidth": 4.0}  # wide, to be visible behind others
 CABLE: Style = {"color": BLACK, "linewidth": 0.8}
 EFFECTIVE: Style = {"color": GREEN, "linewidth": 1.5, "linestyle": "-."}
 _AVERAGED = "#FFF3CF"  # background of the averaged cycles

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Metrics of a run: averaged cycles, mean rates such as speed and power, energy, idle power, rms.
+"""Metrics of a run: averaged cycles, mean rates such as speed and power, energy, idle power, root mean square.
 
 The protocol is the paper's: the last three of the played whole cycles are averaged. The driver does not depend on this
 package and computes its own metrics for the result of RunGait. A test compares these with the metrics of this module.

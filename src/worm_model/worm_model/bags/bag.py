@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bag in any supported format, open for reading. Its files are read lazily, one `contents.Extent` at a time."""
+"""Bag in any supported format, open for reading. Its files are read lazily, in parts (`contents.Extent`)."""
 
 from __future__ import annotations
 

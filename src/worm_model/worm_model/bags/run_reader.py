@@ -26,7 +26,7 @@ RUN_TOPICS = tuple(SERIES)
 _INSTRUMENTS = TWIN_INPUTS[1:]
 # largest normal delay from the stamp of a message to its reception by the recorder
 _LONGEST_DELAY_NS = 10**9
-# number of messages, those of a quarter of an hour, up to which the decoded samples stay in memory
+# largest number of messages (a quarter of an hour of a recording) whose decoded samples stay in memory
 MOST_KEPT = 250_000
 
 
@@ -272,7 +272,7 @@ def stamps_of(columns: Columns, path: str = "header.stamp") -> NDArray[np.int64]
 
 
 def clock_offset(bag: Bag, namespace: str) -> int:
-    """Return the log time minus the stamp of the first message in a bag with a length, a position or a power, ns.
+    """Return log time minus stamp (ns) of a bag's first message with a length, a position or a power.
 
     A difference of at most one second is a normal delay; the function then returns 0. It also returns 0 for a bag
     without such messages.

@@ -61,7 +61,7 @@ def _parser() -> command_line.Parser:
         "trim",
         _trim,
         help="write a part of a bag, by time or by run",
-        description="Write a bag with the messages of a span, or of one run and the time at rest before it.",
+        description="Write a bag with the messages of a span, or of one run and the time since the previous run.",
     )
     add_output(trim)
     trim.add_number("--start", "S", "start of the span, in s since the start of the bag")

@@ -111,9 +111,10 @@ class Exported:
 
 
 def export(bag: Bag, output: Path, kind: str, topics: list[str], namespace: str = "") -> Exported:
-    """Write one table per topic to a new folder and, without ``topics``, the merged table of the robot's namespace.
+    """Write one table per topic to a new folder and, if ``topics`` is empty, the merged table of the robot.
 
-    Only the memory for the merged table grows with the bag. If the export fails, no folder remains.
+    ``namespace`` is that of the robot; empty: the only one in the bag. Only the memory for the merged table grows with
+    the bag. If the export fails, no folder remains.
 
     Raises:
         BagError: The bag lacks a topic or is damaged.

@@ -86,7 +86,7 @@ def _parser() -> Parser:
     parser.add_argument(
         "--literal",
         action="store_true",
-        help="run the paper's procedure for comparison: costs as printed, no nuisance parameters, no intervals",
+        help="for comparison, run the paper's procedure: its cost functions, no nuisance parameters, no intervals",
     )
     parser.add_argument(
         "--estimate",

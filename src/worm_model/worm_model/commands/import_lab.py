@@ -71,7 +71,7 @@ def _parser() -> command_line.Parser:
         type=command_line.number,
         default=EPOCH_S,
         metavar="S",
-        help="UTC of t = 0 in s (default: 2026-01-01)",
+        help="time t = 0 of the logs, in s since 1970-01-01 UTC (default: 2026-01-01)",
     )
     parser.add_argument(
         "--namespace", default="/worm", help="namespace of the topics (default /worm)"

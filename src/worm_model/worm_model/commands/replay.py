@@ -58,7 +58,8 @@ from worm_model.twin.records import (
 from worm_model.twin.twin import Output, residual_messages
 
 DRIVES = ("body_length/commanded", "body_length/measured")  # the twin requires one of these topics
-DISORDER_NS = 10 * NANOSECONDS  # an event is older by at most this than the newest state before it
+# the twin may return an event after states with later stamps, which are later by at most this
+DISORDER_NS = 10 * NANOSECONDS
 _notify = notifier("replay")
 
 

@@ -38,9 +38,9 @@ def _parser() -> Parser:
     parser = Parser(
         prog="simulate",
         description="Simulate a gait from rest. The ending of --output selects the form: a table of positions, "
-        "anchors, length, cable force, power and energy (.csv), a figure of them (.png, .pdf, .svg), an animation "
-        "of the robot in its pipe in real time (.gif, or .mp4 if ffmpeg is installed), or a recording of ideal "
-        "instruments (.mcap) after two seconds of rest.",
+        "anchors, length, cable force, power and energy (.csv), a figure of positions, anchors, length, forces and "
+        "power (.png, .pdf, .svg), an animation of the robot in its pipe in real time (.gif, or .mp4 if ffmpeg is "
+        "installed), or a recording by ideal instruments, with two seconds of rest before the gait (.mcap).",
     )
     parser.add_gait(required=True)
     parser.add_conditions()

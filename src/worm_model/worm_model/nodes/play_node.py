@@ -132,7 +132,7 @@ class PlayNode(Node):
         if converter.added:
             added = ", ".join(converter.added)
             self.get_logger().warning(
-                f"{channel.name}: the bag is from before {type_name} had {added}; played with its default"
+                f"{channel.name}: the bag is from before {type_name} had {added}; played with default values"
             )
         return converter
 
@@ -165,7 +165,7 @@ class PlayNode(Node):
         self._publish_clock(self._first_ns)
 
     def advance(self) -> float:
-        """Publish the messages that are due, and return the wall time (monotonic, s) of the next one."""
+        """Publish the messages that are due, and return the wall time (monotonic, s) at which to call this again."""
         if not self._begun:
             self.begin()
         wall = time.monotonic()
@@ -184,10 +184,10 @@ class PlayNode(Node):
         return due
 
     def _is_connected(self, wall: float) -> bool:
-        """Return True if the subscribers have not changed for the time of --delay, or longer if some are not connected.
+        """Return True if the number of subscribers has not changed for the time of --delay.
 
-        The additional time is MATCHING_S. The two sides of a connection discover each other at different times, and
-        subscribers are discovered one by one.
+        While some known subscribers are not connected, this time is longer by MATCHING_S. The two sides of a connection
+        discover each other at different times, and subscribers are discovered one by one.
         """
         publishers = [self._clock_publisher, *self._publishers_by_topic.values()]
         counts = {

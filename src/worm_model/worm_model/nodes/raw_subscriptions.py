@@ -2,7 +2,7 @@
 """Raw subscriptions to any topics, for recording.
 
 The node polls its subscriptions and services, including those of its parameters, instead of spinning. An executor
-needs about 0.2 ms of Python per message. A poll that reads all waiting messages needs a hundredth of this time.
+needs about 0.2 ms of Python per message. A poll reads all waiting messages, in a hundredth of this time per message.
 Polling does not affect the accuracy of stamps, because they come from the middleware.
 """
 
@@ -39,8 +39,8 @@ from worm_model.bags.worm_topics import GAIT_STATE, TWIN_EVENT
 from worm_model.run import INACTIVE
 from worm_msgs.node_command import declare_none
 
-# Number of polls for which the first subscription stays after the second one has discovered all publishers, because
-# publishers discover the second subscription later than it discovers them.
+# A `_RawSubscription` may have two subscriptions. This is the number of polls for which the first one stays after the
+# second one has discovered all publishers, because publishers discover the second one later than it discovers them.
 OVERLAP_POLLS = 50
 
 SETTLING_S = 3.0  # A publisher that appears later than this counts as started after the recorder.
@@ -228,7 +228,7 @@ class RecordNode(Node):
 
     @property
     def missed(self) -> dict[str, int]:
-        """Number of messages, by topic, that publishers sent before they were connected.
+        """Number of messages, by topic, that publishers sent before they were connected to the recorder.
 
         Only publishers that started after the recorder count.
         """

@@ -66,9 +66,13 @@ def _parser() -> command_line.Parser:
         "(default: %(default)s)",
     )
     parser.add_argument("-a", "--all", action="store_true", help="all topics that are not hidden")
-    parser.add_argument("-e", "--regex", default="", help="topics whose full name matches")
+    parser.add_argument("-e", "--regex", default="", help="topics with a match in the full name")
     parser.add_argument(
-        "-x", "--exclude", default="", metavar="REGEX", help="topics that --all and --regex exclude"
+        "-x",
+        "--exclude",
+        default="",
+        metavar="REGEX",
+        help="topics that --all and --regex do not select",
     )
     parser.add_argument(
         "--include-hidden-topics",
@@ -131,8 +135,8 @@ def _parser() -> command_line.Parser:
         type=command_line.not_negative,
         default=0.0,
         metavar="S",
-        help="store the last S seconds in memory, and write only them, to OUTPUT_snapshot_1 and so on, when the twin "
-        "raises an alarm (an event with a code on twin/events, which must be among the topics) or ~/snapshot is called",
+        help="store only the last S seconds, in memory; write them to OUTPUT_snapshot_1 and so on when ~/snapshot "
+        "is called or the twin raises an alarm (an event with a code on twin/events, which must be among the topics)",
     )
     parser.add_argument(
         "--anonymous",
@@ -327,7 +331,9 @@ def _report(
     for name in node.missing:
         notify(f"{name} was never published")
     for name, count in node.missed.items():
-        notify(f"{name}: the first {count} messages of a publisher that started later are missing")
+        notify(
+            f"{name}: the first {count} messages of a publisher that started after the recorder are missing"
+        )
     if arguments.json:
         outcome = {
             "bag": str(session.options.output),

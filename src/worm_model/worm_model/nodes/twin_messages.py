@@ -104,7 +104,10 @@ def state_message(row: Any) -> TwinState:
 
 
 def residuals_message(row: Any, warnings: Mapping[int, str]) -> TwinResiduals:
-    """Return the TwinResiduals of a row of `twin.records.RESIDUAL_ROW`; ``warnings`` are texts by number."""
+    """Return the TwinResiduals of a row of `twin.records.RESIDUAL_ROW`.
+
+    ``warnings`` contains the texts of the warnings by number.
+    """
     message = _filled(TwinResiduals(), row, RESIDUAL_FIELDS)
     if message.health > TwinResiduals.HEALTHY:
         message.message = residual_message(row, warnings)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tables of gaits as CSV. Each row is a gait; its further columns replace parameters of the robot for this gait."""
+"""Tables of gaits as CSV. Each row is a gait; columns that are named after parameters replace these for the gait."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def _check_header(path: str | Path, header: list[str]) -> None:
                 f"and the keys of a parameter file, except {FORM}"
             )
     if len(set(header)) != len(header) or {"L0_m", "initial_length"} <= set(header):
-        raise InputError(f"{path}: a column appears twice (L0_m is initial_length)")
+        raise InputError(f"{path}: a column appears twice (L0_m and initial_length are the same)")
 
 
 def _number(path: str | Path, line: int, name: str, text: str | None) -> float:

@@ -311,9 +311,8 @@ def simulate(gait: Gait, parameters: Parameters = PAPER, cycles: int = CYCLES) -
 class LocomotionState:
     """State of a robot whose length is an input.
 
-    ``time`` in s; ``length_change`` ΔL in m; ``y`` = x1 + μ·ΔL in m, with which the dynamics contain no second
-    derivative of the length, and its rate in m/s; grooves and regions of both fins (`kernel.mode`); number of
-    ``switches`` so far.
+    ``time`` in s; ``length_change`` ΔL in m; ``y`` = x1 + μ·ΔL in m, and its rate ``y_rate`` in m/s; grooves and
+    regions of both fins; number of ``switches`` so far. For y and the regions see `kernel.mode`.
     """
 
     time: float
@@ -370,8 +369,8 @@ class Locomotion:
     def at_rest(self, time: float = 0.0, length_change: float = 0.0) -> LocomotionState:
         """Return the state at rest at ``time`` (s), after ΔL has moved from 0 to ``length_change`` (m).
 
-        At ΔL = 0 the state is that of `start`. The change of the length (by a pretension) and a load then deflect the
-        fins. Raises `SimulationError` if a fin chatters.
+        The robot begins in the state of `start`, with ΔL = 0. The change of the length (by a pretension) and a load
+        then deflect the fins. Raises `SimulationError` if a fin chatters.
         """
         if length_change == 0.0 and not (self.parameters.rear_load or self.parameters.front_load):
             return self.start(time)

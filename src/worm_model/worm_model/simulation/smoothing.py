@@ -2,11 +2,11 @@
 """Smoothing of a sampled length, whose rate the prediction of the power requires.
 
 The cable force (eq:Fc) and the power depend on the rate of the length. With equal masses and without dry friction, the
-motion does not. At each requested time, a parabola is fitted by least squares to the samples within a window around
-this time (a Savitzky–Golay filter for any sampling). The value and the slope of the parabola at the requested time are
-the smoothed length and its rate. A centred window of half-width h multiplies the slope of a sinusoid of angular
-frequency ω by 1 − (ωh)²/10. With the default h and a 30 Hz camera, the energy of a gait is 0.3 % too low at 0.15 Hz,
-0.7 % at 0.2 Hz and 3 % at 0.4 Hz (a test checks these numbers).
+motion does not depend on this rate. At each requested time, a parabola is fitted by least squares to the samples within
+a window around this time (a Savitzky–Golay filter for any sampling). The value and the slope of the parabola at the
+requested time are the smoothed length and its rate. A centred window of half-width h multiplies the slope of a sinusoid
+of angular frequency ω by 1 − (ωh)²/10. With the default h and a 30 Hz camera, the energy of a gait is 0.3 % too low at
+0.15 Hz, 0.7 % at 0.2 Hz and 3 % at 0.4 Hz (a test checks these numbers).
 """
 
 from __future__ import annotations

@@ -279,7 +279,7 @@ def qos_profile(
     liveliness: str,
     times: Sequence[int],
 ) -> dict[str, Any]:
-    """Return one offered QoS profile in the format of rosbag2 version 9.
+    """Return one offered QoS profile in the format of version 9 of metadata.yaml.
 
     Args:
         history, reliability, durability, liveliness: rosbag2's names, such as ``keep_last``, ``reliable``.

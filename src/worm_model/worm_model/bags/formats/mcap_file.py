@@ -57,7 +57,7 @@ class McapFile(StoredFile):
     def blocks(
         self, extents: Iterable[Extent], topics: frozenset[str]
     ) -> Iterator[tuple[int, Messages]]:
-        """Yield messages of some topics in some extents in order of start, each block with its start (ns).
+        """Yield (start in ns, block) for the messages of some topics in extents that are in order of start.
 
         Consecutive small extents form one block, because a recorder that synchronises often writes many.
         """

@@ -8,7 +8,7 @@ A record is plausible if all of these hold:
   of complete records. The checksum of an attachment is correct. A message belongs to a defined channel. An index of
   messages consists of complete entries. In records of other kinds, texts and maps are UTF-8 and fit into the record.
 - The next record satisfies the two conditions above, or there is no next record. This condition does not apply to a
-  chunk that contains records.
+  chunk that contains records. Of the record after the end of the data section, only the kind is checked.
 
 A definition or a metadata record with a damaged length ends where its fields end.
 
@@ -50,6 +50,7 @@ _ENTRY_BYTES = 16
 DEFINITIONS = frozenset({Opcode.SCHEMA, Opcode.CHANNEL})
 _INSIDE = DEFINITIONS | {Opcode.MESSAGE}  # allowed inside a chunk
 _MESSAGE = Opcode.MESSAGE.value
+# kinds outside of chunks that are searched for after damage if the chunks have checksums
 _PROTECTED = frozenset(
     {Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.ATTACHMENT, Opcode.METADATA, Opcode.DATA_END}
 )
@@ -180,7 +181,7 @@ class Walk:
         return True
 
     def _chunk_by_content(self, place: int, last: int) -> Part | None:
-        """Return the intact chunk at a place, with a wrong opcode or a wrong declared length, or None."""
+        """Return the chunk at a place whose content is intact but whose opcode or declared length is wrong, or None."""
         head, first = self._chunk_head(place), place + RECORD.size
         if head is None or not (head.size or head.checksum):
             return None  # zeros look like an empty chunk
@@ -218,7 +219,7 @@ class Walk:
         return Part(Opcode.CHUNK, place, last, runs)
 
     def _is_last_message(self, record: Buffer) -> bool:
-        """Return True if a record up to the end of a chunk is a message, with at most one wrong bit in its length."""
+        """Return True if the record that ends a chunk is a message, with at most one wrong bit in its length."""
         body = record[RECORD.size :]
         if record[0] != _MESSAGE or not self._is_whole(_MESSAGE, body, has_chunk_head):
             return False

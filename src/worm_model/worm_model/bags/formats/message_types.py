@@ -35,7 +35,7 @@ from worm_model.bags.formats.message_block import Topic
 PACKAGE = "worm_msgs"
 SEPARATOR = "=" * 80
 REMEDY = "give the definitions of the recording by --definitions FOLDER, or source the workspace that has them"
-REASON_LENGTH = 200  # characters of a parser's error that are shown; it repeats the definition
+REASON_LENGTH = 200  # shown characters of a parser's error, which repeats the definition
 _CONSTANT = re.compile(r"[A-Za-z]\w*\s+[A-Z]\w*\s*=")
 _UNREADABLE = (TypesysError, ValueError, KeyError, IndexError, RecursionError)
 

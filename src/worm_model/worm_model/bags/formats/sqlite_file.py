@@ -170,7 +170,10 @@ class SqliteFile(StoredFile):
     def blocks(
         self, extents: Iterable[Extent], topics: frozenset[str]
     ) -> Iterator[tuple[int, Messages]]:
-        """Yield messages of some topics in some extents; the unknown publish time is set to the log time."""
+        """Yield (start in ns, block) for the messages of some topics in some extents.
+
+        The publish time of a message is unknown and is set to the log time.
+        """
         query = "SELECT id, topic_id, timestamp, data FROM messages WHERE id >= ? AND id < ? ORDER BY id"
         channels = self.channels
         for extent in extents:

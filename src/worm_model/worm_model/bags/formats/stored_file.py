@@ -93,7 +93,10 @@ class StoredFile(ABC):
     def blocks(
         self, extents: Iterable[Extent], topics: frozenset[str]
     ) -> Iterator[tuple[int, Messages]]:
-        """Yield messages of some topics in some extents in order of start, each block with its start (ns)."""
+        """Yield (start in ns, block) for the messages of some topics in some extents.
+
+        ``extents`` are in order of start. No message of a block has a log time before the start of the block.
+        """
 
     def attachments(self) -> Iterator[AttachedFile]:
         """Yield the attached files."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Time of a bag during playback, with rate, pause and jumps; wall time is an argument."""
+"""Time of a bag during playback, with rate, pause and jumps. The caller passes the wall time."""
 
 from __future__ import annotations
 

@@ -2,9 +2,9 @@
 """Counter of a topic's lost messages, based on the publishers' sequence numbers.
 
 The middleware numbers the messages of each publisher (1, 2, 3, …) but does not identify the publisher of a number.
-The number of lost messages is the sum of the advances of all publishers' numbers minus the number of received messages.
-If two publishers have similar numbers, this sum is correct even if a number is assigned to the wrong publisher. The
-counter uses the present number of publishers to distinguish a publisher that joins late from lost messages.
+The number of lost messages is the increase of the numbers, summed over the publishers, minus the number of received
+messages. The result is correct even if the counter confuses two publishers that have similar numbers. The counter uses
+the present number of publishers to distinguish a publisher that joins late from lost messages.
 """
 
 from __future__ import annotations

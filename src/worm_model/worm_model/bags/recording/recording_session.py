@@ -46,9 +46,12 @@ class SessionOptions:
 class RecordingSession:
     """Sequence of the bags of a recorder. Not thread-safe: one thread calls it.
 
+    The methods `start`, `stop`, `pause`, `resume`, `split` and `snapshot` return a text about the outcome.
+
     Raises:
-        BagError: In `start` and other methods that begin a bag, if the bag exists.
-        OSError: In the same methods, if the bag cannot be created.
+        BagError: In the constructor, `start` and `snapshot`, if the new bag exists. In `stop` and `split`, if nothing
+            is being recorded. In `snapshot`, if there is no ring buffer or no new message.
+        OSError: In the constructor, `start` and `snapshot`, if the new bag cannot be created.
     """
 
     def __init__(self, options: SessionOptions) -> None:
@@ -197,7 +200,7 @@ def after_crash(output: Path) -> Path:
 class _Ring:
     """Ring buffer with the messages of the last ``length_ns``, but at most BACKLOG_BYTES.
 
-    It also contains the latest message of each latched topic that is older than the other messages.
+    In addition, it stores for each latched topic the latest of the messages that were removed.
     """
 
     def __init__(self, length_ns: int) -> None:

@@ -33,7 +33,7 @@ Act = Callable[[BagRecorder], None]
 
 
 class RecordingThread:
-    """Thread that writes messages, synchronises regularly, and closes the bag at the end.
+    """Thread that writes messages, regularly synchronises the bag (`BagRecorder.sync`), and closes it at the end.
 
     Args:
         recorder: the bag; from now on only the thread uses it.
