@@ -145,7 +145,6 @@ def test_two_runs_a_spoilt_one_and_a_validation_are_reported_as_text(
     reported = capsys.readouterr()
     assert "run_07: 7" in reported.err
     assert "validation: run_08: 8 camera samples with a hidden marker" in reported.err
-    assert "Validation runs:" in reported.out
     assert "| run_08 |" in reported.out
     assert "one run cannot separate c_b from α_P" in reported.out
 
