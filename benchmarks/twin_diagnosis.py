@@ -81,9 +81,19 @@ def _kinds_of(cause: Cause) -> dict[str, Kind]:
 
 
 KINDS = {
-    "rear": Kind("misses of the rear fin (cycles)", (1, 2, 3), "missed_groove_rear", 1.0, "rear"),
+    "rear": Kind(
+        "rear fin misses its last groove (number of successive cycles)",
+        (1, 2, 3),
+        "missed_groove_rear",
+        1.0,
+        "rear",
+    ),
     "front": Kind(
-        "misses of the front fin (cycles)", (1, 2, 3), "missed_groove_front", 1.0, "front"
+        "front fin misses its last groove (number of successive cycles)",
+        (1, 2, 3),
+        "missed_groove_front",
+        1.0,
+        "front",
     ),
     "gained": Kind("groove gained", (1, 1, 1), "gained_groove", 1.0, "gained"),
     **{key: kind for cause in LASTING.values() for key, kind in _kinds_of(cause).items()},

@@ -16,7 +16,7 @@ from collections.abc import Mapping
 
 DRIVER = "driver"
 GRAPH = "node graph"
-#: service that every driver has, whatever its name, and no other node
+#: service that identifies a driver: every driver node has it, whatever the node is called, and no other node has it
 DRIVER_SERVICE = "run_gait/_action/send_goal"
 #: s, time after which DDS no longer announces a killed driver. DDS announces a silent participant for 20 s
 ANNOUNCED_S = 25.0
@@ -64,7 +64,7 @@ def claim_graph(namespace: str, domain: int) -> socket.socket:
 
 
 def domain_of(environment: Mapping[str, str]) -> int:
-    """Return the ROS domain that an environment selects. Return 0 for an invalid value, which ROS rejects later."""
+    """Return the ROS domain that an environment selects; 0 for text that is no number, which ROS rejects later."""
     text = environment.get("ROS_DOMAIN_ID", "")
     return int(text) if text.isdecimal() else 0
 

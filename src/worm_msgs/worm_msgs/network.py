@@ -36,8 +36,8 @@ _BINDINGS: Mapping[str, Mapping[str, str]] = {
     },
     "rmw_cyclonedds": {"CYCLONEDDS_URI": _CYCLONE_DDS, _RANGE: "LOCALHOST"},
 }
-#: Variables that select a middleware profile. If one has a value other than that of the binding, the user's own profile
-#: applies, and the network counts as open.
+#: Variables that select a middleware profile. If such a variable of the middleware in use has a value that differs from
+#: its value in `_BINDINGS`, the user's own profile applies, and the network counts as open.
 _PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE", "CYCLONEDDS_URI")
 
 
@@ -121,7 +121,8 @@ def bind(environment: MutableMapping[str, str], middleware: str) -> Reach:
         return current
     inherited = {n: v for n, v in binding.items() if n != _RANGE}
     if binding and inherited.items() <= environment.items():
-        # A bound parent process set these variables. Without them, the middleware opens the network as requested.
+        # A parent process that was bound to this machine has set these variables. They are removed, so that the
+        # middleware opens the network as requested.
         for name in inherited:
             del environment[name]
         if environment.get(_RANGE) == binding[_RANGE]:
@@ -136,7 +137,7 @@ def _binding(middleware: str) -> Mapping[str, str] | None:
 
 
 def _leaves_the_machine(peers: str) -> bool:
-    """Return True if a list of addresses, in the form of ROS's variables, contains another host."""
+    """Return True if a list of addresses, in the form of ROS's variables, contains more than localhost."""
     hosts = (peer.strip().rsplit(":", 1)[0] for peer in peers.split(";") if peer.strip())
     return not all(host == "localhost" or _is_loopback(host) for host in hosts)
 

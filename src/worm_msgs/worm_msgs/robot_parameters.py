@@ -30,8 +30,8 @@ def _row(
     Args:
         default: the paper's value, except for L0; 0 for an effect that the paper's model does not contain.
         unit: SI unit of the value.
-        low, high: admissible range, which `settings_file` checks. A range of several orders of magnitude detects wrong
-            units.
+        low, high: admissible range, which `settings_file` checks. The range spans several orders of magnitude, so that
+            it admits unusual robots and rejects most values in a wrong unit, such as mm for m.
         paper: symbol, as in the paper where the paper has the quantity.
         power_only: True if the value affects the power, but not the motion.
     """

@@ -30,7 +30,8 @@ def run_command(
     """Parse the arguments and run the command.
 
     Returns:
-        Exit status: 2 for bad input, 1 for another error or Ctrl-C, else 0.
+        Exit status: 2 for bad input, 1 for another error or Ctrl-C, else 0. Wrong arguments and --help end the
+        program in the parser.
     """
     options = parser.parse_args(arguments)
     try:
@@ -69,7 +70,7 @@ def positive(text: str) -> float:
     """Return a finite number above 0. Type of an argument for argparse."""
     value = float(text)
     if not (math.isfinite(value) and value > 0.0):
-        raise argparse.ArgumentTypeError(f"{text} must be above 0")
+        raise argparse.ArgumentTypeError(f"{text} must be a finite number above 0")
     return value
 
 

@@ -97,9 +97,9 @@ class PlayerState:
 
     Attributes:
         phase: present phase.
-        phase_start: start of the phase, s.
+        phase_start: start of the phase, s. A late step of a ramp shifts it; `cancel` does not change it.
         length_change: commanded length change, m.
-        ramp_from: commanded length change at the start of the phase, m, from which a ramp starts.
+        ramp_from: commanded length change from which the latest ramp started, m.
         direction: commanded direction of the fins, 1 or -1; 0 before the first run and after a hold.
         stepped: time of the last step, s.
         still_start: latest time at which a motion was commanded or a fin was not at its goal, s.
@@ -257,7 +257,10 @@ def step(
 
 
 def _delayed(state: PlayerState, now: float, settings: PlayerSettings) -> PlayerState:
-    """Return the state with its ramp delayed by the time by which this step is late."""
+    """Shift the start of a ramp in progress if this step is late, so that the cable does not catch up.
+
+    A step is late if more than ``longest_step`` has passed since the previous one; the shift is the excess.
+    """
     is_ramp = state.phase in (Phase.RETURNING, Phase.TENSIONING) or (
         state.phase is Phase.STOPPING and state.run is not None and state.run.onset is None
     )

@@ -28,9 +28,9 @@ DICTIONARIES = {
 #: Smallest number of reference markers. A single marker determines the camera's direction only to one or two degrees,
 #: which is about a centimetre at the modules.
 FEWEST_REFERENCES = 2
-#: Largest side or offset of a marker (m). Larger values, also of the following limits, are probably in mm.
+#: Largest side or offset of a marker (m). A value above this limit, or above a limit below, is probably in mm.
 LARGEST_MARKER = 0.5
-#: Largest distance from the pipe's axis (m).
+#: Largest distance from the pipe's axis along y, and along z (m).
 LARGEST_SIDEWAYS = 3.0
 #: Largest distance along the pipe's axis (m).
 LARGEST_ALONG = 20.0
@@ -71,7 +71,7 @@ class Rig:
         rear, front: markers of the modules.
         line: line along which the centres of the modules' markers move.
         reference: centre (x, y, z) of each marker fixed to the pipe, m, by marker number.
-        rate: rate at which images without times are read, and which is requested from a camera, Hz; 0 if not given.
+        rate: frame rate, Hz, assumed for images without timestamps and requested from a camera; 0 if not given.
         delay: delay from exposure to stamp, s.
         pose: one of POSES.
         max_speed: largest speed of a module, m/s; faster detections are rejected.

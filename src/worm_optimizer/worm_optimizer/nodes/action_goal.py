@@ -93,7 +93,7 @@ class ActionGoal:
         self._client.destroy()
 
     def _message(self) -> Any:
-        """Return the result message of a goal that is done."""
+        """Return the result message of an accepted goal that has ended."""
         assert self._ended is not None
         return self._ended.result().result
 
@@ -116,4 +116,4 @@ class ActionGoal:
         self._take(message.feedback)
 
     def _take(self, feedback: Any) -> None:
-        """Process a feedback message. The default does nothing, because searches send no feedback."""
+        """Process a feedback message. The default ignores it; the search action sends none."""

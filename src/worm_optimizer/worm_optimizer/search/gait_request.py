@@ -2,7 +2,7 @@
 """Requests for gaits and their exact answers: the three gaits of a front, and the best gait at a speed or a power.
 
 The length of the robot at rest determines its groove phase, and so the number of grooves that a stroke gains
-(`docs/model.md`). A request may therefore contain this length.
+(`docs/model.md`). The service `RequestGait` may therefore give this length.
 """
 
 from __future__ import annotations

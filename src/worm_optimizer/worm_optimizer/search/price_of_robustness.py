@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Price of robustness: the lowest cost of transport over the margin δ_m, and its cliff.
+"""Price of robustness: the lowest cost of transport as a function of the margin δ_m, and its cliff.
 
 All margins are scanned at once, on the branches' lower edges (`exact`).
 """
@@ -24,11 +24,12 @@ from worm_optimizer.search import exact
 CLIFF_RISE = 1.25  # least factor by which the lowest cost of transport rises at a cliff
 CLIFF_TOLERANCE = 1e-6  # accuracy of the margin at the cliff, m
 CLIFF_RULE = (
-    "the cliff is the margin at which the branch (grooves per cycle) with the lowest cost of transport is lost and the "
-    f"lowest cost of transport rises by a factor of {CLIFF_RISE} or more within a step of the scan, bisected to "
-    f"{1e6 * CLIFF_TOLERANCE:g} µm; the margin beyond which no gait moves is a cliff, too"
+    "a cliff lies between two successive margins of the scan if the branch (grooves per cycle) with the lowest cost of "
+    f"transport is lost and this cost rises by a factor of {CLIFF_RISE} or more, or if no gait moves any more; the "
+    f"margin at the cliff is found by bisection to {1e6 * CLIFF_TOLERANCE:g} µm"
 )
-# A coarse resolution suffices, because the minimum is followed between the columns. 81 margins take two seconds.
+# A coarse resolution suffices, because `exact.followed` refines the minimum between these frequencies. 81 margins take
+# two seconds.
 _RESOLUTION = exact.Resolution(strokes=21, frequencies=17)
 _ZOOM = exact.Zoom(points=5, rounds=6)
 
@@ -79,7 +80,8 @@ class PriceOfRobustness:
     Attributes:
         points: optimum at each margin, by rising margin.
         cliff: cliff; None if the scanned margins contain none.
-        closed_form_cliff_margin: margin at the cliff in the slow limit, m.
+        closed_form_cliff_margin: margin at the cliff for slow gaits, whose viscous friction is negligible, m; see
+            `closed_form`.
         groove_phase: groove phase of the robot, m.
     """
 
@@ -131,7 +133,7 @@ class ScannedTask(Protocol):
         count: Index | None = None,
         margin: Array | None = None,
     ) -> Edges:
-        """Find the edges of all branches, see `task.Task.edges`; ``margin`` in m has shape (m,)."""
+        """Find the edges of all branches, see `task.Task.edges`; ``margin`` (m) has the shape of ``frequency``."""
 
 
 def price_of_robustness(task: ScannedTask, margins: Array) -> PriceOfRobustness:
@@ -209,7 +211,7 @@ def _is_lost(before: MarginPoint, after: MarginPoint) -> bool:
 
 
 def _bisected(task: ScannedTask, before: MarginPoint, after: MarginPoint) -> float:
-    """Return the margin at the cliff between two points in m: the largest known margin before the branch is lost."""
+    """Return the margin (m) at the cliff between two margins of the scan: the largest one tried before the cliff."""
     low, high = before.margin, after.margin
     while high - low > CLIFF_TOLERANCE:
         middle = 0.5 * (low + high)

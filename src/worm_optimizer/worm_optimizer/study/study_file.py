@@ -191,7 +191,7 @@ def identity_of(study: plan.Study) -> str:
 
 
 def extends(study: plan.Study, stored: plan.Study) -> bool:
-    """Return True if a study differs from a stored one only by more samples of the same sequence."""
+    """Return True if a study differs from a stored one, apart from title and block size, only by more samples."""
     alike = dataclasses.replace(
         study, sample=dataclasses.replace(study.sample, points=stored.sample.points)
     )
@@ -214,7 +214,7 @@ def _check(study: plan.Study) -> None:
     if needs_margin and not study.margin_at_cliff and "margin_m" not in named:
         raise StudyError(
             f"compute: {min(needs_margin)} needs a margin: "
-            "write fixed: {margin_m: 0.002}, vary it, or write margin_m: cliff"
+            'write "fixed: {margin_m: 0.002}" or "fixed: {margin_m: cliff}", or put margin_m under vary'
         )
     _check_waveform(study, named)
     if "groove_phase_m" in named and "initial_length" in named:
@@ -245,7 +245,9 @@ def _check_waveform(study: plan.Study, named: set[str]) -> None:
     if bounds and not shaped:
         raise StudyError(f"{min(bounds)}: has an effect only with waveform: shaped")
     if shaped and "any_phase" in study.compute:
-        raise StudyError("compute: any_phase needs waveform: sinusoid; remove one of them")
+        raise StudyError(
+            "compute: any_phase is not possible with waveform: shaped; remove one of the two"
+        )
 
 
 def _number(where: str, value: Any) -> float:

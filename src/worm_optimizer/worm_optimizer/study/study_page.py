@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""HTML page of a study: the best point, its neighbours, failed points, and limits of the model."""
+"""HTML page of a study: the best point, its neighbours, Sobol indices, failed points, and limits of the model."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ _BEST = 10  # largest number of rows of the tables of best points and of failure
 # Limit of the model that the page states if the study varies the quantity
 _COUPLED = {
     "bellows_stiffness": "A stiffer bellows extends faster: on a real robot time_constant, gain and slack change, too. "
-    "They stay unless the study varies them, so that bellows_stiffness affects only the power.",
+    "Here they keep their values unless the study varies them; bellows_stiffness alone then affects only the power.",
     "bellows_damping": "Damping and stiffness of a bellows depend on the same material; here they vary independently.",
     "slack": "Less slack needs a tighter cable. The model does not compute whether the cable stays tight during a run.",
-    "pitch": "Another pitch needs other fins, but threshold and stiffnesses stay unless the study varies them. "
-    "With a fixed initial_length, the groove phase changes with the pitch (vary or fix groove_phase_m).",
-    "clearance": "Clearance depends on the shape of the fin, but the fin's stiffnesses stay unless the study varies "
-    "them.",
+    "pitch": "Another pitch needs other fins, but threshold and stiffnesses keep their values unless the study varies "
+    "them. With a fixed initial_length, the groove phase changes with the pitch (vary or fix groove_phase_m).",
+    "clearance": "Clearance depends on the shape of the fin, but the fin's stiffnesses keep their values unless "
+    "the study varies them.",
     "switching_threshold": "Threshold and stiffnesses depend on the same shape and material of the fin, but the "
-    "stiffnesses stay unless the study varies them.",
+    "stiffnesses keep their values unless the study varies them.",
     "spool_radius_m": "The spool radius affects speed and force of the servos only. Winding and inertia are not "
     "modelled.",
 }
@@ -38,7 +38,7 @@ _COUPLED = {
 _ALWAYS = (
     "All numbers are predictions for the groove phase of the point. A robot with another groove phase gains other "
     "numbers of grooves.",
-    "Designs that differ by less than the uncertainty of the parameters (success_probability) cannot be distinguished.",
+    "Designs cannot be ranked if their results differ by less than what the uncertainty of the parameters can cause.",
 )
 
 
@@ -61,7 +61,7 @@ class Source:
 
 
 def write_page(output: Path, study: Study, page: Path) -> None:
-    """Write the page of the results in ``output``.
+    """Write the HTML page ``page`` about the results that are stored in the folder ``output``.
 
     Raises:
         FileExistsError: The page exists already.

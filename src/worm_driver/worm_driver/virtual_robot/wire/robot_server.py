@@ -104,7 +104,7 @@ class RobotServer:
         on_time: called in the serving thread with the robot's time (s) at each update.
 
     Attributes:
-        shares_time: True if clients can use the robot's clock; False in real time.
+        shares_time: True if clients can use the robot's clock; False if ``rate`` is None.
         time: simulated time and its rate.
     """
 

@@ -83,7 +83,7 @@ def read_metadata(directory: Path) -> dict[str, Any]:
     """Return the content of a bag's metadata.yaml below its root key.
 
     Raises:
-        BagError: The file is missing or not rosbag2's.
+        BagError: The file is missing, cannot be read, or is not rosbag2's.
     """
     path = directory / METADATA_FILE
     if path.exists() and not path.is_file():
@@ -185,7 +185,7 @@ def first_qos_profile(topic: Topic) -> dict[str, Any]:
 
 
 class _Dumper(_DUMPER):
-    """YAML writer that repeats an object instead of a reference to its first occurrence."""
+    """YAML writer that writes each further occurrence of an object in full, not as a reference to the first."""
 
     def ignore_aliases(self, data: Any) -> bool:  # noqa: ARG002 - applies to any data
         return True
@@ -205,7 +205,7 @@ def metadata_text(
 ) -> str:
     """Return the content of metadata.yaml below its root key.
 
-    The metadata record "rosbag2" of an MCAP file contains the same text without files.
+    The metadata record "rosbag2" in an MCAP file contains the same text, with empty lists of files.
 
     Args:
         total: number of messages of the bag and their time span.

@@ -2,9 +2,10 @@
 """Counter of a topic's lost messages, based on the publishers' sequence numbers.
 
 The middleware numbers the messages of each publisher (1, 2, 3, …) but does not identify the publisher of a number.
-The number of lost messages is the increase of the numbers, summed over the publishers, minus the number of received
-messages. The result is correct even if the counter confuses two publishers that have similar numbers. The counter uses
-the present number of publishers to distinguish a publisher that joins late from lost messages.
+The number of lost messages is the increase of the numbers minus the number of messages that were received after the
+first one of each publisher, summed over the publishers. The result is correct even if the counter confuses two
+publishers that have similar numbers. The counter uses the present number of publishers to distinguish a publisher that
+joins late from lost messages.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ class LossCounter:
     def __init__(self, publishers: Callable[[], int]) -> None:
         self._publishers = publishers
         self._received_from = 0  # number of publishers from which a message was received
-        # Number of publishers from before the recording from which no message was received yet
+        # Number of publishers that existed before the recording and have not delivered a message yet
         self._outstanding = 0
         # Last sequence number of each publisher, the least recently received first
         self._last: list[int] = []
@@ -35,7 +36,10 @@ class LossCounter:
         self.missed = 0
 
     def expect(self, publishers: int) -> None:
-        """Set the number of publishers from before the recording, whose earlier messages do not count as missed."""
+        """Set the number of publishers that existed when the recording began.
+
+        What they sent before their first received message does not count as missed.
+        """
         self._outstanding = max(publishers - self._received_from, 0)
 
     def observe(self, sequence: int) -> None:

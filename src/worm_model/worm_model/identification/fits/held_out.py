@@ -39,9 +39,10 @@ def leave_one_out(
 ) -> tuple[dict[str, Errors], dict[str, Errors]]:
     """Return the errors by run with the parameters of the other runs, and with the paper's table.
 
-    Stages 4 to 7 are repeated without each run in turn, starting from the fit to all runs. c_b is fixed if it is not
-    identifiable. Three quantities are not estimated again. The forces in the energy fit and the scatter of the grooves
-    come from the fit to all runs, and a run's length is smoothed with a fit to that run. Both results use the camera's
+    For each run, stages 4 to 7 (motion, actuation, idle power, energy) are repeated with the other runs. The fit of the
+    motion starts from the fit to all runs. c_b is fixed if it is not identifiable. Not estimated again are the forces
+    in the energy fit and the scatter of the grooves, which come from the fit to all runs, and the L0 and the smoothed
+    length of the left-out run, which come from that run itself. Both results use the camera's
     mean clock offset of the other runs. With a single run, the first result is empty, and the second uses the run's own
     offset.
     """

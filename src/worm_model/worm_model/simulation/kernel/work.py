@@ -2,8 +2,8 @@
 """Mechanical power of the cable (eq:power_model), and the antiderivative of F_c·L̇ over a mode, in closed form.
 
 The functions (1, σ, cos ωσ, e^qσ, h1, h2, R) and the kinds of roots are those of `kernel.linear`. The wave terms are
-those with cos ωσ, sin ωσ and e^qσ. r and f are the coefficients of the rate L̇ and of the force F_c. ∫ is an
-antiderivative over the time in s, at the moment of the basis b.
+those with cos ωσ, sin ωσ and e^qσ. r and f are the coefficients of the rate L̇ and of the force F_c. ∫ denotes an
+antiderivative with respect to time (in seconds), evaluated at the moment of the basis b.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def _wave_products(r: Coefficients, f: Coefficients, b: Basis, wave: Wave) -> fl
 def _separated_products(
     r: Coefficients, f: Coefficients, b: Basis, wave: Wave, roots: Roots
 ) -> float:
-    """Return ∫ of the wave terms of the rate times f.h1·e^(r1·s) + f.h2·e^(r2·s)."""
+    """Return ∫ of (wave terms of the rate) · (f.h1·e^(r1·s) + f.h2·e^(r2·s)); r1 and r2 are the roots."""
     w = wave.omega
     total = 0.0
     for root, response in ((roots.r1, f.h1 * b.h1), (roots.r2, f.h2 * b.h2)):
@@ -64,7 +64,10 @@ def _separated_products(
 
 @inlined
 def _rotated(z: complex, factor: complex, h1: float, h2: float, b: Basis, roots: Roots) -> float:
-    """Return Re ∫ factor·(h1·b.h1 + h2·b.h2) for joined roots, where the derivative of ``factor`` is z·factor."""
+    """Return Re ∫ of a factor times the free response with the coefficients ``h1`` and ``h2``, for joined roots.
+
+    ``factor`` is the value at ``b`` of a function whose derivative is z times itself.
+    """
     p = z - roots.gamma
     det = p * p - roots.discriminant
     a1 = (p * h1 - h2) / det
@@ -74,7 +77,7 @@ def _rotated(z: complex, factor: complex, h1: float, h2: float, b: Basis, roots:
 
 @inlined
 def _joined_products(r: Coefficients, f: Coefficients, b: Basis, wave: Wave, roots: Roots) -> float:
-    """Return ∫ of the wave terms of the rate times f.h1·h1 + f.h2·h2, for joined roots."""
+    """Return ∫ of (wave terms of the rate) · (f.h1·h1 + f.h2·h2), for joined roots."""
     turning = (r.cos - 1j * r.sin) * (b.cos + 1j * b.sin)
     decaying = complex(r.exp * b.exp, 0.0)
     return _rotated(complex(0.0, wave.omega), turning, f.h1, f.h2, b, roots) + _rotated(
@@ -95,8 +98,8 @@ def _resonant_products(
     decaying = r.exp * b.exp
     z = complex(0.0, wave.omega) + wave.q
     total = (turning / z).real * b.res + decaying * b.res / (2.0 * wave.q)
-    # The remaining term is −(1/M)·∫ W·S, where W is the rate with each wave term divided by its exponent (iω or q)
-    # plus q. The functions for the free response integrate it.
+    # The remaining term is −(1/M)·∫ W·S, where W consists of the wave terms of the rate, each divided by the sum
+    # (exponent + q); the exponent is iω or q. The functions for the free response integrate it.
     turned = (r.cos - 1j * r.sin) / z
     scaled = Coefficients(
         0.0, 0.0, 0.0, 0.0, turned.real, -turned.imag, r.exp / (2.0 * wave.q), 0.0, 0.0, 0.0
@@ -129,10 +132,10 @@ def _line_times_free(p0: float, p1: float, h1: float, h2: float, b: Basis, roots
 def _polynomial_products(
     r: Coefficients, f: Coefficients, b: Basis, wave: Wave, roots: Roots
 ) -> float:
-    """Return ∫ of the products of rate and force that contain a power of σ.
+    """Return ∫ of the products of rate and force that `_wave_products` and the others with wave terms do not contain.
 
-    These are the polynomial of the rate times the whole force, and the exponential of the rate times the linear and
-    quadratic terms of the force.
+    These are the polynomial of the rate (constant and linear terms) times all terms of the force except cos and sin,
+    and the exponential of the rate times the linear and quadratic terms of the force.
     """
     t, q = b.t1, wave.q
     total = t * (r.one * f.one + t * 0.5 * (r.one * f.t1 + r.t1 * f.one))
@@ -143,8 +146,8 @@ def _polynomial_products(
     total += _line_times_free(r.one, r.t1, f.h1, f.h2, b, roots)
     if f.res == 0.0:
         return total
-    # The term f.res·R is integrated by parts. With R′ = q·R + S/M as in `_resonant_products`, the polynomial P of the
-    # rate, and G with G′ + q·G = P: ∫ P·R = G·R − (1/M)·∫ G·S.
+    # The term f.res·R is integrated by parts. Let P be the polynomial of the rate, and let G satisfy G′ + q·G = P. With
+    # R′ = q·R + S/M (`_resonant_products`), ∫ P·R = G·R − (1/M)·∫ G·S follows.
     gap = roots.r1 - roots.r2
     h1, h2 = (0.0, 1.0) if roots.joined else (1.0 / gap, -1.0 / gap)
     free = _line_times_free(r.one / q - r.t1 / (q * q), r.t1 / q, h1, h2, b, roots)

@@ -33,7 +33,7 @@ from worm_model.twin.core.memory import (
 from worm_model.twin.records import Activity, Health
 
 MEMORY_S = 2.0  # s, time constant of the average
-SILENT_S = 5.0  # s, age of the last residual from which a channel does not affect the health
+SILENT_S = 5.0  # s; a channel whose last residual is older than this does not affect the health
 SUSPECT_FROM = 2.0  # limits of the root mean square, in usual sizes
 FAULTY_FROM = 4.0
 RECOVERY = 0.75  # share of a limit at which the level of a channel improves
@@ -47,7 +47,8 @@ UNKNOWN, HEALTHY, SUSPECT, FAULTY = (int(health) for health in Health)
 def observe(memory: Memory, channel: int, stamp: int, residual: float, scale: float) -> None:
     """Add a residual to the mean square of its channel.
 
-    ``scale`` is the usual size, to which the noise is added. ``residual`` and ``scale`` are in m or W.
+    ``scale`` is the usual size. The square of the residual is divided by scale² plus the estimated variance of the
+    noise. ``residual`` and ``scale`` are in m or W.
     """
     m = memory.record[0]
     square = residual**2 / (scale**2 + m.noise_square[channel])
@@ -212,9 +213,10 @@ def _judge_power(memory: Memory, stamp: int, power: float, rules: Rules, out: Ou
         before = power if math.isnan(m.instrument_power) else m.instrument_power
         m.instrument_energy += 0.5 * (before + power) * (stamp - m.instrument_ns) * 1e-9
         m.instrument_ns, m.instrument_power = stamp, power
-    # At the onset the length's rate steps. The smoothed rate, and so the predicted power, is wrong near this step.
+    # At the onset the rate of the length jumps. The smoothed rate, and so the predicted power, is wrong near this jump.
     if (stamp - m.start_ns) * 1e-9 > 4.0 * rules.smoothing:
-        # Noise of the lengths makes the prediction vary slowly, so that the estimated noise does not include it.
+        # Noise of the lengths makes the predicted power vary slowly. The estimate of the noise ignores slow changes.
+        # Therefore this variance is added here.
         scale = math.sqrt(rules.power_scale**2 + m.power_variance)
         if m.start_known:
             observe(memory, POWER, stamp, residual, scale)
@@ -232,7 +234,10 @@ def _is_settled(memory: Memory, rules: Rules) -> bool:
 
 @entry
 def judge(memory: Memory, rules: Rules, c: Constants, out: OutputRows) -> float:
-    """Compare the row being processed with the twin, if the answer (for a length) or the motion has reached this row.
+    """Compare the row being processed with the twin.
+
+    A length is compared only during a run, if ΔL from the actuation model (`Memory`: answer) is known at this row. A
+    position or a power is compared only if the motion is computed up to this row.
 
     Returns the shift (m) of a tracker that was moved, otherwise 0.
     """
