@@ -13,11 +13,14 @@ from worm_model.simulation.closed_form import groove_phase
 from worm_model.simulation.simulator import (
     GaitResult,
     Locomotion,
+    LocomotionState,
     SimulationError,
     evaluate_gait,
     play_gait,
 )
-from worm_model.twin.run_start import motion_of
+from worm_model.twin.core.memory import Memory
+from worm_model.twin.records import Activity
+from worm_model.twin.run_start import TURNED_NS, DriverState, begin_run, motion_of
 from worm_model.twin.twin import Twin, TwinState
 
 HORIZON_S = 10.0  # default horizon
@@ -36,7 +39,7 @@ class Forecast:
     Attributes:
         robust: result of a run from rest, with the gait's margin.
         nominal: result of a run from rest, without the margin.
-        time: time from now, s, shape (n,).
+        time: time from now, s, shape (n,); after a change of direction, from the onset on.
         rear_position: x1 in the tracker's frame, m, shape (n,).
         front_position: x2 in the tracker's frame, m, shape (n,).
         power: predicted source power, W, shape (n,).
@@ -65,27 +68,19 @@ def forecast(twin: Twin, state: TwinState, gait: Gait, horizon_s: float = HORIZO
     horizon = horizon_s or HORIZON_S
     if not STEP_S <= horizon <= LONGEST_S:
         raise ForecastError(f"horizon: {horizon_s:g} s is not between {STEP_S} and {LONGEST_S:g} s")
-    parameters = twin.effective_parameters(state)
     try:
+        begun, start = _start(twin, state, gait)
+        parameters = twin.effective_parameters(begun)
         robust = evaluate_gait(gait, parameters)
         nominal = evaluate_gait(replace(gait, margin=0.0), parameters)
-        return _ahead(twin, state, gait, horizon, (robust, nominal))
+        time: Array = np.arange(1, round(horizon / STEP_S) + 1, dtype=float) * STEP_S
+        motions = play_gait(gait, parameters, start, time)
     except SimulationError as error:
         raise ForecastError(f"the gait cannot be predicted: {error}") from None
-
-
-def _ahead(
-    twin: Twin, state: TwinState, gait: Gait, horizon: float, figures: tuple[GaitResult, GaitResult]
-) -> Forecast:
-    parameters = twin.effective_parameters(state)
-    m = state.record
-    start = motion_of(m) if m["moving"] else Locomotion(parameters, gait.direction).start()
-    time: Array = np.arange(1, round(horizon / STEP_S) + 1, dtype=float) * STEP_S
-    motions = play_gait(gait, parameters, start, time)
-    origin = float(m["origin"]) + int(m["moved"]) * parameters.pitch
+    origin = float(begun.record["origin"]) + int(begun.record["moved"]) * parameters.pitch
     return Forecast(
-        robust=figures[0],
-        nominal=figures[1],
+        robust=robust,
+        nominal=nominal,
         time=time,
         rear_position=origin + motions.x1,
         front_position=origin + motions.x2,
@@ -94,3 +89,21 @@ def _ahead(
         grooves=gait.direction * (int(motions.rear_groove[-1]) - start.rear_groove),
         groove_phase=groove_phase(parameters),
     )
+
+
+def _start(twin: Twin, state: TwinState, gait: Gait) -> tuple[TwinState, LocomotionState]:
+    """Return the state of the twin and its motion at the onset of a gait that begins now.
+
+    For a gait in the other direction, the fins are turned now, and the robot rests in their new grooves at the onset.
+    """
+    if gait.direction != state.direction:
+        memory = Memory(*(part.copy() for part in state.memory))
+        onset = int(state.record["processed_ns"]) + TURNED_NS
+        driver = DriverState(onset, Activity.RUNNING, gait, onset)
+        begin_run(memory, driver, twin.parameters, twin.settings, state.starts)
+        state = replace(state, memory=memory)
+    elif state.record["moving"]:
+        return state, motion_of(state.record)
+    m, model = state.record, Locomotion(twin.effective_parameters(state), gait.direction)
+    pose = float(m["answer"]), float(m["pose_x1"]), int(m["pose_front"])
+    return state, model.start(0.0, *pose)

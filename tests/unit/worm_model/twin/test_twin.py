@@ -22,7 +22,7 @@ from twin_samples import (
 from worm_model.gait import REVERSE, Gait
 from worm_model.parameters import PAPER
 from worm_model.simulation.simulator import evaluate_gait, simulate
-from worm_model.twin.cause_table import CAMERA_MOVED
+from worm_model.twin.cause_table import CAMERA_MOVED, GAP
 from worm_model.twin.records import Activity, Health, LengthSource
 from worm_model.twin.twin import Twin
 from worm_model.twin.twin_settings import TwinSettings
@@ -215,6 +215,15 @@ def test_a_pause_of_a_measured_length_is_survived(one_by_one: bool):
     assert all(math.isfinite(e) for e in energy)
 
 
+@pytest.mark.parametrize(("command", "length"), [(3.9, 4.04), (4.04, 3.9)])
+def test_a_pause_ends_at_the_next_length_of_any_kind(command: float, length: float):
+    """Between two lengths of any kind are 0.9 s at most, less than `pause_s`."""
+    kept = [s for s in commands(GAIT, 6.0) if not at(3.0) < s.stamp_ns < at(command)]
+    seen = [TrackerSample(at(3.85), ORIGIN, math.nan), MeasuredLength(at(length), 0.27)]
+    output = run(in_order(announcements(GAIT), kept, seen))
+    assert GAP.code not in {notice.code for notice in output.notices}
+
+
 def test_a_clock_that_jumps_back_restarts_the_twin():
     first = in_order(announcements(GAIT), commands(GAIT, 6.0))
     output = run(first + first)
@@ -278,6 +287,54 @@ def test_one_stream_alone_does_not_move_the_clock_ahead():
     place = len(clean) // 2
     spoilt = run([*clean[:place], *seen[:50], *clean[place:]])
     assert repr(spoilt) == repr(run(clean))
+
+
+@pytest.mark.parametrize(
+    "ahead",
+    [
+        [("command", 2.0), ("tracker", 30.0), ("power", 59.0)],
+        [("power", 59.0), ("tracker", 30.0), ("command", 2.0)],
+        [("command", 2.0), ("tracker", 2.01), ("power", 59.0)],
+        [("command", 2.0), ("command", 2.01), ("gait", 2.02)],
+        [("gait", 2.0), ("tracker", 2.01), ("tracker", 2.02)],
+        [("gait", 2.0), ("gait", 2.01), ("gait", 2.02)],
+    ],
+)
+def test_samples_ahead_that_do_not_confirm_each_other_leave_no_trace(ahead):
+    """Some stamps disagree, or those of a single topic agree; a driver state confirms nothing."""
+    clean = in_order(announcements(GAIT), commands(GAIT, 4.0), observed(GAIT, 4.0))
+    place = next(k for k, s in enumerate(clean) if s.stamp_ns > at(2.0))
+    wild = [WILD[kind](2.0 + time) for kind, time in ahead]
+    spoilt = run([*clean[:place], *wild, *clean[place:]])
+    assert repr(spoilt) == repr(run(clean))
+
+
+def test_driver_states_during_a_pause_are_accepted_once():
+    """The driver reports the onset and each cycle, while all lengths are lost."""
+    states = [
+        GaitSample(at(k * GAIT.period), Activity.RUNNING, GAIT, ONSET, run=1, cycle=k + 1)
+        for k in range(5)
+    ]
+    kept = [s for s in commands(GAIT, 30.0) if not at(-1.5) < s.stamp_ns < at(21.0)]
+    samples = in_order(states, kept)
+    twin = Twin()
+    state = twin.start()
+    output = follow(samples, twin, state=state)
+    assert {name: n for name, n in state.counts.items() if n} == {"taken": len(samples)}
+    assert texts(output).count("a run begins") == 1
+    assert output.states[-1].stamp_ns == at(30.0)
+
+
+@pytest.mark.parametrize(("rate", "number"), [(1.0, 3), (30.0, 100)])
+def test_a_single_topic_goes_on_after_a_pause(rate: float, number: int):
+    """Three samples suffice if no other topic was active before the pause, otherwise 100."""
+    before = commands(GAIT, 0.0)
+    if number == 100:
+        before = in_order(before, observed(GAIT, 0.0))
+    after = [CommandedLength(at(5.0 + k / rate), 0.0) for k in range(number)]
+    output, early = run([*before, *after]), run([*before, *after[:-1]])
+    assert output.states[-1].stamp_ns == after[-1].stamp_ns
+    assert early.states[-1].stamp_ns == at(0.0)
 
 
 def slipped(samples: list, time: float, offset: float, lasts: float = 1.0) -> list:

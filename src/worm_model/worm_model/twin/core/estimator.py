@@ -474,7 +474,8 @@ def _gap(memory: Memory, rules: Rules) -> float:
     stamp = row.stamp
     if row.kind != LENGTH_KIND and row.kind != COMMAND_KIND:
         until = row.stamp + rules.look_ahead
-        k = max(next_of(memory, COMMAND_KIND, until), next_of(memory, LENGTH_KIND, until))
+        command, length = next_of(memory, COMMAND_KIND, until), next_of(memory, LENGTH_KIND, until)
+        k = min(command, length) if command >= 0 and length >= 0 else max(command, length)
         if k < 0:
             return 0.0
         stamp = memory.rows[k].stamp

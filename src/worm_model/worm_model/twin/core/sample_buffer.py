@@ -9,12 +9,13 @@
   plausible counts as not a number.
 - **Jump back.** The clock has jumped back if three successive late samples are older by more than ``jump_back_s`` than
   the newest sample of all topics, including the driver states.
-- **Ahead.** A sample that is ahead of the newest by more than ``hold_ahead_s`` is held. Samples held before, and ahead
-  of this sample by more than ``hold_ahead_s``, are excluded. Three held samples confirm each other. If several topics
-  are active, the held samples must be of at least two topics, unless 100 samples are held. If the first confirmed
-  sample is at most ``jump_ahead_s`` ahead, a pause has ended, and the held samples are inserted. If it is further
-  ahead, the clock has jumped. If a sample that is not ahead arrives before the confirmation, the held samples are
-  excluded.
+- **Ahead.** A sample that is ahead of the newest by more than ``hold_ahead_s`` is held. If its stamp differs by more
+  than ``hold_ahead_s`` from that of the sample held last, all samples held before are excluded. Three held samples
+  confirm each other. If several topics are active, they must be of at least two topics, unless 100 samples are held.
+  Held driver states confirm nothing. They are excluded only if they are ahead of a later held sample by more than
+  ``hold_ahead_s``. If the first confirmed sample is at most ``jump_ahead_s`` ahead, a pause has ended, and the held
+  samples are inserted. If it is further ahead, the clock has jumped. If a sample that is not ahead arrives before the
+  confirmation, the held samples are excluded.
 - A **driver state** is never late, because its topic is latched. A state of a running gait is inserted at the onset, or
   at the earliest stamp that is not late.
 """
@@ -156,29 +157,51 @@ def _insert_row(memory: Memory, s: np.ndarray, rules: Rules) -> bool:
 
 
 @entry
+def _drop_contradicted(memory: Memory, s: np.ndarray, rules: Rules) -> None:
+    """Drop the held samples that a new sample contradicts, and the oldest held one if there is no room.
+
+    A sample contradicts all held ones if its stamp differs by more than ``hold_ahead`` from that of the last one.
+    Driver states contradict nothing, and are dropped only if they are ahead of the sample by more than ``hold_ahead``.
+    """
+    m, held, row = memory.record[0], memory.held, s[0]
+    agrees = True
+    for k in range(m.ahead):
+        if held[k].kind != GAIT_KIND:
+            agrees = abs(row.stamp - held[k].stamp) <= rules.hold_ahead
+    count = 0
+    for k in range(1 if m.ahead == HELD else 0, m.ahead):
+        early = held[k].stamp - row.stamp <= rules.hold_ahead
+        stands = early if held[k].kind == GAIT_KIND else agrees
+        if stands or row.kind == GAIT_KIND:
+            held[count] = held[k]
+            count += 1
+    m.ahead = count
+
+
+@entry
 def _hold(memory: Memory, s: np.ndarray, rules: Rules) -> int:
     """Hold a sample that is ahead. If the held samples confirm each other, insert them or return JUMPED_AHEAD."""
     m, held, row = memory.record[0], memory.held, s[0]
-    count = 0
-    for k in range(m.ahead):
-        if held[k].stamp <= row.stamp + rules.hold_ahead:
-            held[count] = held[k]
-            count += 1
-    if count < HELD:
-        held[count] = row
-        count += 1
-    m.ahead = count
-    alive, kinds = 0, 0
-    for kind in range(KINDS):
+    _drop_contradicted(memory, s, rules)
+    held[m.ahead] = row
+    m.ahead += 1
+    if row.kind == GAIT_KIND:
+        return NO_JUMP
+    count, first = m.ahead, row.stamp
+    alive, kinds, confirming = 0, 0, 0
+    for kind in range(COMMAND_KIND, KINDS):
         recent = m.newest[kind] >= m.present - rules.hold_ahead
-        alive += 1 if kind != GAIT_KIND and recent and m.newest[kind] > 0 else 0
+        alive += 1 if recent and m.newest[kind] > 0 else 0
+        same = 0
         for k in range(count):
             if held[k].kind == kind:
-                kinds += 1
-                break
-    if (count < CONFIRMATIONS or kinds < min(alive, 2)) and count < HELD:
+                same += 1
+                first = min(first, held[k].stamp)
+        confirming += same
+        kinds += 1 if same > 0 else 0
+    if confirming < CONFIRMATIONS or (kinds < min(alive, 2) and count < HELD):
         return NO_JUMP
-    if held[0].stamp - m.present > rules.jump_ahead:
+    if first - m.present > rules.jump_ahead:
         return JUMPED_AHEAD
     for k in range(count):
         _insert_row(memory, held[k : k + 1], rules)
