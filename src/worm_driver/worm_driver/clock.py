@@ -25,7 +25,8 @@ class Clock(Protocol):
 
     Attributes:
         traffic: bytes on the serial line that the thread uses. The thread counts them.
-        epoch_ns: ROS time at which the clock shows 0, ns; None if the ROS clock can be set independently.
+        epoch_ns: ROS time at which the clock shows 0, ns; None if the ROS clock can be set independently
+            of this clock.
         least_timeout: lower bound of the timeouts of calls to other threads, s of the machine's time.
     """
 

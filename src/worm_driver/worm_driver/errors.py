@@ -43,7 +43,7 @@ class CorruptReplyError(BusError):
 
 
 class StatusError(BusError):
-    """A servo answered with an error number (Protocol 2.0, status packet, bits 6-0)."""
+    """A servo answered with an error number (Protocol 2.0: bits 6 to 0 of the error byte of a status packet)."""
 
     def __init__(self, message: str, number: int):
         super().__init__(message)
@@ -56,4 +56,4 @@ class StatusError(BusError):
 
 
 class PowerSensorError(DriverError):
-    """The power sensor is missing, is another chip, or does not answer."""
+    """The power sensor or its I2C bus is missing or unusable, or the sensor does not answer."""

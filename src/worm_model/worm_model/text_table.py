@@ -10,8 +10,8 @@ _NUMBER = re.compile(r"[-+−]?(\d|nan|inf|none$)")
 def text_table(rows: Sequence[Sequence[str]]) -> str:
     """Return rows of equal length as aligned text; the first row contains the column heads.
 
-    A column is aligned to the right if each of its cells begins with a number, is "none" or is empty. Any other column
-    is aligned to the left.
+    A column is aligned to the right if each cell below its head begins with a number, is "none" or is empty. Any other
+    column is aligned to the left.
     """
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     numbers = [

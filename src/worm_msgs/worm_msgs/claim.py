@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Exclusive use of a namespace: one driver and one node graph for each robot on this computer.
+"""Exclusive use of a namespace: at most one driver and one node graph per namespace and ROS domain on this computer.
 
 A claim is a listening socket in Linux's abstract socket namespace. The kernel allows one socket per name, for all
 users, and removes the socket when its process ends, for whatever reason. So a claim is never stale. Other computers do
@@ -18,7 +18,8 @@ DRIVER = "driver"
 GRAPH = "node graph"
 #: service that identifies a driver: every driver node has it, whatever the node is called, and no other node has it
 DRIVER_SERVICE = "run_gait/_action/send_goal"
-#: s, time after which DDS no longer announces a killed driver. DDS announces a silent participant for 20 s
+#: s, time after which a killed driver is no longer in the ROS graph. DDS removes a participant 20 s after its last sign
+#: of life; the other 5 s are reserve
 ANNOUNCED_S = 25.0
 _CREDENTIALS = struct.Struct("3i")  # pid, uid, gid: struct ucred, unix(7)
 
@@ -32,6 +33,7 @@ def claim(role: str, namespace: str, domain: int) -> socket.socket:
 
     Raises:
         ClaimedError: Another process has the claim.
+        OSError: The socket cannot be created for another reason.
     """
     made = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
@@ -64,7 +66,10 @@ def claim_graph(namespace: str, domain: int) -> socket.socket:
 
 
 def domain_of(environment: Mapping[str, str]) -> int:
-    """Return the ROS domain that an environment selects; 0 for text that is no number, which ROS rejects later."""
+    """Return the ROS domain that an environment selects with ROS_DOMAIN_ID.
+
+    Return 0 if the variable is missing, and also if its value is not a number. ROS rejects such a value later.
+    """
     text = environment.get("ROS_DOMAIN_ID", "")
     return int(text) if text.isdecimal() else 0
 

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Deferred imports of executables with ROS. Loading takes seconds, in which Ctrl-C must not print a traceback."""
+"""Deferred imports of executables that use ROS.
+
+Such an import takes seconds. Ctrl-C during the import must not print a traceback.
+"""
 
 from __future__ import annotations
 
@@ -11,8 +14,8 @@ from importlib import import_module
 def deferred(module: str) -> Callable[[], int | None]:
     """Return a function that imports a module and calls its ``main``.
 
-    Until `ros_process` handles signals, SIGINT ends the process silently. A KeyboardInterrupt could get lost in an
-    imported module that catches it.
+    Until `ros_process` sets its signal handlers, SIGINT ends the process without a traceback. KeyboardInterrupt would
+    be unreliable during the import, because an imported module may catch it.
     """
 
     def main() -> int | None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Topic with the reasons of rejected goals. The response of ROS 2 to a goal has no field for a reason."""
+"""Topic with the reasons why goals are rejected. The response of ROS 2 to a goal has no field for a reason."""
 
 from __future__ import annotations
 
@@ -16,12 +16,18 @@ REJECTIONS_QOS = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCA
 
 
 def rejections_topic(action: str) -> str:
-    """Return the topic on which the reasons of an action's rejections are published."""
+    """Return the name of the topic on which the reasons for the rejections of an action's goals are published."""
     return f"{action}/rejections"
 
 
 class GoalRejections:
-    """Publisher of the reasons of an action's rejections. ``now`` returns the present stamp."""
+    """Publisher of the reasons why goals of an action are rejected.
+
+    Args:
+        node: node that publishes.
+        action: name of the action.
+        now: returns the present time as a ROS stamp.
+    """
 
     def __init__(self, node: Node, action: str, now: Callable[[], Any]) -> None:
         self._now = now
@@ -30,7 +36,7 @@ class GoalRejections:
         )
 
     def publish(self, goal_id: bytes, reason: str) -> None:
-        """Publish why a goal is rejected. Safe in any thread."""
+        """Publish why the goal with an id (the 16 bytes of its UUID) is rejected. Safe in any thread."""
         rejection = GoalRejection(goal=list(goal_id), reason=reason)
         rejection.header.stamp = self._now()
         self._publisher.publish(rejection)

@@ -25,7 +25,7 @@ _CYCLONE_DDS = (
     '<Peers><Peer address="127.0.0.1"/></Peers></Discovery></Domain></CycloneDDS>'
 )
 
-#: Variables that bind a middleware to the loopback interface, by the start of the middleware's name.
+#: Environment variables that bind a middleware to the loopback interface, by the prefix of the middleware's rmw name.
 _BINDINGS: Mapping[str, Mapping[str, str]] = {
     "rmw_fastrtps": {
         "FASTRTPS_DEFAULT_PROFILES_FILE": str(_FAST_DDS),
@@ -36,8 +36,9 @@ _BINDINGS: Mapping[str, Mapping[str, str]] = {
     },
     "rmw_cyclonedds": {"CYCLONEDDS_URI": _CYCLONE_DDS, _RANGE: "LOCALHOST"},
 }
-#: Variables that select a middleware profile. If such a variable of the middleware in use has a value that differs from
-#: its value in `_BINDINGS`, the user's own profile applies, and the network counts as open.
+#: Variables that select a middleware profile. If the environment sets such a variable of the middleware in use to
+#: another value than `_BINDINGS`, the user's own profile applies, and the network counts as open. An empty value counts
+#: as unset.
 _PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE", "CYCLONEDDS_URI")
 
 
@@ -107,9 +108,13 @@ def reach(environment: Mapping[str, str], middleware: str) -> Reach:
 
 
 def bind(environment: MutableMapping[str, str], middleware: str) -> Reach:
-    """Bind this process to this machine, unless the environment opens the network. Return the hosts that can reach it.
+    """Bind this process to this machine, unless the environment opens the network.
 
-    Call this function before the first context of ROS is created. Child processes inherit the environment.
+    The function changes the variables in ``environment``, which child processes inherit. Call it before the first
+    context of ROS is created.
+
+    Returns:
+        Hosts that can then reach this process.
 
     Raises:
         NetworkError: See `reach`.
@@ -137,7 +142,10 @@ def _binding(middleware: str) -> Mapping[str, str] | None:
 
 
 def _leaves_the_machine(peers: str) -> bool:
-    """Return True if a list of addresses, in the form of ROS's variables, contains more than localhost."""
+    """Return True if a list of addresses contains a host other than localhost and the loopback addresses.
+
+    The addresses are separated by semicolons, as in ROS_STATIC_PEERS and ROS_DISCOVERY_SERVER.
+    """
     hosts = (peer.strip().rsplit(":", 1)[0] for peer in peers.split(";") if peer.strip())
     return not all(host == "localhost" or _is_loopback(host) for host in hosts)
 

@@ -27,7 +27,7 @@ from worm_msgs.parameter_rows import ParameterRow, present_names
 from worm_msgs.ros_process import ShutdownRequest, own_arguments, ros_process
 
 BAD_INPUT = 2
-#: Starts of the names of parameters that rclpy reads without declaring them.
+#: Prefixes of parameter names that are accepted although the node does not declare them, because rclpy reads them.
 _ALLOWED = ("qos_overrides.",)
 _FILE_OPTION = "--params-file"
 _CONTENT = "ros__parameters"  # key of a node's parameters in a parameter file
@@ -45,9 +45,14 @@ def declare(node: Node, rows: Rows) -> None:
     A parameter of type float accepts an integer. A former name is accepted with a warning. Both rules also apply to
     later changes. Setting a parameter to its present value succeeds, also if it is read-only.
 
+    Args:
+        node: the node.
+        rows: returns the descriptions of the parameters.
+
     Raises:
         ParameterRejectedError: A value has the wrong type or is out of range, a name is unknown, a parameter is given
-            by its former and its present name, or a parameter file is for a node with a similar name.
+            by its former and its present name, or a parameter file contains only other nodes, one of them with a name
+            similar to this node's.
     """
     _check_files(node)
     table = rows()
@@ -69,7 +74,11 @@ def declare(node: Node, rows: Rows) -> None:
 def _translated(
     node: Node, floats: frozenset[str], parameters: Sequence[Parameter]
 ) -> list[Parameter]:
-    """Return parameters by their present names. Integers of parameters in ``floats`` become floats."""
+    """Return the parameters with present names in place of former ones. Integers of those in ``floats`` become floats.
+
+    Raises:
+        ParameterRejectedError: A parameter is given by its former and its present name.
+    """
     try:
         named = present_names({p.name: p for p in parameters}, node.get_logger().warning)
     except ValueError as error:
@@ -99,7 +108,7 @@ def _set_changes_alone(node: Node, floats: frozenset[str]) -> None:
 
 
 def _is_set(node: Node, parameter: Parameter) -> bool:
-    """Return True if a parameter has this value already. NaN equals NaN."""
+    """Return True if the node's parameter of this name already has this type and value. NaN equals NaN."""
     if not node.has_parameter(parameter.name):
         return False
     present = node.get_parameter_or(parameter.name, Parameter(parameter.name))
@@ -125,8 +134,8 @@ def declare_none(node: Node) -> None:
     """Reject all given parameters, for a node without parameters of its own.
 
     Raises:
-        SystemExit: A parameter was given, or a parameter file is for a node with a similar name. The reason is on
-            standard error.
+        SystemExit: A parameter was given, or a parameter file contains only other nodes, one of them with a name
+            similar to this node's. The reason is on standard error.
     """
     try:
         declare(node, list)
@@ -136,7 +145,14 @@ def declare_none(node: Node) -> None:
 
 
 def _check_files(node: Node) -> None:
-    """Check that the parameter files are for this node, because rcl silently ignores sections with other names."""
+    """Check that the parameter files are for this node, because rcl silently ignores sections with other names.
+
+    A file that contains only other nodes causes a warning. It causes an error if the name of one of them is similar to
+    this node's, because the name is then probably misspelt.
+
+    Raises:
+        ParameterRejectedError: A file contains only other nodes, one of them with a similar name.
+    """
     name = node.get_fully_qualified_name()
     files = (file for option, file in pairwise(sys.argv) if option == _FILE_OPTION)
     for file in files:
@@ -199,18 +215,22 @@ def run_node(
     rejections: tuple[type[Exception], ...],
     arguments: Sequence[str] | None = None,
 ) -> int:
-    """Parse the command line and run a node. Bad input becomes one line and exit status 2.
+    """Parse the command line and run a node. On bad input, print one line on standard error; the exit status is 2.
 
     Args:
         name: name of the executable.
         description: description for ``--help``.
-        rows: parameters, for ``--help``.
-        run: creates and serves the node. Returns the exit status; None: 0.
-        rejections: exceptions of ``run`` on bad input.
+        rows: returns the descriptions of the parameters, for ``--help``.
+        run: creates and serves the node. Its argument returns True once a signal requests the end. It returns the exit
+            status, or None for 0.
+        rejections: exceptions that ``run`` raises on bad input.
         arguments: command line with the program's name; None: the command line of the process.
 
     Returns:
         Exit status.
+
+    Raises:
+        SystemExit: The command line contains ``--help`` or an unknown argument, or see `ros_process`.
     """
     rejected: tuple[type[Exception], ...] = (ParameterRejectedError, *rejections)
     command_line = list(sys.argv if arguments is None else arguments)

@@ -46,7 +46,10 @@ class ParameterRow:
     read_only: bool = False
 
     def descriptor(self) -> ParameterDescriptor:
-        """Return a new descriptor in each call, because rclpy modifies it when it declares the parameter."""
+        """Return the descriptor of the parameter.
+
+        Each call returns a new object, because rclpy modifies the descriptor when it declares the parameter.
+        """
         made = ParameterDescriptor(
             name=self.name, description=self.description, read_only=self.read_only
         )
@@ -61,7 +64,7 @@ class ParameterRow:
 
 
 def present_names(values: Mapping[str, T], warn: Callable[[str], None]) -> dict[str, T]:
-    """Return values by the present names of their parameters. Call ``warn`` for each former name.
+    """Return values by the present names of their parameters. Call ``warn`` with a message for each former name.
 
     Raises:
         ValueError: A parameter is given by its former and by its present name.

@@ -53,7 +53,7 @@ class Readiness:
         return self._received
 
     def fileno(self) -> int:
-        """Return the file descriptor, which becomes readable with a report."""
+        """Return the file descriptor of the socket. It becomes readable when a report arrives."""
         return self._socket.fileno()
 
     def close(self) -> None:

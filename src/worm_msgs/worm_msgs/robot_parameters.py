@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Table of the robot's parameters: key, default, unit, range and symbol, and the content of the parameter file.
 
-No other module declares them. The model, identification, the optimizer, the driver and the virtual robot read the
-parameters from here by key. To add a parameter, add a row. If the parameter acts on the robot, also add a term to the
+No other module declares these parameters. The model, identification, the optimizer, the driver and the virtual robot
+read them from here by key. To add a parameter, add a row. If the parameter acts on the robot, also add a term to the
 equations of the simulator's kernel (`worm_model.simulation.kernel`) and of the virtual robot's motion
 (`worm_driver.virtual_robot.plant`).
 """
@@ -25,14 +25,14 @@ def _row(
     *,
     power_only: bool = False,
 ) -> float:
-    """Return a row of the table.
+    """Return a row of the table, as a dataclass field.
 
     Args:
         default: the paper's value, except for L0; 0 for an effect that the paper's model does not contain.
         unit: SI unit of the value.
         low, high: admissible range, which `settings_file` checks. The range spans several orders of magnitude, so that
             it admits unusual robots and rejects most values in a wrong unit, such as mm for m.
-        paper: symbol, as in the paper where the paper has the quantity.
+        paper: symbol; the symbol of the paper if the quantity occurs in the paper.
         power_only: True if the value affects the power, but not the motion.
     """
     metadata = {"unit": unit, "low": low, "high": high, "paper": paper, "power_only": power_only}
@@ -67,7 +67,7 @@ class RobotParameters:
     power_factor: float = _row(3.22, "1", 1e-2, 1e3, "α_P", power_only=True)
     rear_dry_friction: float = _row(0.0, "N", 0.0, 1e3, "D1")
     front_dry_friction: float = _row(0.0, "N", 0.0, 1e3, "D2")
-    rear_load: float = _row(0.0, "N", -1e3, 1e3, "Q1")  # positive towards -x
+    rear_load: float = _row(0.0, "N", -1e3, 1e3, "Q1")  # Q1, Q2: positive towards -x
     front_load: float = _row(0.0, "N", -1e3, 1e3, "Q2")
 
     @property
@@ -94,8 +94,8 @@ class ParameterFileContent(RobotParameters):
             `worm_model.parameters`.
         intervals: 95 % intervals (low, high) by key, in the key's unit.
         correlations: (key, key, correlation) of the errors of two keys.
-        run_to_run: standard deviations of the robot's values from run to run, by key, in the key's unit. The intervals
-            hold for the mean values and do not include these deviations.
+        run_to_run: standard deviation with which the value of a key varies from run to run, by key, in the key's unit.
+            The intervals hold for the means over the runs and do not include this variation.
         provenance: any content, such as bags and their hashes, code version and seed.
     """
 
@@ -106,7 +106,7 @@ class ParameterFileContent(RobotParameters):
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Raise ValueError if two values exclude each other."""
+        """Raise ValueError if the low end of an interval exceeds its high end, or a correlation names a key twice."""
         for name, (low, high) in self.intervals.items():
             if not low <= high:
                 raise ValueError(f"intervals: {name}: low {low:g} is above high {high:g}")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Start and end of a process with ROS, the same for every executable. Only this module calls rclpy.init."""
+"""Start and end of a process that uses ROS, the same for every executable. Only this module calls rclpy.init."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from rclpy.utilities import remove_ros_args
 from worm_msgs import network
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-#: s, longest time until a signal takes effect
+#: s, longest wait for a callback in `spin`. A signal takes effect after this wait, or after the running callback
 SPIN_S = 0.1
 #: s, time after the first signal in which a SIGINT belongs to the same Ctrl-C, because both the terminal and launch may
 #: send SIGINT
@@ -34,6 +34,9 @@ _NO_NODE = "error creating node"
 
 class ShutdownRequest:
     """Request to end the process, made by a signal.
+
+    Args:
+        clock: returns the time, s, monotonic.
 
     Attributes:
         first: called in the handler of the first signal, before code of the main thread that polls the request can
@@ -53,7 +56,7 @@ class ShutdownRequest:
         return self._first is not None
 
     def on_signal(self, number: int, _: FrameType | None) -> None:
-        """Handle a signal."""
+        """Store the request and call `first` or `again`, as a handler of signals."""
         now = self._clock()
         if self._first is None:
             self._first = now
@@ -66,15 +69,16 @@ class ShutdownRequest:
 def ros_process(arguments: Sequence[str] | None = None) -> Iterator[ShutdownRequest]:
     """Initialise ROS for the duration of the context. SIGINT, SIGTERM and SIGHUP then only set the yielded request.
 
-    rclpy's own handlers would shut down the context while a node still works. Only this machine can reach the process,
-    unless the environment opens the network (module `network`). If it does, a line on standard error reports this.
+    rclpy's own handlers would shut down rclpy's context while a node still works. Only this machine can reach the
+    process, unless the environment opens the network (module `network`). A line on standard error reports an open
+    network.
 
     Args:
         arguments: command line with the program's name; None: the command line of the process.
 
     Raises:
-        SystemExit: The middleware cannot be bound to this machine, or ROS rejects an argument or the environment. The
-            reason is on standard error.
+        SystemExit: The middleware cannot be bound to this machine, ROS rejects an argument or the environment, or ROS
+            cannot create a node within the context. The reason is on standard error.
     """
     try:
         reach = network.bind(os.environ, rclpy.get_rmw_implementation_identifier())
@@ -141,14 +145,15 @@ def _exit(error: Exception) -> SystemExit:
 def spare_pauses() -> None:
     """Exempt all present objects from garbage collection. Call this when the node is complete.
 
-    A collection through the modules, the compiled kernel and ROS takes some 60 ms, and blocks every thread.
+    A collection that visits all objects of the modules, the compiled kernel and ROS takes about 60 ms. It blocks every
+    thread.
     """
     gc.collect()
     gc.freeze()
 
 
 def spin(node: Node, ended: Callable[[], bool]) -> None:
-    """Serve a node until ``ended`` returns True."""
+    """Execute the callbacks of a node until ``ended`` returns True."""
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     spare_pauses()

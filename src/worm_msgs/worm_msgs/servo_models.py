@@ -11,7 +11,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-RPM = 2.0 * math.pi / 60.0  # rad/s
+RPM = 2.0 * math.pi / 60.0  # 1 rpm in rad/s
 VELOCITY_UNIT = 0.229  # rpm per unit of the velocity registers, as rounded in the manual
 
 #: Initial value of a register, or (initial value, lowest, highest), raw.
@@ -20,7 +20,10 @@ Initial = int | tuple[int, int, int]
 
 @dataclass(frozen=True)
 class ServoRow:
-    """Data of a servo model. Motor data hold at the nominal voltage and are proportional to the voltage.
+    """Data of a servo model.
+
+    The no-load speed, the stall torque and the stall current hold at the nominal voltage and are proportional to the
+    voltage.
 
     Attributes:
         name: name of the model without the connector's suffix (-T, -R).
@@ -35,7 +38,7 @@ class ServoRow:
         velocity_limit: initial value and range of the register velocity_limit, raw.
         current_unit: A per unit of the current registers; 0: the model reports a load instead.
         current_limit: largest value of the register current_limit, raw; 0 without this register.
-        initial: further registers whose initial values or ranges differ between the models, by name.
+        initial: initial values or ranges of further registers in which the models differ, by register name.
     """
 
     name: str

@@ -76,7 +76,7 @@ class Converted:
 
 
 def read_settings(path: Path, kind: type[T], error: type[Exception] = SettingsFileError) -> T:
-    """Return the content of a YAML file as a dataclass.
+    """Return the content of a YAML file as an instance of the dataclass ``kind``.
 
     Raises:
         error: The file is unreadable or invalid. The message begins with the path.
@@ -89,7 +89,7 @@ def read_settings(path: Path, kind: type[T], error: type[Exception] = SettingsFi
 
 
 def settings_of(content: Any, kind: type[T]) -> T:
-    """Return the parsed content of a file as a dataclass. Raises SettingsFileError."""
+    """Return the parsed content of a file as an instance of the dataclass ``kind``. Raises SettingsFileError."""
     try:
         text = json.dumps([content], default=str)
     except (TypeError, ValueError, RecursionError) as error:
@@ -101,7 +101,7 @@ def settings_of(content: Any, kind: type[T]) -> T:
 
 
 def json_schema(kind: type[Any]) -> dict[str, Any]:
-    """Return the JSON Schema of a dataclass's files."""
+    """Return the JSON Schema of the files whose content is the dataclass ``kind``."""
     schema = _adapter(kind).json_schema()  # type: ignore[arg-type]
     definitions = schema["$defs"]
     whole = definitions.pop(schema["prefixItems"][0]["$ref"].split("/")[-1])
@@ -119,7 +119,11 @@ def _adapter(kind: type[T]) -> TypeAdapter[tuple[T]]:
 
 
 def _message(errors: list[ErrorDetails], kind: type[Any]) -> str:
-    """Return the message of one error. An unknown key is preferred, because a misspelt key also makes a key missing."""
+    """Return a message about one of the errors.
+
+    An unknown key has priority over other errors: a misspelt key causes a missing key, too, and the unknown one shows
+    the misspelling.
+    """
     first = min(errors, key=lambda error: error["type"] != "unexpected_keyword_argument")
     path, value, words = first["loc"][1:], first["input"], first["msg"]
     if first["type"] == "unexpected_keyword_argument":
@@ -150,7 +154,7 @@ def _place(path: Iterable[str | int]) -> str:
 
 
 def _hint(error: ErrorDetails, kind: type[Any]) -> str:
-    """Return a likely reason for a wrong value."""
+    """Return a likely reason for a wrong value, to be appended to the message; empty if none is known."""
     if error["type"] in _BOUNDS and any(error["ctx"].values()):
         unit = _schema_at(kind, error["loc"][1:]).get("description")
         return f"; is it in another unit?{f' ({unit})' if unit else ''}"

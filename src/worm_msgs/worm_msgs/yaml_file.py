@@ -69,7 +69,7 @@ _Loader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _unique_
 
 
 def unknown_name(kind: str, name: str, known: Iterable[str]) -> str:
-    """Return a message that a name is unknown, with the nearest known name, or all known names if none is near."""
+    """Return a message that a name is unknown. The message names the most similar known name, else all known names."""
     near = difflib.get_close_matches(name, known, n=1)
     hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(known)}"
     return f"no {kind} {name!r}: {hint}"

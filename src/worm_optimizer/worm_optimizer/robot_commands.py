@@ -10,12 +10,12 @@ from dataclasses import dataclass
 from worm_model.errors import InputError
 from worm_model.gait import Gait, Profile
 
-MOST_CYCLES = 1000  # of one run; the driver has the same limit
+MOST_CYCLES = 1000  # largest number of cycles or grooves of a run; the driver limits only cycles
 
 
 @dataclass(frozen=True)
 class GaitCommand:
-    """Gait to run until the first of the given ends is reached. An end of 0 is not given.
+    """Gait to run until the first of the given ends is reached. An end with the value 0 counts as not given.
 
     Attributes:
         gait: the gait.
@@ -98,7 +98,7 @@ Progress = Callable[[RunProgress], None]
 class ScanRequest:
     """Request for a margin scan from ``lowest`` to ``highest`` in steps of ``step``, all in m.
 
-    If ``highest`` or ``step`` is 0, the optimizer uses the value of its settings.
+    ``direction`` is FORWARD or REVERSE. If ``highest`` or ``step`` is 0, the optimizer uses the value of its settings.
     """
 
     direction: int
@@ -114,9 +114,9 @@ class FrontRequest:
     Attributes:
         direction: FORWARD or REVERSE.
         robustness: name of a criterion of `search_settings.Robustness`.
-        margin: robustness margin, m; NaN for the last margin of the scan before the cliff.
-        probability: probability for the criterion ``chance``; 0 for that of the optimizer's settings.
-        waveform: name of a `search_settings.Waveform`; empty for that of the optimizer's settings.
+        margin: robustness margin, m; NaN selects the last margin of the scan before the cliff.
+        probability: probability for the criterion ``chance``; 0 selects the value in the optimizer's settings.
+        waveform: name of a `search_settings.Waveform`; an empty text selects the value in the optimizer's settings.
     """
 
     direction: int
@@ -131,6 +131,7 @@ class SearchResult:
     """Result of a margin scan or of the computation of a front.
 
     The ``message`` describes the result, or the reason of a failure.
+
     Only a margin scan has ``margins`` (m), the lowest cost of transport at each of these margins (``costs``), and the
     margin at the ``cliff`` (m; NaN without a cliff).
     """
@@ -144,7 +145,7 @@ class SearchResult:
 
 @dataclass(frozen=True)
 class RunResult:
-    """Result of a run, in SI units. Values without a measurement are NaN. The ``message`` describes how it ended."""
+    """Result of a run, in SI units. Values without a measurement are NaN. The ``message`` describes the end."""
 
     gait: Gait
     success: bool

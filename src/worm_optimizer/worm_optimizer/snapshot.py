@@ -20,12 +20,12 @@ class DriverState:
         state: activity of the driver.
         homed: True if homing has defined the zero of the cable length.
         emergency_stop: True if the emergency stop is on.
-        run: number of the latest run; 0 before the first.
-        cycle: number of the present cycle of the run; 0 before the first.
+        run: number of the latest run; 0 before the first run.
+        cycle: number of the present cycle of the run; 0 before the first cycle.
         cycles: number of requested cycles.
-        stroke: m; 0 without a gait.
-        frequency: Hz.
-        direction: FORWARD or REVERSE.
+        stroke: stroke of the gait, m; 0 without a gait.
+        frequency: frequency of the gait, Hz.
+        direction: direction of the gait, FORWARD or REVERSE.
         holding: True from a stop until the operator starts a run or deactivates the driver.
         message: reason of the state.
         stamp_ns: stamp of the message.
@@ -69,7 +69,7 @@ class Snapshot:
 
     Attributes:
         driver: state of the driver.
-        control: clients that have and request control.
+        control: client that has control, and client that requests it.
         twin: state of the twin.
         residuals: residuals of the twin; NaN where no sensor measures them.
         robot: latest sample of the tracker.

@@ -149,7 +149,7 @@ class Calibration:
         return spool
 
     def fin(self, servo: Servo) -> Fin:
-        """Return a fin servo with its two angles, to which the operator turns the fins. Raises DriverError."""
+        """Return the fin with its two angles, read after the operator has turned the fins. Raises DriverError."""
         with self._bus.retrying():
             servos.prepare_fin(self._bus, servo)
         register = servo["present_position"]
@@ -181,7 +181,7 @@ class Calibration:
             self._bus.read(servo.number, servo["torque_enable"])
 
     def _reach(self, servo: Servo, ticks: int) -> None:
-        """Move a servo to a position (ticks). After a lost answer, the operator may repeat. Raises DriverError."""
+        """Move a servo to a position (ticks). A lost answer lets the operator repeat the step. Raises DriverError."""
         interrupted = False
         while True:
             try:
@@ -239,7 +239,10 @@ class Calibration:
 
 
 def calibrate(calibration: Calibration, turns: float, points: int) -> tuple[list[Spool], list[Fin]]:
-    """Run the dialogue, and return the spools and the fins. Raises DriverError. See `Calibration.cable`."""
+    """Run the dialogue, and return the spools and the fins. Raises DriverError.
+
+    `Calibration.cable` explains ``turns`` and ``points``.
+    """
     answering = calibration.find_servos()
     if not answering:
         raise ConfigurationError("no servo answers: check the power, the cable and --baud-rate")

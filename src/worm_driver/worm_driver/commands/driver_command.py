@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from worm_driver.tracking.tracking_errors import TrackingError
+from worm_msgs.yaml_file import SettingsFileError
 
 #: Exit statuses.
 DONE, FAILED, BAD_INPUT = 0, 1, 2
@@ -30,13 +31,13 @@ def run_command(
     """Parse the arguments and run the command.
 
     Returns:
-        Exit status: 2 for bad input, 1 for another error or Ctrl-C, else 0. Wrong arguments and --help end the
-        program in the parser.
+        Exit status: 2 for a TrackingError or an output file that exists, 1 for another OSError or Ctrl-C, else 0. Wrong
+        arguments and --help end the program in the parser.
     """
     options = parser.parse_args(arguments)
     try:
         command(options)
-    except (TrackingError, FileExistsError) as error:
+    except (TrackingError, SettingsFileError, FileExistsError) as error:
         return _fail(parser, _one_line(error), BAD_INPUT)
     except OSError as error:
         return _fail(parser, _one_line(error), FAILED)

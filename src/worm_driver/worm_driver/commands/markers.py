@@ -54,7 +54,11 @@ def _prints(options: argparse.Namespace) -> tuple[str, float, list[Print]]:
 def _pages(
     prints: Sequence[Print], size: float, paper: tuple[float, float]
 ) -> Iterator[list[tuple[Print, float, float]]]:
-    """Yield the prints of each page with positions of their black squares: lower left corner (x, y) on the page, m."""
+    """Yield, for each page, its prints with the lower left corners (x, y) of their black squares on the page, m.
+
+    Raises:
+        SetupError: A marker does not fit on the paper.
+    """
     pitch_x, pitch_y = max(1.6 * size, 0.045), 1.5 * size + 0.012
     width, height = paper[0] - 2.0 * _MARGIN, paper[1] - 2.0 * _MARGIN - _HEAD
     columns, rows = int(width / pitch_x), int(height / pitch_y)

@@ -21,17 +21,17 @@ _FIN_TOLERANCE = 40
 _FIN_STILL = 0.1
 #: Contraction below which a robot without torque does not noticeably spring back, m.
 _SPRINGS_BACK = 2e-3
-#: Smallest ratio of effort to fault level at which a servo counts as blocked. Gaits need less effort.
+#: Smallest ratio of a cable servo's effort to its `fault_level` at which `strains` can return True. Gaits need less.
 _STRAIN = 0.85
-#: Distance beyond both ends of the stroke range within which the robot may still be activated and held, m.
+#: Distance by which the cable may be beyond either end of the stroke range in an activation or a hold, m.
 PAYOUT_TOLERANCE = 0.01
 
 
 class Actuators:
     """All servos of a robot, identified and set up, with the torque off.
 
-    If an earlier driver left the torque of a contracted robot on, the torque stays on, because the robot would spring
-    back. See `left_on`.
+    If an earlier driver left the torque of a contracted robot on, the cable servos keep their torque, because the robot
+    would spring back. See `left_on`.
 
     Attributes:
         settings: settings of this robot. `apply_settings` replaces them.
@@ -45,6 +45,7 @@ class Actuators:
     Raises:
         BusError: A servo does not answer.
         ConfigurationError: A servo does not match the settings.
+        HomingError: The settings require homing at the start, and homing failed.
     """
 
     def __init__(self, settings: DriverSettings, bus: ServoBus):
@@ -84,7 +85,8 @@ class Actuators:
     def _held_contraction(self) -> float | None:
         """Return the contraction (m) that the cable servos hold, if an earlier driver left their torque on.
 
-        Return None if the torque of a cable servo is off, or if the robot would not spring back.
+        Return None if the torque of a cable servo is off, if a cable servo is not homed or has other settings than
+        this driver writes, or if the robot would not spring back.
         """
         longest = 0.0
         for spool, servo in zip(self.settings.spools, self.cables, strict=True):
@@ -128,6 +130,8 @@ class Actuators:
     def reboot(self) -> tuple[int, ...]:
         """Restart the servos that report a hardware error and return their ids.
 
+        A restarted cable servo must be homed again.
+
         Raises:
             DriverError: An exchange failed.
         """
@@ -167,7 +171,7 @@ class Actuators:
             springing back.
 
         Raises:
-            DriverError: A servo failed to be enabled.
+            DriverError: A servo cannot be enabled.
         """
         settings = self.settings
         self._longest_stroke = settings.max_stroke
@@ -200,9 +204,9 @@ class Actuators:
     def _bound_goals(self) -> None:
         """Set the bounds of the goals.
 
-        A cable goal lies within the range of the stroke. Its distance from the last plausible position is at most
-        the largest following error plus the possible motion since this position was read. A fin goal lies within one
-        turn.
+        A cable goal must lie within the range of the stroke, extended by PAYOUT_TOLERANCE at both ends. Its distance
+        from the last plausible position must be at most the limit of the following error, plus the distance that the
+        cable can have moved since this position was received. A fin goal must lie within one turn.
         """
         limits = self.settings.limits
         bounds = {fin.servo: Bound(0, TICKS_PER_TURN - 1) for fin in self.settings.fins}
@@ -216,8 +220,8 @@ class Actuators:
     def release(self) -> list[str]:
         """Release the torque of every servo and return the failures, one sentence each.
 
-        After an error of one servo, the others are still released. While `left_on` is not empty, no servo is released,
-        because the robot would spring back.
+        After an error of one servo, the others are still released, unless the first packet, to all servos at once,
+        cannot be sent. While `left_on` is not empty, no servo is released, because the robot would spring back.
         """
         if self.left_on:
             return [self.left_on]
@@ -254,9 +258,11 @@ class Actuators:
 
         Args:
             length_change: ΔL, m.
-            direction: direction of the fins, 1 or -1; 0 to hold them.
+            direction: direction of the fins, 1 or -1; 0: the fins keep the goals that `enable`, `hold` or `stop_fins`
+                stored.
 
         Raises:
+            LimitError: The length change is not finite, or is out of the range of a cable servo.
             BusError: The packet cannot be sent.
         """
         goals = dict(self._held)
@@ -267,7 +273,7 @@ class Actuators:
         self._goals.send(goals)
 
     def hold(self) -> None:
-        """Store the last goals of all servos for the next calls of `send`."""
+        """Store the last goals of all servos. `send` repeats a stored goal if it computes no new goal for the servo."""
         for servo in self.servos:
             goal = self._goals.last_sent(servo.number)
             if goal is not None:
@@ -283,7 +289,10 @@ class Actuators:
     # --- evaluation of states ----------------------------------------------------------------------
 
     def length_change(self, states: tuple[ServoState, ...]) -> float:
-        """Return the mean length change by the encoders (m); NaN if a cable servo is silent, and before homing."""
+        """Return the mean length change of the cables according to the encoders, m.
+
+        Return NaN before homing, and if a cable servo is silent.
+        """
         cables = states[: len(self.cables)]
         if not self.homed or any(state is SILENT for state in cables):
             return math.nan

@@ -3,12 +3,12 @@
 
 from worm_driver.control.heartbeat import HeartbeatMonitor
 
-#: longest lease, s: longest time for which a client that has crashed keeps control
+#: longest lease, s. It limits the time for which a client that has crashed keeps control
 MAX_LEASE = 600.0
 
 
 class ControlLease:
-    """Holder of control and the client that requests it from the holder.
+    """Record of the client that has control, and of the client that requests control from it.
 
     Not thread-safe. Times are monotonic, in s.
 
@@ -25,10 +25,10 @@ class ControlLease:
     def request(self, client: str, lease: float, now: float) -> None:
         """Give control to a client if no client has it. Otherwise renew the client's lease or store its request.
 
-        Only one requester is stored, the first one, until it withdraws its request or falls silent.
+        Only the first requester is stored, until it obtains control, withdraws its request or falls silent.
 
         Args:
-            client: name of the client; an empty one changes nothing.
+            client: name of the client; an empty name changes nothing.
             lease: time without a request after which the client loses control or its request, s. The client's first
                 request sets this time; later ones do not change it.
             now: present time, s.

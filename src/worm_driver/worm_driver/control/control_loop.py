@@ -180,7 +180,7 @@ class ControlLoop(PeriodicThread):
         timeout: float = 2.0,
         undo: Callable[[float], object] | None = None,
     ) -> T:
-        """Submit an action and wait for its result.
+        """Submit an action, wait for its result and return it.
 
         If the timeout expires before the action has begun, the action never runs. If the timeout expires later,
         ``undo`` runs after the action.
@@ -203,7 +203,9 @@ class ControlLoop(PeriodicThread):
             raise self._silent(timeout) from None
 
     def run_without_deadline(self, action: Callable[[float], T], timeout: float = 2.0) -> T:
-        """Like `run`, but without a deadline for the action, and without ``undo``.
+        """Submit an action, wait for its result and return it, as in `run`, but without ``undo``.
+
+        The action runs even if the timeout expires before the action begins.
 
         Raises:
             DriverError: The action failed, or its result did not arrive within the timeout (s).
@@ -223,20 +225,21 @@ class ControlLoop(PeriodicThread):
         return DriverError(f"the servo bus thread has ended: {self.failure!r}")
 
     def shutdown(self, reason: str) -> None:
-        """Bring the robot to rest, release it and end the thread.
+        """Request the thread to bring the robot to rest, to release it and to end.
 
-        Later calls have no effect. Safe in a signal handler.
+        The method returns at once. Later calls have no effect. Safe in a signal handler.
 
-        A stop interrupts the return to rest. The thread then ends while the robot holds its position.
+        A stop interrupts the return to rest. The thread then ends without moving the robot further. It does not release
+        a robot that would spring back.
         """
         if self._shutdown_reason is None:
             self._robot.closing = True
             self._shutdown_reason = reason
 
     def release_at_once(self) -> None:
-        """Release the robot at its present position and end the thread, at an operator's request.
+        """Request the thread to release the robot at its present position and to end.
 
-        Safe in a signal handler.
+        Only an operator may request this. The method returns at once. Safe in a signal handler.
         """
         self._at_once = True
         self.request_end()

@@ -30,7 +30,15 @@ class Level(enum.Enum):
 
 @dataclass(frozen=True)
 class Report:
-    """Diagnostic report on one part of the driver."""
+    """Diagnostic report on one part of the driver.
+
+    Attributes:
+        name: name of the part.
+        level: severity.
+        message: state of the part or its problem, in one line.
+        hardware_id: description of the device; empty without one.
+        values: pairs of key and value. The last part of the key is the unit, if the value has one.
+    """
 
     name: str
     level: Level
@@ -149,7 +157,12 @@ def _cause_of_lateness(timing: TimingReport, period: float, scheduling: Scheduli
 
 
 def power_report(counts: dict[SampleStatus, int], where: str) -> Report:
-    """Return the report on the power sensor, from the number of samples in the last second by status."""
+    """Return the report on the power sensor.
+
+    Args:
+        counts: number of samples in the last second, by status.
+        where: chip, address and bus of the sensor.
+    """
     total = sum(counts.values())
     bad = {
         status: count
@@ -176,7 +189,7 @@ def power_report(counts: dict[SampleStatus, int], where: str) -> Report:
 
 
 def release_report(problems: Sequence[str]) -> Report:
-    """Return the report on a release that some servos did not acknowledge."""
+    """Return the report on a failed release of the torque. ``problems`` are its failures, one sentence each."""
     message = f"the torque may still be on: {'; '.join(problems)}: switch the supply off before you touch the robot"
     return Report("driver: release", Level.ERROR, message)
 
@@ -209,11 +222,11 @@ def gait_report(player: PlayerState, *, active: bool, homed: bool, left_on: str 
 
 
 def network_report(text: str, *, is_local: bool) -> Report:
-    """Return the report on the reach of the driver's topics: this computer alone, or the network."""
+    """Return the report on who can reach the driver: only this computer, or the network. ``text`` is its message."""
     return Report("driver: network", Level.OK if is_local else Level.WARN, text)
 
 
 def offline_report(failure: Exception | None) -> Report:
-    """Return the report of a driver that has no open devices, with the error if a transition failed."""
+    """Return the report of a driver without open devices. ``failure`` is the error of a failed transition, or None."""
     level = Level.OK if failure is None else Level.ERROR
     return Report("driver: gait", level, "not configured" if failure is None else str(failure))

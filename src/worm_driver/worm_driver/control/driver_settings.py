@@ -27,10 +27,24 @@ class DriverSettings:
     """Settings of one robot, in SI units.
 
     Attributes:
+        port: path of the serial port of the servos.
+        spools: spools of the cable servos, at least one.
+        fins: fin servos.
+        baud_rate: baud rate of the servos, bit/s.
         watchdog: time without packets after which the servos stop by themselves, s.
-        home_at_start: True if the robot stands at its initial length when the driver is configured.
+        home_at_start: True if the robot stands at its initial length when the driver is configured. The driver then
+            homes it, unless it is homed already.
         rate: rate of commands and telemetry, Hz.
-        real_time_priority: SCHED_FIFO priority of the servo thread; the other threads have half of it; 0: none.
+        real_time_priority: SCHED_FIFO priority of the servo thread; the other threads have half of it. 0: normal
+            scheduling.
+        max_stroke: largest stroke of a gait, m.
+        max_frequency: largest frequency of a gait, Hz.
+        max_cable_speed: largest speed of the cable, m/s.
+        fin_speed: largest speed of the fin servos, rad/s.
+        power: settings of the power sensor.
+        player: times and speeds of the gait player.
+        limits: limits beyond which a deviation becomes a fault.
+        body: parameters of the robot and its pipe.
     """
 
     port: str
@@ -62,7 +76,7 @@ class DriverSettings:
 
     @property
     def period(self) -> float:
-        """Period of a cycle, s."""
+        """Period of the control cycle, s."""
         return 1.0 / self.rate
 
 

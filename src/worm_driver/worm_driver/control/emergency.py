@@ -17,7 +17,7 @@ _REASON = (
     "(./worm operate emergency_stop off)"
 )
 _VIRTUAL = "emergency_stop_virtual"
-#: Number of stored publishers. With this many or more, the absent ones are forgotten when a message arrives.
+#: Number of stored publishers from which on a new message makes `StopPublishers.note` forget the absent ones.
 _MANY = 1000
 
 
@@ -41,10 +41,12 @@ def state_folder(environment: Mapping[str, str], shared: Path = SHARED_FOLDER) -
 def latch_names(namespace: str, servos: Iterable[int], port: str) -> tuple[str, ...]:
     """Return the file names of a robot's emergency stop: one for the robot, one for its device.
 
-    A stop is on if either file exists, so neither another name of the port nor another namespace evades it. A virtual
-    robot has one file, named after the link in its own directory. The number of its pseudo-terminal does not identify
-    the robot, because numbers are reused. Its namespace does not identify it either, because a robot in another ROS
-    domain may have the same one.
+    A stop is on if either file exists, so neither another name of the port nor another namespace evades it.
+
+    A virtual robot has only one file. The file is named after the link to the robot's pseudo-terminal, the last one if
+    ``port`` leads through several links. The number of the pseudo-terminal does not identify the robot, because Linux
+    reuses the numbers. The namespace does not identify it either, because a virtual robot in another ROS domain may
+    have the same namespace.
 
     Args:
         namespace: namespace of the driver.
@@ -63,7 +65,7 @@ def _plain(text: str) -> str:
 
 
 class EmergencyLatch:
-    """Emergency stop of a robot, stored in files of a folder for the next driver. Only one thread may set it.
+    """Emergency stop of a robot, stored in files of a folder for the next driver. Only one thread may change it.
 
     Attributes:
         folder: folder of the files.
@@ -88,9 +90,10 @@ class EmergencyLatch:
         )
 
     def adopt(self, names: Iterable[str]) -> str:
-        """Load the emergency stop from the files with these names, see `latch_names`.
+        """Load the emergency stop from the files with these names, see `latch_names`. Later calls use these files.
 
-        Return a message if a file cannot be read or written, else an empty string.
+        If the stop is on, the missing files are created. Return a message if a file cannot be read or written, else an
+        empty string.
         """
         self._paths = [self.folder / name for name in names]
         try:
@@ -116,7 +119,7 @@ class EmergencyLatch:
         return ""
 
     def reset(self) -> str:
-        """Turn the stop off. Return a message if the stop stays on because a file cannot be removed."""
+        """Turn the stop off. Return a message if it stays on because a file cannot be removed, else an empty string."""
         try:
             for path in self._paths:
                 path.unlink(missing_ok=True)
@@ -126,13 +129,13 @@ class EmergencyLatch:
         return ""
 
     def why_not_start(self) -> str:
-        """Return why neither torque nor a run may start; empty if they may."""
+        """Return the reason why the torque must not be enabled and no run may start; empty if both are permitted."""
         return _REASON if self.on else ""
 
 
 @dataclass(frozen=True)
 class _Last:
-    """Last message of one publisher."""
+    """Last message of one publisher: its time of sending (ns, 0 if unknown), and its value (True: stop)."""
 
     sent_ns: int
     stops: bool
@@ -152,13 +155,14 @@ class StopPublishers:
         stops: bool,  # noqa: FBT001 (the topic's own value)
         present: Collection[bytes],
     ) -> bool:
-        """Store a message and return True if it is new.
+        """Store a message if it is new. Return True if it is new.
 
-        A message that arrives through several subscriptions is new only once.
+        A message is new if it was sent after the stored message of its publisher. So a message that arrives through
+        several subscriptions is new only once.
 
         Args:
             publisher: identifier of the publisher.
-            sent_ns: time of sending, ns; 0 if unknown.
+            sent_ns: time of sending, ns; 0 if unknown. A message with an unknown time always counts as new.
             stops: value of the message.
             present: publishers that the ROS graph shows now.
         """
@@ -184,6 +188,10 @@ class StopPublishers:
         return stopping if present else set()
 
     def forget_absent(self, present: Collection[bytes]) -> int:
-        """Forget the absent publishers and return how many of them sent true last."""
+        """Forget the absent publishers. Return the number of those among them whose last message was true.
+
+        If the identifiers in messages and in the graph differ (see `stopping`), all publishers count as absent while
+        the graph shows no publisher, and none otherwise.
+        """
         absent = set(self._last) - set(present) if self._identified or not present else set()
         return sum(self._last.pop(publisher).stops for publisher in absent)

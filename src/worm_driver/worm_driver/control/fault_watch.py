@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""State on which the rules of `supervision` depend: durations of silence and overload, and the loop's lateness."""
+"""State on which the rules of `supervision` depend.
+
+The state contains the durations of silence, overload and following errors, and the lateness of the control loop.
+"""
 
 import math
 import os
@@ -42,13 +45,13 @@ class FaultWatch:
         self.begin()
 
     def begin(self) -> None:
-        """Reset all counts, because the torque was just enabled."""
+        """Reset all counts. Call this method when the torque has just been enabled."""
         self._counts = Counts()
         self._away, self._away_at = 0.0, -math.inf
         self._last_step = self._clock()
 
     def step(self, now: float) -> str:
-        """Record the start of a cycle (s).
+        """Record the start of a cycle at a time (s).
 
         Return a message if more time than the bus watchdog has passed since the previous cycle, else an empty string.
         """
@@ -60,7 +63,7 @@ class FaultWatch:
         return self._lateness() if gap > watchdog else ""
 
     def look(self, states: tuple[ServoState, ...]) -> None:
-        """Update the silence of the servos from their states, whether the torque is on or off."""
+        """Update the durations of the servos' silence from their states, whether the torque is on or off."""
         silent = (
             servo.number
             for servo, state in zip(self._actuators.servos, states, strict=True)
@@ -90,7 +93,8 @@ class FaultWatch:
     def _fault_of_suspect(self) -> str | None:
         """Read the health registers of a suspect servo again and return a fault that they show.
 
-        Only one servo per cycle is read, to keep the cycle short.
+        If the loop was late shortly before, this explains an expired bus watchdog. The message is then about the
+        lateness. Only one servo per cycle is read, to keep the cycle short.
         """
         robot = self._actuators
         suspect = self._reader.pop_suspect()
@@ -131,6 +135,6 @@ class FaultWatch:
         self._counts = supervision.following(counts, error, limits)
         problems = self._reader.problems
         if supervision.fault_in_counts(self._counts, limits, problems) is None:
-            return None  # the load is read only for a fault, not in every cycle
+            return None  # the load average is read only for a fault, not in every cycle
         crowding = supervision.crowding(self._load(), os.cpu_count() or 1)
         return supervision.fault_in_counts(self._counts, limits, problems, crowding)

@@ -31,7 +31,7 @@ _LATENESS = 2.0
 _LISTENING_TIMEOUT = 3.0
 #: Number of unread snapshots beyond which a virtual robot's time waits for their reader.
 _BACKLOG = 250
-#: Longest such wait, s.
+#: Longest time for which the time of a virtual robot waits for the reader, s.
 _BACKLOG_TIMEOUT = 10.0
 
 
@@ -60,7 +60,7 @@ class Hardware:
         samples: queue of the power sensor's samples, oldest first. The reader removes them; none is ever dropped.
 
     Raises:
-        DriverError: A device is missing or does not match the settings. Everything is closed again.
+        DriverError: A device is missing or does not match the settings. The open devices are closed again.
     """
 
     def __init__(
@@ -177,7 +177,11 @@ class Hardware:
         return problems
 
     def report(self, latest: Snapshot) -> list[Report]:
-        """Return the diagnostic reports on every part. Call it once a second."""
+        """Return the diagnostic reports on all parts. Call this method once a second.
+
+        Args:
+            latest: snapshot of the latest cycle.
+        """
         robot, sensor = self.robot, self._seen
         counters, power = self._bus.counters, self._power_counts.copy()
         self._seen = _Seen(counters, power)

@@ -10,7 +10,8 @@ PERIOD = 0.1
 class HeartbeatMonitor:
     """Heartbeat monitor of one run or lease. One thread may record heartbeats while another one checks them.
 
-    Time by which the driver itself was late does not count as silence, because heartbeats may wait in its queues.
+    The intervals between the checks add up to the silence, and a heartbeat resets it to 0. An interval counts as at
+    most two periods. If it is longer, the driver itself was late, and heartbeats may wait in its queues.
 
     Args:
         timeout: heartbeat timeout, s; infinite if no heartbeats are required.

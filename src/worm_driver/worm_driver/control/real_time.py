@@ -89,7 +89,7 @@ def request_scheduling(
         set_priority, lock_memory: functions that raise OSError if Linux does not permit the change.
 
     Returns:
-        The scheduling as far as Linux grants it.
+        Granted scheduling. If Linux rejects a part of the request, the description names this part and the remedy.
     """
     if priority == 0:
         return NOT_REQUESTED

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Robot: the actuators, the fault watch and the gait player together. Free of ROS, for one thread at a time.
 
-``cycle`` runs at 100 Hz. It steps the player, sends the goals, reads the state and looks for faults.
+`Robot.cycle` steps the player, sends the goals, reads the states of the servos and looks for faults. It runs at the
+rate of the settings, 100 Hz by default.
 """
 
 import math
@@ -43,7 +44,9 @@ _AGREE = 3e-3
 
 
 class Robot:
-    """Robot whose servos have answered and are set up, with the torque off.
+    """Robot whose servos have answered and are set up.
+
+    The torque is off until `activate` is called, unless an earlier driver left it on (`Actuators.left_on`).
 
     Args:
         settings: settings of the robot.
@@ -62,6 +65,7 @@ class Robot:
     Raises:
         BusError: A servo does not answer.
         ConfigurationError: A servo does not match the settings.
+        HomingError: The settings require homing at the start, and homing failed.
     """
 
     def __init__(
@@ -86,7 +90,7 @@ class Robot:
         self._reader = StateReader(bus, self.actuators.servos, self.actuators.track)
         self._watch = FaultWatch(self.actuators, self._reader, clock, load)
         self._forget_states()
-        self._releases_fault = False  # the last release was requested in FAULT
+        self._releases_fault = False  # True: `ramp_to_rest` was last called in FAULT
         self._fins_set_for = 0  # the direction for which the fins have been set; 0: none
 
     def _forget_states(self) -> None:
@@ -105,7 +109,7 @@ class Robot:
 
     @property
     def limits(self) -> GaitLimits:
-        """Limits of the gaits, from the settings and from the abilities of the servos."""
+        """Limits of the gaits, from the settings and from the highest speed that the cable servos can reach."""
         settings = self.settings
         fastest = min(settings.max_cable_speed, self.actuators.fastest_cable)
         return GaitLimits(settings.max_stroke, settings.max_frequency, fastest)
@@ -136,7 +140,7 @@ class Robot:
     def activate(self, now: float) -> None:
         """Enable the torque of every servo at its present position, with its bus watchdog armed.
 
-        After an error the torque is off again.
+        After an error the torque is off again, unless an earlier driver left it on (`Actuators.left_on`).
 
         Raises:
             LimitError: The driver shuts down, or an emergency stop or another driver forbids a start.
@@ -177,7 +181,8 @@ class Robot:
         """Return the length change of the cable (m), read until two consecutive readings agree.
 
         Raises:
-            NoReplyError: No two readings agree.
+            NoReplyError: No two consecutive readings agree.
+            BusError: A request cannot be sent.
         """
         before = math.nan
         for _ in range(_ATTEMPTS):
@@ -222,15 +227,19 @@ class Robot:
         return ""
 
     def finish(self, now: float) -> None:
-        """End the run as completed after its present cycle."""
+        """End the run as completed after its present cycle. Has no effect before the first cycle and without a run."""
         self.player = gait_player.finish(self.player, now)
 
     def cancel(self, now: float, reason: str = "cancelled") -> None:
-        """End the run at its next point of rest."""
+        """End the run at its next point of rest; at once before its first cycle, unless the cable returns to rest."""
         self.player = gait_player.cancel(self.player, now, reason)
 
     def stop(self, now: float, reason: str) -> None:
-        """Hold the cable and the fins at their present positions immediately."""
+        """Hold the cable and the fins at their present positions immediately. Has no effect with the torque off.
+
+        Raises:
+            BusError: The goals cannot be sent.
+        """
         if self.active:
             self._adopt(gait_player.stop(self.player, now, self._here(), reason))
             self._send_goals()
@@ -240,7 +249,11 @@ class Robot:
         self._adopt(gait_player.fault(self.player, now, self._here(), reason))
 
     def _adopt(self, player: PlayerState) -> None:
-        """Store a new state of the player. If a hold begins, keep the goals of the servos, but stop flipping fins."""
+        """Store a new state of the player.
+
+        If a hold begins, fins that are still flipping are stopped where they are. The other fins keep their last goals,
+        and so do cable servos that are no longer homed. Homed cable servos hold the player's length change.
+        """
         if player.phase in _HOLDS and self.player.phase is not player.phase:
             self.actuators.hold()
             if self.player.direction not in (0, self._fins_set_for):
@@ -250,9 +263,12 @@ class Robot:
     def ramp_to_rest(self, now: float, reason: str) -> None:
         """Begin the return to rest. `released` is True once the torque may be switched off.
 
-        In two phases no return begins. In FAULT a return cannot be relied on, so the torque may be switched off
-        immediately, also during an emergency stop. In HOLDING, while an emergency stop or another driver forbids
-        motion, only a robot that would not spring back may be released.
+        In two cases no return begins:
+
+        - In FAULT, the robot cannot be relied on to return. The torque may be switched off immediately, also during an
+          emergency stop.
+        - In HOLDING, while an emergency stop or another driver forbids motion, the robot stays where it is. The torque
+          may be switched off only if the robot would not spring back.
 
         Raises:
             StoppedError: The robot holds and would spring back, and no motion may start, as in an emergency stop.
@@ -268,8 +284,8 @@ class Robot:
     def released(self) -> bool:
         """True if the torque may be switched off.
 
-        The robot is at rest, or it holds and would not spring back. A holding robot that would spring back may be
-        released only if `ramp_to_rest` was called in FAULT.
+        This is the case if the torque is off already, if the robot is at rest, or if it holds and would not spring
+        back. A holding robot that would spring back may be released only if `ramp_to_rest` was called in FAULT.
         """
         if not self.active or gait_player.at_rest(self.player):
             return True
@@ -278,7 +294,7 @@ class Robot:
 
     @property
     def holding(self) -> bool:
-        """True if a stop or a FAULT ended a motion, and the torque is on."""
+        """True if the torque is on and the robot holds its position after a stop or a fault."""
         return self.active and self.player.phase in _HOLDS
 
     def close(self, now: float, reason: str) -> None:

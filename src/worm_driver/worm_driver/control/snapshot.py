@@ -12,14 +12,14 @@ class Snapshot:
     """Result of one cycle. Times are monotonic, in s.
 
     Attributes:
-        command_time: time at which the goals were sent.
-        read_time: time at which the states of the servos were requested.
+        command_time: start of the cycle. With the torque on, the goals are sent immediately after it.
+        read_time: time at which the states of the servos were requested; command_time if the request failed.
         active: True if the torque is on.
         homed: True if the length of the cable is known.
         player: state of the gait player.
         commanded: commanded length change of the cable, m; NaN with the torque off.
-        cable: length change by the encoders, m; NaN if a cable servo is silent, and before homing.
-        servos: states in the order of the robot's servos; SILENT for one that did not answer.
+        cable: length change according to the encoders, m; NaN if a cable servo is silent, and before homing.
+        servos: states in the order of the robot's servos; SILENT for a servo without a usable answer.
         alerts: ids of the servos whose last answer reported a hardware error.
     """
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 from worm_driver.servos.registers import WATCHDOG_EXPIRED, hardware_error_text
 from worm_driver.servos.servo_setup import Servo
 
-#: Ratio of the limit that a servo enforces itself to the effort that is a fault. At 1 or below, the servo would never
-#: reach this effort.
+#: Ratio of the limit that a servo enforces itself to the effort above which it is overloaded (`fault_level`). The ratio
+#: must be above 1, because a servo never exceeds its own limit, and an overload could not be detected.
 _HEADROOM = 1.1
 
 
@@ -34,14 +34,17 @@ class Limits:
 
 
 def own_limit(servo: Servo, limits: Limits) -> float:
-    """Return the limit of the effort that a cable servo enforces itself, A; a load ratio if it measures no current."""
+    """Return the largest effort that a cable servo itself permits, A; a load ratio if the servo measures no current."""
     if servo.model.measures_current:
         return min(_HEADROOM * limits.max_current, servo.model.strongest_current)
     return min(_HEADROOM * limits.max_load, 1.0)
 
 
 def fault_level(servo: Servo, limits: Limits) -> float:
-    """Return the effort above which a cable servo is overloaded, in the unit of `own_limit`."""
+    """Return the effort above which a cable servo is overloaded, in the unit of `own_limit`.
+
+    It is max_current or max_load, or less if the servo cannot exceed this limit by the factor _HEADROOM.
+    """
     return own_limit(servo, limits) / _HEADROOM
 
 
@@ -62,7 +65,14 @@ class Counts:
 
 @dataclass(frozen=True)
 class Health:
-    """Registers that show whether a servo still has the settings that the driver wrote."""
+    """Registers that show whether a servo still has the settings that the driver wrote.
+
+    Attributes:
+        torque: torque_enable, raw.
+        led: led, raw. The home mark of a cable servo.
+        hardware_error: hardware_error_status, raw.
+        watchdog: bus_watchdog, raw. 0: not armed; WATCHDOG_EXPIRED: expired.
+    """
 
     torque: int
     led: int
@@ -120,7 +130,7 @@ def overload(counts: Counts, efforts: Mapping[int, float], levels: Mapping[int, 
 
     Args:
         counts: counts before the reading.
-        efforts: effort by servo id, A or a ratio of the load, as the servo measures.
+        efforts: effort by servo id, A; a load ratio for a servo that measures no current.
         levels: effort by servo id above which a servo is overloaded, in the same unit.
     """
     now = dict(counts.overload)
@@ -145,7 +155,7 @@ def fault_in_counts(
         counts: counts after the present reading.
         limits: limits of the deviations.
         problems: why the state of a servo is missing, by id.
-        otherwise: further possible explanation of a silence, see `crowding`.
+        otherwise: further possible cause of a silence, see `crowding`. It is appended to the message about a silence.
     """
     for servo, duration in counts.silence.items():
         if duration >= limits.max_silence:

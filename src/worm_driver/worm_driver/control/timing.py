@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Grid of deadlines and the measurement of how well a loop meets them."""
+"""Grid of deadlines, and measurement of how punctually a loop meets them."""
 
 import math
 from collections import deque
@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True)
 class DeadlineGrid:
-    """Deadlines at start + n period, s, monotonic. A missed deadline is skipped, without catching up."""
+    """Deadlines at start + n · period for whole n, s, monotonic. A missed deadline is skipped, without catching up."""
 
     start: float
     period: float
@@ -21,15 +21,15 @@ class DeadlineGrid:
 
 @dataclass(frozen=True)
 class TimingReport:
-    """Timing of a periodic loop over its last cycles.
+    """Timing of a periodic loop over its last cycles. All times are NaN until the first period has been measured.
 
     Attributes:
-        mean_period: mean period, s; NaN before two cycles.
-        p99_error: 99th percentile of |period - nominal|, s; NaN before two cycles.
-        max_error: largest |period - nominal|, s; NaN before two cycles.
+        mean_period: mean period, s.
+        p99_error: 99th percentile of |period - nominal|, s.
+        max_error: largest |period - nominal|, s.
         p99_wake: 99th percentile of the delay between a deadline and the start of its cycle, s. Caused by the
             computer.
-        p99_cycle: 99th percentile of the duration of a cycle, s. Caused by the device and the interpreter.
+        p99_cycle: 99th percentile of the duration of a cycle, s. It depends on the device and the interpreter.
         missed: number of deadlines skipped since the start.
         cycles: number of cycles since the start.
     """

@@ -21,7 +21,7 @@ TRAPEZOID = 1
 
 @dataclass(frozen=True)
 class Gait:
-    """Gait, SI. `GaitLimits` checks a gait for a robot.
+    """Gait, in SI units. `GaitLimits.check` checks it against the limits of a robot.
 
     The message worm_msgs/msg/Gait has the same fields. The defaults are the paper's sinusoid.
 
@@ -33,8 +33,8 @@ class Gait:
         pretension: o, m; smallest contraction during the gait.
         contraction_share: part of a cycle in which the body contracts; in the rest of the cycle it extends.
         profile: COSINE or TRAPEZOID, waveform of the contraction and of the extension.
-        ramp_share: part of the contraction in which a TRAPEZOID accelerates, equal to the part in which it decelerates;
-            the same for the extension.
+        ramp_share: part of the duration of the contraction in which a TRAPEZOID accelerates. It decelerates in an
+            equally long part at the end. The same parts apply to the extension.
     """
 
     stroke: float
@@ -60,7 +60,7 @@ class Gait:
         return (phase - self.contraction_share) / (1.0 - self.contraction_share)
 
     def _progress(self, part: float) -> float:
-        """Return g, the covered share of the stroke after a part (0 to 1) of the contraction or of the extension."""
+        """Return the covered share of the stroke after a part (0 to 1) of a contraction's or extension's duration."""
         if self.profile == COSINE:
             return 0.5 * (1.0 - math.cos(math.pi * part))
         ramp = self.ramp_share
@@ -99,7 +99,7 @@ class GaitLimits:
         max_cycles: largest number of cycles of one run.
         min_stroke: smallest stroke, m.
         min_frequency: lowest frequency, Hz. It bounds the time in which a cancelled gait completes its cycle.
-        max_duration: longest duration of the cycles of one run, s.
+        max_duration: longest total duration of the cycles of one run, s.
     """
 
     max_stroke: float
@@ -120,7 +120,7 @@ class GaitLimits:
         """Check a gait and its number of cycles.
 
         Raises:
-            LimitError: A value is outside the limits. The message contains the limit.
+            LimitError: A value is not finite or is outside its limits. The message contains the value.
         """
         ranges = (
             ("stroke", self.min_stroke, self.max_stroke, " m", "limits.max_stroke_m"),

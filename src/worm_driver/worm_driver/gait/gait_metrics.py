@@ -2,9 +2,9 @@
 """Metrics of a run by the paper's protocol.
 
 Speed and power are means over the last three complete cycles (over all, if there are fewer). The idle power is the mean
-of the first ten valid samples at rest. Times are monotonic, in s. Metrics that cannot be computed are NaN, with a
-reason. A metric is also NaN if its data contain an overflow or a gap that is too long to bridge, because data are
-seldom missing at random: a sensor overflows where the power is largest.
+of the first ten valid samples at rest. Times are monotonic, in s. Metrics that cannot be computed are NaN. Missing
+speed, power and idle power have a reason. A metric is also NaN if its data contain an overflow or a gap that is too
+long to bridge, because data are seldom missing at random: a sensor overflows where the power is largest.
 """
 
 import math
@@ -25,11 +25,11 @@ IDLE_SAMPLES = 10
 
 #: s, longest gap between two tracker samples for linear interpolation (two lost samples at 30 Hz)
 _TRACKER_GAP = 0.12
-#: s, longest gap between two tracker samples that is bridged
+#: s, longest gap between two tracker samples that is bridged by a cubic, see `RunRecord.position_at`
 _LONGEST_BRIDGE = 0.5
-#: s, time before a gap, and after it, whose samples are used for the bridge
+#: s, duration of the span before a gap, and of the span after it, to whose samples the cubic is fitted
 _BRIDGE_SIDE = 0.25
-#: smallest number of samples on each side of a bridge
+#: smallest number of samples in each of the two spans
 _LEAST_SAMPLES = 4
 #: s, longest time without a valid power sample within the averaged cycles
 _POWER_GAP = 0.25
@@ -97,9 +97,10 @@ class RunMetrics:
         distance: displacement of x1 along the gait's direction over all complete cycles, m.
         speed: mean speed of x1 along the gait's direction, m/s.
         power: mean source power, W.
-        cost_of_transport: power divided by weight and absolute speed, without unit.
+        cost_of_transport: power divided by the product of weight and absolute speed, without unit.
         idle_power: mean source power at rest before the onset, W.
-        reasons: reasons of missing or less certain metrics, one each.
+        reasons: why metrics are missing or less certain, at most one sentence for each. There is none for the distance,
+            nor for a cost of transport that is missing because power or speed is missing.
     """
 
     cycles_completed: int
@@ -162,10 +163,10 @@ def _speed(run: Run, record: RunRecord, start: float, end: float) -> tuple[float
 
 
 def _mean_power(samples: Sequence[PowerSample], start: float, end: float) -> tuple[float, str]:
-    """Return the mean power over time (W), and a reason if it is NaN.
+    """Return the mean power (W) from a start to an end (s), and a reason if it is NaN.
 
-    Each valid sample counts until the next one, and the last one until the end. The first one also counts from the
-    start.
+    The mean is weighted with time: each valid sample counts until the next valid one, and the last one until the end.
+    The first one also counts from the start to its own time.
     """
     window = [sample for sample in samples if start <= sample.time <= end]
     if not window:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""State machine that computes the commands of the cable and the fins.
+"""State machine that computes the commands for the cable and the fins.
 
 A run has these phases:
 
@@ -97,9 +97,10 @@ class PlayerState:
 
     Attributes:
         phase: present phase.
-        phase_start: start of the phase, s. A late step of a ramp shifts it; `cancel` does not change it.
+        phase_start: start of the phase, s. A late step of a ramp shifts it, and the command that turns the fins sets it
+            again. It keeps its value when `cancel` changes the phase to STOPPING.
         length_change: commanded length change, m.
-        ramp_from: commanded length change from which the latest ramp started, m.
+        ramp_from: commanded length change from which the ramp of the phase starts, if the phase has one, m.
         direction: commanded direction of the fins, 1 or -1; 0 before the first run and after a hold.
         stepped: time of the last step, s.
         still_start: latest time at which a motion was commanded or a fin was not at its goal, s.
@@ -196,7 +197,7 @@ def finish(state: PlayerState, now: float) -> PlayerState:
 
 
 def cancel(state: PlayerState, now: float, reason: str) -> PlayerState:
-    """End the run at its next point of rest; at once if it is neither in RETURNING nor in RUNNING."""
+    """End the run: at its next point of rest in RETURNING and RUNNING, at once in any other phase."""
     run = state.active_run
     if run is None or state.phase is Phase.STOPPING:
         return state
@@ -209,7 +210,7 @@ def cancel(state: PlayerState, now: float, reason: str) -> PlayerState:
 
 
 def stop(state: PlayerState, now: float, length_change: float, reason: str) -> PlayerState:
-    """Hold the cable at once at a length change (m)."""
+    """Hold the cable at once at a length change (m). In the phase FAULT, return the state unchanged."""
     if state.phase is Phase.FAULT:
         return state
     return _hold(state, now, length_change, Phase.HOLDING, Ending.STOPPED, reason)
@@ -289,7 +290,10 @@ def _tensioning(
 
 
 def _ramp(state: PlayerState, now: float, target: float, settings: PlayerSettings) -> PlayerState:
-    """Return the state on a ramp of the length change to a target (m): a half cosine, whose speed has no steps."""
+    """Return the state with the length change at its present point of a ramp to a target (m).
+
+    The ramp is a half cosine, so that the speed of the cable has no steps.
+    """
     way = state.ramp_from - target
     duration = math.pi / 2 * abs(way) / settings.return_speed
     elapsed = now - state.phase_start

@@ -26,7 +26,7 @@ class RunEnd:
 
     Attributes:
         cycles: number of cycles.
-        grooves: grooves that x1 gains along the gait's direction.
+        grooves: number of grooves that x1 gains along the gait's direction.
         distance: distance of x1 along the gait's direction, m.
     """
 
@@ -54,7 +54,9 @@ class RunEnd:
         return limits.most_cycles(gait)
 
     def is_reached(self, run: Run, record: RunRecord, pitch: float) -> bool:
-        """Return True if the run must end with the present cycle, according to the latest tracker sample.
+        """Return True if the run must end with the present cycle, because its grooves or its distance are reached.
+
+        This is decided from the latest tracker sample, if it is near the end of a cycle.
 
         Args:
             run: run in progress.
@@ -79,7 +81,8 @@ def is_near_cycle_end(run: Run, record: RunRecord) -> bool:
 def makes_no_progress(run: Run, record: RunRecord, pitch: float) -> bool:
     """Return True if the robot gained less than half a pitch in the last three cycles.
 
-    Call this function only if the latest tracker sample is near the end of a cycle (`is_near_cycle_end`).
+    Return False during the first three cycles, and if x1 three cycles ago is unknown. Call this function only if the
+    latest tracker sample is near the end of a cycle (`is_near_cycle_end`).
     """
     newest, before = record.positions[-1], _CYCLES_WITHOUT_PROGRESS / run.gait.frequency
     if run.onset is None or newest[0] - before < run.onset:
@@ -89,7 +92,7 @@ def makes_no_progress(run: Run, record: RunRecord, pitch: float) -> bool:
 
 
 def unseen_cycle(run: Run, judged: int, now: float) -> int:
-    """Return the number of the last complete cycle if no tracker sample shows the end of this cycle; else 0.
+    """Return the number of the last cycle that ended at least 0.5 s ago if the tracker did not see its end; else 0.
 
     Args:
         run: run in progress.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Detection of rest by the tracker. A body still extends slowly after its cable has been paid out."""
+"""Detection of rest from tracker samples, because a body still extends slowly after its cable has been paid out."""
 
 import math
 from collections import deque
@@ -8,10 +8,10 @@ from collections.abc import Iterable
 #: s, time for which both modules must be at rest before a gait. The twin determines the initial length from the samples
 #: of this span.
 SPAN = 1.0
-#: m, largest difference between the mean positions in the two halves of the span at which a module is at rest, about
-#: the noise of a tracker
+#: m, largest difference between the mean positions in the two halves of the span at which a module counts as at
+#: rest. It is about the noise of a tracker
 TOLERANCE = 3e-4
-#: smallest number of samples for a mean
+#: smallest number of known positions of a module in each half of the span
 FEWEST = 3
 
 

@@ -95,7 +95,15 @@ def joint_state(
 def body_length(
     source: int, time_s: float, change: float, initial: float, clocks: ClockPair
 ) -> BodyLength:
-    """Return the message of a body length, from its change (m) at a monotonic time (s)."""
+    """Return the message of a body length.
+
+    Args:
+        source: constant of BodyLength, the source of the length.
+        time_s: monotonic time of the length, s.
+        change: length change, m.
+        initial: initial length, m.
+        clocks: difference between the clocks.
+    """
     return BodyLength(
         header=Header(stamp=clocks.stamp(time_s)),
         source=source,

@@ -172,8 +172,9 @@ class DriverNode(LifecycleNode):
         """Bring the robot to rest and release the servos.
 
         Returns:
-            FAILURE after a stop on the way to rest; the robot then holds. ERROR, which closes everything, if a servo
-            does not confirm that its torque is off, or if the servo bus thread does not respond.
+            FAILURE after a stop on the way to rest (the robot then holds), or if the robot is not at rest in time.
+            ERROR, which closes everything, after any other problem. For example, a servo does not confirm that its
+            torque is off, or the servo bus thread does not respond.
         """
         try:
             self._release()
@@ -334,7 +335,7 @@ class DriverNode(LifecycleNode):
             self.get_logger().error(problem)
 
     def destroy_node(self) -> None:
-        """Destroy the node. Also end the services with their own threads, and the claim of the namespace."""
+        """Destroy the node. Also end the services with their own threads, and release the claim of the namespace."""
         self._lifecycle.close()
         self._stops.close()
         self._sole.close()

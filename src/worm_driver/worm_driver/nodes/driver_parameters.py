@@ -17,9 +17,9 @@ from worm_driver.servos.transmission import Fin, Spool
 from worm_msgs.parameter_rows import ParameterRow
 
 HEARTBEAT = "heartbeat_s"
-#: Starts of the names of the parameters that a configured driver accepts.
+#: Prefixes of the names of the parameters that can be changed while the driver is configured.
 _LIVE = ("limits.", "rest_duration_s", "return_speed_m_per_s", HEARTBEAT)
-#: Starts of the names of the parameters that can only be lowered while the driver is configured.
+#: Prefixes of the names of those parameters that can then only be lowered.
 _BOUNDS = ("limits.", "return_speed_m_per_s")
 _SIMULATED_TIME = "use_sim_time"
 _Row = ParameterRow

@@ -3,8 +3,8 @@
 
 rclpy (7.1) serves these requests in the node's executor. A transition blocks the executor for seconds. During this time
 the middleware stores ten requests and drops all further ones. A request for a transition that is impossible in the
-present state raises an exception in the executor, which ends the node. This module answers every request, during a
-transition, too, and rejects impossible transitions.
+present state raises an exception in the executor, which ends the node. This module answers every request, also
+during a transition, and rejects impossible transitions.
 """
 
 import queue

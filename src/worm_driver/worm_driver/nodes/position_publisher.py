@@ -10,7 +10,7 @@ from std_msgs.msg import Header
 from worm_msgs.msg import BodyLength, Tracker
 
 FRAME = "pipe"  # x forward along the axis, z up (REP 103)
-_SAMPLES = 30  # number of first samples, at rest, whose mean is the zero of the length changes
+_SAMPLES = 30  # number of first lengths, assumed to be at rest; their mean is the zero of the length changes
 
 
 class PositionPublisher:

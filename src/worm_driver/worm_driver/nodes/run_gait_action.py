@@ -286,7 +286,10 @@ class RunGaitAction:
 
     @staticmethod
     def _end_when_seen(current: _Current, run: Run, now: float) -> None:
-        """End a goal once the tracker samples extend beyond the run's end, or after the timeout."""
+        """End a goal once the tracker samples extend beyond the run's end, or after the timeout.
+
+        Without any tracker sample, end the goal at once.
+        """
         assert run.end is not None
         positions = current.record.positions
         complete = not positions or positions[-1][0] >= run.end + _TRACKER_AFTERWARDS
@@ -299,7 +302,7 @@ def _id(goal: ServerGoalHandle) -> bytes:
 
 
 def _elapsed(run: Run, snapshot: Snapshot) -> float:
-    """Return the time (s) since the onset. Before the onset, return the duration of the rest so far, negated."""
+    """Return the time (s) since the onset. Before the onset, return the negated duration of the rest so far."""
     if run.onset is not None:
         return snapshot.command_time - run.onset
     resting = snapshot.player.phase is Phase.RESTING

@@ -9,7 +9,7 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-#: s, period of checks for the end
+#: s, longest time until the thread notices that it must end
 _PERIOD = 0.5
 
 
@@ -26,7 +26,7 @@ class SideNode:
             name,
             context=main.context,
             namespace=main.get_namespace(),
-            cli_args=["--ros-args", "-r", f"__node:={name}"],  # precedes the process's own __node:=
+            cli_args=["--ros-args", "-r", f"__node:={name}"],  # overrides the process's __node:=
             enable_rosout=False,
         )
         self.node.add_on_set_parameters_callback(self._reject)

@@ -43,9 +43,9 @@ class SoleDriver:
         self._claim.close()
 
     def wait(self, ended: Callable[[], bool]) -> None:
-        """Wait until no other driver is announced on the network.
+        """Wait until no other driver is announced on the network, at least for the usual time of discovery.
 
-        Return at once if no other computer can reach the driver.
+        Return at once if no other computer can reach the driver. Return early when ``ended`` returns True.
 
         Raises:
             ConfigurationError: Another driver is still announced after ANNOUNCED_S.

@@ -14,8 +14,8 @@ class Stamps:
     """Source of a node's stamps.
 
     Attributes:
-        robot_clock: clock of the robot that was configured last; None before. It stays after a clean-up, so that stamps
-            continue.
+        robot_clock: clock of the robot that was configured last; None before. A clean-up does not reset it, so that
+            later stamps continue the earlier ones.
     """
 
     def __init__(self, node: Node) -> None:

@@ -36,7 +36,7 @@ VIRTUAL = "virtual"
 #: Value of source that selects the topics of a camera.
 TOPIC = "topic"
 _TRANSPORTS = ("raw", "compressed")
-#: Largest relative difference between the calibrations of the setup file and of the topic that causes no warning.
+#: Largest relative difference between the focal lengths and centres of two calibrations that causes no warning.
 _DIFFERENT = 1e-3
 _PARAMETERS = tuple(
     ParameterRow(name, default, text, read_only=True)
@@ -267,6 +267,6 @@ def _run(ended: ShutdownRequest) -> int:
 
 
 def main(args: list[str] | None = None) -> int:
-    """Run the tracker until SIGINT, SIGTERM or SIGHUP, or until the video ends."""
+    """Run the tracker until SIGINT, SIGTERM or SIGHUP, or until the source has no more images."""
     about = "Measure the positions of both modules in the images of a camera, a video or a folder."
     return run_node("tracker", about, rows, _run, (TrackingError,), args)

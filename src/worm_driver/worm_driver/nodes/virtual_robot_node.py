@@ -42,7 +42,7 @@ from worm_msgs.srv import InjectFault
 from worm_msgs.yaml_file import SettingsFileError
 
 _DEPTH = 500  # samples that may wait for a slow subscriber
-_CLOCK_PERIOD = 0.05  # s, virtual time between two messages on clock
+_CLOCK_PERIOD = 0.05  # s, virtual time between two messages on the topic clock
 _VIRTUAL = "virtual"  # selects the installed file of the camera
 # s, time slice of the interpreter's threads; with Python's default of 5 ms, answers on the bus would be too late.
 _SWITCH_INTERVAL = 0.0002
@@ -96,7 +96,7 @@ class VirtualRobotNode(Node):
         self.create_service(InjectFault, "inject_fault", self._inject)
 
     def close(self) -> None:
-        """End the camera."""
+        """End the process of the camera, if there is one."""
         if self._camera is not None:
             self._camera.close()
 

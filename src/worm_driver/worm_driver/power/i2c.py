@@ -46,7 +46,7 @@ class I2CDevice:
     address: int
 
     def reopen(self) -> None:
-        """Close the bus and open it again, because the handle of an unplugged adapter is invalid.
+        """Close the bus and open it again. This is necessary after the adapter was unplugged.
 
         Raises:
             PowerSensorError: The bus cannot be opened.
@@ -98,7 +98,8 @@ def open_device(bus: str, address: int) -> I2CDevice:
         address: 7-bit address.
 
     Raises:
-        PowerSensorError: The bus is missing or not permitted. The message contains the remedy.
+        PowerSensorError: The bus is missing, is not permitted, or cannot be opened for another reason. In the first two
+            cases the message contains the remedy.
     """
     try:
         return I2CDevice(_open_bus(bus), bus, address)

@@ -86,7 +86,7 @@ class INA219:
         """Reset the chip, check its type and byte order, and set it up.
 
         Raises:
-            PowerSensorError: The chip does not answer, it is another chip, or the bytes are swapped.
+            PowerSensorError: The chip does not answer, is another chip or loses its settings, or the bytes are swapped.
         """
         where = f"the device 0x{self.device.address:02X} on I2C bus {self.device.bus_name}"
         swapped = (
@@ -98,7 +98,8 @@ class INA219:
         if configuration == POWER_ON_CONFIGURATION:
             self.set_up()
             return
-        # If the adapter swaps the bytes, the chip received RESET as a setting. Then only the swapped value resets it.
+        # If the adapter swaps the bytes, the chip received 0x0080, which is a setting, instead of RESET. Then only the
+        # swapped value resets it.
         if POWER_ON_CONFIGURATION in (swap(configuration), swap(self._reset(swap(RESET)))):
             raise PowerSensorError(swapped)
         raise PowerSensorError(
@@ -135,7 +136,7 @@ class INA219:
     def _sample(self, time: float) -> PowerSample:
         bus = self.device.read(BUS)
         shunt = _signed(self.device.read(SHUNT))
-        if not self.is_set_up():  # A check after the values were read also covers them.
+        if not self.is_set_up():  # This check comes after the values were read, so it covers them.
             self.set_up()
             return PowerSample(time, SampleStatus.SENSOR_RESET)
         if not bus & _READY_BIT:
@@ -149,7 +150,7 @@ class INA219:
         return PowerSample(time, SampleStatus.VALID, (bus >> 3) * BUS_LSB_V, current)
 
     def _is_frozen(self, bits: tuple[int, int]) -> bool:
-        """Return True if the bits of FROZEN consecutive samples are identical."""
+        """Return True if the bits of the last FROZEN samples are identical."""
         self._repeats = self._repeats + 1 if bits == self._bits else 1
         self._bits = bits
         return self._repeats >= FROZEN
@@ -158,10 +159,12 @@ class INA219:
 def calibration_for(shunt_resistance: float, max_current: float) -> int:
     """Return the value of the calibration register for a shunt (ohm) and the largest current (A) without overflow.
 
-    Cal = trunc(0.04096 / (Current_LSB R)) with Current_LSB = max_current / 32768 (SBOS448G). Bit 0 is always 0.
+    Cal = trunc(0.04096 / (Current_LSB R)) with Current_LSB = max_current / 32768 and the resistance R of the shunt
+    (SBOS448G). Bit 0 is always 0.
 
     Raises:
-        ConfigurationError: The current is too large for the shunt's +-320 mV or too small for the register.
+        ConfigurationError: An argument is not positive, or the current is too large for the range of +-320 mV or too
+            small for the register.
     """
     if not (shunt_resistance > 0.0 and max_current > 0.0):
         raise ConfigurationError("shunt_resistance_ohm and max_current_a must be positive")

@@ -29,12 +29,12 @@ class Reading:
 def spool_from(servo: int, readings: Sequence[Reading]) -> tuple[Spool, float]:
     """Return the spool that fits the readings best, and the largest deviation of a reading from the fit (m).
 
-    The fit is a straight line of the length (m) over the servo angle (rad). The absolute value of its slope is the
-    radius (m). If the length falls with rising ticks, the sign is 1, otherwise -1.
+    The fit is a straight line: the length (m) as a function of the servo angle (rad). The absolute value of its slope
+    is the radius of the spool (m). If the length falls with rising ticks, the sign is 1, otherwise -1.
 
     Raises:
-        ConfigurationError: There are fewer than two positions, the body length hardly changed, or a reading is too far
-            from the straight line.
+        ConfigurationError: There are fewer than two positions, the body length hardly changed, a reading is too far
+            from the straight line, or the radius is out of the range of `Spool`.
     """
     if len({reading.ticks for reading in readings}) < 2:
         raise ConfigurationError(
@@ -60,7 +60,7 @@ def spool_from(servo: int, readings: Sequence[Reading]) -> tuple[Spool, float]:
 def parameter_text(port: str, baud_rate: int, spools: Sequence[Spool], fins: Sequence[Fin]) -> str:
     """Return the text of the driver's parameter file with the calibrated values.
 
-    Other parameters keep their defaults.
+    Parameters that are not in the text keep their defaults.
     """
     parameters: dict[str, object] = {
         "port": port,

@@ -33,7 +33,11 @@ def unpack(register: Register, data: bytes) -> int:
 
 
 def unpack_from(register: Register, block: bytes, start: int) -> int:
-    """Return the raw value of a register in a block of the control table that begins at address ``start``."""
+    """Return the raw value of a register in a block of the control table that begins at address ``start``.
+
+    Raises:
+        ValueError: The block does not contain the whole register.
+    """
     return unpack(register, block[register.address - start : register.end - start])
 
 

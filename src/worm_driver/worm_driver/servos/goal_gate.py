@@ -19,9 +19,9 @@ class Bound:
 
     Attributes:
         low, high: smallest and largest goal, ticks. For a cable servo: the range of the stroke, with a tolerance.
-        lead: largest distance of a goal from the last plausible position if this position was just read, ticks.
-        speed: increase of this largest distance per second of the position's age, ticks/s, because the servo may have
-            moved on.
+        lead: largest distance of a goal from the last plausible position if this position was just received, ticks.
+        speed: ticks/s. For each second since the last plausible position was received, the largest distance of a goal
+            from it grows by this amount, because the servo may have moved on.
     """
 
     low: int
@@ -33,11 +33,13 @@ class Bound:
 class GoalGate:
     """Writer of goals that stay within their bounds.
 
-    A goal out of bounds is withheld. The servo keeps its previous goal, which was within the bounds. If a goal of a
-    cable servo is too far from the last plausible position, the following error (distance of the cable from its
-    command) also exceeds its limit, and `control.supervision` reports it. A servo gets no goal before its first
-    plausible position, and no goal after its position is lost (`PositionTrack.lost`), because its ticks may then stand
-    for another position.
+    A goal out of bounds is withheld. The servo keeps its previous goal, which was within the bounds when it was sent.
+
+    If a goal of a cable servo is too far from the last plausible position, the following error (distance of the cable
+    from its command) exceeds its limit, too. `control.supervision` reports this as a fault.
+
+    A servo gets no goal before its first plausible position. It also gets none while its position is lost
+    (`PositionTrack.lost`), because a number of ticks may then stand for another position than before.
 
     Attributes:
         bounds: bounds by servo id. A servo without bounds gets no goal.
@@ -50,7 +52,7 @@ class GoalGate:
         self.bounds: Mapping[int, Bound] = {}
 
     def write(self, servo: int, ticks: int) -> None:
-        """Write a goal (ticks) and wait for the acknowledgement. For use outside of the 100 Hz cycle.
+        """Write a goal (ticks) and wait for the acknowledgement. For use outside of the control cycle.
 
         Raises:
             LimitError: The goal is withheld.

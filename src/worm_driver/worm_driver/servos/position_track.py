@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Last plausible position of each servo, and the check whether a new sample is reachable from it."""
+"""Last plausible position of each servo, and the check whether the servo can have moved from there to a new sample."""
 
 import math
 from collections.abc import Mapping
@@ -10,8 +10,8 @@ from worm_driver.servos.registers import TICKS_PER_TURN
 #: Ratio of the highest plausible speed of a shaft to its velocity limit. It is above 1, because a load may turn the
 #: shaft faster than the motor does.
 _FASTER = 2.0
-#: Difference between two positions that is always plausible, ticks. At the velocity limits of the supported models, a
-#: delay of 1 ms causes 3 to 7 ticks.
+#: Difference between two positions that is always plausible, ticks. It covers errors of the times of reception: at the
+#: velocity limits of the supported models, a delay of 1 ms causes a difference of 3 to 7 ticks.
 _SLACK = 64
 
 
@@ -51,7 +51,10 @@ class PositionTrack:
         self.lost: dict[int, int] = {}
 
     def begin(self, positions: Mapping[int, PositionSample]) -> None:
-        """Begin to reject implausible samples, starting from positions on which two readings agreed, by servo id."""
+        """Begin to reject implausible samples. ``positions`` are the first plausible positions by servo id.
+
+        Two readings must have agreed on each of these positions.
+        """
         self._last.update(positions)
         self._watches = True
         self.lost.clear()
@@ -84,6 +87,9 @@ class PositionTrack:
 
 
 def is_reachable(last: PositionSample, ticks: int, time: float, fastest: float) -> bool:
-    """Return True if a servo with a velocity limit (rad/s) can be at a position (ticks) at a time (s)."""
+    """Return True if a servo can have moved from the position ``last`` to a position (ticks) by a time (s).
+
+    ``fastest`` is the velocity limit of the servo, rad/s.
+    """
     turned = _FASTER * fastest * max(0.0, time - last.time) / math.tau * TICKS_PER_TURN
     return abs(ticks - last.ticks) <= turned + _SLACK

@@ -39,7 +39,7 @@ HARDWARE_ERRORS: Mapping[int, str] = MappingProxyType(
 
 @dataclass(frozen=True)
 class Register:
-    """Row of a control table: ``value = raw * scale`` in ``unit``."""
+    """Row of a control table: ``value = raw * scale`` in ``unit``. The size is in bytes."""
 
     name: str
     address: int
@@ -50,7 +50,7 @@ class Register:
 
     @property
     def end(self) -> int:
-        """Address after the register's last byte."""
+        """Address of the byte after the register's last byte."""
         return self.address + self.size
 
 

@@ -16,7 +16,8 @@ _PTY_MAJORS = range(136, 144)
 _MEMORY_MAJORS = (1,)
 #: Major device numbers of consoles, serial ports, /dev/tty, /dev/console and /dev/ptmx.
 _CONSOLE_MAJORS = (4, 5)
-#: Smallest minor device number of a serial port under _CONSOLE_MAJORS. Smaller numbers are those of other devices.
+#: Smallest minor device number of a serial port with a major number in _CONSOLE_MAJORS. The smaller minor numbers
+#: belong to consoles and terminals.
 _SERIAL_MINORS = 64
 
 
@@ -37,7 +38,7 @@ def latency_timer_path(port: str, sysfs: Path = _SYSFS) -> Path:
 
 
 def why_no_port(port: str) -> str:
-    """Return why an existing path cannot be a servo bus, with the remedy. Empty if it may be one."""
+    """Return why an existing path cannot be a servo bus, with the remedy; empty if it can be one, or does not exist."""
     try:
         status = Path(port).stat()
     except OSError:

@@ -110,7 +110,11 @@ class BusPort(PortHandler):
 
     @property
     def expects(self) -> bool:
-        """True until the timeout; then True while received bytes are unread, as after the process was suspended."""
+        """True until the timeout expires.
+
+        After the timeout, True while received bytes are unread (at most _LEFT_OVER bytes), for example because the
+        process was suspended.
+        """
         return self.remaining > 0.0 or (self._left_over > 0 and self._wait(0.0))
 
     def isPacketTimeout(self) -> bool:  # noqa: N802
@@ -225,7 +229,7 @@ class ServoBus:
 
     Attributes:
         port: open port.
-        retries: number of repetitions of a failed exchange.
+        retries: largest number of repetitions of a failed exchange.
         counters: numbers of exchanges and failures.
     """
 
@@ -249,7 +253,7 @@ class ServoBus:
             baud_rate: bit/s.
             latency: longest time that the adapter delays an answer, s. None: the adapter's latency timer, or 1 ms
                 without a timer. The timer is read after the port was opened, because opening it requests a low latency.
-            retries: number of repetitions of a failed exchange.
+            retries: largest number of repetitions of a failed exchange.
 
         Raises:
             PortError: The port is missing, forbidden or in use. The message contains the remedy.
@@ -365,9 +369,9 @@ class ServoBus:
     ) -> tuple[float, dict[int, Reply]]:
         """Return a block of the control table of several servos. Servos without an intact answer are omitted.
 
-        There are no retries, because only the caller can decide about a repetition. A reply with an error number has no
-        valid data. Servos answer in the order of the request. The bus accepts one answer per id, and only in this
-        order. If two answers have the same id and different contents, the bus accepts neither.
+        The method does not repeat the request; the caller decides on a repetition. A reply with an error number has no
+        valid data. Servos answer in the order of the ids in the request, so an answer out of this order is not
+        accepted. If two answers have the same id and different contents, neither is accepted.
 
         Args:
             start: address of the block.

@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Functions that identify, check and set up one servo at a time, outside of the 100 Hz cycle.
+"""Functions that identify, check, set up and release servos, outside of the control cycle.
 
 A line is quiet if no late answer can arrive any more. A value on which a decision depends is read twice on a quiet
-line, because a late answer must not pass for the answer to the present request. Values written to the EEPROM, and the
-home mark, are read back in the same way. The callers enter the context `ServoBus.retrying`.
+line, because a late answer must not pass for the answer to the present request. Only `limit_motion`,
+`standing_position` and `switch_on`, which enable the torque, do not wait for a quiet line before each reading. Values
+written to the EEPROM, and the home mark, are read back twice on a quiet line, too. The callers enter the context
+`ServoBus.retrying`. Only `release_all` enters it itself.
 
 The register led of a cable servo is its home mark: 1 means that position 0 is the cable's home. The register is in RAM.
 A reboot or a power failure reduces the position to a single turn, and always clears the mark.
@@ -25,9 +27,9 @@ from worm_driver.servos.registers import (
 )
 from worm_driver.servos.servo_bus import ServoBus
 
-#: Number of attempts to get two readings that agree.
+#: Largest number of attempts to get two readings that agree.
 _PAIRS = 4
-#: Largest difference at which two readings of a register agree, raw; 0 for all other registers.
+#: Largest difference at which two readings of a register agree, raw, by register name; 0 for registers not listed here.
 _UNSTEADY = {"present_position": 3, "present_input_voltage": 3}
 #: Largest difference between two consecutive positions of a servo that stands still, ticks.
 _STANDS = 64
@@ -196,12 +198,12 @@ def cable_settings(servo: Servo, limit: float) -> dict[str, int]:
 
 
 def prepare_cable(bus: ServoBus, servo: Servo, limit: float) -> None:
-    """Prepare a cable servo: extended position mode, and the settings of `cable_settings`."""
+    """Prepare a cable servo: extended position mode, and the settings of `cable_settings`. Raises as `prepare`."""
     prepare(bus, servo, EXTENDED_POSITION_MODE, cable_settings(servo, limit))
 
 
 def prepare_fin(bus: ServoBus, servo: Servo) -> None:
-    """Prepare a fin servo: position mode."""
+    """Prepare a fin servo: position mode. Raises as `prepare`."""
     prepare(bus, servo, POSITION_MODE)
 
 
@@ -209,6 +211,9 @@ def held_position(bus: ServoBus, servo: Servo, limit: float) -> int | None:
     """Return the position (ticks from home) of a cable servo that an earlier driver left with its torque on.
 
     Return None if the torque is off, the servo is not homed, or its settings differ from those of `prepare_cable`.
+
+    Raises:
+        BusError: The servo does not answer, or no two readings agree.
     """
     wanted = {
         "operating_mode": EXTENDED_POSITION_MODE,
@@ -268,7 +273,7 @@ def _set_zero(bus: ServoBus, servo: Servo) -> None:
 def limit_motion(
     bus: ServoBus, servo: Servo, speed: float, watchdog: float, limit: float = 1.0
 ) -> None:
-    """Write the limits that the servo itself enforces once it is enabled: speed, output and the bus watchdog.
+    """Write the limits that a servo enforces itself while its torque is on: speed, output and bus watchdog.
 
     Args:
         bus: servo bus.

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from worm_driver.servos.encoding import from_raw, unpack_from
 from worm_driver.servos.registers import COMMON, ServoModel
 
-#: Block that is read in every cycle: Realtime Tick to Present Temperature, without a gap in any model.
+#: Block that is read in every cycle: Realtime Tick to Present Temperature. No model has a gap in this range.
 STATE_START = COMMON["realtime_tick"].address
 STATE_SIZE = COMMON["present_temperature"].end - STATE_START
 

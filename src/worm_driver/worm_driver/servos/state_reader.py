@@ -13,8 +13,8 @@ from worm_driver.servos.servo_setup import Servo
 from worm_driver.servos.servo_state import SILENT, STATE_SIZE, STATE_START, ServoState, decode
 from worm_driver.servos.tick_clock import TickClock
 
-#: Health registers, which are not part of the block of the state. A cycle in which all states arrive reads one of them
-#: in turn.
+#: Health registers, which are not part of the block of the state. In each cycle in which all states arrive, the next of
+#: these registers is read from all servos.
 _HEALTH = tuple(COMMON[name] for name in ("torque_enable", "hardware_error_status", "bus_watchdog"))
 
 #: Addresses of the block that contains a servo's health registers and its clock.
@@ -24,7 +24,10 @@ _FIRST_ANSWERS = 3
 
 
 class StateReader:
-    """Reader of states. If an answer is missing, garbled, late, implausible or has an error number, it reads once more.
+    """Reader of states.
+
+    If an answer is missing, garbled, late, implausible or has an error number, the reader requests all states once
+    more.
 
     Args:
         bus: open servo bus.
@@ -93,6 +96,8 @@ class StateReader:
 
     def learn_clocks(self) -> None:
         """Estimate the servos' clocks from scratch. Each request waits until no older answer can arrive.
+
+        The signs of faults and restarts collected so far are dropped, see `pop_suspect`.
 
         Raises:
             BusError: A request cannot be sent, for example because the port is gone.

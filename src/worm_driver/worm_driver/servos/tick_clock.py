@@ -1,14 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Distinction between a fresh and a late answer by the servo's own clock.
+"""Detection of late answers with the servo's own clock.
 
 A status packet does not contain the request that it answers, so a late answer looks like the answer to the next
 request. Every block that the driver trusts contains the servo's Realtime Tick (address 120, ms, wraps after 32767).
-The tick of an answer must not lie before the request. The clock restarts with the servo, which reveals a restart.
+The tick of an answer must not be earlier than the request. A restart of the servo also restarts its clock, so a jump of
+the clock reveals the restart.
 
 The lead of the servo's clock over the host's is unknown. The tick of an answer minus its time of reception is a lower
-bound of the lead, also for a late answer, because an answer is made before it is received. The largest bound is stored,
-and decreases only by the possible drift between the clocks. So a late answer can never make a subsequent fresh answer
-look old.
+bound of the lead, also for a late answer, because an answer is made before it is received. The driver stores the
+largest of these bounds, and reduces it with time only by the possible drift between the clocks. So a late answer can
+never make a subsequent fresh answer look old.
 """
 
 from dataclasses import dataclass
@@ -31,7 +32,8 @@ class TickClock:
     """Estimated lead of a servo's clock over the host's.
 
     Attributes:
-        lead: largest observed (tick - host time of reception), reduced by the possible drift since, modulo WRAP_S, s.
+        lead: largest observed value of (tick - host time of reception), modulo WRAP_S, s. It is reduced by the possible
+            drift since the observation.
         time: host time of the last update, s.
     """
 
@@ -40,17 +42,20 @@ class TickClock:
 
 
 def begin(tick_s: float, received: float) -> TickClock:
-    """Return the clock after the first answer, received at a host time (s)."""
+    """Return the clock after the first answer, with a tick (s), received at a host time (s)."""
     return TickClock((tick_s - received) % WRAP_S, received)
 
 
 def jump(clock: TickClock, tick_s: float, received: float) -> float:
-    """Return the tick of an answer minus its time of reception, minus the estimated lead, s; negative if it is late."""
+    """Return the tick of an answer minus its time of reception, minus the estimated lead, s.
+
+    The result lies within ±WRAP_S / 2. The later an answer arrives, the lower the result.
+    """
     return _wrapped(tick_s - received - clock.lead)
 
 
 def update(clock: TickClock, tick_s: float, received: float) -> TickClock:
-    """Return the clock after an answer of the same servo, late or not."""
+    """Return the clock after a further answer of the servo, late or not, received at a host time (s)."""
     sunk = -_DRIFT * max(0.0, received - clock.time)
     ahead = max(jump(clock, tick_s, received), sunk)
     return TickClock((clock.lead + ahead) % WRAP_S, received)
@@ -59,7 +64,7 @@ def update(clock: TickClock, tick_s: float, received: float) -> TickClock:
 def age(clock: TickClock, tick_s: float, requested: float) -> float:
     """Return a lower bound of the age (s) of an answer at the time ``requested`` (s) of the request.
 
-    It is negative if the servo made the answer after the request.
+    The age is negative if the servo made the answer after the request.
     """
     return _wrapped(requested - (tick_s - clock.lead))
 

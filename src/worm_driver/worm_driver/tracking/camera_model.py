@@ -55,7 +55,7 @@ def load_camera_info(path: Path) -> CameraModel:
     """Read the camera from a YAML file in the format of ROS's camera_calibration.
 
     Raises:
-        SetupError: The file is missing or is not a calibration.
+        SetupError: The file is missing, or is not a calibration that the tracker supports.
     """
     if not path.exists():
         raise SetupError(
@@ -88,7 +88,7 @@ def _from_file(content: Any) -> CameraModel:
 
 
 def _numbers(content: Any, key: str) -> list[float]:
-    """Return the values of a matrix entry of the file."""
+    """Return the values of a matrix in the file, row by row. Raises SetupError."""
     data = content.get("data") if isinstance(content, Mapping) else None
     if not isinstance(data, list):
         raise SetupError(f"{key} has no list named data")

@@ -12,9 +12,10 @@ from worm_driver.tracking.camera_model import Array, CameraModel
 from worm_driver.tracking.tracker_setup import FEWEST_REFERENCES, TrackerSetup
 from worm_driver.tracking.tracking_errors import PoseError
 
-#: Limits of the rms distance of the reference corners from their positions in the setup file (m). Above _MISPLACED, the
-#: pose is rejected; above DOUBTFUL, the tracker warns. The limits are small because the fitted pose absorbs most of a
-#: wrong position: an error of 10 mm along the pipe leaves a residual of 0.9 mm, an error of 2 mm a residual of 0.2 mm.
+#: Limits of the rms distance of the reference markers' corners from their positions in the setup file (m). Above
+#: _MISPLACED, the pose is rejected; above DOUBTFUL, the tracker warns. The limits are small because the fitted pose
+#: absorbs most of a wrong position: an error of 10 mm along the pipe leaves a residual of 0.9 mm, and an error of 2 mm
+#: leaves a residual of 0.2 mm.
 _MISPLACED, DOUBTFUL = 0.0007, 0.00015
 #: The pose is ambiguous if a second pose has an error below _ALMOST times the best error, and a viewing direction that
 #: differs by more than _OTHER_DIRECTION (rad).
@@ -26,7 +27,7 @@ _MOVED = 0.5
 #: positions dominate.
 _AVERAGED = 128
 
-#: Corners (right, up) of a print with side 1, in the order of `Detection.corners`.
+#: Corners (right, up) of a print (a printed marker) with side 1, in the order of `Detection.corners`.
 _UNIT_CORNERS = np.array([[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]])
 
 Corners = Mapping[int, Array]
@@ -39,7 +40,7 @@ class CameraPose:
     Attributes:
         rotation: rotation matrix, shape (3, 3).
         shift: translation, shape (3,), m.
-        facing: direction of the prints, which face the camera: -1 towards -y, 1 towards +y.
+        facing: direction in which the front of the printed markers points: -1 for -y, 1 for +y.
         error: rms reprojection error of the corners, pixels.
         error_m: the same error at the mean distance of the markers from the camera, m.
     """
@@ -80,7 +81,8 @@ def find_pose(setup: TrackerSetup, camera: CameraModel, corners_of: Corners) -> 
         corners_of: corners (pixels, shape (4, 2)) of each visible reference marker, by marker number.
 
     Raises:
-        PoseError: Too few markers are visible, two poses fit equally well, or none fits.
+        PoseError: Too few markers are visible, a marker is outside the range of the lens calibration, two poses fit
+            equally well, or none fits.
     """
     if len(corners_of) < FEWEST_REFERENCES:
         have = ", ".join(map(str, corners_of)) or "none"
@@ -160,7 +162,10 @@ class PoseEstimate:
 
 
 class FixedCamera:
-    """Pose estimator for a stationary camera. It averages images and checks each new image against the average."""
+    """Pose estimator for a stationary camera. It averages the reference markers' positions in the image.
+
+    A marker of a new image that is away from its average has moved, or the camera has.
+    """
 
     def __init__(self, setup: TrackerSetup, camera: CameraModel):
         self._setup = setup
@@ -191,14 +196,17 @@ class FixedCamera:
         return PoseEstimate(self._pose)
 
     def _distance(self, number: int, corners: Array) -> float:
-        """Return the distance of a marker from its mean position, pixels."""
+        """Return the distance of a marker's centre from its mean position, pixels; 0 for a new marker."""
         if number not in self._sums:
             return 0.0
         mean = self._sums[number] / self._counts[number]
         return float(np.hypot(*(corners - mean).mean(axis=0)))
 
     def _explain(self, moved: Mapping[int, float], corners_of: Corners) -> PoseEstimate:
-        """Return the estimate after markers have moved (pixels, by number). Begin the averages again."""
+        """Return the estimate after markers have moved, and restart the averages.
+
+        ``moved`` contains the displacement of each moved marker by its number, pixels.
+        """
         names = ", ".join(f"{n} by {distance:.1f} px" for n, distance in moved.items())
         still = len(corners_of) - len(moved)
         if len(moved) == 1 and still >= FEWEST_REFERENCES:
@@ -226,7 +234,7 @@ class FixedCamera:
                 self._counts[number] = self._counts.get(number, 0) + 1
 
     def _improve(self) -> None:
-        """Estimate the pose if it is unknown, and after 1, 2, 4, ... images, at most _AVERAGED. Raises PoseError."""
+        """Estimate the pose after 1, 2, 4, 8, ..., _AVERAGED images, and whenever it is unknown. Raises PoseError."""
         due = self._images <= _AVERAGED and self._images & (self._images - 1) == 0
         if due or self._pose is None:
             means = {n: total / self._counts[n] for n, total in self._sums.items()}

@@ -34,9 +34,9 @@ class Fix:
 def locate(setup: TrackerSetup, camera: CameraModel, pose: CameraPose, detection: Detection) -> Fix:
     """Return the position (m) of a module's marker on the line that the modules move along.
 
-    The marker's centre is the intersection of its diagonals, also if the print is tilted. The returned position is that
-    of the point of the line that is closest to the camera's ray through the marker's centre. It is NaN, with a reason,
-    if the detection is implausible.
+    The image of the marker's centre is the intersection of the diagonals, also if the print is tilted. The returned
+    position is that of the point of the line that is closest to the camera's ray through the marker's centre. The
+    position is NaN, with a reason, if the detection is implausible.
     """
     rays = vision.directions(camera, detection.corners)
     if not np.isfinite(rays).all():
@@ -64,7 +64,7 @@ def _nearest_on_line(line: ModuleLine, pose: CameraPose, ray: Array) -> tuple[fl
     along = pose.rotation[:, 0]
     start = pose.rotation @ np.array([0.0, line.y, line.z]) + pose.shift
     # If (start + x * along) is on the ray, its projection equals ray: two equations, linear in x. Their residual is the
-    # distance from the ray in m.
+    # distance from the ray in m, perpendicular to the optical axis.
     slope = along[:2] - ray * along[2]
     offset = start[:2] - ray * start[2]
     x = -float(slope @ offset / (slope @ slope))

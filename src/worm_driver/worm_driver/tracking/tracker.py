@@ -23,7 +23,8 @@ class TrackedPositions:
 
     Attributes:
         time: time of the exposure, s.
-        rear, front: x1 and x2, fin roots along +x from the first reference marker, m; NaN if hidden or rejected.
+        rear, front: positions x1 and x2 of the fin roots along +x, relative to the first reference marker, m; NaN if
+            hidden or rejected.
         reason: why a position is NaN; empty if both positions are known.
         event: message to log once, for example that the camera was moved; usually empty.
         pose: pose of the camera; None if unknown.
@@ -43,7 +44,7 @@ class TrackedPositions:
 
 
 class Tracker:
-    """Tracker of both modules through images in the order of their times.
+    """Tracker that measures the positions of both modules in successive images.
 
     Args:
         setup: setup of the tracker.
@@ -113,13 +114,13 @@ class Tracker:
         return Fix(fix.position + module.offset - self.setup.origin)
 
     def _plausible(self, name: str, fix: Fix, time: float) -> Fix:
-        """Return the fix if the module can have moved there since its last position, else a rejected fix."""
+        """Return the fix if the module can have moved there since its last accepted position, else a rejected fix."""
         if fix.reason:
             return fix
         before, where = self._last.get(name, (-math.inf, fix.position))
         jump = abs(fix.position - where)
         elapsed = time - before
-        # After the clock was set back, the elapsed time is unknown.
+        # After the clock was set back, the elapsed time is unknown and the fix is accepted.
         if elapsed >= 0.0 and jump > _PLAY + self.setup.max_speed * elapsed:
             return Fix(
                 math.nan, f"is {jump * 1e3:.0f} mm from where it was {elapsed * 1e3:.0f} ms before"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Diagnostics of the tracker, once a second (REP 107), without ROS."""
+"""Diagnostic report of the tracker (REP 107), published once a second by its node. Needs no ROS."""
 
 import math
 from collections import Counter

@@ -26,9 +26,10 @@ DICTIONARIES = {
     "DICT_APRILTAG_36h11": 587,
 }
 #: Smallest number of reference markers. A single marker determines the camera's direction only to one or two degrees,
-#: which is about a centimetre at the modules.
+#: which is an error of about a centimetre at the modules.
 FEWEST_REFERENCES = 2
-#: Largest side or offset of a marker (m). A value above this limit, or above a limit below, is probably in mm.
+#: Largest side or offset of a marker (m). A value above this limit, or above one of the next two
+#: limits, is probably in mm.
 LARGEST_MARKER = 0.5
 #: Largest distance from the pipe's axis along y, and along z (m).
 LARGEST_SIDEWAYS = 3.0
@@ -112,7 +113,7 @@ def load_setup(path: Path) -> TrackerSetup:
     """Read a setup file and the calibration that it names.
 
     Raises:
-        SetupError: The file is missing or invalid. The message names the key and the problem.
+        SetupError: The setup file or the calibration is missing or invalid. The message names the problem.
     """
     file = read_settings(path, SetupFile, SetupError)
     try:
@@ -128,7 +129,7 @@ def load_setup(path: Path) -> TrackerSetup:
 
 
 def _check_numbers(rig: Rig) -> None:
-    """Raise SetupError if there are too few markers, or a number is used twice or missing from the dictionary."""
+    """Raise SetupError for too few reference markers, or a number that is used twice or not in the dictionary."""
     if len(rig.reference) < FEWEST_REFERENCES:
         raise SetupError(
             f"reference: {FEWEST_REFERENCES} markers are needed, not {len(rig.reference)}: a single "

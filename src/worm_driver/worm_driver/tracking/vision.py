@@ -29,11 +29,12 @@ _PROFILE = np.linspace(-0.9, 0.9, 19)
 #: Positions along an edge, as shares of its length. They exclude the corners, because blur rounds the corners.
 _ALONG = np.linspace(0.1, 0.9, 25)
 _FEWEST = 8  # smallest number of points of an edge that determine its line
-_LEAST_RISE = 12.0  # smallest difference between the frame and the white around it, grey levels
+#: Smallest rise of the grey level from the black frame to the white around it that counts as an edge.
+_LEAST_RISE = 12.0
 _REFINEMENTS = 2  # number of refinements of the corners, each from the corners of the previous one
 _REJECTIONS = 3  # number of fits of a line, each followed by a rejection of outliers
 _USUAL = 0.1  # distance of a point from its line that noise alone can cause, pixels
-_BORDER = 2  # cells of the black frame in a row of a marker, in addition to the bits
+_BORDER = 2  # number of cells of the black frame in each row of a marker, in addition to the bits
 
 
 @dataclass(frozen=True)
@@ -92,7 +93,7 @@ def _refined(image: Image, corners: Array, cells: int) -> tuple[Array, Array]:
     sides = np.roll(corners, -1, axis=1) - corners
     lengths = np.hypot(sides[..., 0], sides[..., 1])
     outwards = np.stack([sides[..., 1], -sides[..., 0]], axis=-1) / lengths[..., None]
-    reach = lengths / cells  # a cell, pixels
+    reach = lengths / cells  # side of a cell, pixels
     starts = corners + _ALONG[:, None, None, None] * sides  # (along, marker, side, 2)
     across = _PROFILE[:, None, None, None, None] * (reach[..., None] * outwards)
     points = (starts[None] + across).reshape(len(_PROFILE), -1, 2).astype(np.float32)
@@ -114,9 +115,10 @@ def _shares(profiles: Array) -> Array:
 
 
 def _crossings(shares: Array) -> Array:
-    """Return the positions where profiles first exceed 0.5, cells from the edge, shape (along, …).
+    """Return the position where each profile across an edge first exceeds 0.5, shape (along, …).
 
-    The position is NaN if the profile never exceeds 0.5 or begins above 0.5.
+    Positions are in cells from the line between the corners. A position is NaN if the profile never exceeds 0.5 or
+    begins above 0.5.
     """
     above = shares > 0.5
     index = np.clip(above.argmax(axis=0), 1, len(_PROFILE) - 1)
@@ -128,7 +130,7 @@ def _crossings(shares: Array) -> Array:
 
 
 def _lines(places: Array) -> tuple[Array, Array]:
-    """Return the offset (pixels, at the first corner) and the slope (pixels per edge) of a line through each edge.
+    """Return the offset (pixels, at the first corner) and slope (pixels per edge length) of a line through each edge.
 
     ``places`` are the distances of the edge's points from the line between the corners, pixels, shape (along, …).
     Outliers are rejected. The result is NaN where too few points remain.
@@ -162,7 +164,10 @@ def _meetings(begin: Array, end: Array) -> Array:
 
 
 def _rises(shares: Array) -> Array:
-    """Return the width of each marker's edges from 10 to 90 %, cells: the larger one of the marker's two directions."""
+    """Return the width of each marker's edges from 10 to 90 % of the rise, cells, shape (markers,).
+
+    Opposite edges are averaged, and the result is the width of the wider pair.
+    """
     there = np.isfinite(shares)
     count = np.maximum(there.sum(axis=1), 1)
     mean = np.where(there, shares, 0.0).sum(axis=1) / count  # (profile, marker, side)
@@ -179,7 +184,10 @@ def _rises(shares: Array) -> Array:
 
 
 def project(camera: CameraModel, points: Array, rotation: Array, shift: Array) -> Array:
-    """Return the pixels, shape (n, 2), of points (n, 3) in m at rotation @ point + shift in the optical frame."""
+    """Return the pixels, shape (n, 2), to which a camera projects points (n, 3) in m.
+
+    A point is at rotation @ point + shift (m) in the camera's optical frame.
+    """
     turn = cv2.Rodrigues(rotation)[0]
     distortion = np.array(camera.distortion)
     places = points.reshape(-1, 1, 3)
@@ -212,7 +220,8 @@ def directions(camera: CameraModel, pixels: Array) -> Array:
 def poses(points: Array, rays: Array) -> list[tuple[Array, Array]]:
     """Return the refined rotation and shift of each camera pose that maps points (n, 3) to directions (n, 2).
 
-    For coplanar points, two poses can fit. In this case the function returns both (IPPE, Collins and Bartoli 2014).
+    For coplanar points, two poses can fit. In this case the result contains both (IPPE, Collins and Bartoli 2014), and
+    may contain one of them twice.
     """
     centre = points.mean(axis=0)
     _, spread, axes = np.linalg.svd(points - centre)
@@ -220,8 +229,8 @@ def poses(points: Array, rays: Array) -> list[tuple[Array, Array]]:
     if np.linalg.det(axes) < 0.0:
         axes[2] = -axes[2]
     own = (points - centre) @ axes.T
-    # Both methods are used: IPPE fails if the vanishing line is exactly parallel to an axis, and SQPNP returns only one
-    # of the two poses.
+    # Coplanar points need both methods: IPPE fails if the vanishing line of their plane is exactly parallel to an axis,
+    # and SQPNP returns only one of the two poses.
     methods = [cv2.SOLVEPNP_SQPNP]
     if flat:
         own[:, 2] = 0.0

@@ -28,7 +28,8 @@ _PAPER, _INK = 1.0, 0.07  # reflectances of a print
 # Reflectances of a module, of the pipe's wall and beyond the pipe.
 _MODULE, _WALL, _BACKGROUND = 0.38, 0.55, 0.72
 _MODULE_SIZE = (0.048, 0.062)  # visible part of a module along x and z, m
-_UNDISTORTIONS = 25  # fixed-point iterations; the error is well below a thousandth of a pixel
+# Number of fixed-point iterations that remove the distortion. The error is well below a thousandth of a pixel.
+_UNDISTORTIONS = 25
 
 
 def framed(rows: Sequence[str]) -> Array:
@@ -113,7 +114,12 @@ class Pattern:
         self._sums = np.pad(np.cumsum(np.cumsum(cells[::-1], axis=0), axis=1), ((1, 0), (1, 0)))
 
     def average(self, u: Array, v: Array, du: Array, dv: Array) -> tuple[Array, Array]:
-        """Return the print's mean reflectance in rectangles du x dv (m) around (u, v), and the shares it covers."""
+        """Return the mean reflectance of the print in rectangles, and the share of each rectangle that it covers.
+
+        Args:
+            u, v: centres of the rectangles, m.
+            du, dv: sizes of the rectangles, m.
+        """
         left, right = (self._along(u + sign * du / 2.0, 0) for sign in (-1, 1))
         low, high = (self._along(v + sign * dv / 2.0, 1) for sign in (-1, 1))
         inside = (right - left) * (high - low)
@@ -131,7 +137,7 @@ class Pattern:
         return np.clip((place + self.half[axis]) / self._cell[axis], 0.0, count)
 
     def _at(self, column: Array, row: Array) -> Array:
-        """Return the integral of the reflectance to the left of and below positions, which are in cells."""
+        """Return the integral of the reflectance to the left of and below positions (cells)."""
         c = np.minimum(column.astype(int), self._sums.shape[1] - 2)
         r = np.minimum(row.astype(int), self._sums.shape[0] - 2)
         fc, fr = column - c, row - r
@@ -157,7 +163,10 @@ def _put(
     centre: tuple[float, float],
     sweep: float,
 ) -> None:
-    """Draw a pattern at (x, z) into a scene. ``sweep`` is its motion along x during the exposure, m."""
+    """Draw a pattern with its centre at (x, z), m, into a scene of reflectances.
+
+    ``sweep`` is the pattern's motion along x during the exposure, m.
+    """
     u, v = footprints.x - centre[0], footprints.z - centre[1]
     near = (np.abs(u) < pattern.half[0] + footprints.width + sweep) & (
         np.abs(v) < pattern.half[1] + footprints.height
@@ -219,7 +228,7 @@ class VirtualCamera:
         return np.array([right, np.cross(forward, right), forward])
 
     def _plane(self, y: float, window: Window) -> tuple[Array, Array]:
-        """Return x and z (m) of each pixel of a window in a plane at y."""
+        """Return x and z (m) of the point of the plane at y (m) that each pixel of a window shows."""
         rays, camera = self._rays[window], self.settings.position
         along = (y - camera[1]) / rays[..., 1]
         return camera[0] + along * rays[..., 0], camera[2] + along * rays[..., 2]

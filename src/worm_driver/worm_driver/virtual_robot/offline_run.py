@@ -25,7 +25,7 @@ from worm_msgs.robot_parameters import RobotParameters
 Array = NDArray[np.float64]
 
 _PERIOD = 0.01  # s, time between two commands
-_AVERAGING = 0x1DDF  # 16 V, 320 mV, each value the mean of 8 conversions of 12 bit, continuous: one every 8.5 ms
+_AVERAGING = 0x1DDF  # 16 V, 320 mV, each value the mean of 8 conversions of 12 bit, a pair of values every 8.5 ms
 _SHUNT_LSB = 10e-6  # V per raw unit of the shunt voltage
 _BUS_LSB = 4e-3  # V per raw unit of the bus voltage
 _READY = 0x0002  # bit of BUS: there is a new conversion
@@ -40,10 +40,13 @@ class Run:
 
     Attributes:
         onset: start of the gait.
-        servo_time, goal_ticks, encoder_ticks: first cable servo, positions relative to the start, ticks. They
+        servo_time: times of goal_ticks and encoder_ticks, s.
+        goal_ticks, encoder_ticks: goal and encoder position of the first cable servo relative to the start, ticks. Both
             increase with the contraction if the servo's sign is 1, and decrease if it is -1.
-        tracker_time, rear_position, front_position: camera, m; NaN while a marker is hidden.
-        power_time, bus_voltage, current: conversions of the power sensor, V and A.
+        tracker_time: times of the camera samples, s.
+        rear_position, front_position: x1 and x2 of the camera samples, m; NaN while a marker is hidden.
+        power_time: times of the conversions of the power sensor, s.
+        bus_voltage, current: values of the conversions, V and A.
         truth: true parameters of the robot.
     """
 
@@ -67,14 +70,14 @@ def run_offline(
     rest: float = 2.0,
     direction: int = FORWARD,
 ) -> Run:
-    """Simulate a run: a rest (s), then a command for a duration (s).
+    """Simulate a run (a rest, then a command), and return its measurements.
 
     If the command does not begin at 0, as with pretension, the cable moves to the first value in the first half of the
     rest.
 
     Args:
         settings: the robot, with its seed.
-        command: commanded length change (m) over the time (s) since the onset; contraction negative.
+        command: returns the commanded length change (m, negative for a contraction) at a time (s) since the onset.
         duration: duration of the command, s.
         rest: rest before the onset, s.
         direction: plant.FORWARD or plant.REVERSE.
@@ -100,9 +103,10 @@ def run_offline(
 
 
 def _tensioned(time: float, rest: float) -> float:
-    """Return the ratio of the length change to its value at the onset, at a time (s) after the start of a rest (s).
+    """Return the length change at a time (s) of the rest, divided by the length change at the onset.
 
-    The ratio increases from 0 to 1 as a half cosine in the first half of the rest.
+    ``rest`` is the duration of the rest, s. The ratio increases from 0 to 1 as a half cosine in the first half of the
+    rest.
     """
     return 0.5 * (1.0 - math.cos(math.pi * min(time / (0.5 * rest), 1.0))) if rest else 1.0
 

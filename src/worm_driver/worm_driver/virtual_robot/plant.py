@@ -7,8 +7,9 @@ compliant cable drives the two masses, so loads change the body length. In the p
 command alone. The weight of the modules in a sloping pipe, the pull of a tether and the drag of flowing water load the
 robot along the pipe. SI units; forward is +x; contraction is negative; a positive load acts towards -x.
 
-The state contains the centre of mass, y = x1 + M2/(M1+M2)*(L - L0). Its equation of motion is the sum of
-eq:x1_ddot_full and eq:x2_ddot_full, which contains no second derivative of the length.
+The state contains the displacement of the centre of mass, y = x1 + M2/(M1+M2)*(L - L0), with the masses M1 and M2 of
+the rear and the front module. The equation of motion of y is the sum of eq:x1_ddot_full and eq:x2_ddot_full, which
+contains no second derivative of the length.
 """
 
 import math
@@ -47,8 +48,8 @@ class PlantEffects:
         slack_engagement: contraction of the cable beyond which the slack is taken up, m.
         slack_release: time without such a contraction after which the slack returns, s.
         cable_stiffness: stiffness k_cable of cable, servo and transmission together, N/m; 0 means rigid, as in the
-            paper. A compliant cable cannot push. With it, gain and time constant are k_cable/(k_cable + k_b) and
-            c_b/(k_cable + k_b).
+            paper. A compliant cable cannot push. It replaces the parameters gain and time constant by
+            k_cable/(k_cable + k_b) and c_b/(k_cable + k_b), with the stiffness k_b and the damping c_b of the bellows.
     """
 
     threshold_scatter: Annotated[float, key("threshold_scatter_m", ge=0.0)]
@@ -82,7 +83,7 @@ class Conditions:
         """Return the drag of the water on a module divided by the velocity of the module relative to the water, N*s/m.
 
         Args:
-            velocity: velocity of the module, m/s.
+            velocity: velocity of the module relative to the pipe, m/s.
         """
         if self.drag_area_m2 == 0.0:
             return 0.0
@@ -162,7 +163,7 @@ class Plant:
     Attributes:
         parameters: parameters of the body.
         effects: effects that the paper's model does not contain.
-        rear_grooves, front_grooves: grooves, as the rear and the front fins meet them.
+        rear_grooves, front_grooves: properties of the grooves for the rear and for the front fins.
         step_s: step of the integration, s.
         conditions: loads along the pipe.
     """
@@ -181,7 +182,7 @@ class Plant:
 
     @cached_property
     def _decay(self) -> float:
-        """Ratio of the difference between length change and target after a step to the difference before the step."""
+        """Factor by which the difference between length change and target decreases in one step."""
         return math.exp(-self.step_s / self.parameters.time_constant)
 
     @cached_property
@@ -368,7 +369,7 @@ class Plant:
         return new, (goal - new) / p.time_constant
 
     def _push(self, state: PlantState, length_rate: float, forces: float) -> tuple[float, float]:
-        """Return the velocity of the centre of mass one step later, and the rear module's drag from `_drags`.
+        """Return the velocity of the centre of mass one step later, and the value of `_drags` for the rear module.
 
         Friction and drag are integrated implicitly, which is stable for any step.
 

@@ -75,7 +75,13 @@ class SupplySettings:
 
 @dataclass(frozen=True)
 class SensorSettings:
-    """INA219. address: 7 bit; shunt_noise, bus_noise: standard deviations of the noise of one conversion, V."""
+    """INA219.
+
+    Attributes:
+        address: 7-bit address.
+        shunt: resistance of the shunt, ohm.
+        shunt_noise, bus_noise: standard deviations of the noise of one conversion without averaging, V.
+    """
 
     address: Annotated[int, key(ge=0, le=127)]
     shunt: Annotated[float, key("shunt_ohm", gt=0.0)]
@@ -85,9 +91,9 @@ class SensorSettings:
 
 @dataclass(frozen=True)
 class TrackerSettings:
-    """Camera. occlusion_rate: occlusions of a marker per second; occlusion: duration of one occlusion."""
+    """Camera. occlusion_rate: occlusions of a marker per second; occlusion: duration of one occlusion, s."""
 
-    rate: Annotated[float, key("rate_Hz", ge=0.0)]
+    rate: Annotated[float, key("rate_Hz", gt=0.0)]
     noise: Annotated[float, key("noise_m", ge=0.0)]
     occlusion_rate: Annotated[float, key("occlusion_rate_Hz", ge=0.0)]
     occlusion: Annotated[float, key("occlusion_s", ge=0.0)]
@@ -101,8 +107,8 @@ class RobotSettings:
     Attributes:
         seed: seed of the robot and the pipe. Together with ``recording`` it is also the seed of the noise.
         step: step of the integration, s.
-        fin_tolerance: largest distance from the angle for a direction at which the bar of this direction touches the
-            wall, rad.
+        fin_tolerance: largest deviation from the forward or reverse angle at which a fin servo counts as set to this
+            direction, rad.
         parameter_spread: spread of the random factors on the parameters of the body, see `perturbed`.
         recording: number of a recording of the same robot in the same pipe, with other noise.
     """
@@ -170,7 +176,7 @@ def _check_body(body: RobotParameters, given: Container[str]) -> None:
 
 
 def check_conditions(conditions: Conditions) -> None:
-    """Raise SettingsFileError unless the conditions are admissible."""
+    """Raise SettingsFileError unless all conditions are within their bounds."""
     settings_of(dataclasses.asdict(conditions), Conditions)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Grooves per cycle over stroke and groove phase, and the margin's cliff over the phase.
+"""Map of the grooves per cycle by stroke and groove phase, and the margin's cliff as a function of the phase.
 
 The map shows the effect of adjusting L0. A change of L0 by millimetres shifts the groove phase by the same amount. The
 shift changes the cliff of the margin, and the smallest strokes with which a cycle gains one, two or more grooves.
@@ -23,13 +23,13 @@ from worm_model.simulation.closed_form import cliff_margin, front_groove, groove
 
 @dataclass(frozen=True)
 class PhaseMap:
-    """Grooves per cycle and cliff of the margin, over the groove phase.
+    """Grooves per cycle and cliff of the margin, as functions of the groove phase.
 
     Attributes:
         frequency: frequency of all gaits, Hz.
         stroke: strokes (n,), m.
         phase: groove phases (m,), m.
-        grooves: grooves per cycle (m, n) with each phase and each stroke.
+        grooves: grooves per cycle (m, n); rows are phases, columns are strokes.
         cliff: closed-form cliff of the margin with each phase (m,), m.
         phase_now: groove phase with the L0 of the parameters, m.
         cliff_now: closed-form cliff of the margin with the L0 of the parameters, m.
@@ -53,7 +53,7 @@ def compute_phase_map(
 ) -> PhaseMap:
     """Simulate a gait with each stroke of ``stroke`` (n,) in m at each groove phase of ``phase`` (m,) in m.
 
-    Only L0 is changed to obtain a phase. ``progress`` is called with the fraction done, 0 to 1.
+    Each phase is obtained by a change of L0 alone. ``progress`` is called with the fraction done, 0 to 1.
     """
     groove = front_groove(parameters)
     lengths = groove * parameters.pitch + phase
@@ -77,7 +77,7 @@ def compute_phase_map(
 
 
 def phase_map_figure(content: PhaseMap) -> Figure:
-    """Return a figure with the map of the grooves per cycle and, next to it, the cliff over the groove phase."""
+    """Return a figure with the map of the grooves per cycle and, next to it, the cliff for each groove phase."""
     figure = plot_style.new_figure(10.5, 4.5)
     left, right = figure.subplots(1, 2, sharey=True, width_ratios=(3, 2))
     plot_style.draw_groove_map(

@@ -130,7 +130,7 @@ def branch_style(branch: int, size: float = 4.5) -> dict[str, Any]:
 def draw_groove_map(
     axes: Axes, x: NDArray[np.float64], y: NDArray[np.float64], grooves: NDArray[Any]
 ) -> None:
-    """Draw grooves per cycle (m, n) over ``x`` (n,) and ``y`` (m,), with a colour bar."""
+    """Draw a map of the grooves per cycle (m, n) with the axes ``x`` (n,) and ``y`` (m,), and a colour bar."""
     count = max(int(grooves.max()), 1) + 1
     image = axes.pcolormesh(
         x,

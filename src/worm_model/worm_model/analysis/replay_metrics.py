@@ -27,7 +27,7 @@ from worm_model.twin.twin_settings import DEFAULTS
 RESUMED_AFTER_NS = 500_000_000
 #: time after the end of a cycle by which all samples of the cycle have been processed
 SETTLED_NS = 2_000_000_000
-#: the position at a stamp is interpolated from the samples whose stamps differ by at most this
+#: the position at a stamp is interpolated from the samples whose stamps differ from it by at most this
 NEAR_NS = 1_000_000_000
 _FOREVER = int(np.iinfo(np.int64).max)
 _RESIDUALS = ("rear_position", "length", "power")
@@ -80,7 +80,7 @@ class RunReport:
         played: gait of the run.
         onset: start of the first cycle, s since the recording's first sample.
         cycles: cycles of the run that the recording contains, at least in part.
-        events: times (s since the recording's first sample) and events.
+        events: events with a code, each as (time in s since the recording's first sample, event).
         health: worst health during the run.
         not_judged: reason why the run could not be judged; empty if it was.
     """
@@ -97,8 +97,8 @@ class RunReport:
 class ReplayReport:
     """Report on a recording: residuals over the last run, or over the whole recording if it contains no gait.
 
-    `energy_error` is (measured − predicted) / measured energy at the end of the last run. `cycles` are the cycles of
-    the last run.
+    `energy_error` is (measured − predicted) / measured energy at the last energy residual, since the start of the last
+    run or, without a gait, of the recording. `cycles` are the cycles of the last run.
     """
 
     residuals: Residuals
@@ -148,7 +148,7 @@ class _RunData:
 class ReplayReporter:
     """Builder of the report on a replay, whose samples and output are added in parts.
 
-    Only the samples of unfinished cycles are in memory.
+    Only the samples of unfinished cycles are in memory, unless the clock went back.
 
     Args:
         samples: the recording.
@@ -252,7 +252,7 @@ class ReplayReporter:
         self._positions = _since(self._positions, "stamp", begin)
 
     def _position_at(self, when: int) -> float:
-        """Return the tracker's x1 (m) at a stamp, linear between samples; NaN if none is within 0.1 s."""
+        """Return the tracker's x1 (m) at a stamp, linear between samples; NaN if no sample is within 0.1 s of it."""
         stamp = self._positions["stamp"]
         near = np.abs(stamp - when) <= NEAR_NS
         stamp, values = stamp[near], self._positions["a"][near]

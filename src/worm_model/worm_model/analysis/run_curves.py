@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Curves and figures of a recorded run with its twin, and of a simulated run, over the time since the gait's onset."""
+"""Curves and figures of a recorded run with its twin, and of a simulated run; time 0 is the onset of the gait."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from worm_model.simulation.simulator import AVERAGED
 from worm_model.twin.offline_replay import Replay, Series
 
 TWIN = "twin, from the measured length"
-_AROUND_S = 2.0  # rest that an overview shows before and after the gait
+_AROUND_S = 2.0  # time that an overview shows before the gait and after its last averaged cycle
 
 
 def plot_run(run: Run, replay: Replay, parameters: Parameters, title: str = "") -> Figure:
-    """Draw the last gait of a run: x1, its residual, length change and power. The averaged cycles are shaded.
+    """Return a figure of the last gait of a run: x1, its residual, length change, power; averaged cycles are shaded.
 
     ``replay`` is a result of `worm_model.twin.offline_replay.replay_run`. Raises `RecordingError` without a gait.
     """
@@ -42,7 +42,7 @@ def plot_run(run: Run, replay: Replay, parameters: Parameters, title: str = "") 
 
 
 def plot_simulated_run(run: SimulatedRun) -> Figure:
-    """Return a figure of both modules and anchors relative to their start, length, forces and power."""
+    """Return a figure of the length change, the forces, the power, and the advance of both modules and anchors."""
     p, motions, time, period = run.parameters, run.motions, run.time, run.gait.period
     front = motions.front_anchor[0]
     averaged = max(run.cycles - AVERAGED, 0) * period, run.cycles * period
@@ -78,9 +78,9 @@ def plot_simulated_run(run: SimulatedRun) -> Figure:
 
 
 def position_curves(run: Run, replay: Replay, onset: int) -> tuple[Curves, Curves]:
-    """Return (curves of x1, measured and of the twin; curve of the residual) over the time since the onset (ns).
+    """Return (curves of x1, measured and of the twin; curve of the residual of x1).
 
-    x1 is relative to the measured value at the onset.
+    Times are relative to ``onset`` (ns), and x1 is relative to its measured value at the onset.
     """
     time = seconds(run.tracker.stamp, onset)
     rest = value_at_onset(time, run.tracker.rear_position)

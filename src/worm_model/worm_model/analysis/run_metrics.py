@@ -27,12 +27,13 @@ Samples = tuple[Stamps, Array]  # stamps in ns since the epoch and values, NaN i
 
 AVERAGED_CYCLES = AVERAGED
 IDLE_SAMPLES = 10  # valid samples at rest whose mean is the idle power (eq:Pidle_est)
-END_TOLERANCE_NS = 100_000_000  # tolerance of the end of a gait, which is computed from two clocks
+# tolerance of the end of a gait, which is computed from the stamps of two clocks
+END_TOLERANCE_NS = 100_000_000
 _FOREVER = int(np.iinfo(np.int64).max)
 
 
 class RecordingError(InputError):
-    """A recording lacks the data of a metric. The message names them."""
+    """The recording lacks data for a metric; the message names the missing data."""
 
 
 @dataclass(frozen=True)

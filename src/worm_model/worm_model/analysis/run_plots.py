@@ -55,7 +55,7 @@ class _Panel:
         scale: factor from SI units to the unit of the y axis.
         weight: relative height.
         note: text above the axes; empty: none.
-        pitch: distance of horizontal lines at the pipe's ridges, m; None: no lines.
+        pitch: distance between the horizontal lines that mark the pipe's ridges, m; None: no lines.
     """
 
     label: str

@@ -30,7 +30,7 @@ from worm_model.bags.formats.message_block import (
 from worm_model.bags.formats.message_types import PACKAGE, with_definition
 from worm_model.bags.formats.stored_file import LATEST_NS, StoredFile
 
-DECOMPRESSED_BYTES = 16 << 20  # size at which a block of decompressed messages ends
+DECOMPRESSED_BYTES = 16 << 20  # largest size of a block of several decompressed messages
 
 Notify = Callable[[str], None]
 
@@ -52,12 +52,12 @@ class Bag:
         notify: called with one line for each inconsistency of the bag.
 
     Attributes:
-        channels: topics with their layouts; a topic whose layout changes occurs several times.
-        start, end: smallest log time, and largest log time that is at most LATEST_NS, ns since the epoch; 0 in an empty
-            bag.
+        channels: topics with their layouts; a topic whose layout changes occurs once for each layout.
+        start: smallest log time, ns since the epoch; 0 in an empty bag.
+        end: largest log time, ns since the epoch, without the messages later than LATEST_NS; 0 in an empty bag.
         records: metadata records in the order of the files; identical records occur once. A recording has one record
             ``worm_gait`` for each gait that was run.
-        topics: topics by name, with the last layout and the number of messages of all layouts.
+        topics: topics by name. Each topic has its last layout, and its count includes the messages of all layouts.
     """
 
     def __init__(
@@ -156,13 +156,14 @@ class Bag:
             topics: names of the topics to read; None: all.
 
         Raises:
-            BagError: A topic does not exist, or the file is damaged.
+            BagError: A topic does not exist, a file is damaged, or the bag does not contain as many messages as its
+                summary declares.
         """
         for block in self.blocks(topics):
             yield from block
 
     def blocks(self, topics: Iterable[str] | None = None) -> Iterator[Messages]:
-        """Yield the messages in blocks, in the order of `messages`. No block begins before the end of the previous."""
+        """Yield the messages in blocks. One after the other, the blocks have the order of `messages`."""
         wanted = frozenset(self.topics if topics is None else topics)
         unknown = sorted(wanted - self.topics.keys())
         if unknown:
@@ -218,10 +219,10 @@ def _plausible_end(file: StoredFile, extent: Extent) -> int:
 
 
 def _decompressed(block: Messages) -> Iterator[Messages]:
-    """Yield a block with all messages decompressed; rosbag2's compression mode MESSAGE compresses each message.
+    """Yield the messages of a block, decompressed; rosbag2's compression mode MESSAGE compresses each message.
 
-    A compressed message is recognised by its first bytes, with which no CDR message begins. The block is divided where
-    it becomes larger than DECOMPRESSED_BYTES.
+    A compressed message begins with the magic number of Zstandard, with which no CDR message begins. If the
+    decompressed messages are larger than DECOMPRESSED_BYTES, they are divided into several blocks.
     """
     rows = np.flatnonzero(block.size >= len(zstandard.FRAME_HEADER))
     beginnings = cells(block.buffer, len(zstandard.FRAME_HEADER))[block.offset[rows]]
@@ -244,7 +245,8 @@ def _decompressed(block: Messages) -> Iterator[Messages]:
 def _payload(message: Message) -> bytes:
     """Return the decompressed payload of a message.
 
-    A payload that is not compressed, is damaged, or decompresses to more than LARGEST_CHUNK is returned unchanged.
+    A payload is returned unchanged if it is not compressed, is damaged, or decompresses to more than LARGEST_CHUNK
+    bytes.
     """
     data = message.data
     if data.startswith(zstandard.FRAME_HEADER) and message.channel.encoding == "cdr":
@@ -255,7 +257,7 @@ def _payload(message: Message) -> bytes:
 
 
 def _by_name(channels: Iterable[Topic]) -> dict[str, Topic]:
-    """Return the topics by name, with the last layout and the number of messages of all layouts."""
+    """Return the topics by name, each with its last layout and with the number of its messages in all layouts."""
     topics: dict[str, Topic] = {}
     for channel in sorted(channels, key=lambda c: c.name):
         known = topics.get(channel.name)

@@ -37,7 +37,7 @@ def is_storage(name: str) -> bool:
 
 
 def recovered_path(bag: Path, number: int = 1) -> Path:
-    """Return the path of a bag's recovered copy; ``number`` counts several copies, from 1.
+    """Return the path of a bag's recovered copy; ``number`` distinguishes several copies and starts at 1.
 
     Only the ending ``.mcap`` is removed from the name: the copy of ``pipe_0.25Hz`` is ``pipe_0.25Hz_recovered``.
     """
@@ -47,10 +47,10 @@ def recovered_path(bag: Path, number: int = 1) -> Path:
 def bags_below(folder: Path) -> dict[Path, list[Path]]:
     """Return all bags below a folder, sorted by path, each with its recovered copies, the highest number last.
 
-    A bag is a folder with a metadata.yaml, a folder that a killed recorder left without metadata.yaml, or a single file
-    in any other folder. Without metadata.yaml, a folder is a bag if each of its ``.mcap`` and ``.db3`` files is named
-    after the folder, with a number appended. If ``folder`` itself is a bag, it is the only result. Raises `InputError`
-    if there is no bag.
+    A bag is a folder with a metadata.yaml, a folder that a killed recorder left without metadata.yaml, or a single
+    ``.mcap`` or ``.db3`` file in any other folder. Without metadata.yaml, a folder is a bag if each of its ``.mcap``
+    and ``.db3`` files is named after the folder, with a number appended. If ``folder`` itself is a bag, it is the only
+    result. Raises `InputError` if there is no bag.
     """
     check_readable(folder)
     bags = [folder] if folder.is_file() else _walked(folder)

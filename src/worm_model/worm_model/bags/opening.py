@@ -122,7 +122,7 @@ def _compared(bag: Bag, files: Sequence[Path]) -> Bag:
     unlisted = sorted(
         {file.name for file in bag.path.glob("*.mcap")} - {file.name for file in files}
     )
-    if unlisted and files[0].parent == bag.path:  # not for a recovered bag
+    if unlisted and files[0].parent == bag.path:  # not if a recovered copy is open
         bag.notify(f"{bag.path}: {', '.join(unlisted)} not read: not listed in {METADATA_FILE}")
     counts = {topic.name: topic.count for topic in bag.topics.values()}
     for topic, missing in undeclared(bag.path, counts).items():
@@ -174,7 +174,7 @@ def _recovered(path: Path, notify: Notify) -> Bag:
 
 
 def _instead(path: Path, target: Path, notify: Notify, outcome: str) -> Bag:
-    """Return the recovered copy of a bag; report it and its stored loss in one line."""
+    """Return the recovered copy of a bag; report the recovery and the loss that the copy records, in one line."""
     lines = [f"{path} was not closed, or is damaged: {outcome} ({target})"]
     bag = _open_as_it_is(target, lines.append)
     if recovery := bag.metadata.get(RECOVERY_RECORD):

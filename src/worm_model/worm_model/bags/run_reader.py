@@ -22,7 +22,7 @@ from worm_model.gait import GAIT_DEFAULTS
 from worm_model.run import GaitStates, Run, Stamps, concatenated
 
 RUN_TOPICS = tuple(SERIES)
-# without gait_state, whose last message may be much older than the recording
+# all except gait_state, whose last message may be much older than the recording
 _INSTRUMENTS = TWIN_INPUTS[1:]
 # largest normal delay from the stamp of a message to its reception by the recorder
 _LONGEST_DELAY_NS = 10**9
@@ -39,7 +39,8 @@ def read_run(bag: Bag, namespace: str = "", names: Sequence[str] = RUN_TOPICS) -
         names: topics to read, from RUN_TOPICS.
 
     Raises:
-        BagError: The bag has several robots, none of the topics, or data that cannot be decoded.
+        BagError: The bag has several robots or none of the topics, its data cannot be decoded, runs of gaits overlap,
+            or the joints change within the bag.
     """
     parts = list(RunReader(bag, namespace, names).parts())
     series = {}
@@ -74,10 +75,10 @@ class RunReader:
         self._is_read = False
 
     def parts(self) -> Iterator[Run]:
-        """Yield the samples in the order of reception, in parts of about a megabyte of the bag.
+        """Yield the samples in the order of reception, in parts, each from about a megabyte of the bag.
 
-        The first complete iteration reports repeated messages, infinite numbers and stamps that go back. Further
-        iterations read the bag again, unless it has at most MOST_KEPT messages.
+        The first complete iteration reports repeated messages, infinite numbers and stamps that go back. If the
+        topics have more than MOST_KEPT messages, further iterations read the bag again.
 
         Raises:
             BagError: Data cannot be decoded, or runs of gaits overlap.
@@ -263,7 +264,7 @@ class _Filter:
 
 
 def stamps_of(columns: Columns, path: str = "header.stamp") -> NDArray[np.int64]:
-    """Return the stamps of messages, ns since the epoch. Raises BagError if they have no such field."""
+    """Return the times in the field ``path`` of messages, ns since the epoch. Raises BagError without this field."""
     if not columns.numbers:
         return np.empty(0, np.int64)
     whole = _numbers(columns, f"{path}.sec", np.int64)

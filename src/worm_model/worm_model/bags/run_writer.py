@@ -28,7 +28,7 @@ def write_run(writer: BagFiles, run: Run, namespace: str = "/worm") -> None:
     """Append the samples of a run, except joint states, in order of stamp. Publish and log times equal the stamp.
 
     Raises:
-        BagError: The definitions of worm_msgs are not installed.
+        BagError: The definitions of worm_msgs are not installed, or a stamp is before the epoch.
     """
     series = []
     for name, (attribute, _) in SERIES.items():

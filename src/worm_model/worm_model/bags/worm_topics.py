@@ -70,7 +70,7 @@ TWIN_TOPICS = ("body_length/estimated", "twin/state", "twin/residuals", "twin/ev
 
 
 def path_of(field: str) -> str:
-    """Return the path in a message, such as ``gait.stroke``, of a sample's field, such as ``stroke``."""
+    """Return the path of a sample's field in the message: ``gait.stroke`` for the field ``stroke``, for example."""
     return f"gait.{field}" if field in GAIT_UNITS else field
 
 

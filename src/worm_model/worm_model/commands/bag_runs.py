@@ -51,6 +51,8 @@ def state_of_bag(path: Path) -> tuple[str, str]:
 def rows_of_bag(path: Path, parameters: str) -> list[dict[str, Any]]:
     """Return a row for each run of a closed bag, or a single row that states that the bag contains no run.
 
+    ``parameters`` is the path of a parameter file; empty: the file in the bag, else the paper's values.
+
     Raises:
         InputError: The bag cannot be read.
     """
@@ -75,7 +77,17 @@ def rows_of_bag(path: Path, parameters: str) -> list[dict[str, Any]]:
 
 @dataclass(frozen=True)
 class RunMetrics:
-    """Metrics of a run for `bag_columns.COLUMNS`. Metrics that cannot be computed are NaN."""
+    """Metrics of one run for `bag_columns.COLUMNS`. Metrics that cannot be computed are NaN.
+
+    Attributes:
+        run: samples of the whole bag, which may contain several runs.
+        replay: replay of the bag with the twin.
+        report: report of the replay on this run.
+        parameters: parameters of the robot.
+        conditions: recorded conditions.
+        clock_offset_ns: recorder's clock minus the clock of the stamps, ns, see `run_reader.clock_offset`.
+        remarks: the operator's notes, and remarks on the bag.
+    """
 
     run: Run
     replay: Replay
@@ -87,12 +99,12 @@ class RunMetrics:
 
     @property
     def played(self) -> run_metrics.PlayedGait:
-        """Gait, from its onset to its end."""
+        """The gait of the run, with its onset and its end."""
         return self.report.played
 
     @property
     def start(self) -> str:
-        """Onset as UTC, by the recorder's clock, which also determines the bag's name.
+        """Onset in UTC according to the recorder's clock, which also determines the bag's name.
 
         The onset in the messages of a virtual robot may lag behind the recorder's clock.
         """
@@ -105,7 +117,7 @@ class RunMetrics:
 
     @property
     def cycles(self) -> int:
-        """Number of cycles that were played."""
+        """Number of whole cycles that were played."""
         return self.played.whole_cycles_until(_last(self.run, self.played))
 
     @property

@@ -21,16 +21,17 @@ from worm_model.text_table import text_table
 
 Row = dict[str, Any]
 
-METRICS_VERSION = 5  # Increase it when the computation of a metric changes.
+METRICS_VERSION = 5  # Increase this number when the computation of a metric changes.
 
 
 def bag_rows(
     folder: Path, parameters: str, progress: Callable[[float], None]
 ) -> tuple[list[Row], int]:
-    """Return (the rows of all runs below a folder, or of one bag; the number of bags that were not in the index).
+    """Return the rows of all runs, and the number of bags that were read because the index lacked their present state.
 
-    A recovered copy is listed instead of the bag itself. ``parameters`` is a parameter file; empty: the file in each
-    bag, else the paper's values. Raises `InputError` if there is no bag.
+    ``folder`` is a folder with bags, or a single bag. If a bag has a recovered copy, the copy is listed instead of the
+    bag. ``parameters`` is the path of a parameter file; empty: the file in each bag, else the paper's values. Raises
+    `InputError` if there is no bag.
     """
     bags = sorted(copies[-1] if copies else bag for bag, copies in bags_below(folder).items())
     index = _index_file(folder, parameters)

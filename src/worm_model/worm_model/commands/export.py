@@ -29,7 +29,7 @@ from worm_model.bags.run_reader import RUN_TOPICS, read_run
 from worm_model.bags.worm_topics import TYPES
 from worm_model.commands import command_line
 
-STEM_BYTES = 200  # longest file name without its ending
+STEM_BYTES = 200  # bytes, longest file name without its ending
 MERGED = "run"  # name of the table with all measurements and commands
 _NOTIFY = command_line.notifier("export")
 
@@ -38,8 +38,9 @@ _RUN_TYPES = {TYPES[name] for name in RUN_TOPICS if name != "joint_states"}
 
 
 class CsvWriter:
-    """Writer of a CSV file with the columns ``kinds``. CSV cannot contain ``lists``, the columns of arrays.
+    """Writer of a CSV file with the columns ``kinds``.
 
+    The columns ``lists`` contain arrays. They are not written, because a CSV cell contains one value.
     Numbers are written without loss of precision. Missing values and NaN are empty cells.
     """
 
@@ -69,7 +70,10 @@ def _cell(value: Any) -> Any:
 
 
 class ParquetWriter:
-    """Writer of a Parquet file. Columns have their types, missing values are null, and NaN is NaN."""
+    """Writer of a Parquet file with the columns ``kinds`` and ``lists``.
+
+    Columns have the types of the fields. Missing values are null, and NaN remains NaN.
+    """
 
     def __init__(self, path: Path, kinds: Kinds, lists: Kinds) -> None:
         try:
@@ -113,8 +117,8 @@ class Exported:
 def export(bag: Bag, output: Path, kind: str, topics: list[str], namespace: str = "") -> Exported:
     """Write one table per topic to a new folder and, if ``topics`` is empty, the merged table of the robot.
 
-    ``namespace`` is that of the robot; empty: the only one in the bag. Only the memory for the merged table grows with
-    the bag. If the export fails, no folder remains.
+    ``namespace`` is that of the robot; empty: the only one in the bag. Only the merged table is held in memory as a
+    whole. If the export fails, no folder remains.
 
     Raises:
         BagError: The bag lacks a topic or is damaged.
@@ -139,7 +143,7 @@ def export(bag: Bag, output: Path, kind: str, topics: list[str], namespace: str 
 
 
 def _export_merged(bag: Bag, path: Path, namespace: str, exported: Exported) -> None:
-    """Write the merged table, or store the reason why it cannot be written."""
+    """Write the merged table, or add the reason why it cannot be written to ``exported.left_out``."""
     try:
         columns = run_table(read_run(bag, namespace)).columns
     except BagError as error:
@@ -156,7 +160,7 @@ def _export_merged(bag: Bag, path: Path, namespace: str, exported: Exported) -> 
 
 
 def file_stems(topics: Iterable[str]) -> dict[str, str]:
-    """Return a unique file name, without ending, for each topic: a__b for /a/b, and a__b_2 if /a__b exists, too."""
+    """Return a unique file name, without ending, for each topic: a__b for /a/b, and a__b_2 for a later /a__b."""
     stems: dict[str, str] = {}
     for topic in topics:
         stem = wanted = _file_stem(topic)

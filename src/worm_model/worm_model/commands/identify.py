@@ -145,7 +145,9 @@ def _literal(options: argparse.Namespace, inputs: Inputs, output: Path | None) -
             "--literal uses the paper's power model; remove --one-sided-cable or --literal"
         )
     reference = _reference(options, inputs)
-    parameters, costs = literal(inputs, reference.parameters, StageProgress())
+    parameters, costs = literal(
+        inputs, reference.parameters, StageProgress(), SIDES.get(options.fin_engages, 0)
+    )
     if output is not None:
         provenance = {"made_by": f"{MADE_BY} --literal", FORM: False, "given": reference.source}
         write_parameter_file(output, ParameterFile(parameters, {}, provenance))
@@ -174,6 +176,7 @@ def _pull_test(options: argparse.Namespace, inputs: Inputs, output: Path | None)
         "--validation": options.validation,
         "--bellows": options.bellows,
         "--fin": options.fin,
+        "--fin-engages": options.fin_engages,
     }
     given = [name for name, value in others.items() if value]
     if given:

@@ -18,8 +18,8 @@ from worm_model.parameters import Parameters, load_parameters
 _notify = command_line.notifier("import_lab")
 EPOCH_S = 1767225600  # 2026-01-01 00:00 UTC; the logs have no date, and a stamp of 0 means "unknown" in ROS
 
-_LARGEST_SPOOL = 0.2  # m
-_LONGEST_BODY = 2.0  # m
+_LARGEST_SPOOL = 0.2  # m, largest accepted spool radius
+_LONGEST_BODY = 2.0  # m, largest accepted initial length
 
 
 def import_lab(folder: Path, output: Path, settings: LabSettings, namespace: str) -> LabRun:

@@ -81,7 +81,7 @@ def _map(options: argparse.Namespace) -> None:
     parameters = under(conditions_of(options), load_parameters(options.parameters))
     figure = figure_file(options)
     pitch = parameters.pitch
-    # (−d/2, d/2]: the lower end is equivalent to the upper end.
+    # The phases cover (−d/2, d/2]. −d/2 is omitted, because it is equivalent to d/2.
     phase = np.linspace(-0.5 * pitch, 0.5 * pitch, options.points + 1)[1:]
     stroke = np.linspace(options.lowest, options.highest, options.points)
     content = compute_phase_map(parameters, gait, stroke, phase, ProgressLine("phase map"))

@@ -57,8 +57,9 @@ from worm_model.twin.records import (
 )
 from worm_model.twin.twin import Output, residual_messages
 
-DRIVES = ("body_length/commanded", "body_length/measured")  # the twin requires one of these topics
-# the twin may return an event after states with later stamps, which are later by at most this
+# The twin requires at least one of these topics.
+DRIVES = ("body_length/commanded", "body_length/measured")
+# ns; the twin may return an event after states with newer stamps, and these stamps are newer by at most this
 DISORDER_NS = 10 * NANOSECONDS
 _notify = notifier("replay")
 
@@ -115,7 +116,10 @@ def _messages(name: str, topic: Topic, output: Output, shift_ns: int) -> list[Me
 def twin_columns(
     name: str, output: Output
 ) -> tuple[Stamps, dict[str, Any], dict[str, Sequence[str]]]:
-    """Return stamps (ns), numbers and texts of the messages of one of the twin's topics, one column per field."""
+    """Return the content of the messages of one of the twin's topics: stamps (ns), numbers and texts.
+
+    Numbers and texts contain one entry for each field of the message: an array, a list, or a constant.
+    """
     if name == "twin/events":
         events = output.events
         numbers: dict[str, Any] = {
@@ -147,7 +151,11 @@ def twin_columns(
 def report_json(
     report: ReplayReport, dropped: Mapping[str, int], duration: float, elapsed: float
 ) -> dict[str, Any]:
-    """Return the report in machine-readable form; ``dropped`` is the number of excluded samples by reason."""
+    """Return the report in machine-readable form.
+
+    ``dropped`` is the number of excluded samples by reason, ``duration`` that of the bag (s), and ``elapsed`` that of
+    the replay (s).
+    """
     return {
         **asdict(report.residuals),
         "energy_error": report.energy_error,
@@ -197,7 +205,7 @@ def _cycle_json(cycle: CycleReport) -> dict[str, Any]:
 def describe(
     report: ReplayReport, dropped: Mapping[str, int], duration: float, elapsed: float
 ) -> str:
-    """Return the report as text; ``dropped`` is the number of excluded samples by reason."""
+    """Return the report as text; for the arguments see `report_json`."""
     lines = _total_lines(report)
     for number, run in enumerate(report.runs, 1):
         gait = run.played.gait

@@ -25,13 +25,13 @@ from worm_model.parameters import load_parameters
 if TYPE_CHECKING:
     from worm_model.analysis.simulated_run import SimulatedRun
 
-CYCLES = 5  # the paper's protocol
-MOST_SAMPLES = 10_000_000
-MOST_CYCLES = 1000
+CYCLES = 5  # number of cycles in the paper's protocol
+MOST_SAMPLES = 10_000_000  # largest number of samples in a file
+MOST_CYCLES = 1000  # largest number of cycles of a simulation
 FIGURES = (".png", ".pdf", ".svg")
 ANIMATIONS = (".gif", ".mp4")
-RATE_HZ = 100.0
-FRAME_RATE_HZ = 12.5  # frame rate of an animation
+RATE_HZ = 100.0  # default sampling rate of tables, figures and recordings
+FRAME_RATE_HZ = 12.5  # default frame rate of an animation
 
 
 def _parser() -> Parser:
@@ -81,7 +81,7 @@ def _write_animation(run: SimulatedRun, path: Path) -> None:
 
 
 def _write_recording(run: SimulatedRun, path: Path) -> None:
-    """Write the single file of a bag; anchors and forces are in the topic of the twin's state."""
+    """Write the recording as a single MCAP file; the topic twin/state contains anchors and forces."""
     from worm_model.bags.formats.bag_writer import new_bag
     from worm_model.bags.formats.message_types import topic_of
     from worm_model.bags.recording.run_manifest import RUN_RECORD

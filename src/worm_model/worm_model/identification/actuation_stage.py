@@ -30,13 +30,15 @@ from worm_model.identification.fits.resampling import correlation, estimates, re
 from worm_model.parameters import PAPER
 
 USUAL = (PAPER.slack, PAPER.gain, PAPER.time_constant)  # usual values, see `if_identifiable`
-# A parameter has no effect if a change by its derivative step changes the residuals by a smaller sum of squares.
+# A parameter counts as without effect if a change of its value by one derivative step changes the residuals (in units
+# of the camera's noise) by a sum of squares below this limit.
 LEAST_INFORMATION = 1e-9
 NO_BEARING = "the parameter has no effect on these runs"
 AT_BOUND = "the fit is at a bound, where no interval is valid"
 FEWEST_RUNS = 4  # smallest number of runs for a bootstrap over runs
-LEAST_STEP = 1e-9  # m, smallest change between two samples of a command that is no rounding error
-# A command is quantised if each change deviates from a multiple of the smallest change by less than this share of it.
+LEAST_STEP = 1e-9  # m; smaller changes between two samples of a command are rounding errors
+# A command counts as quantised if all its changes are multiples of the smallest change. Each may deviate from a
+# multiple by less than this share of the smallest change.
 LEAST_FRACTION = 0.02
 
 
@@ -98,8 +100,9 @@ def identify_actuation(
 def _checked(estimate: Estimate, entry: int, information: float) -> Estimate:
     """Return the estimate, marked as not identifiable if the runs do not determine it.
 
-    ``entry`` is the index of the parameter in `actuation_fit.SHARED`. ``information`` is its diagonal entry in the
-    matrix of the normal equations, in the inverse square of its unit.
+    This is the case if the parameter has no effect, if the fit is at a bound, or if the interval is too wide. ``entry``
+    is the index of the parameter in `actuation_fit.SHARED`. ``information`` is the diagonal entry of the parameter in
+    the matrix of the normal equations; its unit is the inverse square of the parameter's unit.
     """
     bounds = actuation_fit.SHARED[entry]
     if information * bounds.step**2 < LEAST_INFORMATION:
@@ -112,8 +115,9 @@ def _checked(estimate: Estimate, entry: int, information: float) -> Estimate:
 def command_resolution(recording: Recording) -> float:
     """Return the quantisation step of the recorded command in m; 0 if it was not quantised.
 
-    A servo's goal is rounded to ticks. The zero of the command therefore has an error of at most half a tick. The error
-    is the same in all runs, so that a bootstrap does not show it.
+    A servo's goal is rounded to ticks, so that the command is a multiple of the length of a tick. The zero of the
+    command therefore has an error of at most half a tick. This error is the same in all runs, so that a bootstrap over
+    runs does not show it.
     """
     steps = np.abs(np.diff(recording.command))
     steps = steps[steps > LEAST_STEP]
@@ -125,7 +129,10 @@ def command_resolution(recording: Recording) -> float:
 
 
 def _widened(estimate: Estimate, half: float) -> Estimate:
-    """Return the estimate with an independent half-width added to its interval."""
+    """Return the estimate with its interval widened by an independent error.
+
+    ``half`` is the 95 % half-width of the error. The new half-width is the root of the sum of both squares.
+    """
     added = float(np.hypot(estimate.spread, half))
     return Estimate(estimate.value, estimate.value - added, estimate.value + added)
 

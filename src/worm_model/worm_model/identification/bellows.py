@@ -23,7 +23,7 @@ class BellowsFit:
     Attributes:
         stiffness: estimate, N/m.
         offset: force at zero compression (the load cell's zero), N.
-        compression, force: samples of the test, m and N, shape (n,).
+        compression, force: finite samples of the test, including outliers, m and N, shape (n,).
     """
 
     stiffness: Estimate
@@ -36,15 +36,16 @@ def fit_bellows(compression: Array, force: Array) -> BellowsFit:
     """Fit a straight line by least squares; outliers are excluded.
 
     The interval follows from Student's t distribution and is exact for white noise. If the residuals are correlated
-    (hysteresis), the interval is that of a smaller number of independent points. The scale factor of the load cell is
-    assumed to be correct.
+    (hysteresis), the interval is computed for a smaller number of independent points. The scale factor of the load
+    cell is assumed to be correct.
 
     Args:
         compression: m, shape (n,), in the order of measurement.
         force: N, shape (n,).
 
     Raises:
-        IdentificationError: There are too few points, or the stiffness is not positive.
+        IdentificationError: There are fewer than `FEWEST_POINTS` finite points, all points have the same compression,
+            or the stiffness is not positive.
     """
     known = np.isfinite(compression) & np.isfinite(force)
     x, y = compression[known], force[known]

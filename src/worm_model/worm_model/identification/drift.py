@@ -19,10 +19,13 @@ from worm_model.identification.fits.estimate import Estimate, quantile
 from worm_model.parameters import ParameterFile
 
 FEWEST_BAGS = 5  # smallest number of bags for limits from moving ranges
-ONE_SIDE = 8  # bags in a row above, or below, the parameter's interval (the centre if limits come from bags)
-MONOTONE = 6  # bags in a row, each above, or each below, the previous bag
+# Smallest number of consecutive bags on one side of the parameter's interval that violates `Rule.ONE_SIDE`. If the
+# limits come from the bags, the mean of the bags replaces the interval.
+ONE_SIDE = 8
+# Smallest number of consecutive bags with rising values, or with falling values, that violates `Rule.MONOTONE`
+MONOTONE = 6
 SIGMAS = 3.0  # distance of a limit from the centre, in standard deviations
-INDIVIDUALS = 2.66  # SIGMAS / 1.128: distance of a limit from the centre, in mean moving ranges
+INDIVIDUALS = 2.66  # the same distance in mean moving ranges (see `limits_of_bags`): SIGMAS / 1.128
 
 
 class State(str, Enum):
@@ -68,7 +71,7 @@ class Limits:
 
     @property
     def mirrored(self) -> Limits:
-        """Limits of the negated values."""
+        """Limits that apply to the negated values."""
         return replace(
             self,
             low=-self.high,
@@ -80,7 +83,11 @@ class Limits:
 
 @dataclass(frozen=True)
 class Signal:
-    """Violation of a ``rule`` by the bags ``first`` to ``last``, upwards (``direction`` 1) or downwards (−1)."""
+    """Violation of a ``rule`` by consecutive bags.
+
+    ``first`` and ``last`` are the indices of the first and the last of these bags. ``direction`` is 1 for values that
+    are too high or rise, and −1 for values that are too low or fall.
+    """
 
     rule: Rule
     first: int
@@ -163,8 +170,8 @@ def _resolution(half: Array) -> float:
 def limits_of_file(interval: tuple[float, float], resolution: float) -> Limits:
     """Return limits from a 95 % ``interval`` of the parameter file and the bags' half-width ``resolution``.
 
-    The variances of the file's estimate and of a single bag add up. The limits are three standard deviations of the
-    sum from the centre of the file's interval.
+    The centre is that of the file's interval. Each limit is three standard deviations from the centre. The variance is
+    the sum of two variances: that of the file's estimate and that of the estimate from a single bag.
     """
     centre, half = 0.5 * (interval[0] + interval[1]), 0.5 * (interval[1] - interval[0])
     reach = SIGMAS / quantile(np.inf) * float(np.hypot(half, resolution))
@@ -173,10 +180,11 @@ def limits_of_file(interval: tuple[float, float], resolution: float) -> Limits:
 
 
 def limits_of_bags(value: Array, resolution: float) -> Limits | None:
-    """Return the limits X̄ ± 2.66·(mean moving range) of ``value`` (n,) without NaN; None for fewer than five values.
+    """Return limits from the finite values of ``value`` (n,); None for fewer than `FEWEST_BAGS` finite values.
 
-    Ranges of few bags can be small by chance. The limits are therefore at least one ``resolution`` (the half-width of a
-    bag's 95 % interval) from the centre.
+    The limits are mean ± 2.66·(mean moving range). A moving range is the absolute difference between two successive
+    values. Moving ranges of few bags can be small by chance. The limits are therefore at least one ``resolution`` (the
+    half-width of a bag's 95 % interval) from the mean.
     """
     known = value[np.isfinite(value)]
     if known.size < FEWEST_BAGS:
@@ -207,7 +215,7 @@ def find_signals(value: Array, limits: Limits) -> tuple[Signal, ...]:
 
 
 def _broken(value: Array, limits: Limits) -> list[tuple[Rule, int, int]]:
-    """Return (rule, first, last) of each upward violation."""
+    """Return (rule, first, last) of each upward violation; ``first`` and ``last`` are indices of ``value``."""
     monotone = [
         (Rule.MONOTONE, a, b + 1)
         for a, b in _stretches(np.diff(value) > 0.0, MONOTONE - 1)

@@ -75,7 +75,7 @@ def estimate_bags(
     Args:
         paths: the bags.
         parameters: values of all other parameters.
-        progress: called with the completed share.
+        progress: called with the completed share, 0 to 1.
         definitions: message definitions, as for `open_bag`.
 
     Returns:
@@ -107,7 +107,10 @@ def estimate_bags(
 
 
 def _content(recording: Recording) -> str:
-    """Return a hash of the measurements, which identifies a run even if an import has assigned arbitrary stamps."""
+    """Return a hash of the tracker's samples and the command.
+
+    It identifies a run even if an import has assigned arbitrary stamps, because the times are counted from the onset.
+    """
     digest = hashlib.sha256()
     for values in (recording.camera_time, recording.x1, recording.x2, recording.command):
         digest.update(np.ascontiguousarray(values).tobytes())
@@ -141,7 +144,10 @@ def estimate_bag(recording: Recording, start: int, parameters: Parameters) -> Ba
 
 
 def _check_seen(recording: Recording) -> None:
-    """Raise IdentificationError if a marker was hidden for too long; a single run cannot compensate for the gap."""
+    """Raise IdentificationError if a marker was hidden for more than `LONGEST_GAP`.
+
+    In a fit to several runs, the other runs compensate for such a gap. Here, the run is fitted alone.
+    """
     time = recording.camera_time
     times = time[np.isfinite(recording.length) & (time > 0.0) & (time < recording.end)]
     gap = float(np.diff(np.concatenate([[0.0], times, [recording.end]])).max())
@@ -153,6 +159,10 @@ def _check_seen(recording: Recording) -> None:
 
 
 def _idle_power(recording: Recording) -> Estimate:
-    """Return the idle power; not identifiable if no power was recorded at rest, or if the cable held a pretension."""
+    """Return the idle power.
+
+    It is not identifiable if too few of the run's first power samples were measured at rest (see `idle_power_of`), or
+    if the cable held a pretension.
+    """
     idle = idle_power_of(recording)
     return idle_power([idle]) or Estimate(np.nan, np.nan, np.nan, False, idle.warning)

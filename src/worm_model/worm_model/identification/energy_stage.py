@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Stage 7: c_b and α_P with intervals from a bootstrap over runs.
 
-Each refit draws weights of the runs, and values of k_b, L_free and the locomotion fit (with friction and fins) within
-their uncertainty. Gaits of a single frequency cannot separate c_b from α_P, because the effects of both are then
-proportional. In this case both estimates are not identifiable, and their notes state the reason.
+Each refit draws random weights of the runs. It also draws k_b, L_free and the locomotion fit (friction and fin
+parameters) within their uncertainty, and computes the static forces from them. Gaits of a single frequency cannot
+separate c_b from α_P, because the effects of both are then proportional. In this case both estimates are not
+identifiable, and their notes state the reason.
 """
 
 from __future__ import annotations
@@ -38,7 +39,8 @@ class EnergyResult:
     Attributes:
         bellows_damping, power_factor: estimates, N·s/m and 1.
         correlation: correlation of both estimates, shape (2, 2).
-        inherited: for each estimate, the fraction of its variance due to earlier stages and given values.
+        inherited: for each estimate, the share of its variance that is due to the uncertainty of earlier stages and of
+            given values; NaN if the estimates are not identifiable.
         fit: the fit with the nuisance parameters; c_b is the given value if the estimates are not identifiable.
         clock_deviation: standard deviations of the clock offsets, s, shape (runs,); NaN where the data do not determine
             the offset.
@@ -60,15 +62,16 @@ def identify_energy(
     random: np.random.Generator,
     hindrance: str = "",
 ) -> EnergyResult:
-    """Estimate both parameters from all runs.
+    """Estimate c_b and α_P from all runs.
 
     Args:
         runs: the runs.
         frequencies: gait frequency of each run, Hz.
-        forces: draws the static forces of each run (`PowerRun.static_force`) within their uncertainty, N.
+        forces: function that draws the static forces (N) of all runs within their uncertainty. Each array begins like
+            `PowerRun.static_force`, but extends to the end of the run.
         parameters: source of c_b if c_b is not identifiable, and of α_P if there are no runs.
         random: source of the bootstrap.
-        hindrance: reason why no interval would be valid; empty if there is none.
+        hindrance: reason why no interval of c_b and α_P would be valid; empty if there is no such reason.
     """
     note = hindrance or _why_not(runs, frequencies)
     if note:
@@ -80,7 +83,7 @@ def identify_energy(
     def refit(index: int, weight: Array) -> Array:
         drawn = forces(np.random.default_rng(seeds[index]))
         moved = [
-            replace(run, static_force=force[: run.time.size])  # up to the end of the run
+            replace(run, static_force=force[: run.time.size])  # up to the end of the traverse
             for run, force in zip(runs, drawn, strict=True)
         ]
         solution = energy.fit_energy(moved, weight, fit)
@@ -113,7 +116,7 @@ def _why_not(runs: Sequence[energy.PowerRun], frequencies: Sequence[float]) -> s
 
 
 def _given(runs: Sequence[energy.PowerRun], parameters: Parameters, note: str) -> EnergyResult:
-    """Return a result with the given c_b and the fitted α_P, both not identifiable."""
+    """Return a result with the given c_b and a fitted α_P (without runs: the given α_P), both not identifiable."""
     damping, nothing = parameters.bellows_damping, float("nan")
     fit = (
         energy.fit_energy(runs, damping=damping)
@@ -156,7 +159,7 @@ def _clocks(runs: Sequence[energy.PowerRun], fit: energy.EnergyFit) -> Array:
 
 
 def _shift_by_idle(run: energy.PowerRun, fit: energy.EnergyFit, offset: float) -> float:
-    """Return the magnitude of the fitted clock offset's error per error of the idle power, s/W.
+    """Return the absolute error of the fitted clock offset that an error of 1 W in the idle power causes, s/W.
 
     An error of the idle power adds a ramp to the energy, which resembles the effect of a clock offset.
     """

@@ -2,7 +2,7 @@
 """Stage 3: clearance δ_c and stiffnesses k_eng, k_dis from the fin test (eq:fin_force_piecewise).
 
 The fit is a piecewise linear force with two knees. The sign convention is detected: the stiffer side is the engaging
-side, and a force that was recorded as reaction is negated.
+side. If the force decreases with the displacement, the test has recorded the fin's reaction, and the force is negated.
 """
 
 from __future__ import annotations
@@ -28,7 +28,8 @@ KEYS = ("clearance", "engaged_stiffness", "disengaged_stiffness")
 FEWEST_POINTS = 12
 TOO_VAGUE = "its interval from the fin test exceeds half its value on either side; repeat the test with more points"
 ANISOTROPY = 1.15  # smallest ratio of the stiffnesses that determines the engaging side
-SIGNIFICANT = 3.0  # standard deviations above which the test stand's zero offset is significant
+# The centre of the clearance differs significantly from zero if it exceeds this number of its standard deviations.
+SIGNIFICANT = 3.0
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ class FinFit:
         covariance: covariance of the three estimates, shape (3, 3).
         centre: centre of the clearance in the test's coordinate, m.
         engages: sign of the displacement that engages, −1 or +1.
-        displacement, force: samples, m and N, shape (n,); the force is negated if it was recorded as reaction.
+        displacement, force: finite samples, m and N, shape (n,); the force is negated if it was recorded as reaction.
     """
 
     clearance: Estimate
@@ -58,7 +59,7 @@ class FinFit:
         return np.array([getattr(self, key).value for key in KEYS])
 
     def force_at(self, displacement: Array) -> Array:
-        """Return the fitted force (N) at displacements (m), shape (m,)."""
+        """Return the fitted force (N) at displacements in metres, shape (k,)."""
         low, high = self.engaged_stiffness.value, self.disengaged_stiffness.value
         if self.engages > 0:
             low, high = high, low
@@ -66,7 +67,10 @@ class FinFit:
 
 
 def _force(values: Array, x: Array) -> Array:
-    """Return the force for (clearance, stiffness below, stiffness above, centre)."""
+    """Return the force (N) at displacements ``x`` (m) for (clearance, stiffness below, stiffness above, centre).
+
+    The stiffness below acts at displacements below the clearance, the stiffness above at those above it.
+    """
     clearance, below, above, centre = values
     deflection = x - centre
     return below * np.minimum(deflection + 0.5 * clearance, 0.0) + above * np.maximum(
@@ -77,7 +81,8 @@ def _force(values: Array, x: Array) -> Array:
 def fit_fin(displacement: Array, force: Array, engages: int = 0) -> FinFit:
     """Fit the piecewise linear force by robust least squares.
 
-    The clearance is centred at the test's zero, as in the paper, unless the zero offset is significant.
+    As in the paper, the centre of the clearance is the zero of the test. It is fitted only if it differs significantly
+    from zero (`SIGNIFICANT`).
 
     Args:
         displacement: m, shape (n,).
@@ -85,8 +90,8 @@ def fit_fin(displacement: Array, force: Array, engages: int = 0) -> FinFit:
         engages: sign of the displacement that engages, −1 or +1; 0 detects it.
 
     Raises:
-        IdentificationError: There are fewer than `FEWEST_POINTS` points, all points are on one side of 0, a side shows
-            no force, or the two stiffnesses are too similar to detect the engaging side.
+        IdentificationError: There are fewer than `FEWEST_POINTS` finite points, or all points are on one side of 0. If
+            the engaging side must be detected: a side shows no force, or the two stiffnesses are too similar.
     """
     known = np.isfinite(displacement) & np.isfinite(force)
     x, y = displacement[known], force[known]
@@ -140,7 +145,10 @@ class _BrokenLine:
         self.noise = max(SIGMA_PER_MAD * float(np.median(np.abs(y - _force(start, x)))), 1e-9)
 
     def start(self) -> Array:
-        """Return start values of a fit: the best of a grid of clearances, as the cost has several local minima."""
+        """Return the start values of a fit, shape (4,).
+
+        They are the best ones for a grid of clearances, because the cost has several local minima.
+        """
         x, y = self.x, self.y
         tried = []
         for clearance in np.linspace(0.02, 1.9, 48) * min(-x.min(), x.max()):
@@ -152,7 +160,10 @@ class _BrokenLine:
         return min(tried, key=lambda pair: pair[0])[1]
 
     def fit(self, start: Array, free: list[bool]) -> tuple[Array, Array]:
-        """Return values (4,) and covariance (4, 4) of a fit of the ``free`` entries; other entries are fixed."""
+        """Return values (4,) and covariance (4, 4) of a fit of the ``free`` entries.
+
+        The other entries keep their values in ``start`` and have zero covariance.
+        """
         index = np.flatnonzero(free)
         result = self._solve(start, index)
         values = start.copy()

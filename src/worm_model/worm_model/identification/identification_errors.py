@@ -7,4 +7,4 @@ from worm_model.errors import InputError
 
 
 class IdentificationError(InputError):
-    """Recordings or bench tests that cannot be used; one line with the problem and the remedy."""
+    """Error for recordings or bench tests that cannot be used; the message is one line with problem and remedy."""

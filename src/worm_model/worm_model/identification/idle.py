@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Stage 6: idle power P_idle of each run from its first ten samples (eq:Pidle_est).
 
-The rule requires that the robot rests during these samples. If the sensor is slow or starts with the gait, the robot
-moves during some of them. Then only those before the onset are used. A run with fewer than three samples before the
-onset has no estimate.
+The paper's rule requires that the robot rests during these samples. If the sensor is slow or starts with the gait, the
+robot moves during some of them. Then only the samples before the onset are used. A run in which fewer than three of
+the first ten samples are before the onset has no estimate.
 
 The servo may need power to hold a pretension. The idle power of a run with pretension is used for this run alone.
 """
@@ -34,7 +34,8 @@ HOLDING = (
 class IdlePower:
     """Idle power of a run: ``value`` (W, NaN if unknown) and standard ``deviation`` of the mean (W).
 
-    ``samples`` is the number of samples at rest. ``holding`` is True if the cable held a pretension.
+    ``samples`` is the number of samples at rest among the first ten. ``warning`` describes a problem of the
+    measurement; empty if there is none. ``holding`` is True if the cable held a pretension.
     """
 
     value: float
@@ -78,7 +79,7 @@ def idle_power_of(recording: Recording) -> IdlePower:
 
 
 def idle_power(runs: Sequence[IdlePower]) -> Estimate | None:
-    """Return the mean over runs without pretension, or None if no such run has an idle power.
+    """Return the mean idle power (W) of the runs without pretension, or None if no such run has an idle power.
 
     For a single run, the interval follows from the scatter of its samples.
     """

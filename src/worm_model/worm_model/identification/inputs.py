@@ -24,11 +24,12 @@ from worm_model.identification.data.observed_run import Recording, recordings_of
 from worm_model.identification.identification_errors import IdentificationError
 from worm_model.run import utc_of
 
-RUN_FILE = "camera.csv"  # file that marks a run of a lab
+RUN_FILE = "camera.csv"  # a folder with this file is a run of a lab
 BELLOWS_FILE, FIN_FILE = "bellows.csv", "fin.csv"
 # ns, stamp of time 0 in a lab's logs, which contain no date; a stamp of 0 would mean "unknown"
 EPOCH = 10**9
-LOGS = LabSettings(epoch=EPOCH)  # default settings, which contain no given value
+# Settings without given values. Onset, spool radius and L0 are estimated, see `LabSettings`.
+LOGS = LabSettings(epoch=EPOCH)
 TOPICS = (
     "body_length/commanded",
     "body_length/cable",
@@ -55,8 +56,8 @@ class BenchTest:
 class Inputs:
     """Recordings and bench tests (None if missing).
 
-    ``folder`` is the lab's folder; None for bags, or for runs of several labs. ``remarks`` name data that are not used,
-    and assumptions.
+    ``folder`` is the folder of the lab whose runs were read; None if the runs come from no lab or from several.
+    ``remarks`` name data that are not used, and assumptions.
     """
 
     recordings: tuple[Recording, ...]
@@ -133,13 +134,13 @@ def read_recordings(
 
 
 def _lab_of(path: Path) -> Path:
-    """Return the folder with a lab's common files: the parent of a run, or the folder of runs itself."""
+    """Return the folder with a lab's common files: the parent if ``path`` is a run, otherwise ``path`` itself."""
     folder = path.resolve()
     return folder.parent if (folder / RUN_FILE).is_file() else folder
 
 
 def is_lab_folder(path: Path) -> bool:
-    """Return True if a path is a folder with a lab's runs, not a bag."""
+    """Return True if a path is a lab's folder, which contains runs, or the folder of a single run of a lab."""
     return path.is_dir() and bool(run_folders(path))
 
 
@@ -165,7 +166,10 @@ def _read_bag(path: Path, definitions: Path | None) -> tuple[Recording, ...]:
 
 
 def read_lab_recording(folder: Path, logs: LabSettings = LOGS) -> Recording:
-    """Read the run in a lab's folder."""
+    """Read a run of a lab from the run's folder.
+
+    Raises `IdentificationError` if a file is missing or invalid, or if the run's gait is unknown.
+    """
     try:
         lab = read_lab_run(folder, logs)
     except LabError as error:
@@ -179,7 +183,7 @@ def read_lab_recording(folder: Path, logs: LabSettings = LOGS) -> Recording:
 
 
 def read_bench_test(path: Path, columns: tuple[str, str]) -> BenchTest:
-    """Read a bench test of two columns."""
+    """Read the two ``columns`` of a bench test. Raises `IdentificationError` if the file cannot be used."""
     try:
         table = read_columns(path, columns)
     except LabError as error:

@@ -61,21 +61,25 @@ Variants = tuple[tuple[Parameters, GrooveFit], ...]
 FRICTION, SWITCHING, REAR_DRY, FRONT_DRY, PITCH, ONSET = range(6)  # entries of `GrooveFit.means`
 USUAL_DRY = 0.3  # N, viscous friction of the paper's robot at 3.5 mm/s; see `if_identifiable`
 SOUGHT = (FRICTION, SWITCHING, PITCH)  # means whose intervals follow from profiles
-# First step of the search for the end of a profile: N·s/m, m, m
+# First step of the search for an end of the interval, in addition to the effect of the scatter: N·s/m, m, m
 FIRST_REACH = {FRICTION: 1.0, SWITCHING: 3e-5, PITCH: 5e-6}
-# Column of the tables of grooves whose scatter makes a mean uncertain
+# For a mean: column of the tables of grooves whose scatter makes this mean uncertain
 SCATTERED = {FRICTION: STIFFNESS, SWITCHING: THRESHOLD}
 LEAST_EIGENVALUE = 1e-9  # smaller eigenvalues of a correlation are rounding errors
 # Half-width of the 95 % interval of a normal distribution, in standard deviations
 NORMAL = quantile(np.inf)
 LONGEST_MEMORY = 30  # largest lag of correlated residuals, in samples
-BETTER = 0.5  # least decrease of the cost by which another fit replaces the present one
+BETTER = 0.5  # another fit replaces the present one if its cost is lower by more than this
 MOST_RESTARTS = 3  # number of better fits found by the profiles after which the stage fails
 
 
 @dataclass(frozen=True)
 class FinKnowledge:
-    """``values`` of (clearance m, engaged and disengaged stiffness N/m) and their ``covariance`` (3, 3)."""
+    """Fin parameters and their uncertainty.
+
+    ``values`` (3,) are clearance (m), engaged and disengaged stiffness (N/m). ``covariance`` is that of the three
+    values, shape (3, 3).
+    """
 
     values: Array
     covariance: Array
@@ -90,13 +94,14 @@ class LocomotionResult:
         dry_friction: estimates for the rear and the front module, N.
         onset: how the modules share the first rate of ΔL, see `simulation.kernel.whole_run.run_from_rest`.
         initial_length: L0 of each run, m, shape (runs,).
-        inflation: factor on the variances for large or correlated residuals.
+        inflation: factor by which large or correlated residuals increase the variances, see `variance_inflation`.
         correlation: correlation of (η, p_sw, rear and front dry friction, pitch, onset), shape (6, 6).
         landscape: J_loc on the grid of the search.
         fit: the fit with all nuisance parameters.
-        variants: parameters with fin values one standard deviation off, and the fit with them, one pair for each
-            independent direction of the fin values' covariance.
-        stiffer: fit with an η that is one standard deviation higher.
+        variants: pairs of parameters with changed fin values and the fit with these parameters. There is one pair for
+            each independent direction of the fin values' covariance, with a change of one standard deviation. Empty
+            if the covariance is unknown.
+        stiffer: fit with η fixed one standard deviation above its estimate.
         as_printed: (η, p_sw) that minimise J_loc as the paper prints it, without dry friction and with even grooves.
             The pitch and the onset are those of the fit with even grooves.
     """
@@ -122,11 +127,11 @@ def identify_locomotion(
     fin: FinKnowledge | None = None,
     progress: Progress = lambda _: None,
 ) -> LocomotionResult:
-    """Estimate η, p_sw and the pitch from all runs.
+    """Estimate η, p_sw, the dry friction of both modules and the pitch from all runs.
 
-    ``known`` contains the other parameters, ``fin`` the uncertainty of the fin parameters. Without ``fin``, the
-    intervals are valid only for the given fins. Raises `IdentificationError` if no fit explains the motion, or if the
-    profiles repeatedly find a better fit.
+    ``known`` contains the given parameters and the uncertainty of the given pitch. ``fin`` contains the uncertainty of
+    the fin parameters. Without ``fin``, the intervals are valid only for exact fin parameters. Raises
+    `IdentificationError` if no fit explains the motion, or if the profiles repeatedly find a better fit.
     """
     landscape = search(traverses, known, lambda done: progress(0.3 * done))
     start = find_locomotion(traverses, known, landscape)
@@ -201,9 +206,10 @@ def refit(
     own: Array,
     iterations: int = 10,
 ) -> GrooveFit:
-    """Return a fit to other runs or with other parameters, with the scatter of the fit ``like``, from which it starts.
+    """Return a fit to ``traverses`` with the parameters ``known``, which starts from the fit ``like``.
 
-    ``own`` (runs, 2) contains the start values of each run's nuisance parameters.
+    The runs or the parameters differ from those of ``like``. The scatter of the grooves is that of ``like`` and is not
+    estimated again. ``own`` (runs, 2) contains the start values of each run's nuisance parameters.
     """
     problem = groove_problem(traverses, known, like.places, like.scatter)
     return replace(like, solution=solve(problem, like.solution.shared, own, iterations=iterations))
@@ -212,7 +218,10 @@ def refit(
 def holding_forces(
     traverses: Sequence[Traverse], parameters: Parameters, fit: GrooveFit
 ) -> tuple[Array, ...]:
-    """Return H (n,) in N (see `worm_model.identification.fits.energy`) at the times of each run's length."""
+    """Return the force H of each run, in N, at the times of the run's measured length, shape (n,).
+
+    For H see `worm_model.identification.fits.energy`.
+    """
     grooves = tables_of(fit.solution.shared[MEANS:], fit.places)
     forces = []
     for traverse, own in zip(traverses, fit.solution.own, strict=True):
@@ -224,7 +233,7 @@ def holding_forces(
 
 
 def variance_inflation(traverses: Sequence[Traverse], solution: Solution) -> float:
-    """Return the factor on the variance of the camera's noise for large or correlated residuals, at least 1."""
+    """Return the factor by which large or correlated residuals increase the variances of a fit, at least 1."""
     power, memory = 0.0, 0.0
     for residuals in solution.residuals:
         r = np.clip(residuals, -5.0, 5.0)

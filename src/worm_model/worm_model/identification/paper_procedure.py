@@ -51,7 +51,7 @@ class _Traverse:
 
     Attributes:
         recording: the run.
-        time: times of the camera samples in which both markers are visible, s, shape (n,).
+        time: times of the camera samples after the onset in which both markers are visible, s, shape (n,).
         x1: position of the rear module, m, shape (n,).
         change: ΔL, m, shape (n,).
         initial_length: L0, m.
@@ -65,24 +65,28 @@ class _Traverse:
 
 
 def literal(
-    inputs: Inputs, known: Parameters, progress: Callable[[str, float], None] = lambda *_: None
+    inputs: Inputs,
+    known: Parameters,
+    progress: Callable[[str, float], None] = lambda *_: None,
+    fin_engages: int = 0,
 ) -> tuple[Parameters, dict[str, float]]:
     """Minimise the paper's costs with the paper's power model.
 
     The bench tests determine the stiffnesses and the clearance. All parameters that neither the recordings nor the
-    bench tests determine have the values of ``known``.
+    bench tests determine have the values of ``known``. ``fin_engages`` is the sign of the displacement that engages in
+    the fin test, −1 or +1; 0 detects it.
 
     Returns:
         The parameters, and the minimal costs: J_loc and J_act in m², J_E in J².
 
     Raises:
-        IdentificationError: No run has enough power samples, or a run has a pretension.
+        IdentificationError: No run has enough power samples, a run has a pretension, or a bench test cannot be used.
     """
     for recording in inputs.recordings:
         if recording.gait.pretension > 0.0:
             raise IdentificationError(PRETENSION.format(recording.name))
     paper = known.replace(**dict.fromkeys(NOT_OF_PAPER, 0.0), one_sided_cable=False)
-    p = _with_bench(inputs, paper)
+    p = _with_bench(inputs, paper, fin_engages)
     runs = [_traverse(recording, p.pitch) for recording in inputs.recordings]
     p = p.replace(initial_length=float(np.mean([run.initial_length for run in runs])))
     (friction, threshold), j_loc = _locomotion(runs, p, lambda done: progress("J_loc", done))
@@ -99,13 +103,13 @@ def literal(
     return p, {"J_loc": j_loc, "J_act": j_act, "J_E": j_e}
 
 
-def _with_bench(inputs: Inputs, p: Parameters) -> Parameters:
+def _with_bench(inputs: Inputs, p: Parameters, fin_engages: int) -> Parameters:
     if inputs.bellows is not None:
         p = p.replace(
             bellows_stiffness=fit_bellows(inputs.bellows.x, inputs.bellows.y).stiffness.value
         )
     if inputs.fin is not None:
-        fin = fit_fin(inputs.fin.x, inputs.fin.y, 0)
+        fin = fit_fin(inputs.fin.x, inputs.fin.y, fin_engages)
         p = p.replace(**{key: getattr(fin, key).value for key in FIN})
     return p
 

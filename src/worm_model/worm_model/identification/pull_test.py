@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pull test: the load on the rear module of a known robot, from x1 under the measured length.
+"""Pull test: estimation of the load on the rear module of a known robot from x1, with the measured length as input.
 
 Only the sum of both loads affects x1, so that the load of the front module must be known. Nuisance parameters are the
 robot's parameters with their intervals as priors, the differences between grooves, L0, and the pose at rest. A
@@ -67,7 +67,7 @@ ONSET = Quantity(0.1, 0.0, 1.0, 0.5, 0.5)  # `Worm.onset`
 EXACT = 1e-7  # prior standard deviation of an exact parameter, relative to its value
 LOAD_STEP, MOST_LOAD = 0.05, 50.0  # N, derivative step and largest magnitude of the load
 SEARCHED = np.linspace(-12.0, 12.0, 13)  # N, loads from which fits start
-FIRST_REACH = 0.1  # N, first step of the search for the end of the profile
+FIRST_REACH = 0.1  # N, first step of the search for an end of the interval
 MOST_RESTARTS = 10  # number of better fits found by the profile after which the test fails
 LOAD = 0  # entry of the load among the shared parameters
 NO_FIT = "no load between -12 and 12 N explains the motion of x1; check the parameter file and the starts of the runs"
@@ -79,7 +79,14 @@ NOT_SETTLED = (
 
 @dataclass(frozen=True)
 class PullTest:
-    """Result: ``load`` of the rear module in N, the runs, their residuals of x1 (rms, m), and remarks."""
+    """Result of a pull test.
+
+    Attributes:
+        load: estimated load on the rear module, N, positive towards −x.
+        runs: the runs that were used.
+        residuals: root mean square of the residuals of x1 in each run, m.
+        warnings: remarks on the data.
+    """
 
     load: Estimate
     runs: tuple[Run, ...]
@@ -91,7 +98,8 @@ def estimate_rear_load(inputs: Inputs, reference: ReferenceValues) -> PullTest:
     """Estimate the load on the rear module of a known robot, positive towards −x.
 
     The front load of ``reference`` is subtracted from the estimated sum of both loads. Raises `IdentificationError` if
-    no load explains the runs, if the strides contradict the pitch, or if the profile repeatedly finds a better fit.
+    no run is usable, if no load explains the runs, if the strides contradict the pitch, or if the profile repeatedly
+    finds a better fit.
     """
     parameters = reference.parameters
     runs, warnings = fitted_runs(inputs.recordings, parameters.pitch)
@@ -139,7 +147,11 @@ def _problem(
     places: NDArray[np.int64],
     scatter: Scatter,
 ) -> Problem:
-    """Return the problem of x1: shared load, onset, parameters and deviations; L0 and pose at rest of each run."""
+    """Return the least-squares problem of x1.
+
+    All runs share the load, the onset, the robot's parameters and the deviations of the grooves. Each run has its own
+    L0 and pose at rest.
+    """
     parameters = reference.parameters
     unloaded = parameters.replace(rear_load=0.0, front_load=0.0)
     worm = worm_of(unloaded)

@@ -16,9 +16,9 @@ from worm_model.identification.fits.estimate import Estimate, not_identifiable
 from worm_model.parameters import KEYS, PAPER, ParameterFile, Parameters
 
 LOADS = ("rear_load", "front_load")  # conditions of the runs, which count as exact
-# keys whose given values count as measured, also without bounds
+# keys whose given values count as measured, even if they have no bounds
 MEASURED = ("rear_mass", "front_mass", "unstressed_length", "pitch", *LOADS)
-# Default half-widths of the 95 % bounds: a kitchen scale, a ruler, a ruler over many ridges
+# Default half-widths of the 95 % bounds: a kitchen scale (kg), a ruler (m), a ruler over many ridges (m)
 READING = {
     "rear_mass": 1e-3,
     "front_mass": 1e-3,
@@ -45,9 +45,9 @@ class ReferenceValues:
         parameters: the given values.
         intervals: known 95 % intervals by key.
         source: source of the values, as text.
-        others: sources of the values with another source, by key.
-        fitted_otherwise: True if the given c_b and α_P were fitted with another power model than the one that
-            ``parameters`` selects.
+        others: for each value that does not come from ``source``, its source as text, by key.
+        fitted_otherwise: True if ``parameters`` selects a power model that differs from the one with which the given
+            c_b and α_P were fitted.
     """
 
     parameters: Parameters
@@ -81,7 +81,7 @@ def reference_by_file(content: ParameterFile, source: str) -> ReferenceValues:
 
 
 def reference_by_folder(folder: Path) -> ReferenceValues:
-    """Return the values in the README of a lab's folder, else the paper's values."""
+    """Return the values in the README of a lab's folder; the paper's values replace missing ones."""
     readme = folder / README
     text = readme.read_text(encoding="utf-8", errors="replace") if readme.is_file() else ""
     values: dict[str, float] = {}

@@ -66,13 +66,13 @@ class Identification:
     Attributes:
         estimates: estimates of all keys.
         parameters: the resulting parameters.
-        reference: values given to `identify`.
+        reference: the reference values given to `identify`.
         runs: runs that were used.
-        bellows, fin: bench tests, None if missing.
+        bellows, fin: fits of the bench tests, None if the test is missing.
         locomotion, actuation, energy: results of the stages.
         power_runs: data of the runs whose power samples cover the traverse, for the energy model.
         held_out: errors of each run with the parameters fitted to the other runs; empty with one run.
-        paper: errors of each run with the paper's table.
+        paper: errors of each run with the parameters of the paper's table.
         validation: errors of the validation runs with ``parameters``.
         camera_delay: part of the delay of the camera's stamps that ``delay_s`` does not correct, s.
         warnings: remarks on data and results.
@@ -125,8 +125,16 @@ def identify(
     Equal inputs and seeds produce equal results. c_b and α_P are fitted with the power model that the parameters of
     ``reference`` select.
 
+    Args:
+        inputs: recordings and bench tests.
+        reference: given values, with their uncertainty.
+        seed: seed of the bootstrap.
+        fin_engages: sign of the displacement that engages in the fin test, −1 or +1; 0 detects it.
+        validation: runs that are not fitted, but only predicted with the identified parameters.
+        progress: called with the name of a step and its completed share, 0 to 1.
+
     Raises:
-        IdentificationError: The data are not sufficient.
+        IdentificationError: The data are not sufficient, contradict each other, or do not fit the model.
     """
     random = np.random.default_rng(seed)
     estimates = {key: reference.estimate(key) for key in KEYS}
@@ -247,7 +255,10 @@ def _bench_estimates(bellows: BellowsFit | None, fin: FinFit | None) -> dict[str
 
 
 def _fin_knowledge(estimates: Mapping[str, Estimate], fin: FinFit | None) -> FinKnowledge | None:
-    """Return the fin values from the fin test, else from the given bounds; None without test and bounds."""
+    """Return the fin parameters and their covariance from the fin test, or without a test from the given bounds.
+
+    The result is None if there is no test and a fin parameter has no given bounds.
+    """
     if fin is not None:
         return FinKnowledge(fin.values, fin.covariance)
     known = [estimates[key] for key in FIN]
@@ -262,8 +273,8 @@ def _locomotion_estimates(
 ) -> dict[str, Estimate]:
     """Return the estimates of stage 4.
 
-    If neither a fin test nor bounds of the fin parameters are given, only the ratio of η to the fin stiffness is
-    identifiable.
+    If there is neither a fin test nor given bounds of the fin parameters, x1 determines only the ratio of friction to
+    fin stiffness. The friction and the threshold are then not identifiable.
     """
     friction, threshold = locomotion.viscous_friction, locomotion.switching_threshold
     note = NOT_OF_PAPER.format(locomotion.as_printed[0])
@@ -286,7 +297,10 @@ def _locomotion_estimates(
 
 
 def _energy_estimates(energy: EnergyResult, reference: ReferenceValues) -> dict[str, Estimate]:
-    """Return c_b and α_P. Raises IdentificationError if both are unknown for the selected power model."""
+    """Return c_b and α_P.
+
+    Raises IdentificationError if α_P is not identifiable and the given values belong to another power model.
+    """
     fitted = dict(zip(FITTED_WITH_FORM, (energy.bellows_damping, energy.power_factor), strict=True))
     if not reference.parameters.one_sided_cable:
         return fitted

@@ -46,7 +46,10 @@ HELP = "space: pause and resume, s or right arrow: one message, q: quit"
 
 
 def _latched_depth(topic: Topic) -> int:
-    """Return the number of samples for late subscribers: the depth of the recorded publisher, or 1 if unknown."""
+    """Return the number of samples for late subscribers.
+
+    This is the depth of the first recorded publisher, or 1 if the depth is unknown or larger than VOLATILE_DEPTH.
+    """
     depth = first_qos_profile(topic).get("depth")
     return depth if isinstance(depth, int) and 0 < depth <= VOLATILE_DEPTH else 1
 
@@ -251,7 +254,7 @@ class PlayNode(Node):
             self.finished = True
 
     def drain(self) -> None:
-        """Wait until reliable subscribers have received all messages."""
+        """Wait until reliable subscribers have received all messages, but for at most ACKNOWLEDGED_S per topic."""
         deadline = Duration(seconds=ACKNOWLEDGED_S)
         for publisher in self._publishers_by_topic.values():
             publisher.wait_for_all_acked(deadline)

@@ -43,7 +43,7 @@ from worm_msgs.node_command import declare_none
 # second one has discovered all publishers, because publishers discover the second one later than it discovers them.
 OVERLAP_POLLS = 50
 
-SETTLING_S = 3.0  # A publisher that appears later than this counts as started after the recorder.
+SETTLING_S = 3.0  # A publisher found later than this counts as started after the recorder.
 
 _Identity = tuple[int, int]
 
@@ -117,7 +117,7 @@ class _RawSubscription:
         )
 
     def resubscribe(self) -> None:
-        """Adapt to the present publishers."""
+        """Create a subscription that is compatible with all present publishers, next to the first one."""
         if self._old is not None:
             # The first subscription still exists and receives the messages in the meantime.
             self._node.destroy_subscription(self._subscription)
@@ -242,7 +242,7 @@ class RecordNode(Node):
 
     @property
     def missing(self) -> list[str]:
-        """Named topics that have not appeared."""
+        """Topics that were requested by name and have not appeared."""
         return sorted(self._selection.names - self._subscriptions_by_name.keys())
 
     @property
@@ -338,7 +338,7 @@ def message_class(type_name: str) -> type:
     """Return the Python class of ``package/msg/Type``.
 
     Raises:
-        DefinitionError: Its package is not installed.
+        DefinitionError: The name is malformed, or no installed package contains the type.
     """
     package, _, kind = type_name.partition("/msg/")
     try:

@@ -33,7 +33,7 @@ from worm_msgs.qos import LATCHED
 from worm_msgs.ros_process import own_arguments, ros_process, spin
 
 PERIOD_S = 0.2  # time between two drawings of the view
-STORED = 200  # samples of an instrument: 2 s at 100 Hz
+STORED = 200  # largest number of stored samples of an instrument: 2 s at 100 Hz
 NAMESPACE = "/worm"
 LEAST_WIDTH, MOST_WIDTH = 40, 120
 KEYS = "q: quit   space: freeze or continue"

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Closed forms of the slow limit: groove phase, groove count and the cliff of the margin.
 
-These formulas are not in the paper. In the slow limit, viscous friction is negligible: the fin of one module is engaged
-and holds, while the other module is dragged. The number of grooves gained is the number of times that the dragged fin
-passes its threshold. This number agrees with the simulator for 99 % of the gaits in the paper's box.
+These formulas are not in the paper. In the slow limit (frequency towards 0), viscous friction is negligible: the fin
+of one module is engaged and holds, while the other module is dragged. The number of grooves gained is the number of
+times that the dragged fin passes its threshold. This number agrees with the simulator for 99 % of the gaits in the
+paper's box.
 """
 
 from __future__ import annotations
@@ -35,7 +36,8 @@ def switching_travel(
     c = δ_c + (p_sw + δ_m − δ_c/2)(1 + k_dis/k_eng) + Q/k_eng. The dragged fin moves across its clearance to its
     threshold. Meanwhile the engaged fin deflects under the force of the dragged fin and the load Q, which is positive
     against the direction. If a load along the direction exceeds the force of the dragged fin, the other fin does not
-    engage but is dragged as well, and another equation holds.
+    engage but is dragged as well. The function then returns c = p_sw + δ_m − δ_c/2 + F/k_dis, where F < 0 is the force
+    of the dragged fin at its threshold plus Q.
     """
     half = 0.5 * parameters.clearance
     threshold = parameters.switching_threshold + margin

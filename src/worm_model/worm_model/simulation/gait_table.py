@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tables of gaits as CSV. Each row is a gait; columns that are named after parameters replace these for the gait."""
+"""Tables of gaits as CSV. Each row is a gait. A column with the name of a parameter sets it for each gait."""
 
 from __future__ import annotations
 
@@ -28,7 +28,8 @@ def read_gaits(path: str | Path) -> Columns:
     """Return the columns of a table of gaits.
 
     Raises:
-        InputError: A value is missing, unknown or not a number. The message names the line and the column.
+        InputError: The file cannot be read or contains no gait, a column is missing, unknown or present twice, or a
+            value is not a finite number (the message then names the line and the column).
     """
     try:
         with Path(path).open(newline="", encoding="utf-8-sig") as file:
@@ -103,7 +104,8 @@ def evaluate_table(
 def write_table(path: Path, table: GaitTable, overrides: Columns, parameters: Parameters) -> None:
     """Write a new file with a row for each gait: stroke, frequency, margin, L0, direction, results, further columns.
 
-    The further columns are the other fields of the gait and the other overridden parameters.
+    The results include the groove phase. The further columns are the other fields of the gait and the other overridden
+    parameters. Raises `FileExistsError` if the file exists.
     """
     rows = table.speed.size
     length = np.broadcast_to(overrides.get("initial_length", parameters.initial_length), (rows,))

@@ -146,9 +146,9 @@ class Event:
 class Motions:
     """Dense output: the motion at the times ``time`` (n,). Every field has the shape (n,) and SI units.
 
-    ``cable_force`` is F_c (eq:Fc); below 0 a cable would have to push. ``rear_force`` and ``front_force`` are the
-    forces of the fins, F_1 and F_2. The anchors A1 and A2 are given in m and as numbers of their grooves. ``energy``
-    counts from the start. At the time of an event, the values are those before the event.
+    ``cable_force`` is F_c (eq:Fc); where it is negative, the cable would have to push. ``rear_force`` and
+    ``front_force`` are the forces of the fins, F_1 and F_2. The anchors A1 and A2 are given in m and as numbers of
+    their grooves. ``energy`` counts from the start. At the time of an event, the values are those before the event.
     """
 
     time: Array
@@ -201,7 +201,8 @@ def _motions(samples: Array, parameters: Parameters, energy: Array | None = None
 class Trajectory:
     """Motion and power of the robot under a gait, from the start over a number of cycles.
 
-    It stores no samples; `at` computes them exactly for the requested times.
+    It stores no samples; `at` computes them exactly for the requested times. `at` and `events` raise `LoadError` if the
+    fins do not hold the load, and `SimulationError` if a fin chatters.
     """
 
     gait: Gait

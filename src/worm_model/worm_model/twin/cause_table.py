@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Table of the causes that the twin can report.
 
-The signatures, the candidates, the messages, the constants of TwinEvent.msg, the table in docs/twin.md and the
+The signatures, the candidate causes, the messages, the constants of TwinEvent.msg, the table in docs/twin.md and the
 benchmark are made from these rows. To add a lasting cause, add a row to `LASTING`.
 """
 
@@ -177,7 +177,10 @@ class Cause:
         return self.down if size < 0.0 else self.up
 
     def describe(self, size: float, deviation: float) -> str:
-        """Return the description of a change with ± 2 standard deviations; both arguments are multiples of `size`."""
+        """Return the description of a change with ± 2 standard deviations.
+
+        Both arguments are multiples of the attribute `size`.
+        """
         unit = self.scale * self.size
         value = f"{unit * size:+.1f} ± {2.0 * unit * deviation:.1f} {self.unit}"
         return self.description.format(value) + (f": {self.hint}" if self.hint else "")

@@ -29,7 +29,7 @@ STEP_S = 0.02  # time step of the predicted motion
 
 
 class ForecastError(ValueError):
-    """Error of a gait that cannot be predicted, or of an inadmissible horizon."""
+    """The gait cannot be predicted, or the horizon is inadmissible."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Forecast:
     Attributes:
         robust: result of a run from rest, with the gait's margin.
         nominal: result of a run from rest, without the margin.
-        time: time from now, s, shape (n,); after a change of direction, from the onset on.
+        time: time since now, s, shape (n,); for a gait in the other direction, time since its onset.
         rear_position: x1 in the tracker's frame, m, shape (n,).
         front_position: x2 in the tracker's frame, m, shape (n,).
         power: predicted source power, W, shape (n,).
@@ -92,7 +92,7 @@ def forecast(twin: Twin, state: TwinState, gait: Gait, horizon_s: float = HORIZO
 
 
 def _start(twin: Twin, state: TwinState, gait: Gait) -> tuple[TwinState, LocomotionState]:
-    """Return the state of the twin and its motion at the onset of a gait that begins now.
+    """Return the state of the twin, and the motion of the robot at the onset of a gait that begins now.
 
     For a gait in the other direction, the fins are turned now, and the robot rests in their new grooves at the onset.
     """

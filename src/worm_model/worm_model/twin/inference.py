@@ -64,7 +64,7 @@ class NullModel:
         return np.asarray(weighted - self._weight * common[..., None, :])
 
     def weigh(self, causes: Array, known: NDArray[np.bool_]) -> Weighed:
-        """Return the evidence for causes (h, k, b); ``known`` (h,) is True where s is 1."""
+        """Return the evidence for causes (h, k, b); ``known`` (h,) is True where the size is known to be 1."""
         flat = causes.reshape(len(causes), -1)
         cross = flat @ self._weighted.T  # (h, m)
         solved = np.linalg.solve(self._inner, np.column_stack([self._match, cross.T]))

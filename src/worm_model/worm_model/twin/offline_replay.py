@@ -25,7 +25,8 @@ from worm_model.twin.start_estimate import Start
 from worm_model.twin.stored_memory import StoredMemory, look_back_ns, memory_to_resume
 from worm_model.twin.twin import CLOCK_SET, ClosedCycle, Output, Twin, TwinState
 
-IMPOSSIBLE_STEPS = 3  # number of impossible steps of the command that prove overlapping time spans
+# smallest number of impossible steps of the command that shows overlapping time spans
+IMPOSSIBLE_STEPS = 3
 
 Series = dict[str, NDArray[Any]]
 
@@ -36,8 +37,8 @@ class Replay:
 
     Attributes:
         states: fields of STATE_ROW (the message TwinState).
-        residuals: fields of RESIDUAL_ROW: those of TwinResiduals except the message, the sizes and levels of the
-            channels, and the number of the warning.
+        residuals: fields of RESIDUAL_ROW: the fields of TwinResiduals without its message; in addition, size and level
+            of each channel and the number of the warning.
         lengths: fields of LENGTH_ROW, the estimated lengths (BodyLength).
         notices: events of the twin (TwinEvent).
         dropped: number of excluded samples, by reason.
@@ -95,7 +96,7 @@ class OfflineReplay:
     def feed(self, begin: Callable[[], Result]) -> Result:
         """Return a consumer to which the whole replay has been added.
 
-        If the twin estimates the start of a gait, the recording is processed again with this start and with another
+        If the twin estimates the start of a gait, the recording is processed again with this start and with a new
         consumer from ``begin``.
         """
         is_settled = self._memory is not None or bool(self._starts)

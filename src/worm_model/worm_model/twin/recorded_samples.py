@@ -13,7 +13,8 @@ from worm_model.run import GaitStates, LengthSamples, Run, concatenated
 from worm_model.twin.samples import SAMPLE, Kind, Rows, series_of, topic_rows
 from worm_model.twin.stored_memory import StoredMemory, read_memory
 
-IMPOSSIBLE_SPEED = 1.0  # m/s, no gait moves the command faster; the paper's stay below 0.12 m/s
+# m/s; no gait changes the command faster, and the paper's gaits stay below 0.12 m/s
+IMPOSSIBLE_SPEED = 1.0
 _FOREVER = int(np.iinfo(np.int64).max)
 # Place of a sample in the order: number of backward jumps of the clock before it, and its stamp in ns
 _Place = tuple[int, int]
@@ -30,7 +31,7 @@ class RecordedSamples:
 
     If the stamps of a topic go back by more than ``jump_back_ns`` and stay there, the clock has jumped. All samples
     after the jump then follow all samples before the jump. The constructor and each call of `rows` read the parts once.
-    `rows` stores one part, and those earlier samples that may have to follow samples of a later part.
+    `rows` keeps in memory one part, and those earlier samples that a sample of a later part may have to precede.
 
     Args:
         parts: returns the recording in parts, in the order of reception.
@@ -42,8 +43,8 @@ class RecordedSamples:
         first_ns: smallest stamp of all samples except driver states, ns; None without samples.
         last_ns: largest of the last stamps of command, measured length and tracker, ns; None without samples.
         gait_state: all driver states.
-        memories: the usable stored memories before `first_ns`, and the first one from `first_ns` on, by stamp.
-        impossible_steps: stamps (n, 2) before and after steps of the command that no gait makes, by stamp.
+        memories: the usable stored memories before `first_ns`, and the first one from `first_ns` on, in order of stamp.
+        impossible_steps: stamps (n, 2) before and after steps of the command that no gait makes, in order of stamp.
         clock_went_back: True if the clock has jumped back.
     """
 
@@ -94,8 +95,8 @@ class RecordedSamples:
     def rows(self, until_ns: int = _FOREVER) -> Iterator[Rows]:
         """Yield the samples in order, in blocks.
 
-        The blocks end when all samples with stamps up to ``until_ns`` have been returned. If the clock has gone back,
-        all samples are returned.
+        The iteration ends when all samples with stamps up to ``until_ns`` have been returned. If the clock has gone
+        back, all samples are returned.
         """
         counts = dict.fromkeys(Kind, 0)
         waiting, jumps = np.zeros(0, SAMPLE), np.zeros(0, np.int64)
@@ -149,7 +150,7 @@ class _Jumps:
         self._found: list[int] = []
 
     def add(self, stamp: Stamps) -> list[tuple[int, int]]:
-        """Add the stamps of a part; return first index and smallest stamp of each stretch between two steps back."""
+        """Add the stamps of a part; return (first index, smallest stamp) of each stretch without a step back."""
         stamps = np.concatenate([self._tail, stamp])
         first = self._count - len(self._tail)
         newest = np.maximum.accumulate(np.append(self._newest, stamps))[1:]
@@ -169,7 +170,7 @@ class _Jumps:
         )
 
     def finish(self) -> NDArray[np.int64]:
-        """Return the indices of the first samples after the jumps, once all stamps have been added."""
+        """Return the index of the first sample after each jump. All stamps must have been added before."""
         last = self._tail
         if len(last) == 2 and last[1] - last[0] < -self._jump_back_ns:
             self._found.append(self._count - 1)

@@ -134,8 +134,9 @@ class Event:
 STATE_ROW = row_type(StateRecord)
 #: fields of TwinResiduals except the stamp and the message
 RESIDUAL_FIELDS = (row_type(ResidualRecord).names or ())[1:]
-#: Row of a residual. ``…_size`` is the root mean square of a channel relative to the usual size (NaN without data),
-#: ``…_level`` the Health of the channel, and ``warning`` the number of the warning that affects the health, 0 if none.
+#: Row of a residual. ``…_size`` is the root mean square of a channel's residuals divided by their usual size (NaN
+#: without data), ``…_level`` is the Health of the channel, and ``warning`` is the number of the warning that affects
+#: the health, 0 if none.
 RESIDUAL_ROW = row_type(
     ResidualRecord,
     {

@@ -3,9 +3,9 @@
 
 All samples before the onset have been processed when the run starts.
 
-- The position of the rear module is the mean of the tracker's positions during the last ``rest_s``.
-- L0 is the mean measured length of the same time span. Without a measured length, L0 is that of the previous run. In a
-  first run without a measured length, L0 is the parameter.
+- The position of the rear module is the mean of the tracker's positions during the last ``rest_s`` seconds.
+- L0 is the mean length of the same time span: the measured body length or, without it, x2 − x1 of the tracker. If there
+  is no plausible length, L0 is that of the previous run if it was measured or estimated, and otherwise the parameter.
 - The first run starts with straight fins, or with fins that only load and pretension deflect.
 - After a run the fins stay deflected, so that the modules are up to some millimetres off their grooves. The next run
   starts in this state.
@@ -46,7 +46,8 @@ from worm_model.twin.start_estimate import Start
 from worm_model.twin.twin_settings import TwinSettings
 
 PLAYING = (Activity.RUNNING, Activity.STOPPING)
-LATE_NS = 20_000_000  # longest delay after the onset with which the twin joins a run without reporting the delay
+# A twin that joins a run at most this long after the onset does not report the delay.
+LATE_NS = 20_000_000
 PLAUSIBLE_M = 0.02  # largest plausible difference between a measured L0 and the parameter
 # Tolerance for the length change of a body whose slack is taken up, relative to the effect of the slack.
 TIGHTENED = 0.35
@@ -60,7 +61,7 @@ SLACK_NS = 2_000_000_000  # longest time after a pull until the slack has return
 # Largest deviations from the place where the previous run left the robot, modulo the pitch
 TOLERANCE = 0.3  # pitches; beyond this, the robot was moved between the runs
 SURE_M = 0.002  # beyond this, the state of the fins is uncertain
-JOIN_STEP_S = 0.01  # time step of the commands that a late twin did not receive
+JOIN_STEP_S = 0.01  # time step at which a late twin computes the commands that it missed
 
 
 @dataclass(frozen=True)
@@ -340,7 +341,7 @@ def _left_behind(
         m: record of the memory.
         parameters: parameters of the previous run.
         length: length of the body at rest, m.
-        direction: direction for which the fins are set.
+        direction: direction of the next run.
         turned_at: length of the body when the fins were turned, m.
     """
     if not m["moving"] or not m["start_ns"]:

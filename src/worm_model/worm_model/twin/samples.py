@@ -28,13 +28,13 @@ class Kind(enum.IntEnum):
 
 #: names of the values of a sample; a driver state has the most values, the fields of its gait
 VALUES = tuple(ascii_lowercase[: len(GAIT_UNITS)])
-#: name of the value by field of a gait
+#: name of the value that contains a field of the gait, by field
 GAIT_VALUES = dict(zip(GAIT_UNITS, VALUES, strict=True))
 
 #: A sample takes effect at its ``stamp`` (ns); ``sent`` (ns) is the stamp of its message. The values ``a``, ``b``, …
 #: depend on the kind. COMMAND: u_cmd (m). LENGTH: L (m). POSITION: x1, x2 (m). POWER: power (W). GAIT: the gait's
 #: fields. Only driver states (GAIT) have ``onset`` (ns), ``state``, ``run`` and ``cycle``. In the row of a LENGTH, the
-#: estimator stores the answer to the command in ``c``.
+#: estimator stores in ``c`` the ΔL (m) that it expects from the command.
 SAMPLE = np.dtype(
     [
         *((name, np.int64) for name in ("stamp", "kind", "onset", "state", "run", "cycle", "sent")),

@@ -19,7 +19,7 @@ FRAME = "pipe"
 PIPE_RADIUS = 0.06
 MODULE = (0.04, 0.07, 0.07)  # size of a module along x, y and z
 BELLOWS_DIAMETER = 0.05
-LOST_S = 1.0  # age of the latest tracker sample beyond which the robot is not drawn
+LOST_S = 1.0  # largest age of the latest tracker sample with which the robot is drawn
 VIEW = 0.6  # length of pipe shown ahead of the robot and behind it
 
 Colour = tuple[float, float, float, float]
@@ -66,7 +66,7 @@ class PositionSample:
     stamp_ns: int = 0
 
     def seen_at(self, stamp_ns: int) -> bool:
-        """Return True if both positions are known and recent at a stamp."""
+        """Return True if both positions are known and at most `LOST_S` away from a stamp (ns)."""
         both = math.isfinite(self.rear_position) and math.isfinite(self.front_position)
         return both and abs(stamp_ns - self.stamp_ns) <= LOST_S * NANOSECONDS
 

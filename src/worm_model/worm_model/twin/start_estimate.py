@@ -3,8 +3,8 @@
 
 The twin uses this estimate if the state is unknown. A gait leaves the fins deflected and the modules off their grooves,
 which affects the first cycle of the next gait. The exact model computes the motion from each possible pose at rest,
-with the measured ΔL or the answer to the command. The estimate is the pose whose motion agrees best with the tracker's
-positions.
+with the measured ΔL or the ΔL that the actuation model expects. The estimate is the pose whose motion agrees best with
+the tracker's positions.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ STEP_M = 0.001  # step between the tested offsets of the rear module from its gr
 REACH = 1.0  # largest of these offsets, in pitches; the rear fin switches at about this offset
 SAME_M = 0.0002  # distance below which two poses count as one
 FEWEST = 20  # smallest number of positions in the cycle
-LEAST_RATE_HZ = 5.0  # smallest rate of measured lengths that can drive the twin
+LEAST_RATE_HZ = 5.0  # smallest rate of measured lengths from which the motion can be computed
 REST_S = 1.0  # time after which a robot that starts with a tested offset is at rest
 
 
@@ -94,7 +94,7 @@ def estimate_start(memory: Memory, parameters: Parameters, end_ns: int) -> Estim
 def _drive(
     m: Any, rows: np.ndarray, parameters: Parameters, duration: float
 ) -> tuple[Array, Array]:
-    """Return times (s) from 0 to the duration, and ΔL (m) at these times, measured or as the answer to the command."""
+    """Return times (s) from 0 to the duration, and ΔL (m) at these times, measured or computed from the commands."""
     onset, start = int(m["start_ns"]), float(m["track_change"])
     lengths = rows[rows["kind"] == Kind.LENGTH]
     if len(lengths) >= LEAST_RATE_HZ * duration:

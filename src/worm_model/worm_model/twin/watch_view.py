@@ -21,7 +21,7 @@ STALE_S = 1.0  # time without input after which a source is silent
 SOURCES = ("driver", "twin", "tracker", "power")
 RESET = "\033[0m"
 CLEAR = "\033[H\033[J"
-TOP_POWER_W = 15.0  # full scale of the bars of power
+TOP_POWER_W = 15.0  # power at which a bar has its full length
 LEVELS = "▁▂▃▄▅▆▇█"  # characters of a trend
 NAN = math.nan
 
@@ -66,7 +66,9 @@ class View:
     energy: tuple[float, float] = (NAN, NAN)  # predicted, measured minus predicted
 
     def aged(self, ages: Mapping[str, float]) -> View:
-        """Return the view without the robot's positions, measured power and health whose source is silent.
+        """Return the view with messages on the silent sources, and without their values.
+
+        These values are the robot's positions, the measured power, and the twin's health and message.
 
         ``ages`` contains the time (s) since the last input of each of `SOURCES` that has had an input.
         """
@@ -144,7 +146,7 @@ def _wrapped(text: str, width: int, colour: str = "") -> list[str]:
 
 
 def _trend(name: str, scale: float, unit: str, values: Sequence[float], width: int) -> list[str]:
-    """Return a title and a line of characters for the recent values, from minimum to maximum; empty without values."""
+    """Return a title and a line with one bar per value, scaled from minimum to maximum; empty without values."""
     values = values[-width:]
     known = [scale * value for value in values if math.isfinite(value)]
     if not known:

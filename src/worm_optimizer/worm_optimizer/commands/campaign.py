@@ -47,7 +47,7 @@ from worm_optimizer.report.recordings import read_recorded_gaits
 from worm_optimizer.report.report_page import PAGE, Report, build_report
 from worm_optimizer.robot_commands import GaitCommand
 
-_GAITS = 3  # number of runs without repeats and comparisons; the spread is drawn only if there are more runs
+_GAITS = 3  # number of gaits without comparisons; the spread is drawn only if there are more runs than this
 SPREAD_FIGURE = "spread.png"
 _MODES = ("virtual", "robot")
 _CONTINUE = "campaign: continue with --resume {}"
@@ -166,7 +166,7 @@ def _campaign(options: argparse.Namespace) -> int:
 
 
 def _plan(options: argparse.Namespace, conditions: Conditions) -> Plan:
-    """Return the plan of the validation: the gaits of the exact front, and gaits with which they are compared."""
+    """Return the plan of the validation: three gaits of the exact front, and the gaits to compare them with."""
     content = load_parameter_file(options.parameters)
     settings = replace(chosen_settings(options), conditions=conditions)
     plan = make_plan(content, settings, options.direction)
@@ -258,7 +258,7 @@ def _folder(options: argparse.Namespace) -> Path:
 
 
 def _promise(plan: Plan, folder: Path) -> None:
-    """Write the predictions of a new campaign. In a continued one, raise `InputError` if the written ones differ."""
+    """Write the predictions of a new campaign. If a continued campaign has other predictions, raise `InputError`."""
     folder.mkdir(parents=True, exist_ok=True)
     if not (folder / PROMISES).exists():
         write_promises(plan, folder)

@@ -48,8 +48,9 @@ def _parser() -> Parser:
 def capability_json(
     found: dict[str, Capability], points: tuple[LoadPoint, ...], per_metre: float
 ) -> dict[str, Any]:
-    """Return capabilities by name of the gait for the machine-readable output. The last one is the strongest gait.
+    """Return the capabilities for the machine-readable output.
 
+    ``found`` contains the capability of each gait by name; its last element is the strongest gait.
     ``per_metre`` is the force of the tether in N/m; 0 without a tether.
     """
     gaits = [{"name": name, **_row(each, per_metre)} for name, each in found.items()]

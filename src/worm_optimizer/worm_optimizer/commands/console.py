@@ -24,7 +24,7 @@ from worm_optimizer.operation.system import RESTARTS
 
 PORT = 8080
 CONTROL_TIMEOUT_S = 5.0  # default of --control-timeout
-# The driver lets no client keep control for longer without a request.
+# Largest time without a request after which the driver still lets a client keep control
 MAX_CONTROL_TIMEOUT_S = 600.0
 
 

@@ -63,7 +63,7 @@ def _parser() -> Parser:
 
 
 def _demo(options: argparse.Namespace) -> int:
-    load_parameter_file(options.parameters)  # raises an error of the file before any node starts
+    load_parameter_file(options.parameters)  # raises errors in the file before any node starts
     new = new_bag(options.bags, "demo")
     say = ProgressLog("demo")
     try:

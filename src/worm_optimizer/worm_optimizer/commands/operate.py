@@ -240,9 +240,9 @@ def _run(node: OperatorNode, options: argparse.Namespace) -> int:
 
 
 def _conditions(node: OperatorNode, options: argparse.Namespace, say: ProgressLog) -> Conditions:
-    """Set the conditions that the options state in twin and optimizer, and return the conditions of the optimizer.
+    """Send the conditions in the options to twin and optimizer, and return the conditions of the optimizer.
 
-    Without an optimizer, set nothing and return the conditions of the options.
+    Without an optimizer, send nothing and return the conditions in the options.
     """
     stated = {
         key: value
@@ -261,7 +261,7 @@ def _conditions(node: OperatorNode, options: argparse.Namespace, say: ProgressLo
 
 
 def _own_gait(options: argparse.Namespace) -> Gait | None:
-    """Return the gait of the options; None if they define none, so that one must be requested. Raises `InputError`."""
+    """Return the gait that the options define; None if a gait must be requested instead. Raises `InputError`."""
     if options.stroke is None and options.frequency is None:
         for name in WAVEFORM:
             if name in GAIT_DEFAULTS and str(getattr(options, name)) != str(GAIT_DEFAULTS[name]):
@@ -278,13 +278,19 @@ def _own_gait(options: argparse.Namespace) -> Gait | None:
 
 
 def _ends(options: argparse.Namespace, gait: Gait) -> GaitCommand:
-    """Return a gait with the ends that the options state; without any, it ends after `CYCLES`. Raises `InputError`."""
+    """Return a command for a gait with the ends in the options. Raises `InputError`.
+
+    If the options contain no end, the run ends after `CYCLES` cycles.
+    """
     default = 0 if options.grooves or options.distance else CYCLES
     return GaitCommand(gait, options.cycles or default, options.grooves, options.distance)
 
 
 def _requested(node: OperatorNode, options: argparse.Namespace, say: ProgressLog) -> Gait:
-    """Request a gait from the optimizer, for the initial length in the twin's latest state if there is a twin."""
+    """Request a gait from the optimizer.
+
+    The request contains the initial length in the twin's latest state, if there is a twin.
+    """
     request = request_of_options(options)
     twin = node.current_snapshot().twin
     length = 0.0 if twin is None else twin.initial_length

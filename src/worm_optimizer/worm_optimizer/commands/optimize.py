@@ -33,7 +33,7 @@ from worm_optimizer.search.search_settings import Waveform
 if TYPE_CHECKING:
     from worm_optimizer.search.nsga2 import Comparison
 
-# Fields of `Prediction` that only the three gaits have; for the gaits of the front they are NaN.
+# Fields of `Prediction` that are computed only for the three gaits. For the other gaits of the front they are NaN.
 _FULL = {
     row.name
     for row in fields(Prediction)
@@ -63,7 +63,7 @@ def _parser() -> Parser:
 
 
 def front_json(front: RobustFront, nominal: dict[str, Prediction]) -> dict[str, Any]:
-    """Return a front for the machine-readable output; ``nominal`` are the three best gaits without a margin."""
+    """Return a front for the machine-readable output. ``nominal`` contains the three gaits without a margin."""
     return {
         "front": [_predicted(gait) for gait in front.gaits],
         "direction": front.direction,

@@ -31,7 +31,7 @@ def add_tracker(parser: Parser) -> None:
 def with_tracker(settings: Mapping[str, str], choice: str, mode: str) -> dict[str, str]:
     """Return the settings of system.yaml for the selected tracker.
 
-    Raises `InputError` for the camera of a real robot without a setup file.
+    Raises `InputError` if a real robot's camera is selected without a setup file.
     """
     if choice == POSITIONS:
         return dict(settings)

@@ -18,7 +18,8 @@ from worm_optimizer.search import search_settings
 from worm_optimizer.search.gait_request import GaitRequest, Objective
 
 _OBJECTIVES = (Objective.MIN_POWER, Objective.CRUISE, Objective.MAX_SPEED)
-# Placeholder of an option's value in the help, by the ending of the node parameter's name. Longer endings come first.
+# Placeholder of an option's value in the help, by the ending of the node parameter's name. The first
+# ending that matches is used, so longer endings come first.
 _VALUES = {
     "_m_per_s": "MPS",
     "_n_per_m": "N_PER_M",
@@ -47,13 +48,13 @@ def add_scan_options(parser: Parser) -> None:
 
 
 def add_campaign_options(parser: Parser) -> None:
-    """Add the settings of a front, except for the conditions, which `robot_options` adds."""
+    """Add the options for the settings of a front. `robot_options.add_robot` adds those for the conditions."""
     rows = (*search_settings.SCAN_SETTINGS, *search_settings.FRONT_SETTINGS)
     _add_settings(parser, tuple(r for r in rows if r.parameter not in CONDITION_PARAMETERS))
 
 
 def add_front_options(parser: Parser) -> None:
-    """Add the options of `add_scan_options`, and the further settings of a front."""
+    """Add the options of `add_scan_options`, and those for the other settings of a front."""
     add_scan_options(parser)
     _add_settings(parser, search_settings.FRONT_SETTINGS)
 
@@ -72,10 +73,11 @@ def chosen_settings(options: argparse.Namespace) -> search_settings.Settings:
                 )
             )
     settings = search_settings.settings_of(values)
-    if settings.margin is not None and settings.robustness is not search_settings.Robustness.MARGIN:
+    margins = {"--margin": settings.margin, "--margin-n": settings.margin_force}
+    given = [f"{option} {value:g}" for option, value in margins.items() if value is not None]
+    if given and settings.robustness is not search_settings.Robustness.MARGIN:
         raise InputError(
-            f"--margin {settings.margin:g} m has no effect with --robustness {settings.robustness.value}: "
-            "remove one of them"
+            f"{given[0]} has no effect with --robustness {settings.robustness.value}: remove one of them"
         )
     return settings
 
@@ -105,7 +107,7 @@ def _value(row: search_settings.SettingRow) -> str:
 def _by_option(
     rows: tuple[search_settings.SettingRow, ...],
 ) -> list[tuple[str, list[search_settings.SettingRow]]]:
-    """Return each option with its rows, in order. Neighbouring rows may share an option."""
+    """Return each option with its rows, in the order of ``rows``. Successive rows may belong to the same option."""
     grouped = groupby((row for row in rows if row.option), key=lambda row: row.option)
     return [(option, list(group)) for option, group in grouped]
 

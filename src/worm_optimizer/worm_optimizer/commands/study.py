@@ -105,7 +105,7 @@ def _study(options: argparse.Namespace) -> int:
 
 
 def _verify(options: argparse.Namespace) -> int:
-    """Compare a store with its checksums."""
+    """Compare a store with its checksums, and return the exit status."""
     counts, damaged = verify_store(options.verify, _say)
     content = {**dataclasses.asdict(counts), "damaged": damaged, "output": str(options.verify)}
     text = f"{counts.done} of {counts.points} points in {options.verify}; {damaged} of them are damaged"
@@ -116,7 +116,7 @@ def _verify(options: argparse.Namespace) -> int:
 
 
 def _points(options: argparse.Namespace, page: Path | None) -> int:
-    """Compute a study."""
+    """Compute a study, and return the exit status."""
     study, output = _described(options)
     workers = Workers(options.scheduler, options.workers)
     if options.dry_run:
@@ -149,7 +149,7 @@ def _points(options: argparse.Namespace, page: Path | None) -> int:
 
 
 def _described(options: argparse.Namespace) -> tuple[Study, Path | None]:
-    """Return the study and its output."""
+    """Return the study, and the path of its output; None if the options contain none."""
     if options.source is None:
         return load_study(options.study, options.parameters), options.output
     if options.parameters:
@@ -163,7 +163,7 @@ def _described(options: argparse.Namespace) -> tuple[Study, Path | None]:
 
 
 def _fleet(options: argparse.Namespace, page: Path | None) -> int:
-    """Read all bags of a folder."""
+    """Read all bags of a folder, and return the exit status."""
     if options.output is None or options.output.suffix != ".parquet":
         raise command_line.InputError("--output: name the fleet's table, e.g. FLEET.parquet")
     if options.export or options.dry_run:
@@ -182,7 +182,7 @@ def _fleet(options: argparse.Namespace, page: Path | None) -> int:
 
 
 def _status(options: argparse.Namespace, counts: Counts, tolerated: int) -> int:
-    """Return the exit status, and report it if more than ``tolerated`` points or bags failed."""
+    """Return the exit status. If more than ``tolerated`` points or bags failed, print a message, too."""
     if counts.failed <= tolerated or options.accept_failures:
         return command_line.DONE
     _say(

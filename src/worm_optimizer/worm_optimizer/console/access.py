@@ -54,8 +54,13 @@ class Access:
     def admits(self, headers: Mapping[str, str], session: str) -> bool:
         """Return True if a request is permitted.
 
-        Without a secret, the request must name one of `LOCAL` as its host. A foreign host name that resolves to this
-        computer is rejected.
+        A request from a page of another origin is always rejected. If there is a secret, the session must be open. If
+        there is none, the request must name one of `LOCAL` as its host, so that a foreign host name that resolves to
+        this computer is rejected.
+
+        Args:
+            headers: headers of the request, with names in lower case.
+            session: name of the session, from the cookie of the request.
         """
         if not same_origin(headers):
             return False

@@ -23,7 +23,7 @@ from worm_optimizer.console.run_traces import RunTraces, traces_of
 from worm_optimizer.operation.processes import executable_command
 from worm_optimizer.report.report_page import PAGE, REPORT_SUFFIX, report_name
 
-_LONGEST = 200  # number of characters to which names are cut; every file system accepts so many
+_LONGEST = 200  # largest number of characters of a name; longer names are cut
 _IDENTIFIED = "identified_"  # prefix of the names of identified parameter files
 _DIGEST = 8  # number of characters of a digest in a name
 
@@ -61,7 +61,10 @@ class BagLibrary:
         return path
 
     async def rows(self) -> list[Row]:
-        """Return all recorded runs, the newest first, each with the ``name`` of its bag. Raises `InputError`."""
+        """Return all recorded runs, the newest first, each with the ``name`` of its bag.
+
+        Raises `InputError` if the command that reads the bags fails.
+        """
         if not any(self.folder.iterdir()):
             return []
         output = await _run(executable_command("worm_model", "bags"), str(self.folder), "--json")
@@ -78,7 +81,7 @@ class BagLibrary:
 
         Args:
             names: names of the bags.
-            parameter_file: parameters of the expected values; empty: those in the recordings.
+            parameter_file: parameter file for the expected values; empty: the parameters in the recordings.
 
         Raises:
             InputError: A bag is missing, or the report cannot be made.
@@ -94,11 +97,11 @@ class BagLibrary:
         return str(folder.relative_to(self.folder))
 
     async def traces(self, name: str, parameter_file: str) -> RunTraces:
-        """Return the traces of a recorded run. Raises `InputError`.
+        """Return the traces of a recorded run. Raises `InputError` if the bag is missing or cannot be read.
 
         Args:
             name: name of the bag.
-            parameter_file: parameters of the twin; empty: those in the recording.
+            parameter_file: parameter file of the twin; empty: the parameters in the recording.
         """
         command = [sys.executable, "-m", traces_of.__module__]
         output = await _run(command, str(self.bag(name)), *_options(parameter_file))
@@ -107,11 +110,13 @@ class BagLibrary:
     async def identify(
         self, names: Sequence[str], parameter_file: str, progress: Callable[[str], None]
     ) -> str:
-        """Identify parameters, make a report, and return the name of the new parameter file. Raises `InputError`.
+        """Identify parameters, make a report, and return the name of the new parameter file.
+
+        Raises `InputError` if a bag is missing, or the identification or the report fails.
 
         Args:
             names: names of the bags.
-            parameter_file: known parameters; empty: the paper's values.
+            parameter_file: file with the known parameters; empty: the paper's values.
             progress: called with each line of progress.
         """
         bags = [str(self.bag(name)) for name in names]
@@ -135,13 +140,16 @@ class BagLibrary:
         )
 
     def parameter_file(self, name: str) -> str:
-        """Return the path of an identified parameter file. Raises `InputError`."""
+        """Return the path of an identified parameter file. Raises `InputError` if there is no such file."""
         if name not in self.identified():
             raise InputError(f"{name}: no such parameter file")
         return str(self.folder / name)
 
     async def packed(self, name: str, folder: Path) -> Path:
-        """Pack a bag into a ZIP file in another folder and return its path. Raises `InputError`."""
+        """Pack a bag into a ZIP file in another folder and return the path of the file.
+
+        Raises `InputError` if there is no such bag, or if it contains a link to a place outside the folder of bags.
+        """
         bag = self.bag(name)
         if any(self.folder not in path.resolve().parents for path in bag.rglob("*")):
             raise InputError(f"{name}: links lead out of the bags folder")
@@ -232,7 +240,7 @@ def report_of(parameter_file: str) -> str:
 
 
 def matches(row: Row, words: str) -> bool:
-    """Return True if the texts of a row, its direction or its notes contain each of the words, ignoring case."""
+    """Return True if each of the words occurs in the displayed texts, direction or notes of a row, ignoring case."""
     gait = row["gait"]
     start = row["start"] and local_time(row["start"])
     direction = "" if gait is None else ("forward" if gait["direction"] > 0 else "reverse")

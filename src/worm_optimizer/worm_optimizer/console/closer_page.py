@@ -25,7 +25,7 @@ _CHARTS: tuple[tuple[str, float, dict[str, str]], ...] = (
     ("position x1, mm", 1e3, {"x1": BLUE, "x1 of the twin": VERMILION}),
 )
 _HEIGHT, _GAP = 190, 70  # height of a chart and distance between two charts, px
-_DASHES = ("solid", "dashed")  # lines of the first and of the second run
+_DASHES = ("solid", "dashed")  # styles of the lines of the first and of the second run
 _SLIDER_STEP_S = 0.02
 _REDRAW_S = 0.05  # shortest time between two pictures, s
 

@@ -79,13 +79,13 @@ class ConsoleState:
         return self.worker.cancellation or self.control.run_loss
 
     def status_text(self) -> str:
-        """Return the present command; without one, the latest message."""
+        """Return the text of a pending STOP, else of the present command, else of the latest message."""
         if self.worker.stopping:
             return "STOP: waiting for the driver"
         return self.worker.busy or (self.notices[-1].text if self.notices else "")
 
     def numbers(self, now: float) -> dict[str, str]:
-        """Return the rows of the table of the Live tab, by name; a dash for a silent topic.
+        """Return the values in the table of the Live tab as texts, by name; a dash for a value that is unavailable.
 
         Args:
             now: present time of the monotonic clock, s.

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Control of the robot by the pages of one console. The driver grants control to one page of all consoles at a time."""
+"""Control of the robot by the pages of one console.
+
+Each page is a client of the driver. At any time, the driver grants control to at most one page of all consoles.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,8 @@ from dataclasses import dataclass
 
 from worm_optimizer.snapshot import Control, Wish
 
-_SEPARATOR = " page "  # between the names of console and page in that of a client
+# Text between the name of the console and that of the page in the name of a client
+_SEPARATOR = " page "
 
 Send = Callable[[str, Wish, float], None]
 
@@ -21,7 +25,7 @@ class _Page:
     last_message_s: float = -math.inf
     wants_control: bool = False
     has_control: bool = False
-    loss: str = ""  # reason why control, or the request for it, was lost last
+    loss: str = ""  # reason why the page last lost control or its request for it
 
 
 class ConsoleControl:
@@ -30,8 +34,8 @@ class ConsoleControl:
     Args:
         console: name of this console, which is unique among all consoles.
         clock: returns the present time, s.
-        send: sends a client's name and wish to the driver, and the time (s) after which the driver ends the client's
-            control if the client does not renew its request.
+        send: sends three values to the driver: name of a client, its wish, and a time (s). The driver ends the control
+            of a client that does not renew its request within this time.
         timeout_s: time without a message from a page after which the page loses control, s.
     """
 
@@ -44,7 +48,7 @@ class ConsoleControl:
         self.timeout_s = timeout_s
         self._pages: dict[str, _Page] = {}
         self._state = Control()
-        self._runner = ""  # client for which the present run was started
+        self._runner = ""  # client that must have control for the present run to continue
 
     def update(self, state: Control | None) -> None:
         """Set which client has control and which requests it, according to the driver; None without a driver."""
@@ -120,7 +124,10 @@ class ConsoleControl:
         return self._state.requester and self._named(self._state.requester)
 
     def loss_of(self, name: str) -> str:
-        """Return the reason why a page has lost control or its request; empty without a loss, or if a person did it."""
+        """Return the reason why a page has lost control or its request; empty if none was lost.
+
+        It is also empty if the person at the page released control or withdrew the request.
+        """
         page = self._pages.get(name)
         return "" if page is None else page.loss
 
@@ -160,6 +167,6 @@ class ConsoleControl:
         return f"{self._console}{_SEPARATOR}{name}"
 
     def _named(self, client: str) -> str:
-        """Return the name of a client as shown to people: "another page" of this console, or a page of another one."""
+        """Return the name of a client as shown to people: "another page", or "a page of" and another console's name."""
         console = client.split(_SEPARATOR)[0]
         return "another page" if console == self._console else f"a page of {console}"

@@ -112,7 +112,10 @@ def _fill(shown: ui.echart, samples: list[Sample], lines: dict[str, str], scale:
 
 
 def _point(sample: Sample, name: str, now: float, scale: float) -> list[Any]:
-    """Return [time minus now (s), scaled value or None for NaN]. Values of the twin hold for ``twin_age`` earlier."""
+    """Return [time minus now (s), scaled value or None for NaN].
+
+    The time of a value of the twin is ``twin_age`` before the time of the sample.
+    """
     value = getattr(sample, name)
     age = sample.twin_age if name in _OF_TWIN else 0.0
     return [

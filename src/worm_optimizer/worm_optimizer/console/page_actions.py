@@ -17,7 +17,7 @@ from worm_optimizer.robot_commands import GaitCommand
 from worm_optimizer.robustness.prediction import Prediction
 from worm_optimizer.search.gait_request import GaitRequest, Objective
 
-_GAITS = 32  # number of equal steps of speed into which the displayed front is divided
+_GAITS = 32  # number of equal steps into which the displayed front is divided by speed
 
 _numbers: Iterator[int] = count(1)  # numbers in the names of recorders
 
@@ -30,7 +30,7 @@ def read_front(
     Args:
         node: the operator.
         direction: FORWARD or REVERSE.
-        initial_length: length of the robot at rest, m; 0 for that of the optimizer's parameters.
+        initial_length: length of the robot at rest, m; 0 for the length in the optimizer's parameters.
         progress: called with each line of progress.
 
     Raises:

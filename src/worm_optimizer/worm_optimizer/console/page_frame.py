@@ -12,8 +12,8 @@ NO_CONNECTION = (
 )
 _NOT_DELIVERED = "STOP CANNOT BE DELIVERED: use the switch in the supply, or another page."
 
-# The server acknowledges each message. A page without acknowledgements shows that it has no connection. Its first
-# message afterwards reports the interruption, so that the server ends the page's control.
+# The server acknowledges each message. A page without acknowledgements shows that it has no connection. The first
+# message after the connection is restored reports the interruption, so that the server ends the page's control.
 _SCRIPT = f"""<script>
 const pageState = {{timeout: Infinity, acknowledged: performance.now(), connected: true, wasAway: false}};
 function showConnection(connected) {{

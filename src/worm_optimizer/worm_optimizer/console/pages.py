@@ -132,7 +132,7 @@ class ConsolePage:
         return f"{control.loss_of(self._id) or _NO_CONTROL}: {self._control_action()}"
 
     def _on_alive(self, event: events.GenericEventArguments) -> None:
-        """Handle a message of the page. Its argument is True if the page had no connection before."""
+        """Handle a message of the page. Its argument is True if the connection was interrupted since the last one."""
         if not self._access.is_open(self._session):
             return
         if event.args:
@@ -170,7 +170,10 @@ class ConsolePage:
         return "Ask for control" if control.holder else "Take control"
 
     def _control_text(self) -> str:
-        """Return a sentence about the page that has control, and the one that requests it."""
+        """Return a sentence about the page that has control; empty if no page has it.
+
+        If this page has control, the sentence also names a page that requests it.
+        """
         control = self._state.control
         if control.is_held_by(self._id):
             asks = control.requester and f"; {control.requester} asks for it"

@@ -30,7 +30,7 @@ from worm_optimizer.console.picture import picture
 
 POINTS = 3000  # largest number of points of a trace
 SHORTEST_STEP_S = 0.01
-LATEST_S = 0.2  # a sample that is older than this plus a grid step has no effect, s
+LATEST_S = 0.2  # a sample that is older than this plus one step of the time grid is ignored, s
 # Fields of StateRecord that the picture needs
 _TWIN = ("rear_position", "front_position", "rear_anchor", "front_anchor")
 
@@ -83,7 +83,7 @@ class RunTraces:
         return json.dumps(content)
 
     def row_at(self, time_s: float) -> int:
-        """Return the row of a time; before the recording the first row, after it the last."""
+        """Return the last row that is not after a time; the first row for a time before the recording."""
         return int(
             np.clip(np.searchsorted(self.time_s, time_s, "right") - 1, 0, len(self.time_s) - 1)
         )
@@ -138,7 +138,10 @@ def traces_of(run: Run, replay: Replay, parameters: Parameters, name: str = "") 
 
 
 def _at(grid: Stamps, stamp: Stamps, values: Array, step_s: float) -> Array:
-    """Return the latest value at each time of a grid; NaN if it is older than `LATEST_S` + ``step_s``."""
+    """Return the latest value at each time of a grid.
+
+    It is NaN before the first value, and where the latest value is older than `LATEST_S` + ``step_s`` (s).
+    """
     if not len(stamp):
         return np.full(len(grid), math.nan)
     order = np.argsort(stamp, kind="stable")

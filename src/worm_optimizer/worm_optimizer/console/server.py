@@ -15,8 +15,8 @@ from worm_optimizer.console.entrance import Guard, IgnoreDisconnects
 from worm_optimizer.console.pages import build
 
 _LOOK_S = 0.1  # period of the checks for the end, s
-# Time for which a page without connection may reconnect, as a multiple of the timeout of control. Such a page loses
-# control at once, however.
+# Time for which a page without connection may reconnect, as a multiple of the timeout of control. The page loses
+# control at once, even if it reconnects later.
 _RECONNECT = 3.0
 
 

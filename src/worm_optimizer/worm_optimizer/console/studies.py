@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Background work that takes minutes, for the tab Studies: searches of the optimizer, and identifications.
 
-The studies of many robots or bags (`worm_optimizer.study`) have nothing to do with it.
+The studies of many robots or bags are another part of the program (`worm_optimizer.study`).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from worm_optimizer.robot_commands import FrontRequest, ScanRequest, SearchResul
 
 
 class Studies:
-    """Searches and identifications, at most one of each at a time, which all pages share.
+    """Searches and identifications. All pages share them. At most one search and one identification run at a time.
 
     A search is a margin scan or the computation of a front.
 

@@ -34,7 +34,7 @@ def is_live(snapshot: Snapshot, topic: str, now: float) -> bool:
 
 
 def missing_sources(snapshot: Snapshot, now: float) -> list[str]:
-    """Return the sources that do not publish, as texts; empty if the driver is missing or inactive."""
+    """Return a text for each source that does not publish; none if the driver is missing or inactive."""
     driver = snapshot.driver
     if driver is None or driver.state is Activity.INACTIVE:
         return []
@@ -149,14 +149,14 @@ class _CountedRun:
     direction: int
     border: int  # number of the next border
     end_ns: int = 0  # stamp of the end of the run; 0 until it ends
-    start: int | None = None  # groove at the previous border; None before the first
+    start: int | None = None  # groove at the previous border; None before the first counted border
 
 
 class History:
     """Samples of the last minute, and the grooves of each cycle of the present run.
 
-    The twin lags behind the driver. A cycle is therefore counted when the twin has passed its end: its grooves are the
-    difference between the twin's states at both ends of the cycle.
+    The twin lags behind the driver. A cycle is therefore counted when the twin has passed the end of the cycle. The
+    grooves of the cycle are the difference between the twin's grooves at the end and at the beginning of the cycle.
 
     Args:
         clock: returns the present time, s.

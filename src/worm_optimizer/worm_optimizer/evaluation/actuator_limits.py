@@ -24,7 +24,7 @@ from worm_optimizer.optimizer_errors import OptimizerError
 
 Array = NDArray[np.float64]
 
-_CYCLE = 2  # index of the sampled cycle: from the third cycle on, all cycles are equal except for the grooves
+_CYCLE = 2  # index of the sampled cycle, from 0. From the third cycle on, only the positions differ between cycles.
 _SAMPLES = 400  # number of samples of force and power in that cycle
 
 
@@ -39,7 +39,7 @@ class ActuatorLimits:
         cable_force: bound of the cable force F_c (eq:Fc), N.
         electrical_power: bound of the source power P (eq:power_model), such as the range of its sensor, W.
         stall_force, no_load_speed: ends of the motors' speed-torque line in N and m/s. While the cable is wound up,
-            F_c/stall_force + speed/no_load_speed must stay below 1.
+            F_c/stall_force + speed/no_load_speed must not exceed 1.
         pushing_force: bound of −F_c, N. A real cable cannot push, but in the model the body follows a pushing cable.
     """
 
@@ -67,9 +67,9 @@ class ActuatorLimits:
         return ActuatorLimits(*(min(pair) for pair in pairs))
 
     def ratios(self, speed: Array, peak: Peaks) -> dict[str, Array]:
-        """Return the ratio of each quantity to its limit, by name of the limit.
+        """Return the ratio of each quantity to its limit, by name of the limit, shape (n,) each.
 
-        ``speed`` is the largest cable speed in m/s, shape (n,).
+        ``speed`` is the largest cable speed in m/s, shape (n,), and ``peak`` contains the other quantities.
         """
         return {
             "cable_speed": speed / self.cable_speed,
@@ -104,7 +104,7 @@ NO_LIMITS = ActuatorLimits()
 
 @dataclass(frozen=True)
 class Peaks:
-    """Extremes of gaits in a cycle; every field has shape (n,).
+    """Extremes and mean force of gaits in a cycle; every field has shape (n,).
 
     Attributes:
         force: largest cable force, N.

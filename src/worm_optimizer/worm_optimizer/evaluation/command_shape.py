@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 Shapes = NDArray[np.void]  # structured array with the fields of SHAPE_ROW
 
 SHAPE_ROW = np.dtype([(name, np.float64) for name in SHAPE])
-#: the paper's gait, shape ()
+#: shape of the paper's sinusoid, an array without dimensions
 SINUSOID: Shapes = np.array(tuple(GAIT_DEFAULTS[name] for name in SHAPE), SHAPE_ROW)
 
 
@@ -24,9 +24,9 @@ def fields_of(shape: Shapes) -> dict[str, Any]:
 
 
 def shapes_of(count: int, **fields: ArrayLike) -> Shapes:
-    """Return ``count`` shapes of the paper's gait with the given fields replaced.
+    """Return ``count`` shapes of the paper's sinusoid, in which the given ``fields`` replace the default values.
 
-    Each field is a scalar or has shape (count,), in m or 1.
+    Each field is a scalar or has shape (count,). The pretension is in m, the other fields have no unit.
     """
     shape = np.full(count, SINUSOID)
     for name, values in fields.items():

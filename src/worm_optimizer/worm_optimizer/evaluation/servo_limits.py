@@ -23,7 +23,7 @@ _SHUNT_RANGE = 0.32  # largest shunt voltage that an INA219 measures, V (TI SBOS
 
 @dataclass(frozen=True)
 class DriverFile:
-    """Parameters of the driver's file that limit gaits, in SI units, with the driver's defaults."""
+    """Parameters in the driver's file that limit gaits, in SI units. The defaults are those of the driver."""
 
     i2c_bus: str = "1"
     shunt: Annotated[float, key("ina219.shunt_resistance_ohm", gt=0.0)] = 0.1
@@ -51,7 +51,10 @@ DRIVER_RENAMED: Mapping[str, str] = {
 
 @dataclass(frozen=True)
 class ServoModel:
-    """Motor of a servo: speeds in rad/s, torque in N·m and current in A, at ``voltage`` V."""
+    """Motor of a servo: speeds in rad/s, torque in N·m and current in A.
+
+    No-load speed, stall torque and stall current are those at ``voltage`` V.
+    """
 
     voltage: float
     no_load_speed: float
@@ -80,7 +83,7 @@ class DrivenBy:
         spool_radii: spool radius of each cable servo. The cables are parallel.
         max_stroke, max_frequency, max_cable_speed: limits of a gait.
         max_servo_current: largest current of a servo that measures its current.
-        max_servo_load: largest share of the stall torque for a servo that does not.
+        max_servo_load: largest share of the stall torque for a servo that does not measure its current.
         sensor_current: range of the power sensor; infinite without a sensor.
     """
 

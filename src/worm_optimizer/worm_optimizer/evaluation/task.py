@@ -38,8 +38,8 @@ EDGE_ALLOWANCE = 1e-8
 class Bounds:
     """Box of gaits, with strokes in m and frequencies in Hz.
 
-    In the paper, it is p_min ≤ [S, f] ≤ p_max in the text after eq:moo_formulation. The defaults are the paper's. If
-    both bounds of a quantity are equal, it is fixed. Raises `OptimizerError` unless 0 < low ≤ high ≤ the maximum of a
+    In the paper, the box is p_min ≤ [S, f] ≤ p_max in the text after eq:moo_formulation. The defaults are the paper's.
+    A quantity with equal bounds is fixed. Raises `OptimizerError` unless 0 < low ≤ high ≤ the maximum of a
     gait, for strokes and frequencies.
     """
 
@@ -96,7 +96,7 @@ class Points:
         return len(self.stroke)
 
     def take(self, rows: ArrayLike) -> Points:
-        """Return the rows at ``rows`` (integers or a mask)."""
+        """Return the given rows (integers or a mask)."""
         index = np.asarray(rows)
         return Points(*(getattr(self, row.name)[index] for row in dataclasses.fields(self)))
 

@@ -32,7 +32,8 @@ class ActionGoal:
         name: name of the action.
         rejected: True if the server rejected the goal.
         reason: reason of the rejection; empty until it arrives.
-        received_at: time of the latest feedback, s (monotonic clock); before the first, time of the creation.
+        received_at: time of the latest feedback, s (monotonic clock); before the first feedback, time at
+            which this object was created.
     """
 
     def __init__(self, node: Node, kind: Any, name: str, goal: Any) -> None:
@@ -69,14 +70,14 @@ class ActionGoal:
 
     @property
     def done(self) -> bool:
-        """True when the result has arrived, or the reason of a rejection, or `REASON_S` after a rejection."""
+        """True when the result or the reason of a rejection has arrived, or `REASON_S` after a rejection."""
         if self.rejected:
             return bool(self.reason) or time.monotonic() > self._rejected_at + REASON_S
         return self._ended is not None and self._ended.done()
 
     @property
     def rejection(self) -> str:
-        """Message with the reason of the rejection; without a known reason, with a hint to the server's log."""
+        """Message about the rejection. It contains the reason or, if that is unknown, refers to the server's log."""
         return (
             f"rejected: {self.reason or f'see the log of the server of {self.name} for the reason'}"
         )
@@ -116,4 +117,4 @@ class ActionGoal:
         self._take(message.feedback)
 
     def _take(self, feedback: Any) -> None:
-        """Process a feedback message. The default ignores it; the search action sends none."""
+        """Process a feedback message. The default ignores it, because the optimizer's actions send no feedback."""

@@ -29,10 +29,11 @@ class GaitRun(ActionGoal):
         node: the client's node.
         heartbeat: publisher of Heartbeat. It must exist before the run, so that the driver has discovered it.
         command: the gait, and the condition at which its run ends.
-        wanted: called before each heartbeat. If it returns False, no heartbeat is sent and the robot comes to rest.
+        wanted: called before each heartbeat. If it returns False, no heartbeat is sent. After `SILENCE_S` without
+            heartbeats, the robot comes to rest.
 
     Attributes:
-        command: see above.
+        command: the gait, and the condition at which its run ends.
         progress: latest feedback of the run; None before the first feedback.
     """
 
@@ -55,13 +56,13 @@ class GaitRun(ActionGoal):
 
     @property
     def result(self) -> RunResult:
-        """Result of a run that is done."""
+        """Result of the run, available when `done` is True. After a rejection, its numbers are NaN."""
         if self.rejected:
             return value_of(RunResult, _no_result(self.rejection), gait=self.command.gait)
         return value_of(RunResult, self._message(), gait=self.command.gait)
 
     def close(self) -> None:
-        """Stop the heartbeats and free the client. A run that has not ended comes to rest."""
+        """Stop the heartbeats and free the client. A run that has not ended comes to rest after `SILENCE_S`."""
         self._node.destroy_timer(self._timer)
         super().close()
 

@@ -64,7 +64,7 @@ DRIVER, TWIN, OPTIMIZER = "driver", "twin", "optimizer"  # names of the nodes in
 SILENCE_S = 60.0  # timeout for feedback of a running gait, s
 REASON_S = 1.0  # timeout for the driver's log message about a failed transition, s
 TELEMETRY_S = 1.0  # timeout of `current_snapshot` for power, tracker and twin, s
-ATTEMPTS = 2  # largest number of transitions to the state active, one from unconfigured and one from inactive
+ATTEMPTS = 2  # largest number of transitions until the driver is active: one from unconfigured, one from inactive
 _NEXT = {
     State.PRIMARY_STATE_UNCONFIGURED: Transition.TRANSITION_CONFIGURE,
     State.PRIMARY_STATE_INACTIVE: Transition.TRANSITION_ACTIVATE,
@@ -73,7 +73,7 @@ _Goal = TypeVar("_Goal", bound=ActionGoal)
 
 
 class UnreachableError(OperatorError):
-    """No gait of the front satisfies a request. The message contains the nearest one."""
+    """No gait of the front satisfies a request. The message contains the speed or power of the nearest gait."""
 
 
 class GaitFailedError(OperatorError):
@@ -206,12 +206,12 @@ class OperatorNode(ServiceCaller):
 
     @property
     def has_lost_driver(self) -> bool:
-        """True if the driver has disappeared and was not inactive according to its latest message."""
+        """True if the driver has disappeared and its latest message did not report the state inactive."""
         driver = self._telemetry.driver
         return driver is not None and driver.state is not Activity.INACTIVE and not self.has_driver
 
     def rest(self, duration_s: float) -> None:
-        """Wait for a duration (s) of the robot's time, and call `check` during the wait."""
+        """Spin the node for a duration (s) of the robot's time. If that time stands still, return at a timeout."""
         end = self.robot_time_s + duration_s
         self.wait(lambda: self.robot_time_s >= end, 10.0 * duration_s + SILENCE_S)
 
@@ -365,8 +365,8 @@ class OperatorNode(ServiceCaller):
     def begin(self, command: GaitCommand, wanted: Callable[[], bool] = lambda: True) -> GaitRun:
         """Start a gait. The caller must close the returned handle.
 
-        This operator sends heartbeats while its node spins. Before each heartbeat it calls ``wanted``. If this returns
-        False, no heartbeat is sent. Without heartbeats, the robot comes to rest.
+        This operator sends heartbeats while its node spins. Before each heartbeat it calls ``wanted``. If ``wanted``
+        returns False, no heartbeat is sent. Without heartbeats, the robot comes to rest.
 
         Raises:
             OperatorError: There is no driver, there are several, or the driver does not answer.
@@ -464,7 +464,7 @@ class OperatorNode(ServiceCaller):
     # --- calls ---------------------------------------------------------------------------------
 
     def _sent(self, goal: _Goal) -> _Goal:
-        """Send a goal, and return it when the server has accepted or rejected it. On an exception, close the goal."""
+        """Send a goal, and return it when the server has accepted or rejected it. If this fails, close the goal."""
         try:
             if not self.wait(lambda: goal.possible, DISCOVERY_TIMEOUT_S):
                 raise OperatorError(
@@ -485,7 +485,7 @@ class OperatorNode(ServiceCaller):
         return str(response.message)
 
     def _reason(self) -> str:
-        """Return the latest error in the driver's log; if none arrives, a hint to the log."""
+        """Wait for an error in the driver's log and return it. If none arrives, return a reference to the log."""
         self.wait(lambda: bool(self._errors), REASON_S)
         return self._errors[-1] if self._errors else "see its log for the reason"
 

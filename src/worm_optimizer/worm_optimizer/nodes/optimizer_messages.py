@@ -32,7 +32,7 @@ def value_of(kind: type[T], *messages: Any, **known: Any) -> T:
     Args:
         kind: the dataclass.
         messages: messages to read from. Each field is read from the first message that contains it.
-        known: values of fields that are not read.
+        known: values of the fields that are not read from messages.
     """
     names = {row.name for row in dataclasses.fields(kind)} - known.keys()  # type: ignore[arg-type]
     taken = {n: getattr(m, n) for m in reversed(messages) for n in names if hasattr(m, n)}
@@ -47,7 +47,10 @@ def prediction_message(prediction: Prediction) -> GaitPrediction:
 
 
 def fill_response(response: RequestGait.Response, answer: GaitAnswer) -> RequestGait.Response:
-    """Copy an answer to a response, and return the response. Without a prediction, its numbers are NaN."""
+    """Copy an answer to a response, and return the response.
+
+    If the answer has no prediction, the predicted numbers are NaN.
+    """
     response.success = answer.status is RequestStatus.DONE
     response.status = answer.status.value
     response.message = answer.message
@@ -66,8 +69,9 @@ def _no_prediction() -> GaitPrediction:
 def settings_of_goal(base: Settings, goal: OptimizeGaits.Goal) -> Settings:
     """Return the settings of the node (``base``), changed by a goal.
 
-    Seed and margin are always those of the goal. If it contains no margin (NaN, and a force of 0), the last margin of
-    the scan before the cliff is used. A waveform, robustness or probability that is empty or 0 keeps that of ``base``.
+    Seed and margin are always those of the goal. If the goal contains no margin (NaN, and a force of 0), the last
+    margin of the scan before the cliff is used. If the waveform, the robustness or the probability of the goal is empty
+    or 0, the value in ``base`` applies.
 
     Raises:
         OptimizerError: A value is inadmissible.
@@ -95,7 +99,8 @@ def direction_of(value: int) -> int:
 def scan_of_goal(base: Settings, goal: ScanMargin.Goal) -> Settings:
     """Return the settings of the node (``base``) with the margins of a goal.
 
-    A ``highest`` or ``step`` of 0 keeps that of ``base``. Raises `OptimizerError` if the margins are inadmissible.
+    If ``highest`` or ``step`` of the goal is 0, the value in ``base`` applies. Raises `OptimizerError` if the
+    margins are inadmissible.
     """
     margins = ScanSettings(
         goal.lowest, goal.highest or base.scan.highest, goal.step or base.scan.step

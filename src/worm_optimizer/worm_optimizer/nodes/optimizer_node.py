@@ -38,7 +38,7 @@ _NAMES = {FORWARD: "forward", REVERSE: "reverse"}
 
 
 def rows() -> list[ParameterRow]:
-    """Return the declarations of all parameters. All are read-only except for the parameter file and the conditions."""
+    """Return the declarations of all parameters. Only the parameter file and the conditions may be changed later."""
     settings = (
         ParameterRow(row.parameter, row.default, row.meaning, row.low, row.high) for row in SETTINGS
     )
@@ -98,12 +98,17 @@ class _RejectingServer(ActionServer):
 class OptimizerNode(Node):
     """Server of request_gait, optimize_gaits and scan_margin, which processes one request at a time.
 
-    Computing a front takes half a second, or some seconds for shaped gaits or another criterion of robustness than the
-    margin. The forward front is computed at the start, the reverse front at the first request that needs it. Fronts are
-    stored until the settings, the conditions or the parameter file change.
+    The time to compute a front depends on the settings:
+
+    - a given margin: about a second,
+    - a margin scan, robustness chance or any_phase, or shaped gaits: some seconds,
+    - a margin scan of shaped gaits: about a minute.
+
+    The forward front is computed at the start, the reverse front at the first request that needs it. Fronts are stored
+    until the settings, the conditions or the parameter file change.
 
     Raises:
-        ParameterError, OptimizerError, OSError: A parameter of the node is invalid.
+        ParameterError, ConditionsError, OptimizerError, OSError: A parameter of the node is invalid.
     """
 
     def __init__(self) -> None:
@@ -137,9 +142,9 @@ class OptimizerNode(Node):
             self.get_logger().error(f"the forward front cannot be computed: {error}")
 
     def _front(self, direction: int) -> RobustFront:
-        """Return the front of a direction, and compute it if necessary.
+        """Return the front of a direction, and compute it if it is not stored.
 
-        Raises `OptimizerError` or `SimulationError` if this is impossible.
+        Raises `OptimizerError` or `SimulationError` if it cannot be computed.
         """
         if direction not in self._fronts:
             self._failures.pop(direction, None)
@@ -226,7 +231,10 @@ class OptimizerNode(Node):
         return dataclasses.replace(answer, message=message)
 
     def _resting_front(self, front: RobustFront, content: ParameterFile) -> RobustFront:
-        """Return the front for the initial length in ``content``, with the margin of ``front``."""
+        """Return the front for the initial length in ``content``.
+
+        With robustness margin, it has the margin of ``front``. Another criterion is applied to the new initial length.
+        """
         key = front.direction, round(content.parameters.initial_length / gait_request.SAME_LENGTH)
         if key not in self._resting:
             settings = front.settings.with_margin(front.margin)
@@ -257,7 +265,10 @@ class OptimizerNode(Node):
         _RejectingServer(self, kind, name, execute, why_not)
 
     def _optimize(self, goal: ServerGoalHandle) -> OptimizeGaits.Result:
-        """Compute a front with the settings of a goal, which then apply to all later requests in both directions."""
+        """Compute a front with the settings of a goal.
+
+        If this succeeds, the settings apply to all later requests in both directions.
+        """
         try:
             settings = optimizer_messages.settings_of_goal(self._settings, goal.request)
             direction = optimizer_messages.direction_of(goal.request.direction)

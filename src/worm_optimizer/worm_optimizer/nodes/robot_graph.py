@@ -25,7 +25,7 @@ class RobotGraph:
         self._node = node
 
     def wait_for_nodes(self, names: Iterable[str]) -> None:
-        """Wait until nodes exist in this namespace. Raises `OperatorError`, with the name of a missing one."""
+        """Wait until nodes exist in this namespace. Raises `OperatorError`, with the name of a missing node."""
         expected = set(names)
         if not self._node.wait(lambda: expected <= self._node_names(), NODES_TIMEOUT_S):
             missing = min(expected - self._node_names())
@@ -40,7 +40,7 @@ class RobotGraph:
         return int(self._node.count_publishers(self._node.resolve_topic_name(topic)))
 
     def wait_for_publisher(self, topic: str, remedy: str) -> None:
-        """Wait until a topic has a publisher. Raises `OperatorError`, whose message contains the remedy."""
+        """Wait until a topic has a publisher. Raises `OperatorError`, with ``remedy`` as advice, if it gets none."""
         if not self._node.wait(lambda: self.publishers(topic) > 0, DISCOVERY_TIMEOUT_S):
             name = self._node.resolve_topic_name(topic)
             raise OperatorError(f"{name} has no publisher: {remedy}")
@@ -48,8 +48,9 @@ class RobotGraph:
     def require_sole_driver(self) -> None:
         """Raise `OperatorError` if several drivers would execute a command.
 
-        A request reaches all servers of a service that the node has discovered. This method counts these servers. A
-        killed process remains discovered for a while, so this method waits up to `ANNOUNCED_S`.
+        A request reaches all servers of a service. This method counts the drivers by their service `DRIVER_SERVICE`.
+        The node discovers a driver's end late if its process was killed. The method therefore waits up to
+        `ANNOUNCED_S` until it counts at most one driver.
         """
         service = self._node.resolve_service_name(DRIVER_SERVICE)
 
@@ -69,7 +70,8 @@ class RobotGraph:
 
         Args:
             name: name of the recorder's node.
-            excluded: regular expression of the topics that the recorder does not record; empty: it records all topics.
+            excluded: regular expression of the topics that the recorder does not record. If it is empty, the recorder
+                records all topics.
 
         Raises:
             OperatorError: The recorder did not subscribe in time. The message contains a missing topic.

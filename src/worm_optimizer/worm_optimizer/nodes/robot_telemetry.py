@@ -78,7 +78,7 @@ class Telemetry:
 
     @property
     def is_complete(self) -> bool:
-        """True if a message was received on the topics of power, tracker and twin, which need no active driver."""
+        """True if messages of power, tracker and twin were received. They are published without an active driver."""
         return self._received.keys() >= _MEASUREMENTS
 
     @property

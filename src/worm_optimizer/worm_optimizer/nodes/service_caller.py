@@ -26,13 +26,13 @@ class NoAnswerError(OperatorError):
 
 
 class ServiceCaller(Node):
-    """Node with its own executor. Calls and waits block and spin the node.
+    """Node with its own executor. Service calls and waits block, and spin the node meanwhile.
 
     Args:
         name: name of the node.
         namespace: namespace of the node.
         context: ROS context.
-        check: called during each wait. It may raise, for example when a process has ended.
+        check: called repeatedly during each wait. It may raise, for example when a process has ended.
     """
 
     def __init__(
@@ -64,13 +64,13 @@ class ServiceCaller(Node):
         self._executor.spin_once(timeout_sec=SPIN_S)
 
     def named_client(self, kind: Any, name: str) -> Client:
-        """Return the client of a service. All calls share this client, because each new one has to be discovered."""
+        """Return the client of a service. All calls share this client, because a new one has to be discovered first."""
         if name not in self._named_clients:
             self._named_clients[name] = self.create_client(kind, name)
         return self._named_clients[name]
 
     def call(self, kind: Any, name: str, request: Any) -> Any:
-        """Call a service and return its response. Raises `OperatorError` without a server or an answer in time."""
+        """Call a service and return its response. Raises `OperatorError` if no server or no answer appears in time."""
         client = self.named_client(kind, name)
         if not self.wait(client.service_is_ready, DISCOVERY_TIMEOUT_S):
             raise OperatorError(f"no service {name} within {DISCOVERY_TIMEOUT_S:g} s")

@@ -23,7 +23,7 @@ class TrackerWatch:
     Args:
         node: node in the robot's namespace.
         now: returns the robot's time (s). The time of a virtual robot stops while it waits for a busy computer.
-        say: called with each report, one line.
+        say: called with the text of each report, which is one line long.
     """
 
     def __init__(self, node: Node, now: Callable[[], float], say: Callable[[str], None]) -> None:

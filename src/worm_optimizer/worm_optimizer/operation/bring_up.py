@@ -39,7 +39,8 @@ CYCLES = 5  # default number of cycles of a run
 AFTERWARDS_S = 2.0  # rest at the end of a recording, s, during which the cable becomes slack again
 RECORDER = "recorder"  # name of the node in system.yaml
 BUSY = 1.5  # load average per processor above which the load may be the cause of a failure
-# Option of a recorder: after an interrupt, record until torque is released. Removed if a single run is recorded.
+# Option of a recorder: after an interrupt, record until torque is released. `recording` removes it, because its
+# recorders end before the torque is released.
 _TO_REST = "--to-rest"
 _EXCLUDE = "--exclude"  # option of a recorder, followed by a regular expression of topics
 FAILURES = (ProcessError, OperatorError, RecordingError)
@@ -64,7 +65,10 @@ class ProgressLog:
 
 @contextmanager
 def work_folder(program: str) -> Iterator[Path]:
-    """Provide a temporary folder that contains a folder ``logs``. It remains if one of `FAILURES` occurs."""
+    """Provide a temporary folder that contains a folder ``logs``.
+
+    The temporary folder is removed at the end of the context, unless one of `FAILURES` occurs.
+    """
     folder = Path(tempfile.mkdtemp(prefix=f"worm_{program}_"))
     (folder / "logs").mkdir()
     try:
@@ -134,17 +138,17 @@ class Session:
 def session(
     system: System, logs: Path, say: Say, restarts: int = 0, check: Check = lambda: None
 ) -> Iterator[Session]:
-    """Start the nodes of a system in their order, and end them with this context.
+    """Start the nodes of a system in their order. When the context ends, also with an exception, end all processes.
 
-    If a node graph or a driver already runs in the namespace, nothing is started and nothing is sent. When the context
-    ends, also with an exception, all processes end.
+    If a node graph or a driver already runs in the namespace, an error is raised before a node is started or a message
+    is sent.
 
     Args:
         system: the nodes.
         logs: folder of the log files.
         say: called with each line of progress.
-        restarts: largest number of restarts of each optional node. After these, the session continues without the
-            node. If it is 0, an error of any node ends the session.
+        restarts: largest number of restarts of each optional node. A node that ends once more is not restarted, and the
+            session continues without it. If ``restarts`` is 0, an error of any node ends the session.
         check: called during waits; raises an exception to end the session.
 
     Raises:
@@ -167,7 +171,10 @@ def session(
 
 @contextmanager
 def _crash_reported(group: ProcessGroup, system: System) -> Iterator[ProcessGroup]:
-    """End the processes with this context. Then raise `ProcessError` if the driver has crashed and torque may be on."""
+    """End all processes at the end of the context. Then raise `ProcessError` if the driver crashed when it was ready.
+
+    Torque may be on after such a crash.
+    """
     try:
         with group:
             yield group
@@ -226,7 +233,9 @@ def start_nodes(group: ProcessGroup, system: System, say: Say, check: Check = la
 def start_node(
     group: ProcessGroup, node: NodeDescription, namespace: str, check: Check = lambda: None
 ) -> None:
-    """Start one node. If it is awaited, wait until it is ready and call ``check`` meanwhile, which may raise.
+    """Start one node. If it is awaited, wait until it is ready.
+
+    During the wait, ``check`` is called repeatedly. It may raise an exception to end the wait.
 
     Raises:
         ProcessError: The node ended, or was not ready in time.
@@ -255,8 +264,8 @@ def recording(
 ) -> Iterator[Path]:
     """Record with a separate recorder during this context, and provide the path of the bag.
 
-    The context begins when the recorder has subscribed to all topics. At its end, the recorder continues for
-    `AFTERWARDS_S` and closes the bag.
+    The context begins when the recorder has subscribed to all topics. After the context, the recorder records for
+    another `AFTERWARDS_S` and then closes the bag.
 
     Args:
         group: processes to which the recorder is added.
@@ -277,7 +286,7 @@ def recording(
 
 
 def bag_of(recorder: Process) -> Path:
-    """Return the path of the bag into which a recorder records, which it logs at its start.
+    """Return the path of a recorder's bag. The recorder logs this path at its start.
 
     Raises:
         ProcessError: The recorder does not log the path.

@@ -40,7 +40,7 @@ def make_plan(content: ParameterFile, settings: Settings, direction: int) -> Pla
 
     Args:
         content: parameters of the robot.
-        settings: settings of the search. If they contain no margin, the margin before the cliff is used.
+        settings: settings of the search. If they contain no margin, the last margin before the cliff is used.
         direction: FORWARD or REVERSE.
 
     Raises:
@@ -60,13 +60,14 @@ def with_comparisons(
 ) -> Plan:
     """Return a plan in which each of the three gaits is followed by gaits with which it is compared.
 
-    Under conditions other than level ground, it is followed by the corresponding gait designed for level ground. In a
-    plan of shaped gaits, it is followed by the corresponding sinusoid. Both have the margin of the plan.
+    Under conditions other than level ground, each gait is compared with the corresponding gait that is designed for
+    level ground. In a plan of shaped gaits, each gait is compared with the corresponding sinusoid. These gaits are
+    designed with the margin of the plan.
 
     Args:
         plan: plan with three gaits.
         content, settings, direction: the arguments of `make_plan`.
-        nominal: True to include the gait that is best without a margin, too.
+        nominal: True to compare each gait also with the corresponding gait that is designed without a margin.
 
     Raises:
         OptimizerError: No gait moves on level ground, or no sinusoid moves.

@@ -43,7 +43,7 @@ class Robot:
 
     @property
     def conditions(self) -> Conditions:
-        """Conditions in the pipe according to the settings. Raises `ConditionsError`."""
+        """Conditions in the pipe according to the settings. Raises the errors of `conditions_of`."""
         return conditions_of(self.settings)
 
     def system(self) -> System:
@@ -54,7 +54,7 @@ class Robot:
         )
 
     def in_folder(self, folder: Path) -> Robot:
-        """Return the same robot with its sockets in ``folder``, unless the settings contain another folder."""
+        """Return the same robot with its sockets in ``folder``, unless the settings name a folder already."""
         return replace(self, settings={"directory": str(folder), **self.settings})
 
     def with_parameters(self, file: str) -> Robot:
@@ -62,7 +62,7 @@ class Robot:
         return replace(self, settings={**self.settings, "parameter_file": file})
 
     def recording_system(self, bag: Path) -> System:
-        """Return the system of the same robot with a recorder for one bag."""
+        """Return the system of the same robot, in which the recorder records into ``bag``."""
         return self.file.system(self.mode, **{**self.settings, "bag": str(bag)})
 
 
@@ -76,8 +76,8 @@ def run_gaits(
 ) -> None:
     """Run each gait and record it as ``folder/NAME``. After the last gait, bring the robot to rest and release torque.
 
-    Gaits with a complete recording are skipped. Incomplete recordings are renamed. All processes have ended when this
-    returns or raises.
+    Gaits with a complete recording are skipped. An incomplete recording is renamed before its gait is run again. All
+    processes have ended when this function returns or raises an exception.
 
     Args:
         robot: the robot.
@@ -85,7 +85,7 @@ def run_gaits(
         folder: folder of the recordings.
         logs: folder of the log files.
         say: called with each line of progress.
-        prepare: called before each gait; may raise.
+        prepare: called before each gait; raises an exception to end the campaign.
 
     Raises:
         ProcessError, OperatorError: A stage failed. The message contains the node or service, and the reason.

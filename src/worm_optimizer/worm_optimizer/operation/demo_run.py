@@ -29,7 +29,7 @@ from worm_optimizer.search.gait_request import GaitRequest, Objective
 def drive(system: System, logs: Path, say: Say) -> tuple[Prediction, Path]:
     """Start a system, run five cycles of a requested gait, and end all processes. Return the prediction and the bag.
 
-    When this returns or raises, the bag is closed and all processes have ended.
+    When this function returns or raises an exception, the bag is closed and all processes have ended.
 
     Args:
         system: the nodes, including a recorder.

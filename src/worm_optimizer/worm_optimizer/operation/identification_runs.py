@@ -38,8 +38,8 @@ GAITS = (
 # A run ends at this distance beyond the last ridge, in pitches, so that a single outlier of the tracker does not end
 # the run too early.
 _BEYOND = 0.3
-# A gait that has not passed the ridges after this number of cycles never does. The advice of `identify` has the same
-# limit.
+# Largest number of cycles of a run. A gait that has not passed the ridges by then is not expected to pass them. The
+# advice of `identify` has the same limit.
 _MOST_CYCLES = 12
 BENCH, BENCH_S = "bench_tests", 60.0  # folder of the bench tests, and their timeout (s)
 # Names of the results in the folder of a campaign: folder of the bags, parameter file, folder of the report, summary

@@ -29,7 +29,7 @@ class ProcessError(RuntimeError):
 
 
 def executable_command(package: str, executable: str) -> list[str]:
-    """Return the command line of an executable of a package, which is located in the same way as by `ros2 run`.
+    """Return the command line of an executable of a package. It is located in the same way as by `ros2 run`.
 
     Raises:
         ProcessError: The package or the executable is not installed.
@@ -55,7 +55,7 @@ def wait_for(condition: Callable[[], bool], timeout_s: float) -> bool:
 
 
 class Process:
-    """Process in its own session, with its output in a file.
+    """Process in its own POSIX session. Its output is appended to a file.
 
     After its end, the process remains a zombie until `release`. Until then, its id is not used again, so that a signal
     to its group cannot reach another process.
@@ -88,7 +88,7 @@ class Process:
 
     @property
     def pid(self) -> int:
-        """Process id, which is also that of the process group."""
+        """Process id. The process group has the same id."""
         return self._popen.pid
 
     @property
@@ -172,7 +172,7 @@ def _handling(handler: Callable[[int, FrameType | None], None]) -> Iterator[None
 
 @contextlib.contextmanager
 def termination_as_interrupt() -> Iterator[None]:
-    """Raise `KeyboardInterrupt` on SIGTERM and SIGHUP like on SIGINT, so that contexts can clean up."""
+    """Raise `KeyboardInterrupt` also on SIGTERM and SIGHUP, so that contexts can clean up."""
 
     def interrupt(_number: int, _frame: FrameType | None) -> None:
         raise KeyboardInterrupt
@@ -260,7 +260,7 @@ class ProcessGroup:
         self.check()
 
     def stop(self) -> None:
-        """Interrupt the processes in the reverse order of their start and wait for each, then kill what is left."""
+        """Interrupt the processes in the reverse order of their start and wait for each. Then kill what still runs."""
         try:
             for process in reversed(self.processes.values()):
                 if process.exit_code is None:

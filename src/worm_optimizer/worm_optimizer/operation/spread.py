@@ -16,7 +16,7 @@ from worm_optimizer.report.agreement import COMPARED, QUANTITIES, title_of
 from worm_optimizer.report.recorded_gait import RecordedGait
 from worm_optimizer.robustness.prediction import Prediction
 
-_WIDTH = 0.3  # half the length of the line of a prediction in the figure
+_WIDTH = 0.3  # half the length of a prediction's line; neighbouring gaits are 1 apart
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Spread:
 
 
 def run_names(gaits: Sequence[str], repeats: int) -> dict[str, str]:
-    """Return the names of the gaits by the names of the runs, in the order of the runs.
+    """Return a mapping from the name of each run to the name of its gait, in the order of the runs.
 
     Each repeat runs all gaits once, so that the repeats of one gait do not follow each other directly.
     """

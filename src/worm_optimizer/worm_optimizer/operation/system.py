@@ -36,7 +36,7 @@ class NodeDescription:
         awaited: True if the following nodes start after this one has reported readiness (`worm_msgs.readiness`).
         lifecycle: True for a lifecycle node. Only the driver is one. If the driver crashes, the servos keep their
             torque.
-        required: True if all nodes end when this one ends. A node that is not required is restarted.
+        required: True if all nodes end when this one ends. A node that is not required may be restarted.
         end_timeout_s: time from an interrupt to a kill, s.
         arguments: command-line arguments.
         parameters: ROS parameters.
@@ -228,7 +228,14 @@ def settings_of(conditions: Conditions) -> dict[str, str]:
 
 
 def conditions_of(settings: Mapping[str, str]) -> Conditions:
-    """Return the conditions in the pipe from settings; the inverse of `settings_of`. Raises `ConditionsError`."""
+    """Return the conditions in the pipe from settings; the inverse of `settings_of`.
+
+    The condition of a missing or empty setting has its default, that of level ground.
+
+    Raises:
+        SystemFileError: A setting is not a finite number.
+        ConditionsError: The conditions are not admissible.
+    """
     stated = {
         name: _number(key, settings[key])
         for key, name in CONDITION_PARAMETERS.items()
@@ -246,7 +253,7 @@ def _parameters(
 
 
 def _of_mode(rows: Mapping[str, Any], mode: str) -> dict[str, Any]:
-    """Return the parameters or remappings of a mode: those without a mode, and those listed below the mode."""
+    """Return the parameters or remappings of a mode: those for all modes, and those under the name of the mode."""
     common = {key: value for key, value in rows.items() if key not in MODES}
     return {**common, **rows.get(mode, {})}
 
@@ -260,7 +267,7 @@ def _arguments(
 
 
 def _fill(value: Value, values: Mapping[str, str | float]) -> Value:
-    """Return a value with settings filled in. A value that is only ``{name}`` gets the type of the setting."""
+    """Return a value with settings filled in. A value that is ``{name}`` and nothing else gets the setting's type."""
     if not isinstance(value, str):
         return value
     alone = values.get(value[1:-1], "") if value == f"{{{value[1:-1]}}}" else ""

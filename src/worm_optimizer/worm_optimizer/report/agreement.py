@@ -27,7 +27,7 @@ class Quantity:
         return f"{self.scale * value:.{self.decimals}f}" if math.isfinite(value) else "–"
 
     def range(self, band: Band) -> str:
-        """Return the bounds without their unit, or a dash if one is NaN."""
+        """Return both bounds as text without their unit, or a dash if one of them is NaN."""
         if math.isnan(band.low) or math.isnan(band.high):
             return "–"
         return f"{self.text(band.low)} to {self.text(band.high)}"

@@ -24,7 +24,8 @@ from worm_optimizer.robustness.uncertainty import phase_known, power_draws
 
 SAMPLES = 500  # number of draws of the parameters
 SEED = 1  # seed of these draws
-_STEADY = (CYCLES - AVERAGED + 1, CYCLES)  # first and last of the usual averaged cycles
+# First and last averaged cycle of a run with the default number of cycles
+_STEADY = (CYCLES - AVERAGED + 1, CYCLES)
 _TAIL = 2.5  # percentage of the draws beyond each end of a 95 % interval
 FEWEST_DRAWS = 10  # least number of draws with the same grooves from which a band is computed
 
@@ -67,7 +68,7 @@ class Expectation:
         nominal: prediction without the gait's margin.
         robust: prediction with the gait's margin.
         bands: speed, power and cost of transport without the margin, with their 95 % intervals. If the measured grooves
-            are known, power and cost of transport are those of the draws that gain these grooves.
+            are known, power and cost of transport are those of the draws that gain these grooves, see `_band_given`.
         grooves: grooves per cycle with their probabilities, the most probable first.
         cycles: number of averaged cycles.
     """

@@ -20,10 +20,11 @@ from worm_optimizer.robustness.prediction import Prediction
 from worm_optimizer.search.front import RobustFront
 from worm_optimizer.search.price_of_robustness import PriceOfRobustness
 
-_MAP_STROKES, _MAP_FREQUENCIES = 241, 161  # size of the map of the grooves per cycle
-_COSTS = (25, 50, 100, 200)  # costs of transport for which a line is drawn over speed and power
+_MAP_STROKES, _MAP_FREQUENCIES = 241, 161  # resolution of the map of the grooves per cycle
+_COSTS = (25, 50, 100, 200)  # costs of transport for which `_cost_lines` draws a line
 
-# The measured value usually lies within the expected interval, so a small filled marker is drawn in a large hollow one.
+# The measured value usually lies within the expected interval. Its small filled marker is therefore visible inside the
+# large hollow marker of the expected value.
 _EXPECTED: Mapping[str, Any] = {
     "color": plot_style.PURPLE,
     "marker": "s",
@@ -51,7 +52,10 @@ def front_figure(front: RobustFront, marks: Mapping[str, Prediction]) -> Figure:
 
 
 def front_and_map_figure(front: RobustFront, marks: Mapping[str, Prediction]) -> Figure:
-    """Draw a front, and next to it the grooves per cycle over stroke and frequency at the margin of the front."""
+    """Draw a front, and next to it a map of the grooves per cycle as a function of stroke and frequency.
+
+    The map holds for the margin of the front.
+    """
     task = front.nominal.with_margin(front.margin)
     figure = plot_style.new_figure(12.5, 5.0)
     left, right = figure.subplots(1, 2)
@@ -82,7 +86,10 @@ def front_and_map_figure(front: RobustFront, marks: Mapping[str, Prediction]) ->
 
 
 def measured_front_figure(front: RobustFront, gaits: Sequence[RecordedGait]) -> Figure:
-    """Draw the front with the measured (span of cycles) and expected (95 %) values of recorded gaits."""
+    """Draw a front with recorded gaits: their expected values with 95 % intervals, and their measured values.
+
+    The bars of a measured value end at the lowest and at the highest cycle.
+    """
     figure = plot_style.new_figure(8.5, 6.2)
     axes = figure.subplots()
     _plot_front(axes, front)
@@ -115,7 +122,10 @@ def measured_front_figure(front: RobustFront, gaits: Sequence[RecordedGait]) -> 
 
 
 def price_figure(price: PriceOfRobustness) -> Figure:
-    """Draw the lowest cost of transport over the margin, coloured by branch, with the cliff and its closed form."""
+    """Draw the lowest cost of transport as a function of the margin, coloured by branch.
+
+    Vertical lines show the cliff of the scan, and the cliff according to the closed form.
+    """
     figure = plot_style.new_figure(7.5, 4.8)
     axes = figure.subplots()
     margins = plot_style.MM * np.array([point.margin for point in price.points])
@@ -148,7 +158,7 @@ def price_figure(price: PriceOfRobustness) -> Figure:
 
 
 def _plot_front(axes: Axes, front: RobustFront) -> None:
-    """Draw a front as power over speed, coloured by branch, with lines of equal cost of transport."""
+    """Draw power as a function of speed along a front, coloured by branch, with lines of equal cost of transport."""
     speed, power, grooves, cost = _columns(
         front.gaits, "speed", "power", "grooves_per_cycle", "cost_of_transport"
     )
@@ -196,7 +206,10 @@ def _name(axes: Axes, text: str, point: tuple[float, float]) -> None:
 
 
 def _cost_lines(axes: Axes, weight: float) -> None:
-    """Draw lines of equal cost of transport, P = COT · m·g · v, with a label below their ends."""
+    """Draw lines of equal cost of transport, P = COT · m·g · v, each with a label below its end.
+
+    ``weight`` is m·g, N.
+    """
     fastest, most = axes.get_xlim()[1], axes.get_ylim()[1]
     for cost in _COSTS:
         slope = cost * weight / plot_style.MM  # W per mm/s

@@ -117,7 +117,13 @@ def _fit(
 
 
 def _read_folder(folders: Sequence[Path]) -> tuple[str, dict[str, bytes]]:
-    """Return text (HTML) and figures (PNG) by title of a report of ``identify``, in the order of `FIGURE_TITLES`."""
+    """Return the text (HTML) of a report of ``identify``, and its figures (PNG) by title; empty without a folder.
+
+    The figures are in the order of `FIGURE_TITLES`, followed by figures that it does not contain.
+
+    Raises:
+        InputError: The folder contains no such report.
+    """
     if not folders:
         return "", {}
     folder = folders[0]
@@ -137,7 +143,10 @@ def _read_folder(folders: Sequence[Path]) -> tuple[str, dict[str, bytes]]:
 
 
 def _as_html(markdown: str) -> str:
-    """Return a report in Markdown as HTML, with headings of level 3 and without title and section of figures."""
+    """Return a report in Markdown as HTML. Its title and its section of figures are omitted.
+
+    All headings get level 3.
+    """
     text = re.sub(r"\A# .*\n", "", markdown.partition(f"## {FIGURES_HEADING}")[0])
     text = re.sub(r"(?m)^#+ ", "### ", text)
     html = str(markdown2.markdown(text, extras=["code-friendly", "tables"], safe_mode="escape"))
@@ -156,7 +165,10 @@ def comparable_with_paper(content: ParameterFile) -> list[str]:
 
 
 def parameters_figure(content: ParameterFile) -> Figure:
-    """Draw the ratio of each identified parameter to the paper's value, unless this value is 0 or not comparable."""
+    """Draw the ratio of each identified parameter to the paper's value, with its 95 % interval.
+
+    Parameters that are 0 in the paper or not comparable with it (`comparable_with_paper`) are omitted.
+    """
     values, paper = content.parameters.as_dict(), PAPER.as_dict()
     keys = [
         key for key in comparable_with_paper(content) if key in content.intervals and paper[key]

@@ -27,7 +27,7 @@ class RecordedGait:
         run: part of the recording, from the rest before this gait to the rest before the next one.
         played: gait as the driver reported it.
         averaged_cycles: first and last averaged cycle, counted from 1. They are the last complete cycles that were
-            played and recorded.
+            played and recorded, at most three; (1, 1) if there is no such cycle.
         content: parameters used for the prediction and the twin.
         parameter_source: origin of these parameters.
         replay: output of the twin for the part.

@@ -33,16 +33,19 @@ _INSIDE = "the parameter file inside the recording"
 
 
 def bags_of(path: Path) -> list[Path]:
-    """Return a bag itself, or the bags of a folder such as that of a campaign, sorted by the time of their closing."""
+    """Return the bags in a folder such as that of a campaign, sorted by the time at which they were closed.
+
+    If ``path`` is itself a bag, or contains none, it is the only element.
+    """
     inside = [] if (path / METADATA_FILE).exists() else list(path.glob(f"*/{METADATA_FILE}"))
     return [file.parent for file in sorted(inside, key=_closed)] or [path]
 
 
 def newest_recording(folder: Path, notify: Callable[[str], None]) -> Path:
-    """Return the newest bag, or folder of bags such as that of a campaign, in which a gait was played.
+    """Return the bag with the newest recording of a gait, or the folder of bags that contains it.
 
     Args:
-        folder: folder that is searched.
+        folder: folder that is searched. It contains bags, or folders of bags such as that of a campaign.
         notify: function that is called with the reason for each bag that is skipped.
 
     Raises:

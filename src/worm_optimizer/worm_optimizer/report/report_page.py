@@ -32,7 +32,8 @@ from worm_optimizer.report.run_figures import RUN_FIGURES, draw_overlay
 PAGE = "report.html"
 REPORT_SUFFIX = "_report"  # end of the name of a report's folder
 _TEMPLATE = "report.html.jinja"
-_FACTS = {  # for each entry at the top of the page, keys of the provenance, of which the first available one is used
+# Entries at the top of the page. Each shows the first available one of these keys of the provenance.
+_FACTS = {
     "date": ("recorded_at",),
     "robot": ("note.robot", "imported_from", "host"),
     "conditions": ("conditions",),
@@ -135,7 +136,10 @@ def report_name(names: Sequence[str]) -> str:
 
 
 def _facts(gaits: Sequence[RecordedGait]) -> dict[str, str]:
-    """Return the entries at the top of the page by name: those of `_FACTS`, and the origin of the parameters."""
+    """Return the entries at the top of the page by name: those of `_FACTS`, and the origin of the parameters.
+
+    The entry of the conditions is omitted on level ground. Without gaits, there are no entries.
+    """
     facts = {}
     for name, keys in _FACTS.items():
         values = [
@@ -157,7 +161,7 @@ def _span_of_dates(text: str) -> str:
 
 
 def _failures(gaits: Sequence[RecordedGait]) -> Iterator[str]:
-    """Yield a line for each early end, then each disagreement, missing value and error."""
+    """Yield a line for each early end, disagreeing value, changed order of the gaits, missing value, and error."""
     for gait in gaits:
         if gait.early_end:
             yield f"{agreement.title_of(gait.name)}: {gait.early_end}"

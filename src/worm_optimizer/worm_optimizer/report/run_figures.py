@@ -23,13 +23,16 @@ from worm_optimizer.report.agreement import title_of
 from worm_optimizer.report.recorded_gait import RecordedGait
 
 RIDGES = 5  # number of ridges that the paper's runs traverse
-_BEFORE = 1.0  # rest at the beginning and at the end of the figures, s
+_BEFORE = 1.0  # time shown before the onset and after the end of a gait, s
 _MODEL_SAMPLES = 2000  # number of samples of the predicted motion
 _MODEL = "model, from the command alone"
 
 
 def draw_motion(gait: RecordedGait) -> Figure:
-    """Draw x1 according to the tracker and to the twin, which is driven by the recorded length, and the difference."""
+    """Draw x1 according to the tracker and according to the twin, and the difference of the two.
+
+    The input of the twin is the recorded length.
+    """
     positions, residuals = position_curves(gait.run, gait.replay, gait.played.onset)
     return run_plots.motion_figure(
         _frame(gait), positions, residuals, gait.content.parameters.pitch
@@ -43,7 +46,10 @@ def draw_length(gait: RecordedGait) -> Figure:
 
 
 def draw_energy(gait: RecordedGait) -> Figure:
-    """Draw measured and predicted source power and accumulated energy until the robot has passed `RIDGES`."""
+    """Draw measured and predicted source power and accumulated energy, until the robot has passed `RIDGES` ridges.
+
+    If it never does, the figure ends shortly after the gait.
+    """
     onset = gait.played.onset
     powers = power_curves(gait.run, gait.replay, onset)
     energies, residuals = energy_curves(gait.run, gait.replay, onset)
@@ -147,7 +153,10 @@ def _duration(gait: RecordedGait) -> float:
 
 
 def _frame(gait: RecordedGait, until: float = float("nan")) -> run_plots.Frame:
-    """Return the frame of a figure, from the rest before the onset to ``until`` (s); NaN: to shortly after the gait."""
+    """Return the frame of a figure: its first and last time, and the window of the averaged cycles.
+
+    The last time is ``until`` (s since the onset). If it is NaN, the frame ends `_BEFORE` after the gait.
+    """
     window = np.array([gait.window.start, gait.window.end])
     start, end = seconds(window, gait.played.onset)
     last = until if np.isfinite(until) else _duration(gait) + _BEFORE

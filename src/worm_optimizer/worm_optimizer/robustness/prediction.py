@@ -35,7 +35,7 @@ class Prediction(Gait):
             is known.
         success_probability_any_phase: the same probability if the groove phase is uniformly distributed over a pitch.
 
-    The last four are NaN in an `outline`.
+    The last four attributes are NaN in a result of `outline`.
     """
 
     speed: float

@@ -17,7 +17,8 @@ from worm_optimizer.evaluation.command_shape import SINUSOID, Shapes, shapes_of
 from worm_optimizer.evaluation.task import Array, MarginTask, Mask
 from worm_optimizer.search.exact import Resolution, Zoom, exact_front
 
-# Returns values of parameters by key for an array of loads or slopes. The result has the shape of this array.
+# Returns arrays of parameter values by key. The argument is an array of loads or slopes, and each array of values has
+# the shape of the argument.
 Overrides = Callable[[Array], Mapping[str, Array]]
 
 _SCAN = 65  # number of loads or slopes in the first scan of a gait
@@ -26,7 +27,7 @@ _TOLERANCE = 1e-4  # tolerance of the bisection, relative to the range of the sc
 _STROKES, _FREQUENCIES = 41, 17
 _ZOOMS = 4  # number of finer grids around the strongest gait found so far
 _CURVE = 13  # number of loads in `curve`
-_RESOLUTION, _ZOOM = Resolution(strokes=21, frequencies=17), Zoom(points=9, rounds=5)  # of `curve`
+_RESOLUTION, _ZOOM = Resolution(strokes=21, frequencies=17), Zoom(points=9, rounds=5)  # for `curve`
 _STEEPEST = 90.0  # largest slope that is searched, degrees
 
 
@@ -40,9 +41,10 @@ class Capability:
             for a gait that does not move.
         largest_slope_deg: largest slope on which the gait gains a groove in every averaged cycle, degrees; 0 for a gait
             that does not move.
-        full_load: largest load on the rear module with which the gait gains as many grooves as without this load, N.
-        closed_form_largest_load: ``largest_load`` in the slow limit, N; NaN for a gait that does not move in the slow
-            limit.
+        full_load: largest load on the rear module with which every averaged cycle gains at least as many grooves as the
+            worst averaged cycle without this load, N; 0 for a gait that does not move.
+        closed_form_largest_load: ``largest_load`` by a closed form for slow gaits, which neglects viscous friction, N;
+            NaN for a gait that does not move according to this closed form.
     """
 
     gait: Gait

@@ -3,12 +3,12 @@
 
 The command swings between the pretension o and the reach o + S. To gain its grooves, a gait needs a reach above one
 border and a pretension below another. Both borders are steps of the groove count. Along each border, the stroke and the
-power decrease towards the corner in which the borders meet. `corners` locates the corner by bisection along both
-borders in turn.
+power decrease towards the corner in which the borders meet. `corners` locates the corner by bisecting the reach and
+the pretension in turn.
 
 With short ramps, a gait at a high frequency or with a large margin may gain its grooves at no pretension. The given
-ramp share is therefore a lower bound: if no pretension suffices, the ramps become as long as necessary. The power is
-then a continuous function of the shares even there.
+ramp share is therefore a lower bound: if no pretension suffices, the ramps become as long as necessary. The power
+thus remains a continuous function of the contraction share and the ramp share.
 """
 
 from __future__ import annotations
@@ -34,22 +34,22 @@ from worm_optimizer.evaluation.task import (
 )
 from worm_optimizer.optimizer_errors import OptimizerError
 
-# Accuracies in m of successive rounds. Each round locates both borders, because the location of each depends on that of
-# the other. If longer ramps replace the pretension, the borders meet at a small angle. The accuracy must then not
-# change too much from one round to the next.
+# Accuracies in m to which successive rounds locate the borders. The position of each border depends on the position of
+# the other, so each round locates both. If longer ramps replace the pretension, the borders meet at a small angle. The
+# accuracies of successive rounds must then not differ too much.
 COARSE = (8e-4, 1e-4, 1.25e-5, 1.6e-6)
 FINE = (*COARSE, EDGE_TOLERANCE)
 _WINDOW = (
     3.0  # size of the window in which a border is located again, relative to the previous accuracy
 )
-_RAMP_PER_METRE = 30.0  # change of the ramp share that counts like 1 m of pretension
-# A gait is tried at the longest reach and at shorter ones, down to one pitch less, in this number of equal steps.
+_RAMP_PER_METRE = 30.0  # change of the ramp share for a tightness change of 1 m, see `_Problem`
+# Gaits are tried at reaches from the longest one down to one pitch less. Number of equal steps between these reaches
 _REACHES = 16
 _PRETENSIONS = 4  # number of pretensions that are tried, in steps of a quarter of the pitch
 # Longer ramps that are tried at the least pretension, from 0 (the given ramp share) to 1 (the longest ramps)
 _RAMP_PARTS = (1.0, 0.925)
-# Number of steps of the reach with these ramps. Near the end of a branch, a gait gains the grooves only in a narrow
-# range of reaches.
+# Number of steps between the reaches that are tried with these longer ramps. Near the end of a branch, a gait gains the
+# grooves only in a narrow range of reaches.
 _REACHES_OF_RAMPS = 48
 
 
@@ -92,11 +92,13 @@ class ShapeBounds:
 class Columns:
     """Problems that are solved at the same time; every field has shape (n,).
 
+    A problem is to locate the corner of one branch at one frequency, with one margin and one profile.
+
     Attributes:
         frequency: frequency, Hz.
         margin: margin, m.
         count: grooves to be gained in all averaged cycles together.
-        profile: number of the profile.
+        profile: profile, as the number in `Profile`.
     """
 
     frequency: Array
@@ -130,12 +132,14 @@ def corners(
     shares: Array,
     widths: tuple[float, ...],
 ) -> tuple[Points, Mask]:
-    """Locate the corners of shapes with ``shares`` (n, 2), in one round for each accuracy in ``widths`` (m).
+    """Locate the corner of each problem, in one round for each accuracy in ``widths`` (m).
 
-    The gaits may violate the actuator limits of the task.
+    ``shares`` (n, 2) contains the contraction share and the ramp share of each problem. The gaits may violate the
+    actuator limits of the task.
 
     Returns:
-        The gaits, slightly on the safe side of both borders, and a mask that is True for those that gain the grooves.
+        The gaits, slightly on the safe side of both borders, and a mask that is True for the gaits that gain the
+        count of their problem.
     """
     problem = _Problem(task, bounds, columns, shares)
     found, tightness, reach = problem.started()
@@ -165,7 +169,7 @@ class _Problem:
 
     The tightness combines pretension and ramp share in one variable. If it is positive, it is the pretension minus the
     least pretension. If it is negative, the pretension is the least one, and the ramp share exceeds the given one by
-    `_RAMP_PER_METRE` times its absolute value.
+    `_RAMP_PER_METRE` times the absolute value of the tightness.
     """
 
     task: MarginTask

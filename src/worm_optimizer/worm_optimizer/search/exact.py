@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Exact front: the lower edges of all branches over the frequency, and minima along these edges.
+"""Exact front: the lower edges of all branches as functions of the frequency, and minima along these edges.
 
 At a fixed frequency, the number of grooves gained is a step function of the stroke, and within a step the power rises
 with the stroke. The Pareto set therefore consists of lower edges. An edge is the shortest stroke that gains a number of
-grooves (the count) at a frequency. `survey` finds the edges at some frequencies (the columns). `minimise` follows the
-edges between the columns.
+grooves (the count) at a frequency. `survey` finds the edges at some frequencies (the columns). `minimise` finds
+minima along the edges, which may lie between the columns.
 """
 
 from __future__ import annotations
@@ -29,16 +29,18 @@ from worm_optimizer.evaluation.task import (
 from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.search.pareto import front_of
 
-# Returns the cost to be minimised for each gait, shape (n,). The cost of a gait that does not qualify is infinite.
+# Returns the cost to be minimised for each gait, shape (n,). The cost of a gait that does not satisfy the request, such
+# as a minimum speed, is infinite.
 Cost = Callable[[Points], Array]
 # Returns edges of a task. Arguments: indices of brackets (n,), counts (n,), frequencies (n,) in Hz, and strokes
 # (n, scan) in m between which the edges are searched. The result may also contain edges with other counts.
 FindEdges = Callable[[Index, Index, Array, Array], Edges]
 
 # A local minimum over the columns is refined if it exceeds the lowest one by at most this share. After the refinement,
-# which includes frequencies between the columns, it may be the lowest. `_rivals` uses the same share for the power.
+# which includes frequencies between the columns, it may be the lowest. `_rivals` searches for a cheaper edge
+# between two columns only if the power in one of them is at most this share above that of the gait of the front.
 _NEAR_BEST = 0.02
-_FASTER = 1e-12  # `_rivals` searches other branches for a cheaper gait at a speed that is higher by this share
+_FASTER = 1e-12  # relative increase of the speed at which `_rivals` searches for cheaper gaits
 _WINDOW_SCAN = 5  # number of strokes that are evaluated in the window around an edge
 _LEAST_WINDOW = 1e-6  # least extension of a window beyond the known strokes of an edge, m
 _LONGER = 4  # number of longer strokes per gait at which the rise of the power is verified
@@ -64,7 +66,7 @@ class Resolution:
 
 @dataclass(frozen=True)
 class Zoom:
-    """Refinement of a minimum: each of ``rounds`` evaluates ``points`` frequencies of a bracket, then narrows it."""
+    """Refinement of a minimum: each of ``rounds`` rounds evaluates ``points`` frequencies, then narrows the bracket."""
 
     points: int = 17
     rounds: int = 6
@@ -85,7 +87,7 @@ class Survey:
 
 @dataclass(frozen=True)
 class Bracket:
-    """Bracket of a minimum of the ``cost`` along the edge of a ``count``, between frequencies in Hz and strokes in m.
+    """Ranges of ``frequency`` (Hz) and ``stroke`` (m) with a minimum of the ``cost`` along the edge of a ``count``.
 
     ``owner`` is a number that the caller chooses to recognise the bracket.
     """
@@ -205,7 +207,7 @@ def brackets_of(surveyed: Survey, cost: Cost, owner: int = 0) -> list[Bracket]:
 def _by_column(surveyed: Survey, costs: Array, count: int) -> tuple[Array, Array]:
     """Return the lowest cost among the edges with a count in each column, and the stroke (m) of that edge.
 
-    In a column without such an edge, they are infinity and NaN.
+    In a column without such an edge, the cost is infinite and the stroke NaN.
     """
     columns, points = surveyed.columns, surveyed.points
     rows = np.flatnonzero(points.count == count)

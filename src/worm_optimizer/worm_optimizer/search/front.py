@@ -38,10 +38,12 @@ class RobustFront:
     """Front with the predictions of its gaits, and the data from which requests are answered.
 
     Attributes:
-        margin: robustness margin, m.
+        margin: robustness margin, m. With `Robustness.CHANCE` and `Robustness.ANY_PHASE`, the smallest of the margins
+            that the gaits tolerate.
         reason: reason for the margin, as text.
         exact: exact front.
-        gaits: predictions of the gaits of the front, by rising speed, without edges and probabilities (`outline`).
+        gaits: predictions of the gaits of the front, by rising speed, without distances to edges and without
+            probabilities (`outline`).
         min_power, cruise, max_speed: complete predictions of the paper's three gaits.
         nominal: task without a margin.
         content: parameters of the robot under the conditions of the settings.
@@ -76,7 +78,7 @@ class RobustFront:
 
 
 def task_of(content: ParameterFile, settings: Settings, direction: int) -> MarginTask:
-    """Return the optimisation task of some settings without a margin, under the conditions of ``content``."""
+    """Return the task of some settings without a margin. ``content`` must include the conditions in the pipe."""
     return MarginTask(
         content.parameters,
         direction,
@@ -94,14 +96,17 @@ def waveform_task(task: MarginTask, settings: Settings) -> MarginTask | ShapedTa
 
 
 def scanned_price(content: ParameterFile, settings: Settings, direction: int) -> PriceOfRobustness:
-    """Return the price of robustness for some settings, under their conditions."""
+    """Return the price of robustness for some settings, under the conditions in these settings."""
     return price_of(
         task_of(content_under(settings.conditions, content), settings, direction), settings
     )
 
 
 def price_of(task: MarginTask, settings: Settings) -> PriceOfRobustness:
-    """Return the price of robustness of a task among the gaits of the chosen waveform; its own margin has no effect."""
+    """Return the price of robustness of a task among the gaits of the chosen waveform.
+
+    The margin of the task has no effect, because the settings contain the margins of the scan.
+    """
     margins = settings.scan.margins()
     if settings.waveform is Waveform.SHAPED:
         over = ShapedTask.over_margins(task, settings.shapes, margins)
@@ -152,7 +157,10 @@ def front_of_task(task: Task, resolution: Resolution) -> ExactFront:
 
 
 def replaced(front: RobustFront, gaits: Points) -> RobustFront:
-    """Return a front in which ``gaits`` replace the exact ones: at least one, of the same task, by rising speed."""
+    """Return a front in which ``gaits`` replace the exact gaits.
+
+    ``gaits`` contains at least one gait of the same task, by rising speed.
+    """
     margins = _margins(front.nominal, front.settings, front.margin, gaits)
     chosen = gaits.take(three_rows(gaits, front.content.parameters))
     min_power, cruise, max_speed = front.predicted(chosen)
@@ -223,8 +231,8 @@ def given_margin(parameters: Parameters, settings: Settings) -> tuple[float, str
         return settings.margin, "given"
     if settings.margin_force is None:
         return None
-    # In the slow limit, a load Q makes the travel from threshold to threshold longer by Q/k_eng, a margin δ_m by
-    # δ_m·(1 + k_dis/k_eng). Both are equal for δ_m = Q/(k_eng + k_dis).
+    # For slow gaits, whose viscous friction is negligible, a load Q makes the travel from threshold to threshold longer
+    # by Q/k_eng. A margin δ_m makes it longer by δ_m·(1 + k_dis/k_eng). Both are equal for δ_m = Q/(k_eng + k_dis).
     stiffness = parameters.engaged_stiffness + parameters.disengaged_stiffness
     return settings.margin_force / stiffness, f"for a load of {settings.margin_force:g} N"
 

@@ -70,7 +70,7 @@ class GaitAnswer:
 
     Attributes:
         status: outcome.
-        message: reason if the request failed.
+        message: reason if the request failed. `select` leaves it empty for a request that succeeded.
         prediction: requested gait. If the request is unreachable, the nearest gait; None if there is none.
     """
 
@@ -102,10 +102,10 @@ def check_direction(direction: int) -> None:
 
 
 def resting_content(content: ParameterFile, initial_length: float) -> ParameterFile:
-    """Return the parameters with the initial length (m) of a robot at rest.
+    """Return parameters whose initial length (m) is the given one, which was measured on a robot at rest.
 
-    A length of 0 changes nothing, nor does a length that differs by less than `SAME_LENGTH` from that of the
-    parameters. Raises `OptimizerError` if the difference is half the length of the parameters or more.
+    The result is ``content`` itself if the given length is 0, or differs by less than `SAME_LENGTH` from the length in
+    ``content``. Raises `OptimizerError` if the difference is at least half the length in ``content``.
     """
     known = content.parameters.initial_length
     if not initial_length or abs(initial_length - known) < SAME_LENGTH:

@@ -89,8 +89,8 @@ def generations(
 def _gait_problem(bounds: Bounds) -> Problem:
     """Return the problem: decision vector [S, f] in its box, objectives [−v̄, P̄], one constraint (at most 0).
 
-    The constraint excludes gaits that do not move. They need the least power, and would therefore be Pareto-optimal in
-    the problem as the paper states it.
+    The constraint excludes gaits that violate a limit or do not move. Gaits that do not move need the least power.
+    They would therefore be Pareto-optimal in the problem as the paper states it.
     """
     return Problem(
         n_var=2,

@@ -11,8 +11,8 @@ import numpy as np
 from worm_optimizer.evaluation.task import Array, Index, Mask, Points
 
 FORBIDDEN = 1e6  # least cost of a gait that violates a limit, W
-_FIRST_STEPS = (0.08, 0.1)  # usual first steps of contraction share and ramp share
-LEAST_STEP = 0.015  # step at which a search usually ends, relative to _FIRST_STEPS
+_FIRST_STEPS = (0.08, 0.1)  # changes of contraction share and ramp share in a step of 1
+LEAST_STEP = 0.015  # usual last step of a search, relative to _FIRST_STEPS
 _SHRINK = 0.4  # factor by which the steps of a pattern shrink
 _MOST_ROUNDS = 30
 # Eight neighbours of the centre of a pattern, in steps of (contraction share, ramp share)
@@ -50,7 +50,7 @@ def improve(
 ) -> tuple[Array, Costs]:
     """Search the shares (n, 2) with the lowest costs, for all problems at once.
 
-    Each round evaluates the eight neighbours of the best point in a pattern, fits a quadratic to the costs, and
+    Each round evaluates the eight neighbours (the pattern) of the best point so far, fits a quadratic to the costs, and
     evaluates the minimum of the quadratic. If a point violates a limit, a second quadratic is fitted to the violations,
     and only points at which it predicts no violation qualify as the minimum. The best of all evaluated points is the
     centre of the next pattern. The pattern shrinks if its centre remains the best point, or if the minimum of the

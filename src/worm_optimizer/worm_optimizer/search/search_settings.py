@@ -99,7 +99,8 @@ class Settings:
         resolution: resolution of the survey.
         scan: margins of the margin scan.
         robustness: criterion of robustness.
-        margin: margin, m. If both this and ``margin_force`` are None, the last margin of the scan before the cliff.
+        margin: margin, m. If both this and ``margin_force`` are None, `Robustness.MARGIN` uses the last margin of the
+            scan before the cliff.
         probability: probability for `Robustness.CHANCE`.
         samples: number of Monte Carlo draws of a success probability.
         seed: seed of all draws.
@@ -107,7 +108,8 @@ class Settings:
         waveform: waveforms among which the search chooses.
         shapes: bounds of shaped gaits.
         holding_power: power for each newton of the mean cable force, W/N, see `task.MarginTask`.
-        margin_force: margin, given as the load in N that a gait with this margin tolerates in the slow limit.
+        margin_force: margin, given as the load in N that a slow gait with this margin tolerates; see
+            `front.given_margin`.
     """
 
     bounds: Bounds = field(default_factory=Bounds)
@@ -199,7 +201,7 @@ _CONDITIONS = tuple(
     for row in (CONDITION_ROWS[name],)
 )
 
-# Settings of a margin scan. A front has them, too.
+# Settings of a margin scan, which also apply to a front
 SCAN_SETTINGS: tuple[SettingRow, ...] = (
     _Row("stroke_low_m", "strokes", _BOX.stroke_low, "least stroke, m", 1e-4, MAX_STROKE),
     _Row("stroke_high_m", "strokes", _BOX.stroke_high, "greatest stroke, m", 1e-4, MAX_STROKE),

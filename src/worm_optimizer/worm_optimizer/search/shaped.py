@@ -52,8 +52,8 @@ from worm_optimizer.search.pattern_search import (
 _FREQUENCIES = 13  # number of frequencies at which shares are searched
 _FREQUENCIES_OF_NODES = 9  # the same number if shares are searched at several margins
 _NODES = 5  # number of margins of a scan at which shares are searched (nodes)
-# A branch that is lost between two nodes gets further nodes, because its shares change quickly there. They lie between
-# the last node with the branch (1) and the largest margin with the branch (0).
+# A branch that is lost between two nodes gets further nodes, because its shares change quickly there. Positions of
+# these nodes, from 0 (the largest margin with the branch) to 1 (the last node with the branch)
 _CLIFF_NODES = (0.5, 0.2, 0.05, 0.0)
 _START_SHARES = (0.35, 0.5, 0.65, 0.8)  # contraction shares from which the search starts
 _START_RAMPS = (0.1, 0.25, 0.5)  # ramp shares of a trapezoid from which the search starts
@@ -62,10 +62,10 @@ _START_RAMPS = (0.1, 0.25, 0.5)  # ramp shares of a trapezoid from which the sea
 _LEAST_FIRST_STEP = 0.04
 _SMALL_STEP = 0.25  # first step of the search from a neighbouring frequency
 _LIMIT_STEPS = (0.1, 0.02)  # steps of the two searches for the contraction share at a limit
-# The second of these searches includes gaits beyond a limit, and gaits whose relative distance from the limit is
+# The second of these searches includes only gaits beyond a limit, and gaits whose relative distance from the limit is
 # between _AT_LIMIT and _NEAR_LIMIT.
 _NEAR_LIMIT, _AT_LIMIT = 0.1, 3e-4
-_APART = 0.03  # two minima with a larger difference of a share are different minima
+_APART = 0.03  # minima with a share that differs by more than this are treated as different minima
 _ENDING = 10  # number of bisections of the highest frequency of a branch
 _ENDING_SHARES = 6  # number of contraction shares that are tried in each of these bisections
 # Positions of further frequencies between the third-last (0) and the last one (1) of a branch
@@ -75,12 +75,12 @@ _CLIFF_HALVINGS = 7  # number of bisections of the largest margin of a branch be
 
 @dataclass(frozen=True)
 class Track:
-    """Shares of the cheapest corners of a branch over the frequency, at one margin and with one profile.
+    """Shares of the cheapest corners of a branch as functions of the frequency, at one margin and with one profile.
 
     Attributes:
         margin: margin, m.
         count: grooves gained in all averaged cycles together, which identifies the branch.
-        profile: number of the profile.
+        profile: profile, as the number in `Profile`.
         frequency: frequencies in Hz, rising, shape (n,).
         shares: contraction share and ramp share, shape (n, 2).
     """
@@ -108,7 +108,8 @@ class ShapedTask:
         task: task of the sinusoids. The largest stroke of its bounds limits the reach (stroke plus pretension).
         shapes: bounds of the shapes.
         nodes: rising margins in m at which shares are searched. Further nodes are added near the margin at which a
-            branch is lost. Shares at other margins are interpolated. If empty, the margin of ``task`` is the only node.
+            branch is lost. Shares at other margins are interpolated. Without nodes, shares are searched at the margin
+            of ``task``.
     """
 
     task: MarginTask
@@ -149,7 +150,8 @@ class ShapedTask:
     ) -> Edges:
         """Find the corners of all branches at each frequency, and the edges of the sinusoid if the bounds permit it.
 
-        See `Task`. ``strokes`` concern the sinusoid only. ``margin`` (m,) in m must lie in the range of the nodes.
+        See `Task`. ``strokes`` are used only for the sinusoid. ``margin`` contains the margin of each column in m,
+        within the range of the nodes. None uses the margin of the task.
         """
         margins = np.full(frequency.shape, self.task.margin) if margin is None else margin
         parts = list(self._candidates(frequency, margins, count))
@@ -168,7 +170,9 @@ class ShapedTask:
     def _candidates(
         self, frequency: Array, margin: Array, count: Index | None
     ) -> Iterator[tuple[Index, Columns, Array]]:
-        """Yield the shares to be tried at each frequency for each branch, or only for the branch with its ``count``.
+        """Yield the shares to be tried at each frequency.
+
+        ``count`` contains the branch that is needed at each frequency. None yields the shares of all branches.
 
         Each element is (index of the column (n,), problems (n,), shares (n, 2)).
         """
@@ -194,8 +198,9 @@ class ShapedTask:
     ) -> tuple[Array, Array, Array]:
         """Return three arrays of shares (m, 2) of a branch to be tried, NaN beyond its tracks.
 
-        The first array is interpolated over the margin. The other two contain the shares at the nodes below and above
-        if these belong to different minima, and NaN otherwise: between two minima, a gait needs more power.
+        The first array is interpolated between the nodes below and above each margin. The other two arrays are needed
+        if the shares at these nodes belong to different minima, because a gait between two minima needs more power.
+        They then contain the shares at the node below and at the node above, and NaN otherwise.
         """
         searched = [track.margin for track in self.tracks]
         nodes = np.union1d(self.nodes or (self.task.margin,), searched)
@@ -214,7 +219,7 @@ class ShapedTask:
         part = part[:, np.newaxis]
         mixed = (1.0 - part) * low + part * high
         shares = np.where(np.isnan(mixed), np.where(np.isnan(high), low, high), mixed)
-        # If both nodes are at a bound, rounding may place the interpolated share beyond it.
+        # If the shares at both nodes are at a bound, rounding may place the interpolated share beyond it.
         shares = np.clip(shares, *self.shapes.shares.T)
         apart = np.any(np.abs(high - low) > _APART, axis=1, keepdims=True)
         return shares, np.where(apart, low, np.nan), np.where(apart, high, np.nan)
@@ -312,7 +317,10 @@ class _Search:
         return improve(cost_of, has_ramps, self.shapes.shares, shares, steps)
 
     def solved(self, margins: Array, frequencies: Array) -> Solved:
-        """Search all branches at margins in m and frequencies in Hz, both rising, and at the end of each branch."""
+        """Search the cheapest shares of all branches at margins in m and frequencies in Hz, both rising.
+
+        The shares at the highest frequency of each branch are searched, too.
+        """
         known = self.begun(margins, frequencies).best()
         known = Solved.join(known, self.continued(known)).best()
         known = known.take(known.cost < FORBIDDEN)
@@ -321,7 +329,7 @@ class _Search:
         return known.take(known.cost < FORBIDDEN)
 
     def begun(self, margins: Array, frequencies: Array) -> Solved:
-        """Search the shares of each branch, beginning with the cheapest start shares with which a gait reaches it."""
+        """Search the shares of each branch from the cheapest start shares with which a gait belongs to the branch."""
         columns, starts, gained = self._started(margins, frequencies)
         wanted = [
             np.flatnonzero(gained >= count)
@@ -357,7 +365,7 @@ class _Search:
         return columns, shares, most_gained(self.task, self.shapes, columns, shares)
 
     def continued(self, known: Solved) -> Solved:
-        """Search from the shares of a neighbouring frequency where they are cheaper than the known shares."""
+        """Search again from the shares of a neighbouring frequency if they are cheaper here than the known shares."""
         parts = []
         for group in known.groups():
             places = np.arange(group.cost.size)

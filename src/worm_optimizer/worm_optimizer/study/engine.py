@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Distribution of work to Dask workers: the cores of this machine, or an existing cluster.
 
-The client submits a few pieces for each worker at a time and collects their results, so that its memory never holds
-the whole study. The client first compares the code of each worker with its own. It reports workers with another
-version and does not use them. It submits the pieces of a lost worker to another one.
+The work is divided into pieces. The client submits a few pieces for each worker at a time and collects their results,
+so that its memory never holds the whole study. It first compares the code of each worker with its own. It reports
+workers with another version and does not use them. It submits the pieces of a lost worker to another worker.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from distributed.comm import CommClosedError
 from worm_model.errors import InputError
 from worm_optimizer.study.version import identity
 
-_AHEAD = 2  # number of pieces submitted for each worker: one in work, one waiting
-_UPDATE = 1.0  # interval between two updates of the workers, s
-_CONNECT = 10.0  # timeout of the connection, s
+_AHEAD = 2  # pieces submitted per worker: it computes one while the other one waits
+_UPDATE = 1.0  # interval between two updates of the list of workers, s
+_CONNECT = 10.0  # timeout of the connection to the scheduler, s
 
 # Errors of the client when its scheduler ends during a request.
 _LOSSES = (CancelledError, AsyncioCancelledError, CommClosedError, ClosedClientError, TimeoutError)
@@ -47,7 +47,12 @@ class LostError(RuntimeError):
 
 @contextlib.contextmanager
 def connected(scheduler: str, workers: int, say: Say) -> Iterator[Client]:
-    """Connect to the cluster at ``scheduler``. If it is empty, start ``workers`` workers on this machine.
+    """Connect to a cluster of Dask workers.
+
+    Args:
+        scheduler: address of the scheduler. If it is empty, a cluster is started on this machine.
+        workers: number of workers to start on this machine.
+        say: function that is called with each message.
 
     Yields:
         The client.
@@ -107,17 +112,17 @@ def cores() -> int:
 
 @dataclass
 class _WorkerPool:
-    """Workers of the cluster, by address. The client requests the code version of each until it answers."""
+    """Addresses of the workers of a cluster. `update` requests the code version of each worker until it answers."""
 
     client: Client
     say: Say
     mine: str = field(default_factory=identity)
     accepted: set[str] = field(default_factory=set)
-    rejected: dict[str, str] = field(default_factory=dict)  # with the reason
+    rejected: dict[str, str] = field(default_factory=dict)  # reason of the rejection, by address
     unanswered: set[str] = field(default_factory=set)
 
     def update(self) -> None:
-        """Update the lists of workers."""
+        """Remove lost workers, and request the code version of each worker that has not answered yet."""
         present = set(self.client.scheduler_info(n_workers=-1)["workers"])
         self.accepted &= present
         self.rejected = {each: why for each, why in self.rejected.items() if each in present}
@@ -148,7 +153,7 @@ def _reason(answer: str | BaseException, mine: str) -> str:
 
 @dataclass
 class _Dispatcher:
-    """Pieces that are submitted to the workers. A piece is stored until its result is available.
+    """Submission of pieces to the workers. The arguments of a piece are stored until its result is available.
 
     Attributes:
         client: client of the cluster.
@@ -156,9 +161,9 @@ class _Dispatcher:
         function: function that a worker calls with a piece.
         pieces: (index, arguments) of the pieces that are still to be submitted.
         stored: arguments of the submitted pieces, by index.
-        out: index of each submitted piece, and the workers that may compute it.
-        attempts: number of submissions so far.
-        name: prefix of the keys.
+        out: (index of the piece, workers that may compute it), by the future of the submission.
+        attempts: number of submissions so far, of all pieces.
+        name: prefix of the keys under which the scheduler knows the submissions.
     """
 
     client: Client
@@ -219,7 +224,7 @@ def spread(
     An exception that the function raises in a worker is raised here.
 
     Raises:
-        ClusterError: All connected workers were rejected.
+        ClusterError: A worker was rejected, and no worker is accepted.
         LostError: The connection to the scheduler is lost, or several workers died while computing the same piece.
     """
     pool = _WorkerPool(client, say)
@@ -259,7 +264,7 @@ def _check_connection(client: Client) -> None:
 def _finished(futures: list[Future]) -> list[Future]:
     """Return the finished futures, after waiting for at most `_UPDATE` seconds."""
     if not futures:
-        time.sleep(_UPDATE)  # No worker is connected.
+        time.sleep(_UPDATE)  # No piece is submitted, because no worker is accepted.
     with contextlib.suppress(TimeoutError, CancelledError):
         wait(futures, timeout=_UPDATE, return_when="FIRST_COMPLETED")
     return [future for future in futures if future.done()]

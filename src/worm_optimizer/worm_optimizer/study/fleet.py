@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Table of many bags in Parquet format. Each bag is read, replayed and compared with the model independently.
 
-Each gait of a bag is a row. A bag that cannot be used is a row with the reason. Until all bags are read, the rows of
-each bag are stored in a file next to the output, so that the command can be repeated after it was killed.
+The table has a row for each gait of a bag. A bag that cannot be used has a single row with the reason. Until all bags
+are read, the rows of each bag are stored in a file of their own, in a folder next to the output. A command that was
+killed can then be repeated without reading these bags again.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ from worm_optimizer.study.study_run import Counts, Workers
 from worm_optimizer.study.version import identity
 
 READ, FAILED = "read", "failed"
-_IDENTITY = b"worm_fleet"  # key of the table's metadata
+_IDENTITY = b"worm_fleet"  # key of the table's metadata under which `_Fleet.identity` is stored
 _HEALTH = tuple(f"{key}{part}" for key in ADVICE for part in ("", "_low", "_high"))
 _TEXTS = ("bag", "gait", "state", "reason", "start", "parameters", "notes")
 _NUMBERS = (
@@ -135,7 +136,7 @@ def read_fleet(
     say: Say,
     progress: Callable[[float], None],
 ) -> Counts:
-    """Read all bags below ``folder`` into the table ``output`` and return the number of bags.
+    """Read all bags below ``folder`` into the table ``output``, and return the numbers of all and of failed bags.
 
     If the process or the cluster fails, the rows read so far remain, and calling this again reads the other bags.
 
@@ -149,8 +150,10 @@ def read_fleet(
         progress: function that is called with the finished share of the bags, 0 to 1.
 
     Raises:
-        InputError: The output contains other bags, or a worker cannot access a bag.
+        InputError: The parameter file is invalid, the output contains other bags or cannot be used, the cluster cannot
+            be used, or a worker cannot access a bag.
         LostError: The cluster was lost.
+        OSError: The rows cannot be written.
     """
     fleet = _fleet(folder, parameters)
     if output.exists():
@@ -180,7 +183,7 @@ def reopen_fleet(folder: Path, parameters: str, output: Path) -> None:
     """Remove the rows of failed bags, so that `read_fleet` reads these bags again.
 
     Raises:
-        InputError: The output contains other bags.
+        InputError: The parameter file is invalid, or the output contains other bags or cannot be used.
     """
     fleet = _fleet(folder, parameters)
     if output.exists():
@@ -245,7 +248,7 @@ def _read(
 
 
 def _mark(bag: Path, parameters: str) -> str:
-    """Return a hash of all inputs of the rows of a bag: path and files of the bag, the parameter file, and the code."""
+    """Return a hash of the path and files of a bag, the parameter file, and the code that `identity` covers."""
     content = Path(parameters).read_text() if parameters else ""
     text = [str(bag.resolve()), identity(), content, mark_of(bag)]
     return hashlib.sha256("\n".join(text).encode()).hexdigest()[:24]
@@ -255,7 +258,7 @@ def _known(output: Path, whole: str) -> Counts:
     """Return the counts of bags in a finished table; ``whole`` is the hash of the expected fleet.
 
     Raises:
-        InputError: The table contains other bags.
+        InputError: The table cannot be read, contains other bags, or was made by another version of the code.
     """
     try:
         table = parquet.read_table(output, columns=["bag", "state"])
@@ -272,7 +275,7 @@ def _known(output: Path, whole: str) -> Counts:
 
 @contextlib.contextmanager
 def _parts(output: Path) -> Iterator[Path]:
-    """Create the folder of the files with the rows of single bags, and lock it for this process."""
+    """Create the folder of the files in which the rows of each bag are stored, and lock it for this process."""
     check_folder(output)
     parts = output.with_name(f"{output.name}.part")
     parts.mkdir(exist_ok=True)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""HTML page of a fleet: measured over expected values, parameters that drift, and bags that could not be used."""
+"""HTML page of a fleet: measured and expected values, parameters that drift, and bags that could not be used."""
 
 from __future__ import annotations
 
@@ -22,6 +22,9 @@ from worm_optimizer.study.study_plots import Picture, compared_figure, png
 
 def write_fleet_page(table: Path, parameters: str, page: Path) -> None:
     """Write the page of a fleet's table.
+
+    The limits of the control charts come from the intervals in the parameter file ``parameters``. For a parameter
+    without an interval, they come from the bags.
 
     Raises:
         FileExistsError: The page exists already.
@@ -54,6 +57,10 @@ def fleet_charts(read: Sequence[Row], known: ParameterFile) -> tuple[list[Chart]
     """Return a control chart of each key of `drift.ADVICE`, and the names of the bags in the charts.
 
     The charts contain the bags from which at least one of these parameters was estimated. See `drift.chart_of`.
+
+    Args:
+        read: rows of the gaits, in the order of time.
+        known: parameters whose intervals determine the limits.
     """
     bags = {row["bag"]: row for row in read if any(math.isfinite(row[key]) for key in ADVICE)}
     charts = [

@@ -19,7 +19,7 @@ from worm_optimizer.search.search_settings import ScanSettings, Waveform
 
 Array = NDArray[np.float64]
 
-# Dimensions of the points that are no quantities
+# Names of the dimensions that do not belong to a single quantity
 PARAMETER_FILE, SAMPLE = "parameter_file", "sample"
 SOBOL, SALTELLI, LATIN_HYPERCUBE = "sobol", "saltelli", "latin_hypercube"
 METHODS = (SOBOL, SALTELLI, LATIN_HYPERCUBE)
@@ -70,8 +70,8 @@ class Sample:
     def draw(self, axes: int) -> Array:
         """Return values between 0 and 1, shape (size, axes).
 
-        Sobol sequences are scrambled, which keeps them away from the bounds. With a method of `EXTENDABLE`, a larger
-        sample begins with the points of a smaller one.
+        Sobol sequences are scrambled, because an unscrambled one begins with a point whose values are all exactly 0.
+        With a method of `EXTENDABLE`, a larger sample begins with the points of a smaller one.
         """
         from scipy.stats import qmc  # here: the import takes a second, and workers do not need it
 
@@ -84,7 +84,11 @@ class Sample:
 
 
 def _saltelli(first: Array, second: Array) -> Array:
-    """Return the rows A, B, AB_1 … AB_d of each base sample. AB_k is A with column k replaced by that of B."""
+    """Return the rows A, B, AB_1 … AB_d of each base sample, one base sample after another.
+
+    A is the row of the base sample in ``first``, and B its row in ``second``. AB_k is A with element k replaced by
+    element k of B.
+    """
     mixed = np.repeat(first[:, None], first.shape[1], axis=1)
     each = np.arange(first.shape[1])
     mixed[:, each, each] = second
@@ -94,7 +98,10 @@ def _saltelli(first: Array, second: Array) -> Array:
 
 @dataclass(frozen=True)
 class Hardware:
-    """Limits from the driver's parameter file, ``model`` of the cable servos, and supply ``voltage`` in V."""
+    """Limits from the parameter file of the ``driver``, ``model`` of the cable servos, and supply ``voltage`` in V.
+
+    A value is None, and the model an empty string, if the study does not state it.
+    """
 
     driver: DrivenBy | None = None
     model: str = ""
@@ -154,7 +161,7 @@ class Study:
 
     @property
     def varied(self) -> tuple[str, ...]:
-        """Names of the quantities that vary between points, in the order of the columns of `points`."""
+        """Names of the columns of `points`: `PARAMETER_FILE`, even for a single file, and the names of the axes."""
         return (PARAMETER_FILE, *(axis.name for axis in self.axes))
 
     @property
@@ -188,7 +195,7 @@ class Study:
         return math.prod(self.shape)
 
     def points(self) -> Array:
-        """Return the value of each of `varied` at each point, shape (*shape, len(varied))."""
+        """Return the value of each of `varied` at each point, shape (*shape, len(varied)); for a file, its index."""
         mesh = np.meshgrid(*map(np.asarray, self.dimensions.values()), indexing="ij")
         columns = dict(zip(self.dimensions, mesh, strict=True))
         if self.ranges:

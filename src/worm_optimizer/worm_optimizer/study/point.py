@@ -70,7 +70,10 @@ class Variable:
 
 
 def gait_names(study: Study) -> list[str]:
-    """Return the names of the gaits of a point: `THREE_GAITS`, and gaits at a speed or power if the study states it."""
+    """Return the names of the gaits of a point.
+
+    They are `THREE_GAITS`, and those of `REQUESTS` for whose key the study contains a value.
+    """
     named = {*study.fixed, *study.varied}
     wanted = [objective for key, objective in REQUESTS.items() if key in named]
     return [objective.name.lower() for objective in (*THREE_GAITS, *wanted)]
@@ -177,13 +180,15 @@ def compute_block(study: Study, points: Array) -> Results:
             results["reason"][row] = " ".join(str(error).split())
             continue
         for name, value in of_point.items():
-            # All NaN get the same bits.
+            # All NaN get the same bits, because the checksum of a block covers the bits of its values.
             results[name][row] = np.where(np.isnan(value), np.nan, value)
     return results
 
 
 def compute_point(study: Study, values: Mapping[str, float]) -> dict[str, Any]:
-    """Return the results of one point, by name. Unavailable results, such as the gaits of an empty front, are omitted.
+    """Return the results of one point, by name.
+
+    Unavailable results, such as the gaits of an empty front, are omitted or NaN.
 
     Args:
         study: study.
@@ -224,7 +229,8 @@ def compute_point(study: Study, values: Mapping[str, float]) -> dict[str, Any]:
 def content_of(study: Study, given: Mapping[str, float]) -> ParameterFile:
     """Return the robot of a point: its parameter file with the given values, under the given conditions.
 
-    If a value changes, its interval is scaled by the same factor. The interval of a value that was 0 is shifted.
+    If a value changes, its interval and its run-to-run deviation are scaled by the same factor. If the old value is 0,
+    the interval is shifted instead, and the deviation stays the same.
 
     Args:
         study: study.
@@ -331,7 +337,7 @@ def _robust(
 ) -> dict[str, Any]:
     """Return the results of an exact front: stored front, chosen gaits and success probabilities.
 
-    ``task`` is the same task without a margin, for the nominal predictions.
+    ``task`` is the task of ``exact`` without the margin. The nominal predictions result from it.
     """
     front = exact.front
     results: dict[str, Any] = {}

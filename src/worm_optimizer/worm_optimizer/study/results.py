@@ -57,7 +57,7 @@ def _write_netcdf(path: Path, file: Path) -> None:
 def _write_csv(path: Path, file: Path) -> None:
     """Write a row for each point, without fronts and margin scans.
 
-    Each result of a gait becomes one column per gait, whose name ends with that of the gait.
+    Each result of a gait becomes one column per gait. The name of the column ends with the name of the gait.
     """
     with point_table(path) as data:
         along = [name for name in (FRONT, SCAN) if name in data.dims]

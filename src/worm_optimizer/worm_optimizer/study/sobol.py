@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-_LEAST_VARIANCE = 1e-24  # a quantity with a variance below this does not vary
+_LEAST_VARIANCE = 1e-24  # largest variance, in squared units, of a quantity that counts as constant
 _VISIBLE = 5e-4  # smallest difference of two indices that printed percentages show
 
 

@@ -2,10 +2,10 @@
 """Zarr store of a study's results, written block by block and verified before each run.
 
 The variables of a block are written first, its ``state`` next and its checksum last. A block without a checksum is
-unfinished, and the next run computes it again. The checksum covers the points and all variables of the block, and so
-detects lost and damaged values. A Zarr chunk contains many blocks, so that a store has few files; Zarr replaces a chunk
-atomically. A store contains no time and no place of its computation. A study that was killed and resumed therefore ends
-with the same bytes. The format is Zarr version 2, which every release of xarray and zarr reads.
+unfinished, and the next run computes it again. The checksum covers the points and all variables of the block, so that
+an audit detects lost and damaged values. A Zarr chunk contains many blocks, so that a store has few files. Zarr
+replaces a chunk atomically. A store contains no time and no place of its computation. A study that was killed and
+resumed therefore ends with the same bytes. The format is Zarr version 2, which every release of xarray and zarr reads.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class Audit:
     Attributes:
         unfinished: blocks without a checksum.
         failed: intact blocks that contain failed points.
-        damaged: blocks that contradict their checksum, or whose chunk cannot be decoded.
+        damaged: blocks that contradict their checksum, or of which a chunk cannot be decoded.
         unreadable: files of chunks that cannot be decoded.
     """
 
@@ -131,7 +131,7 @@ class Store:
         return audit
 
     def reset(self, audit: Audit) -> None:
-        """Replace the chunks that an audit could not decode by empty ones."""
+        """Replace each chunk that an audit could not decode by an empty one, as in a new store."""
         group = self._group("r+")
         for file in audit.unreadable:
             file.unlink()
@@ -261,7 +261,8 @@ def locked_store(path: Path, study: Study) -> Iterator[Store]:
         The store.
 
     Raises:
-        StoreError: The output contains another study, was begun by another version of the code, or is in use.
+        StoreError: The folder of the output is missing. The output contains no study or another one, or its description
+            is damaged. It was begun by another version of the code, or is in use.
     """
     if not path.exists():
         _make(path, study)
@@ -349,7 +350,7 @@ def _attributes(path: Path) -> dict[str, Any]:
     """Return the attributes of a store.
 
     Raises:
-        StoreError: The path contains no study.
+        StoreError: The path contains no study, or one that an earlier version of the code began.
     """
     try:
         content = json.loads((path / ".zattrs").read_text(encoding="utf-8"))
@@ -370,7 +371,11 @@ def _make(path: Path, study: Study) -> None:
 
 
 def _installed(path: Path, study: Study, block: tuple[int, ...]) -> tuple[str, ...]:
-    """Restore the metadata and coordinates of a store, and return the names of the files that were restored."""
+    """Restore missing or damaged metadata and coordinates of a store, and return the names of the restored files.
+
+    Missing files of state, reason and checksum are restored as not computed. The names of files in the root folder of
+    the store are not returned.
+    """
     different = []
     with _template(path, study, block) as part:
         files = sorted(file.relative_to(part) for file in part.rglob("*") if file.is_file())
@@ -381,7 +386,7 @@ def _installed(path: Path, study: Study, block: tuple[int, ...]) -> tuple[str, .
                 continue
             if (
                 len(name.parts) > 1
-            ):  # attributes also contain versions of packages, which may change
+            ):  # The attributes in the root folder contain versions of packages, which may change.
                 different.append(str(name))
             target.parent.mkdir(exist_ok=True)
             (part / name).replace(target)

@@ -112,7 +112,16 @@ def load_study(path: str | Path, parameters: str = "") -> plan.Study:
 
 
 def parse_study(text: str, folder: Path, parameters: str = "") -> plan.Study:
-    """Return the `Study` described by the text of its file, see `load_study`."""
+    """Return the study that a text describes.
+
+    Args:
+        text: content of the study's file.
+        folder: folder to which paths in the text are relative.
+        parameters: parameter file of the robot, if the study names none.
+
+    Raises:
+        InputError: The text, or a file that it names, is invalid.
+    """
     try:
         content = parse_yaml(text)
         if isinstance(content, Mapping):  # a key without a value means its default
@@ -191,7 +200,10 @@ def identity_of(study: plan.Study) -> str:
 
 
 def extends(study: plan.Study, stored: plan.Study) -> bool:
-    """Return True if a study differs from a stored one, apart from title and block size, only by more samples."""
+    """Return True if a study is a stored one with more samples of the same sequence.
+
+    Title and block size may differ, too.
+    """
     alike = dataclasses.replace(
         study, sample=dataclasses.replace(study.sample, points=stored.sample.points)
     )

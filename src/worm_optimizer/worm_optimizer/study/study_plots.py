@@ -45,7 +45,7 @@ class Picture:
 
 
 def pictures(summary: Summary) -> list[Picture]:
-    """Return the figures that the varied quantities of a study allow."""
+    """Return the figures of a study. Their kinds depend on the number of varied quantities."""
     varied = summary.varied
     made = []
     if len(varied) >= 2:
@@ -185,14 +185,17 @@ def _unit(values: Array) -> Array:
 
 
 def png(figure: Figure) -> bytes:
-    """Return a figure as a PNG without the version of the library, so that equal figures are equal bytes."""
+    """Return a figure as a PNG without the version of the library, so that equal figures result in equal bytes."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=110, metadata={"Software": None})
     return buffer.getvalue()
 
 
 def compared_figure(gaits: Sequence[Mapping[str, float]]) -> Figure:
-    """Draw measured over expected values of the gaits of a fleet, in one panel for speed and one for power."""
+    """Draw measured values as a function of expected ones, a dot for each gait of a fleet.
+
+    The left panel shows the speed, and the right one the power.
+    """
     figure = new_figure(9.0, 4.2)
     for axes, (key, scale, text) in zip(figure.subplots(1, 2), _COMPARED, strict=True):
         measured = [scale * row[key] for row in gaits]

@@ -29,7 +29,7 @@ _TIMED_POINTS = 3  # number of points whose computation `estimate` times
 
 @dataclass(frozen=True)
 class Counts:
-    """Numbers of ``points`` of a study: all, finished ones (``done``), and ``failed`` ones among the finished ones.
+    """Numbers of points of a study: all ``points``, finished ones (``done``), and ``failed`` ones among the finished.
 
     For a fleet, these are numbers of bags.
     """

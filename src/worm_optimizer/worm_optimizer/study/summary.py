@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Column:
-    """Quantity of every point: ``values`` of shape (points,) in ``unit``."""
+    """Quantity ``name``, with its value at each point of a table: ``values`` of shape (points,) in ``unit``."""
 
     name: str
     unit: str
@@ -29,19 +29,19 @@ class Column:
 
 @dataclass(frozen=True)
 class Summary:
-    """Summary of the points that are done.
+    """Summary of a study. Columns, ranks, indices and ``still`` refer to the points that were computed without failure.
 
     Attributes:
-        varied: quantities that vary.
+        varied: quantities that have more than one value.
         figures: results to show. The first one decides which point is best.
-        rank: rank of each point, 0 is best, shape (points,).
-        best: index of the best point, None if there is none.
-        own: index of the point with the values of the parameter file, None if there is none.
+        rank: rank of each of these points, 0 is best.
+        best: index of the best point; None if no point has the first result.
+        own: index of the point with the values of the parameter file; None if there is no such point.
         goal: criterion of the best point, as text.
-        points: number of points of the study.
+        points: number of all points of the study.
         done: number of finished points, including failed ones.
         failed: number of failed points by reason.
-        still: number of computed points that lack the first result, such as points where no gait moves.
+        still: number of these points that lack the first result, for example because no gait moves.
     """
 
     varied: tuple[Column, ...]
@@ -89,7 +89,7 @@ def summarise(path: Path, study: Study) -> Summary:
 def _own(varied: tuple[Column, ...], study: Study) -> int | None:
     """Return the index of the point with the values of the parameter file.
 
-    None if there are several files, a varied quantity is no parameter, or no point has these values.
+    Return None if there are several files, a varied quantity is no parameter, or no point has these values.
     """
     values = study.files[0][1].parameters.as_dict()
     if len(study.files) > 1 or not all(column.name in values for column in varied):

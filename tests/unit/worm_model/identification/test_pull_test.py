@@ -89,7 +89,12 @@ def test_the_file_is_that_of_the_robot_under_its_load():
 
 @pytest.mark.parametrize(
     ("options", "fact"),
-    [((), "--parameters"), (("--literal",), "--literal"), (("--report", "new"), "--report")],
+    [
+        ((), "--parameters"),
+        (("--literal",), "--literal"),
+        (("--report", "new"), "--report"),
+        (("--fin-engages", "positive"), "--fin-engages"),
+    ],
 )
 def test_what_contradicts_a_pull_test_is_rejected_in_one_line(
     options, fact, shared, tmp_path, monkeypatch, capsys

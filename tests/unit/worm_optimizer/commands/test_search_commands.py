@@ -166,7 +166,8 @@ def test_an_unreachable_request_is_rejected_with_the_nearest(run):
         (["--parameters", "/nowhere.yaml"], "/nowhere.yaml: cannot be read"),
         (["--figure", "/nowhere/front.png"], "its folder /nowhere does not exist"),
         (["--robustness", "luck"], "invalid choice: 'luck'"),
-        (["--robustness", "chance", "--margin", "0.002"], "--margin 0.002 m has no effect"),
+        (["--robustness", "chance", "--margin", "0.002"], "--margin 0.002 has no effect"),
+        (["--robustness", "chance", "--margin-n", "2"], "--margin-n 2 has no effect"),
         (["--robustness", "chance", "--probability", "2"], "probability: 2.0 is not above 0"),
     ],
 )

@@ -31,7 +31,7 @@ class ClockClient:
     since: float = 0.0
 
     def waits(self, sent: float, received: float) -> bool:
-        """Return True if the client is idle.
+        """Return True if the client is idle: it waits, and no bytes to or from it are in transit.
 
         Args:
             sent: number of bytes that the server has sent over the serial line.
@@ -73,13 +73,13 @@ class ClockServer:
         return self.rate if math.isfinite(self.rate) else 1.0
 
     def alone(self, machine: float) -> float:
-        """Advance simulated time without clients, at its rate, to a machine time (s), and return it."""
+        """Advance simulated time at its rate, without clients, until a machine time (s). Return simulated time."""
         self.now = max(self.now, (machine - self._start) * self._pace)
         self._machine = machine
         return self.now
 
     def together(self, machine: float, clients: Iterable[bool], until: float) -> float:
-        """Advance simulated time with clients, and return it.
+        """Advance simulated time as far as the clients allow, and return simulated time.
 
         Args:
             machine: machine time, s.
@@ -98,5 +98,5 @@ class ClockServer:
         return self.now
 
     def machine_time(self, event: float) -> float:
-        """Return the machine time (s) at which an event is due if no client delays it."""
+        """Return the machine time (s) at which simulated time reaches an event (s) if no client delays it."""
         return self._machine if math.isinf(self.rate) else self._start + event / self.rate

@@ -140,7 +140,7 @@ class Fault:
         return replace(self, start=self.start + time)
 
     def hits(self, target: int | None) -> bool:
-        """Return True if the fault affects a servo with this id; None: something else than a servo."""
+        """Return True if the fault affects the servo with the id ``target`` (None: a part that is not a servo)."""
         return self.target is None or self.target == target
 
 
@@ -153,7 +153,14 @@ def make_fault(
     count: int | None = None,
     value: float | None = None,
 ) -> Fault:
-    """Return a fault. Missing arguments have the defaults of its kind. Raises FaultError."""
+    """Return a fault. Missing arguments have the defaults of its kind, with two exceptions.
+
+    - With a duration and without a count, the count is unlimited.
+    - With a count and without a duration, the duration is unlimited.
+
+    Raises:
+        FaultError: The fault is invalid.
+    """
     kind = KINDS.get(name)
     if kind is None:
         return Fault(name)  # Raises an error that lists the names.
@@ -216,7 +223,7 @@ class FaultBoard:
         return None
 
     def consume(self, name: str, time: float, target: int | None = None) -> Fault | None:
-        """Return the fault like `active`, and reduce its count by one."""
+        """Return the fault like `active`, and reduce its remaining count by one if the count is limited."""
         fault = self.active(name, time, target)
         if fault is not None:
             index = next(i for i, (other, _) in enumerate(self._left) if other is fault)

@@ -34,7 +34,7 @@ class Converter:
     """Setting of a converter.
 
     Attributes:
-        time: duration of a conversion, s.
+        time: duration of a conversion with all its samples, s.
         samples: number of averaged samples.
         lost_bits: number of low bits that are always 0.
     """
@@ -55,7 +55,7 @@ def converter(field: int) -> Converter:
 
 @dataclass(frozen=True)
 class AdcNoise:
-    """Standard deviations of the noise of one conversion at the shunt and at the bus pin, V."""
+    """Standard deviations of the noise of one conversion without averaging, at the shunt and at the bus pin, V."""
 
     shunt: float
     bus: float

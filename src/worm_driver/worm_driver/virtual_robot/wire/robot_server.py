@@ -3,7 +3,7 @@
 
 One thread owns the robot. It waits in select(), so that an answer leaves some hundred microseconds after its request,
 and wakes up regularly to advance the plant. With clients of its clock (virtual_clock), simulated time advances from
-event to event and waits for clients that are late. Without clients it advances at the argument ``rate``.
+event to event and waits for clients that are late. Without clients simulated time advances at the rate ``rate``.
 """
 
 import contextlib
@@ -315,7 +315,7 @@ class RobotServer:
             self._write(item.data, item.port)
 
     def _write(self, data: bytes, port: Port) -> None:
-        """Send bytes and end the waits of the clients that expect them."""
+        """Send bytes, and end the waits of the clients that wait for bytes from this port."""
         _send(port, data)
         is_serial = isinstance(port, PtyPort)
         self._bytes_sent += len(data) if is_serial else 0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Packets with single SMBus transactions, for a socket that preserves packets (SOCK_SEQPACKET).
+"""Packets that each contain one SMBus transaction, for a socket that preserves packets (SOCK_SEQPACKET).
 
 A request is four bytes (operation, address, register, number of bytes to read) followed by the data to write. An answer
 is errno as two bytes followed by the data read. Data bytes are in the order of the bus. As with a real adapter, the

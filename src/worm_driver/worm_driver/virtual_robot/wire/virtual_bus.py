@@ -21,7 +21,7 @@ from worm_driver.virtual_robot.wire.packet import (
     status_packet,
 )
 
-#: The address is the same in every model.
+#: Register present_position. Its address is the same in every model.
 _POSITION = XM430_W350.registers["present_position"]
 #: s, longest gap between the bytes of a packet; 1.5 ms on a real line, but a pseudo-terminal is read when the scheduler
 #: permits

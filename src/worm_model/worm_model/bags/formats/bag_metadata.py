@@ -59,8 +59,8 @@ def load_yaml(text: str) -> Any:
     """Return the content of YAML from an untrusted source.
 
     Raises:
-        yaml.YAMLError, ValueError: It is not YAML, merges keys, or exceeds a limit on size, nesting, nodes or
-            references that no bag reaches.
+        yaml.YAMLError, ValueError: The text is not YAML, merges keys (``<<``), or exceeds one of the limits of
+            this module on size, levels, nodes and references. No bag reaches these limits.
     """
     if len(text) > LARGEST_YAML:
         raise ValueError(f"it has {len(text)} characters, more than {LARGEST_YAML}")

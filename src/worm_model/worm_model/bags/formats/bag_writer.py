@@ -88,7 +88,7 @@ class BagFiles:
         self._file.mcap.add_metadata(name, dict(values))
 
     def add_attachment(self, attached: AttachedFile) -> None:
-        """Add an attached file to this and all later files.
+        """Add an attached file to the present file of the bag and to all later ones.
 
         The attachment has no date, so that equal content produces equal bytes.
         """
@@ -260,9 +260,9 @@ class _OpenFile:
 
 @contextmanager
 def new_bag(directory: Path, custom: Mapping[str, str] | None = None) -> Iterator[BagFiles]:
-    """Yield a new bag for writing. It appears when the context ends; after an exception, nothing is left.
+    """Yield a new bag for writing. The bag appears when the context ends; after an exception, nothing remains.
 
-    Equal messages produce equal bytes.
+    Equal content produces MCAP files with equal bytes.
 
     Args:
         directory: the bag, which must not exist.

@@ -171,7 +171,7 @@ class _Layout:
     def fits(self, data: Bytes) -> NDArray[np.bool_]:
         """Return a mask (messages,) of the messages that have this layout.
 
-        ``data`` (messages, bytes) contains one message per row, all of the size of the layout.
+        ``data`` (messages, bytes) contains one message per row. All messages are as long as the one that was decoded.
         """
         fixed = [0, 1] + [offset + i for offset in self._length_offsets for i in range(4)]
         expected = np.frombuffer(self._message, np.uint8)[fixed]
@@ -179,7 +179,7 @@ class _Layout:
         return same
 
     def numbers(self, data: Bytes) -> Iterator[tuple[str, NDArray[Any]]]:
-        """Yield the columns of messages of this layout."""
+        """Yield (path, values) of each field of numbers, from messages (messages, bytes) of this layout."""
         for path, (kind, offset, count) in self._numbers.items():
             size = kind.itemsize * (1 if count is None else count)
             raw = np.ascontiguousarray(data[:, offset : offset + size])
@@ -188,7 +188,10 @@ class _Layout:
             yield path, values.reshape(len(data)) if count is None else values
 
     def texts(self, data: Bytes) -> Iterator[tuple[str, list[str]]]:
-        """Yield the texts of messages of this layout; usually all messages have the same texts."""
+        """Yield (path, texts) of each field of text, from messages (messages, bytes) of this layout.
+
+        Usually all messages have the same text, which is then decoded only once.
+        """
         for path, (offset, length) in self._texts.items():
             characters = data[:, offset : offset + length]
             if (characters == characters[0]).all():
@@ -197,7 +200,7 @@ class _Layout:
                 yield path, [row.tobytes().decode(errors="replace") for row in characters]
 
     def _advance(self, size: int, alignment: int) -> int:
-        """Return the aligned position of a field of ``size`` bytes, and move the position behind the field."""
+        """Return the aligned position of a field of ``size`` bytes, and move the present position behind the field."""
         self._position += -(self._position - HEADER_BYTES) % alignment
         position = self._position
         self._position += size
@@ -327,7 +330,7 @@ def defined_message(message: Message) -> Message:
 class Converter:
     """Converter of messages to a later definition of their type, which has additional fields.
 
-    An additional field gets its value in DEFAULTS. Without such a value it is zero or empty.
+    An additional field gets its value from DEFAULTS. A field without a value in DEFAULTS is zero or empty.
 
     Args:
         source, target: topics with their definitions.

@@ -24,9 +24,10 @@ class Extent(NamedTuple):
 
     Attributes:
         start, end: smallest and largest log time, ns.
-        first, last: location: bytes of the file or rows of its table, the last one exclusive.
+        first, last: location, in bytes of the file or rows of the database's table; ``last`` is exclusive.
         is_chunk: True for a chunk.
-        runs: ranges of a damaged chunk's decompressed bytes that contain complete records; empty: the chunk is intact.
+        runs: ranges of a damaged chunk's decompressed bytes that contain complete records; empty for any other
+            extent.
     """
 
     start: int
@@ -89,7 +90,7 @@ class Contents:
         return self.losses[-1]
 
     def span_around(self, loss: Loss) -> tuple[int, int]:
-        """Return the latest log time before a damaged part and the earliest one after it, ns; 0 if there is none."""
+        """Return the latest log time before a damaged part and the earliest one after it, ns; 0 without a message."""
         before = (extent.end for extent in self.extents if extent.last <= loss.first)
         after = (extent.start for extent in self.extents if extent.first >= loss.last)
         return max(before, default=0), min(after, default=0)

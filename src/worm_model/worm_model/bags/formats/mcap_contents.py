@@ -46,8 +46,8 @@ def extent_records(data: Buffer, extent: Extent) -> Buffer:
 def _run_pieces(records: Buffer, first: int, last: int) -> Iterator[Buffer]:
     """Yield the records of a range of `Extent.runs` in pieces.
 
-    If the range is a single record (a definition, or a record that declares a larger length), the stored length of the
-    record may be damaged. It is replaced by the length of the range.
+    If the range is a single record (a definition, or a record that declares a larger length than it has), its stored
+    length may be damaged. It is replaced by the length that follows from the range.
     """
     begin = first + RECORD.size
     opcode, length = RECORD.unpack_from(records, first)
@@ -64,8 +64,8 @@ def _run_pieces(records: Buffer, first: int, last: int) -> Iterator[Buffer]:
 def scan(data: Buffer) -> Contents:
     """Return the contents of a file that begins with MAGIC.
 
-    Only the heads of the chunks are read if the file is closed, its checksums are correct, and the summary describes
-    the data section. Otherwise every chunk is read.
+    Only the heads of the chunks are decoded if the file is closed, the checksums of its summary and its data section
+    are correct, and the summary describes the data section. Otherwise every chunk is decoded.
     """
     summary, _ = _read_summary(data)
     if summary is not None and summary.is_protected:
@@ -236,7 +236,7 @@ class _Survey:
         self._walk = mcap_walk.Walk(records, len(MAGIC), self._channels, judge)
         self._add_chunk = add_chunk
         self._run: tuple[int, int] | None = None  # location of messages outside of chunks
-        self._lost: Loss | None = None  # the damaged chunk whose indexes may follow
+        self._lost: Loss | None = None  # last damaged chunk, whose indexes may follow
 
     def run(self) -> Contents:
         """Process the records up to the end of the data section, or of the file, and return the contents."""
@@ -323,7 +323,7 @@ class _Survey:
         contents.counts.update(channels)
         if not (extent.is_chunk and chunk_head(self._data[extent.first + RECORD.size :]).checksum):
             self.unprotected += len(channels)
-        if channels:  # no checksum covers the times in a chunk's head
+        if channels:  # the times in a chunk's head have no checksum and are not used
             start, end = int(heads["log_time"].min()), int(heads["log_time"].max())
             contents.extents.append(extent._replace(start=start, end=end))
         return channels

@@ -17,12 +17,12 @@ from worm_model.bags.formats.mcap_contents import extent_records, salvage, scan
 from worm_model.bags.formats.message_block import Messages, Topic
 from worm_model.bags.formats.stored_file import StoredFile, explained
 
-# size up to which small extents form one block, to reduce the number of calls of numpy
+# largest size (bytes) of a block of several extents; fewer blocks need fewer calls of numpy
 TOGETHER_BYTES = 1 << 20
 
 
 class McapFile(StoredFile):
-    """MCAP file. If checksums and summary match the data, only the heads of chunks are read when it is opened."""
+    """MCAP file. If checksums and summary match the data, opening it decodes only the heads of chunks."""
 
     survey: Callable[[mcap_records.Buffer], Contents] = staticmethod(scan)
 
@@ -59,7 +59,8 @@ class McapFile(StoredFile):
     ) -> Iterator[tuple[int, Messages]]:
         """Yield (start in ns, block) for the messages of some topics in extents that are in order of start.
 
-        Consecutive small extents form one block, because a recorder that synchronises often writes many.
+        Consecutive small extents form one block, because a recorder that often synchronises writes many small
+        chunks.
         """
         start, end, size = 0, 0, 0
         parts: list[mcap_records.Buffer] = []

@@ -82,7 +82,7 @@ def checksum_of(data: Buffer) -> int:
 
 
 def records_in(data: Buffer, position: int = 0) -> Iterator[tuple[int, int, int]]:
-    """Yield opcode, first and last byte (exclusive) of the body of each record from a position on.
+    """Yield (opcode, start, end) of each record from a position on; its body extends from start to end (exclusive).
 
     Raises:
         ValueError, struct.error: A record is longer than the data.
@@ -98,9 +98,9 @@ def records_in(data: Buffer, position: int = 0) -> Iterator[tuple[int, int, int]
 
 
 class _Fields(ReadDataStream):
-    """Stream of the fields of a record. It raises EndOfFile where the library's stream would return fewer bytes.
+    """Stream of the fields of a record. It raises EndOfFile if a field extends beyond the end of the record.
 
-    A damaged length is therefore detected.
+    The library's stream would return the bytes up to the end, and a damaged length would not be detected.
     """
 
     def __init__(self, body: Buffer) -> None:
@@ -170,7 +170,7 @@ class ChunkHead(NamedTuple):
         size: number of bytes of the decompressed records.
         checksum: CRC-32 of these bytes; 0: none.
         compression: name of the algorithm; empty: none.
-        first, last: location of the compressed records in the chunk's body.
+        first, last: location of the compressed records in the chunk's body, the last byte exclusive.
     """
 
     start: int
@@ -209,7 +209,7 @@ def chunk_records(body: Buffer) -> Buffer:
 
 
 def joined(pieces: Iterable[Buffer]) -> Buffer:
-    """Return pieces as one, without a copy if there is only one."""
+    """Return the pieces as one buffer; a single piece is not copied."""
     parts = [piece for piece in pieces if len(piece)]
     return parts[0] if len(parts) == 1 else b"".join(parts)
 

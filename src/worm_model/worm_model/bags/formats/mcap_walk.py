@@ -13,7 +13,7 @@ A record is plausible if all of these hold:
 A definition or a metadata record with a damaged length ends where its fields end.
 
 Messages outside of chunks are plausible only in a file whose chunks have no checksums, or that has no chunks. In
-other files they could only be the content of a damaged chunk, which nothing could verify.
+other files, such messages could only be the content of a damaged chunk, and no checksum could verify them.
 """
 
 from __future__ import annotations
@@ -133,7 +133,7 @@ class Walk:
             if part.opcode not in _PROVEN:
                 behind = self._part(part.last)
                 if behind is not None and behind.opcode == DAMAGED:
-                    # A record that lost bytes, or whose length is too large, covers later records.
+                    # A record that lost bytes, or whose length is too large, extends over later records.
                     shorter = self._before_next(part.first, part.last)
                     if shorter.last < part.last:
                         part, behind = shorter, None
@@ -196,7 +196,7 @@ class Walk:
     def _damaged_chunk(self, place: int) -> Part | None:
         """Return the damaged or truncated chunk at a place with the ranges of its complete records.
 
-        Returns None if there is none, or if it has a checksum.
+        Returns None if there is no such chunk, if it has a checksum, or if it has no complete record.
         """
         head = self._chunk_head(place)
         if head is None or head.checksum or self._data[place] != Opcode.CHUNK:
@@ -266,7 +266,8 @@ class Walk:
     def _has_checksums(self) -> bool:
         """True if the chunks have checksums.
 
-        The first intact chunk decides or, without an intact chunk, the first chunk whose two declared lengths agree.
+        Only chunks are considered whose record has the length that follows from the length of the compressed bytes.
+        The first intact one of them decides; without an intact one, the first one does.
         """
         damaged: list[bool] = []
         for match in re.finditer(rb"(?s)\x06(?=.{5}\0\0\0)", self._data):
@@ -299,7 +300,7 @@ class Walk:
         return part.last == self._size or self._certain(part.last) is not None
 
     def _certain(self, place: int) -> Part | None:
-        """Return the record at a place if it is valid for its kind, else None."""
+        """Return the record at a place if it is valid for its kind and its opcode is not private, else None."""
         part = self._record(place, is_intact_chunk)
         if part is None or part.opcode >= FIRST_PRIVATE_OPCODE:
             return None

@@ -147,7 +147,7 @@ def groups(keys: NDArray[np.integer]) -> Iterator[tuple[int, Integers]]:
 
 
 def messages_of(messages: Sequence[Message]) -> Messages:
-    """Return a block of single messages."""
+    """Return a block that contains the messages, in the same order."""
     channels = tuple(dict.fromkeys(message.channel for message in messages))
     index = {channel: number for number, channel in enumerate(channels)}
     size = np.array([len(message.data) for message in messages], np.int64)
@@ -163,7 +163,7 @@ def messages_of(messages: Sequence[Message]) -> Messages:
 
 
 def concatenate(parts: Sequence[Messages]) -> Messages:
-    """Return all messages of some blocks, one after the other."""
+    """Return one block with all messages of the blocks, in the same order."""
     channels = tuple(dict.fromkeys(channel for part in parts for channel in part.channels))
     index = {channel: number for number, channel in enumerate(channels)}
     shift = np.cumsum([0, *(len(part.buffer) for part in parts)])[:-1]

@@ -4,8 +4,8 @@
 The text has the format ``ros2msg`` of rosbag2 and MCAP. It contains the root type's text and, for each type that it
 needs, a line of 80 ``=``, a line ``MSG: package/Type``, and its text. Reading a bag requires no installed
 definitions, because the bag contains them. For writing, the definitions come from the sourced workspaces
-(AMENT_PREFIX_PATH). If these lack them, worm_msgs comes from the checkout that contains this package, and standard
-types come from `rosbags`.
+(AMENT_PREFIX_PATH). For types that these lack, the definitions of worm_msgs come from the checkout that contains this
+package, and those of standard types come from `rosbags`.
 """
 
 from __future__ import annotations
@@ -124,7 +124,7 @@ def _named(field: Any) -> Iterator[str]:
 def topic_of(
     name: str, type_name: str, offered_qos: str = "", definitions: Path | None = None
 ) -> Topic:
-    """Return a topic for writing: definition with all types that it needs, type hash, offered QoS (YAML).
+    """Return a topic for writing, with its type hash, and the definitions of its type and of all types that it needs.
 
     Args:
         name, type_name: full name of the topic and its type.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files of rosbag2's sqlite3 storage, read row by row, so that damaged pages cost only their own rows."""
+"""Files of rosbag2's sqlite3 storage, read row by row, so that a damaged page makes only its own rows unreadable."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from worm_model.bags.formats.message_block import Message, Messages, Topic, mess
 from worm_model.bags.formats.stored_file import LATEST_NS, StoredFile, explained
 
 MAGIC = b"SQLite format 3\0"
-TOGETHER = 1000  # rows per extent
+TOGETHER = 1000  # largest number of rows of an extent
 _JOURNALS = ("-wal", "-journal")  # endings of files from which SQLite recovers an unclosed database
 _PAGES = slice(28, 32)  # place of the number of pages in the head of a database
 
@@ -27,7 +27,7 @@ Row = tuple[Any, ...]
 
 
 class SqliteFile(StoredFile):
-    """Sqlite3 file. Opening it reads every readable row of the messages once."""
+    """Sqlite3 file. Opening it reads every readable row of the table ``messages`` once."""
 
     def _survey(self) -> Contents:
         if self.data[: len(MAGIC)] != MAGIC:

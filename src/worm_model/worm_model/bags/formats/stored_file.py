@@ -25,7 +25,7 @@ from worm_model.bags.formats.message_block import Messages, Topic
 
 # largest ratio of the decompressed size of a file to its compressed size; that of a recording is about 10
 LARGEST_RATIO = 1000
-# in the year 2262; later times in ns do not fit into a signed number of 64 bits
+# latest supported time, ns since the epoch (year 2262): the largest signed number of 64 bits
 LATEST_NS = (1 << 63) - 1
 
 

@@ -19,7 +19,7 @@ from worm_model.bags.formats.bag_metadata import sync_directory
 def new_folder(target: Path) -> Iterator[Path]:
     """Yield a temporary folder that is renamed to the target when the context ends, or removed after an exception.
 
-    An unfinished folder of the same target from a killed process is removed first.
+    If a killed process left an unfinished folder for the same target, its content is removed first.
 
     Raises:
         ExistsError: The target exists, or another process has created it in the meantime.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Removal of data that identifies the recording computer from a bag: host name and absolute paths, also of devices."""
+"""Removal of data that identifies the recording computer: its host name, and absolute paths of files and devices."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ def clean_bag(bag: Bag, output: Path) -> Cleaner:
     """Write a copy of a bag without host name and absolute paths; return the cleaner, which counts the changes.
 
     Raises:
-        BagError: The output exists, or a message cannot be decoded.
+        BagError: The output exists, a topic has no definition, or a message cannot be decoded.
     """
     host = bag.metadata.get(RUN_RECORD, {}).get(HOST, "")
     cleaner = Cleaner(host, bag.topics)

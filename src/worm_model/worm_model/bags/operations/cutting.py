@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Copies of bags: of a time span, of several bags together, or with other messages. Equal inputs give equal bytes."""
+"""Copies of bags: a part in time, several bags merged, or other messages. Equal inputs produce equal bytes."""
 
 from __future__ import annotations
 
@@ -46,11 +46,11 @@ def write_copy(
 def trim(bag: Bag, output: Path, first: int, last: int) -> int:
     """Write the messages with log times from ``first`` to ``last`` (ns since the epoch); return their number.
 
-    The last message of each latched topic before the span is included, because a subscriber that starts with the span
-    would receive it. Its log time is set to the start of the span.
+    The last message of each latched topic before the span is included, because a subscriber that starts at the start
+    of the span would receive it. Its log time is set to the start of the span.
 
     Raises:
-        BagError: The span contains no message, or the output exists.
+        BagError: The span contains no message, the output exists, or a topic has no definition.
     """
     return write_copy([bag], output, [_within(bag, first, last)])
 
@@ -87,6 +87,6 @@ def merge(bags: Sequence[Bag], output: Path) -> int:
     record. `worm_model.bags.recording.run_manifest.recorded_parameters` rejects different parameter files.
 
     Raises:
-        BagError: The output exists.
+        BagError: The output exists, or a topic has no definition.
     """
     return write_copy(bags, output, [bag.messages() for bag in bags])

@@ -11,8 +11,8 @@ class Timeline:
     """Mapping of wall time (s, of a monotonic clock) to bag time (ns since the epoch).
 
     Attributes:
-        bag_ns: bag time at `wall`.
-        wall: wall time, s.
+        bag_ns: bag time at the wall time `wall`, ns since the epoch.
+        wall: wall time of the last change of the timeline, s.
         rate: bag time per wall time, s/s.
         paused: True if bag time is stopped.
     """

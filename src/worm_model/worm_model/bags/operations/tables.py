@@ -25,7 +25,7 @@ Rows = Mapping[str, list[Any]]
 
 @dataclass(frozen=True)
 class Table:
-    """Columns of a topic in their order. A time is one column in ns; an array has one column per element.
+    """Columns of a topic in their order. A time is one column in ns; a short array has one column per element.
 
     Attributes:
         topic: topic whose messages are the rows.
@@ -102,7 +102,7 @@ def _table(topic: Topic, fields: Mapping[str, _Field]) -> Table:
 
 
 def read_tables(bag: Bag, tables: Iterable[Table]) -> Iterator[tuple[Table, Rows]]:
-    """Yield the rows of tables in batches of lists by column name. If a message lacks a field, its entry is None."""
+    """Yield (table, rows) in batches. Rows are a list of values for each column; None if a message lacks the field."""
     by_topic = {table.topic.name: table for table in tables}
     for block in bag.blocks(by_topic):
         for name, messages in block.by_topic():

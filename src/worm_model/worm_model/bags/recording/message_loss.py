@@ -2,10 +2,10 @@
 """Counter of a topic's lost messages, based on the publishers' sequence numbers.
 
 The middleware numbers the messages of each publisher (1, 2, 3, …) but does not identify the publisher of a number.
-The number of lost messages is the increase of the numbers minus the number of messages that were received after the
-first one of each publisher, summed over the publishers. The result is correct even if the counter confuses two
-publishers that have similar numbers. The counter uses the present number of publishers to distinguish a publisher that
-joins late from lost messages.
+For each publisher, the number of lost messages is the increase of its numbers minus the number of its messages that
+were received after its first one. The counter reports the sum over the publishers. This sum is correct even
+if the counter confuses two publishers that have similar numbers. The counter uses the present number of publishers to
+distinguish a publisher that joins late from lost messages.
 """
 
 from __future__ import annotations

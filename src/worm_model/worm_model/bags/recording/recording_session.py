@@ -19,7 +19,7 @@ from worm_model.bags.recording.recorder import BagRecorder, Manifest
 from worm_model.bags.recording.recording_thread import RecordingThread, Tally
 
 TIME_FIELD = "{time}"  # placeholder in a bag's name for the time at which its recording begins
-# largest size of the messages that wait for the disk (the default of rosbag2's cache), and of the ring buffer
+# largest size, in bytes, of the messages that wait for the disk, and of the ring buffer; default of rosbag2's cache
 BACKLOG_BYTES = 100 * 2**20
 
 
@@ -234,6 +234,6 @@ class _Ring:
 
 
 def is_latched(topic: Topic) -> bool:
-    """Return True if a topic was published with transient-local durability, for later subscribers."""
+    """Return True if a topic was published with transient-local durability: later subscribers receive it."""
     durability = first_qos_profile(topic).get("durability")
-    return durability in ("transient_local", 1)  # a number before version 9 of metadata.yaml
+    return durability in ("transient_local", 1)  # metadata.yaml contains numbers before version 9

@@ -38,7 +38,7 @@ class RecordingThread:
     Args:
         recorder: the bag; from now on only the thread uses it.
         sync_s: longest time between synchronisations, s.
-        backlog_bytes: largest payload that may wait for the disk; messages beyond it are dropped and counted.
+        backlog_bytes: largest payload (bytes) that may wait for the disk; further messages are dropped and counted.
 
     Attributes:
         offered: messages passed to `offer`.

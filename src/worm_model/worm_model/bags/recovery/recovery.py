@@ -49,7 +49,7 @@ class DamagedFile:
         file: its name.
         unit: unit in which ``parts`` counts: bytes, or rows of the file's table.
         parts: for each damaged part, its first and last place (exclusive), and the span of log time in which messages
-            may be missing (s since the start of the bag; None: open).
+            may be missing (s since the start of the bag). A bound that is None is unknown.
         is_closed: True if the file ends like a closed file.
         cut_off: number of bytes at the end of the file that are not part of a complete record.
         missing: number of missing messages by topic; None if neither the summary nor an index of the file contains this
@@ -136,7 +136,8 @@ def recover(path: Path, output: Path | None = None) -> Recovery:
         output: the new bag, which must not exist; None: ``<path>_recovered`` next to the old one.
 
     Raises:
-        BagError: No message can be recovered, the bag is still being recorded, or the output exists.
+        BagError: No file of the bag can be read, the bag is still being recorded, or the output exists.
+        UnwritableError: The operating system cannot create or write the output.
     """
     path = named(path)
     files, unreadable = open_files(storage_files(path), SalvagedMcapFile)
@@ -282,7 +283,7 @@ def _absent(path: Path) -> tuple[str, ...]:
 
 
 def _split_number(name: str) -> tuple[int, str]:
-    """Return the sort key of a split bag's files, with bag_2 before bag_10."""
+    """Return the sort key of a file of a split bag; the number counts, so that bag_2 precedes bag_10."""
     number = Path(name.removesuffix(COMPRESSED)).stem.rpartition("_")[2]
     return (int(number) if number.isdecimal() else 0), name
 

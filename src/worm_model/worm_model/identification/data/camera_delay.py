@@ -2,7 +2,7 @@
 """Delay of the camera's stamps (the tracker's ``delay_s``), estimated from runs.
 
 The measured length lags behind the command by more than the body's lag τ. The actuation fit estimates this additional
-lag, which is minus the clock offset. It is the sum of two lags: that of the servo behind its goals, which the servo's
+lag as the negative clock offset. It is the sum of two lags: that of the servo behind its goals, which the servo's
 encoder shows, and the delay of the camera's stamps.
 """
 
@@ -35,9 +35,10 @@ NONE_NEEDED = "delay_s in the tracker's setup file needs no change"
 
 
 def camera_delay(recordings: Sequence[Recording], actuation: ActuationResult) -> Estimate:
-    """Return the part of the delay (s) of the camera's stamps that ``delay_s`` does not correct yet, mean over runs.
+    """Return the part of the delay (s) of the camera's stamps that ``delay_s`` does not correct yet.
 
-    The note proposes a correction. The result is not identifiable if a run has no encoder data.
+    The mean is over the runs whose data determine the clock offset. The note proposes a correction. The result is not
+    identifiable if there are no such runs, or if one of them has no encoder data.
     """
     known = np.isfinite(actuation.clock_deviation)
     if not known.any():

@@ -48,9 +48,12 @@ GAITS_FILE = "runs.json"
 USUAL_ONSET = 2.0  # s, used if the logs do not show the onset
 CONTRACTION_STEPS = 2000  # number of points of the gait's contraction, for finding the onset
 USUAL_SPOOL = 0.012  # m, used if the logs do not show the spool radius
-SPOOL_TOLERANCE = 2e-3  # relative difference of given and estimated radius that is reported
+# Relative difference between the given and the estimated radius above which a remark reports it
+SPOOL_TOLERANCE = 2e-3
 FEWEST_MOVED = 10  # smallest number of goals for an estimate of the onset or of the radius
-FEWEST_TICKS = 200  # smallest range of the goals, which yields the radius to half a percent
+# Ticks, smallest range of the goals for an estimate of the radius. The rounding error of the radius is then half a
+# percent.
+FEWEST_TICKS = 200
 
 
 class LabError(InputError):
@@ -63,8 +66,10 @@ class LabSettings:
 
     Attributes:
         epoch: stamp of t = 0, ns since the epoch.
-        onset: start of the gait, s; None: the time at which the servo's goal leaves its first value.
-        spool_radius: spool radius of the cable servo, m; None: estimated from the servo's goals and the gait's stroke.
+        onset: start of the gait, s; None: the time at which the servo's goal begins to move; without such a time in the
+            servo's log, `USUAL_ONSET`.
+        spool_radius: spool radius of the cable servo, m; None: estimated from the servo's goals and the gait's
+            stroke; if they do not suffice, `USUAL_SPOOL`.
         initial_length: L0, m; None: median of the camera's lengths before the onset, minus the length change that the
             pretension causes on the paper's robot; without such lengths, `fallback_length`.
         fallback_length: L0 if no camera measured the body at rest, m.
@@ -198,7 +203,8 @@ def _contraction(goal_ticks: Array, gait: Gait | None) -> Array:
 def _spool_of(table: Table, gait: Gait) -> float | None:
     """Return the radius (m) for which the goals produce a gait's stroke, or None if the goals do not suffice.
 
-    The log must contain `FEWEST_MOVED` goals, a range of `FEWEST_TICKS` and a whole period of the gait.
+    The log must contain at least `FEWEST_MOVED` rows and one period of the gait. The goals must cover a range of at
+    least `FEWEST_TICKS`.
 
     The radius is rounded to a tenth of a millimetre if the rounding of the goals permits this value.
     """

@@ -33,7 +33,8 @@ LONGEST_REST = 3_000_000_000
 FEWEST_SAMPLES = 20  # smallest number of samples of an instrument
 # m, largest distance between starts that count as the same place; about half the paper's clearance
 SAME_PLACE = 4e-3
-TENSIONED = 5e-4  # m, largest deviation of the command from a pretension that the cable has reached
+# m; the cable has reached a pretension if the command deviates from the pretension by at most this
+TENSIONED = 5e-4
 # ns from reaching the pretension until the body rests: five time constants; a driver waits longer
 TENSIONED_REST = 800_000_000
 MOST_MISFIT = 1e-3  # m, largest median deviation of the commanded lengths from the recorded gait
@@ -96,8 +97,9 @@ def recordings_of(
 ) -> tuple[Recording, ...]:
     """Return the recordings of the first gait and of the later gaits that began within SAME_PLACE of the first.
 
-    Gaits that began elsewhere are excluded, with a remark, because their fins start bent by an unknown amount. Raises
-    `IdentificationError` if tracker, commanded lengths or gait states are missing, or if the first gait is unusable.
+    Gaits that began elsewhere are excluded, because their fins start bent by an unknown amount. Later gaits with
+    unusable data are excluded as well. A remark reports each excluded gait. Raises `IdentificationError` if tracker,
+    commanded lengths or gait states are missing, or if the first gait is unusable.
     """
     _check_topics(run, name)
     runs = run.gait_state.rows_of_runs()

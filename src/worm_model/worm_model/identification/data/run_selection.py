@@ -76,7 +76,8 @@ def prepared_validation(
     """Return the usable validation runs and the remarks.
 
     Raises:
-        IdentificationError: A validation run is also fitted or appears twice, or no run is usable.
+        IdentificationError: A validation run is also fitted, two validation runs have the same name, or no validation
+            run is usable.
     """
     known = {_identity(recording): recording.name for recording in fitted}
     names: set[str] = set()

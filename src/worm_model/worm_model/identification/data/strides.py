@@ -26,7 +26,10 @@ TOLERANCE = 0.008
 
 
 def pitch_of_strides(recording: Recording, pitch: float) -> float:
-    """Return the pitch (m) from a run's strides, given its approximate value; NaN if there are too few strides."""
+    """Return the pitch (m) that follows from a run's strides; NaN if there are too few strides.
+
+    ``pitch`` is an approximate value of the pitch in m. It determines the number of grooves of each stride.
+    """
     strides = _strides(recording)
     grooves = np.round(strides / pitch)
     whole = (grooves >= 1) & (np.abs(strides - grooves * pitch) < SLIPPING * pitch * grooves)

@@ -23,10 +23,10 @@ from worm_model.simulation.actuation import resting_change
 from worm_model.simulation.kernel.actuation_law import Actuator, respond_at, rest_of
 
 INITIAL_LENGTH, CLOCK, ENGAGEMENT = range(3)  # entries of the nuisance parameters of a run
-CLOCK_SPREAD = 0.02  # s, prior standard deviation of the clock offset (with the servo's delay)
+CLOCK_SPREAD = 0.02  # s, prior standard deviation of the clock offset (includes the servo's delay)
 # The engagement is the time after the onset at which the slack is taken up, s.
 LATEST_ENGAGEMENT = 0.25  # s, upper bound of the engagement
-ENGAGEMENT_SPREAD = 0.05  # s, standard deviation of its prior, whose centre is 0
+ENGAGEMENT_SPREAD = 0.05  # s, prior standard deviation of the engagement; the prior's centre is 0
 LEAST_NOISE = 2e-5  # m, lower bound of the noise of a measured length
 KEYS = ("slack", "gain", "time_constant")
 START = (PAPER.slack, PAPER.gain, PAPER.time_constant)  # values from which a fit starts
@@ -48,7 +48,7 @@ class ActuationFit:
             sample with stamp t was measured at t + offset.
         engagement: time after the onset at which the slack is taken up in each run, s, shape (runs,); 0 with a
             pretension.
-        residuals: measured minus predicted lengths of each run, m.
+        residuals: measured minus predicted length at the fitted samples of each run, m.
         solution: solution of the least-squares problem.
     """
 

@@ -88,7 +88,8 @@ def solve(
 ) -> Solution:
     """Return the local minimum near the start values ``shared`` (s,) and ``own`` (runs, q).
 
-    ``weights`` contains the weights of each run's samples; by default all are 1.
+    ``weights`` contains the weights of each run's samples; by default all are 1. After ``iterations`` steps, the result
+    is the best solution found until then.
     """
     state = evaluate(problem, np.array(shared, float), np.array(own, float), weights)
     damping, width = 1e-3, 1.0
@@ -182,7 +183,7 @@ def prior_cost(values: Sequence[float] | Array, quantities: Sequence[Quantity]) 
 def normal_equations(
     problem: Problem, state: Solution, weights: Sequence[Array] | None = None, width: float = 1.0
 ) -> tuple[Array, Array]:
-    """Return matrix and gradient of half the cost, including priors.
+    """Return the matrix of the normal equations and the gradient of half the cost, both including the priors.
 
     Shared parameters come first, then the nuisance parameters of each run. ``width`` multiplies the steps of the
     numerical derivatives.
@@ -208,7 +209,7 @@ def normal_equations(
 
 
 def inverse(matrix: Array) -> Array:
-    """Return the inverse of a symmetric matrix with entries of very different magnitude."""
+    """Return the pseudo-inverse of a symmetric matrix with entries of very different magnitude."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     unit = np.outer(scale, scale)
     inverted: Array = np.linalg.pinv(matrix * unit, hermitian=True) * unit

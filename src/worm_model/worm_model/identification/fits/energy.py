@@ -27,7 +27,7 @@ from worm_model.simulation.kernel.work import cable_power
 from worm_model.simulation.quadrature import accumulated
 
 CLOCK_SPREAD = 0.02  # s, prior standard deviation of the clock offset
-SCALE = 0.05  # J, unit of the residuals; residuals of more than `HUBER` units count as outliers
+SCALE = 0.05  # J, unit of the residuals; outliers exceed `block_least_squares.HUBER` units
 # Effective number of independent residuals of a run. It is small, because accumulated energies are correlated.
 INDEPENDENT = 20.0
 KEYS = ("bellows_damping", "power_factor")
@@ -154,7 +154,8 @@ def fit_energy(
 ) -> EnergyFit:
     """Fit c_b and α_P, or only α_P for a given ``damping``.
 
-    All runs have equal weight, regardless of their duration, multiplied by ``weights`` (runs,), by default 1.
+    The weight of a run does not depend on its duration. ``weights`` (runs,) are additional factors, by default 1. The
+    fit starts from the fit ``start``, by default from `START`.
     """
     weight = np.ones(len(runs)) if weights is None else weights
     samples = [

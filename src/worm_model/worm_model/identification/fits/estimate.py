@@ -46,7 +46,10 @@ class Estimate:
 
 
 def quantile(degrees: float) -> float:
-    """Return the half-width of a 95 % interval in standard deviations for given degrees of freedom."""
+    """Return the half-width of a 95 % interval in standard deviations, by Student's t distribution.
+
+    ``degrees`` are the degrees of freedom, infinite for a normal distribution. Values below 1 count as 1.
+    """
     return float(stdtrit(max(degrees, 1.0), 0.5 + 0.5 * CONFIDENCE))
 
 

@@ -21,8 +21,8 @@ class Forces:
     """Forces F_c + c_b·L̇ = H + k_b(L_free − L) of each run at the times of its length; H as in `fits.energy`.
 
     Attributes:
-        holding: H (N) by fit and run. The first fit is the best one. In each further fit, an uncertain value is one
-            standard deviation away from its best value.
+        holding: H (N) by fit and run. The first fit is the best one. In each further fit, η or a combination of
+            the fin parameters is one standard deviation away from its best value.
         change: ΔL of each run, m.
         initial_length: L0 of each run, m, shape (runs,).
         stiffness, stiffness_deviation: k_b with standard deviation, N/m.
@@ -52,7 +52,7 @@ class Forces:
         return self._force(list(self.holding[0]), self.stiffness, self.free_length)
 
     def draw(self, random: np.random.Generator) -> list[Array]:
-        """Return forces (N) of each run, drawn from their distribution."""
+        """Return the forces (N) of each run for a random draw of H, k_b and L_free within their uncertainty."""
         size = random.standard_normal(len(self.holding) - 1)
         holding = [
             best

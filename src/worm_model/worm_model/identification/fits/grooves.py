@@ -39,7 +39,7 @@ from worm_model.identification.fits.locomotion import (
 )
 from worm_model.simulation.kernel.grooves import GROOVE_COLUMNS, STIFFNESS, THRESHOLD
 
-ROWS = 10  # grooves of each module: FIRST_GROOVE behind the start, the rest ahead
+ROWS = 10  # number of grooves in the table of a module; most of them lie ahead of its start
 MEANS = 6  # number of shared parameters before the deviations
 # Pairs of values for threshold (m) and relative stiffness (1)
 FIRST_SCATTER = (1e-4, 0.02)  # start of the search for the scatter
@@ -97,7 +97,7 @@ def groove_problem(
     places: NDArray[np.int64],
     scatter: Scatter,
 ) -> Problem:
-    """Return the problem of x1 with means and deviations; the scatter is the prior of the deviations."""
+    """Return the problem of x1 with means and deviations; the scatter is the prior standard deviation."""
     worm = worm_of(known.parameters)
 
     def residuals(run: int, values: Array, own: Array) -> Array:
@@ -112,7 +112,7 @@ def groove_problem(
 def deviation_quantities(
     places: NDArray[np.int64], scatter: Scatter, pitch: float
 ) -> list[Quantity]:
-    """Return the deviations of single grooves; the scatter is their prior."""
+    """Return the quantities for the deviations of single grooves; the scatter is their prior standard deviation."""
     half = 0.5 * pitch
     return [
         Quantity(STEPS[0], -half, half, 0.0, scatter.threshold)
@@ -148,7 +148,7 @@ def fit_uneven(build: Build, start: Solution) -> GrooveFit:
 def _scanned(problem: Problem, solution: Solution, places: NDArray[np.int64]) -> Solution:
     """Return the best solution after trying other thresholds of single grooves.
 
-    A switch that just fails or just happens is a jump of the cost, which no gradient shows.
+    The cost jumps at a threshold at which a switch just fails or just happens. Gradients do not show such a jump.
     """
     first = len(problem.shared) - len(places)
     for entry in first + np.flatnonzero(places[:, 2] == THRESHOLD):

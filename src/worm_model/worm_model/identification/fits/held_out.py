@@ -37,14 +37,17 @@ def leave_one_out(
     power_runs: Sequence[PowerRun],
     energy: EnergyResult,
 ) -> tuple[dict[str, Errors], dict[str, Errors]]:
-    """Return the errors by run with the parameters of the other runs, and with the paper's table.
+    """Return the errors of each run with the parameters fitted to the other runs, and with the paper's table, by name.
 
     For each run, stages 4 to 7 (motion, actuation, idle power, energy) are repeated with the other runs. The fit of the
-    motion starts from the fit to all runs. c_b is fixed if it is not identifiable. Not estimated again are the forces
-    in the energy fit and the scatter of the grooves, which come from the fit to all runs, and the L0 and the smoothed
-    length of the left-out run, which come from that run itself. Both results use the camera's
-    mean clock offset of the other runs. With a single run, the first result is empty, and the second uses the run's own
-    offset.
+    motion starts from the fit to all runs. c_b is fixed if it is not identifiable. Some quantities are not estimated
+    again:
+
+    - The forces in the energy fit and the scatter of the grooves come from the fit to all runs.
+    - L0 and the smoothed length of the left-out run come from that run itself.
+
+    The clock offset of the camera in the left-out run is assumed to be the mean of the other runs, for both results.
+    With a single run, the first result is empty, and the second uses the run's own offset.
     """
     if len(runs) < FEWEST:
         offset = float(actuation.clock_offset.mean())

@@ -16,7 +16,7 @@ import numpy as np
 from worm_model.arrays import Array
 from worm_model.identification.fits.estimate import Estimate, quantile
 
-REFITS = 120
+REFITS = 120  # number of refits of a bootstrap
 
 
 def unit_weights(random: np.random.Generator, units: int) -> Array:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Prediction of a run by a parameter set, and its errors, with the exact model and the run's L0."""
+"""Prediction of a run by the exact model with given parameters and the run's own L0, and errors of the prediction."""
 
 from __future__ import annotations
 
@@ -25,7 +25,8 @@ class RunPrediction:
 
     Attributes:
         time: time on the camera's clock, s, shape (n,).
-        x1: position of the rear module that follows from the measured length, relative to the rest, m, shape (n,).
+        x1: position of the rear module that follows from the measured length, relative to its position at rest, m,
+            shape (n,).
         power: predicted source power, W, shape (n,).
         energy: integral of the power since the first time, J, shape (n,).
         length_change: ΔL that follows from the command, at the camera's samples, m, shape (samples,).
@@ -42,10 +43,10 @@ class RunPrediction:
 class Errors:
     """Errors of a prediction over the traverse, which ends when x1 has advanced by five pitches.
 
-    ``x1_rmse`` (m), ``length_rmse`` (of ΔL, m) and ``power_rmse`` (W) are root mean squares. ``energy_error`` is the
-    predicted minus the measured energy, relative to the measured energy. Without power samples, the errors of power and
-    energy are NaN. If the power samples do not cover the traverse, the error of the energy is NaN. For the traverse see
-    `locomotion.Traverse`.
+    ``x1_rmse`` (m), ``length_rmse`` (of ΔL without outliers, m) and ``power_rmse`` (W) are root mean squares.
+    ``energy_error`` is the predicted minus the measured energy, relative to the measured energy. Without power samples,
+    the errors of power and energy are NaN. If the power samples do not cover the traverse, the error of the energy is
+    NaN. For the traverse see `locomotion.Traverse`.
     """
 
     x1_rmse: float

@@ -55,7 +55,7 @@ MEASUREMENTS = {
 def advise(result: Identification) -> str:
     """Return a sentence with the widest interval, relative to its value, and the measurement that would shrink it most.
 
-    If an estimate of the stages is not identifiable, the sentence states its note instead.
+    If an estimate of `STAGES` is not identifiable, the sentence states the note of the first such estimate instead.
     """
     sought = [key for keys in STAGES.values() for key in keys]
     vague = [key for key in sought if not result.estimates[key].identifiable]
@@ -92,7 +92,10 @@ def _relative_spread(estimate: Estimate, key: str) -> float:
 
 
 def _inherited(result: Identification, key: str) -> float:
-    """Return the fraction of the variance due to earlier stages and given values, which further runs do not reduce."""
+    """Return the share of the variance that is due to earlier stages and given values, at most 0.98.
+
+    Further runs do not reduce this part of the variance.
+    """
     if key in STAGES["energy"]:
         share = result.energy.inherited[STAGES["energy"].index(key)]
     elif key in STAGES["locomotion"]:
@@ -128,7 +131,8 @@ def _best_gait(result: Identification, stage: str, key: str) -> tuple[Gait, floa
         if recording is None:
             continue
         information = _information(result, stage, recording)
-        gain = np.eye(len(keys)) + information @ covariance  # covariances of few runs are singular
+        # The covariance of few runs may be singular and is therefore not inverted.
+        gain = np.eye(len(keys)) + information @ covariance
         posterior = covariance @ np.linalg.inv(gain)
         own = posterior[entry, entry] / covariance[entry, entry]
         shrunk = float(np.sqrt(inherited + (1.0 - inherited) * own))

@@ -41,7 +41,7 @@ _WIDTH = 6.4  # inches
 
 
 def all_figures(result: Identification) -> Iterator[tuple[str, Figure]]:
-    """Yield name and figure, one after the other, so that only one is in memory."""
+    """Yield (name, figure) for each figure; only one figure at a time is in memory."""
     if result.bellows is not None:
         yield "bellows", bellows_figure(result.bellows)
     if result.fin is not None:
@@ -56,7 +56,7 @@ def all_figures(result: Identification) -> Iterator[tuple[str, Figure]]:
 
 
 def bellows_figure(fit: BellowsFit) -> Figure:
-    """Plot force over compression with the fitted line."""
+    """Plot the force as a function of the compression, with the fitted line."""
     figure = new_figure(_WIDTH, 3.2)
     axes = figure.subplots()
     axes.plot(fit.compression * MM, fit.force, **SAMPLES, label="measured")
@@ -69,7 +69,7 @@ def bellows_figure(fit: BellowsFit) -> Figure:
 
 
 def fin_figure(fit: FinFit) -> Figure:
-    """Plot force over displacement with the fitted piecewise linear force and its knees."""
+    """Plot the force as a function of the displacement, with the fitted piecewise linear force and its knees."""
     figure = new_figure(_WIDTH, 3.6)
     axes = figure.subplots()
     axes.plot(fit.displacement * MM, fit.force, **SAMPLES, label="measured")
@@ -90,7 +90,10 @@ def fin_figure(fit: FinFit) -> Figure:
 
 
 def search_figure(result: Identification) -> Figure:
-    """Plot the rms error √J_loc over the switching threshold (minimum over friction) with the fitted interval."""
+    """Plot the rms error √J_loc as a function of the switching threshold, with the interval of the estimate.
+
+    The error is the smallest one for any friction on the grid of the search.
+    """
     landscape = result.locomotion.landscape
     figure = new_figure(_WIDTH, 3.2)
     axes = figure.subplots()

@@ -121,7 +121,10 @@ def parameter_table(estimates: Mapping[str, Estimate]) -> str:
 
 
 def _decimals(estimate: Estimate, factor: float) -> int:
-    """Return the number of decimals that shows two digits of the half-width."""
+    """Return the number of decimals, at most 6, that shows two digits of the interval's half-width.
+
+    If the estimate is not identifiable, a tenth of its value replaces the half-width.
+    """
     half = (
         estimate.spread * factor if estimate.identifiable else abs(estimate.value * factor) / 10.0
     )
@@ -198,7 +201,7 @@ def delay_text(delay: Estimate) -> str:
 
 
 def _milliseconds(offset: float, deviation: float) -> str:
-    """Return a clock offset with its 95 % interval, if identified."""
+    """Return a clock offset with its 95 % half-width in ms as text; "not identified" if the deviation is NaN."""
     if not np.isfinite(deviation):
         return "not identified"
     return f"{offset * 1e3:+.1f} ± {quantile(np.inf) * deviation * 1e3:.1f}"

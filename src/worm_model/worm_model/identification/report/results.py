@@ -53,7 +53,7 @@ def parameter_file(result: Identification, inputs: Inputs) -> ParameterFile:
 
 
 def summary(result: Identification) -> dict[str, Any]:
-    """Return the result as a JSON object; unknown numbers are NaN."""
+    """Return the result as a JSON object; unknown numbers are NaN or None."""
     return {
         "parameters": {key: e.as_dict() for key, e in result.estimates.items()},
         FORM: result.parameters.one_sided_cable,
