@@ -51,8 +51,8 @@ def declare(node: Node, rows: Rows) -> None:
 
     Raises:
         ParameterRejectedError: A value has the wrong type or is out of range, a name is unknown, a parameter is given
-            by its former and its present name, or a parameter file contains only other nodes, one of them with a name
-            similar to this node's.
+            by its former and its present name, or a parameter file has sections only for other nodes, one of
+            them with a name that is similar to this node's and probably misspelt.
     """
     _check_files(node)
     table = rows()
@@ -74,7 +74,9 @@ def declare(node: Node, rows: Rows) -> None:
 def _translated(
     node: Node, floats: frozenset[str], parameters: Sequence[Parameter]
 ) -> list[Parameter]:
-    """Return the parameters with present names in place of former ones. Integers of those in ``floats`` become floats.
+    """Return the parameters with present names in place of former ones.
+
+    An integer value of a parameter whose name is in ``floats`` becomes a float.
 
     Raises:
         ParameterRejectedError: A parameter is given by its former and its present name.
@@ -134,8 +136,8 @@ def declare_none(node: Node) -> None:
     """Reject all given parameters, for a node without parameters of its own.
 
     Raises:
-        SystemExit: A parameter was given, or a parameter file contains only other nodes, one of them with a name
-            similar to this node's. The reason is on standard error.
+        SystemExit: A parameter was given, or a parameter file has sections only for other nodes, one of them with a
+            name that is similar to this node's and probably misspelt. The reason is on standard error.
     """
     try:
         declare(node, list)
@@ -147,11 +149,11 @@ def declare_none(node: Node) -> None:
 def _check_files(node: Node) -> None:
     """Check that the parameter files are for this node, because rcl silently ignores sections with other names.
 
-    A file that contains only other nodes causes a warning. It causes an error if the name of one of them is similar to
-    this node's, because the name is then probably misspelt.
+    A file that has sections only for other nodes causes a warning. It causes an error if the name of one of these
+    sections is similar to this node's, because the name is then probably misspelt.
 
     Raises:
-        ParameterRejectedError: A file contains only other nodes, one of them with a similar name.
+        ParameterRejectedError: A file has sections only for other nodes, one of them with a similar name.
     """
     name = node.get_fully_qualified_name()
     files = (file for option, file in pairwise(sys.argv) if option == _FILE_OPTION)
@@ -221,8 +223,8 @@ def run_node(
         name: name of the executable.
         description: description for ``--help``.
         rows: returns the descriptions of the parameters, for ``--help``.
-        run: creates and serves the node. Its argument returns True once a signal requests the end. It returns the exit
-            status, or None for 0.
+        run: creates and serves the node, and returns the exit status (None means 0). It is called with a function that
+            returns True once a signal requests the end.
         rejections: exceptions that ``run`` raises on bad input.
         arguments: command line with the program's name; None: the command line of the process.
 

@@ -77,7 +77,10 @@ class RobotParameters:
 
 
 def rows_of(table: type[RobotParameters]) -> list[Field[float]]:
-    """Return the fields of a table that are parameters of the robot, without other content of a parameter file."""
+    """Return the fields of `RobotParameters` or a subclass that are parameters of the robot.
+
+    Fields that a subclass adds for other content of a parameter file are left out.
+    """
     return [row for row in fields(table) if row.metadata]
 
 

@@ -33,15 +33,15 @@ def parse_yaml(text: str) -> Any:
     """Return the content of a YAML text. Raises SettingsFileError, also for a duplicate key."""
     try:
         return yaml.load(text, _Loader)
-    except (
-        yaml.YAMLError,
-        RecursionError,
-        ValueError,
-    ) as error:  # ValueError: a date such as 2026-13-01
+    except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         line = f" at line {mark.line + 1}" if mark else ""
-        problem = getattr(error, "problem", None) or "no valid value"
+        problem = getattr(error, "problem", None) or str(error).splitlines()[0]
         raise SettingsFileError(f"is not valid YAML{line}: {problem}") from None
+    except ValueError as error:  # a date such as 2026-13-01
+        raise SettingsFileError(f"contains a value that cannot be read: {error}") from None
+    except RecursionError:
+        raise SettingsFileError("is nested too deeply") from None
 
 
 _MERGE = "tag:yaml.org,2002:merge"  # tag of the key <<

@@ -41,7 +41,7 @@ from worm_msgs.ros_process import ShutdownRequest, spare_pauses
 
 T = TypeVar("T")
 
-#: s, time slice of the interpreter's threads; Python's default of 5 ms would be half a cycle
+#: s, time slice of the interpreter's threads; Python's default of 5 ms would be half a control cycle
 _SWITCH_INTERVAL = 0.0005
 
 #: s, timeout of enabling the servos
@@ -51,7 +51,7 @@ _SERVICE_TIME = 10.0
 #: s, timeout of releasing the servos
 _RELEASE = 5.0
 
-#: s, period of publishing the data of the hardware's threads. It is longer than a cycle, because each wake-up
+#: s, period of publishing the data of the hardware's threads. It is longer than a control cycle, because each wake-up
 #: delays the servo thread.
 _PUBLISH_PERIOD = 0.04
 
@@ -193,7 +193,7 @@ class DriverNode(LifecycleNode):
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Bring the robot to rest, release the servos and close everything.
 
-        After a stop on the way to rest the robot holds, with its torque on.
+        If a stop interrupts the return to rest, the torque stays on if the robot would otherwise spring back.
 
         Returns:
             FAILURE if a servo may still have its torque.
@@ -352,7 +352,7 @@ class DriverNode(LifecycleNode):
         return response
 
     def _do(self, action: Callable[[Hardware, float], T], timeout: float = 2.0) -> T:
-        """Run an action between two cycles, within a timeout (s). Raises DriverError."""
+        """Run an action between two control cycles, within a timeout (s). Raises DriverError."""
         hardware = self._opened()
         return hardware.loop.run(lambda now: action(hardware, now), timeout)
 
@@ -391,8 +391,9 @@ class DriverNode(LifecycleNode):
 def main(args: list[str] | None = None) -> int:
     """Run the driver until SIGINT, SIGTERM or SIGHUP.
 
-    The first signal brings the robot to rest and releases it; a later Ctrl-C releases it at once. After a stop on the
-    way to rest, a robot that would spring back keeps its torque. The exit status is then 1.
+    The first signal brings the robot to rest and releases it; a later Ctrl-C releases it at once. If a stop
+    interrupts the return to rest and the robot is still so contracted that it would spring back, the driver leaves the
+    torque on. The exit status is then 1.
     """
     sys.setswitchinterval(_SWITCH_INTERVAL)
     about = "Run gaits on the robot and publish its measurements, as a lifecycle node."

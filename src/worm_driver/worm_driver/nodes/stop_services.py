@@ -142,7 +142,8 @@ class StopServices:
         response.message = problem or "the emergency stop is off: starts are permitted"
         if gone and not problem:
             response.message += f" ({gone} of its publishers ended without publishing false)"
-        self._logger.error(f"EMERGENCY STOP reset: {response.message}")
+        outcome = "not reset" if problem else "reset"
+        self._logger.error(f"EMERGENCY STOP {outcome}: {response.message}")
         return response
 
 

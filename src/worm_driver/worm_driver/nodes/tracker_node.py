@@ -123,7 +123,8 @@ class TrackerNode(Node):
     def _open(self, source: str) -> None:
         if self._tracker is None:
             raise SetupError(
-                f"camera_info is topic, but the images come from {source}: name a calibration file in camera_info"
+                f"the setup file has camera_info: topic, but the images come from {source}; set camera_info to the "
+                "path of a calibration file"
             )
         camera = self._tracker.camera
         arrival = self.create_guard_condition(self._on_arrival)

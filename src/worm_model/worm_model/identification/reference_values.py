@@ -30,7 +30,7 @@ _SYMBOLS = {"M1": "rear_mass", "M2": "front_mass", "L_free": "unstressed_length"
 _UNITS = {"kg": 1.0, "g": 1e-3, "m": 1.0, "mm": 1e-3}
 _NUMBER = r"([0-9]+(?:\.[0-9]*)?(?:[eE][+-]?[0-9]+)?)"
 _UNIT = r"(kg|g|mm|m)\b"
-# value, its unit unless it follows the bounds, the bounds after ±, and their unit
+# Groups: symbol; value; unit of the value, which may be missing if the bound has a unit; bound after ±; its unit.
 _STATEMENT = re.compile(
     rf"\b(M1|M2|L_free|d)\s*=\s*{_NUMBER}\s*(?:{_UNIT})?(?:\s*(?:±|\+/-|\+-)\s*{_NUMBER}\s*{_UNIT})?"
 )

@@ -83,7 +83,10 @@ def _parameter_rows(
 
 
 def check_bodies(reach: ArrayLike, initial_length: ArrayLike) -> None:
-    """Raise `GaitError` unless each ``reach`` (o + S, m) is below the body length at rest (m). Arguments broadcast."""
+    """Raise `GaitError` unless each ``reach`` (m) is below the body length at rest (m). Arguments broadcast.
+
+    The reach of a gait is its pretension plus its stroke.
+    """
     reaches, lengths = np.broadcast_arrays(*np.atleast_1d(reach, initial_length))
     if reaches.size:
         worst = np.unravel_index(np.argmax(reaches - lengths), reaches.shape)
@@ -93,8 +96,8 @@ def check_bodies(reach: ArrayLike, initial_length: ArrayLike) -> None:
 def _check_rows(rows: Rows) -> None:
     """Raise the `ParameterError` of `Parameters` if a row is not admissible.
 
-    Only the rows are checked that contain the extremes of a column, or the smallest 2·p_sw − d or 2·p_sw − δ_c. If
-    these rows are admissible, all rows are.
+    `Parameters` limits each value, and the differences 2·p_sw − d and 2·p_sw − δ_c. Therefore only the rows with the
+    extremes of these quantities are checked. If these rows are admissible, all rows are.
     """
     suspects = [pick(rows[key]) for key in KEYS for pick in (np.argmin, np.argmax)]
     suspects += [
@@ -157,7 +160,9 @@ def evaluate_gaits(
 def _columns(fields: Mapping[str, ArrayLike]) -> dict[str, Array]:
     unknown = sorted(set(fields) - set(GAIT_ROW.names or ()))
     if unknown:
-        raise GaitError(f"{unknown[0]}: a gait has {', '.join(GAIT_ROW.names or ())}")
+        raise GaitError(
+            f"{unknown[0]}: no field of a gait; there are {', '.join(GAIT_ROW.names or ())}"
+        )
     return {name: np.asarray(values, dtype=float) for name, values in fields.items()}
 
 

@@ -27,7 +27,7 @@ from worm_model.twin.twin import Twin, TwinState
 
 VERSION = 1
 AT_REST_NS = NANOSECONDS  # interval between stored memories while no gait runs
-# fields of the record that describe samples not yet processed, or the running process
+# fields that are not stored: waiting and held samples, sample counters of this process, and stamps that `resume` sets
 _NOT_STORED = frozenset(("present", "old_in_a_row", "ahead", "filled", "place", "counts", "newest"))
 # names in the stored format, by name of the field, where these names differ
 _STORED_NAMES = {

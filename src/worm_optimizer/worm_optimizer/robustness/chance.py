@@ -47,7 +47,7 @@ _Gained = Callable[[Array, Index, Index], Index]
 
 @dataclass(frozen=True)
 class PromiseTask:
-    """Task of eq:moo_formulation in which promises replace the grooves gained with an enlarged threshold.
+    """Task of eq:moo_formulation that counts the promise of a gait instead of the grooves it gains with a margin.
 
     A gait's promise is the largest number of grooves per cycle that it keeps in a share of at least ``probability`` of
     the ``scenarios``. The speed of the gait is promise · d · f, and its power is that of the nominal robot. The margin
@@ -60,7 +60,9 @@ class PromiseTask:
 
     def __post_init__(self) -> None:
         if not 0.0 < self.probability <= 1.0:
-            raise OptimizerError(f"probability: {self.probability} is not above 0 and at most 1")
+            raise OptimizerError(
+                f"probability: must be above 0 and at most 1, not {self.probability}"
+            )
 
     @property
     def bounds(self) -> Bounds:

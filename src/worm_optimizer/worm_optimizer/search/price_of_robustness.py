@@ -97,7 +97,9 @@ class PriceOfRobustness:
 
     @property
     def margin(self) -> float:
-        """Chosen margin in m: the last of the scan before the cliff; without one, the largest at which a gait moves.
+        """Chosen margin in m: the last scanned margin below the cliff.
+
+        If there is no cliff, it is the largest scanned margin at which a gait moves.
 
         Raises `OptimizerError` if no gait moves at any margin.
         """
@@ -168,7 +170,10 @@ def scan(task: ScannedTask, margins: Array) -> tuple[MarginPoint, ...]:
 
 
 def _followed(task: ScannedTask, brackets: Sequence[exact.Bracket], margins: Array) -> list[Points]:
-    """Minimise the cost in each bracket, and return the minima of each margin; ``owner`` is the index of the margin."""
+    """Minimise the cost in each bracket, and return the minima of each margin.
+
+    The field ``owner`` of a bracket is the index of its margin.
+    """
     owner = np.array([bracket.owner for bracket in brackets], dtype=np.int64)
 
     def find(bracket: Index, count: Index, frequency: Array, strokes: Array) -> Edges:
@@ -211,7 +216,7 @@ def _is_lost(before: MarginPoint, after: MarginPoint) -> bool:
 
 
 def _bisected(task: ScannedTask, before: MarginPoint, after: MarginPoint) -> float:
-    """Return the margin (m) at the cliff between two margins of the scan: the largest one tried before the cliff."""
+    """Bisect between two scanned margins, and return the largest evaluated margin (m) that is below the cliff."""
     low, high = before.margin, after.margin
     while high - low > CLIFF_TOLERANCE:
         middle = 0.5 * (low + high)

@@ -31,7 +31,7 @@ _TIMED_POINTS = 3  # number of points whose computation `estimate` times
 class Counts:
     """Numbers of points of a study: all ``points``, finished ones (``done``), and ``failed`` ones among the finished.
 
-    For a fleet, these are numbers of bags.
+    If a study compares many bags (see `fleet`), each point is a bag.
     """
 
     points: int

@@ -213,6 +213,15 @@ def test_of_a_damaged_compressed_file_the_beginning_is_saved(tmp_path: Path):
     assert 0 < recover(path, tmp_path / "saved").messages < COUNT
 
 
+def test_a_compressed_file_without_a_readable_beginning_is_not_called_empty(tmp_path: Path):
+    path = tmp_path / "a.mcap.zstd"
+    path.write_bytes(b"not compressed" * 30)
+    for act in (open_bag, recover):
+        with pytest.raises(BagError, match="decompresses to nothing") as error:
+            act(path)
+        assert str(path) in str(error.value)
+
+
 def test_a_compressed_file_that_grows_beyond_all_recordings_is_rejected(tmp_path: Path):
     path = tmp_path / "a.mcap.zstd"
     packed = ZstdCompressor().compress(bytes(1 << 24))

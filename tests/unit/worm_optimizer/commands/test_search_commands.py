@@ -168,7 +168,10 @@ def test_an_unreachable_request_is_rejected_with_the_nearest(run):
         (["--robustness", "luck"], "invalid choice: 'luck'"),
         (["--robustness", "chance", "--margin", "0.002"], "--margin 0.002 has no effect"),
         (["--robustness", "chance", "--margin-n", "2"], "--margin-n 2 has no effect"),
-        (["--robustness", "chance", "--probability", "2"], "probability: 2.0 is not above 0"),
+        (
+            ["--robustness", "chance", "--probability", "2"],
+            "probability: must be above 0 and at most 1, not 2.0",
+        ),
     ],
 )
 def test_bad_input_is_one_line_and_status_2(run, arguments, expected):

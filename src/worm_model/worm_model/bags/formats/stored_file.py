@@ -51,7 +51,7 @@ class StoredFile(ABC):
 
     Attributes:
         data: bytes of the file, decompressed.
-        contents: contents of the file without its messages.
+        contents: what the file contains besides the messages: topics, their counts, and places of messages and damage.
 
     Raises:
         BagError: The file is missing or empty, or cannot be read.
@@ -82,12 +82,12 @@ class StoredFile(ABC):
 
     @abstractmethod
     def _survey(self) -> Contents:
-        """Return the contents of the file."""
+        """Return what the file contains besides the messages, see `contents`."""
 
     @property
     @abstractmethod
     def channels(self) -> Mapping[int, Topic]:
-        """Topics by the number of their channel, without their counts."""
+        """Topics by channel number. Their field ``count`` (number of messages) is not set."""
 
     @abstractmethod
     def blocks(
@@ -124,7 +124,8 @@ def _unpacked(path: Path) -> BinaryIO:
 
     Raises:
         BagError: The content is larger than LARGEST_RATIO times the file, or larger than half of the free space for
-            temporary files. The other half stays free for other processes.
+            temporary files. The other half stays free for other processes. Or a file that is not empty has no content
+            before its first damage.
     """
     free = shutil.disk_usage(gettempdir()).free // 2
     most, size = min(free, LARGEST_RATIO * path.stat().st_size), 0
@@ -141,5 +142,10 @@ def _unpacked(path: Path) -> BinaryIO:
                 )
                 raise BagError(f"{path} decompresses to more than {most} bytes, {limit}")
             unpacked.write(piece)
+    if not size and path.stat().st_size:
+        unpacked.close()
+        raise BagError(
+            f"{path} decompresses to nothing: it is damaged from its beginning, or nothing was recorded"
+        )
     unpacked.flush()
     return unpacked

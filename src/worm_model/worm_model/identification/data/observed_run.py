@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One run as data of the identification: commands and measurements from the gait's onset on."""
+"""One run as data of the identification: the command from the onset on, and measurements from the rest before it."""
 
 from __future__ import annotations
 
@@ -30,12 +30,13 @@ from worm_model.simulation.simulator import Locomotion
 
 # ns before the onset that are read if the recording does not contain the beginning of the rest
 LONGEST_REST = 3_000_000_000
-FEWEST_SAMPLES = 20  # smallest number of samples of an instrument
+FEWEST_SAMPLES = 20  # smallest number of samples of a topic
 # m, largest distance between starts that count as the same place; about half the paper's clearance
 SAME_PLACE = 4e-3
 # m; the cable has reached a pretension if the command deviates from the pretension by at most this
 TENSIONED = 5e-4
-# ns from reaching the pretension until the body rests: five time constants; a driver waits longer
+# ns that the body needs to come to rest after the cable has reached the pretension: five time constants of the paper's
+# parameters. With its default settings, the driver begins the gait later than that.
 TENSIONED_REST = 800_000_000
 MOST_MISFIT = 1e-3  # m, largest median deviation of the commanded lengths from the recorded gait
 
@@ -233,8 +234,8 @@ def _onset_shift(time: Array, command: Array, gait: Gait, name: str) -> float:
     worst = float(np.median(np.abs(misfit(fit.x)[played]))) * 1e-3
     if worst > MOST_MISFIT or abs(fit.x[0]) > 0.25 * gait.period:
         raise IdentificationError(
-            f"{name}: the commanded lengths are not the gait of {gait.stroke:g} m at "
-            f"{gait.frequency:g} Hz that the bag states; correct the gait"
+            f"{name}: the commanded lengths of body_length are not the gait of {gait.stroke:g} m at "
+            f"{gait.frequency:g} Hz in gait_state: one of the two topics is wrong"
         )
     return float(fit.x[0])
 
