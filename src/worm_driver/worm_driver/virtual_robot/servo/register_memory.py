@@ -29,18 +29,22 @@ class RegisterMemory:
         self._rows = model.registers
         self._modes = model.modes
         self._by_address = {row.address: row for row in self._rows.values()}
+        self._places = {
+            name: (slice(row.address, row.address + row.size), row.size, row.signed)
+            for name, row in self._rows.items()
+        }
         self._bytes = bytearray(control_table.TABLE_END)
         self.set_to_factory(keep=())
         for name, value in settings.items():
             self[name] = value
 
     def __getitem__(self, name: str) -> int:
-        row = self._rows[name]
-        return row.decode(self._bytes[row.address : row.address + row.size])
+        place, _, signed = self._places[name]
+        return int.from_bytes(self._bytes[place], "little", signed=signed)
 
     def __setitem__(self, name: str, value: int) -> None:
-        row = self._rows[name]
-        self._bytes[row.address : row.address + row.size] = row.encode(value)
+        place, size, signed = self._places[name]
+        self._bytes[place] = value.to_bytes(size, "little", signed=signed)
 
     def __contains__(self, name: str) -> bool:
         return name in self._rows
