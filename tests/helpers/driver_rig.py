@@ -5,11 +5,15 @@ Nothing here waits: a timeout of the driver is a jump of the clock. An operation
 exactly that in every run, however busy the machine is.
 """
 
+import copyreg
 import errno
 import math
+import threading
 from collections.abc import Callable, Iterator
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import cache
+from types import MappingProxyType
 
 import serial
 
@@ -31,6 +35,12 @@ from worm_driver.virtual_robot.virtual_settings import RobotSettings, load_setti
 from worm_driver.virtual_robot.wire import smbus_frames as frames
 from worm_driver.virtual_robot.wire.faults import make_fault
 from worm_driver.virtual_robot.wire.packet import Instruction, InstructionReader
+
+# `Rig.copy`: the copy gets its own threads and events, as the rig starts none. It shares the read-only tables.
+copyreg.pickle(threading.Thread, lambda _: (threading.Thread, ()))
+copyreg.pickle(threading.Event, lambda _: (threading.Event, ()))
+copyreg.pickle(type(threading.Lock()), lambda _: (threading.Lock, ()))
+copyreg.pickle(MappingProxyType, lambda _: "the table itself")
 
 BAUD_RATE = 1_000_000
 BYTE_TIME = 10 / BAUD_RATE
@@ -222,6 +232,7 @@ class Rig:
         self.speeds: list[tuple[float, float]] = []
         self.positions: list[tuple[float, float]] = []
         self.samples: list[PowerSample] = []
+        self._valid = 0
         self.snapshots: list[Snapshot] = []
         self.settings = driver or settings()
         self.sensor = INA219(
@@ -237,7 +248,7 @@ class Rig:
             clock=self.clock,
             why_not_start=why_not_start,
         )
-        self.loop = ControlLoop(self.robot, self.snapshots.append, self.clock)
+        self.loop = ControlLoop(self.robot, self._publish, self.clock)
         self.ended = False
 
     def advance(self, time: float) -> None:
@@ -257,8 +268,25 @@ class Rig:
                 self.goals.append(WrittenGoal(now, number, ticks, shaft))
         return [(t.time, t.data) for t in self.virtual.receive(data, now)]
 
+    def _publish(self, snapshot: Snapshot) -> None:
+        self.snapshots.append(snapshot)
+
     def _valid_samples(self) -> int:
-        return sum(sample.status is SampleStatus.VALID for sample in self.samples)
+        return self._valid
+
+    def copy(self) -> "Rig":
+        """Return a rig in the same state. Neither rig notices what happens to the other one."""
+        past = (
+            self.wire.sent,
+            self.goals,
+            self.speeds,
+            self.positions,
+            self.samples,
+            self.snapshots,
+        )
+        unchanging = [self.settings, self.virtual.settings, self.virtual.plant]
+        unchanging += [item for record in past for item in record]
+        return deepcopy(self, {id(item): item for item in unchanging})
 
     def restarted_driver(self, driver: DriverSettings | None = None) -> "Rig":
         """Return a new driver on the same virtual robot."""
@@ -289,7 +317,9 @@ class Rig:
             period = self.settings.period
             self.clock.now = (int(self.clock.now / period + 1e-6) + 1) * period
             self.advance(self.clock.now)
-            self.samples.append(self.sensor.sample(self.clock.now))
+            sample = self.sensor.sample(self.clock.now)
+            self.samples.append(sample)
+            self._valid += sample.status is SampleStatus.VALID
             self.ended = not self.loop._step(self.clock.now)
             if until is not None and until(self.snapshots[-1]):
                 return self.snapshots[-1]
@@ -337,6 +367,31 @@ class Rig:
         self.speeds.clear()
         self.run(longest)
         return max((time for time, speed in self.speeds if speed > 0.002), default=begin) - begin
+
+
+@cache
+def _idle() -> Rig:
+    rig = Rig()
+    rig.activate()
+    rig.run(0.2)
+    return rig
+
+
+@cache
+def _moving() -> Rig:
+    rig = Rig()
+    rig.run_into_motion()
+    return rig
+
+
+def idle() -> Rig:
+    """Return a rig of its own with the torque on."""
+    return _idle().copy()
+
+
+def moving() -> Rig:
+    """Return a rig of its own in a gait, at full speed."""
+    return _moving().copy()
 
 
 def silent(bus: ServoBus, servo: int) -> bool:

@@ -4,7 +4,7 @@
 from dataclasses import replace
 
 import pytest
-from driver_rig import CABLE, Rig, settings
+from driver_rig import CABLE, Rig, idle, moving, settings
 from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
@@ -25,17 +25,20 @@ JUMPS = [-8192, -4096, -1000, -600, -300, -200, 200, 300, 600, 1000, 4096, 12288
 FIN = 11
 
 
-def idle() -> Rig:
-    rig = Rig()
-    rig.activate()
-    rig.run(0.2)
-    return rig
-
-
-def running() -> Rig:
-    rig = Rig()
-    rig.run_into_motion()
-    return rig
+def test_a_copied_rig_continues_like_the_original_and_leaves_it_alone():
+    rig = moving()
+    copies = rig.copy(), rig.copy()
+    before = (len(rig.snapshots), len(rig.positions), len(rig.samples), rig.virtual.time)
+    for copied in copies:
+        copied.inject("wrong_position", target=CABLE, count=2, value=600)
+        copied.run(0.3)
+    assert (len(rig.snapshots), len(rig.positions), len(rig.samples), rig.virtual.time) == before
+    rig.inject("wrong_position", target=CABLE, count=2, value=600)
+    rig.run(0.3)
+    for copied in copies:
+        assert copied.snapshots == rig.snapshots
+        assert copied.positions == rig.positions
+        assert copied.wire.sent == rig.wire.sent
 
 
 def moved(rig: Rig, since: int) -> float:
@@ -68,7 +71,7 @@ def test_one_wrong_sample_moves_nothing_while_idle_and_ends_nothing(jump):
 
 @pytest.mark.parametrize("jump", JUMPS)
 def test_one_wrong_sample_does_not_disturb_a_gait(jump):
-    rig = running()
+    rig = moving()
     rig.inject("wrong_position", target=CABLE, count=1, value=jump)
     begin = len(rig.snapshots)
     rig.run(0.5)
@@ -96,7 +99,7 @@ def test_wrong_samples_while_idle_are_a_fault_and_move_nothing(jump, count):
 
 @pytest.mark.parametrize("jump", JUMPS)
 def test_wrong_samples_during_a_gait_stop_it_where_it_is(jump):
-    rig = running()
+    rig = moving()
     rig.inject("wrong_position", target=CABLE, value=jump, duration=1e6)
     here = rig.cable.motor.position
     assert rig.time_to_stop(1.0) < 0.100
@@ -107,7 +110,7 @@ def test_wrong_samples_during_a_gait_stop_it_where_it_is(jump):
 
 
 def test_wrong_samples_are_not_published():
-    rig = running()
+    rig = moving()
     rig.inject("wrong_position", target=CABLE, value=2000, duration=1e6)
     begin = len(rig.snapshots)
     rig.run(0.5)
@@ -124,7 +127,7 @@ def test_wrong_samples_are_not_published():
     st.booleans(),
 )
 def test_sequences_of_wrong_samples(errors, in_motion):
-    rig = running() if in_motion else idle()
+    rig = moving() if in_motion else idle()
     here = rig.cable.motor.position
     for cycles, jump, count in errors:
         rig.inject("wrong_position", target=CABLE, count=count, value=jump)
@@ -137,7 +140,7 @@ def test_sequences_of_wrong_samples(errors, in_motion):
 
 
 def test_a_wrong_sample_followed_by_a_real_fault_holds():
-    rig = running()
+    rig = moving()
     rig.inject("wrong_position", target=CABLE, count=1, value=600)
     rig.inject("no_answer", duration=5.0)
     assert rig.time_to_stop(1.0) < 0.100
@@ -145,7 +148,7 @@ def test_a_wrong_sample_followed_by_a_real_fault_holds():
 
 
 def test_a_wrong_sample_at_a_stop_does_not_move_the_hold():
-    rig = running()
+    rig = moving()
     rig.inject("wrong_position", target=CABLE, count=1, value=1000)
     rig.run(GIVEN.period)
     here = rig.cable.motor.position
@@ -212,7 +215,7 @@ def test_a_status_packet_with_another_servos_id_moves_nothing(sender, claimed, c
 
 @pytest.mark.parametrize("sender", [11, 12])
 def test_another_servos_packet_during_a_gait(sender):
-    rig = running()
+    rig = moving()
     rig.inject("wrong_id", target=sender, value=CABLE, duration=1e6)
     rig.inject("no_answer", target=CABLE, duration=1e6)
     assert rig.time_to_stop(1.0) < 0.100
@@ -258,7 +261,7 @@ def test_a_wrong_sample_at_any_moment_of_an_activation_moves_nothing(number, jum
 @pytest.mark.parametrize("number", range(1, 11))
 def test_a_wrong_sample_while_a_contracted_robot_is_taken_over_moves_nothing(number, jump):
     """Its torque is on: a wrong goal would act at once."""
-    first = running()
+    first = moving()
     rig = first.restarted_driver(settings(home_at_start=False))
     rig.run(0.1)
     assert rig.robot.actuators.left_on
@@ -327,7 +330,7 @@ def test_a_wrong_position_of_one_of_two_cable_servos_stops_both(servo, jump):
 
 def test_a_stop_right_after_an_activation_holds_where_the_servo_was_enabled():
     """The body still springs back: a position from before the activation must not be held."""
-    rig = running()
+    rig = moving()
     rig.robot.release()
     rig.run(0.02)
     rig.robot.activate(rig.clock.now)
@@ -410,7 +413,7 @@ def test_a_wrong_position_of_a_fin_during_a_stop_moves_no_fin_there(jump):
 
 @pytest.mark.parametrize("late", [0.02, 0.05])
 def test_a_return_to_rest_keeps_to_its_speed_after_late_cycles(late):
-    rig = running()
+    rig = moving()
     rig.robot.stop(rig.clock.now, "stop")
     rig.run(0.5)
     rig.robot.ramp_to_rest(rig.clock.now, "over")

@@ -4,7 +4,7 @@
 import math
 
 import pytest
-from driver_rig import Rig
+from driver_rig import Rig, moving
 
 from worm_driver.errors import LimitError, StoppedError
 from worm_driver.gait.gait_player import Phase
@@ -12,8 +12,7 @@ from worm_driver.gait.gait_player import Phase
 
 def closing(passed: float) -> Rig:
     """Return a driver that is shut down in the middle of a stroke, after a time (s) of its return to rest."""
-    rig = Rig()
-    rig.run_into_motion()
+    rig = moving()
     rig.loop.shutdown("the driver ends")
     if passed:
         rig.run(passed)
@@ -88,8 +87,7 @@ def test_a_stop_that_comes_when_it_is_at_rest_does_not_keep_the_torque():
 
 def test_a_robot_that_was_stopped_before_is_brought_to_rest():
     """The signal is a new command of an operator."""
-    rig = Rig()
-    rig.run_into_motion()
+    rig = moving()
     rig.robot.stop(rig.clock.now, "stop")
     rig.run(0.5)
     rig.loop.shutdown("the driver ends")
@@ -106,8 +104,7 @@ def latched(rig: Rig) -> Rig:
 
 
 def test_while_nothing_may_start_it_is_not_brought_to_rest_either():
-    rig = Rig()
-    rig.run_into_motion()
+    rig = moving()
     held = contraction(latched(rig))
     rig.loop.shutdown("the driver ends")
     assert ended(rig) != []
@@ -116,8 +113,7 @@ def test_while_nothing_may_start_it_is_not_brought_to_rest_either():
 
 
 def test_no_deactivation_moves_a_robot_before_its_emergency_stop_is_reset():
-    rig = Rig()
-    rig.run_into_motion()
+    rig = moving()
     held = contraction(latched(rig))
     assert held > 0.01
     with pytest.raises(StoppedError, match="the emergency stop is on"):
@@ -144,8 +140,7 @@ def test_during_an_emergency_stop_a_robot_that_is_not_contracted_is_released_wit
 
 
 def test_in_fault_a_person_releases_the_torque_also_during_an_emergency_stop():
-    rig = Rig()
-    rig.run_into_motion()
+    rig = moving()
     rig.inject("no_answer", target=11, duration=1e6)
     rig.run(1.0, until=lambda s: s.player.phase is Phase.FAULT)
     latched(rig)
@@ -163,8 +158,7 @@ def test_a_fault_while_it_shuts_down_leaves_the_torque_on():
 
 def test_a_fault_on_the_way_to_rest_of_a_deactivation_releases_no_torque():
     """Only a deactivation that is requested in FAULT may let a contracted robot spring back."""
-    rig = Rig()
-    rig.run_into_motion()
+    rig = moving()
     rig.robot.ramp_to_rest(rig.clock.now, "deactivated")
     rig.run(0.2)
     rig.inject("no_answer", target=11, duration=1e6)

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
-from driver_rig import CABLE, Rig, settings
+from driver_rig import CABLE, Rig, moving, settings
 
 from worm_driver.control.supervision import Limits
 from worm_driver.errors import BusError, ConfigurationError, HomingError, LimitError
@@ -33,12 +33,6 @@ STOP = 0.100
 @pytest.fixture
 def rig() -> Rig:
     return Rig()
-
-
-def moving() -> Rig:
-    rig = Rig()
-    rig.run_into_motion()
-    return rig
 
 
 def before_write(rig: Rig, servo: int, register: str, deed: Callable[[], None]) -> None:

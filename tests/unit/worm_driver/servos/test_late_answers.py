@@ -4,7 +4,7 @@
 import re
 
 import pytest
-from driver_rig import Rig
+from driver_rig import Rig, moving
 
 from worm_driver.errors import DriverError
 from worm_driver.gait.gait_player import Phase
@@ -88,8 +88,7 @@ def test_a_driver_that_was_opened_on_late_answers_learns_better(late):
 @pytest.mark.parametrize("duration", [0.02, 0.06, 0.3])
 @pytest.mark.parametrize("late", LATE)
 def test_lateness_in_a_gait_is_called_lateness(late, duration):
-    rig = Rig()
-    rig.run_into_motion()
+    rig = moving()
     rig.inject("late", duration=duration, value=late)
     snapshot = rig.run(duration + 0.2)
     assert not FALSE.search(snapshot.player.message), snapshot.player.message
