@@ -3,15 +3,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from matplotlib.animation import FFMpegWriter
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.text import Text
 from PIL import Image
 
 from worm_model.analysis.plot_style import COMMANDED, MEASURED, MM, finish
@@ -60,8 +63,8 @@ def write_animation(run: SimulatedRun, path: Path, report: Callable[[float], Non
 
     ``report`` is called with the fraction done, 0 to 1. After an exception, the unfinished file is removed.
     """
-    figure, show = animated_figure(run)
-    write = _write_gif if path.suffix.lower() == ".gif" else _write_mp4
+    figure, moving, show = animated_figure(run)
+    write = partial(_write_gif, moving) if path.suffix.lower() == ".gif" else _write_mp4
     rate = 1.0 / float(run.time[1] - run.time[0])
 
     def shown() -> Iterator[int]:
@@ -77,14 +80,25 @@ def write_animation(run: SimulatedRun, path: Path, report: Callable[[float], Non
         raise
 
 
-def _write_gif(figure: Figure, shown: Iterator[int], rate: float, path: Path) -> None:
-    """Write a frame for each shown index; all frames use the palette of the first frame."""
+def _write_gif(
+    moving: Sequence[Artist], figure: Figure, shown: Iterator[int], rate: float, path: Path
+) -> None:
+    """Write a frame for each shown index; all frames use the palette of the first frame.
+
+    All but the ``moving`` parts are drawn only once.
+    """
     canvas = FigureCanvasAgg(figure)
+    for part in moving:
+        part.set_animated(True)  # then the canvas does not draw it
+    canvas.draw()
+    background = canvas.copy_from_bbox(figure.bbox)
 
     def frames() -> Iterator[Image.Image]:
         palette: Image.Image | None = None
         for _ in shown:
-            canvas.draw()
+            canvas.restore_region(background)
+            for part in moving:
+                figure.draw_artist(part)
             frame = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
             palette = palette or palette_of(frame)
             yield frame.quantize(palette=palette, dither=Image.Dither.NONE)
@@ -121,11 +135,14 @@ def _write_mp4(figure: Figure, shown: Iterator[int], rate: float, path: Path) ->
             writer.grab_frame()
 
 
-def animated_figure(run: SimulatedRun) -> tuple[Figure, Callable[[int], None]]:
-    """Return a figure and the function that shows the sample with a given index in this figure."""
+def animated_figure(
+    run: SimulatedRun,
+) -> tuple[Figure, Sequence[Artist], Callable[[int], None]]:
+    """Return a figure, its moving parts, and the function that shows the sample with a given index in this figure."""
     figure = Figure(figsize=_SIZE, dpi=_DPI)
     pipe, length, power = (figure.add_axes(place) for place in _PLACES)
-    move_robot = _animated_robot(pipe, run)
+    advanced = figure.text(0.01, 0.95, "")
+    move_robot = _animated_robot(pipe, advanced, run)
     change = MM * (run.motions.length - run.parameters.initial_length)
     length.plot(run.time, MM * run.command, label="commanded", **COMMANDED)
     length.plot(run.time, change, label="realised", **MEASURED)
@@ -143,15 +160,18 @@ def animated_figure(run: SimulatedRun) -> tuple[Figure, Callable[[int], None]]:
         for dot, values in zip(dots, (change, run.motions.power), strict=True):
             dot.set_data([run.time[index]], [values[index]])
 
-    return figure, show
+    return figure, [pipe, advanced, *dots], show
 
 
 def _dot(axes: Axes) -> Line2D:
     return axes.plot([], [], "o", color="black", markersize=6, zorder=6)[0]
 
 
-def _animated_robot(axes: Axes, run: SimulatedRun) -> Callable[[int], None]:
-    """Draw the pipe and the robot, and return the function that shows the sample with a given index."""
+def _animated_robot(axes: Axes, advanced: Text, run: SimulatedRun) -> Callable[[int], None]:
+    """Draw the pipe and the robot, and return the function that shows the sample with a given index.
+
+    The text ``advanced`` shows the time and the grooves gained so far.
+    """
     motions, pitch = run.motions, run.parameters.pitch
     low, high = float(motions.x1.min()) - _ROOM, float(motions.x2.max()) + _ROOM
     travel = float(np.ptp(motions.x1))
@@ -160,7 +180,6 @@ def _animated_robot(axes: Axes, run: SimulatedRun) -> Callable[[int], None]:
     width = high - low - max(travel - _MOST_TRAVEL, 0.0)
     prepare_axes(axes, low, low + width)
     explain_colours(axes.figure, loc="upper right")
-    advanced = axes.figure.text(0.01, 0.95, "")
     front = motions.front_anchor[0]
     progress = (run.time - run.time[0]) / (run.time[-1] - run.time[0])
     shift = (high - low - width) * (progress if run.gait.direction > 0 else 1.0 - progress)

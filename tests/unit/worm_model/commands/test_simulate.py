@@ -149,7 +149,7 @@ def test_an_animation_that_is_cancelled_leaves_no_file(tmp_path):
 
 def test_the_view_follows_a_robot_that_crawls_far(tmp_path):
     simulated = simulated_run(Gait(0.0755, 0.2), PAPER, 8, 2.0)
-    figure, show = animated_figure(simulated)
+    figure, _, show = animated_figure(simulated)
     pipe = figure.axes[0]
     for index in (0, simulated.time.size // 2, simulated.time.size - 1):
         show(index)
