@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor, as_completed
@@ -49,20 +50,24 @@ class GaitTable:
 
 def _gait_rows(fields: Mapping[str, ArrayLike], shape: tuple[int, ...]) -> Rows:
     """Return the gaits as rows (n,) of GAIT_ROW. Raises the errors of `evaluate_gaits`."""
-    rows = np.empty(int(np.prod(shape)), GAIT_ROW)
-    for name in GAIT_ROW.names or ():
-        rows[name] = np.broadcast_to(np.asarray(fields[name], dtype=float), shape).ravel()
+    names = GAIT_ROW.names or ()
+    rows = np.empty(math.prod(shape), GAIT_ROW)
+    grid = rows.reshape(shape)
+    for name in names:
+        grid[name] = fields[name]
     if not len(rows):
         return rows
-    if not all(np.all(np.isfinite(rows[name])) for name in GAIT_ROW.names or ()):
-        raise ValueError(f"gaits: every {', '.join(GAIT_ROW.names or ())} must be finite")
+    columns = rows.view(float).reshape(len(rows), len(names))
+    extremes = columns.min(axis=0), columns.max(axis=0)  # NaN if a column contains NaN
+    if not np.all(np.isfinite(extremes)):
+        raise ValueError(f"gaits: every {', '.join(names)} must be finite")
     if np.any(np.abs(rows["direction"]) != 1.0):
         raise GaitError("direction: every direction must be 1 (forward) or -1 (reverse)")
-    if not np.all(np.isin(rows["profile"], list(Profile))):
+    if not np.all(np.any([rows["profile"] == profile for profile in Profile], axis=0)):
         raise GaitError(f"profile: every profile must be one of {', '.join(map(str, Profile))}")
     # The limits of a column do not depend on other columns, so it is sufficient to check the extremes of each column.
-    for extreme in (np.min, np.max):
-        Gait(**{name: extreme(rows[name]).item() for name in GAIT_ROW.names or ()})
+    for extreme in extremes:
+        Gait(**dict(zip(names, extreme.tolist(), strict=True)))
     return rows
 
 
