@@ -260,6 +260,8 @@ def test_the_reference_of_the_packages_is_built(tmp_path: Path):
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout == f"{tmp_path}/docs/index.html\n"
+    drawn = {path.name for path in (tmp_path / "docs" / "pictures").iterdir()}
+    assert drawn == {path.name for path in (ROOT / "docs/figures/model").iterdir()}
     for module in ("worm_driver/virtual_robot/offline_run", "worm_model/gait"):
         assert (tmp_path / "docs" / f"{module}.html").exists()
     assert not (tmp_path / "docs" / "worm_driver" / "servos").exists()  # internal names
