@@ -13,7 +13,7 @@ from dynamixel_sdk import PacketHandler, PortHandler
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.srv import ListParameters
-from rclpy.action import ActionClient
+from rclpy.action import ActionClient, ActionServer
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import NodeNameNonExistentError
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -70,8 +70,15 @@ class Probe:
         self._executor.add_node(self.node)
 
     def close(self) -> None:
-        """End the node and its context."""
+        """End the node and its context.
+
+        `destroy_node` leaves action servers and clients alive until the garbage collector finds them. A later test in
+        the same domain would discover them.
+        """
         self._executor.shutdown()
+        for waitable in list(self.node.waitables):
+            if isinstance(waitable, ActionServer | ActionClient):
+                waitable.destroy()
         self.node.destroy_node()
         self._context.try_shutdown()
 

@@ -17,10 +17,12 @@ def pytest_runtest_makereport(item: pytest.Item):
         if page is not None and not page.is_closed():
             report.sections.append(("text of the page", page.locator("body").inner_text()))
         for given in getattr(item, "funcargs", {}).values():
-            report.sections += [
-                (f"output of {process.name}", process.output())
-                for process in getattr(given, "processes", {}).values()
-            ]
+            group = given if isinstance(given, Processes) else getattr(given, "processes", None)
+            if isinstance(group, Processes):
+                report.sections += [
+                    (f"output of {process.name}", process.output())
+                    for process in group.processes.values()
+                ]
     return report
 
 
