@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from harness import LATCHED, NAMESPACE, TIMEOUT_S, Probe, Processes
+from harness import LATCHED_QUEUE, NAMESPACE, TIMEOUT_S, Probe, Processes
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from std_msgs.msg import Bool
@@ -33,7 +33,7 @@ class Lab:
         robot = processes.start_node("worm_driver", "virtual_robot", "--directory", str(folder))
         robot.wait_for_line("^ready: ", TIMEOUT_S)
         self.start_driver("driver")
-        self.states = probe.collect(GaitState, "gait_state", LATCHED)
+        self.states = probe.collect(GaitState, "gait_state", LATCHED_QUEUE)
         self._commands = 0
 
     def start_driver(self, name: str, port: str = "servo_bus") -> Process:

@@ -162,7 +162,9 @@ class Gait:
 
 def _check(name: str, value: float, unit: str, low: float, high: float) -> None:
     if not (math.isfinite(value) and low < value <= high):
-        raise GaitError(f"{name}: {value} {unit} is not above {low:g} and at most {high:g} {unit}")
+        raise GaitError(
+            f"{name}: {value} {unit}; it must be above {low:g} and at most {high:g} {unit}"
+        )
 
 
 def _check_within(name: str, value: float, unit: str, low: float, high: float) -> None:

@@ -2,7 +2,7 @@
 """Reader of YAML files that a person edits."""
 
 import difflib
-from collections.abc import Hashable, Iterable
+from collections.abc import Collection, Hashable
 from pathlib import Path
 from typing import Any
 
@@ -68,7 +68,7 @@ def _unique_mapping(loader: _Loader, node: yaml.MappingNode) -> dict[Hashable, A
 _Loader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _unique_mapping)
 
 
-def unknown_name(kind: str, name: str, known: Iterable[str]) -> str:
+def unknown_name(kind: str, name: str, known: Collection[str]) -> str:
     """Return a message that a name is unknown. The message names the most similar known name, else all known names."""
     near = difflib.get_close_matches(name, known, n=1)
     hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(known)}"

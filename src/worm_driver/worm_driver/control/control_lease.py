@@ -34,7 +34,7 @@ class ControlLease:
             now: present time, s.
 
         Raises:
-            ValueError: The lease is not above 0 and at most MAX_LEASE.
+            ValueError: The lease is 0 or less, or more than MAX_LEASE.
         """
         if not 0.0 < lease <= MAX_LEASE:
             raise ValueError(

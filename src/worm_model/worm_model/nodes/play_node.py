@@ -313,7 +313,7 @@ class PlayNode(Node):
 def _positive(text: str) -> float:
     value = number(text)
     if value <= 0.0:
-        raise argparse.ArgumentTypeError(f"{text} is not above 0")
+        raise argparse.ArgumentTypeError(f"{text}: it must be above 0")
     return value
 
 

@@ -44,8 +44,7 @@ MISSED_REAR = EventCode(
 MISSED_FRONT = EventCode(
     "missed_groove_front",
     "a groove missed by the front fin",
-    "the front fin missed its last groove in the cycle before the one that the event names; x1 falls behind only in "
-    "the named cycle",
+    "the front fin missed its last groove. The event names the next cycle, because only then x1 falls behind",
     "tracker; power",
 )
 GAINED = EventCode(

@@ -185,8 +185,8 @@ class MarginTask:
             )
         if self.limits.electrical_power <= idle:
             raise OptimizerError(
-                f"limits: electrical_power = {self.limits.electrical_power:g} W is not above the idle power of "
-                f"{idle:g} W, so that no gait satisfies it: raise it"
+                f"limits: electrical_power = {self.limits.electrical_power:g} W, but the idle power alone is "
+                f"{idle:g} W, so that no gait satisfies this limit: raise it"
             )
 
     def with_margin(self, margin: float) -> MarginTask:

@@ -258,9 +258,14 @@ def _counted_from_rest(recording: Recording) -> Recording:
     """Return the recording with positions relative to the rear module's rest."""
     rest = recording.x1[recording.at_rest]
     if rest.size < 10:
+        counted = (
+            f" (counted from {TENSIONED_REST / 1e9:g} s after the cable reached the pretension; the driver's parameter "
+            "rest_duration_s is the shortest rest)"
+        )
         raise IdentificationError(
-            f"{recording.name}: only {rest.size} camera samples show both markers before the gait starts; "
-            f"keep the robot at rest for 2 s within sight of the camera"
+            f"{recording.name}: only {rest.size} camera samples show both markers in the rest before the gait"
+            f"{counted if recording.gait.pretension > 0.0 else ''}; keep the robot at rest for 2 s within sight of the "
+            "camera"
         )
     zero = float(np.median(rest[np.abs(rest - np.median(rest)) < 5e-3]))
     kept = rest[np.abs(rest - zero) < 2e-3]
