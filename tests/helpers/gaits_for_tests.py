@@ -8,7 +8,7 @@ import numpy as np
 
 from worm_model.parameters import PAPER, ParameterFile, Parameters
 from worm_optimizer.evaluation.task import Task
-from worm_optimizer.robustness.prediction import Prediction
+from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.search.exact import ExactFront, Resolution, Zoom, exact_front
 from worm_optimizer.search.front import RobustFront, make_front
 from worm_optimizer.search.search_settings import ScanSettings, Settings

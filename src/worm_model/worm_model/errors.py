@@ -1,11 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Error for bad input, which commands report with exit status 2, and printable forms of texts."""
+"""Errors for bad input, which commands report with exit status 2, and printable forms of texts."""
 
 from __future__ import annotations
 
 
 class InputError(ValueError):
     """Input that cannot be used. The message is one line that says what is wrong, where, and what to do."""
+
+
+class RecordingError(InputError):
+    """The recording lacks data for a metric; the message names the missing data."""
 
 
 def printable(text: str) -> str:

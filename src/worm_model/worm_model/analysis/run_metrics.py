@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from worm_model.arrays import Array, Stamps
-from worm_model.errors import InputError
+from worm_model.errors import RecordingError
 from worm_model.gait import Gait, GaitError
 from worm_model.run import FAULT, RESTING, RUNNING, STOPPING, GaitStates, Run, state_name
 from worm_model.simulation.quadrature import accumulated
@@ -30,10 +30,6 @@ IDLE_SAMPLES = 10  # valid samples at rest whose mean is the idle power (eq:Pidl
 # tolerance of the end of a gait, which is computed from the stamps of two clocks
 END_TOLERANCE_NS = 100_000_000
 _FOREVER = int(np.iinfo(np.int64).max)
-
-
-class RecordingError(InputError):
-    """The recording lacks data for a metric; the message names the missing data."""
 
 
 @dataclass(frozen=True)

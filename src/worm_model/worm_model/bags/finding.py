@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Search for the bags below a folder; recovered bags are matched to their sources by name."""
+"""Names of bags, and search for the bags below a folder; recovered bags are matched to their sources by name."""
 
 from __future__ import annotations
 
 import os
 import re
 import stat
+import time
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from worm_model.errors import InputError, printable
 METADATA_FILE = "metadata.yaml"
 STORAGE = (".mcap", ".db3")
 COMPRESSED = ".zstd"
+TIME_FIELD = "{time}"  # placeholder in a bag's name for the time at which its recording begins
 _COPY = re.compile(r"(?P<source>.+)_recovered(?:_(?P<number>\d+))?")
 
 
@@ -29,6 +31,11 @@ def check_readable(path: Path) -> None:
     if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
         kind = "a named pipe" if stat.S_ISFIFO(mode) else "a device or a socket"
         raise BagError(f"{path} is {kind}; give the folder or the file of a bag")
+
+
+def dated(output: Path) -> Path:
+    """Return the path of a recording that begins now: `TIME_FIELD` is replaced by the local time."""
+    return Path(str(output).replace(TIME_FIELD, time.strftime("%Y_%m_%d-%H_%M_%S")))
 
 
 def is_storage(name: str) -> bool:

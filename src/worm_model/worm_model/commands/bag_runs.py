@@ -28,6 +28,7 @@ from worm_model.bags.worm_topics import REPLAY_INPUTS
 from worm_model.commands import bag_columns
 from worm_model.commands.bag_columns import CLOSED, DAMAGED, OPEN
 from worm_model.conditions import Conditions
+from worm_model.errors import RecordingError
 from worm_model.parameters import Parameters
 from worm_model.run import Run, utc_of
 from worm_model.simulation.simulator import cost_of_transport
@@ -191,5 +192,5 @@ def _rate(window: run_metrics.Window | None, samples: Any, name: str) -> float:
         return math.nan
     try:
         return run_metrics.mean_rate(samples, window, name)
-    except run_metrics.RecordingError:
+    except RecordingError:
         return math.nan

@@ -12,16 +12,15 @@ from functools import partial
 from pathlib import Path
 
 from worm_model.bags.bag_errors import BagError, UnwritableError
+from worm_model.bags.finding import TIME_FIELD, dated
 from worm_model.bags.formats.bag_writer import COMPRESSIONS, WriteOptions
 from worm_model.bags.formats.message_block import Message
 from worm_model.bags.operations.cleaning import Cleaner
 from worm_model.bags.recording.recorder import Manifest
 from worm_model.bags.recording.recording_session import (
-    TIME_FIELD,
     RecordingSession,
     SessionOptions,
     after_crash,
-    dated,
 )
 from worm_model.bags.recording.run_manifest import GAIT_RECORD, is_text, run_manifest
 from worm_model.bags.recording.topic_selection import TopicSelection

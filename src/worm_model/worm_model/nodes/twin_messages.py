@@ -6,7 +6,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
@@ -17,7 +17,6 @@ from visualization_msgs.msg import Marker, MarkerArray
 from worm_model.conditions import CONDITION_PARAMETERS, CONDITION_ROWS, Conditions, under
 from worm_model.parameters import Parameters, load_parameters
 from worm_model.twin import scene
-from worm_model.twin.forecast import Forecast
 from worm_model.twin.records import (
     NANOSECONDS,
     RESIDUAL_FIELDS,
@@ -44,6 +43,11 @@ from worm_msgs.msg import (
 )
 from worm_msgs.msg import Gait as GaitMessage
 from worm_msgs.parameter_rows import ParameterRow
+
+if (
+    TYPE_CHECKING
+):  # the import of the twin would lengthen the start of every command that reads its messages
+    from worm_model.twin.forecast import Forecast
 
 
 def nanoseconds(stamp: Any) -> int:

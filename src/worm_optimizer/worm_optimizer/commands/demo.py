@@ -17,6 +17,7 @@ from worm_model.analysis.run_curves import plot_run
 from worm_model.commands.command_line import FAILED, Parser, notifier, print_result, run_command
 from worm_model.parameters import load_parameter_file
 from worm_optimizer.commands.robot_options import add_tracker, with_tracker
+from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.operation.bring_up import (
     FAILURES,
     ProgressLog,
@@ -28,7 +29,6 @@ from worm_optimizer.operation.demo_run import Comparison, compare, comparison_ta
 from worm_optimizer.operation.processes import termination_as_interrupt
 from worm_optimizer.operation.recorded_run import new_bag
 from worm_optimizer.report.recordings import read_recorded_gaits
-from worm_optimizer.robustness.prediction import Prediction
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -30,7 +30,7 @@ from worm_model.gait import (
     Gait,
     gait_of,
 )
-from worm_optimizer.commands.search_options import add_objective, request_of_options
+from worm_optimizer.commands.objective_options import add_objective, request_of_options
 from worm_optimizer.nodes.operator_node import OPTIMIZER, OperatorNode, UnreachableError, operator
 from worm_optimizer.operation.bring_up import CYCLES, FAILURES, ProgressLog
 from worm_optimizer.operation.processes import counted_interrupts

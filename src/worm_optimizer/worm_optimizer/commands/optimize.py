@@ -24,8 +24,8 @@ from worm_optimizer.commands.search_options import (
     gait_table,
     shape_lines,
 )
+from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.report.front_plots import front_and_map_figure, front_figure
-from worm_optimizer.robustness.prediction import Prediction
 from worm_optimizer.robustness.uncertainty import description
 from worm_optimizer.search.front import RobustFront, make_front, nominal_gaits, replaced
 from worm_optimizer.search.search_settings import Waveform

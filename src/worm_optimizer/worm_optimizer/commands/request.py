@@ -15,16 +15,15 @@ from worm_model.commands.command_line import (
     print_result,
 )
 from worm_model.parameters import load_parameter_file
+from worm_optimizer.commands.objective_options import add_objective, request_of_options
 from worm_optimizer.commands.search_options import (
     add_front_options,
-    add_objective,
     chosen_settings,
     gait_table,
-    request_of_options,
     shape_lines,
 )
+from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.report.front_plots import front_figure
-from worm_optimizer.robustness.prediction import Prediction
 from worm_optimizer.search.front import make_front
 from worm_optimizer.search.gait_request import RequestStatus, select
 

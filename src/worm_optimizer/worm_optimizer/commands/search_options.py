@@ -13,11 +13,9 @@ from worm_model.commands.command_line import InputError, Parser, number
 from worm_model.conditions import CONDITION_PARAMETERS
 from worm_model.gait import Profile
 from worm_model.text_table import text_table
-from worm_optimizer.robustness.prediction import Prediction
+from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.search import search_settings
-from worm_optimizer.search.gait_request import GaitRequest, Objective
 
-_OBJECTIVES = (Objective.MIN_POWER, Objective.CRUISE, Objective.MAX_SPEED)
 # Placeholder of an option's value in the help, by the ending of the node parameter's name. The first
 # ending that matches is used, so longer endings come first.
 _VALUES = {
@@ -35,7 +33,6 @@ _VALUES = {
     "probability": "P",
     "": "N",
 }
-_NAMED = {objective.name.lower(): objective for objective in _OBJECTIVES}
 
 
 def add_scan_options(parser: Parser) -> None:
@@ -116,33 +113,6 @@ def _as_text(default: object) -> str:
     if isinstance(default, float):
         return "" if math.isnan(default) else f"{default:g}"
     return str(default)
-
-
-def add_objective(parser: Parser) -> None:
-    """Add the options of a requested gait; see `request_of_options`."""
-    group = parser.add_mutually_exclusive_group()
-    group.add_argument("--objective", choices=tuple(_NAMED), help="default cruise")
-    group.add_argument(
-        "--speed",
-        type=number,
-        metavar="MPS",
-        help="request the gait with the lowest power at this speed (m/s) or faster",
-    )
-    group.add_argument(
-        "--power",
-        type=number,
-        metavar="W",
-        help="request the fastest gait at this power (W) or less",
-    )
-
-
-def request_of_options(options: argparse.Namespace) -> GaitRequest:
-    """Return the request that the options of `add_objective` describe. Raises `OptimizerError` for a bad value."""
-    if options.speed is not None:
-        return GaitRequest(Objective.MIN_POWER_AT_SPEED, options.speed)
-    if options.power is not None:
-        return GaitRequest(Objective.MAX_SPEED_AT_POWER, options.power)
-    return GaitRequest(_NAMED[options.objective or "cruise"])
 
 
 #: Columns of `gait_table`: n is the mean number of grooves per cycle, φ the groove phase.

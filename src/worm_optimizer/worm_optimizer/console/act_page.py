@@ -17,11 +17,11 @@ from worm_optimizer.console import page_actions
 from worm_optimizer.console.console_state import ConsoleState
 from worm_optimizer.console.page_chart import chart
 from worm_optimizer.console.view import MOVING, obstacles
+from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.nodes.operator_node import OperatorNode
 from worm_optimizer.operation.bring_up import CYCLES
 from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.robot_commands import GaitCommand
-from worm_optimizer.robustness.prediction import Prediction
 from worm_optimizer.search.gait_request import GaitRequest, Objective
 
 REFRESH_S = 0.25

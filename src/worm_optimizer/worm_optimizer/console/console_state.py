@@ -17,7 +17,7 @@ from worm_optimizer.console.control import ConsoleControl
 from worm_optimizer.console.picture import picture
 from worm_optimizer.console.robot_worker import Notice, RobotWorker
 from worm_optimizer.console.view import History, is_live, sample
-from worm_optimizer.robustness.prediction import Prediction
+from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.snapshot import Snapshot
 
 _FRESH_S = 0.02  # time for which all pages share a snapshot, s

@@ -9,12 +9,12 @@ from itertools import count
 from pathlib import Path
 
 from worm_optimizer.console.robot_worker import STOP_PRESSED
+from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.nodes.operator_node import OperatorNode
 from worm_optimizer.nodes.service_caller import OperatorError
 from worm_optimizer.operation.bring_up import Say
 from worm_optimizer.operation.recorded_run import new_bag, recorded
 from worm_optimizer.robot_commands import GaitCommand
-from worm_optimizer.robustness.prediction import Prediction
 from worm_optimizer.search.gait_request import GaitRequest, Objective
 
 _GAITS = 32  # number of equal steps into which the displayed front is divided by speed

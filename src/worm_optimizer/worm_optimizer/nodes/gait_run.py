@@ -15,7 +15,7 @@ from rclpy.publisher import Publisher
 from worm_msgs.action import RunGait
 from worm_msgs.msg import Gait, Heartbeat
 from worm_optimizer.nodes.action_goal import ActionGoal
-from worm_optimizer.nodes.optimizer_messages import value_of
+from worm_optimizer.nodes.message_fields import value_of
 from worm_optimizer.robot_commands import GaitCommand, RunProgress, RunResult
 
 SILENCE_S = 3.0  # heartbeat timeout of a run, s

@@ -35,9 +35,10 @@ from worm_msgs.msg import ControlRequest, Heartbeat
 from worm_msgs.qos import LATCHED
 from worm_msgs.ros_process import one_line_of
 from worm_msgs.srv import InjectFault, RequestGait
+from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.nodes.action_goal import ActionGoal
 from worm_optimizer.nodes.gait_run import GaitRun
-from worm_optimizer.nodes.optimizer_messages import value_of
+from worm_optimizer.nodes.message_fields import value_of
 from worm_optimizer.nodes.robot_graph import RobotGraph
 from worm_optimizer.nodes.robot_telemetry import Telemetry
 from worm_optimizer.nodes.search_goal import SearchGoal
@@ -56,7 +57,6 @@ from worm_optimizer.robot_commands import (
     ScanRequest,
     SearchResult,
 )
-from worm_optimizer.robustness.prediction import Prediction
 from worm_optimizer.search.gait_request import GaitRequest, Objective
 from worm_optimizer.snapshot import Snapshot, Wish
 

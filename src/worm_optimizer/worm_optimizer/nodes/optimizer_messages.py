@@ -5,14 +5,13 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Any, TypeVar
 
 from worm_model.gait import GAIT_UNITS
 from worm_msgs.action import OptimizeGaits, ScanMargin
 from worm_msgs.msg import Gait, GaitPrediction
 from worm_msgs.srv import RequestGait
+from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.optimizer_errors import OptimizerError
-from worm_optimizer.robustness.prediction import Prediction
 from worm_optimizer.search.front import RobustFront
 from worm_optimizer.search.gait_request import GaitAnswer, RequestStatus
 from worm_optimizer.search.price_of_robustness import CLIFF_RULE, PriceOfRobustness
@@ -22,21 +21,6 @@ from worm_optimizer.search.search_settings import (
     robustness_of,
     waveform_of,
 )
-
-T = TypeVar("T")
-
-
-def value_of(kind: type[T], *messages: Any, **known: Any) -> T:
-    """Return a dataclass whose fields are read from messages by name.
-
-    Args:
-        kind: the dataclass.
-        messages: messages to read from. Each field is read from the first message that contains it.
-        known: values of the fields that are not read from messages.
-    """
-    names = {row.name for row in dataclasses.fields(kind)} - known.keys()  # type: ignore[arg-type]
-    taken = {n: getattr(m, n) for m in reversed(messages) for n in names if hasattr(m, n)}
-    return kind(**taken, **known)
 
 
 def prediction_message(prediction: Prediction) -> GaitPrediction:

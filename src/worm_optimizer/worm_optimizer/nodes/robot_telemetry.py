@@ -26,7 +26,7 @@ from worm_msgs.msg import (
     TwinState,
 )
 from worm_msgs.qos import LATCHED
-from worm_optimizer.nodes.optimizer_messages import value_of
+from worm_optimizer.nodes.message_fields import value_of
 from worm_optimizer.snapshot import Control, DriverState, Snapshot
 
 RESIDUALS = ("rear_position", "length", "power")

@@ -14,7 +14,6 @@ from rclpy.node import Node
 from worm_msgs.action import OptimizeGaits, ScanMargin
 from worm_optimizer.nodes.action_goal import ActionGoal
 from worm_optimizer.robot_commands import FrontRequest, ScanRequest, SearchResult
-from worm_optimizer.search.search_settings import Settings
 
 _LOOK_S = 0.25  # period of the checks for the result, s
 
@@ -61,6 +60,8 @@ class SearchGoal(ActionGoal):
 def _action_of(request: ScanRequest | FrontRequest) -> tuple[Any, str, Any]:
     if isinstance(request, ScanRequest):
         return ScanMargin, "scan_margin", ScanMargin.Goal(**asdict(request))
+    from worm_optimizer.search.search_settings import Settings  # imports the kernel
+
     goal = OptimizeGaits.Goal(seed=Settings().seed, **asdict(request))
     return OptimizeGaits, "optimize_gaits", goal
 

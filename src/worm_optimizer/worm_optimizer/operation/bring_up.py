@@ -15,7 +15,7 @@ from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
 
-from worm_model.analysis.run_metrics import RecordingError
+from worm_model.errors import RecordingError
 from worm_msgs.claim import ClaimedError, claim_graph, domain_of
 from worm_msgs.readiness import Readiness
 from worm_optimizer.nodes.operator_node import (

@@ -8,8 +8,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from worm_model.analysis.run_metrics import RecordingError, Window
+from worm_model.analysis.run_metrics import Window
+from worm_model.errors import RecordingError
 from worm_model.text_table import text_table
+from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.operation.bring_up import (
     CYCLES,
     RECORDER,
@@ -22,7 +24,6 @@ from worm_optimizer.operation.system import System
 from worm_optimizer.report.expectation import Bands
 from worm_optimizer.report.recorded_gait import RecordedGait
 from worm_optimizer.robot_commands import GaitCommand
-from worm_optimizer.robustness.prediction import Prediction
 from worm_optimizer.search.gait_request import GaitRequest, Objective
 
 

@@ -12,9 +12,9 @@ import numpy as np
 
 from worm_model.analysis.plot_style import BLUE, VERMILION, finish, new_figure, save_figure
 from worm_model.text_table import text_table
+from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.report.agreement import COMPARED, QUANTITIES, title_of
 from worm_optimizer.report.recorded_gait import RecordedGait
-from worm_optimizer.robustness.prediction import Prediction
 
 _WIDTH = 0.3  # half the length of a prediction's line; neighbouring gaits are 1 apart
 

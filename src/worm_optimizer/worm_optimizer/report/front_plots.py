@@ -13,10 +13,10 @@ from matplotlib.lines import Line2D
 
 from worm_model.analysis import plot_style
 from worm_optimizer.evaluation.task import Array, MarginTask
+from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.report.agreement import title_of
 from worm_optimizer.report.expectation import Band, Bands
 from worm_optimizer.report.recorded_gait import RecordedGait
-from worm_optimizer.robustness.prediction import Prediction
 from worm_optimizer.search.front import RobustFront
 from worm_optimizer.search.price_of_robustness import PriceOfRobustness
 

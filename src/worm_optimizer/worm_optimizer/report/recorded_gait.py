@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 from worm_model.analysis import run_metrics
 from worm_model.analysis.replay_metrics import ReplayReport, report_replay
+from worm_model.errors import RecordingError
 from worm_model.gait import Gait
 from worm_model.parameters import ParameterFile
 from worm_model.run import Run
@@ -94,8 +95,8 @@ def recorded_gait(
     content, source = parameters
     try:
         played = run_metrics.last_played_gait(run.gait_state)
-    except run_metrics.RecordingError as error:
-        raise run_metrics.RecordingError(f"{name}: {error}") from None
+    except RecordingError as error:
+        raise RecordingError(f"{name}: {error}") from None
     averaged = run_metrics.averaged_cycles(run, played)
     window = played.cycle_window(*averaged)
     spans = [window, *run_metrics.single_cycles(window, averaged[1] - averaged[0] + 1)]
@@ -170,7 +171,7 @@ def _rates(
     for span in spans:
         try:
             yield run_metrics.mean_rate(samples, span, name)
-        except run_metrics.RecordingError as error:
+        except RecordingError as error:
             if str(error) not in missing:
                 missing.append(str(error))
             yield math.nan

@@ -17,9 +17,10 @@ from worm_model.simulation.simulator import LoadError, cost_of_transport, evalua
 from worm_optimizer.evaluation.actuator_limits import NO_LIMITS, describe_limit
 from worm_optimizer.evaluation.command_shape import SHAPE_ROW, shapes_of
 from worm_optimizer.evaluation.task import Array, Index, MarginTask, Points, Task
+from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.robustness.chance import PromiseTask, tolerated_margins
-from worm_optimizer.robustness.prediction import Prediction, outline, predict
+from worm_optimizer.robustness.prediction import outline, predict
 from worm_optimizer.robustness.uncertainty import every_phase, phase_guard, phase_known
 from worm_optimizer.search.exact import ExactFront, Resolution, Zoom, exact_front
 from worm_optimizer.search.price_of_robustness import PriceOfRobustness, price_of_robustness

@@ -10,15 +10,18 @@ from __future__ import annotations
 import enum
 import math
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from worm_model.gait import FORWARD, REVERSE
 from worm_model.parameters import ParameterFile
+from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.optimizer_errors import OptimizerError
-from worm_optimizer.robustness.prediction import Prediction
-from worm_optimizer.search.exact import Cost
-from worm_optimizer.search.front import RobustFront
+
+if TYPE_CHECKING:  # the imports would take half of the start of `operate`
+    from worm_optimizer.search.exact import Cost
+    from worm_optimizer.search.front import RobustFront
 
 # Initial lengths that differ by less than this count as equal, m. A camera is not more accurate.
 SAME_LENGTH = 1e-4

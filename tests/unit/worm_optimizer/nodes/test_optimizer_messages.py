@@ -12,6 +12,7 @@ pytest.importorskip("worm_msgs.msg", reason="worm_msgs is not built")
 from worm_msgs.action import OptimizeGaits, ScanMargin
 from worm_msgs.msg import Gait, GaitPrediction
 from worm_msgs.srv import RequestGait
+from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.nodes.optimizer_messages import (
     direction_of,
     fill_response,
@@ -22,7 +23,6 @@ from worm_optimizer.nodes.optimizer_messages import (
     settings_of_goal,
 )
 from worm_optimizer.optimizer_errors import OptimizerError
-from worm_optimizer.robustness.prediction import Prediction
 from worm_optimizer.search.gait_request import GaitAnswer, Objective, RequestStatus
 from worm_optimizer.search.price_of_robustness import Cliff, MarginPoint, PriceOfRobustness
 from worm_optimizer.search.search_settings import Robustness

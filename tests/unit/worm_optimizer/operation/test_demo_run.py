@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from worm_model.analysis.run_metrics import RecordingError
+from worm_model.errors import RecordingError
 from worm_optimizer.operation.demo_run import (
     Performance,
     compare,

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import time
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -18,7 +17,6 @@ from worm_model.bags.opening import is_unclosed
 from worm_model.bags.recording.recorder import BagRecorder, Manifest
 from worm_model.bags.recording.recording_thread import RecordingThread, Tally
 
-TIME_FIELD = "{time}"  # placeholder in a bag's name for the time at which its recording begins
 # largest size, in bytes, of the messages that wait for the disk, and of the ring buffer; default of rosbag2's cache
 BACKLOG_BYTES = 100 * 2**20
 
@@ -181,11 +179,6 @@ class RecordingSession:
         self._threads.append(thread)
         self.bags.append(directory)
         return thread
-
-
-def dated(output: Path) -> Path:
-    """Return the path of a recording that begins now: `TIME_FIELD` is replaced by the local time."""
-    return Path(str(output).replace(TIME_FIELD, time.strftime("%Y_%m_%d-%H_%M_%S")))
 
 
 def after_crash(output: Path) -> Path:

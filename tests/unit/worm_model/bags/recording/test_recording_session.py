@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from worm_model.bags.bag_errors import BagError, ExistsError
+from worm_model.bags.finding import dated
 from worm_model.bags.formats.message_block import Message, Topic
 from worm_model.bags.opening import open_bag
 from worm_model.bags.recording.recorder import Manifest
@@ -16,7 +17,6 @@ from worm_model.bags.recording.recording_session import (
     RecordingSession,
     SessionOptions,
     after_crash,
-    dated,
 )
 
 TOPIC = Topic("/a", "std_msgs/msg/UInt64", 0, "uint64 data\n", "ros2msg", "cdr")
