@@ -36,10 +36,6 @@ LATCHED = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
-#: of a subscription that also gets the messages that arrive while the test does not spin
-LATCHED_QUEUE = QoSProfile(
-    depth=1000, reliability=LATCHED.reliability, durability=LATCHED.durability
-)
 
 
 class Processes(ProcessGroup):

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from harness import LATCHED, LATCHED_QUEUE, TIMEOUT_S
+from harness import LATCHED, TIMEOUT_S
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces.msg import Parameter as ParameterMessage
@@ -79,7 +79,7 @@ class Commander:
 
     def __init__(self, probe) -> None:
         self.probe = probe
-        self.states = probe.collect(GaitState, "gait_state", LATCHED_QUEUE)
+        self.states = probe.collect(GaitState, "gait_state", LATCHED)
         self.reports: list[DiagnosticArray] = probe.collect(DiagnosticArray, "/diagnostics")
 
     def change(self, transition: int) -> bool:

@@ -5,7 +5,7 @@ import re
 from pathlib import Path
 
 import pytest
-from harness import LATCHED_QUEUE, NAMESPACE, SERVOS, VirtualWorm, system_file
+from harness import LATCHED, NAMESPACE, SERVOS, VirtualWorm, system_file
 from interfaces_page import rows_of
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from sensor_msgs.msg import JointState
@@ -41,7 +41,7 @@ def worm(processes, probe, tmp_path) -> VirtualWorm:
 
 
 def test_each_node_ends_on_ctrl_c_and_the_driver_stops_the_servos(worm, probe):
-    states = probe.collect(GaitState, "gait_state", LATCHED_QUEUE)
+    states = probe.collect(GaitState, "gait_state", LATCHED)
     joints = probe.collect(JointState, "joint_states")
     assert probe.send_goal(RunGait, "run_gait", LONG_GAIT).accepted
     probe.wait_for(lambda: states and states[-1].cycle >= 1, "running gait")

@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 from ament_index_python.packages import get_package_share_directory
 from diagnostic_msgs.msg import DiagnosticArray
-from harness import LATCHED_QUEUE
+from harness import LATCHED
 from lifecycle_msgs.msg import State, Transition, TransitionEvent
 from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
@@ -135,7 +135,7 @@ def test_launch_is_as_patient_as_a_slow_return(launched, probe, tmp_path):
     file.write_text("/worm/driver: {ros__parameters: {return_speed_m_per_s: 0.012}}\n")
     launch = launched(*virtual(tmp_path, driver_file=file, bag=tmp_path / "bag"))
     wait_for_active(probe)
-    states = probe.collect(GaitState, "gait_state", LATCHED_QUEUE)
+    states = probe.collect(GaitState, "gait_state", LATCHED)
     lengths = probe.collect(BodyLength, "body_length/cable")
     goal = probe.send_goal(RunGait, "run_gait", GAIT)
     result = goal.get_result_async()
@@ -160,7 +160,7 @@ def test_launch_is_as_patient_as_a_slow_return(launched, probe, tmp_path):
 def test_sigterm_to_launch_leaves_no_gait_running(launched, probe, tmp_path):
     launch = launched(*virtual(tmp_path))
     wait_for_active(probe)
-    states = probe.collect(GaitState, "gait_state", LATCHED_QUEUE)
+    states = probe.collect(GaitState, "gait_state", LATCHED)
     assert probe.send_goal(RunGait, "run_gait", GAIT).accepted
     probe.wait_for(lambda: states and states[-1].cycle >= 1, "running gait", START_S)
     started = pids(launch.output())
@@ -253,7 +253,7 @@ def test_a_recorder_that_crashes_goes_on_in_the_next_bag(launched, probe, tmp_pa
     launch = launched(*virtual(tmp_path, bag=bag))
     wait_for_active(probe)
     before = pids(launch.output())
-    states = probe.collect(GaitState, "gait_state", LATCHED_QUEUE)
+    states = probe.collect(GaitState, "gait_state", LATCHED)
     assert probe.send_goal(RunGait, "run_gait", GAIT).accepted
     probe.wait_for(lambda: states and states[-1].cycle >= 1, "running gait", START_S)
     os.kill(before["recorder"], signal.SIGKILL)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from harness import LATCHED_QUEUE, Probe, Processes
+from harness import LATCHED, Probe, Processes
 from recorded_run import AFTER_S, EPOCH, GAIT, REST_S, simulated_run, write_bag
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
@@ -47,7 +47,7 @@ def test_everything_is_published_in_order_with_the_bags_time(
 ):
     trackers = probe.collect(Tracker, "tracker")
     powers = probe.collect(Power, "power")
-    states = probe.collect(GaitState, "gait_state", LATCHED_QUEUE)
+    states = probe.collect(GaitState, "gait_state", LATCHED)
     clocks = probe.collect(Clock, "/clock")
     player = processes.start_executable("worm_model", "play", str(bag), "--rate", "5", "--paused")
     assert probe.call(Trigger, "/player/resume", Trigger.Request()).success
@@ -131,7 +131,7 @@ def test_a_late_subscriber_gets_the_last_state_of_latched_topics(
     assert probe.call(Trigger, "/player/resume", Trigger.Request()).success
     probe.wait_for(lambda: any(clock(m) > start for m in clocks), "the start")
     assert probe.call(Trigger, "/player/pause", Trigger.Request()).success
-    states = probe.collect(GaitState, "gait_state", LATCHED_QUEUE)
+    states = probe.collect(GaitState, "gait_state", LATCHED)
     probe.wait_for(lambda: states, "a state")
     reported = len(clocks)
     probe.wait_for(lambda: len(clocks) > reported + 50, "time in which another would have come")
@@ -145,7 +145,7 @@ def test_a_bag_of_an_older_definition_is_played_in_the_installed_layout(
     """Its gait states have no run numbers yet. A type that has changed is not played but reported."""
     bag = tmp_path / "forward"
     shutil.copytree(Path(__file__).resolve().parents[2] / "bags" / "forward", bag)
-    states = probe.collect(GaitState, "gait_state", LATCHED_QUEUE)
+    states = probe.collect(GaitState, "gait_state", LATCHED)
     player = processes.start_executable(
         *("worm_model", "play", str(bag), "--rate", "20", "--topic", "/worm/gait_state", "--paused")
     )

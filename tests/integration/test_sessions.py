@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from harness import LATCHED_QUEUE, TIMEOUT_S, Probe, Processes, VirtualWorm
+from harness import LATCHED, TIMEOUT_S, Probe, Processes, VirtualWorm
 
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import read_columns, read_run
@@ -65,7 +65,7 @@ class Lab:
         worm.start()
         processes.processes["twin"].wait_for_line("twin ready", 4 * TIMEOUT_S)
         worm.activate()
-        self.states = probe.collect(GaitState, "gait_state", LATCHED_QUEUE)
+        self.states = probe.collect(GaitState, "gait_state", LATCHED)
         self._commands = 0
 
     def begin(self, *arguments: str) -> Process:
