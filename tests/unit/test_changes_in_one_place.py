@@ -184,7 +184,7 @@ print(json.dumps({
 
 def test_a_field_of_the_gait_is_a_field_of_its_three_declarations(copy):
     """After the message and the two dataclasses, only the waveform is added by hand."""
-    field = '    ramp_share: float = _row("1", "share of a half in which a trapezoid accelerates", 0.25)\n'
+    field = '    ramp_share: float = _row("1", "accelerated share of contraction and extension", 0.25)\n'
     more = '    ripple_share: float = _row("1", "share of a cycle", 0.375)\n'
     copy.edit("worm_model/worm_model/gait.py", field, field + more)
     copy.edit(

@@ -68,8 +68,8 @@ class Gait:
         u_cmd = −o − S·(1 − g((p − s)/(1 − s)))      for p ≥ s
 
     ``profile`` selects g. COSINE is g(q) = (1 − cos πq)/2. TRAPEZOID is the position of a trapezoidal velocity profile,
-    which accelerates during the first ``ramp_share`` of each half of the cycle, and decelerates during an equal part at
-    the end of the half. With the defaults the gait is the paper's, u_cmd(t) = −S/2 (1 − cos 2πft).
+    which accelerates during the first ``ramp_share`` of the contraction, and of the extension, and decelerates during
+    an equal part at their ends. With the defaults the gait is the paper's, u_cmd(t) = −S/2 (1 − cos 2πft).
 
     The message worm_msgs/msg/Gait has the same fields. Tables, messages, bags and the kernel use these fields by name.
     The default of a new field must describe the gaits that were recorded before the field existed.
@@ -82,8 +82,8 @@ class Gait:
             prediction has the margin 0.
         pretension: o, m, smallest commanded contraction.
         contraction_share: s, part of a cycle in which the body contracts.
-        profile: shape of each half of a cycle.
-        ramp_share: part of each half in which a TRAPEZOID accelerates.
+        profile: shape of the contraction and of the extension.
+        ramp_share: part of the contraction, and of the extension, in which a TRAPEZOID accelerates.
 
     Raises:
         GaitError: A value is not finite or not in its range.
@@ -95,8 +95,8 @@ class Gait:
     margin: float = _row("m", "robustness margin", 0.0)
     pretension: float = _row("m", "pretension of the cable", 0.0)
     contraction_share: float = _row("1", "share of a cycle that contracts", 0.5)
-    profile: Profile = _row("1", "shape of each half of a cycle", Profile.COSINE)  # noqa: RUF009 - frozen
-    ramp_share: float = _row("1", "share of a half in which a trapezoid accelerates", 0.25)
+    profile: Profile = _row("1", "shape of contraction and extension", Profile.COSINE)  # noqa: RUF009 - frozen
+    ramp_share: float = _row("1", "accelerated share of contraction and extension", 0.25)
 
     def __post_init__(self) -> None:
         _check("stroke", self.stroke, "m", 0.0, MAX_STROKE)
