@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Exceptions of the driver. Every message names the problem, the place and the remedy."""
+"""Exceptions of the driver. Every message names the problem; where a person can do something, also the remedy."""
 
 
 class DriverError(Exception):
@@ -7,7 +7,7 @@ class DriverError(Exception):
 
 
 class ConfigurationError(DriverError):
-    """A parameter is invalid, or a device does not match the parameters."""
+    """The driver cannot be configured: an invalid parameter, an unsuitable or faulty device, or another driver."""
 
 
 class LimitError(DriverError):
@@ -15,7 +15,7 @@ class LimitError(DriverError):
 
 
 class StoppedError(DriverError):
-    """A stop interrupted the operation."""
+    """The robot holds: a stop interrupted the operation, forbids it, or the robot did not come to rest in time."""
 
 
 class ReleaseError(DriverError):
@@ -35,11 +35,11 @@ class PortError(BusError):
 
 
 class NoReplyError(BusError):
-    """A servo did not answer in time."""
+    """A servo gave no usable answer in time."""
 
 
 class CorruptReplyError(BusError):
-    """The CRC, length or form of an answer is wrong."""
+    """An answer is damaged, or disagrees with another answer or with the value written before."""
 
 
 class StatusError(BusError):

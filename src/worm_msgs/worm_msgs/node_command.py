@@ -133,7 +133,7 @@ def _reject_unknown(node: Node, overrides: dict[str, Parameter]) -> None:
 
 
 def declare_none(node: Node) -> None:
-    """Reject all given parameters, for a node without parameters of its own.
+    """Reject all given parameters that rclpy does not declare, for a node without parameters of its own.
 
     Raises:
         SystemExit: A parameter was given, or a parameter file has sections only for other nodes, one of them with a
@@ -232,7 +232,7 @@ def run_node(
         Exit status.
 
     Raises:
-        SystemExit: The command line contains ``--help`` or an unknown argument, or see `ros_process`.
+        SystemExit: The command line contains ``--help`` or an unknown argument, or `ros_process` raises it.
     """
     rejected: tuple[type[Exception], ...] = (ParameterRejectedError, *rejections)
     command_line = list(sys.argv if arguments is None else arguments)

@@ -38,7 +38,8 @@ class ServoRow:
         velocity_limit: initial value and range of the register velocity_limit, raw.
         current_unit: A per unit of the current registers; 0: the model reports a load instead.
         current_limit: largest value of the register current_limit, raw; 0 without this register.
-        initial: initial values or ranges of further registers in which the models differ, by register name.
+        initial: further registers in which the models differ, by register name: the initial value, or (initial value,
+            lowest, highest), raw.
     """
 
     name: str

@@ -157,7 +157,7 @@ def _hint(error: ErrorDetails, kind: type[Any]) -> str:
     """Return a likely reason for a wrong value, to be appended to the message; empty if none is known."""
     if error["type"] in _BOUNDS and any(error["ctx"].values()):
         unit = _schema_at(kind, error["loc"][1:]).get("description")
-        return f"; is it in another unit?{f' ({unit})' if unit else ''}"
+        return f"; is it in another unit?{f' (expected: {unit})' if unit else ''}"
     if error["type"] == "float_type" and isinstance(error["input"], str) and "e" in error["input"]:
         return " (YAML reads 1e-3 as text: write 1.0e-3)"
     return ""

@@ -11,7 +11,7 @@ from rclpy.qos import HistoryPolicy, QoSProfile
 
 from worm_driver.errors import DriverError, LimitError
 
-#: number of goals that may wait for their start; further goals are rejected
+#: largest number of goals that are handled of those that arrive at once; the others are rejected
 QUEUE = 4
 #: The middleware drops no request, however many wait.
 _EVERY_REQUEST = QoSProfile(history=HistoryPolicy.KEEP_ALL)
@@ -21,9 +21,10 @@ _RESULT_STORED = 60
 
 
 class GoalServer(ActionServer):
-    """Action server in the node's executor that handles all waiting requests at once.
+    """Action server in the node's executor that handles all waiting goals at once.
 
-    A goal is accepted when its execution has begun, and rejected if it cannot begin.
+    ``begin`` is called before a goal is answered. The goal is accepted if ``begin`` returns, and rejected if it raises
+    DriverError. ``execute`` runs after the acceptance.
 
     Args:
         node: node of the action.
@@ -67,10 +68,13 @@ class GoalServer(ActionServer):
         )
 
     def stop(self) -> None:
-        """Reject every goal that was received and has not begun. Safe in any thread."""
+        """Reject every goal that waits in the middleware, and count the stop. Safe in any thread.
+
+        ``begin`` must reject the goals that were taken before: their number of stops is smaller than `stops`.
+        """
         with self._lock:
             self.stops += 1
-            waiting = self._accept_goals()
+            waiting = self._take_goals()
         for header, request in waiting:
             response = self._action_type.Impl.SendGoalService.Response()
             self._handle.send_goal_response(header, response)
@@ -84,7 +88,7 @@ class GoalServer(ActionServer):
         self._is_goal_request_ready = False
         data: dict[str, Any] = super().take_data()
         with self._lock:
-            data["goals"] = self._accept_goals() if are_ready else []
+            data["goals"] = self._take_goals() if are_ready else []
             data["stops"] = self.stops
         return data
 
@@ -96,8 +100,8 @@ class GoalServer(ActionServer):
             await self._execute_goal_request(goal)
         await super().execute(taken_data)
 
-    def _accept_goals(self) -> list[tuple[Any, Any]]:
-        """Return the waiting goal requests. The caller holds the lock."""
+    def _take_goals(self) -> list[tuple[Any, Any]]:
+        """Take all waiting goal requests from the middleware and return them, unanswered. The caller holds the lock."""
         kind, goals = self._action_type.Impl.SendGoalService.Request, []
         while all(taken := self._handle.take_goal_request(kind)):
             goals.append(taken)
@@ -106,7 +110,7 @@ class GoalServer(ActionServer):
     def _on_goal(self, request: Any) -> GoalResponse:
         try:
             if self._place >= QUEUE:
-                raise LimitError(f"{QUEUE} goals already wait: send this one later")
+                raise LimitError(f"more than {QUEUE} goals arrived at once: send this one later")
             self._begin(self._goal_id, request, self._stops_before)
         except DriverError as error:
             self._rejected(self._goal_id, str(error))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ROS stamps of the driver's messages, from the robot's own clock if it has one, otherwise from the computer's."""
+"""ROS stamps of the driver's messages, from the clock of a virtual robot, for a real one from the ROS clock."""
 
 import time
 
@@ -31,7 +31,7 @@ class Stamps:
         """
         clock = self.robot_clock
         if clock is not None and clock.epoch_ns is not None:
-            return ClockPair(clock.epoch_ns)  # A virtual robot has one clock for both.
+            return ClockPair(clock.epoch_ns)  # The ROS time of a virtual robot is its own clock.
         clocks = ClockPair.read(lambda: self._node.get_clock().now().nanoseconds)
         step = 0.0 if self._clocks is None else clocks.step_since(self._clocks)
         if step:

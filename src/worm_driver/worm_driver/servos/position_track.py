@@ -39,8 +39,8 @@ class PositionTrack:
         fastest: velocity limits, rad/s by servo id.
 
     Attributes:
-        lost: servos with an implausible position that a second reading confirmed. The value is this position minus the
-            last plausible position, ticks by servo id. All samples of such a servo are rejected until `begin` or
+        lost: servos whose position was implausible in two successive readings. The value is the second position minus
+            the last plausible one, ticks by servo id. All samples of such a servo are rejected until `begin` or
             `end`, because every wrong position would become plausible with time.
     """
 
@@ -76,7 +76,7 @@ class PositionTrack:
         return True
 
     def lose(self, servo: int, ticks: int) -> None:
-        """Reject all further samples of a servo, because a second reading confirmed an implausible position (ticks)."""
+        """Reject all further samples of a servo whose second reading (ticks) was implausible, too."""
         self.lost.setdefault(servo, ticks - self._last[servo].ticks)
 
     def _is_plausible(self, servo: int, ticks: int, time: float) -> bool:

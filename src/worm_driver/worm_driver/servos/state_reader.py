@@ -64,10 +64,11 @@ class StateReader:
         """
         requested_at, states = self._request()
         if len(states) < len(self._ids):
+            before = frozenset(self._implausible)
             self._bus.unsettle()
             requested_at, states = self._request()
-            for servo, ticks in self._implausible.items():
-                self._track.lose(servo, ticks)
+            for servo in before & self._implausible.keys():
+                self._track.lose(servo, self._implausible[servo])
         if len(states) == len(self._ids):
             self._read_health()
         return requested_at, tuple(states.get(servo.number, SILENT) for servo in self._servos)

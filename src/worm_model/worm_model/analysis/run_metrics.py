@@ -27,7 +27,8 @@ Samples = tuple[Stamps, Array]  # stamps in ns since the epoch and values, NaN i
 
 AVERAGED_CYCLES = AVERAGED
 IDLE_SAMPLES = 10  # valid samples at rest whose mean is the idle power (eq:Pidle_est)
-# tolerance of the end of a gait, which is computed from the stamps of two clocks
+# ns, tolerance between the stamp of a gait's end and its onset plus whole cycles. The driver converts both from its
+# monotonic clock to system time, at different moments.
 END_TOLERANCE_NS = 100_000_000
 _FOREVER = int(np.iinfo(np.int64).max)
 
@@ -53,10 +54,11 @@ class PlayedGait:
         gait: the gait.
         onset: stamp at which the first cycle began.
         cycles: requested number of cycles.
-        end: stamp at which the driver reported the end of the gait; None if the recording ends earlier.
-        state_after: state that the driver reported at the end, an index of `worm_model.run.STATE_NAMES`, or STOPPING
-            if the gait was stopped at a point of rest; None if the recording ends earlier.
-        rest_start: stamp at which the rest before the onset began; None if unknown.
+        end: stamp at which the driver reported the end of the gait or, if the recording ends earlier, STOPPING; None
+            if it reported neither.
+        state_after: state at ``end``, an index of `worm_model.run.STATE_NAMES`: FAULT; otherwise STOPPING if the driver
+            reported STOPPING before; otherwise the state that it reported. None if ``end`` is None.
+        rest_start: stamp of the last message with the state RESTING before the onset; None if there is none.
         run: the driver's number of the run; 0 in recordings without run numbers.
     """
 
@@ -133,7 +135,10 @@ def _state_after(states: GaitStates, after: int, stopping: NDArray[np.int64]) ->
 
 
 def completed_cycles(run: Run, played: PlayedGait) -> int:
-    """Return the number of whole cycles that were played, and recorded by tracker and power sensor, to their end."""
+    """Return the number of whole cycles before the end of the gait and the last valid sample of each instrument.
+
+    The instruments are tracker and power sensor. One without valid samples is ignored.
+    """
     stamps = (
         run.tracker.stamp[np.isfinite(run.tracker.rear_position)],
         run.power.stamp[np.isfinite(run.power.valid_power)],
@@ -153,7 +158,7 @@ def averaged_cycles(run: Run, played: PlayedGait) -> tuple[int, int]:
 
 
 def early_end(run: Run, played: PlayedGait) -> str:
-    """Return the reason why fewer cycles than requested were played or recorded; empty if there is none."""
+    """Return how a gait ended early, in FAULT, or with an incomplete recording; empty if it did not."""
     if played.state_after is not None and played.end is not None:
         done = played.whole_cycles_until(_FOREVER)
         if played.state_after == FAULT:
@@ -202,7 +207,7 @@ def idle_power(run: Run, played: PlayedGait) -> float:
 
 
 def single_cycles(window: Window, cycles: int) -> Iterator[Window]:
-    """Yield the window of each cycle of a window with a number of ``cycles``."""
+    """Divide a window of ``cycles`` whole cycles into one window for each cycle."""
     borders = np.linspace(window.start, window.end, cycles + 1).round().astype(np.int64).tolist()
     for start, end in pairwise(borders):
         yield Window(start, end)

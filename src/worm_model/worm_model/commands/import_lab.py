@@ -23,7 +23,7 @@ _LONGEST_BODY = 2.0  # m, largest accepted initial length
 
 
 def import_lab(folder: Path, output: Path, settings: LabSettings, namespace: str) -> LabRun:
-    """Convert a run's folder to a bag. Equal files and settings produce equal bytes.
+    """Convert a run's folder to a bag. Equal files, folder names, settings and namespaces produce equal bytes.
 
     Raises:
         LabError: The folder cannot be used.
@@ -64,7 +64,9 @@ def _parser() -> command_line.Parser:
     parser.add_argument("--output", required=True, metavar="BAG", help="new bag; must not exist")
     parser.add_transmission()
     parser.add_number(
-        "--initial-length", "M", "initial length in m; default: the camera's measurement at rest"
+        "--initial-length",
+        "M",
+        "initial length in m; default: the camera's measurement at rest, without the pretension's effect",
     )
     parser.add_argument(
         "--epoch",

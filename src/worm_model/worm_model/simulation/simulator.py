@@ -38,13 +38,13 @@ class SimulationError(RuntimeError):
 
 
 class LoadError(InputError):
-    """The fins do not hold the load at rest, so the robot slides and no gait has a speed."""
+    """The fins do not hold the load at the start of a gait, so the robot slides and the gait has no result."""
 
 
 def _check(failure: float, subject: object, parameters: Parameters) -> None:
     """Raise the error that belongs to a failure of the kernel; 0 is no failure.
 
-    ``subject`` is the gait of a run from the start, or a text for the message.
+    ``subject`` begins the message of a SimulationError: a gait, or a text. The failure SLIDES needs a gait.
     """
     if failure == run.SLIDES and isinstance(subject, Gait):
         load = parameters.rear_load + parameters.front_load
@@ -148,7 +148,8 @@ class Motions:
 
     ``cable_force`` is F_c (eq:Fc); where it is negative, the cable would have to push. ``rear_force`` and
     ``front_force`` are the forces of the fins, F_1 and F_2. The anchors A1 and A2 are given in m and as numbers of
-    their grooves. ``energy`` counts from the start. At the time of an event, the values are those before the event.
+    their grooves. ``energy`` is the idle power times ``time``, plus the energy of the cable work since the first
+    computed time. At the time of an event, the values are those before the event.
     """
 
     time: Array
@@ -242,7 +243,7 @@ class Trajectory:
 
 def _ascending(times: ArrayLike, first: float, last: float) -> Array:
     time = np.atleast_1d(np.asarray(times, dtype=float))
-    rounding = 1e-9 * (1.0 + abs(last))
+    rounding = 1e-9 * (1.0 + abs(last if math.isfinite(last) else first))
     inside = time.size == 0 or (time[0] >= first - rounding and time[-1] <= last + rounding)
     if time.ndim != 1 or not inside or np.any(np.diff(time) < 0.0):
         raise ValueError(f"times must ascend within {first:g} to {last:g} s")
@@ -378,7 +379,7 @@ class Locomotion:
         return self.settled(self.start(time - 2.0 * run.SETTLING_TIME), length_change)
 
     def settled(self, state: LocomotionState, length_change: float) -> LocomotionState:
-        """Return the state 2·`run.SETTLING_TIME` later, after the length has moved to a ΔL in m and the robot rests."""
+        """Return the state 2·`run.SETTLING_TIME` later: ΔL has moved to ``length_change`` (m), and the robot rests."""
         times = [state.time + run.SETTLING_TIME, state.time + 2.0 * run.SETTLING_TIME]
         return self.follow(state, times, [length_change, length_change])[0]
 
@@ -437,7 +438,7 @@ class Locomotion:
         after = run.run_sampled(
             knots, forms, _motion_of(state), self._constants(), None, totals, samples, _NO_ROWS
         )
-        _check(totals[march.FAILURE], f"at {state.time:g} s", self.parameters)
+        _check(totals[march.FAILURE], f"after {state.time:g} s", self.parameters)
         last = knots[-1] - knots[-2] if knots.size > 1 else 0.0
         final = LocomotionState(
             float(knots[-1]),

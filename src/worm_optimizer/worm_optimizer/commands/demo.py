@@ -54,7 +54,7 @@ def _parser() -> Parser:
         "--plant",
         default="",
         metavar="FILE",
-        help="file with the true parameters of the virtual robot (default: the file of the virtual robot)",
+        help="file with the true parameters of the virtual robot (default: the installed virtual_robot.yaml)",
     )
     add_tracker(parser)
     parser.add_argument("--seed", type=int, default=1, help="seed of the robot's scatter and noise")

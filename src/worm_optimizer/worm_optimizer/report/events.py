@@ -96,8 +96,8 @@ def _complaints(bag: Bag, run: Run, holds: Holds) -> Iterator[Event]:
                 complaints[name, level] += 1
     for (name, level), (time, message) in first.items():
         kind = _LEVELS[level] if level < len(_LEVELS) else "error"
-        often = f"{complaints[name, level]} of {reports[name]} reports"
-        yield Event((time - run.origin) * 1e-9, name, kind, f"{message} (the first; {often})")
+        often = f"first of {complaints[name, level]} at this level, of {reports[name]} reports"
+        yield Event((time - run.origin) * 1e-9, name, kind, f"{message} ({often})")
 
 
 def _columns(bag: Bag, topic: Topic | None) -> Columns | None:
@@ -115,7 +115,7 @@ def _stamps(columns: Columns) -> list[int]:
 def _statuses(columns: Columns, row: int) -> Iterator[tuple[str, int, str]]:
     """Yield (name, level, message) of each status in a message.
 
-    The columns contain as many statuses as the longest message. The names of missing statuses are empty.
+    All rows have as many status columns as the row with the most statuses. In other rows the remaining names are empty.
     """
     index = 0
     while (names := columns.texts.get(f"status[{index}].name")) is not None:

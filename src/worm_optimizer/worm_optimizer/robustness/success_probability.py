@@ -27,7 +27,8 @@ def grooves_in(
 ) -> Index:
     """Return the grooves that each gait gains in its worst averaged cycle in each scenario, with the task's margin.
 
-    ``stroke`` in m and ``frequency`` in Hz have shape (n,), the result has shape (n, scenarios).
+    ``stroke`` in m and ``frequency`` in Hz have shape (n,), the result has shape (n, scenarios). ``shape`` is the
+    command shape of each gait, or of all (`evaluation.command_shape`).
     """
     strokes, frequencies = np.asarray(stroke, dtype=float), np.asarray(frequency, dtype=float)
     shapes = np.broadcast_to(shape, strokes.shape)
@@ -77,7 +78,8 @@ def stroke_to_edges(
     strokes = np.column_stack([scan, stroke])
     runs = find_runs(label, np.sort(strokes, axis=1), EDGE_TOLERANCE)
     own = (runs.low <= stroke[runs.column]) & (stroke[runs.column] <= runs.high)
-    # Each stroke is part of its own scan, so that a run of its column contains it. If several runs do, use the first.
+    # A column is the scan over the strokes of one gait. The scan contains the gait's own stroke, so a run of strokes
+    # with the same count contains it. If the stroke is on the border of two runs, use the first one.
     place = np.flatnonzero(own)[np.unique(runs.column[own], return_index=True)[1]]
     lower = np.where(runs.stepped[place], runs.low[place], box.stroke_low)
     following = np.minimum(place + 1, len(runs.column) - 1)

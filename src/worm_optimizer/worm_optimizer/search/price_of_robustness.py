@@ -36,7 +36,7 @@ _ZOOM = exact.Zoom(points=5, rounds=6)
 
 @dataclass(frozen=True)
 class MarginPoint:
-    """Gait with the lowest cost of transport at one margin; its values are NaN if no gait moves.
+    """Gait with the lowest cost of transport at one margin; cost, stroke and frequency are NaN if no gait moves.
 
     Attributes:
         margin: margin, m.
@@ -80,8 +80,8 @@ class PriceOfRobustness:
     Attributes:
         points: optimum at each margin, by rising margin.
         cliff: cliff; None if the scanned margins contain none.
-        closed_form_cliff_margin: margin at the cliff for slow gaits, whose viscous friction is negligible, m; see
-            `closed_form`.
+        closed_form_cliff_margin: margin at which slow gaits, whose viscous friction is negligible, lose the branch with
+            two grooves per cycle, m; see `closed_form`.
         groove_phase: groove phase of the robot, m.
     """
 

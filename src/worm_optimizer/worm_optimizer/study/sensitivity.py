@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sobol indices of speed, power and cliff over the uncertainty of the parameters.
 
-The parameters vary independently and are normally distributed. Their 95 % intervals are those of the parameter file, or
-the default widths of `robustness.uncertainty`.
+The draws of the parameters are independent and normally distributed. `robustness.uncertainty` defines their widths,
+from the 95 % intervals of the parameter file or from defaults, and limits them.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ def sensitivity(gait: Gait, content: ParameterFile, samples: int, seed: int) -> 
 
 
 def _reach(content: ParameterFile) -> dict[str, tuple[float, float]]:
-    """Return the reach of each uncertain parameter. The reach of L0 is that of the groove phase, see `_figures`."""
+    """Return the reach of each uncertain parameter. The reach of L0 is used for the groove phase, see `_figures`."""
     reaches = {key: reach_of(content, key) for key in (*MOTION_KEYS, *POWER_KEYS, LENGTH)}
     return {key: ends for key, ends in reaches.items() if max(ends) > 0.0}
 
@@ -83,7 +83,8 @@ def _figures(
 ) -> Array:
     """Return the quantities of `FIGURES`, shape (3, n), at standard normal deviates of shape (parameters, n).
 
-    L0 changes with the drawn pitch, such that the groove phase depends only on the draw of L0.
+    The body length that is used is the drawn L0 plus n0 times the deviation of the drawn pitch. The groove phase
+    therefore depends only on the draw of L0.
     """
     p = content.parameters
     drawn = values_at(p, reach, dict(zip(reach, deviates, strict=True)))

@@ -82,6 +82,18 @@ def test_one_wrong_sample_does_not_disturb_a_gait(jump):
     check_goals(rig)
 
 
+def test_one_wrong_sample_after_a_missing_answer_is_no_second_reading():
+    rig = idle()
+    since = len(rig.positions)
+    rig.inject("no_answer", target=CABLE, count=1)  # consumes the first of the wrong positions, too
+    rig.inject("wrong_position", target=CABLE, count=2, value=600)
+    rig.run(1.0)
+    assert rig.bus.counters.implausible == 1
+    assert rig.robot.player.phase is Phase.IDLE
+    assert moved(rig, since) < STANDS
+    check_goals(rig)
+
+
 @pytest.mark.parametrize("count", [2, 3, 20, 0], ids=["twice", "thrice", "for a while", "for ever"])
 @pytest.mark.parametrize("jump", JUMPS)
 def test_wrong_samples_while_idle_are_a_fault_and_move_nothing(jump, count):

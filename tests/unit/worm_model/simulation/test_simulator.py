@@ -20,6 +20,7 @@ from worm_model.simulation.simulator import (
     Motions,
     SimulationError,
     evaluate_gait,
+    play_gait,
     simulate,
 )
 
@@ -276,3 +277,10 @@ def test_no_time_changes_nothing_but_is_sampled() -> None:
     assert after == before
     assert motions.x1 == pytest.approx(model.x1(before), abs=1e-15)
     assert motions.length == pytest.approx(PAPER.initial_length - 0.002)
+
+
+@pytest.mark.parametrize("times", [[-0.1, 0.2], [0.2, 0.1]])
+def test_a_gait_is_played_only_at_times_that_ascend_from_0_on(times: list[float]):
+    model = Locomotion(PAPER)
+    with pytest.raises(ValueError, match="ascend"):
+        play_gait(Gait(stroke=0.07, frequency=0.2), PAPER, model.start(), times)

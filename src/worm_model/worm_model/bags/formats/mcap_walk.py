@@ -8,12 +8,15 @@ A record is plausible if all of these hold:
   of complete records. The checksum of an attachment is correct. A message belongs to a defined channel. An index of
   messages consists of complete entries. In records of other kinds, texts and maps are UTF-8 and fit into the record.
 - The next record satisfies the two conditions above, or there is no next record. This condition does not apply to a
-  chunk that contains records. Of the record after the end of the data section, only the kind is checked.
+  chunk that contains records. After a DATA_END record, only the kind of the next record is checked.
 
-A definition or a metadata record with a damaged length ends where its fields end.
+After damage, stricter rules apply:
 
-Messages outside of chunks are plausible only in a file whose chunks have no checksums, or that has no chunks. In
-other files, such messages could only be the content of a damaged chunk, and no checksum could verify them.
+- A schema, channel or metadata record with a damaged length ends where its fields end, if a plausible record or the end
+  of the data follows there.
+- Messages, schemas and channels outside of chunks are searched for only in a file that has no chunks, or whose chunks
+  have no checksums. In other files they could only be the content of a damaged chunk, which no checksum could verify.
+- Headers, records with a private opcode and records longer than a terabyte are not searched for.
 """
 
 from __future__ import annotations
@@ -55,7 +58,7 @@ _PROTECTED = frozenset(
     {Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.ATTACHMENT, Opcode.METADATA, Opcode.DATA_END}
 )
 _DATA = _INSIDE | _PROTECTED | {Opcode.HEADER}
-# kinds of parts whose end is certain
+# kinds of parts whose end is not checked against the next part
 _PROVEN = frozenset({DAMAGED, Opcode.CHUNK, Opcode.ATTACHMENT, Opcode.DATA_END})
 _SUMMARY = range(Opcode.FOOTER, Opcode.DATA_END)
 
@@ -67,7 +70,7 @@ class Part(NamedTuple):
 
     Attributes:
         opcode: opcode of the record, or DAMAGED.
-        first, last: location including the head of the record, the last byte exclusive.
+        first, last: range of bytes [first, last) in the data, including the head of the record.
         runs: ranges of a damaged chunk's decompressed bytes that contain complete records, see `_whole_runs`.
     """
 
@@ -107,7 +110,7 @@ class Walk:
         data: the records.
         first: location of the first record.
         channels: numbers of the defined channels; the caller adds the channels that are defined inside of chunks.
-        judge: returns True if the body of a chunk is complete.
+        judge: returns True if the body of a chunk is accepted: `has_chunk_head`, or the stricter `is_intact_chunk`.
         kinds: allowed opcodes, either inside a chunk or in a data section.
     """
 
@@ -266,8 +269,8 @@ class Walk:
     def _has_checksums(self) -> bool:
         """True if the chunks have checksums.
 
-        Only chunks are considered whose record has the length that follows from the length of the compressed bytes.
-        The first intact one of them decides; without an intact one, the first one does.
+        A chunk counts only if the length of its record agrees with the length of its compressed bytes. The first intact
+        chunk that counts decides. If none is intact, the first chunk that counts decides.
         """
         damaged: list[bool] = []
         for match in re.finditer(rb"(?s)\x06(?=.{5}\0\0\0)", self._data):
