@@ -16,13 +16,14 @@ def pytest_runtest_makereport(item: pytest.Item):
         page = getattr(item, "funcargs", {}).get("page")
         if page is not None and not page.is_closed():
             report.sections.append(("text of the page", page.locator("body").inner_text()))
-        for given in getattr(item, "funcargs", {}).values():
-            group = given if isinstance(given, Processes) else getattr(given, "processes", None)
-            if isinstance(group, Processes):
-                report.sections += [
-                    (f"output of {process.name}", process.output())
-                    for process in group.processes.values()
-                ]
+        given = getattr(item, "funcargs", {}).values()
+        shared = [getattr(value, "processes", None) for value in given]  # by a lab, for example
+        groups = {group for group in (*given, *shared) if isinstance(group, Processes)}
+        report.sections += [
+            (f"output of {process.name}", process.output())
+            for group in groups
+            for process in group.processes.values()
+        ]
     return report
 
 

@@ -236,6 +236,7 @@ def print_result(options: argparse.Namespace, content: dict[str, Any], text: str
         print_json(content)
     else:
         sys.stdout.write(f"{printable(text)}\n")
+    sys.stdout.flush()  # before a line on standard error that follows, also if both go to one file
 
 
 def print_json(content: Any) -> None:

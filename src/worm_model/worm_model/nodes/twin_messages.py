@@ -44,9 +44,7 @@ from worm_msgs.msg import (
 from worm_msgs.msg import Gait as GaitMessage
 from worm_msgs.parameter_rows import ParameterRow
 
-if (
-    TYPE_CHECKING
-):  # the import of the twin would lengthen the start of every command that reads its messages
+if TYPE_CHECKING:  # the import of the twin would lengthen the start of `operate`
     from worm_model.twin.forecast import Forecast
 
 

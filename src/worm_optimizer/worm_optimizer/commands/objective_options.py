@@ -8,8 +8,10 @@ import argparse
 from worm_model.commands.command_line import Parser, number
 from worm_optimizer.search.gait_request import GaitRequest, Objective
 
-_OBJECTIVES = (Objective.MIN_POWER, Objective.CRUISE, Objective.MAX_SPEED)
-_NAMED = {objective.name.lower(): objective for objective in _OBJECTIVES}
+_NAMED = {
+    objective.name.lower(): objective
+    for objective in (Objective.MIN_POWER, Objective.CRUISE, Objective.MAX_SPEED)
+}
 
 
 def add_objective(parser: Parser) -> None:

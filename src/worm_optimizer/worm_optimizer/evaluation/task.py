@@ -185,7 +185,7 @@ class MarginTask:
             )
         if self.limits.electrical_power <= idle:
             raise OptimizerError(
-                f"limits: electrical_power = {self.limits.electrical_power:g} W, but the idle power alone is "
+                f"limits: electrical_power = {self.limits.electrical_power:g} W is at most the idle power of "
                 f"{idle:g} W, so that no gait satisfies this limit: raise it"
             )
 

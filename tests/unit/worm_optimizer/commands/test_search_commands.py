@@ -158,7 +158,7 @@ def test_an_unreachable_request_is_rejected_with_the_nearest(run):
         (["--method", "nsga2", "--population", "1"], "give a population of at least 4"),
         (["--population", "20"], "need --method nsga2"),
         (["--strokes", "0.01", "0.5"], "the body is 0.2952 m long"),
-        (["--max-power", "0.8"], "0.82 W"),
+        (["--max-power", "0.8"], "idle power of 0.82 W"),
         (["--max-power", "1"], "electrical_power excludes every gait"),
         (["--max-power", "-3"], "limits: electrical_power = -3.0"),
         (["--servo-model", "XM430-W350"], "without the driver's parameter file"),

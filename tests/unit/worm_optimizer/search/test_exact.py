@@ -144,7 +144,7 @@ def test_strokes_that_the_body_cannot_make_are_no_box():
 
 
 def test_a_power_below_the_idle_power_is_no_limit():
-    with pytest.raises(OptimizerError, match=r"electrical_power = 0.5 W.* idle power.* 0.82 W"):
+    with pytest.raises(OptimizerError, match=r"electrical_power = 0.5 W .* idle power of 0.82 W"):
         MarginTask(limits=ActuatorLimits(electrical_power=0.5))
 
 
