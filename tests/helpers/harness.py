@@ -72,12 +72,12 @@ class Probe:
     def close(self) -> None:
         """End the node and its context.
 
-        `destroy_node` leaves action servers and clients alive until the garbage collector finds them. A later test in
-        the same domain would discover them.
+        `destroy_node` leaves action servers alive until the garbage collector finds them. A later test in the same
+        domain would count them as drivers.
         """
         self._executor.shutdown()
         for waitable in list(self.node.waitables):
-            if isinstance(waitable, ActionServer | ActionClient):
+            if isinstance(waitable, ActionServer):
                 waitable.destroy()
         self.node.destroy_node()
         self._context.try_shutdown()
