@@ -19,7 +19,7 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from worm_driver.nodes import driver_messages
 from worm_driver.nodes.position_publisher import PositionPublisher
 from worm_driver.tracking import vision
-from worm_driver.tracking.camera_model import CameraModel, make_camera_model
+from worm_driver.tracking.camera_model import make_camera_model
 from worm_driver.tracking.frame_thread import FrameThread
 from worm_driver.tracking.image_sources import check_size
 from worm_driver.tracking.tracker import Tracker as ModuleTracker
@@ -36,8 +36,6 @@ VIRTUAL = "virtual"
 #: Value of source that selects the topics of a camera.
 TOPIC = "topic"
 _TRANSPORTS = ("raw", "compressed")
-#: Largest relative difference between the focal lengths and centres of two calibrations that causes no warning.
-_DIFFERENT = 1e-3
 _PARAMETERS = tuple(
     ParameterRow(name, default, text, read_only=True)
     for name, default, text in (
@@ -151,7 +149,7 @@ class TrackerNode(Node):
         if self._setup.camera is None:
             if self._tracker is None or self._tracker.camera != camera:
                 self._tracker = ModuleTracker(self._setup, camera)
-        elif _differ(self._setup.camera, camera):
+        elif self._setup.camera.differs_from(camera):
             text = "the tracker uses the calibration of the setup file, which differs from that on camera_info"
             self.get_logger().warning(text, once=True)
 
@@ -232,14 +230,6 @@ def _setup_path(text: str) -> Path:
     if text == VIRTUAL:
         return Path(str(files("worm_driver").joinpath("config/virtual_tracker.yaml")))
     return Path(text).expanduser()
-
-
-def _differ(one: CameraModel, other: CameraModel) -> bool:
-    """Return True if two calibrations differ in size or model, or by more than _DIFFERENT in focal length or centre."""
-    if (one.width, one.height, one.model) != (other.width, other.height, other.model):
-        return True
-    numbers = [np.array([*m.focal, *m.centre]) for m in (one, other)]
-    return bool(np.abs(numbers[1] / numbers[0] - 1.0).max() > _DIFFERENT)
 
 
 def _time(nanoseconds: int) -> Time:

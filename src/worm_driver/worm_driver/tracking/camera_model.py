@@ -6,6 +6,9 @@ tangential distortion, 4 or 5 coefficients), ``rational_polynomial`` (8 coeffici
 Brandt's fisheye, 4 coefficients).
 """
 
+from __future__ import annotations
+
+import itertools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -23,6 +26,8 @@ Array = NDArray[np.float64]
 
 #: Allowed numbers of distortion coefficients of each model.
 COEFFICIENTS = {"plumb_bob": (4, 5), "rational_polynomial": (8,), "equidistant": (4,)}
+#: Largest difference between the numbers of two calibrations that are the same.
+_ROUNDING = 1e-3
 
 
 @dataclass(frozen=True)
@@ -49,6 +54,19 @@ class CameraModel:
         """Camera matrix K, shape (3, 3)."""
         (fx, fy), (cx, cy) = self.focal, self.centre
         return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+
+    def differs_from(self, other: CameraModel) -> bool:
+        """Return True if another calibration differs in image size, in model, or by more than rounding in a number.
+
+        Focal lengths and principal points are compared by their ratio, distortion coefficients by their difference.
+        """
+        if (self.width, self.height, self.model) != (other.width, other.height, other.model):
+            return True
+        pinholes = [np.array([*c.focal, *c.centre]) for c in (self, other)]
+        # plumb_bob with four coefficients is the same as with a fifth that is 0.
+        pairs = itertools.zip_longest(self.distortion, other.distortion, fillvalue=0.0)
+        differences = [*(pinholes[1] / pinholes[0] - 1.0), *(b - a for a, b in pairs)]
+        return bool(np.abs(differences).max() > _ROUNDING)
 
 
 def load_camera_info(path: Path) -> CameraModel:

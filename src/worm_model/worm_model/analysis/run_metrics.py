@@ -167,9 +167,9 @@ def early_end(run: Run, played: PlayedGait) -> str:
             stopped = played.state_after == STOPPING
             how = "stopped" if stopped else f"ended ({state_name(played.state_after)})"
             return f"{how} after {done} of {played.cycles} cycles"
-    _, recorded = averaged_cycles(run, played)
+    recorded = completed_cycles(run, played)
     if recorded < played.cycles:
-        return f"recorded only up to cycle {recorded} of {played.cycles}"
+        return f"only {recorded} of {played.cycles} cycles were recorded completely"
     return ""
 
 

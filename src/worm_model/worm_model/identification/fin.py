@@ -101,12 +101,14 @@ def fit_fin(displacement: Array, force: Array, engages: int = 0) -> FinFit:
         )
     reaction = bool(np.polyfit(x, y, 1)[0] < 0.0)
     line = _BrokenLine(x, -y if reaction else y)
-    values, covariance = line.fit(line.start(), [True, True, True, True])
+    free = [0, 1, 2, 3]
+    values, covariance = line.fit(line.start(), free)
     if abs(values[3]) <= SIGNIFICANT * np.sqrt(covariance[3, 3]):
-        values, covariance = line.fit(np.array([*values[:3], 0.0]), [True, True, True, False])
+        free = [0, 1, 2]
+        values, covariance = line.fit(np.array([*values[:3], 0.0]), free)
     side = engages or _engaging_side(values)
     order = [0, 1, 2] if side < 0 else [0, 2, 1]
-    clearance, engaged, disengaged = (line.interval(values, covariance, k) for k in order)
+    clearance, engaged, disengaged = (line.interval(values, covariance, k, free) for k in order)
     return FinFit(
         clearance=clearance,
         engaged_stiffness=engaged,
@@ -159,12 +161,12 @@ class _BrokenLine:
             tried.append((float(np.sum(np.abs(y - _force(values, x)))), values))
         return min(tried, key=lambda pair: pair[0])[1]
 
-    def fit(self, start: Array, free: list[bool]) -> tuple[Array, Array]:
-        """Return values (4,) and covariance (4, 4) of a fit of the ``free`` entries.
+    def fit(self, start: Array, free: list[int]) -> tuple[Array, Array]:
+        """Return values (4,) and covariance (4, 4) of a fit of the entries with the indices ``free``.
 
         The other entries keep their values in ``start`` and have zero covariance.
         """
-        index = np.flatnonzero(free)
+        index = np.array(free)
         result = self._solve(start, index)
         values = start.copy()
         values[index] = result.x
@@ -174,18 +176,18 @@ class _BrokenLine:
         covariance[np.ix_(index, index)] = np.linalg.pinv(result.jac.T @ result.jac) * variance
         return values, covariance
 
-    def interval(self, values: Array, covariance: Array, entry: int) -> Estimate:
-        """Return the estimate of an entry, with the 95 % interval from the profile of the cost."""
-        free = [k for k in range(4) if k != entry and covariance[k, k] > 0.0]
-        freedom = max(self.x.size - len(free) - 1, 1)
-        best = self._solve(values, np.array(free))
+    def interval(self, values: Array, covariance: Array, entry: int, free: list[int]) -> Estimate:
+        """Return the estimate of one of the ``free`` entries, with the 95 % interval from the profile of the cost."""
+        others = np.array([k for k in free if k != entry])
+        freedom = max(self.x.size - len(free), 1)
+        best = self._solve(values, others)
         tail = quantile(freedom / self.worth)
         rise = 2.0 * best.cost / freedom * self.worth * tail**2
 
         def cost(value: float) -> float:
             start = values.copy()
             start[entry] = value
-            return 2.0 * float(self._solve(start, np.array(free)).cost - best.cost)
+            return 2.0 * float(self._solve(start, others).cost - best.cost)
 
         reach = tail * float(np.sqrt(covariance[entry, entry]))
         value = float(values[entry])

@@ -32,6 +32,29 @@ def test_the_file_is_read_as_it_was_written(camera: CameraModel, tmp_path):
     assert len(content["projection_matrix"]["data"]) == 12
 
 
+def test_a_calibration_does_not_differ_from_its_rounded_self():
+    rounded = replace(BROWN, focal=(BROWN.focal[0] * 1.0005, BROWN.focal[1]))
+    longer = replace(BROWN, distortion=(*BROWN.distortion[:4], 0.0))
+    shorter = replace(BROWN, distortion=BROWN.distortion[:4])
+    assert not BROWN.differs_from(BROWN)
+    assert not BROWN.differs_from(rounded)
+    assert not longer.differs_from(shorter)
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        RATIONAL,
+        replace(BROWN, width=BROWN.width // 2),
+        replace(BROWN, focal=(BROWN.focal[0], BROWN.focal[1] * 1.01)),
+        replace(BROWN, centre=(BROWN.centre[0] + 10.0, BROWN.centre[1])),
+        replace(BROWN, distortion=(BROWN.distortion[0] + 0.1, *BROWN.distortion[1:])),
+    ],
+)
+def test_a_calibration_with_another_number_or_model_differs(other):
+    assert BROWN.differs_from(other)
+
+
 @pytest.mark.parametrize("camera", [BROWN, RATIONAL, FISHEYE], ids=lambda c: c.model)
 def test_directions_are_the_inverse_of_projecting(camera: CameraModel):
     columns, rows = np.meshgrid(np.linspace(0, 1279, 9), np.linspace(0, 719, 7))

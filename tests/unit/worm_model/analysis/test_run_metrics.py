@@ -25,7 +25,17 @@ from worm_model.analysis.run_metrics import (
     mean_rate,
 )
 from worm_model.parameters import PAPER, STANDARD_GRAVITY
-from worm_model.run import FAULT, IDLE, INACTIVE, RESTING, RUNNING, STOPPING, GaitStates, Run
+from worm_model.run import (
+    FAULT,
+    IDLE,
+    INACTIVE,
+    RESTING,
+    RUNNING,
+    STOPPING,
+    GaitStates,
+    PowerSamples,
+    Run,
+)
 from worm_model.simulation.simulator import cost_of_transport
 from worm_msgs.robot_parameters import RobotParameters
 
@@ -108,6 +118,18 @@ def test_a_gait_that_is_stopped_plays_on_to_its_next_point_of_rest(state, reason
     run, played = Run(gait_state=states), last_played_gait(states)
     assert early_end(run, played) == reason
     assert averaged_cycles(run, played) == (1, 3)
+
+
+@pytest.mark.parametrize(("cycles", "whole"), [(0.5, 0), (1.5, 1)])
+def test_a_recording_that_ends_before_the_gait_names_its_complete_cycles(cycles, whole):
+    run = simulated_run(3)
+    played = last_played_gait(run.gait_state)
+    end = played.onset + round(cycles * GAIT.period * 1e9)
+    recorded = run.power.stamp < end
+    fields = dataclasses.fields(run.power)
+    power = PowerSamples(*(getattr(run.power, field.name)[recorded] for field in fields))
+    early = dataclasses.replace(run, power=power)
+    assert f"{whole} of 3 cycles" in early_end(early, played)
 
 
 def test_the_end_of_a_whole_gait_is_no_early_end():

@@ -121,6 +121,14 @@ def test_a_fin_test_that_does_not_show_the_engaged_side_requires_it():
     assert fit_fin(X, force, engages=1).engages == 1
 
 
+@pytest.mark.parametrize(("centre", "engages"), [(0.0, 0), (0.0, -1), (0.0003, 0)])
+def test_a_fin_test_without_noise_is_found_exactly(centre, engages):
+    fit = fit_fin(X, fin_force(X - centre), engages)
+    assert fit.values == pytest.approx(FIN, rel=1e-9)
+    assert fit.clearance.low == pytest.approx(fit.clearance.high, rel=1e-6)
+    assert fit.centre == pytest.approx(centre, abs=1e-9)
+
+
 @pytest.mark.parametrize("x", [X[:6], np.abs(X)])
 def test_a_fin_test_of_one_side_is_rejected(x):
     with pytest.raises(IdentificationError, match="both sides"):

@@ -96,8 +96,10 @@ def follow_profile(
 
     Returns:
         The position; infinite if the cost rises by less within ``reach``. If the cost jumps over ``rise``, a position
-        just beyond the jump.
+        just beyond the jump. With data without noise, ``rise`` is 0 and the position is ``best``.
     """
+    if rise == 0.0:
+        return best
     offset, low, high = min(abs(guess), reach), 0.0, np.inf
     for _ in range(MOST_STEPS):
         risen = cost(best + float(np.copysign(offset, guess)))

@@ -74,8 +74,9 @@ def text_of(result: Identification, advice: str, figures: list[str]) -> str:
         "Predictions use the exact model with the run's own initial length and the clock offset between camera and "
         "servo from the other runs. x1 is predicted from the measured length, ΔL from the command. Errors are rms "
         "values from the onset until the rear module has passed five ridges. The energy error is that at the end of "
-        "this time. Three quantities still depend on the run itself: its smoothed length, the scatter of the grooves, "
-        "and the forces in the energy fit.\n\n" + error_table(result.held_out, result.paper),
+        "this time. Four quantities still depend on the run itself: its initial length, its smoothed length, the "
+        "scatter of the grooves, and the forces in the energy fit.\n\n"
+        + error_table(result.held_out, result.paper),
     ]
     if result.validation:
         parts.append("## Validation runs\n\n" + error_table(result.validation, {}))
