@@ -144,13 +144,19 @@ def _binding(middleware: str) -> Mapping[str, str] | None:
 def _leaves_the_machine(peers: str) -> bool:
     """Return True if a list of addresses contains a host other than localhost and the loopback addresses.
 
-    The addresses are separated by semicolons, as in ROS_STATIC_PEERS and ROS_DISCOVERY_SERVER.
+    The addresses are separated by semicolons, as in ROS_STATIC_PEERS and ROS_DISCOVERY_SERVER. A port may follow an
+    address: ``127.0.0.1:11811``, ``[::1]:11811``.
     """
-    hosts = (peer.strip().rsplit(":", 1)[0] for peer in peers.split(";") if peer.strip())
-    return not all(host == "localhost" or _is_loopback(host) for host in hosts)
+    addresses = (peer.strip() for peer in peers.split(";") if peer.strip())
+    return not all(
+        _is_loopback(address) or _is_loopback(address.rsplit(":", 1)[0].strip("[]"))
+        for address in addresses
+    )
 
 
 def _is_loopback(host: str) -> bool:
+    if host == "localhost":
+        return True
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:

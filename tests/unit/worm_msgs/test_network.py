@@ -21,7 +21,8 @@ PROFILE = "FASTRTPS_DEFAULT_PROFILES_FILE"
         {"WORM_NETWORK": "0"},
         {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"},
         {"ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF"},
-        {"ROS_STATIC_PEERS": "127.0.0.1;localhost"},
+        {"ROS_STATIC_PEERS": "127.0.0.1;localhost;::1"},
+        {"ROS_DISCOVERY_SERVER": "127.0.0.1:11811;[::1]:11811"},
     ],
 )
 def test_without_a_decision_it_stays_on_the_machine(middleware, given):
@@ -49,6 +50,7 @@ def test_a_started_process_inherits_the_binding_and_takes_it_for_ours():
         {"WORM_NETWORK": "1"},
         {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"},
         {"ROS_STATIC_PEERS": "192.168.1.7"},
+        {"ROS_STATIC_PEERS": "[2001:db8::1]:11811"},
         {"ROS_STATIC_PEERS": "localhost;robot.lan"},
         {"ROS_DISCOVERY_SERVER": "192.168.1.7:11811"},
         {PROFILE: "/home/somebody/profiles.xml"},
