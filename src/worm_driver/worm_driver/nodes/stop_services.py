@@ -175,6 +175,9 @@ class _ControlTopics:
             self._lease.hand_over(message.client)
         elif message.wish == ControlRequest.RELEASE:
             self._lease.release(message.client)
+        else:
+            text = f"control/request of {message.client} is ignored: wish is {message.wish}"
+            self._logger.warning(text)
         self._publish()
 
     def _on_control(self, message: ControlRequest) -> None:

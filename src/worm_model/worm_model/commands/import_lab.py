@@ -110,7 +110,10 @@ def _run(options: argparse.Namespace) -> None:
         "power": len(lab.run.power.stamp),
     }
     content = {"bag": str(output), "initial_length": lab.initial_length, **counts}
-    summary = ", ".join(f"{count} {name}" for name, count in counts.items())
+    summary = (
+        f"{counts['commanded']} commanded lengths, {counts['tracker']} tracker samples ({counts['occluded']} occluded), "
+        f"{counts['power']} power samples"
+    )
     command_line.print_result(
         options, content, f"{output}: {summary}; initial length {lab.initial_length:.4f} m"
     )
