@@ -36,7 +36,7 @@ class ServoRow:
         stall_torque: momentary torque at standstill, N·m.
         stall_current: current at standstill, A.
         velocity_limit: initial value and range of the register velocity_limit, raw.
-        current_unit: A per unit of the current registers; 0: the model reports a load instead.
+        current_unit: current per unit of the current registers, A; 0: the model reports a load instead.
         current_limit: largest value of the register current_limit, raw; 0 without this register.
         initial: further registers in which the models differ, by register name: the initial value, or (initial value,
             lowest, highest), raw.

@@ -114,7 +114,7 @@ class Robot:
         fastest = min(settings.max_cable_speed, self.actuators.fastest_cable)
         return GaitLimits(settings.max_stroke, settings.max_frequency, fastest)
 
-    # --- commands: each between two cycles -----------------------------------------------------
+    # --- commands: each between two calls of `cycle` -------------------------------------------
 
     def home(self) -> None:
         """Define the present cable length as the initial length.
@@ -231,7 +231,10 @@ class Robot:
         self.player = gait_player.finish(self.player, now)
 
     def cancel(self, now: float, reason: str = "cancelled") -> None:
-        """End the run at its next point of rest; at once before its first cycle, unless the cable returns to rest."""
+        """End the run at its next point of rest.
+
+        A run whose first cycle has not begun ends at once, unless the cable is returning to rest.
+        """
         self.player = gait_player.cancel(self.player, now, reason)
 
     def stop(self, now: float, reason: str) -> None:
@@ -328,10 +331,13 @@ class Robot:
         self.active = False
         return self.actuators.release()
 
-    # --- the cycle -----------------------------------------------------------------------------
+    # --- the control cycle ---------------------------------------------------------------------
 
     def cycle(self, now: float) -> Snapshot:
-        """Execute one cycle at a time (s) and return its result. Never raises an error of a servo or of the port."""
+        """Execute one control cycle, at the time ``now`` (s), and return its result.
+
+        Never raises an error of a servo or of the port.
+        """
         self._step(now)
         read_time = now
         try:
@@ -389,9 +395,9 @@ class Robot:
     def _here(self) -> float:
         """Return the length change at which a hold begins, m: the measured one if confirmed, else the last command.
 
-        A measurement is confirmed if it differs from the command by at most the cable's lag. It is also confirmed if a
-        cable servo strains towards the command, as with a blocked cable. A missing or implausible sample is not
-        confirmed.
+        A measurement is confirmed if it differs from the command by at most the distance that the cable can move
+        within `_LAG`. It is also confirmed if a cable servo strains towards the command, as with a blocked cable. A
+        missing or implausible sample is not confirmed.
         """
         commanded = self.player.length_change
         cable = self.actuators.length_change(self._states)

@@ -6,7 +6,8 @@ A run has these phases:
 - RETURNING: the cable returns to delta L = 0. The phase ends at once if the cable is there already.
 - FLIPPING: the fins are set, and the robot settles.
 - RESTING: the robot is at rest, and idle power is sampled.
-- RUNNING: the cycles, each from the point of rest (delta L = 0, or the pretension) back to it.
+- RUNNING: the cycles, each from the point of rest (commanded contraction 0, or equal to the pretension) back
+  to it.
 - IDLE: no run is in progress, and nothing moves.
 
 With a pretension, the cable is tensioned once the fins are set (FLIPPING -> TENSIONING -> FLIPPING). After the end of

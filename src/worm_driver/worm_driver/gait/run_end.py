@@ -14,7 +14,7 @@ _NEAR_END = 0.8
 #: part of a pitch by which the distance may fall short of a number of grooves, because the deflection of the fins also
 #: moves x1
 _TOLERANCE = 0.25
-#: number of cycles without a gained groove after which a run makes no progress
+#: number of cycles over which progress is judged: a run that gains less than half a pitch in them makes no progress
 _CYCLES_WITHOUT_PROGRESS = 3
 #: s, time after the end of a cycle within which the tracker samples of the cycle arrive
 _LATENCY = 0.5

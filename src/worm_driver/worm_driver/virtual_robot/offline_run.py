@@ -45,7 +45,7 @@ class Run:
             increase with the contraction if the servo's sign is 1, and decrease if it is -1.
         tracker_time: times of the camera samples, s.
         rear_position, front_position: x1 and x2 of the camera samples, m; NaN while a marker is hidden.
-        power_time: times of the conversions of the power sensor, s.
+        power_time: times at which the conversions of the power sensor were read, s.
         bus_voltage, current: values of the conversions, V and A.
         truth: true parameters of the robot.
     """
@@ -72,8 +72,8 @@ def run_offline(
 ) -> Run:
     """Simulate a run (a rest, then a command), and return its measurements.
 
-    If the command does not begin at 0, as with pretension, the cable moves to the first value in the first half of the
-    rest.
+    If the command does not begin at 0, as with pretension, the cable moves to the command's first value during the
+    first half of the rest.
 
     Args:
         settings: the robot, with its seed.

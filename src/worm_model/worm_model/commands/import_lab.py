@@ -111,8 +111,8 @@ def _run(options: argparse.Namespace) -> None:
     }
     content = {"bag": str(output), "initial_length": lab.initial_length, **counts}
     summary = (
-        f"{counts['commanded']} commanded lengths, {counts['tracker']} tracker samples ({counts['occluded']} occluded), "
-        f"{counts['power']} power samples"
+        f"{counts['commanded']} commanded lengths, {counts['tracker']} tracker samples ({counts['occluded']} "
+        f"occluded), {counts['power']} power samples"
     )
     command_line.print_result(
         options, content, f"{output}: {summary}; initial length {lab.initial_length:.4f} m"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Estimates of the parameters that may drift (`drift.ADVICE`) from single bags, by the stages of the identification."""
+"""Estimates, from single bags, of the parameters that may drift (`drift.ADVICE`)."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def estimate_bags(
     progress: Callable[[float], None] = lambda _done: None,
     definitions: Path | None = None,
 ) -> tuple[tuple[BagEstimates, ...], tuple[ExcludedBag, ...]]:
-    """Estimate the parameters that may drift from the first run in each bag.
+    """Estimate, from the first run in each bag, the parameters that may drift.
 
     Args:
         paths: the bags.
@@ -118,7 +118,7 @@ def _content(recording: Recording) -> str:
 
 
 def estimate_bag(recording: Recording, start: int, parameters: Parameters) -> BagEstimates:
-    """Estimate the parameters that may drift from a recording of a bag that starts at ``start`` (ns since the epoch).
+    """Estimate, from a recording, the parameters that may drift. ``start`` is the start of its bag, ns since the epoch.
 
     Raises:
         IdentificationError: A marker was hidden for too long, the body did not follow its command, the strides

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Smoothing of a sampled length, whose rate the prediction of the power requires.
+"""Smoothing of a sampled length, because the prediction of the power requires its rate.
 
 The cable force (eq:Fc) and the power depend on the rate of the length. With equal masses and without dry friction, the
 motion does not depend on this rate. At each requested time, a parabola is fitted by least squares to the samples within

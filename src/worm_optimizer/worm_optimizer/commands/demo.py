@@ -32,7 +32,7 @@ from worm_optimizer.report.recordings import read_recorded_gaits
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the demo, and return the exit status: 0, 2 for bad input, or 1 if a stage failed."""
+    """Run the demo, and return the exit status: 0 after success, 1 if a stage failed, or 2 for bad input."""
     return run_command(_parser(), _demo, arguments)
 
 

@@ -48,7 +48,8 @@ class LivePage:
             with ui.row().classes("items-center w-full"):
                 self._pause = ui.switch("Pause")
                 ui.label(
-                    "blue: robot, amber: twin. Fins: green ones hold, amber ones yield, grey ones touch nothing"
+                    "blue: robot, amber: twin. Fins, as computed by the twin: green hold, amber yield, "
+                    "grey touch nothing"
                 )
             with ui.row().classes("w-full gap-4"):
                 self._cells = _table(_ROWS)

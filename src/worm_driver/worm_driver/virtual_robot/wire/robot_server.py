@@ -3,7 +3,8 @@
 
 One thread owns the robot. It waits in select(), so that an answer leaves some hundred microseconds after its request,
 and wakes up regularly to advance the plant. With clients of its clock (virtual_clock), simulated time advances from
-event to event and waits for clients that are late. Without clients simulated time advances at the rate ``rate``.
+event to event and waits for clients that are late. Without clients, simulated time advances at the rate ``rate`` of
+`RobotServer`, or in real time if ``rate`` is inf or None.
 """
 
 import contextlib

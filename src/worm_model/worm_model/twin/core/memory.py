@@ -20,7 +20,8 @@ GAIT_KIND, COMMAND_KIND, LENGTH_KIND, POSITION_KIND, POWER_KIND = (int(kind) for
 CHANNELS = 3  # quantities with a residual: position, length, power
 POSITION, LENGTH, POWER = range(CHANNELS)
 ROOM = 16384  # rows of recent and waiting samples: some 3 s of five topics at 1 kHz
-HELD = 100  # largest number of held samples; so many samples confirm each other even if they are of one topic
+# Largest number of held samples, see `sample_buffer`. This many confirm each other even if all are of one topic.
+HELD = 100
 PHASES = 200  # bins of a cycle in which residuals are summed
 
 # Fates of a sample; CROWDED means that `rows` is full. `counts` contains the number of samples by fate.
@@ -71,7 +72,12 @@ FIELDS = (
     Field("moving", np.int64, "1", "1 once the motion is computed, also while the robot rests"),
     Field("motion_ns", np.int64, "ns", "stamp up to which the motion is computed"),
     Field("length_change", np.float64, "m", "ΔL at `motion_ns`"),
-    Field("y", np.float64, "m", "x1 + μ·ΔL relative to the run's first rear groove"),
+    Field(
+        "y",
+        np.float64,
+        "m",
+        "x1 + μ·ΔL with μ = M2/(M1 + M2), relative to the run's first rear groove",
+    ),
     Field("y_rate", np.float64, "m/s", "rate of y"),
     Field("rear_groove", np.int64, "1", "rear anchor, counted from the run's first rear groove"),
     Field("front_groove", np.int64, "1", "front anchor, counted from the run's first rear groove"),
@@ -104,7 +110,12 @@ FIELDS = (
     Field("initial_length", np.float64, "m", "L0 of the run"),
     Field("length_seen", np.int64, "1", "1 if an instrument measured `initial_length`"),
     Field("length_fitted", np.int64, "1", "1 if `initial_length` was estimated from the motion"),
-    Field("origin", np.float64, "m", "the tracker's position of the run's first rear groove"),
+    Field(
+        "origin",
+        np.float64,
+        "m",
+        "position of the run's first rear groove in the tracker's coordinates",
+    ),
     Field("origin_known", np.int64, "1", "1 if the tracker has measured `origin`"),
     Field("pose_x1", np.float64, "m", "x1 before the run, relative to the rear anchor"),
     Field("pose_front", np.int64, "1", "front anchor before the run, in grooves from the rear one"),
@@ -118,7 +129,13 @@ FIELDS = (
     Field("paused_ns", np.int64, "ns", "stamp at which the last gap was reported"),
     # residuals by channel
     Field("channel_ns", np.int64, "ns", "stamp of the last residual", CHANNELS),
-    Field("channel_square", np.float64, "1", "mean square of residual over usual size", CHANNELS),
+    Field(
+        "channel_square",
+        np.float64,
+        "1",
+        "mean of residual² / (usual size² + variance of the noise)",
+        CHANNELS,
+    ),
     Field("channel_level", np.int64, "1", "Health of the channel", CHANNELS),
     Field("level_ns", np.int64, "ns", "last stamp that justified `channel_level`", CHANNELS),
     Field("noise_count", np.int64, "1", "number of residuals in `noise_square`", CHANNELS),
@@ -172,9 +189,9 @@ class Rules(NamedTuple):
     """Settings for the core, from `TwinSettings`.
 
     ``smoothing`` is in s, all other times are in ns. ``gate`` and the scales are in the SI unit of their quantity. The
-    computation at a row uses the samples of the time ``look_ahead`` after the row. Processed rows are stored for at
-    least ``history``, unless there are too many. ``period`` is the shortest interval of published states. The tracker
-    counts as moved if rejected positions agree with each other for the time ``moved``.
+    computation at a row also uses samples that are later than the row by up to ``look_ahead``. Processed rows are
+    stored for at least ``history``, unless there are too many. ``period`` is the shortest interval of published states.
+    The tracker counts as moved if rejected positions agree with each other for the time ``moved``.
     """
 
     delay: int
@@ -195,7 +212,10 @@ class Rules(NamedTuple):
 
 
 class OutputRows(NamedTuple):
-    """Room for the output; ``counts`` (4,) contains the number of used rows of each array above, in this order."""
+    """Room for the output.
+
+    ``counts`` (4,) contains the numbers of used rows of ``states``, ``residuals``, ``lengths`` and ``events``.
+    """
 
     states: NDArray[np.void]
     residuals: NDArray[np.void]

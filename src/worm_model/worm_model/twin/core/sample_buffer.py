@@ -12,10 +12,10 @@
 - **Ahead.** A sample that is ahead of the newest by more than ``hold_ahead_s`` is held. If its stamp differs by more
   than ``hold_ahead_s`` from that of the sample held last, all samples held before are excluded. Three held samples
   confirm each other. If several topics are active, they must be of at least two topics, unless 100 samples are held.
-  Held driver states confirm nothing. They are excluded only if they are ahead of a later held sample by more than
-  ``hold_ahead_s``. If the first confirmed sample is at most ``jump_ahead_s`` ahead, a pause has ended, and the held
-  samples are inserted. If it is further ahead, the clock has jumped. If a sample that is not ahead arrives before the
-  confirmation, the held samples are excluded.
+  Held driver states confirm nothing, and are excluded if their stamp is ahead of that of a sample held after them by
+  more than ``hold_ahead_s``. If the first confirmed sample is at most ``jump_ahead_s`` ahead, a pause has ended, and
+  the held samples are inserted. If it is further ahead, the clock has jumped. If a sample other than a driver state is
+  inserted before the confirmation, the held samples are excluded.
 - A **driver state** is never late, because its topic is latched. A state of a running gait is inserted at the onset, or
   at the earliest stamp that is not late.
 """
@@ -49,7 +49,7 @@ from worm_model.twin.records import Activity
 
 RUNNING, STOPPING = int(Activity.RUNNING), int(Activity.STOPPING)
 
-LONGEST_M = 1.0  # longest plausible body; a wrong unit would give millions of grooves
+LONGEST_M = 1.0  # longest plausible body; excludes lengths in a wrong unit, such as mm
 FARTHEST_M = 1e5  # largest plausible position
 MOST_W = 1e5  # largest plausible power
 CONFIRMATIONS = 3  # number of successive samples that confirm a jump; a single stamp may be wrong
