@@ -15,6 +15,7 @@ import numpy as np
 from driver_rig import Rig, installed_robot
 from twin_samples import run_of_rows
 
+from worm_driver.control.driver_settings import DriverSettings
 from worm_driver.control.snapshot import Snapshot
 from worm_driver.gait.gait_limits import Gait as DriverGait
 from worm_driver.gait.gait_player import Phase
@@ -72,8 +73,10 @@ class _Rig(Rig):
 class Session:
     """One graph: a driver, and a virtual robot that continues from gait to gait."""
 
-    def __init__(self, virtual: RobotSettings | None = None) -> None:
-        self.rig: Rig = _Rig(virtual=VirtualRobot(virtual or virtual_settings()))
+    def __init__(
+        self, virtual: RobotSettings | None = None, driver: DriverSettings | None = None
+    ) -> None:
+        self.rig: Rig = _Rig(driver, VirtualRobot(virtual or virtual_settings()))
         self.camera = True
         self.power = True
         self.played: list[Played] = []

@@ -38,8 +38,11 @@ _STORED_NAMES = {
     "rejected": "refused",
     "rejected_ns": "refused_ns",
 }
-# fields of a gait that older memories lack, with their values
-_GAIT_DEFAULTS = {name: GAIT_DEFAULTS[name] for name in WAVEFORM if name in GAIT_DEFAULTS}
+# fields that older memories lack, with their values
+_DEFAULTS = {
+    **{name: GAIT_DEFAULTS[name] for name in WAVEFORM if name in GAIT_DEFAULTS},
+    **dict.fromkeys(("rest_ns", "pulling", "released_ns"), 0),
+}
 # parameters that older memories lack; they were 0
 _ADDED = frozenset(("rear_load", "front_load"))
 #: fields by their name in the stored format
@@ -161,7 +164,7 @@ def read_memory(stamp_ns: int, text: str) -> StoredMemory | None:
     """Return a stored memory, or None if the text is invalid or of another version."""
     try:
         content = json.loads(text)
-        content["record"] = {**_GAIT_DEFAULTS, **content["record"]}
+        content["record"] = {**_DEFAULTS, **content["record"]}
         if content["version"] != VERSION or not set(_STORED) <= set(content["record"]):
             return None
         return StoredMemory(stamp_ns, content)

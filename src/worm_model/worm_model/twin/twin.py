@@ -283,6 +283,8 @@ class _Call:
 
     def _apply(self, driver: DriverState) -> None:
         m = self.state.record
+        if driver.activity == Activity.RESTING != m["activity"]:
+            m["rest_ns"] = driver.stamp_ns
         m["activity"] = driver.activity
         if is_new_run(m, driver):
             self._end(int(m["processed_ns"]))
