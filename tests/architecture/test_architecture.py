@@ -35,7 +35,10 @@ NODES = ["*/nodes/*.py"]
 # messages.
 SHARED = {
     f"worm_msgs.{name}"
-    for name in ("robot_parameters", "servo_models", "settings_file", "yaml_file")
+    for name in (
+        *("conditions", "input_error", "robot_parameters", "servo_models", "settings_file"),
+        "yaml_file",
+    )
 }
 PROCESSES = [
     f"worm_msgs/{name}.py"

@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Errors for bad input, which commands report with exit status 2, and printable forms of texts."""
+"""Errors for bad input and printable forms of texts."""
 
 from __future__ import annotations
 
-
-class InputError(ValueError):
-    """Input that cannot be used. The message is one line that says what is wrong, where, and what to do."""
+from worm_msgs.input_error import InputError as InputError
 
 
 class RecordingError(InputError):

@@ -17,7 +17,6 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, NoReturn
 
-from worm_model.conditions import CONDITION_ROWS
 from worm_model.errors import InputError, printable
 from worm_model.gait import (
     FORWARD,
@@ -27,6 +26,7 @@ from worm_model.gait import (
     REVERSE,
     Profile,
 )
+from worm_msgs.conditions import CONDITION_ROWS
 
 __all__ = [
     "BAD_INPUT",

@@ -10,7 +10,7 @@ import pytest
 
 from worm_driver.gait.gait_limits import TRAPEZOID, Gait
 from worm_driver.virtual_robot.offline_run import run_offline
-from worm_driver.virtual_robot.plant import FORWARD, REVERSE, Conditions
+from worm_driver.virtual_robot.plant import FORWARD, REVERSE
 from worm_driver.virtual_robot.servo.control_table import XL330_M288
 from worm_driver.virtual_robot.servo.virtual_servo import Servo
 from worm_driver.virtual_robot.virtual_robot import VirtualRobot
@@ -19,6 +19,7 @@ from worm_driver.virtual_robot.wire import smbus_frames as frames
 from worm_driver.virtual_robot.wire.faults import FaultBoard, make_fault
 from worm_driver.virtual_robot.wire.ina219_chip import BUS, CALIBRATION, CONFIGURATION, SHUNT
 from worm_driver.virtual_robot.wire.smbus_frames import Request
+from worm_msgs.conditions import Conditions
 
 ADDRESS = 0x40
 
