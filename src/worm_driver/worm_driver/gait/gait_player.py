@@ -23,7 +23,7 @@ import math
 from dataclasses import dataclass, replace
 
 from worm_driver.errors import LimitError
-from worm_driver.gait.gait_limits import Gait
+from worm_msgs.gait import Gait
 
 #: m, distance from delta L = 0 below which the cable is at rest
 REST_TOLERANCE = 1e-4

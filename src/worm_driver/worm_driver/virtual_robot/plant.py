@@ -19,11 +19,10 @@ from random import Random
 from typing import Annotated, NamedTuple
 
 from worm_msgs.conditions import LEVEL, Conditions
+from worm_msgs.gait import FORWARD
 from worm_msgs.robot_parameters import RobotParameters
 from worm_msgs.settings_file import key
 
-FORWARD = 1
-REVERSE = -1
 LOOSE = 0  # the fins are between their two angles: neither bar touches the wall
 
 _GROOVES = 512  # number of different grooves; then they repeat

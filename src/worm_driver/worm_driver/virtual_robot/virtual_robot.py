@@ -12,9 +12,7 @@ from random import Random
 
 from worm_driver.virtual_robot.camera import Tracker, TrackerSample
 from worm_driver.virtual_robot.plant import (
-    FORWARD,
     LOOSE,
-    REVERSE,
     Plant,
     make_grooves,
 )
@@ -39,6 +37,7 @@ from worm_driver.virtual_robot.wire.ina219_chip import AdcNoise, I2cLine, Ina219
 from worm_driver.virtual_robot.wire.smbus_frames import Answer, Request
 from worm_driver.virtual_robot.wire.virtual_bus import ServoBus, Transmission
 from worm_msgs.conditions import CONDITION_ROWS
+from worm_msgs.gait import FORWARD, REVERSE
 from worm_msgs.robot_parameters import RobotParameters
 
 _HOUSEKEEPING = 0.005  # s, time between two updates of the faults

@@ -18,15 +18,8 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from worm_model.errors import InputError, printable
-from worm_model.gait import (
-    FORWARD,
-    GAIT_DEFAULTS,
-    GAIT_MEANINGS,
-    GAIT_UNITS,
-    REVERSE,
-    Profile,
-)
 from worm_msgs.conditions import CONDITION_ROWS
+from worm_msgs.gait import FORWARD, GAIT_DEFAULTS, GAIT_MEANINGS, GAIT_UNITS, REVERSE, Profile
 
 __all__ = [
     "BAD_INPUT",

@@ -23,13 +23,8 @@ from worm_model.commands.command_line import (
     number,
     print_result,
 )
-from worm_model.gait import (
-    GAIT_DEFAULTS,
-    WAVEFORM,
-    Gait,
-    gait_of,
-)
 from worm_msgs.conditions import CONDITION_ROWS, LEVEL, Conditions
+from worm_msgs.gait import GAIT_DEFAULTS, WAVEFORM, Gait, gait_of
 from worm_optimizer.commands.objective_options import add_objective, request_of_options
 from worm_optimizer.nodes.operator_node import OPTIMIZER, OperatorNode, UnreachableError, operator
 from worm_optimizer.operation.bring_up import CYCLES, FAILURES, ProgressLog

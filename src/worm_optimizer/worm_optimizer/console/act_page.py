@@ -12,8 +12,8 @@ from nicegui import events, ui
 
 from worm_model.analysis.plot_style import BLUE, VERMILION
 from worm_model.errors import InputError
-from worm_model.gait import FORWARD, GAIT_DEFAULTS, REVERSE, Gait, Profile
 from worm_msgs.conditions import CONDITION_ROWS, LEVEL, Conditions
+from worm_msgs.gait import FORWARD, GAIT_DEFAULTS, REVERSE, Gait, Profile
 from worm_optimizer.console import page_actions
 from worm_optimizer.console.console_state import ConsoleState
 from worm_optimizer.console.page_chart import chart

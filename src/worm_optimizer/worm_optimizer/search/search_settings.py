@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from worm_model.gait import (
+from worm_msgs.conditions import CONDITION_ROWS, Conditions
+from worm_msgs.gait import (
     CONTRACTION_SHARE_RANGE,
     MAX_FREQUENCY,
     MAX_MARGIN,
@@ -19,7 +20,6 @@ from worm_model.gait import (
     MAX_STROKE,
     RAMP_SHARE_RANGE,
 )
-from worm_msgs.conditions import CONDITION_ROWS, Conditions
 from worm_optimizer.evaluation.actuator_limits import ActuatorLimits
 from worm_optimizer.evaluation.servo_limits import servo_models, within
 from worm_optimizer.evaluation.task import Array, Bounds

@@ -6,7 +6,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from worm_model.gait import (
+from worm_msgs.conditions import CONDITION_ROWS
+from worm_msgs.gait import (
     CONTRACTION_SHARE_RANGE,
     MAX_FREQUENCY,
     MAX_MARGIN,
@@ -14,7 +15,6 @@ from worm_model.gait import (
     MAX_STROKE,
     RAMP_SHARE_RANGE,
 )
-from worm_msgs.conditions import CONDITION_ROWS
 from worm_msgs.robot_parameters import ROWS
 
 _SMALL, _LARGE = 1e-6, 1e6  # bounds of positive quantities, in their units

@@ -9,17 +9,11 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from worm_driver.virtual_robot.plant import (
-    FORWARD,
-    LOOSE,
-    REVERSE,
-    Plant,
-    PlantEffects,
-    make_grooves,
-)
+from worm_driver.virtual_robot.plant import LOOSE, Plant, PlantEffects, make_grooves
 from worm_driver.virtual_robot.virtual_robot import VirtualRobot
 from worm_driver.virtual_robot.wire.faults import FaultBoard, make_fault
 from worm_msgs.conditions import Conditions
+from worm_msgs.gait import FORWARD, REVERSE
 from worm_msgs.robot_parameters import RobotParameters
 
 PAPER = RobotParameters()

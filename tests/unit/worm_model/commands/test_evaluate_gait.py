@@ -213,7 +213,7 @@ def test_conditions_and_waveform_are_options(run) -> None:
     [
         ("--tether 200", "200 N"),
         ("--flow 1", "drag_area_m2"),
-        ("--tether-per-metre 1", "distance_m"),
+        ("--tether-length 1", "tether_n_per_m"),
         ("--profile sawtooth", "sawtooth"),
         ("--ramp-share 0.6", "ramp_share: 0.6"),
         ("--pretension 0.25", "stroke: 0.31 m"),

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from virtual_campaign import read_off, run_of
 
-from worm_driver.gait.gait_limits import Gait as DriverGait
 from worm_driver.virtual_robot.offline_run import run_offline
 from worm_driver.virtual_robot.virtual_settings import load_settings
 from worm_model.commands.command_line import run_command
@@ -56,7 +55,7 @@ def pulled(seed: int, load: float) -> PullTest:
     recordings = []
     for number, (gait, duration) in enumerate(PLAN):
         own = dataclasses.replace(settings, recording=number + 1)
-        command = DriverGait(gait.stroke, gait.frequency).length_change
+        command = gait.length_change
         run = run_offline(own, command, duration)
         recordings.append(recording_of(run_of(run, gait, settings), f"run_{number}"))
     truth = Parameters(**dataclasses.asdict(run.truth))

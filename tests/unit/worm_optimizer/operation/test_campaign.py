@@ -148,7 +148,7 @@ def test_a_calibrated_driver_gets_its_file():
         (("--set", "prot=/dev/ttyUSB0"), "no setting 'prot'"),
         (("--margin", "-1"), "margin: -1"),
         (("--slope", "91"), "slope_deg: 91"),
-        (("--tether-per-metre", "1"), "distance_m"),
+        (("--tether-length", "1"), "tether_n_per_m"),
         (("--set", "slope_deg=steep"), "steep"),
         (("--parameters", "none.yaml"), "none.yaml: cannot be read"),
         (("--mode", "imaginary"), "invalid choice"),

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from study_cases import SMALL
 
-from worm_model.gait import SHAPE, Gait
 from worm_model.parameters import PAPER, ParameterFile
 from worm_model.simulation.closed_form import groove_phase
 from worm_model.simulation.simulator import evaluate_gait
+from worm_msgs.gait import SHAPE, Gait
 from worm_optimizer.evaluation.task import MarginTask
 from worm_optimizer.search.front import front_of_task
 from worm_optimizer.study.point import (
