@@ -36,8 +36,8 @@ NODES = ["*/nodes/*.py"]
 SHARED = {
     f"worm_msgs.{name}"
     for name in (
-        *("conditions", "gait", "input_error", "robot_parameters", "servo_models"),
-        *("settings_file", "yaml_file"),
+        *("conditions", "driver_file", "gait", "input_error", "robot_parameters", "servo_models"),
+        *("parameter_rows", "settings_file", "yaml_file"),
     )
 }
 PROCESSES = [
