@@ -16,7 +16,6 @@ from rclpy.node import Node
 from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
 
-from worm_driver.commands.driver_command import Parser
 from worm_driver.nodes.position_publisher import PositionPublisher
 from worm_driver.nodes.virtual_camera_node import CameraProcess
 from worm_driver.virtual_robot.camera import TrackerSample
@@ -33,11 +32,12 @@ from worm_driver.virtual_robot.wire.faults import (
 )
 from worm_driver.virtual_robot.wire.robot_server import DirectoryError, RobotServer
 from worm_msgs import readiness
-from worm_msgs.conditions import CONDITION_ROWS, ConditionsError
+from worm_msgs.command_parser import BAD_INPUT, Parser
+from worm_msgs.conditions import CONDITION_ROWS
+from worm_msgs.input_error import InputError
 from worm_msgs.node_command import declare_none
 from worm_msgs.ros_process import ShutdownRequest, own_arguments, ros_process
 from worm_msgs.srv import InjectFault
-from worm_msgs.yaml_file import SettingsFileError
 
 _DEPTH = 500  # samples that may wait for a slow subscriber
 _CLOCK_PERIOD = 0.05  # s, virtual time between two messages on the topic clock
@@ -266,7 +266,7 @@ def _run(robot: VirtualRobot, options: argparse.Namespace, ended: ShutdownReques
 
 def _reject(error: Exception) -> int:
     log.error("%s", error)
-    return 2
+    return BAD_INPUT
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -276,7 +276,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parse_arguments(own_arguments(command_line)[1:])
     try:
         robot = _make_robot(options)
-    except (SettingsFileError, ConditionsError, FaultError) as error:
+    except InputError as error:
         return _reject(error)
     sys.setswitchinterval(_SWITCH_INTERVAL)
     try:

@@ -6,6 +6,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Final
 
+from worm_msgs.input_error import InputError
+
 # Faults of status packets.
 NO_ANSWER: Final = "no_answer"
 CORRUPTED_CRC: Final = "corrupted_crc"
@@ -104,7 +106,7 @@ KINDS: dict[str, FaultKind] = {
 }
 
 
-class FaultError(ValueError):
+class FaultError(InputError):
     """The fault is invalid. The message contains the remedy."""
 
 
