@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, astuple, dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -17,7 +17,6 @@ from twin_samples import run_of_rows
 
 from worm_driver.control.driver_settings import DriverSettings
 from worm_driver.control.snapshot import Snapshot
-from worm_driver.gait.gait_limits import Gait as DriverGait
 from worm_driver.gait.gait_player import Phase
 from worm_driver.power.ina219 import SampleStatus
 from worm_driver.virtual_robot.virtual_robot import VirtualRobot
@@ -119,7 +118,7 @@ class Session:
         begin = self.now_ns
         self.rest(before)
         robot, clock = self.rig.robot, self.rig.clock
-        robot.start(clock.now, DriverGait(**asdict(gait)), cycles)
+        robot.start(clock.now, gait, cycles)
         self._follow(LONGEST_S, lambda s: s.player.phase is Phase.RUNNING)
         onset = robot.player.run.onset
         assert onset is not None

@@ -27,13 +27,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from worm_model.gait import (
-    FORWARD,
-    WAVEFORM,
-    Gait,
-    GaitError,
-    gait_of,
-)
 from worm_model.parameters import Parameters
 from worm_model.run import SAME_ONSET_NS, is_another_run
 from worm_model.simulation.actuation import length_change_of_command, resting_change
@@ -44,6 +37,7 @@ from worm_model.twin.records import Activity
 from worm_model.twin.samples import GAIT_VALUES, Kind
 from worm_model.twin.start_estimate import Start
 from worm_model.twin.twin_settings import TwinSettings
+from worm_msgs.gait import FORWARD, WAVEFORM, Gait, GaitError, gait_of
 
 PLAYING = (Activity.RUNNING, Activity.STOPPING)
 # A twin that joins a run at most this long after the onset does not report the delay.

@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 
-from worm_model.gait import GAIT_DEFAULTS, WAVEFORM
 from worm_model.twin.causes import ReportedCause
 from worm_model.twin.core.memory import MEMORY, NANOSECONDS
 from worm_model.twin.cycle_data import CycleData, Step
@@ -24,6 +23,7 @@ from worm_model.twin.diagnosis import History
 from worm_model.twin.samples import SAMPLE, Kind
 from worm_model.twin.samples import Rows as SampleRows
 from worm_model.twin.twin import Twin, TwinState
+from worm_msgs.gait import GAIT_DEFAULTS, WAVEFORM
 
 VERSION = 1
 AT_REST_NS = NANOSECONDS  # interval between stored memories while no gait runs

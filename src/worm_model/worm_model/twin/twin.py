@@ -16,11 +16,6 @@ from typing import Any
 
 import numpy as np
 
-from worm_model.gait import (
-    WAVEFORM,
-    Gait,
-    gait_of,
-)
 from worm_model.parameters import PAPER, Parameters
 from worm_model.run import SAME_ONSET_NS
 from worm_model.simulation.actuation import actuator
@@ -48,6 +43,7 @@ from worm_model.twin.run_start import PLAYING, DriverState, begin_run, driver_st
 from worm_model.twin.samples import Rows as SampleRows
 from worm_model.twin.start_estimate import EstimatedStart, Start, estimate_start
 from worm_model.twin.twin_settings import DEFAULTS, TwinSettings
+from worm_msgs.gait import WAVEFORM, Gait, gait_of
 
 CLOCK_SET = "the clock was set{} during the gait"
 BATCH = 512  # largest number of samples that are inserted before samples are processed
