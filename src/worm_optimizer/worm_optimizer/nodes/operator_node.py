@@ -29,7 +29,7 @@ from std_srvs.srv import Trigger
 
 from worm_model.conditions import CONDITION_PARAMETERS, Conditions
 from worm_model.gait import FORWARD
-from worm_model.twin.records import Activity
+from worm_model.run import Activity
 from worm_msgs import network
 from worm_msgs.msg import ControlRequest, Heartbeat
 from worm_msgs.qos import LATCHED
