@@ -8,8 +8,11 @@ import platform
 import statistics
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from pathlib import Path
+from textwrap import indent
+
+from worm_model.text_table import text_table
 
 
 @dataclass(frozen=True)
@@ -35,12 +38,8 @@ def machine() -> str:
 
 def print_rows(title: str, rows: list[Row]) -> None:
     """Print the results of one benchmark as a table."""
-    print(f"\n{title}")
-    widths = [max(len(getattr(row, field)) for row in rows) for field in ("what", "value", "goal")]
-    for row in rows:
-        cells = (row.what, row.value, row.goal)
-        line = "  ".join(cell.ljust(width) for cell, width in zip(cells, widths, strict=True))
-        print(f"  {line}  {row.how}")
+    heads = ("quantity", "value", "goal", "method")
+    print(f"\n{title}\n{indent(text_table([heads, *map(astuple, rows)]), '  ')}")
 
 
 def cpu_time(call: Callable[[], object], repeats: int) -> float:

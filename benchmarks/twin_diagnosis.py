@@ -50,7 +50,7 @@ MIDDLE = 1
 
 
 @dataclass(frozen=True)
-class Kind:
+class FaultKind:
     """Kind of a fault.
 
     Attributes:
@@ -68,7 +68,7 @@ class Kind:
     fault: str
 
 
-def _kinds_of(cause: Cause) -> dict[str, Kind]:
+def _kinds_of(cause: Cause) -> dict[str, FaultKind]:
     """Return a kind for each three sizes of a lasting cause."""
     kinds = {}
     for sizes in cause.trials:
@@ -76,29 +76,29 @@ def _kinds_of(cause: Cause) -> dict[str, Kind]:
         way = "up" if sizes[0] > 0.0 else "down"
         key = cause.name if cause.up == cause.down else f"{cause.name} {way}"
         label = f"{key.replace('_', ' ')} ({cause.unit})"
-        kinds[key] = Kind(label, sizes, code, cause.scale, cause.name)
+        kinds[key] = FaultKind(label, sizes, code, cause.scale, cause.name)
     return kinds
 
 
 KINDS = {
-    "rear": Kind(
+    "rear": FaultKind(
         "rear fin misses its last groove (number of successive cycles)",
         (1, 2, 3),
         "missed_groove_rear",
         1.0,
         "rear",
     ),
-    "front": Kind(
+    "front": FaultKind(
         "front fin misses its last groove (number of successive cycles)",
         (1, 2, 3),
         "missed_groove_front",
         1.0,
         "front",
     ),
-    "gained": Kind("groove gained", (1, 1, 1), "gained_groove", 1.0, "gained"),
+    "gained": FaultKind("groove gained", (1, 1, 1), "gained_groove", 1.0, "gained"),
     **{key: kind for cause in LASTING.values() for key, kind in _kinds_of(cause).items()},
-    "robot": Kind("robot moved (grooves)", (1, 3, 5), "robot_moved", 1.0, "robot"),
-    "camera": Kind("camera moved (mm)", (0.004, 0.012, 0.040), "camera_moved", 1e3, "camera"),
+    "robot": FaultKind("robot moved (grooves)", (1, 3, 5), "robot_moved", 1.0, "robot"),
+    "camera": FaultKind("camera moved (mm)", (0.004, 0.012, 0.040), "camera_moved", 1e3, "camera"),
 }
 UNSEEN = ("robot", "camera")  # by power
 CODES = ("", *(row.code for row in EVENT_CODES))

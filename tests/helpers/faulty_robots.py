@@ -15,8 +15,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from worm_model.parameters import PAPER, Parameters
-from worm_model.twin.records import Activity
-from worm_model.twin.samples import Kind, sample_rows
+from worm_model.run import Activity
+from worm_model.twin.samples import SampleKind, sample_rows
 from worm_msgs.gait import GAIT_UNITS, Gait
 
 ONSET = 1_700_000_000_000_000_000
@@ -88,21 +88,21 @@ class Robots:
         command = np.where(self.command_time > 0.0, _command(gait, self.command_time), 0.0)
         command[self.command_time > self.cycles * gait.period] = 0.0
         parts = [
-            _rows(Kind.COMMAND, self.command_time, command),
-            _rows(Kind.POWER, self.power_time, self.power[:, robot]),
+            _rows(SampleKind.COMMAND, self.command_time, command),
+            _rows(SampleKind.POWER, self.power_time, self.power[:, robot]),
         ]
         rear, front = self.rear[:, robot], self.front[:, robot]
         if tracker:
             seen = front if front_marker else front * np.nan
-            parts.append(_rows(Kind.POSITION, self.camera_time, rear, seen))
+            parts.append(_rows(SampleKind.POSITION, self.camera_time, rear, seen))
         if tracker and front_marker:
-            parts.append(_rows(Kind.LENGTH, self.camera_time, front - rear))
+            parts.append(_rows(SampleKind.LENGTH, self.camera_time, front - rear))
         states = [(-1.5, Activity.RESTING, 0)]
         states += [(k * gait.period, Activity.RUNNING, k + 1) for k in range(self.cycles)]
         states.append((self.cycles * gait.period + 0.003, Activity.IDLE, self.cycles))
         values = [np.array([float(getattr(gait, name))]) for name in GAIT_UNITS]
         for time, activity, cycle in states:
-            row = sample_rows(Kind.GAIT, _stamps(np.array([time])), *values)
+            row = sample_rows(SampleKind.GAIT, _stamps(np.array([time])), *values)
             row["state"], row["cycle"] = activity, cycle
             row["onset"], row["run"] = (ONSET if activity == Activity.RUNNING else 0), 1
             parts.append(row)
@@ -110,7 +110,7 @@ class Robots:
         return rows[np.argsort(rows["stamp"], kind="stable")]
 
 
-def _rows(kind: Kind, time: np.ndarray, *values: np.ndarray) -> np.ndarray:
+def _rows(kind: SampleKind, time: np.ndarray, *values: np.ndarray) -> np.ndarray:
     return sample_rows(kind, _stamps(time), *values)
 
 

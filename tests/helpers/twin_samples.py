@@ -12,6 +12,7 @@ import numpy as np
 from worm_model.gait import Gait
 from worm_model.parameters import PAPER
 from worm_model.run import (
+    Activity,
     GaitStates,
     LengthSamples,
     MemorySamples,
@@ -19,8 +20,8 @@ from worm_model.run import (
     Run,
     TrackerSamples,
 )
-from worm_model.twin.records import Activity, Event, residual_message
-from worm_model.twin.samples import GAIT_VALUES, SAMPLE, VALUES, Kind
+from worm_model.twin.records import Event, residual_message
+from worm_model.twin.samples import GAIT_VALUES, SAMPLE, VALUES, SampleKind
 from worm_model.twin.twin import Twin, TwinState
 
 
@@ -30,7 +31,7 @@ class CommandedLength:
     length_change: float
 
     def row(self) -> tuple:
-        return _row(self.stamp_ns, Kind.COMMAND, self.length_change)
+        return _row(self.stamp_ns, SampleKind.COMMAND, self.length_change)
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,7 @@ class MeasuredLength:
     length: float
 
     def row(self) -> tuple:
-        return _row(self.stamp_ns, Kind.LENGTH, self.length)
+        return _row(self.stamp_ns, SampleKind.LENGTH, self.length)
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,7 @@ class TrackerSample:
     front_position: float
 
     def row(self) -> tuple:
-        return _row(self.stamp_ns, Kind.POSITION, self.rear_position, self.front_position)
+        return _row(self.stamp_ns, SampleKind.POSITION, self.rear_position, self.front_position)
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,7 @@ class PowerSample:
     power: float
 
     def row(self) -> tuple:
-        return _row(self.stamp_ns, Kind.POWER, self.power)
+        return _row(self.stamp_ns, SampleKind.POWER, self.power)
 
 
 @dataclass(frozen=True)
@@ -74,13 +75,13 @@ class GaitSample:
         none = (0.0,) * len(VALUES)
         gait = none if self.gait is None else astuple(self.gait)
         head = (self.onset_ns, self.activity, self.run, self.cycle, self.stamp_ns)
-        return (self.stamp_ns, Kind.GAIT, *head, *gait)
+        return (self.stamp_ns, SampleKind.GAIT, *head, *gait)
 
 
 Sample = CommandedLength | MeasuredLength | TrackerSample | PowerSample | GaitSample
 
 
-def _row(stamp: int, kind: Kind, a: float, b: float = 0.0) -> tuple:
+def _row(stamp: int, kind: SampleKind, a: float, b: float = 0.0) -> tuple:
     return (stamp, kind, 0, 0, 0, 0, stamp, a, b, *(0.0,) * (len(VALUES) - 2))
 
 
@@ -157,11 +158,11 @@ def finite(values: Sequence[float]) -> list[float]:
 def run_of_rows(rows: np.ndarray, memories: Sequence[tuple[int, str]] = ()) -> Run:
     """Return rows of SAMPLE in order of reception as a recorded run, with stored memories (stamp in ns, text)."""
 
-    def of(kind: Kind) -> np.ndarray:
+    def of(kind: SampleKind) -> np.ndarray:
         return rows[rows["kind"] == kind]
 
-    gait, command, power = of(Kind.GAIT), of(Kind.COMMAND), of(Kind.POWER)
-    length, tracker = of(Kind.LENGTH), of(Kind.POSITION)
+    gait, command, power = of(SampleKind.GAIT), of(SampleKind.COMMAND), of(SampleKind.POWER)
+    length, tracker = of(SampleKind.LENGTH), of(SampleKind.POSITION)
     usual = PAPER.initial_length
     return Run(
         origin=int(rows["stamp"].min()),

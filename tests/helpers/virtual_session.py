@@ -22,9 +22,9 @@ from worm_driver.power.ina219 import SampleStatus
 from worm_driver.virtual_robot.virtual_robot import VirtualRobot
 from worm_driver.virtual_robot.virtual_settings import RobotSettings
 from worm_model.gait import Gait
-from worm_model.run import Run
-from worm_model.twin.records import Activity, Event
-from worm_model.twin.samples import SAMPLE, VALUES, Kind
+from worm_model.run import Activity, Run
+from worm_model.twin.records import Event
+from worm_model.twin.samples import SAMPLE, VALUES, SampleKind
 from worm_model.twin.stored_memory import StoringTimes, stored_memory
 from worm_model.twin.twin import ClosedCycle, Twin
 from worm_model.twin.twin_settings import DEFAULTS
@@ -196,15 +196,15 @@ class Session:
             self._note_snapshot(snapshot)
         for sample in rig.samples:
             if self.power and sample.status is SampleStatus.VALID:
-                self._add(Kind.POWER, sample.time, sample.power)
+                self._add(SampleKind.POWER, sample.time, sample.power)
         rig.valid = rig._valid_samples()
         rig.samples.clear()
         for sample in rig.virtual.take_samples(now):
             if self.camera:
                 rear, front = sample.rear_position, sample.front_position
-                self._add(Kind.POSITION, sample.time, rear, front)
+                self._add(SampleKind.POSITION, sample.time, rear, front)
                 if math.isfinite(front - rear):
-                    self._add(Kind.LENGTH, sample.time, front - rear)
+                    self._add(SampleKind.LENGTH, sample.time, front - rear)
         rig.snapshots.clear()
         rig.speeds.clear()
         rig.positions.clear()
@@ -223,11 +223,11 @@ class Session:
             onset = 0 if run is None or run.onset is None else EPOCH + round(run.onset * 1e9)
             number = 0 if player.run is None else player.run.number
             gait = (0.0,) * len(VALUES) if run is None else tuple(map(float, astuple(run.gait)))
-            self._rows.append((stamp, Kind.GAIT, onset, state, number, cycle, stamp, *gait))
+            self._rows.append((stamp, SampleKind.GAIT, onset, state, number, cycle, stamp, *gait))
         if not math.isnan(snapshot.commanded):
-            self._add(Kind.COMMAND, now, snapshot.commanded)
+            self._add(SampleKind.COMMAND, now, snapshot.commanded)
 
-    def _add(self, kind: Kind, time: float, a: float, b: float = 0.0) -> None:
+    def _add(self, kind: SampleKind, time: float, a: float, b: float = 0.0) -> None:
         stamp = EPOCH + round(time * 1e9)
         self._rows.append((stamp, kind, 0, 0, 0, 0, stamp, a, b, *(0.0,) * (len(VALUES) - 2)))
 
@@ -269,7 +269,7 @@ def recording(
     rows: np.ndarray, memories: Sequence[tuple[int, str]], begin_ns: int, end_ns: int
 ) -> Run:
     """Return a recording from ``begin_ns`` to ``end_ns``: its samples, preceded by the latched messages."""
-    latched = rows[(rows["kind"] == Kind.GAIT) & (rows["stamp"] < begin_ns)][-1:]
+    latched = rows[(rows["kind"] == SampleKind.GAIT) & (rows["stamp"] < begin_ns)][-1:]
     part = rows[(rows["stamp"] >= begin_ns) & (rows["stamp"] <= end_ns)]
     delay = round((DEFAULTS.delay_s + DEFAULTS.measured_stale_s) * 1e9)
     earlier = [memory for memory in memories if memory[0] + delay < begin_ns][-1:]

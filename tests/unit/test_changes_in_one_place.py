@@ -136,7 +136,7 @@ from worm_model.simulation.gait_table import evaluate_table, read_gaits, write_t
 from worm_model.twin.core.memory import MEMORY
 from worm_model.twin.recorded_samples import rows_of_run
 from worm_model.twin.run_start import driver_state_of
-from worm_model.twin.samples import Kind
+from worm_model.twin.samples import SampleKind
 from worm_optimizer.report.expectation import expect
 from worm_optimizer.robustness.prediction import predict
 from worm_optimizer.evaluation.task import MarginTask
@@ -166,7 +166,7 @@ print(json.dumps({
     "bag": last_played_gait(again.gait_state).gait == gait,
     "old": sorted({float(v) for v in old.gait_state.ripple_share}),
     "converted": float(share),
-    "twin": driver_state_of(rows[rows["kind"] == Kind.GAIT][1]).gait == gait,
+    "twin": driver_state_of(rows[rows["kind"] == SampleKind.GAIT][1]).gait == gait,
     "memory": "ripple_share" in (MEMORY.names or ()),
     "table": float(table.gait["ripple_share"][0]),
     "header": Path("out.csv").read_text().splitlines()[0].split(","),

@@ -7,6 +7,7 @@ are in SI units, float64 of shape (n,) unless stated otherwise. A topic that was
 
 from __future__ import annotations
 
+import enum
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields, make_dataclass
 from datetime import datetime, timezone
@@ -20,9 +21,7 @@ from worm_msgs.gait import GAIT_DEFAULTS, GAIT_TYPES, GAIT_UNITS, Gait, gait_of
 
 Codes = NDArray[np.int64]
 
-# Values of GaitState.state and of Power.status for code without ROS; a test compares them with worm_msgs.
-INACTIVE, IDLE, RESTING, RUNNING, STOPPING, FAULT = range(6)
-STATE_NAMES = ("inactive", "idle", "resting", "running", "stopping", "fault")
+# Values of the messages for code without ROS; a test compares them with worm_msgs.
 POWER_VALID = 0
 POWER_STATUS_NAMES = ("valid", "overflow", "not ready", "bus error", "sensor reset")
 
@@ -31,9 +30,37 @@ POWER_STATUS_NAMES = ("valid", "overflow", "not ready", "bus error", "sensor res
 SAME_ONSET_NS = 100_000_000
 
 
+class LengthSource(enum.IntEnum):
+    """Source of a body length, with the values of the message BodyLength."""
+
+    COMMANDED = 0
+    CABLE = 1
+    ESTIMATED = 2
+    MEASURED = 3
+
+
+class Activity(enum.IntEnum):
+    """Activity of the driver, with the values of the message GaitState."""
+
+    INACTIVE = 0
+    IDLE = 1
+    RESTING = 2
+    RUNNING = 3
+    STOPPING = 4
+    FAULT = 5
+
+    @classmethod
+    def _missing_(cls, value: object) -> Activity:  # noqa: ARG003
+        """Return INACTIVE for an unknown state, which only a newer driver has."""
+        return cls.INACTIVE
+
+
+PLAYING = (Activity.RUNNING, Activity.STOPPING)  # activities during a gait
+
+
 def state_name(state: int) -> str:
     """Return the name of a value of GaitState.state."""
-    return STATE_NAMES[state] if 0 <= state < len(STATE_NAMES) else f"state {state}"
+    return Activity(state).name.lower() if state in list(Activity) else f"state {state}"
 
 
 def power_status_name(status: int) -> str:
@@ -179,7 +206,7 @@ class GaitStates(_GaitColumns):
     @property
     def played(self) -> NDArray[np.bool_]:
         """True for states in which a gait with a known onset runs, shape (n,)."""
-        return (self.state == RUNNING) & (self.onset > 0)
+        return (self.state == Activity.RUNNING) & (self.onset > 0)
 
     @property
     def mixed(self) -> bool:
@@ -199,7 +226,7 @@ class GaitStates(_GaitColumns):
         rows = self._played_rows
         if not rows.size:
             return []
-        over = np.sort(self.stamp[~np.isin(self.state, (RUNNING, STOPPING))])
+        over = np.sort(self.stamp[~np.isin(self.state, PLAYING)])
         before, after = (
             (self.run[part], self.cycle[part], self.onset[part]) for part in (rows[:-1], rows[1:])
         )

@@ -2,7 +2,7 @@
 """Tables for a terminal."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 _NUMBER = re.compile(r"[-+−]?(\d|nan|inf|none$)")
 
@@ -25,3 +25,9 @@ def text_table(rows: Sequence[Sequence[str]]) -> str:
         ).rstrip()
         for row in rows
     )
+
+
+def labelled(values: Mapping[str, object]) -> str:
+    """Return a line for each label and its value. The values begin in the same column."""
+    width = max(map(len, values), default=0)
+    return "\n".join(f"{label:<{width}}  {value}" for label, value in values.items())

@@ -8,7 +8,8 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from worm_model.twin.records import Activity, LengthSource, ResidualRecord, StateRecord
+from worm_model.run import Activity, LengthSource
+from worm_model.twin.records import ResidualRecord, StateRecord
 from worm_model.twin.scene import PositionSample
 
 

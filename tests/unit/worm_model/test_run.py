@@ -9,8 +9,12 @@ messages = pytest.importorskip("worm_msgs.msg", reason="worm_msgs is not built")
 
 
 def test_states_and_statuses_are_those_of_the_messages():
-    for value, name in enumerate(run.STATE_NAMES):
-        assert getattr(messages.GaitState, name.upper()) == value == getattr(run, name.upper())
+    for activity in run.Activity:
+        assert getattr(messages.GaitState, activity.name) == activity
+        assert run.state_name(activity) == activity.name.lower()
+    assert run.state_name(17) == "state 17"
+    for source in run.LengthSource:
+        assert getattr(messages.BodyLength, source.name) == source
     for value, name in enumerate(run.POWER_STATUS_NAMES):
         assert getattr(messages.Power, name.upper().replace(" ", "_")) == value
     assert messages.Power.VALID == run.POWER_VALID

@@ -19,16 +19,16 @@ _NOISE = 0.35, 0.12
 _COMPRESSION = [0.002 * k for k in range(36)]
 _DISPLACEMENT = [0.00025 * (k - 48) for k in range(97)]
 
-Rows = Iterable[tuple[float, float]]
+Readings = Iterable[tuple[float, float]]
 
 
-def bellows_test(body: RobotParameters, random: Random) -> Rows:
+def bellows_test(body: RobotParameters, random: Random) -> Readings:
     """Yield compression (m) and force (N) of the bellows, with sensor noise."""
     for x in _COMPRESSION:
         yield x, body.bellows_stiffness * x + random.gauss(0.0, _NOISE[0])
 
 
-def fin_test(body: RobotParameters, random: Random) -> Rows:
+def fin_test(body: RobotParameters, random: Random) -> Readings:
     """Yield displacement of the fin from its anchor (m; negative: the fin engages) and force (N), with sensor noise."""
     half = 0.5 * body.clearance
     for x in _DISPLACEMENT:
@@ -37,7 +37,7 @@ def fin_test(body: RobotParameters, random: Random) -> Rows:
         yield x, force + random.gauss(0.0, _NOISE[1])
 
 
-def _write(path: Path, column: str, rows: Rows) -> None:
+def _write(path: Path, column: str, rows: Readings) -> None:
     with path.open("x", encoding="utf-8", newline="") as file:
         writer = csv.writer(file)
         writer.writerow((column, "force_N"))

@@ -14,12 +14,12 @@ import numpy as np
 
 from worm_model.analysis.run_metrics import END_TOLERANCE_NS, PlayedGait, played_gaits
 from worm_model.arrays import Array, Stamps
-from worm_model.run import RUNNING, SAME_ONSET_NS, STOPPING, GaitStates, Run
+from worm_model.run import PLAYING, SAME_ONSET_NS, GaitStates, Run
 from worm_model.simulation.quadrature import accumulated
 from worm_model.twin.offline_replay import Replay, Series
 from worm_model.twin.recorded_samples import RecordedSamples
 from worm_model.twin.records import Event, Health
-from worm_model.twin.samples import NO_SAMPLES, Kind, Rows
+from worm_model.twin.samples import NO_SAMPLES, SampleKind, SampleRows
 from worm_model.twin.twin import ClosedCycle, Output
 from worm_model.twin.twin_settings import DEFAULTS
 
@@ -181,7 +181,7 @@ class ReplayReporter:
         self._residuals: Series = {}
         self._positions: Series = {}
 
-    def add(self, rows: Rows, output: Output) -> None:
+    def add(self, rows: SampleRows, output: Output) -> None:
         """Add samples (rows of SAMPLE) and the output of the twin for these samples."""
         self.events += output.events
         for closed in output.cycles:
@@ -193,9 +193,9 @@ class ReplayReporter:
                 inside = (stamp >= run.played.onset) & (stamp <= run.end)
                 run.health = max(run.health, int(health[inside].max(initial=0)))
         self._total.add(residuals, self._span[0], self._span[1] + 1)
-        power = rows[rows["kind"] == Kind.POWER]
+        power = rows[rows["kind"] == SampleKind.POWER]
         self._energy.add(power["stamp"], power["a"], stamp, residuals["energy"])
-        position = rows[(rows["kind"] == Kind.POSITION) & np.isfinite(rows["a"])]
+        position = rows[(rows["kind"] == SampleKind.POSITION) & np.isfinite(rows["a"])]
         self._states = _appended(self._states, output.states, ("stamp_ns", "rear_groove"))
         self._residuals = _appended(self._residuals, residuals, ("stamp_ns", *_RESIDUALS))
         self._positions = _appended(self._positions, position, ("stamp", "a"))
@@ -399,7 +399,7 @@ def run_end(run: Run, played: PlayedGait) -> int:
 def _end_of_run(states: GaitStates, last: int, played: PlayedGait) -> int:
     """Return the end of a run (ns); ``last`` is the last stamp of the recording."""
     requested = played.cycle_window(1, played.cycles).end if played.cycles else last
-    over = states.stamp[(states.stamp > played.onset) & ~np.isin(states.state, (RUNNING, STOPPING))]
+    over = states.stamp[(states.stamp > played.onset) & ~np.isin(states.state, PLAYING)]
     stopped = int(over.min(initial=last))
     if stopped + END_TOLERANCE_NS >= requested:  # the two stamps come from different clocks
         return min(requested, last)

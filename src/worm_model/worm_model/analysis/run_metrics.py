@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from worm_model.arrays import Array, Stamps
 from worm_model.errors import RecordingError
 from worm_model.gait import Gait, GaitError
-from worm_model.run import FAULT, RESTING, RUNNING, STOPPING, GaitStates, Run, state_name
+from worm_model.run import PLAYING, Activity, GaitStates, Run, state_name
 from worm_model.simulation.quadrature import accumulated
 from worm_model.simulation.simulator import AVERAGED
 
@@ -56,7 +56,7 @@ class PlayedGait:
         cycles: requested number of cycles.
         end: stamp at which the driver reported the end of the gait or, if the recording ends earlier, STOPPING; None
             if it reported neither.
-        state_after: state at ``end``, an index of `worm_model.run.STATE_NAMES`: FAULT; otherwise STOPPING if the driver
+        state_after: state at ``end``, a value of GaitState.state: FAULT; otherwise STOPPING if the driver
             reported STOPPING before; otherwise the state that it reported. None if ``end`` is None.
         rest_start: stamp of the last message with the state RESTING before the onset; None if there is none.
         run: the driver's number of the run; 0 in recordings without run numbers.
@@ -110,12 +110,12 @@ def _played_gait(states: GaitStates, rows: NDArray[np.int64]) -> PlayedGait:
             f"the recording contains a gait that is not admissible: {error}"
         ) from None
     later = states.stamp > states.stamp[row]
-    stopping = np.flatnonzero(later & (states.state == STOPPING))
-    over = np.flatnonzero(later & ~np.isin(states.state, (RUNNING, STOPPING)))
+    stopping = np.flatnonzero(later & (states.state == Activity.STOPPING))
+    over = np.flatnonzero(later & ~np.isin(states.state, PLAYING))
     ends = over if over.size else stopping
     after = int(ends[np.argmin(states.stamp[ends])]) if ends.size else None
     onset = int(states.onset[row])
-    rests = states.stamp[(states.state == RESTING) & (states.stamp <= onset)]
+    rests = states.stamp[(states.state == Activity.RESTING) & (states.stamp <= onset)]
     return PlayedGait(
         gait=gait,
         onset=onset,
@@ -131,7 +131,7 @@ def _state_after(states: GaitStates, after: int, stopping: NDArray[np.int64]) ->
     """Return the driver's state in row ``after``; STOPPING if the gait was stopped and did not end in FAULT."""
     state = int(states.state[after])
     stopped = np.any(states.stamp[stopping] <= states.stamp[after])
-    return STOPPING if stopped and state != FAULT else state
+    return Activity.STOPPING if stopped and state != Activity.FAULT else state
 
 
 def completed_cycles(run: Run, played: PlayedGait) -> int:
@@ -161,10 +161,10 @@ def early_end(run: Run, played: PlayedGait) -> str:
     """Return how a gait ended early, in FAULT, or with an incomplete recording; empty if it did not."""
     if played.state_after is not None and played.end is not None:
         done = played.whole_cycles_until(_FOREVER)
-        if played.state_after == FAULT:
+        if played.state_after == Activity.FAULT:
             return f"ended in FAULT after {done} of {played.cycles} cycles"
         if done < played.cycles:
-            stopped = played.state_after == STOPPING
+            stopped = played.state_after == Activity.STOPPING
             how = "stopped" if stopped else f"ended ({state_name(played.state_after)})"
             return f"{how} after {done} of {played.cycles} cycles"
     recorded = completed_cycles(run, played)

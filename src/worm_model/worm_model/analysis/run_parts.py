@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from worm_model.run import RESTING, GaitStates, Run
+from worm_model.run import Activity, GaitStates, Run
 
 _REST_NS = 3_000_000_000  # assumed rest before a gait if no state RESTING was recorded
 _SERIES = tuple(field.name for field in fields(Run) if field.name != "origin")
@@ -51,7 +51,7 @@ def last_stamp(run: Run) -> int:
 def _rest_before(states: GaitStates, previous: int, onset: int) -> int:
     """Return the stamp (ns) at which the rest between the onset of the previous gait and an onset (ns) began."""
     rests = states.stamp[
-        (states.state == RESTING) & (states.stamp > previous) & (states.stamp <= onset)
+        (states.state == Activity.RESTING) & (states.stamp > previous) & (states.stamp <= onset)
     ]
     return int(rests[-1]) if rests.size else max(onset - _REST_NS, (previous + onset) // 2)
 

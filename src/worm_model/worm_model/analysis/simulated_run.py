@@ -15,7 +15,6 @@ from worm_model.gait import Gait
 from worm_model.parameters import Parameters
 from worm_model.simulation.closed_form import front_groove, groove_phase
 from worm_model.simulation.simulator import Motions, simulate
-from worm_model.twin.records import LengthSource
 
 # 2026-01-01 00:00 UTC. A simulation has no date, and 0 cannot be the first stamp, because it means "unknown" in ROS.
 EPOCH_NS = 1_767_225_600 * 10**9
@@ -64,7 +63,7 @@ class SimulatedRun:
         motions, p = self.motions, self.parameters
         one = np.ones(self.time.size)
         return {
-            "length_source": np.full(self.time.size, LengthSource.ESTIMATED),
+            "length_source": np.full(self.time.size, run.LengthSource.ESTIMATED),
             "initial_length": p.initial_length * one,
             "groove_phase": groove_phase(p) * one,
             "length": motions.length,
@@ -121,7 +120,9 @@ class SimulatedRun:
         return run.GaitStates.of(
             self.gait,
             np.array([EPOCH_NS, *begins]),
-            state=np.array([run.RESTING, *[run.RUNNING] * self.cycles, run.IDLE]),
+            state=np.array(
+                [run.Activity.RESTING, *[run.Activity.RUNNING] * self.cycles, run.Activity.IDLE]
+            ),
             onset=np.full(cycle.size, onset),
             cycle=cycle,
             cycles=np.full(cycle.size, self.cycles),

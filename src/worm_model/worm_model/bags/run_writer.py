@@ -17,11 +17,10 @@ from worm_model.bags.formats.bag_writer import BagFiles
 from worm_model.bags.formats.cdr import encode
 from worm_model.bags.formats.message_block import Message, Topic
 from worm_model.bags.formats.message_types import topic_of
-from worm_model.bags.worm_topics import SERIES, TYPES, offered_qos, path_of
-from worm_model.run import Run, Stamps
+from worm_model.bags.worm_topics import BODY_LENGTH, SERIES, TYPES, offered_qos, path_of
+from worm_model.run import LengthSource, Run, Stamps
 
 Numbers = Mapping[str, NDArray[Any] | float]
-LENGTH_SOURCES = {"commanded": 0, "cable": 1, "estimated": 2, "measured": 3}  # BodyLength.source
 
 
 def write_run(writer: BagFiles, run: Run, namespace: str = "/worm") -> None:
@@ -35,8 +34,8 @@ def write_run(writer: BagFiles, run: Run, namespace: str = "/worm") -> None:
         samples = getattr(run, attribute)
         if len(samples.stamp) and name != "joint_states":
             numbers = _columns(samples)
-            if attribute in LENGTH_SOURCES:
-                numbers["source"] = LENGTH_SOURCES[attribute]
+            if TYPES[name] == BODY_LENGTH:
+                numbers["source"] = LengthSource[attribute.upper()]
             topic = topic_of(f"{namespace.rstrip('/')}/{name}", TYPES[name], offered_qos(name))
             writer.add_topic(topic)
             series.append(stamped_messages(topic, samples.stamp, numbers))

@@ -18,6 +18,7 @@ from worm_model.commands.command_line import (
 from worm_model.gait import FORWARD, Gait, Profile, gait_of
 from worm_model.loads import under
 from worm_model.parameters import Parameters, load_parameters
+from worm_model.text_table import labelled
 from worm_msgs.conditions import LEVEL, Conditions, conditions_of
 
 if TYPE_CHECKING:
@@ -52,16 +53,6 @@ def _waveform(gait: Gait) -> str:
     return "".join(f", {part}" for part in parts)
 
 
-def _load(parameters: Parameters) -> list[str]:
-    """Return one line about the load, or no line without a load."""
-    if not (parameters.rear_load or parameters.front_load):
-        return []
-    return [
-        f"load               {parameters.rear_load:.3f} N on the rear and {parameters.front_load:.3f} N on the "
-        "front module, positive towards -x"
-    ]
-
-
 def describe(result: GaitResult, parameters: Parameters, cycles: int = 5) -> str:
     """Return the results of a gait that was run for a number of cycles, as text.
 
@@ -69,18 +60,21 @@ def describe(result: GaitResult, parameters: Parameters, cycles: int = 5) -> str
     """
     gait = result.gait
     way = "forward" if gait.direction == FORWARD else "reverse"
-    return "\n".join(
-        [
-            f"gait               {gait.stroke * 1e3:.2f} mm at {gait.frequency:.4f} Hz, {way}, "
+    load = (
+        f"{parameters.rear_load:.3f} N on the rear and {parameters.front_load:.3f} N on the front module, "
+        "positive towards -x"
+    )
+    return labelled(
+        {
+            "gait": f"{gait.stroke * 1e3:.2f} mm at {gait.frequency:.4f} Hz, {way}, "
             f"margin {gait.margin * 1e3:.2f} mm{_waveform(gait)}",
-            *_load(parameters),
-            f"speed              {result.speed * 1e3:.4f} mm/s at a groove phase of "
-            f"{result.groove_phase * 1e3:+.2f} mm",
-            f"power              {result.power:.4f} W",
-            f"cost of transport  {result.cost_of_transport:.2f}",
-            f"grooves per cycle  {result.grooves_per_cycle:.3f} "
+            **({"load": load} if parameters.rear_load or parameters.front_load else {}),
+            "speed": f"{result.speed * 1e3:.4f} mm/s at a groove phase of {result.groove_phase * 1e3:+.2f} mm",
+            "power": f"{result.power:.4f} W",
+            "cost of transport": f"{result.cost_of_transport:.2f}",
+            "grooves per cycle": f"{result.grooves_per_cycle:.3f} "
             f"({result.switches} switches of an anchor in {cycles} cycles)",
-        ]
+        }
     )
 
 

@@ -20,8 +20,8 @@ from worm_model.bags.opening import open_bag
 from worm_model.bags.operations.tables import (
     MOST_ELEMENTS,
     TEXT,
-    Kind,
-    Rows,
+    ColumnKind,
+    TableRows,
     find_tables,
     read_tables,
 )
@@ -33,7 +33,7 @@ STEM_BYTES = 200  # bytes, longest file name without its ending
 MERGED = "run"  # name of the table with all measurements and commands
 _NOTIFY = command_line.notifier("export")
 
-Kinds = Mapping[str, Kind]
+Kinds = Mapping[str, ColumnKind]
 _RUN_TYPES = {TYPES[name] for name in RUN_TOPICS if name != "joint_states"}
 
 
@@ -55,7 +55,7 @@ class CsvWriter:
                 "use --format parquet"
             )
 
-    def write(self, rows: Rows) -> None:
+    def write(self, rows: TableRows) -> None:
         """Append rows."""
         columns = (map(_cell, rows[name]) for name in self._columns)
         self._writer.writerows(zip(*columns, strict=True))
@@ -93,7 +93,7 @@ class ParquetWriter:
         self._schema = arrow.schema(list(types.items()))
         self._writer = parquet.ParquetWriter(path, self._schema)
 
-    def write(self, rows: Rows) -> None:
+    def write(self, rows: TableRows) -> None:
         """Append rows."""
         self._writer.write_table(self._arrow.table(dict(rows), schema=self._schema))
 

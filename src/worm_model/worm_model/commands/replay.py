@@ -46,15 +46,10 @@ from worm_model.commands.command_line import (
 )
 from worm_model.loads import under
 from worm_model.parameters import load_parameters
-from worm_model.run import Stamps
+from worm_model.run import LengthSource, Stamps
 from worm_model.twin import warm_up
 from worm_model.twin.offline_replay import OfflineReplay
-from worm_model.twin.records import (
-    NANOSECONDS,
-    RESIDUAL_FIELDS,
-    Event,
-    LengthSource,
-)
+from worm_model.twin.records import NANOSECONDS, RESIDUAL_FIELDS, Event
 from worm_model.twin.twin import Output, residual_messages
 
 # The twin requires at least one of these topics.

@@ -36,7 +36,7 @@ from worm_model.bags.formats.message_types import installed_definition
 from worm_model.bags.recording.message_loss import LossCounter
 from worm_model.bags.recording.topic_selection import TopicSelection
 from worm_model.bags.worm_topics import GAIT_STATE, TWIN_EVENT
-from worm_model.run import INACTIVE
+from worm_model.run import Activity
 from worm_msgs.node_command import declare_none
 
 # A `_RawSubscription` may have two subscriptions. This is the number of polls for which the first one stays after the
@@ -309,7 +309,7 @@ class RecordNode(Node):
     def awaits_rest(self) -> bool:
         """True while a driver that has published its state is present and is not INACTIVE (torque released)."""
         return any(
-            state != INACTIVE and self.count_publishers(topic) > 0
+            state != Activity.INACTIVE and self.count_publishers(topic) > 0
             for topic, state in self._drivers.items()
         )
 

@@ -27,7 +27,7 @@ from worm_model.twin.records import (
 from worm_model.twin.samples import (
     GAIT_VALUES,
     VALUES,
-    Kind,
+    SampleKind,
 )
 from worm_model.twin.twin_settings import TwinSettings
 from worm_msgs.conditions import CONDITION_ROWS, Conditions
@@ -70,7 +70,7 @@ def gait_sample(message: Any) -> Row:
     stamp, gait = nanoseconds(message.header.stamp), message.gait
     identity = nanoseconds(message.onset), message.state, message.run, message.cycle
     values = (float(getattr(gait, name)) for name in GAIT_VALUES)
-    return (stamp, Kind.GAIT, *identity, stamp, *values)
+    return (stamp, SampleKind.GAIT, *identity, stamp, *values)
 
 
 def _row(kind: int, message: Any, a: float, b: float = 0.0) -> Row:
@@ -84,12 +84,12 @@ JOINTS = ("rear_position", "body_length")
 #: topics to which the twin subscribes, each with message type and conversion
 INPUTS: Mapping[str, tuple[type, Callable[[Any], Row]]] = {
     "gait_state": (GaitState, gait_sample),
-    "body_length/commanded": (BodyLength, lambda m: _row(Kind.COMMAND, m, m.length_change)),
-    "body_length/measured": (BodyLength, lambda m: _row(Kind.LENGTH, m, m.length)),
-    "tracker": (Tracker, lambda m: _row(Kind.POSITION, m, m.rear_position, m.front_position)),
+    "body_length/commanded": (BodyLength, lambda m: _row(SampleKind.COMMAND, m, m.length_change)),
+    "body_length/measured": (BodyLength, lambda m: _row(SampleKind.LENGTH, m, m.length)),
+    "tracker": (Tracker, lambda m: _row(SampleKind.POSITION, m, m.rear_position, m.front_position)),
     "power": (
         Power,
-        lambda m: _row(Kind.POWER, m, m.power if m.status == Power.VALID else math.nan),
+        lambda m: _row(SampleKind.POWER, m, m.power if m.status == Power.VALID else math.nan),
     ),
 }
 
@@ -228,9 +228,9 @@ def settings_of(node: Any) -> TwinSettings:
 # --- conversion of the scene to markers ----------------------------------------------------
 
 _MARKER_TYPES = {
-    scene.Kind.BOX: Marker.CUBE,
-    scene.Kind.BOXES: Marker.CUBE_LIST,
-    scene.Kind.CYLINDER: Marker.CYLINDER,
+    scene.ShapeKind.BOX: Marker.CUBE,
+    scene.ShapeKind.BOXES: Marker.CUBE_LIST,
+    scene.ShapeKind.CYLINDER: Marker.CYLINDER,
 }
 _UPRIGHT = Quaternion(x=0.0, y=0.0, z=0.0, w=1.0)
 _ALONG_X = Quaternion(x=0.0, y=math.sqrt(0.5), z=0.0, w=math.sqrt(0.5))
@@ -255,7 +255,7 @@ def _marker(shape: scene.Shape, stamp: Time) -> Marker:
         points=[Point(x=x, y=y, z=z) for x, y, z in shape.points],
     )
     x, y, z = shape.position
-    turn = _ALONG_X if shape.kind is scene.Kind.CYLINDER else _UPRIGHT
+    turn = _ALONG_X if shape.kind is scene.ShapeKind.CYLINDER else _UPRIGHT
     marker.pose = Pose(position=Point(x=x, y=y, z=z), orientation=turn)
     marker.lifetime.sec = _MARKER_LIFETIME_S
     return marker

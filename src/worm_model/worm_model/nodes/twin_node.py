@@ -35,7 +35,7 @@ from worm_model.parameters import ParameterError
 from worm_model.twin import warm_up
 from worm_model.twin.forecast import ForecastError, forecast
 from worm_model.twin.records import Event, Severity, StateRecord
-from worm_model.twin.samples import SAMPLE, Kind
+from worm_model.twin.samples import SAMPLE, SampleKind
 from worm_model.twin.scene import LOST_S, PositionSample, scene
 from worm_model.twin.stored_memory import StoringTimes, stored_memory
 from worm_model.twin.twin import Output, Twin
@@ -121,7 +121,7 @@ class TwinNode(Node):
             self._shown, self._moved = output.states[-1].copy(), self._received
         if len(output.residuals):
             self._residual = output.residuals[-1].copy()
-        for row in samples[samples["kind"] == Kind.POSITION]:
+        for row in samples[samples["kind"] == SampleKind.POSITION]:
             self._sightings.append(
                 PositionSample(float(row["a"]), float(row["b"]), int(row["stamp"]))
             )

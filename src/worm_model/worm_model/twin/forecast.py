@@ -9,6 +9,7 @@ import numpy as np
 
 from worm_model.arrays import Array
 from worm_model.gait import Gait
+from worm_model.run import Activity
 from worm_model.simulation.closed_form import groove_phase
 from worm_model.simulation.simulator import (
     GaitResult,
@@ -19,7 +20,6 @@ from worm_model.simulation.simulator import (
     play_gait,
 )
 from worm_model.twin.core.memory import Memory
-from worm_model.twin.records import Activity
 from worm_model.twin.run_start import DriverState, begin_run, motion_of
 from worm_model.twin.twin import Twin, TwinState
 

@@ -20,7 +20,7 @@ from worm_model.parameters import Parameters
 from worm_model.run import SAME_ONSET_NS, GaitStates, Run
 from worm_model.twin.recorded_samples import RecordedSamples
 from worm_model.twin.records import Event
-from worm_model.twin.samples import NO_SAMPLES, Rows
+from worm_model.twin.samples import NO_SAMPLES, SampleRows
 from worm_model.twin.start_estimate import Start
 from worm_model.twin.stored_memory import StoredMemory, look_back_ns, memory_to_resume
 from worm_model.twin.twin import CLOCK_SET, ClosedCycle, Output, Twin, TwinState
@@ -60,7 +60,7 @@ class Replay:
 class Consumer(Protocol):
     """Object that receives the output of a replay, part by part."""
 
-    def add(self, rows: Rows, output: Output) -> None:
+    def add(self, rows: SampleRows, output: Output) -> None:
         """Process some samples and the output of the twin for them."""
 
 
@@ -105,7 +105,7 @@ class OfflineReplay:
             consumer.add(rows, output)
         return consumer if is_settled or not self._starts else self.feed(begin)
 
-    def steps(self) -> Iterator[tuple[Rows, Output]]:
+    def steps(self) -> Iterator[tuple[SampleRows, Output]]:
         """Yield the samples in parts, each part with the output of the twin."""
         twin, unusable = self._twin, unusable_runs(self.samples)
         state = TwinState(twin.start().memory, unusable=unusable, starts=dict(self._starts))
@@ -124,7 +124,7 @@ class OfflineReplay:
 
     def _steps_before(
         self, memory: StoredMemory, state: TwinState
-    ) -> Generator[tuple[Rows, Output], None, Rows]:
+    ) -> Generator[tuple[SampleRows, Output], None, SampleRows]:
         """Yield the steps up to a stored memory, and return the last samples before this memory."""
         last = NO_SAMPLES
         if self.samples.first_ns is None or self.samples.first_ns > memory.stamp_ns:
@@ -160,7 +160,7 @@ class _Outputs:
     def __init__(self) -> None:
         self.outputs: list[Output] = []
 
-    def add(self, rows: Rows, output: Output) -> None:  # noqa: ARG002 - a consumer's signature
+    def add(self, rows: SampleRows, output: Output) -> None:  # noqa: ARG002 - a consumer's signature
         self.outputs.append(output)
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from worm_model.arrays import Stamps
 from worm_model.run import GaitStates, LengthSamples, Run, concatenated
-from worm_model.twin.samples import SAMPLE, Kind, Rows, series_of, topic_rows
+from worm_model.twin.samples import SAMPLE, SampleKind, SampleRows, series_of, topic_rows
 from worm_model.twin.stored_memory import StoredMemory, read_memory
 
 # m/s; no gait changes the command faster, and the paper's gaits stay below 0.12 m/s
@@ -20,7 +20,7 @@ _FOREVER = int(np.iinfo(np.int64).max)
 _Place = tuple[int, int]
 
 
-def rows_of_run(run: Run, jump_back_ns: int) -> Rows:
+def rows_of_run(run: Run, jump_back_ns: int) -> SampleRows:
     """Return all samples of a run for the twin, in the order of `RecordedSamples.rows`."""
     samples = RecordedSamples(lambda: iter((run,)), jump_back_ns)
     return np.concatenate([np.zeros(0, SAMPLE), *samples.rows()])
@@ -55,12 +55,12 @@ class RecordedSamples:
         is_usable: Callable[[StoredMemory], bool] = lambda _: False,
     ) -> None:
         self._parts = parts
-        self._stretches: list[list[tuple[Kind, int, int]]] = []
+        self._stretches: list[list[tuple[SampleKind, int, int]]] = []
         self.memories: list[StoredMemory] = []
         self.first_ns: int | None = None
-        jumps = {kind: _Jumps(jump_back_ns) for kind in Kind}
+        jumps = {kind: _Jumps(jump_back_ns) for kind in SampleKind}
         origins, states = [], []
-        last_ns: dict[Kind, int] = {}
+        last_ns: dict[SampleKind, int] = {}
         steps = [np.zeros((0, 2), np.int64)]
         command, is_ordered = LengthSamples(), True
         for part in parts():
@@ -71,12 +71,12 @@ class RecordedSamples:
                 if len(series.stamp):
                     found = jumps[kind].add(series.stamp)
                     self._stretches[-1] += [(kind, *stretch) for stretch in found]
-                    if kind != Kind.GAIT:
+                    if kind != SampleKind.GAIT:
                         first = int(series.stamp.min())
                         self.first_ns = (
                             first if self.first_ns is None else min(first, self.first_ns)
                         )
-                    if kind in (Kind.COMMAND, Kind.LENGTH, Kind.POSITION):
+                    if kind in (SampleKind.COMMAND, SampleKind.LENGTH, SampleKind.POSITION):
                         last_ns[kind] = int(series.stamp[-1])
             command = concatenated(LengthSamples, [_last_of(command), part.commanded])
             is_ordered &= not (np.diff(command.stamp) < 0).any()
@@ -92,13 +92,13 @@ class RecordedSamples:
             steps = [_impossible_steps(command)]
         self.impossible_steps: NDArray[np.int64] = np.concatenate(steps)
 
-    def rows(self, until_ns: int = _FOREVER) -> Iterator[Rows]:
+    def rows(self, until_ns: int = _FOREVER) -> Iterator[SampleRows]:
         """Yield the samples in order, in blocks.
 
         The iteration ends when all samples with stamps up to ``until_ns`` have been returned. If the clock has gone
         back, all samples are returned.
         """
-        counts = dict.fromkeys(Kind, 0)
+        counts = dict.fromkeys(SampleKind, 0)
         waiting, jumps = np.zeros(0, SAMPLE), np.zeros(0, np.int64)
         places = self._smallest_places()
         for part, (number, stamp) in zip(self._parts(), places, strict=True):

@@ -15,32 +15,9 @@ from typing import Any, get_type_hints
 
 import numpy as np
 
+from worm_model.run import LengthSource
+
 NANOSECONDS = 1_000_000_000
-
-
-class LengthSource(enum.IntEnum):
-    """Source of a body length, with the values of the message BodyLength."""
-
-    COMMANDED = 0
-    CABLE = 1
-    ESTIMATED = 2
-    MEASURED = 3
-
-
-class Activity(enum.IntEnum):
-    """Activity of the driver, with the values of the message GaitState."""
-
-    INACTIVE = 0
-    IDLE = 1
-    RESTING = 2
-    RUNNING = 3
-    STOPPING = 4
-    FAULT = 5
-
-    @classmethod
-    def _missing_(cls, value: object) -> Activity:  # noqa: ARG003
-        """Return INACTIVE for a state that only a newer driver has, because this twin does not know such a state."""
-        return cls.INACTIVE
 
 
 class Health(enum.IntEnum):

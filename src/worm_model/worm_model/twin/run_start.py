@@ -28,18 +28,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from worm_model.parameters import Parameters
-from worm_model.run import SAME_ONSET_NS, is_another_run
+from worm_model.run import PLAYING, SAME_ONSET_NS, Activity, is_another_run
 from worm_model.simulation.actuation import length_change_of_command, resting_change
 from worm_model.simulation.closed_form import front_groove
 from worm_model.simulation.simulator import Locomotion, LocomotionState, SimulationError
 from worm_model.twin.core.memory import NANOSECONDS, Memory
-from worm_model.twin.records import Activity
-from worm_model.twin.samples import GAIT_VALUES, Kind
+from worm_model.twin.samples import GAIT_VALUES, SampleKind
 from worm_model.twin.start_estimate import Start
 from worm_model.twin.twin_settings import TwinSettings
 from worm_msgs.gait import FORWARD, WAVEFORM, Gait, GaitError, gait_of
 
-PLAYING = (Activity.RUNNING, Activity.STOPPING)
 # A twin that joins a run at most this long after the onset does not report the delay.
 LATE_NS = 20_000_000
 PLAUSIBLE_M = 0.02  # largest plausible difference between a measured L0 and the parameter
@@ -290,8 +288,8 @@ def _at_rest(memory: Memory, onset_ns: int, settings: TwinSettings) -> _Rest:
     last = onset_ns - GUARD_NS
     first = max(last - round(settings.rest_s * NANOSECONDS), int(m["end_ns"]))
     rows = rows[(rows["stamp"] >= first) & (rows["stamp"] <= last)]
-    lengths = rows["a"][rows["kind"] == Kind.LENGTH]
-    tracker = rows[rows["kind"] == Kind.POSITION]
+    lengths = rows["a"][rows["kind"] == SampleKind.LENGTH]
+    tracker = rows[rows["kind"] == SampleKind.POSITION]
     if np.count_nonzero(np.isfinite(lengths)) < FEWEST:
         lengths = tracker["b"] - tracker["a"]
     length, settled = _settled(lengths)

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from worm_model.run import Run
 from worm_msgs.gait import GAIT_UNITS
 
-Rows = NDArray[np.void]
+SampleRows = NDArray[np.void]
 
 
-class Kind(enum.IntEnum):
+class SampleKind(enum.IntEnum):
     """Kind of a sample; samples with equal stamps are processed in this order. GAIT is a driver state."""
 
     GAIT = 0
@@ -42,10 +42,10 @@ SAMPLE = np.dtype(
     ]
 )
 #: no samples
-NO_SAMPLES: Rows = np.zeros(0, SAMPLE)
+NO_SAMPLES: SampleRows = np.zeros(0, SAMPLE)
 
 
-def sample_rows(kind: Kind, stamp: NDArray[np.int64], *values: NDArray[Any]) -> Rows:
+def sample_rows(kind: SampleKind, stamp: NDArray[np.int64], *values: NDArray[Any]) -> SampleRows:
     """Return rows of one kind from stamps (n,) in ns and their values, each (n,)."""
     rows = np.zeros(len(stamp), SAMPLE)
     rows["stamp"], rows["kind"], rows["sent"] = stamp, kind, stamp
@@ -54,30 +54,34 @@ def sample_rows(kind: Kind, stamp: NDArray[np.int64], *values: NDArray[Any]) -> 
     return rows
 
 
-def series_of(run: Run) -> dict[Kind, Any]:
+def series_of(run: Run) -> dict[SampleKind, Any]:
     """Return the series of a recording that the twin reads, by kind."""
     return dict(
         zip(
-            Kind,
+            SampleKind,
             (run.gait_state, run.commanded, run.measured, run.tracker, run.power),
             strict=True,
         )
     )
 
 
-def topic_rows(run: Run) -> dict[Kind, Rows]:
+def topic_rows(run: Run) -> dict[SampleKind, SampleRows]:
     """Return the samples of a recording by kind, in the order of reception."""
     states = run.gait_state
-    gaits = sample_rows(Kind.GAIT, states.stamp, *(getattr(states, name) for name in GAIT_VALUES))
+    gaits = sample_rows(
+        SampleKind.GAIT, states.stamp, *(getattr(states, name) for name in GAIT_VALUES)
+    )
     gaits["onset"], gaits["state"], gaits["run"] = states.onset, states.state, states.run
     gaits["cycle"] = states.cycle
     tracker, power = run.tracker, run.power
     return {
-        Kind.GAIT: gaits,
-        Kind.COMMAND: sample_rows(Kind.COMMAND, run.commanded.stamp, run.commanded.length_change),
-        Kind.LENGTH: sample_rows(Kind.LENGTH, run.measured.stamp, run.measured.length),
-        Kind.POSITION: sample_rows(
-            Kind.POSITION, tracker.stamp, tracker.rear_position, tracker.front_position
+        SampleKind.GAIT: gaits,
+        SampleKind.COMMAND: sample_rows(
+            SampleKind.COMMAND, run.commanded.stamp, run.commanded.length_change
         ),
-        Kind.POWER: sample_rows(Kind.POWER, power.stamp, power.valid_power),
+        SampleKind.LENGTH: sample_rows(SampleKind.LENGTH, run.measured.stamp, run.measured.length),
+        SampleKind.POSITION: sample_rows(
+            SampleKind.POSITION, tracker.stamp, tracker.rear_position, tracker.front_position
+        ),
+        SampleKind.POWER: sample_rows(SampleKind.POWER, power.stamp, power.valid_power),
     }

@@ -33,7 +33,7 @@ YIELDING: Colour = (0.95, 0.6, 0.1, 1.0)
 FREE: Colour = (0.6, 0.6, 0.6, 1.0)
 
 
-class Kind(enum.Enum):
+class ShapeKind(enum.Enum):
     """Kind of a shape."""
 
     BOX = "box"
@@ -50,7 +50,7 @@ class Shape:
     """
 
     name: str
-    kind: Kind
+    kind: ShapeKind
     position: Vector
     size: Vector
     colour: Colour
@@ -97,7 +97,7 @@ def ridges(twin: StateRecord, parameters: Parameters) -> Shape:
         for side in (-1.0, 1.0)
     )
     size = (0.2 * pitch, 2.0 * PIPE_RADIUS, 0.006)
-    return Shape("pipe ridges", Kind.BOXES, (0.0, 0.0, 0.0), size, RIDGE_COLOUR, points)
+    return Shape("pipe ridges", ShapeKind.BOXES, (0.0, 0.0, 0.0), size, RIDGE_COLOUR, points)
 
 
 def body(name: str, rear: float, front: float, colour: Colour) -> list[Shape]:
@@ -105,11 +105,11 @@ def body(name: str, rear: float, front: float, colour: Colour) -> list[Shape]:
     gap = max(front - rear - MODULE[0], 1e-3)
     middle = 0.5 * (rear + front)
     return [
-        Shape(f"{name} rear module", Kind.BOX, (rear, 0.0, 0.0), MODULE, colour),
-        Shape(f"{name} front module", Kind.BOX, (front, 0.0, 0.0), MODULE, colour),
+        Shape(f"{name} rear module", ShapeKind.BOX, (rear, 0.0, 0.0), MODULE, colour),
+        Shape(f"{name} front module", ShapeKind.BOX, (front, 0.0, 0.0), MODULE, colour),
         Shape(
             f"{name} bellows",
-            Kind.CYLINDER,
+            ShapeKind.CYLINDER,
             (middle, 0.0, 0.0),
             (BELLOWS_DIAMETER, BELLOWS_DIAMETER, gap),
             (*colour[:3], 0.5 * colour[3]),
@@ -122,7 +122,7 @@ def fin(name: str, position: float, anchor: float, parameters: Parameters, direc
     reach = anchor - position
     size = (max(abs(reach), 0.004), 0.02, 2.0 * PIPE_RADIUS)
     colour = engagement(position - anchor, parameters, direction)
-    return Shape(f"{name} fins", Kind.BOX, (position + 0.5 * reach, 0.0, 0.0), size, colour)
+    return Shape(f"{name} fins", ShapeKind.BOX, (position + 0.5 * reach, 0.0, 0.0), size, colour)
 
 
 def engagement(displacement: float, parameters: Parameters, direction: int) -> Colour:

@@ -21,7 +21,7 @@ from worm_model.simulation.actuation import length_change_of_command
 from worm_model.simulation.closed_form import front_groove
 from worm_model.simulation.simulator import Locomotion, LocomotionState, SimulationError
 from worm_model.twin.core.memory import NANOSECONDS, Memory
-from worm_model.twin.samples import Kind
+from worm_model.twin.samples import SampleKind
 
 FIT_M = 0.0012  # largest root mean square of the residuals at which a start explains the positions
 STEP_M = 0.001  # step between the tested offsets of the rear module from its groove
@@ -67,7 +67,7 @@ def estimate_start(memory: Memory, parameters: Parameters, end_ns: int) -> Estim
     if not len(rows) or rows["stamp"][0] > onset:
         return None  # the memory no longer contains the onset
     rows = rows[(rows["stamp"] > onset) & (rows["stamp"] <= end_ns)]
-    seen = rows[(rows["kind"] == Kind.POSITION) & np.isfinite(rows["a"])]
+    seen = rows[(rows["kind"] == SampleKind.POSITION) & np.isfinite(rows["a"])]
     if len(seen) < FEWEST:
         return None
     times, changes = _drive(m, rows, parameters, (end_ns - onset) / NANOSECONDS)
@@ -96,12 +96,12 @@ def _drive(
 ) -> tuple[Array, Array]:
     """Return times (s) from 0 to the duration, and ΔL (m) at these times, measured or computed from the commands."""
     onset, start = int(m["start_ns"]), float(m["track_change"])
-    lengths = rows[rows["kind"] == Kind.LENGTH]
+    lengths = rows[rows["kind"] == SampleKind.LENGTH]
     if len(lengths) >= LEAST_RATE_HZ * duration:
         times = (lengths["stamp"] - onset) / NANOSECONDS
         changes = lengths["a"] - parameters.initial_length
     else:
-        commands = rows[rows["kind"] == Kind.COMMAND]
+        commands = rows[rows["kind"] == SampleKind.COMMAND]
         times = (commands["stamp"] - onset) / NANOSECONDS
         knots = np.concatenate([[0.0], times])
         changes = length_change_of_command(

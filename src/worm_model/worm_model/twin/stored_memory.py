@@ -20,8 +20,7 @@ from worm_model.twin.causes import ReportedCause
 from worm_model.twin.core.memory import MEMORY, NANOSECONDS
 from worm_model.twin.cycle_data import CycleData, Step
 from worm_model.twin.diagnosis import History
-from worm_model.twin.samples import SAMPLE, Kind
-from worm_model.twin.samples import Rows as SampleRows
+from worm_model.twin.samples import SAMPLE, SampleKind, SampleRows
 from worm_model.twin.twin import Twin, TwinState
 from worm_msgs.gait import GAIT_DEFAULTS, WAVEFORM
 
@@ -75,7 +74,7 @@ def stored_memory(twin: Twin, state: TwinState) -> str:
     memory, m = state.memory, state.record
     filled, place = int(m["filled"]), int(m["place"])
     waiting = memory.rows[place:filled]
-    waiting = waiting[waiting["kind"] == Kind.GAIT]["sent"]
+    waiting = waiting[waiting["kind"] == SampleKind.GAIT]["sent"]
     lengths = memory.rows[:place]
     lengths = lengths[_is_stored(twin, lengths, int(m["processed_ns"]))]
     some = np.flatnonzero(memory.sums.any(axis=1))
@@ -83,7 +82,7 @@ def stored_memory(twin: Twin, state: TwinState) -> str:
         "version": VERSION,
         "holds_for": digest(twin),
         "record": {name: m[field].tolist() for name, field in _STORED.items()},
-        "gait_heard_ns": int(min([int(m["newest"][Kind.GAIT]), *(waiting - 1).tolist()])),
+        "gait_heard_ns": int(min([int(m["newest"][SampleKind.GAIT]), *(waiting - 1).tolist()])),
         "lengths": lengths.tolist(),
         "sums": {str(row): memory.sums[row].tolist() for row in some.tolist()},
         "history": _history_content(state.history if state.is_running else History()),
@@ -128,7 +127,7 @@ class StoredMemory:
     def is_new(self, rows: SampleRows) -> np.ndarray:
         """Return a mask (n,) of the samples whose effect the memory does not include."""
         sent = rows["sent"] > self.content["gait_heard_ns"]
-        return np.where(rows["kind"] == Kind.GAIT, sent, rows["stamp"] > self.stamp_ns)
+        return np.where(rows["kind"] == SampleKind.GAIT, sent, rows["stamp"] > self.stamp_ns)
 
     def resume(self, twin: Twin, before: SampleRows) -> TwinState:
         """Return the twin's state at the memory's stamp, given the recording's last samples ``before`` this stamp."""
@@ -138,15 +137,15 @@ class StoredMemory:
             m[field] = self.content["record"][name]
         m["present"] = self.stamp_ns
         m["newest"][:] = self.stamp_ns
-        m["newest"][Kind.GAIT] = self.content["gait_heard_ns"]
+        m["newest"][SampleKind.GAIT] = self.content["gait_heard_ns"]
         width = len(SAMPLE.names or ())
         # Older memories have fewer columns. Lengths do not use the missing columns.
         lengths = [tuple(row) + (0.0,) * (width - len(row)) for row in self.content["lengths"]]
         stored = np.array(lengths, SAMPLE)
         recent = before["stamp"] >= self.stamp_ns - look_back_ns(twin)
-        recent &= ~_is_stored(twin, before, self.stamp_ns) & (before["kind"] != Kind.GAIT)
+        recent &= ~_is_stored(twin, before, self.stamp_ns) & (before["kind"] != SampleKind.GAIT)
         past = before[recent].copy()
-        past["c"][past["kind"] == Kind.LENGTH] = np.nan
+        past["c"][past["kind"] == SampleKind.LENGTH] = np.nan
         past = np.concatenate([stored, past])
         past = past[np.lexsort((past["kind"], past["stamp"]))][-len(state.memory.rows) // 2 :]
         state.memory.rows[: len(past)] = past
@@ -203,7 +202,7 @@ def _is_stored(twin: Twin, rows: SampleRows, stamp_ns: int) -> np.ndarray:
     These are the measured lengths that determine the rate of the length at the stamp of the memory.
     """
     since = stamp_ns - round(twin.settings.smoothing_s * NANOSECONDS) - 1
-    found: np.ndarray = (rows["kind"] == Kind.LENGTH) & (rows["stamp"] >= since)
+    found: np.ndarray = (rows["kind"] == SampleKind.LENGTH) & (rows["stamp"] >= since)
     return found
 
 

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from worm_model.parameters import PAPER, Parameters
-from worm_model.run import SAME_ONSET_NS
+from worm_model.run import PLAYING, SAME_ONSET_NS, Activity
 from worm_model.simulation.actuation import actuator
 from worm_model.simulation.closed_form import front_groove
 from worm_model.simulation.kernel.actuation_law import Actuator
@@ -38,9 +38,9 @@ from worm_model.twin.core.memory import (
 )
 from worm_model.twin.diagnosis import CycleSeen, History, explains, judge_cycle, off_at_end
 from worm_model.twin.findings import INFORMATION, Finding, Sentence
-from worm_model.twin.records import Activity, Event, Health, Severity, residual_message
-from worm_model.twin.run_start import PLAYING, DriverState, begin_run, driver_state_of, is_new_run
-from worm_model.twin.samples import Rows as SampleRows
+from worm_model.twin.records import Event, Health, Severity, residual_message
+from worm_model.twin.run_start import DriverState, begin_run, driver_state_of, is_new_run
+from worm_model.twin.samples import SampleRows
 from worm_model.twin.start_estimate import EstimatedStart, Start, estimate_start
 from worm_model.twin.twin_settings import DEFAULTS, TwinSettings
 from worm_msgs.gait import WAVEFORM, Gait, gait_of

@@ -7,18 +7,14 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from worm_model.twin.records import (
-    COMPLAINTS,
-    NANOSECONDS,
-    Health,
-    LengthSource,
-    Severity,
-    residual_message,
-)
+from worm_model.run import LengthSource
+from worm_model.twin.records import COMPLAINTS, NANOSECONDS, Health, Severity, residual_message
 from worm_model.twin.twin import TwinState
 
 SAYS_S = 5.0  # age of the last residual beyond which the health is UNKNOWN
-SILENT_S = 2.0  # time without input after which missing input is reported instead of the health
+INPUT_TIMEOUT_S = (
+    2.0  # time without input after which missing input is reported instead of the health
+)
 
 
 @dataclass(frozen=True)
@@ -61,7 +57,7 @@ def report(state: TwinState, newest: Any, silent_s: float = 0.0) -> Report:
         health = Health(int(newest["health"]))
     message = residual_message(newest, state.warnings) if health > Health.HEALTHY else ""
     level = _LEVELS[health]
-    if silent_s > SILENT_S:
+    if silent_s > INPUT_TIMEOUT_S:
         level, message = Severity.WARNING, f"no input for {silent_s:.0f} s: is the driver running?"
     elif not message:
         message = _quiet_message(state, health) if m["moving"] else "no length yet"

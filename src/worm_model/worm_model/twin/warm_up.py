@@ -8,14 +8,7 @@ import numpy as np
 
 from worm_model.gait import FORWARD, Gait
 from worm_model.parameters import PAPER
-from worm_model.run import (
-    RUNNING,
-    GaitStates,
-    LengthSamples,
-    PowerSamples,
-    Run,
-    TrackerSamples,
-)
+from worm_model.run import Activity, GaitStates, LengthSamples, PowerSamples, Run, TrackerSamples
 from worm_model.simulation.actuation import length_change_of_command
 from worm_model.simulation.batch import evaluate_gaits, sample_cycle
 from worm_model.simulation.kernel import cache_directory
@@ -60,7 +53,7 @@ def _recording(gait: Gait) -> Run:
         power=PowerSamples(stamp, 0 * stamp, 12.0 * one, 0.1 * one, 0.0 * length),
         gait_state=GaitStates(
             stamp=onset,
-            state=np.array([RUNNING]),
+            state=np.array([Activity.RUNNING]),
             stroke=gait.stroke * one,
             frequency=gait.frequency * one,
             direction=np.array([FORWARD]),

@@ -8,7 +8,8 @@ import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from worm_model.twin.records import Activity, Health, LengthSource
+from worm_model.run import Activity, LengthSource
+from worm_model.twin.records import Health
 
 HEALTH_COLOURS = {
     Health.UNKNOWN: "\033[90m",

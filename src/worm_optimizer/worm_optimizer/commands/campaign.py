@@ -23,6 +23,7 @@ from worm_model.commands.command_line import (
 from worm_model.commands.identify import StageProgress
 from worm_model.errors import InputError
 from worm_model.parameters import load_parameter_file
+from worm_model.text_table import labelled
 from worm_msgs.conditions import Conditions
 from worm_optimizer.commands.robot_options import add_robot, robot_of
 from worm_optimizer.commands.search_options import add_campaign_options, chosen_settings
@@ -295,10 +296,11 @@ def _print(
         }
         for row, gait in zip(judged["runs"], gaits, strict=True)
     ]
-    text = f"{describe(gaits)}\n\n{spread_table(spreads)}"
+    files = {"recordings": folder, "report": page}
     if summary:
-        text += f"\n\nparameters  {summary['parameter_file']}"
-    print_result(options, content | summary, f"{text}\n\nrecordings  {folder}\nreport      {page}")
+        files = {"parameters": summary["parameter_file"], **files}
+    text = f"{describe(gaits)}\n\n{spread_table(spreads)}\n\n{labelled(files)}"
+    print_result(options, content | summary, text)
 
 
 def _values(bands: dict[str, Any]) -> dict[str, float]:

@@ -16,6 +16,7 @@ from worm_model.analysis.plot_style import save_figure
 from worm_model.analysis.run_curves import plot_run
 from worm_model.commands.command_line import FAILED, Parser, notifier, print_result, run_command
 from worm_model.parameters import load_parameter_file
+from worm_model.text_table import labelled
 from worm_optimizer.commands.robot_options import add_tracker, with_tracker
 from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.operation.bring_up import (
@@ -135,6 +136,6 @@ def _print(
     text = (
         f"Last 3 of 5 cycles, {_title(prediction)}; predictions for a groove phase of "
         f"{phase:.1f} mm:\n\n{comparison_table(comparison.measured, predictions)}\n\n"
-        f"recording  {bag}\nfigure     {figure}"
+        f"{labelled({'recording': bag, 'figure': figure})}"
     )
     print_result(options, content, text)

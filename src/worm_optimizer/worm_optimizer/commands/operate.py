@@ -23,6 +23,7 @@ from worm_model.commands.command_line import (
     number,
     print_result,
 )
+from worm_model.text_table import labelled
 from worm_msgs.conditions import CONDITION_ROWS, LEVEL, Conditions
 from worm_msgs.gait import GAIT_DEFAULTS, WAVEFORM, Gait, gait_of
 from worm_optimizer.commands.objective_options import add_objective, request_of_options
@@ -182,21 +183,21 @@ def _state_content(lifecycle: str, now: Snapshot) -> dict[str, Any]:
 def _state_text(content: Mapping[str, Any]) -> str:
     state = SimpleNamespace(**content)
     activity = "stopped, holding" if state.holding else state.state.lower()
-    rows = [
-        ("driver", state.lifecycle),
-        ("state", activity + (f": {state.message}" if state.message else "")),
-        ("homed", "yes" if state.homed else "no"),
-        ("emergency stop", "ON: nothing starts" if state.emergency_stop else "off"),
-    ]
+    rows = {
+        "driver": state.lifecycle,
+        "state": activity + (f": {state.message}" if state.message else ""),
+        "homed": "yes" if state.homed else "no",
+        "emergency stop": "ON: nothing starts" if state.emergency_stop else "off",
+    }
     if state.cycle:
-        rows.append(("cycle", f"{state.cycle} of {state.cycles}"))
+        rows["cycle"] = f"{state.cycle} of {state.cycles}"
     if math.isfinite(state.power):
-        rows.append(("power", f"{state.power:.2f} W"))
+        rows["power"] = f"{state.power:.2f} W"
     if math.isfinite(state.rear_position):
-        rows.append(("rear position", f"{1e3 * state.rear_position:.1f} mm"))
+        rows["rear position"] = f"{1e3 * state.rear_position:.1f} mm"
     if state.health:
-        rows.append(("health", state.health))
-    return "\n".join(f"{name:<15} {value}" for name, value in rows)
+        rows["health"] = state.health
+    return labelled(rows)
 
 
 def _simple(call: Callable[[OperatorNode], str]) -> Action:
@@ -327,17 +328,15 @@ def _progress(say: ProgressLog) -> Callable[[RunProgress], None]:
 def _result_text(result: RunResult, bag: Path | None) -> str:
     if not result.cycles_completed:
         return result.message
-    rows: list[tuple[str, Any]] = [
-        ("cycles", result.cycles_completed),
-        ("distance", f"{1e3 * result.distance:.1f} mm, {result.grooves:.1f} grooves"),
-        ("speed", f"{1e3 * result.speed:.2f} mm/s"),
-        ("power", f"{result.power:.2f} W, at rest {result.idle_power:.2f} W"),
-        ("cost of transport", f"{result.cost_of_transport:.1f}"),
-    ]
-    if bag is not None:
-        rows.append(("recording", bag))
-    table = "\n".join(f"{name:<18} {value}" for name, value in rows)
-    return f"{result.message}\n{table}"
+    rows = {
+        "cycles": result.cycles_completed,
+        "distance": f"{1e3 * result.distance:.1f} mm, {result.grooves:.1f} grooves",
+        "speed": f"{1e3 * result.speed:.2f} mm/s",
+        "power": f"{result.power:.2f} W, at rest {result.idle_power:.2f} W",
+        "cost of transport": f"{result.cost_of_transport:.1f}",
+        **({} if bag is None else {"recording": bag}),
+    }
+    return f"{result.message}\n{labelled(rows)}"
 
 
 main = executable(_parser, _operate)

@@ -18,6 +18,7 @@ from worm_model.commands.command_line import (
     print_result,
 )
 from worm_model.parameters import load_parameter_file
+from worm_model.text_table import labelled
 from worm_optimizer.commands.search_options import (
     add_front_options,
     chosen_settings,
@@ -89,19 +90,28 @@ def comparison_json(comparison: Comparison) -> dict[str, Any]:
     }
 
 
-def describe(front: RobustFront, nominal: dict[str, Prediction], uncertainty: str) -> str:
-    """Return a front as text."""
+def describe(
+    front: RobustFront,
+    nominal: dict[str, Prediction],
+    uncertainty: str,
+    comparison: Comparison | None = None,
+) -> str:
+    """Return a front, and its comparison with the exact front if it is not exact, as text."""
     checks = front.exact.verification
     strokes = f"{checks['strokes']} strokes at each of " if "strokes" in checks else ""
     rises = "rises" if checks["power_rises"] else "does not rise everywhere"
+    summary = {
+        **({"NSGA-II": _comparison_text(comparison)} if comparison else {}),
+        "margin": f"{1e3 * front.margin:.2f} mm: {front.reason}",
+        "groove phase": f"{1e3 * front.cruise.groove_phase:+.2f} mm; all speeds hold for this phase",
+        "front": f"{len(front.gaits)} gaits",
+        "verified": f"{strokes}{checks['frequencies']} frequencies; edges located to "
+        f"{1e9 * checks['edge_tolerance']:g} nm; power {rises} with the stroke within the branches",
+        "limits": front.settings.limits.description() or "none",
+    }
     return "\n".join(
         [
-            f"margin             {1e3 * front.margin:.2f} mm: {front.reason}",
-            f"groove phase       {1e3 * front.cruise.groove_phase:+.2f} mm; all speeds hold for this phase",
-            f"front              {len(front.gaits)} gaits",
-            f"verified           {strokes}{checks['frequencies']} frequencies; edges located to "
-            f"{1e9 * checks['edge_tolerance']:g} nm; power {rises} with the stroke within the branches",
-            f"limits             {front.settings.limits.description() or 'none'}",
+            labelled(summary),
             "",
             gait_table(front.three, nominal),
             *shape_lines(front.three),
@@ -112,11 +122,10 @@ def describe(front: RobustFront, nominal: dict[str, Prediction], uncertainty: st
     )
 
 
-def describe_comparison(comparison: Comparison) -> str:
-    """Return a comparison with the exact front as text."""
+def _comparison_text(comparison: Comparison) -> str:
     missed = ", ".join(f"{branch:g}" for branch in comparison.missed_branches) or "none"
     return (
-        f"NSGA-II            {100.0 * comparison.hypervolume_share:.2f} % of the exact front's hypervolume; gaits of "
+        f"{100.0 * comparison.hypervolume_share:.2f} % of the exact front's hypervolume; gaits of "
         f"NSGA-II need up to {100.0 * comparison.largest_excess_power:.2f} % more power; missed branches: {missed}"
     )
 
@@ -144,8 +153,6 @@ def _optimize(options: argparse.Namespace) -> None:
         name: value for name, value in asdict(settings.limits).items() if math.isfinite(value)
     }
     uncertainty = description(content)
-    texts = [describe(front, nominal, uncertainty)]
-    texts += [describe_comparison(comparison)] if comparison else []
     print_result(
         options,
         {
@@ -157,7 +164,7 @@ def _optimize(options: argparse.Namespace) -> None:
             "waveform": settings.waveform.value,
             "conditions": asdict(settings.conditions),
         },
-        "\n".join(reversed(texts)),
+        describe(front, nominal, uncertainty, comparison),
     )
 
 

@@ -9,7 +9,7 @@ from typing import Any
 from worm_model.analysis.plot_style import save_figure
 from worm_model.commands.command_line import Parser, executable, figure_file, print_result
 from worm_model.parameters import load_parameter_file
-from worm_model.text_table import text_table
+from worm_model.text_table import labelled, text_table
 from worm_optimizer.commands.search_options import add_scan_options, chosen_settings
 from worm_optimizer.report.front_plots import price_figure
 from worm_optimizer.search.front import scanned_price
@@ -52,18 +52,17 @@ def describe(price: PriceOfRobustness) -> str:
         gait = (f"{1e3 * point.stroke:.2f}", f"{point.frequency:.4f}")
         cost = f"{point.cost_of_transport:.2f}"
         rows.append((f"{1e3 * point.margin:.2f}", cost, *gait, branches))
-    lines = [text_table(rows)]
-    lines.append(f"groove phase {1e3 * price.groove_phase:+.2f} mm")
-    lines.append(
-        f"cliff        {1e3 * price.cliff.margin:.3f} mm: beyond this margin, the branch with "
+    found = {
+        "groove phase": f"{1e3 * price.groove_phase:+.2f} mm",
+        "cliff": f"{1e3 * price.cliff.margin:.3f} mm: beyond this margin, the branch with "
         f"{price.cliff.lost_branch:g} grooves per cycle is lost, and the lowest COT rises by a factor of "
         f"{price.cliff.rise:.2f}"
         if price.cliff
-        else "cliff        none among these margins"
-    )
-    lines.append(f"closed form  {1e3 * price.closed_form_cliff_margin:.3f} mm, in the slow limit")
-    lines.append(f"rule         {CLIFF_RULE}")
-    return "\n".join(lines)
+        else "none among these margins",
+        "closed form": f"{1e3 * price.closed_form_cliff_margin:.3f} mm, in the slow limit",
+        "rule": CLIFF_RULE,
+    }
+    return f"{text_table(rows)}\n{labelled(found)}"
 
 
 def _scan(options: argparse.Namespace) -> None:

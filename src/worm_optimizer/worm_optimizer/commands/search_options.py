@@ -11,7 +11,7 @@ from typing import Any
 
 from worm_model.commands.command_line import InputError, Parser, number
 from worm_model.gait import Profile
-from worm_model.text_table import text_table
+from worm_model.text_table import labelled, text_table
 from worm_msgs.conditions import CONDITION_ROWS
 from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.search import search_settings
@@ -142,13 +142,14 @@ def gait_table(robust: Mapping[str, Prediction], nominal: Mapping[str, Predictio
 
 def shape_lines(gaits: Mapping[str, Prediction]) -> list[str]:
     """Return a line with the shape of each gait that is not the paper's sinusoid."""
-    return [
-        f"{name.replace('_', ' '):<20} pretension {1e3 * gait.pretension:.2f} mm, contraction share "
+    shapes = {
+        name.replace("_", " "): f"pretension {1e3 * gait.pretension:.2f} mm, contraction share "
         f"{gait.contraction_share:.3f}, {gait.profile}"
         + (f", ramp share {gait.ramp_share:.3f}" if gait.profile is Profile.TRAPEZOID else "")
         for name, gait in gaits.items()
         if not gait.is_sinusoid
-    ]
+    }
+    return labelled(shapes).splitlines()
 
 
 def _row(name: str, gait: Prediction) -> Sequence[str]:

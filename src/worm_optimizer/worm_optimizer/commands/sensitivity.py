@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
+from textwrap import indent
 from typing import Any
 
 import numpy as np
@@ -18,11 +20,12 @@ from worm_model.commands.command_line import (
 )
 from worm_model.loads import content_under
 from worm_model.parameters import SYMBOLS, UNITS, load_parameter_file
+from worm_model.text_table import text_table
 from worm_msgs.conditions import conditions_of
 from worm_msgs.gait import WAVEFORM, gait_of
 from worm_optimizer.study.sensitivity import Sensitivity, sensitivity
 from worm_optimizer.study.sensitivity_figure import sensitivity_figure
-from worm_optimizer.study.sobol import index_text, warnings_of
+from worm_optimizer.study.sobol import INDEX_HEADS, index_cells, warnings_of
 
 MOST_SAMPLES = 1 << 16  # largest number of base samples
 
@@ -82,6 +85,7 @@ def _warnings(content: Sensitivity) -> list[str]:
 def describe(content: Sensitivity) -> str:
     """Return the most important parameters of each quantity as text."""
     shown = {"speed": (1e3, "mm/s"), "power": (1.0, "W"), "cliff_margin": (1e3, "mm")}
+    heads = ("parameter", "symbol", *INDEX_HEADS, "range of the parameter")
     lines = []
     for name, indices in content.indices.items():
         scale, unit = shown[name]
@@ -91,16 +95,13 @@ def describe(content: Sensitivity) -> str:
         if np.all(np.isnan(indices.total)):
             lines.append("  does not vary")
             continue
+        rows: list[Sequence[str]] = [heads]
         for k in np.argsort(-indices.total)[:6]:
             key = content.parameters[k]
             below, above = content.reach[key]
-            alone = index_text(indices.first, indices.first_bounds, k)
-            total = index_text(indices.total, indices.total_bounds, k)
-            lines.append(
-                f"  {key:22} {SYMBOLS[key]:6} alone {alone}, with others {total}"
-                f"   (range of the parameter: -{below:.3g}, +{above:.3g} {UNITS[key]})"
-            )
-    lines.append("All bounds are 95 % bounds.")
+            reach = f"-{below:.3g}, +{above:.3g} {UNITS[key]}"
+            rows.append((key, SYMBOLS[key], *index_cells(indices, k), reach))
+        lines.append(indent(text_table(rows), "  "))
     return "\n".join([*lines, *(f"warning: {text}" for text in _warnings(content))])
 
 

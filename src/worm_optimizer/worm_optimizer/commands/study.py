@@ -8,9 +8,11 @@ import dataclasses
 import sys
 from collections.abc import Mapping
 from pathlib import Path
+from textwrap import indent
 from typing import Any
 
 from worm_model.commands import command_line
+from worm_model.text_table import text_table
 from worm_optimizer.study.plan import Study
 from worm_optimizer.study.study_file import load_study
 
@@ -19,7 +21,7 @@ try:
     from worm_optimizer.study.fleet import read_fleet, reopen_fleet
     from worm_optimizer.study.fleet_page import write_fleet_page
     from worm_optimizer.study.results import check_export, export
-    from worm_optimizer.study.sobol import Indices, index_text, warnings_of
+    from worm_optimizer.study.sobol import INDEX_HEADS, Indices, index_cells, warnings_of
     from worm_optimizer.study.store import is_of_this_code, stored_study
     from worm_optimizer.study.study_indices import study_indices
     from worm_optimizer.study.study_page import write_page
@@ -225,11 +227,9 @@ def _indices_json(indices: Mapping[str, Indices], inputs: list[str]) -> dict[str
 def _indices_text(indices: Mapping[str, Indices], inputs: list[str]) -> list[str]:
     lines = []
     for name, each in indices.items():
-        lines.append(f"{name}: Sobol indices with 95 % bounds")
-        for k, key in enumerate(inputs):
-            alone = index_text(each.first, each.first_bounds, k)
-            total = index_text(each.total, each.total_bounds, k)
-            lines.append(f"  {key:22} alone {alone}, with others {total}")
+        rows = [(key, *index_cells(each, k)) for k, key in enumerate(inputs)]
+        lines.append(f"{name}: Sobol indices")
+        lines.append(indent(text_table([("quantity", *INDEX_HEADS), *rows]), "  "))
         lines += [f"  warning: {text}" for text in warnings_of(name, each, inputs)]
     return lines
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 from worm_model.gait import FORWARD
 from worm_model.parameters import Parameters
-from worm_model.twin.records import LengthSource
+from worm_model.run import LengthSource
 from worm_msgs.conditions import LEVEL, Conditions
 from worm_optimizer.console.bag_library import BagLibrary
 from worm_optimizer.console.control import ConsoleControl

@@ -6,7 +6,7 @@ from __future__ import annotations
 from worm_model.gait import FORWARD
 from worm_model.parameters import Parameters
 from worm_model.twin.records import StateRecord
-from worm_model.twin.scene import PIPE_RADIUS, Kind, PositionSample, Shape, scene
+from worm_model.twin.scene import PIPE_RADIUS, PositionSample, Shape, ShapeKind, scene
 
 BEFORE, BEHIND = 0.12, 0.12  # length of the pipe that is shown ahead of and behind the robot, m
 _WALL = 0.006  # thickness of the drawn wall, m
@@ -60,10 +60,10 @@ def _drawn(shape: Shape) -> str:
     """Return a shape as rectangles. Their CSS classes come from `_NAMES`."""
     kind = _NAMES[shape.name.split()[0]]
     x, _, z = shape.position
-    if shape.kind is Kind.BOXES:
+    if shape.kind is ShapeKind.BOXES:
         size = (shape.size[0], 2.0 * _WALL)
         return "".join(_box(kind, x + dx, z + dz, size) for dx, _, dz in shape.points)
-    if shape.kind is Kind.CYLINDER:
+    if shape.kind is ShapeKind.CYLINDER:
         return _box(f"{kind} bellows", x, z, (shape.size[2], shape.size[0]))
     if kind == "fins":
         red, green, blue, _ = shape.colour

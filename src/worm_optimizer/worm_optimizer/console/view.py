@@ -9,9 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from worm_model.analysis.run_metrics import END_TOLERANCE_NS
-from worm_model.run import SAME_ONSET_NS
-from worm_model.twin.records import Activity, LengthSource
-from worm_model.twin.run_start import PLAYING
+from worm_model.run import PLAYING, SAME_ONSET_NS, Activity, LengthSource
 from worm_model.twin.watch_view import STALE_S
 from worm_optimizer.snapshot import DriverState, Snapshot
 

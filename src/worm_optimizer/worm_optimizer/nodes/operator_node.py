@@ -28,7 +28,7 @@ from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from worm_model.gait import FORWARD
-from worm_model.twin.records import Activity
+from worm_model.run import Activity
 from worm_msgs import network
 from worm_msgs.conditions import CONDITION_ROWS, Conditions
 from worm_msgs.msg import ControlRequest, Heartbeat

@@ -13,7 +13,8 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
 from worm_model.nodes.twin_messages import nanoseconds
-from worm_model.twin.records import Activity, Health, LengthSource, ResidualRecord, StateRecord
+from worm_model.run import Activity, LengthSource
+from worm_model.twin.records import Health, ResidualRecord, StateRecord
 from worm_model.twin.scene import PositionSample
 from worm_model.twin.watch_view import STALE_S
 from worm_msgs.msg import (

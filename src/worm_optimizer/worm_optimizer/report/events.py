@@ -14,7 +14,7 @@ from worm_model.bags.formats.cdr import Columns
 from worm_model.bags.formats.message_block import Topic
 from worm_model.bags.run_reader import read_columns
 from worm_model.bags.worm_topics import find_topic
-from worm_model.run import FAULT, POWER_VALID, Run, power_status_name, state_name
+from worm_model.run import POWER_VALID, Activity, Run, power_status_name, state_name
 from worm_model.twin.offline_replay import Replay
 
 _LEVELS = ("ok", "warning", "error", "stale")  # DiagnosticStatus
@@ -73,7 +73,7 @@ def _driver_events(bag: Bag, run: Run, holds: Holds) -> Iterator[Event]:
             continue
         shown = (state, message)
         name = state_name(state)
-        level = "error" if state == FAULT else "note"
+        level = "error" if state == Activity.FAULT else "note"
         text = f"{name}: {message}" if message and message != name else name
         yield Event((stamp - run.origin) * 1e-9, "driver", level, text)
 

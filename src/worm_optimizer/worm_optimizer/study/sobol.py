@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+#: Heads of the columns that `index_cells` returns.
+INDEX_HEADS = ("alone", "95 % bounds", "with others", "95 % bounds")
 _LEAST_VARIANCE = 1e-24  # largest variance, in squared units, of a quantity that counts as constant
 _VISIBLE = 5e-4  # smallest difference of two indices that printed percentages show
 
@@ -111,10 +113,12 @@ def percent(value: float) -> str:
     return f"{round(100.0 * value, 1) + 0.0:.1f} %"
 
 
-def index_text(values: Array, bounds: Array, row: int) -> str:
-    """Return an index with its bounds as text."""
-    low, high = (percent(value) for value in bounds[:, row])
-    return f"{percent(values[row]):>7} ({low} to {high})"
+def index_cells(indices: Indices, row: int) -> list[str]:
+    """Return the first-order index of an input, its bounds, its total index and the bounds of that as text."""
+    first, total = indices.first[row], indices.total[row]
+    bounds = indices.first_bounds[:, row], indices.total_bounds[:, row]
+    texts = [" to ".join(map(percent, ends)) for ends in bounds]
+    return [percent(first), texts[0], percent(total), texts[1]]
 
 
 def warnings_of(name: str, indices: Indices, inputs: Sequence[str]) -> list[str]:

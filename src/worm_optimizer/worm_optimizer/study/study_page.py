@@ -12,7 +12,7 @@ from pathlib import Path
 import jinja2
 
 from worm_optimizer.study.plan import Study
-from worm_optimizer.study.sobol import Indices, index_text
+from worm_optimizer.study.sobol import INDEX_HEADS, Indices, index_cells
 from worm_optimizer.study.store import open_result
 from worm_optimizer.study.study_indices import study_indices
 from worm_optimizer.study.study_plots import label, pictures, shown
@@ -139,17 +139,11 @@ def _indices_table(indices: Mapping[str, Indices], inputs: Sequence[str]) -> lis
     if not indices:
         return []
     rows = [
-        [
-            name,
-            key,
-            index_text(each.first, each.first_bounds, k),
-            index_text(each.total, each.total_bounds, k),
-        ]
+        [name, key, *index_cells(each, k)]
         for name, each in indices.items()
         for k, key in enumerate(inputs)
     ]
-    heads = ["result", "quantity", "alone", "with others"]
-    return [Table("Sobol indices with 95 % bounds", heads, rows, words=True)]
+    return [Table("Sobol indices", ("result", "quantity", *INDEX_HEADS), rows, words=True)]
 
 
 def _failed_table(summary: Summary) -> list[Table]:

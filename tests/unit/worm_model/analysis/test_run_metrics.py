@@ -25,20 +25,11 @@ from worm_model.analysis.run_metrics import (
     mean_rate,
 )
 from worm_model.parameters import PAPER
-from worm_model.run import (
-    FAULT,
-    IDLE,
-    INACTIVE,
-    RESTING,
-    RUNNING,
-    STOPPING,
-    GaitStates,
-    PowerSamples,
-    Run,
-)
+from worm_model.run import Activity, GaitStates, PowerSamples, Run
 from worm_model.simulation.simulator import cost_of_transport
 from worm_msgs.robot_parameters import STANDARD_GRAVITY, RobotParameters
 
+INACTIVE, IDLE, RESTING, RUNNING, STOPPING, FAULT = Activity
 EPOCH = 1_700_000_000_000_000_000  # ns
 MASS = PAPER.mass
 

@@ -14,7 +14,7 @@ from worm_model.analysis.replay_metrics import report_replay
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import namespace_of, read_run
 from worm_model.parameters import PAPER
-from worm_model.run import POWER_VALID, RUNNING
+from worm_model.run import POWER_VALID, Activity
 from worm_model.twin.offline_replay import replay_run
 from worm_model.twin.recorded_samples import rows_of_run
 from worm_model.twin.twin import Twin
@@ -65,7 +65,7 @@ def test_the_twin_follows_them(bag: Path):
     assert abs(report.energy_error) < 0.05
     whole = [cycle for cycle in report.cycles[1:] if cycle.complete]
     assert [round(cycle.measured_grooves) for cycle in whole] == [cycle.grooves for cycle in whole]
-    direction = run.gait_state.direction[run.gait_state.state == RUNNING][-1]
+    direction = run.gait_state.direction[run.gait_state.state == Activity.RUNNING][-1]
     complete = [cycle for cycle in report.cycles if cycle.complete]
     assert complete
     assert all(cycle.grooves * direction > 0 for cycle in complete)

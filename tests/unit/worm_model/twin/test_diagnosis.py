@@ -16,7 +16,7 @@ from worm_model.parameters import PAPER
 from worm_model.twin.inference import NullModel
 from worm_model.twin.offline_replay import replay_run
 from worm_model.twin.records import Event, Health
-from worm_model.twin.samples import Kind
+from worm_model.twin.samples import SampleKind
 from worm_model.twin.twin import Twin
 
 GAIT = Gait(0.08, 0.2)
@@ -144,7 +144,7 @@ def test_of_a_recording_that_begins_in_a_gait_the_first_whole_cycle_is_not_judge
     """Without a stored memory, the fins' grooves are unknown; the third cycle has a miss."""
     rows = robots().rows(FAULTS.index(Fault("rear", 1, 3)), tracker=tracker)
     begin = ONSET + round((begin_cycle - 0.6) * GAIT.period * 10**9)
-    latched = rows[(rows["kind"] == Kind.GAIT) & (rows["stamp"] < begin)][-1:]
+    latched = rows[(rows["kind"] == SampleKind.GAIT) & (rows["stamp"] < begin)][-1:]
     run = run_of_rows(np.concatenate([latched, rows[rows["stamp"] >= begin]]))
     (report,) = report_replay(run, replay_run(run, PAPER), PAPER.pitch).runs
     assert {event.code for _, event in report.events} == codes

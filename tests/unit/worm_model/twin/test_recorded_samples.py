@@ -15,7 +15,7 @@ from worm_model.parameters import PAPER
 from worm_model.run import LengthSamples, Run, concatenated
 from worm_model.twin.offline_replay import OfflineReplay, replay_run, unusable_runs
 from worm_model.twin.recorded_samples import RecordedSamples, rows_of_run
-from worm_model.twin.samples import SAMPLE, Kind
+from worm_model.twin.samples import SAMPLE, SampleKind
 
 JUMP_NS = 10**9
 SERIES = ("gait_state", "commanded", "measured", "tracker", "power")
@@ -134,4 +134,4 @@ def test_a_command_that_jumps_to_and_fro_is_found_across_parts():
     ]
     found = RecordedSamples(lambda: iter(parts), JUMP_NS)
     assert len(found.impossible_steps) == 39
-    assert sum((rows["kind"] == Kind.COMMAND).sum() for rows in found.rows()) == 40
+    assert sum((rows["kind"] == SampleKind.COMMAND).sum() for rows in found.rows()) == 40

@@ -13,7 +13,7 @@ from worm_model.gait import Gait
 from worm_model.parameters import PAPER
 from worm_model.twin.offline_replay import Replay, replay_run
 from worm_model.twin.records import Event, Health
-from worm_model.twin.samples import Kind
+from worm_model.twin.samples import SampleKind
 from worm_model.twin.twin import Twin
 
 GAIT = Gait(0.08, 0.2)
@@ -76,7 +76,7 @@ def test_two_times_that_were_merged_into_one_are_no_grooves(by: float):
 def test_a_twin_that_comes_late_claims_no_grooves(late: float):
     rows = healthy()
     first = ONSET + round(late * SECOND)
-    latched = rows[(rows["kind"] == Kind.GAIT) & (rows["stamp"] < first)][-1:]
+    latched = rows[(rows["kind"] == SampleKind.GAIT) & (rows["stamp"] < first)][-1:]
     events = live(np.concatenate([latched, rows[rows["stamp"] >= first]]))
     assert [event.code for event in events if event.code] == []
     assert any("the twin resets its position to the tracker's" in e.text for e in events)
@@ -92,9 +92,9 @@ def test_a_gap_in_all_topics_is_a_gap_in_knowledge(lasts: float):
     assert not any("the robot gained" in event.text for event in events)
 
 
-@pytest.mark.parametrize("kind", [Kind.LENGTH, Kind.POSITION, Kind.POWER])
+@pytest.mark.parametrize("kind", [SampleKind.LENGTH, SampleKind.POSITION, SampleKind.POWER])
 @pytest.mark.parametrize("lag", [0.1, 0.24, 0.9])
-def test_offline_no_sample_is_late(kind: Kind, lag: float):
+def test_offline_no_sample_is_late(kind: SampleKind, lag: float):
     """Samples are late by a time (s): live, those beyond the delay are excluded; a recording is sorted by stamp."""
     rows = healthy()
     late = (rows["kind"] == kind) & (np.random.default_rng(4).random(len(rows)) < 0.3)

@@ -10,7 +10,8 @@ import pytest
 import yaml
 
 from worm_model.parameters import PAPER
-from worm_model.twin.records import Activity, Health, LengthSource
+from worm_model.run import Activity, LengthSource
+from worm_model.twin.records import Health
 from worm_model.twin.watch_view import CLEAR, LEVELS, Trend, View, render
 
 ROOT = Path(__file__).resolve().parents[4]

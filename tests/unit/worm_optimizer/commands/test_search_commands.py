@@ -79,14 +79,14 @@ def test_optimize_keeps_the_limits_of_the_drivers_servos(run):
     assert reported["limits"]["cable_speed"] == pytest.approx(0.1199, abs=1e-4)
     assert reported["limits"]["electrical_power"] == 9.0
     assert reported["max_speed"]["speed"] < free["max_speed"]["speed"]
-    assert "limits             cable speed 0.12 m/s, " in run(optimize, *QUICK, *limited)[1]
+    assert "limits        cable speed 0.12 m/s, " in run(optimize, *QUICK, *limited)[1]
 
 
 def test_optimize_for_people_names_margin_phase_and_what_was_verified(run):
     status, out, _ = run(optimize, *QUICK)
     assert status == 0
-    assert "margin             3.40 mm: given" in out
-    assert "groove phase       +1.10 mm" in out
+    assert "margin        3.40 mm: given" in out
+    assert "groove phase  +1.10 mm" in out
     assert "41 strokes at each of 161 frequencies" in out
     assert "nominal max speed" in out
     assert "assumed at 95 %: rear_mass ±1 %" in out
@@ -110,7 +110,7 @@ def test_scan_margin_prints_the_contracts_keys(run):
 def test_scan_margin_reports_a_missing_cliff(run):
     status, out, _ = run(scan_margin, "--highest", "0.0002")
     assert status == 0
-    assert "cliff        none among these margins" in out
+    assert "cliff         none among these margins" in out
 
 
 def test_where_nothing_moves_the_cost_is_null(run):

@@ -123,7 +123,7 @@ def test_a_larger_spool_pulls_faster_and_weaker(tmp_path):
     driver = tmp_path / "driver.yaml"
     driver.write_text(
         "driver:\n  ros__parameters:\n    cable_servos.spool_radius_m: [0.025]\n"
-        "    limits.max_cable_speed_m_per_s: 10.0\n"
+        "    limits.max_cable_speed_m_per_s: 2.0\n"
     )
     text = SMALL + f"hardware: {{driver: {driver}, servo_model: XL330-M288}}\n"
     study = parse_study(text, Path())

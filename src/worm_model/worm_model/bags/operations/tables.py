@@ -19,8 +19,8 @@ TEXT = "text"
 SECONDS, NANOSECONDS = ".sec", ".nanosec"
 MOST_ELEMENTS = 256  # a larger array, such as an image, is one column of lists
 
-Kind = str  # numpy's name of a number type, or TEXT
-Rows = Mapping[str, list[Any]]
+ColumnKind = str  # numpy's name of a number type, or TEXT
+TableRows = Mapping[str, list[Any]]
 
 
 @dataclass(frozen=True)
@@ -34,15 +34,15 @@ class Table:
     """
 
     topic: Topic
-    kinds: Mapping[str, Kind]
-    lists: Mapping[str, Kind]
+    kinds: Mapping[str, ColumnKind]
+    lists: Mapping[str, ColumnKind]
 
 
 @dataclass
 class _Field:
     """Values of a topic's field: `width` is None for one value, else the largest number of elements of an array."""
 
-    kind: Kind
+    kind: ColumnKind
     width: int | None
     values: list[Any]
 
@@ -101,7 +101,7 @@ def _table(topic: Topic, fields: Mapping[str, _Field]) -> Table:
     return Table(topic, kinds, {p: known.kind for p, known in fields.items() if known.is_list})
 
 
-def read_tables(bag: Bag, tables: Iterable[Table]) -> Iterator[tuple[Table, Rows]]:
+def read_tables(bag: Bag, tables: Iterable[Table]) -> Iterator[tuple[Table, TableRows]]:
     """Yield (table, rows) in batches. Rows are a list of values for each column; None if a message lacks the field."""
     by_topic = {table.topic.name: table for table in tables}
     for block in bag.blocks(by_topic):

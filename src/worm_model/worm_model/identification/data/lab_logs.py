@@ -26,8 +26,7 @@ from worm_model.arrays import Array
 from worm_model.errors import InputError
 from worm_model.parameters import PAPER
 from worm_model.run import (
-    RESTING,
-    RUNNING,
+    Activity,
     GaitStates,
     LengthSamples,
     PowerSamples,
@@ -367,7 +366,7 @@ def _gait_states(gait: Gait, end: float, settings: LabSettings, onset: float) ->
     return GaitStates.of(
         gait,
         stamp,
-        state=np.where(cycle == 0, RESTING, RUNNING),
+        state=np.where(cycle == 0, Activity.RESTING, Activity.RUNNING),
         onset=np.where(cycle == 0, 0, onset_ns),
         cycle=cycle,
         cycles=np.full(count, cycles),

@@ -15,10 +15,9 @@ from worm_model.gait import Gait
 from worm_model.identification.identification_errors import IdentificationError
 from worm_model.parameters import PAPER
 from worm_model.run import (
+    PLAYING,
     POWER_VALID,
-    RESTING,
-    RUNNING,
-    STOPPING,
+    Activity,
     GaitStates,
     LengthSamples,
     Run,
@@ -200,9 +199,9 @@ def _check_sizes(recording: Recording) -> None:
 def _span(states: GaitStates, row: int) -> tuple[int, int]:
     """Return two stamps: the beginning of the rest before the gait that begins with a row, and the end of this gait."""
     onset = int(states.onset[row])
-    rests = states.stamp[(states.state == RESTING) & (states.stamp <= onset)]
+    rests = states.stamp[(states.state == Activity.RESTING) & (states.stamp <= onset)]
     first = int(rests[-1]) if rests.size else onset - LONGEST_REST
-    over = ~np.isin(states.state, (RUNNING, STOPPING)) & (states.stamp > onset)
+    over = ~np.isin(states.state, PLAYING) & (states.stamp > onset)
     following = [states.stamp[rows[:1]] for rows in states.rows_of_runs() if rows[0] > row]
     ends = np.sort(np.concatenate([states.stamp[over], *following]))
     return first, int(ends[0]) if ends.size else np.iinfo(np.int64).max

@@ -26,6 +26,7 @@ from typing import Any
 
 import numpy as np
 
+from worm_model.run import LengthSource
 from worm_model.simulation.kernel.actuation_law import (
     Actuator,
     answer_to_line,
@@ -62,7 +63,6 @@ from worm_model.twin.core.memory import (
 )
 from worm_model.twin.core.memory import LENGTH as LENGTH_CHANNEL
 from worm_model.twin.core.residuals import judge
-from worm_model.twin.records import LengthSource
 
 SECOND = 1e-9  # s per ns
 MOVED_M = 1e-6  # m, commanded contraction above which a run has begun, even without a driver state

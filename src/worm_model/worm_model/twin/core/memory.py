@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from worm_model.simulation.kernel.march import SAMPLE_COLUMNS, TOTALS_SIZE
 from worm_model.twin.records import RESIDUAL_ROW, STATE_ROW
-from worm_model.twin.samples import SAMPLE, Kind
+from worm_model.twin.samples import SAMPLE, SampleKind
 from worm_msgs.gait import GAIT_UNITS, WAVEFORM
 
 NANOSECONDS = 1_000_000_000
-KINDS = len(Kind)
+KINDS = len(SampleKind)
 # The kinds as plain integers, for compiled code.
-GAIT_KIND, COMMAND_KIND, LENGTH_KIND, POSITION_KIND, POWER_KIND = (int(kind) for kind in Kind)
+GAIT_KIND, COMMAND_KIND, LENGTH_KIND, POSITION_KIND, POWER_KIND = (int(kind) for kind in SampleKind)
 CHANNELS = 3  # quantities with a residual: position, length, power
 POSITION, LENGTH, POWER = range(CHANNELS)
 ROOM = 16384  # rows of recent and waiting samples: some 3 s of five topics at 1 kHz

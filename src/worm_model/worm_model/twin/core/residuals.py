@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 
+from worm_model.run import Activity
 from worm_model.simulation.kernel.compiled import entry
 from worm_model.simulation.kernel.march import X1
 from worm_model.simulation.kernel.mode import Constants
@@ -30,7 +31,7 @@ from worm_model.twin.core.memory import (
     OutputRows,
     Rules,
 )
-from worm_model.twin.records import Activity, Health
+from worm_model.twin.records import Health
 
 MEMORY_S = 2.0  # s, time constant of the average
 SILENT_S = 5.0  # s; a channel whose last residual is older than this does not affect the health

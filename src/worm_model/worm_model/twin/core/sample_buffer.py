@@ -26,6 +26,7 @@ import math
 
 import numpy as np
 
+from worm_model.run import Activity
 from worm_model.simulation.kernel.compiled import entry, unlocked
 from worm_model.twin.core.memory import (
     ACCEPTED,
@@ -45,7 +46,6 @@ from worm_model.twin.core.memory import (
     Memory,
     Rules,
 )
-from worm_model.twin.records import Activity
 
 RUNNING, STOPPING = int(Activity.RUNNING), int(Activity.STOPPING)
 

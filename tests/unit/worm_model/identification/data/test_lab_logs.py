@@ -16,7 +16,7 @@ from worm_model.commands import import_lab
 from worm_model.gait import named_values
 from worm_model.identification.data.lab_logs import LabError, LabSettings, read_lab_run
 from worm_model.parameters import PAPER
-from worm_model.run import POWER_VALID, RUNNING
+from worm_model.run import POWER_VALID, Activity
 from worm_model.simulation.actuation import resting_change
 from worm_msgs.gait import GAIT_COLUMNS, Gait, Profile
 
@@ -78,7 +78,7 @@ def test_gait_states_are_those_of_a_driver(folder: Path):
     """A message at rest, and one at each cycle's start: at 2.0 s and, at 0.5 Hz, 4.0 s."""
     states = read_lab_run(folder, SETTINGS).run.gait_state
     assert seconds(states.stamp) == [0.0, 2.0, 4.0]
-    assert states.state.tolist() == [2, RUNNING, RUNNING]
+    assert states.state.tolist() == [2, Activity.RUNNING, Activity.RUNNING]
     assert states.onset.tolist() == [0, EPOCH + 2 * 10**9, EPOCH + 2 * 10**9]
     assert states.cycle.tolist() == [0, 1, 2]
     assert (states.stroke == 0.07).all()
