@@ -19,7 +19,8 @@ from worm_model.bags.opening import open_bag
 from worm_model.bags.recovery.recovery import recover
 
 SOURCES = [
-    str(Path(__file__).resolve().parents[5] / "src" / p) for p in ("worm_driver", "worm_model")
+    str(Path(__file__).resolve().parents[5] / "src" / package)
+    for package in ("worm_msgs", "worm_driver", "worm_model")
 ]
 
 # Records a counter as fast as possible, and prints after each synchronisation how many messages are safe.
