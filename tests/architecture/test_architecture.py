@@ -35,7 +35,18 @@ NODES = ["*/nodes/*.py"]
 # messages.
 SHARED = {
     f"worm_msgs.{name}"
-    for name in ("robot_parameters", "servo_models", "settings_file", "yaml_file")
+    for name in (
+        *(
+            "command_parser",
+            "conditions",
+            "driver_file",
+            "gait",
+            "input_error",
+            "robot_parameters",
+            "servo_models",
+        ),
+        *("parameter_rows", "settings_file", "yaml_file"),
+    )
 }
 PROCESSES = [
     f"worm_msgs/{name}.py"
@@ -148,7 +159,8 @@ def confined_imports(path: Path) -> Iterator[tuple[int, str]]:
     shared = {
         node.lineno
         for node in ast.walk(tree)
-        if isinstance(node, ast.ImportFrom) and node.module in SHARED
+        if isinstance(node, ast.ImportFrom)
+        and (node.module in SHARED or {f"{node.module}.{a.name}" for a in node.names} <= SHARED)
     }
     yield from ((line, library) for line, library in imports(path) if line not in shared)
 

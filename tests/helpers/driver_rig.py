@@ -23,7 +23,6 @@ from worm_driver.control.driver_settings import DriverSettings
 from worm_driver.control.robot import Robot
 from worm_driver.control.snapshot import Snapshot
 from worm_driver.errors import BusError
-from worm_driver.gait.gait_limits import Gait
 from worm_driver.gait.gait_player import Phase
 from worm_driver.power.i2c import I2CDevice
 from worm_driver.power.ina219 import INA219, PowerSample, SampleStatus, calibration_for
@@ -35,6 +34,7 @@ from worm_driver.virtual_robot.virtual_settings import RobotSettings, load_setti
 from worm_driver.virtual_robot.wire import smbus_frames as frames
 from worm_driver.virtual_robot.wire.faults import make_fault
 from worm_driver.virtual_robot.wire.packet import Instruction, InstructionReader
+from worm_msgs.gait import Gait
 
 # `Rig.copy`: the copy gets its own threads and events, as the rig starts none. It shares the read-only tables.
 copyreg.pickle(threading.Thread, lambda _: (threading.Thread, ()))

@@ -14,10 +14,10 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from worm_model.gait import GAIT_UNITS, Gait
 from worm_model.parameters import PAPER, Parameters
 from worm_model.run import Activity
 from worm_model.twin.samples import SampleKind, sample_rows
+from worm_msgs.gait import GAIT_UNITS, Gait
 
 ONSET = 1_700_000_000_000_000_000
 STEP_S = 1e-3

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from worm_driver.gait.gait_limits import Gait as DriverGait
 from worm_driver.virtual_robot.offline_run import Run as Rehearsal
 from worm_driver.virtual_robot.offline_run import run_offline
 from worm_driver.virtual_robot.virtual_settings import RobotSettings, load_settings
@@ -65,7 +64,7 @@ def virtual_campaign(
     for index, (gait, duration) in enumerate(plan):
         run = run_offline(
             dataclasses.replace(settings, recording=index + 1),
-            DriverGait(**dataclasses.asdict(gait)).length_change,
+            gait.length_change,
             duration,
             REST_UNDER_PRETENSION if gait.pretension else REST,
         )

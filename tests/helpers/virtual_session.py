@@ -8,15 +8,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, astuple, dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 from driver_rig import Rig, installed_robot
 from twin_samples import run_of_rows
 
+from worm_driver.control.driver_settings import DriverSettings
 from worm_driver.control.snapshot import Snapshot
-from worm_driver.gait.gait_limits import Gait as DriverGait
 from worm_driver.gait.gait_player import Phase
 from worm_driver.power.ina219 import SampleStatus
 from worm_driver.virtual_robot.virtual_robot import VirtualRobot
@@ -72,8 +72,10 @@ class _Rig(Rig):
 class Session:
     """One graph: a driver, and a virtual robot that continues from gait to gait."""
 
-    def __init__(self, virtual: RobotSettings | None = None) -> None:
-        self.rig: Rig = _Rig(virtual=VirtualRobot(virtual or virtual_settings()))
+    def __init__(
+        self, virtual: RobotSettings | None = None, driver: DriverSettings | None = None
+    ) -> None:
+        self.rig: Rig = _Rig(driver, VirtualRobot(virtual or virtual_settings()))
         self.camera = True
         self.power = True
         self.played: list[Played] = []
@@ -116,7 +118,7 @@ class Session:
         begin = self.now_ns
         self.rest(before)
         robot, clock = self.rig.robot, self.rig.clock
-        robot.start(clock.now, DriverGait(**asdict(gait)), cycles)
+        robot.start(clock.now, gait, cycles)
         self._follow(LONGEST_S, lambda s: s.player.phase is Phase.RUNNING)
         onset = robot.player.run.onset
         assert onset is not None

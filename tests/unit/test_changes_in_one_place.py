@@ -4,7 +4,6 @@
 The copies run in processes of their own with an uncompiled kernel, which takes milliseconds per gait.
 """
 
-import dataclasses
 import json
 import os
 import shutil
@@ -12,7 +11,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -132,14 +130,13 @@ from worm_model.bags.operations.tables import find_tables
 from worm_model.analysis.run_metrics import last_played_gait
 from worm_model.analysis.simulated_run import simulated_run
 from worm_model.commands.evaluate_gait import _parser
-from worm_model.gait import GAIT_COLUMNS, Gait, gait_of
+from worm_msgs.gait import GAIT_COLUMNS, Gait, gait_of
 from worm_model.parameters import PAPER
 from worm_model.simulation.gait_table import evaluate_table, read_gaits, write_table
 from worm_model.twin.core.memory import MEMORY
 from worm_model.twin.recorded_samples import rows_of_run
 from worm_model.twin.run_start import driver_state_of
 from worm_model.twin.samples import SampleKind
-from worm_driver.gait.gait_limits import Gait as DriverGait
 from worm_optimizer.report.expectation import expect
 from worm_optimizer.robustness.prediction import predict
 from worm_optimizer.evaluation.task import MarginTask
@@ -176,22 +173,16 @@ print(json.dumps({
     "prediction": prediction.gait.ripple_share,
     "expected": expect(gait, ParameterFile()).robust.gait == gait,
     "options": gait_of(options) == gait,
-    "driver": [row.name for row in dataclasses.fields(DriverGait)],
     "rebuilt": dataclasses.replace(gait, margin=0.001).ripple_share,
 }))
 """
 
 
-def test_a_field_of_the_gait_is_a_field_of_its_three_declarations(copy):
-    """After the message and the two dataclasses, only the waveform is added by hand."""
+def test_a_field_of_the_gait_is_a_field_of_its_two_declarations(copy):
+    """After the message and the dataclass, only the waveform is added by hand."""
     field = '    ramp_share: float = _row("1", "accelerated share of contraction and extension", 0.25)\n'
     more = '    ripple_share: float = _row("1", "share of a cycle", 0.375)\n'
-    copy.edit("worm_model/worm_model/gait.py", field, field + more)
-    copy.edit(
-        "worm_driver/worm_driver/gait/gait_limits.py",
-        "    ramp_share: float = 0.25\n",
-        "    ramp_share: float = 0.25\n    ripple_share: float = 0.375\n",
-    )
+    copy.edit("worm_msgs/worm_msgs/gait.py", field, field + more)
     message = copy.folder / "worm_msgs/msg/Gait.msg"
     message.write_text(
         message.read_text(encoding="utf-8") + "float64 ripple_share\n", encoding="utf-8"
@@ -204,7 +195,6 @@ def test_a_field_of_the_gait_is_a_field_of_its_three_declarations(copy):
     assert seen["table"] == seen["rebuilt"] == 0.4
     assert "ripple_share" in seen["header"]
     assert seen["prediction"] == 0.375
-    assert "ripple_share" in seen["driver"]
 
 
 SERVO = """
@@ -349,15 +339,8 @@ def test_a_cause_of_the_twin_is_a_row_of_the_table(copy):
 
 
 def test_the_declarations_of_the_gait_agree():
-    """Message, driver and model have the same fields with the same defaults, and the same u_cmd."""
-    from worm_driver.gait.gait_limits import Gait as DriverGait
-    from worm_model.gait import GAIT_DEFAULTS, GAIT_UNITS, Gait
+    """Message and dataclass have the same fields."""
+    from worm_msgs.gait import GAIT_UNITS
     from worm_msgs.msg import Gait as GaitMessage
 
     assert list(GaitMessage.get_fields_and_field_types()) == list(GAIT_UNITS)
-    assert [row.name for row in dataclasses.fields(DriverGait)] == list(GAIT_UNITS)
-    plain = DriverGait(0.07, 0.2)
-    assert {name: getattr(plain, name) for name in GAIT_DEFAULTS} == GAIT_DEFAULTS
-    times = np.linspace(0.0, 12.0, 500)
-    played = [plain.length_change(time) for time in times.tolist()]
-    assert Gait(0.07, 0.2).command(times) == pytest.approx(np.array(played), abs=1e-16)

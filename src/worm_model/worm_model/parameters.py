@@ -24,8 +24,6 @@ from worm_msgs.robot_parameters import ParameterFileContent, RobotParameters, ro
 from worm_msgs.settings_file import settings_of
 from worm_msgs.yaml_file import SettingsFileError, read_yaml
 
-STANDARD_GRAVITY = 9.80665  # m/s², exact by definition (CGPM 1901)
-
 
 class ParameterError(InputError):
     """A parameter or a parameter file is not admissible. The message names it and the reason."""

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from worm_model.arrays import Array, Stamps
-from worm_model.gait import GAIT_DEFAULTS, GAIT_TYPES, GAIT_UNITS, Gait, gait_of
+from worm_msgs.gait import GAIT_DEFAULTS, GAIT_TYPES, GAIT_UNITS, Gait, gait_of
 
 Codes = NDArray[np.int64]
 

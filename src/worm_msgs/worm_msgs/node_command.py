@@ -15,7 +15,7 @@ from array import array
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import yaml
 from rcl_interfaces.msg import SetParametersResult
@@ -23,10 +23,10 @@ from rclpy.exceptions import ParameterException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from worm_msgs.command_parser import BAD_INPUT, Parser, one_line
 from worm_msgs.parameter_rows import ParameterRow, present_names
 from worm_msgs.ros_process import ShutdownRequest, own_arguments, ros_process
 
-BAD_INPUT = 2
 #: Prefixes of parameter names that are accepted although the node does not declare them, because rclpy reads them.
 _ALLOWED = ("qos_overrides.",)
 _FILE_OPTION = "--params-file"
@@ -66,7 +66,7 @@ def declare(node: Node, rows: Rows) -> None:
         try:
             node.declare_parameter(row.name, row.default, row.descriptor())
         except ParameterException as error:
-            raise ParameterRejectedError(f"parameter {row.name}: {_one_line(error)}") from error
+            raise ParameterRejectedError(f"parameter {row.name}: {one_line(error)}") from error
     _reject_unknown(node, overrides)
     _set_changes_alone(node, floats)
 
@@ -142,7 +142,7 @@ def declare_none(node: Node) -> None:
     try:
         declare(node, list)
     except ParameterRejectedError as error:
-        print(f"{node.get_name()}: {_one_line(error)}", file=sys.stderr)  # noqa: T201 (output of a command)
+        print(f"{node.get_name()}: {one_line(error)}", file=sys.stderr)  # noqa: T201 (output of a command)
         raise SystemExit(BAD_INPUT) from error
 
 
@@ -241,11 +241,11 @@ def run_node(
         with ros_process(command_line) as ended:
             return run(ended) or 0
     except rejected as error:
-        print(f"{name}: {_one_line(error)}", file=sys.stderr)  # noqa: T201 (output of a command)
+        print(f"{name}: {one_line(error)}", file=sys.stderr)  # noqa: T201 (output of a command)
         return BAD_INPUT
 
 
-class _Parser(argparse.ArgumentParser):
+class _Parser(Parser):
     """Parser whose only option is --help, because a node otherwise accepts ROS arguments only."""
 
     def __init__(self, name: str, description: str, rows: Rows) -> None:
@@ -259,10 +259,3 @@ class _Parser(argparse.ArgumentParser):
             epilog=f"parameters:\n{table}",
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
-
-    def error(self, message: str) -> NoReturn:
-        self.exit(BAD_INPUT, f"{self.prog}: {message}; see {self.prog} --help\n")
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())

@@ -5,9 +5,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+if TYPE_CHECKING:
+    from rcl_interfaces.msg import ParameterDescriptor
 
 T = TypeVar("T")
 
@@ -50,6 +51,12 @@ class ParameterRow:
 
         Each call returns a new object, because rclpy modifies the descriptor when it declares the parameter.
         """
+        from rcl_interfaces.msg import (  # The optimizer imports this module without ROS.
+            FloatingPointRange,
+            IntegerRange,
+            ParameterDescriptor,
+        )
+
         made = ParameterDescriptor(
             name=self.name, description=self.description, read_only=self.read_only
         )

@@ -15,6 +15,8 @@ from typing import Annotated, Any
 
 from worm_msgs.settings_file import OneOf, key
 
+STANDARD_GRAVITY = 9.80665  # m/s², exact by definition (CGPM 1901)
+
 
 def _row(
     default: float,

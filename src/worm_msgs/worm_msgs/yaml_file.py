@@ -8,8 +8,10 @@ from typing import Any
 
 import yaml
 
+from worm_msgs.input_error import InputError
 
-class SettingsFileError(ValueError):
+
+class SettingsFileError(InputError):
     """A file or its content is invalid. The message is one line that names the fault and, if known, key and value."""
 
 

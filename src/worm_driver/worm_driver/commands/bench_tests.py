@@ -7,9 +7,10 @@ from collections.abc import Iterable
 from pathlib import Path
 from random import Random
 
-from worm_driver.commands.driver_command import Parser, run_command
+from worm_driver.commands.driver_command import run_command
 from worm_driver.virtual_robot.virtual_robot import body_of
 from worm_driver.virtual_robot.virtual_settings import load_settings
+from worm_msgs.command_parser import Parser
 from worm_msgs.robot_parameters import RobotParameters
 
 #: Standard deviation of the force sensor's noise in the bellows test and in the fin test, N.

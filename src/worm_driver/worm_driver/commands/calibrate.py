@@ -17,7 +17,7 @@ import time
 from collections.abc import Callable, Iterator
 from types import FrameType
 
-from worm_driver.commands.driver_command import Parser, new_file
+from worm_driver.commands.driver_command import new_file
 from worm_driver.control.supervision import Limits, own_limit
 from worm_driver.errors import (
     BusError,
@@ -35,6 +35,7 @@ from worm_driver.servos.registers import MODELS, POSITION_MODE, TICKS_PER_TURN, 
 from worm_driver.servos.servo_bus import ServoBus
 from worm_driver.servos.servo_setup import Servo
 from worm_driver.servos.transmission import Fin, Spool
+from worm_msgs.command_parser import Parser
 
 #: rad/s, speed of the spool during the calibration
 _SPEED = 0.5

@@ -8,12 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from worm_driver.commands.driver_command import Parser, new_file, positive, run_command, say
+from worm_driver.commands.driver_command import new_file, positive, run_command, say
 from worm_driver.commands.markers import BOARD
 from worm_driver.tracking.camera_model import Array, camera_info_text
 from worm_driver.tracking.image_sources import frames_of_folder
 from worm_driver.tracking.tracking_errors import ImageError
 from worm_driver.tracking.vision import Board, Calibration, Image, VideoSource, calibrate
+from worm_msgs.command_parser import Parser
 
 FEWEST_VIEWS = 8  # smallest number of views of the board
 _MOST_VIEWS = 60  # number of views after which no further image is read

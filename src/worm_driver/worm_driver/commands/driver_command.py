@@ -1,26 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Shared parts of the driver's commands: exit status, one-line errors, no overwritten files."""
+"""Shared parts of the driver's commands: their exit status, and types of arguments."""
 
 import argparse
 import math
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import NoReturn
 
 from worm_driver.tracking.tracking_errors import TrackingError
-from worm_msgs.yaml_file import SettingsFileError
-
-#: Exit statuses.
-DONE, FAILED, BAD_INPUT = 0, 1, 2
-
-
-class Parser(argparse.ArgumentParser):
-    """Argument parser with one-line error messages."""
-
-    def error(self, message: str) -> NoReturn:
-        """Print the error and exit with status 2."""
-        self.exit(BAD_INPUT, f"{self.prog}: {message}; see {self.prog} --help\n")
+from worm_msgs import command_parser
+from worm_msgs.command_parser import Parser
 
 
 def run_command(
@@ -28,33 +17,8 @@ def run_command(
     command: Callable[[argparse.Namespace], None],
     arguments: list[str] | None = None,
 ) -> int:
-    """Parse the arguments and run the command.
-
-    Returns:
-        Exit status: 2 for a TrackingError or an output file that exists, 1 for another OSError or Ctrl-C, else 0. Wrong
-        arguments and --help end the program in the parser.
-    """
-    options = parser.parse_args(arguments)
-    try:
-        command(options)
-    except (TrackingError, SettingsFileError, FileExistsError) as error:
-        return _fail(parser, _one_line(error), BAD_INPUT)
-    except OSError as error:
-        return _fail(parser, _one_line(error), FAILED)
-    except KeyboardInterrupt:
-        return _fail(parser, "cancelled", FAILED)
-    return DONE
-
-
-def _fail(parser: Parser, text: str, status: int) -> int:
-    print(f"{parser.prog}: {text}", file=sys.stderr)  # noqa: T201
-    return status
-
-
-def _one_line(error: BaseException) -> str:
-    if isinstance(error, FileExistsError):
-        return f"{error.filename}: already exists; use another name"
-    return " ".join(str(error).split())
+    """Run a command like `command_parser.run_command`. A TrackingError is bad input, too."""
+    return command_parser.run_command(parser, command, arguments, (TrackingError,))
 
 
 def new_file(text: str) -> Path:

@@ -8,10 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from worm_driver.commands.driver_command import Parser, new_file, positive, run_command
+from worm_driver.commands.driver_command import new_file, positive, run_command
 from worm_driver.tracking.tracker_setup import DICTIONARIES, load_setup
 from worm_driver.tracking.tracking_errors import SetupError
 from worm_driver.tracking.vision import Board, marker_cells
+from worm_msgs.command_parser import Parser
 
 #: Paper sizes: width and height, m.
 PAPERS = {"a4": (0.210, 0.297), "letter": (0.2159, 0.2794)}

@@ -16,13 +16,14 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from worm_driver.commands.driver_command import Parser, new_file, run_command, say
+from worm_driver.commands.driver_command import new_file, run_command, say
 from worm_driver.tracking.image_sources import Frame, check_size, frames_of_folder, frames_of_video
 from worm_driver.tracking.preview import preview, summary
 from worm_driver.tracking.tracker import TrackedPositions, Tracker
 from worm_driver.tracking.tracker_setup import load_setup
 from worm_driver.tracking.tracking_errors import TrackingError
 from worm_driver.tracking.vision import MarkerDetector, write_image
+from worm_msgs.command_parser import Parser
 
 COLUMNS = ("time_s", "rear_position_m", "front_position_m", "length_m", "reason")
 LAB_COLUMNS = ("time_s", "x1_m", "x2_m")  # columns of the file camera.csv that import_lab reads

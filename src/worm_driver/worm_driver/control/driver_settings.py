@@ -8,6 +8,7 @@ from worm_driver.control.supervision import Limits
 from worm_driver.errors import ConfigurationError
 from worm_driver.gait.gait_player import PlayerSettings
 from worm_driver.servos.transmission import Fin, Spool
+from worm_msgs.driver_file import DriverFile
 from worm_msgs.robot_parameters import ParameterFileContent, RobotParameters
 from worm_msgs.settings_file import read_settings
 
@@ -16,10 +17,10 @@ from worm_msgs.settings_file import read_settings
 class PowerSettings:
     """I2C bus, address, shunt and range of the INA219, in SI units. An empty bus means that there is no sensor."""
 
-    i2c_bus: str = "1"
-    i2c_address: int = 0x40
-    shunt_resistance: float = 0.1
-    max_current: float = 3.2
+    i2c_bus: str = DriverFile.i2c_bus
+    i2c_address: int = DriverFile.i2c_address
+    shunt_resistance: float = DriverFile.shunt_resistance
+    max_current: float = DriverFile.max_current
 
 
 @dataclass(frozen=True)
@@ -50,15 +51,15 @@ class DriverSettings:
     port: str
     spools: tuple[Spool, ...]
     fins: tuple[Fin, ...] = ()
-    baud_rate: int = 1_000_000
-    watchdog: float = 0.08
-    home_at_start: bool = False
-    rate: float = 100.0
+    baud_rate: int = DriverFile.baud_rate
+    watchdog: float = DriverFile.watchdog
+    home_at_start: bool = DriverFile.home_at_start
+    rate: float = DriverFile.rate
     real_time_priority: int = 0
-    max_stroke: float = 0.09
-    max_frequency: float = 0.4
-    max_cable_speed: float = 0.12
-    fin_speed: float = 3.0
+    max_stroke: float = DriverFile.max_stroke
+    max_frequency: float = DriverFile.max_frequency
+    max_cable_speed: float = DriverFile.max_cable_speed
+    fin_speed: float = DriverFile.fin_speed
     power: PowerSettings = field(default_factory=PowerSettings)
     player: PlayerSettings = field(default_factory=PlayerSettings)
     limits: Limits = field(default_factory=Limits)

@@ -24,11 +24,12 @@ from worm_driver.errors import (
     StoppedError,
 )
 from worm_driver.gait import gait_player
-from worm_driver.gait.gait_limits import Gait, GaitLimits
+from worm_driver.gait.gait_limits import GaitLimits
 from worm_driver.gait.gait_player import Observation, Phase, PlayerState
 from worm_driver.servos.servo_bus import ServoBus
 from worm_driver.servos.servo_state import SILENT, ServoState
 from worm_driver.servos.state_reader import StateReader
+from worm_msgs.gait import Gait
 
 #: Largest number of readings of the state before an activation. Two consecutive ones must agree.
 _ATTEMPTS = 5

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 
 from worm_driver.servos.registers import WATCHDOG_EXPIRED, hardware_error_text
 from worm_driver.servos.servo_setup import Servo
+from worm_msgs.driver_file import DriverFile
 
 #: Ratio of the limit that a servo enforces itself to the effort above which it is overloaded (`fault_level`). The ratio
 #: must be above 1, because a servo never exceeds its own limit, and an overload could not be detected.
@@ -25,11 +26,11 @@ class Limits:
         following_cycles: consecutive cycles beyond following_error that are a fault.
     """
 
-    max_silence: float = 0.035
-    max_current: float = 2.0
-    max_load: float = 0.9
+    max_silence: float = DriverFile.max_silence
+    max_current: float = DriverFile.max_servo_current
+    max_load: float = DriverFile.max_servo_load
     overload_cycles: int = 5
-    following_error: float = 0.015
+    following_error: float = DriverFile.max_following_error
     following_cycles: int = 5
 
 

@@ -17,9 +17,8 @@ import numpy as np
 
 from worm_driver.gait.gait_player import Run
 from worm_driver.power.ina219 import PowerSample, SampleStatus
-from worm_msgs.robot_parameters import RobotParameters
+from worm_msgs.robot_parameters import STANDARD_GRAVITY, RobotParameters
 
-STANDARD_GRAVITY = 9.80665
 AVERAGED_CYCLES = 3
 IDLE_SAMPLES = 10
 

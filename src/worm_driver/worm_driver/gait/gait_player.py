@@ -23,7 +23,8 @@ import math
 from dataclasses import dataclass, replace
 
 from worm_driver.errors import LimitError
-from worm_driver.gait.gait_limits import Gait
+from worm_msgs.driver_file import DriverFile
+from worm_msgs.gait import Gait
 
 #: m, distance from delta L = 0 below which the cable is at rest
 REST_TOLERANCE = 1e-4
@@ -156,12 +157,12 @@ class PlayerSettings:
             step the cable does not catch up, because that would exceed return_speed.
     """
 
-    rest_duration: float = 1.0
+    rest_duration: float = DriverFile.rest_duration
     settle_time: float = 0.5
     rest_samples: int = 10
     rest_timeout: float = 3.0
     flip_timeout: float = 3.0
-    return_speed: float = 0.05
+    return_speed: float = DriverFile.return_speed
     longest_step: float = 0.01
 
 

@@ -5,9 +5,10 @@ import math
 from dataclasses import dataclass
 
 from worm_driver.errors import LimitError
-from worm_driver.gait.gait_limits import Gait, GaitLimits
+from worm_driver.gait.gait_limits import GaitLimits
 from worm_driver.gait.gait_metrics import RunRecord, distance
 from worm_driver.gait.gait_player import Run
+from worm_msgs.gait import Gait
 
 #: part of the extension after which x1 hardly changes until the end of the cycle, because only the fins spring back
 _NEAR_END = 0.8

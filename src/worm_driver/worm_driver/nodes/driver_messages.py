@@ -3,7 +3,7 @@
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -12,10 +12,11 @@ from std_msgs.msg import Header
 
 from worm_driver.control.diagnostics import Report
 from worm_driver.control.snapshot import Snapshot
-from worm_driver.gait.gait_limits import Gait
+from worm_driver.errors import LimitError
 from worm_driver.gait.gait_player import Phase
 from worm_driver.power.ina219 import PowerSample
 from worm_driver.servos.registers import ServoModel
+from worm_msgs.gait import Gait, GaitError, gait_of
 from worm_msgs.msg import BodyLength, GaitState, Power
 from worm_msgs.msg import Gait as GaitMessage
 
@@ -124,8 +125,11 @@ def power(sample: PowerSample, clocks: ClockPair) -> Power:
 
 
 def gait_from(message: GaitMessage) -> Gait:
-    """Return the gait of a message without checking it."""
-    return Gait(**{row.name: getattr(message, row.name) for row in fields(Gait)})
+    """Return the gait of a message. Raises LimitError if a value is outside the range that every gait has."""
+    try:
+        return gait_of(message)
+    except GaitError as error:
+        raise LimitError(str(error)) from None
 
 
 def gait_state(snapshot: Snapshot, clocks: ClockPair, *, emergency_stop: bool) -> GaitState:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ROS parameters of the driver in one table (name, default, description, range), and their conversion to settings."""
+"""ROS parameters of the driver, from the table `worm_msgs.driver_file`, and their conversion to settings."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -14,6 +14,7 @@ from worm_driver.control.supervision import Limits
 from worm_driver.errors import ConfigurationError
 from worm_driver.gait.gait_player import PlayerSettings
 from worm_driver.servos.transmission import Fin, Spool
+from worm_msgs.driver_file import DriverFile
 from worm_msgs.parameter_rows import ParameterRow
 
 HEARTBEAT = "heartbeat_s"
@@ -22,138 +23,15 @@ _LIVE = ("limits.", "rest_duration_s", "return_speed_m_per_s", HEARTBEAT)
 #: Prefixes of the names of those parameters that can then only be lowered.
 _BOUNDS = ("limits.", "return_speed_m_per_s")
 _SIMULATED_TIME = "use_sim_time"
-_Row = ParameterRow
-_ROWS = (
-    _Row("autostart", False, "Configure and activate at the start, without a lifecycle manager."),
-    _Row(
-        "stay_on_failure",
-        False,
-        "true: if autostart cannot configure the driver, wait for an operator; false: end, so that systemd starts the "
-        "driver again.",
-    ),
-    _Row(
-        "parameter_file",
-        "",
-        "YAML with rear_mass, front_mass, initial_length, pitch; empty: the paper's values.",
-    ),
-    _Row("port", "/dev/worm_bus", "Serial device of the servo bus."),
-    _Row("baud_rate", DriverSettings.baud_rate, "bit/s, as set in the servos.", 9600, 4_000_000),
-    _Row("rate_hz", DriverSettings.rate, "Rate of commands and telemetry.", 10.0, 100.0),
-    _Row(
-        "real_time_priority",
-        40,
-        "SCHED_FIFO priority of the servo thread, with locked memory; half of it for the other threads; 0: none.",
-        0,
-        99,
-    ),
-    _Row(
-        "bus_watchdog_s",
-        DriverSettings.watchdog,
-        "Time without packets after which the servos stop by themselves.",
-        0.04,
-        2.0,
-    ),
-    _Row(
-        "home_at_start",
-        False,
-        "If the robot is not homed at configure, use its present length as the initial length.",
-    ),
-    _Row(
-        "i2c_bus",
-        PowerSettings.i2c_bus,
-        "Number or device of the I2C bus, or socket of a virtual robot; empty or none: no sensor.",
-    ),
-    _Row("i2c_address", PowerSettings.i2c_address, "Address of the INA219.", 0x40, 0x4F),
-    _Row(
-        "ina219.shunt_resistance_ohm",
-        PowerSettings.shunt_resistance,
-        "Resistance of the shunt.",
-        1e-4,
-        10.0,
-    ),
-    _Row(
-        "ina219.max_current_a",
-        PowerSettings.max_current,
-        "Highest current; a sample above it is an overflow.",
-        0.01,
-        100.0,
-    ),
-    _Row("cable_servos.ids", [1], "Ids of the cable servos."),
-    _Row("cable_servos.signs", [1], "1: rising ticks shorten the body; -1: they lengthen it."),
-    _Row(
-        "cable_servos.spool_radius_m", [0.025], "Radii of the spools, to the middle of the cable."
-    ),
-    _Row("fin_servos.ids", [11, 12], "Ids of the fin servos, from rear to front."),
-    _Row("fin_servos.forward_angle_rad", [2.356, 2.356], "Servo angles for forward gaits."),
-    _Row("fin_servos.reverse_angle_rad", [3.927, 3.927], "Servo angles for reverse gaits."),
-    _Row(
-        "fin_servos.speed_rad_per_s",
-        DriverSettings.fin_speed,
-        "Speed of the fins' rotation.",
-        0.1,
-        6.0,
-    ),
-    _Row(
-        "limits.max_stroke_m",
-        DriverSettings.max_stroke,
-        "Largest stroke plus pretension.",
-        1e-3,
-        1.0,
-    ),
-    _Row("limits.max_frequency_hz", DriverSettings.max_frequency, "Highest frequency.", 0.01, 5.0),
-    _Row(
-        "limits.max_cable_speed_m_per_s",
-        DriverSettings.max_cable_speed,
-        "Largest cable speed.",
-        1e-3,
-        2.0,
-    ),
-    _Row(
-        "limits.max_servo_current_a",
-        Limits.max_current,
-        "Highest current of a cable servo; more for five cycles is a fault.",
-        0.05,
-        5.0,
-    ),
-    _Row(
-        "limits.max_servo_load",
-        Limits.max_load,
-        "Highest load ratio of a cable servo without a current sensor (XL430); more for five cycles is a fault.",
-        0.1,
-        1.0,
-    ),
-    _Row(
-        "limits.max_following_error_m",
-        Limits.following_error,
-        "Largest difference of cable and command; more for five cycles is a fault.",
-        1e-3,
-        0.2,
-    ),
-    _Row(
-        "limits.max_silence_s",
-        Limits.max_silence,
-        "Longest time without an answer of a servo; more is a fault.",
-        0.0,
-        2.0,
-    ),
-    _Row(
-        "rest_duration_s", PlayerSettings.rest_duration, "Shortest rest before a gait.", 0.1, 60.0
-    ),
-    _Row(
-        HEARTBEAT,
-        0.0,
-        "Time without a heartbeat after which a run ends at its next point of rest; 0: only the timeout in the goal "
-        "counts.",
-        0.0,
-        60.0,
-    ),
-    _Row(
-        "return_speed_m_per_s",
-        PlayerSettings.return_speed,
-        "Peak cable speed of a return to rest.",
-        1e-3,
-        0.5,
-    ),
+_ROWS = tuple(
+    ParameterRow(
+        row.metadata["alias"],
+        list(row.default) if isinstance(row.default, tuple) else row.default,
+        row.metadata["meaning"],
+        row.metadata.get("ge"),
+        row.metadata.get("le"),
+    )
+    for row in dataclasses.fields(DriverFile)
 )
 _NAMES = frozenset(row.name for row in _ROWS)
 

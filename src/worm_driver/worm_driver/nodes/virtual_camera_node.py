@@ -27,13 +27,13 @@ from rclpy.utilities import remove_ros_args
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 
-from worm_driver.commands.driver_command import Parser
 from worm_driver.virtual_robot.camera_images import (
     CameraSettings,
     VirtualCamera,
     exposure_path,
     load_camera_settings,
 )
+from worm_msgs.command_parser import Parser
 from worm_msgs.ros_process import ros_process
 
 #: frame of the images (REP 103): z forward, x to the right

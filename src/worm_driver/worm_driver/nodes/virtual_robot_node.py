@@ -16,17 +16,13 @@ from rclpy.node import Node
 from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
 
-from worm_driver.commands.driver_command import Parser
 from worm_driver.nodes.position_publisher import PositionPublisher
 from worm_driver.nodes.virtual_camera_node import CameraProcess
 from worm_driver.virtual_robot.camera import TrackerSample
 from worm_driver.virtual_robot.camera_images import DEFAULT_FILE as CAMERA_FILE
 from worm_driver.virtual_robot.camera_images import load_camera_settings
 from worm_driver.virtual_robot.virtual_robot import VirtualRobot
-from worm_driver.virtual_robot.virtual_settings import (
-    check_conditions,
-    load_settings,
-)
+from worm_driver.virtual_robot.virtual_settings import load_settings
 from worm_driver.virtual_robot.wire.faults import (
     KINDS,
     FaultBoard,
@@ -36,25 +32,18 @@ from worm_driver.virtual_robot.wire.faults import (
 )
 from worm_driver.virtual_robot.wire.robot_server import DirectoryError, RobotServer
 from worm_msgs import readiness
+from worm_msgs.command_parser import BAD_INPUT, Parser
+from worm_msgs.conditions import CONDITION_ROWS
+from worm_msgs.input_error import InputError
 from worm_msgs.node_command import declare_none
 from worm_msgs.ros_process import ShutdownRequest, own_arguments, ros_process
 from worm_msgs.srv import InjectFault
-from worm_msgs.yaml_file import SettingsFileError
 
 _DEPTH = 500  # samples that may wait for a slow subscriber
 _CLOCK_PERIOD = 0.05  # s, virtual time between two messages on the topic clock
 _VIRTUAL = "virtual"  # selects the installed file of the camera
 # s, time slice of the interpreter's threads; with Python's default of 5 ms, answers on the bus would be too late.
 _SWITCH_INTERVAL = 0.0002
-# Options that override conditions of the parameter file: name of the condition, option, unit, meaning.
-_CONDITIONS = (
-    ("slope_deg", "--slope", "DEG", "slope of the pipe, uphill positive"),
-    ("tether_n", "--tether", "N", "pull of the tether on the rear module"),
-    ("tether_n_per_m", "--tether-per-metre", "N_PER_M", "additional pull per metre of tether"),
-    ("distance_m", "--tether-length", "M", "length of tether in the pipe at the start"),
-    ("flow_m_per_s", "--flow", "M_PER_S", "velocity of the water towards -x"),
-    ("drag_area_m2", "--drag-area", "M2", "drag coefficient times area of each module"),
-)
 _SIGNAL_LATENCY = 0.1  # s, longest delay until a signal takes effect
 _CAMERA_TIMEOUT = 2.0  # s, longest wait of the virtual time for an image
 _QUIET = 0.5  # s, time without an instruction after which the driver counts as ended
@@ -177,13 +166,13 @@ def _parse_arguments(arguments: Sequence[str]) -> argparse.Namespace:
     parser.add_argument(
         "--seed", type=int, metavar="N", help="random seed; default: that of the parameter file"
     )
-    for name, option, unit, text in _CONDITIONS:
+    for name, row in CONDITION_ROWS.items():
         parser.add_argument(
-            option,
+            row["option"],
             dest=name,
             type=float,
-            metavar=unit,
-            help=f"{text}; default: that of the parameter file",
+            metavar=row["unit"].upper().replace("/", "_PER_"),
+            help=f"{row['meaning']}; default: that of the parameter file",
         )
     parser.add_argument(
         "--camera",
@@ -230,10 +219,9 @@ def _make_robot(arguments: argparse.Namespace) -> VirtualRobot:
     settings = load_settings(arguments.parameters)
     if arguments.seed is not None:
         settings = settings.with_seed(arguments.seed)
-    given = {name: getattr(arguments, name) for name, *_ in _CONDITIONS}
+    given = {name: getattr(arguments, name) for name in CONDITION_ROWS}
     given = {name: value for name, value in given.items() if value is not None}
     settings = replace(settings, conditions=replace(settings.conditions, **given))
-    check_conditions(settings.conditions)
     if arguments.camera is not None:  # The images contain the noise.
         load_camera_settings(arguments.camera)
         settings = replace(settings, tracker=replace(settings.tracker, noise=0.0))
@@ -278,7 +266,7 @@ def _run(robot: VirtualRobot, options: argparse.Namespace, ended: ShutdownReques
 
 def _reject(error: Exception) -> int:
     log.error("%s", error)
-    return 2
+    return BAD_INPUT
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -288,7 +276,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parse_arguments(own_arguments(command_line)[1:])
     try:
         robot = _make_robot(options)
-    except (SettingsFileError, FaultError) as error:
+    except InputError as error:
         return _reject(error)
     sys.setswitchinterval(_SWITCH_INTERVAL)
     try:

@@ -13,23 +13,21 @@ contains no second derivative of the length.
 """
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from random import Random
 from typing import Annotated, NamedTuple
 
+from worm_msgs.conditions import LEVEL, Conditions
+from worm_msgs.gait import FORWARD
 from worm_msgs.robot_parameters import RobotParameters
 from worm_msgs.settings_file import key
 
-FORWARD = 1
-REVERSE = -1
 LOOSE = 0  # the fins are between their two angles: neither bar touches the wall
 
 _GROOVES = 512  # number of different grooves; then they repeat
 # m/s; at lower speeds dry friction decreases to 0. So a loaded robot at rest creeps at a speed of this order.
 _SLOW = 1e-6
-_STANDARD_GRAVITY = 9.80665  # m/s^2
-_WATER_DENSITY = 998.2  # kg/m^3 at 20 degrees Celsius
 # The fins count as holding a loaded robot if it slows down to _SETTLED within the time _SETTLING, and moves by at most
 # _HELD.
 _SETTLING = 600.0  # s
@@ -57,58 +55,6 @@ class PlantEffects:
     slack_engagement: Annotated[float, key("slack_engagement_m", ge=0.0)]
     slack_release: Annotated[float, key("slack_release_s", ge=0.0)]
     cable_stiffness: Annotated[float, key("cable_stiffness_N_per_m", ge=0.0)] = 0.0
-
-
-@dataclass(frozen=True)
-class Conditions:
-    """Conditions in the pipe that load the robot. Values beyond the bounds are probably in a wrong unit.
-
-    Attributes:
-        slope_deg: slope of the pipe, degrees; positive if +x leads uphill.
-        tether_n: pull of the tether on the rear module towards -x, without the part due to its length, N.
-        tether_n_per_m: additional pull per length of tether in the pipe, N/m.
-        distance_m: length of tether in the pipe where the robot starts, m.
-        flow_m_per_s: velocity of the water towards -x, m/s.
-        drag_area_m2: drag coefficient times area of each module, m^2; 0 if the pipe is dry.
-    """
-
-    slope_deg: Annotated[float, key(ge=-90.0, le=90.0)] = 0.0
-    tether_n: Annotated[float, key(ge=0.0, le=1e3)] = 0.0
-    tether_n_per_m: Annotated[float, key(ge=0.0, le=1e3)] = 0.0
-    distance_m: Annotated[float, key(ge=0.0, le=1e4)] = 0.0
-    flow_m_per_s: Annotated[float, key(ge=-10.0, le=10.0)] = 0.0
-    drag_area_m2: Annotated[float, key(ge=0.0, le=1.0)] = 0.0
-
-    def drag(self, velocity: float) -> float:
-        """Return the drag of the water on a module divided by the velocity of the module relative to the water, N*s/m.
-
-        Args:
-            velocity: velocity of the module relative to the pipe, m/s.
-        """
-        if self.drag_area_m2 == 0.0:
-            return 0.0
-        relative = abs(self.flow_m_per_s + velocity)
-        return 0.5 * _WATER_DENSITY * self.drag_area_m2 * relative
-
-    def loads(self, parameters: RobotParameters, rear_position: float) -> tuple[float, float]:
-        """Return the loads of the rear and the front module (N) due to slope and tether.
-
-        A tether does not push. The length of tether in the pipe never becomes shorter than at the start.
-
-        Args:
-            parameters: parameters of the robot, for the masses.
-            rear_position: x1, m.
-        """
-        along = self._gravity
-        tether = max(
-            self.tether_n + self.tether_n_per_m * (self.distance_m + max(rear_position, 0.0)), 0.0
-        )
-        return parameters.rear_mass * along + tether, parameters.front_mass * along
-
-    @cached_property
-    def _gravity(self) -> float:
-        """Component of gravity along the pipe, m/s^2; positive towards -x."""
-        return _STANDARD_GRAVITY * math.sin(math.radians(self.slope_deg))
 
 
 class Grooves(NamedTuple):
@@ -173,7 +119,7 @@ class Plant:
     rear_grooves: Grooves
     front_grooves: Grooves
     step_s: float
-    conditions: Conditions = field(default_factory=Conditions)
+    conditions: Conditions = LEVEL
 
     @cached_property
     def _share(self) -> float:
@@ -189,7 +135,7 @@ class Plant:
     def _unloaded(self) -> bool:
         """True if no load acts on the robot, at any position."""
         p = self.parameters
-        return self.conditions == Conditions() and p.rear_load == p.front_load == 0.0
+        return self.conditions == LEVEL and p.rear_load == p.front_load == 0.0
 
     def at_rest(self, laws: tuple[int, int] = (FORWARD, FORWARD)) -> PlantState:
         """Return the initial state.
@@ -339,8 +285,9 @@ class Plant:
         if self._unloaded:
             return 0.0, 0.0
         p, around = self.parameters, self.conditions
-        rear, front = around.loads(p, x1)
-        flow = around.flow_m_per_s
+        weight, flow = around.gravity, around.flow_m_per_s
+        rear = p.rear_mass * weight + around.tether(x1)
+        front = p.front_mass * weight
         return (
             rear + p.rear_load + around.drag(v1) * flow,
             front + p.front_load + around.drag(v2) * flow,

@@ -12,9 +12,7 @@ from random import Random
 
 from worm_driver.virtual_robot.camera import Tracker, TrackerSample
 from worm_driver.virtual_robot.plant import (
-    FORWARD,
     LOOSE,
-    REVERSE,
     Plant,
     make_grooves,
 )
@@ -38,6 +36,8 @@ from worm_driver.virtual_robot.wire.faults import FaultBoard
 from worm_driver.virtual_robot.wire.ina219_chip import AdcNoise, I2cLine, Ina219
 from worm_driver.virtual_robot.wire.smbus_frames import Answer, Request
 from worm_driver.virtual_robot.wire.virtual_bus import ServoBus, Transmission
+from worm_msgs.conditions import CONDITION_ROWS
+from worm_msgs.gait import FORWARD, REVERSE
 from worm_msgs.robot_parameters import RobotParameters
 
 _HOUSEKEEPING = 0.005  # s, time between two updates of the faults
@@ -208,10 +208,11 @@ class VirtualRobot:
         steeper = self.board.active(faults.SLOPE, time)
         pulled = self.board.active(faults.TETHER, time)
         conditions = self.settings.conditions
-        if steeper is not None:
-            conditions = replace(conditions, slope_deg=conditions.slope_deg + steeper.value)
-        if pulled is not None:
-            conditions = replace(conditions, tether_n=conditions.tether_n + pulled.value)
+        for name, fault in (("slope_deg", steeper), ("tether_n", pulled)):
+            if fault is not None:
+                low, high = CONDITION_ROWS[name]["low"], CONDITION_ROWS[name]["high"]
+                value = min(max(getattr(conditions, name) + fault.value, low), high)
+                conditions = replace(conditions, **{name: value})
         if conditions is not self.plant.conditions and conditions != self.plant.conditions:
             self.plant = replace(self.plant, conditions=conditions)
 

@@ -18,8 +18,8 @@ from worm_model.bags.bag_errors import BagError
 from worm_model.bags.formats.cdr import ColumnBuilder, Columns
 from worm_model.bags.formats.message_block import Topic, messages_of
 from worm_model.bags.worm_topics import SERIES, TWIN_INPUTS, TYPES, find_topic, path_of
-from worm_model.gait import GAIT_DEFAULTS
 from worm_model.run import GaitStates, Run, Stamps, concatenated
+from worm_msgs.gait import GAIT_DEFAULTS
 
 RUN_TOPICS = tuple(SERIES)
 # all except gait_state, whose last message may be much older than the recording

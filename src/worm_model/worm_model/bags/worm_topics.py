@@ -8,7 +8,6 @@ from typing import Any
 
 from worm_model.bags.bag_errors import BagError
 from worm_model.bags.formats.message_block import Topic
-from worm_model.gait import GAIT_UNITS
 from worm_model.run import (
     GaitStates,
     JointSamples,
@@ -17,6 +16,7 @@ from worm_model.run import (
     PowerSamples,
     TrackerSamples,
 )
+from worm_msgs.gait import GAIT_UNITS
 
 BODY_LENGTH = "worm_msgs/msg/BodyLength"
 TRACKER = "worm_msgs/msg/Tracker"

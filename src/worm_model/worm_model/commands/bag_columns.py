@@ -9,8 +9,8 @@ from dataclasses import asdict, dataclass
 from datetime import datetime
 from typing import Any
 
-from worm_model.conditions import LEVEL, Conditions
 from worm_model.gait import named_values
+from worm_msgs.conditions import LEVEL, Conditions
 
 CLOSED, OPEN, DAMAGED = "closed", "not closed", "damaged"
 MISSING = "–"

@@ -27,12 +27,12 @@ from worm_model.bags.run_reader import clock_offset, read_run
 from worm_model.bags.worm_topics import REPLAY_INPUTS
 from worm_model.commands import bag_columns
 from worm_model.commands.bag_columns import CLOSED, DAMAGED, OPEN
-from worm_model.conditions import Conditions
 from worm_model.errors import RecordingError
 from worm_model.parameters import Parameters
 from worm_model.run import Run, utc_of
 from worm_model.simulation.simulator import cost_of_transport
 from worm_model.twin.offline_replay import Replay, replay_run
+from worm_msgs.conditions import Conditions
 
 RECOVER = "./worm run worm_model recover writes its readable messages to a new bag"
 

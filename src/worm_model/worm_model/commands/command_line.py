@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Common parts of all command lines: options, exit status, one-line errors, output, progress.
+"""Common parts of the commands: those of `worm_msgs.command_parser`, options, output, progress.
 
-The exit status is 0 after success, 2 after bad input, and 1 otherwise. After bad input, one line on standard error
-states the mistake and its correction. Standard output contains only the result. Progress and logs are written to
-standard error.
+Standard output contains only the result. Progress and logs are written to standard error.
 """
 
 from __future__ import annotations
@@ -15,18 +13,13 @@ import sys
 import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
-from worm_model.conditions import CONDITION_ROWS
 from worm_model.errors import InputError, printable
-from worm_model.gait import (
-    FORWARD,
-    GAIT_DEFAULTS,
-    GAIT_MEANINGS,
-    GAIT_UNITS,
-    REVERSE,
-    Profile,
-)
+from worm_msgs import command_parser
+from worm_msgs.command_parser import BAD_INPUT, DONE, FAILED, notifier, run_command
+from worm_msgs.conditions import CONDITION_ROWS
+from worm_msgs.gait import FORWARD, GAIT_DEFAULTS, GAIT_MEANINGS, GAIT_UNITS, REVERSE, Profile
 
 __all__ = [
     "BAD_INPUT",
@@ -36,18 +29,13 @@ __all__ = [
     "Parser",
     "ProgressLine",
     "executable",
+    "notifier",
     "run_command",
 ]
 
-DONE, FAILED, BAD_INPUT = 0, 1, 2
 
-
-class Parser(argparse.ArgumentParser):
-    """Parser with one-line errors and the options that several commands share."""
-
-    def error(self, message: str) -> NoReturn:
-        """Print the error and exit with status 2."""
-        self.exit(BAD_INPUT, f"{self.prog}: {message}; see {self.prog} --help\n")
+class Parser(command_parser.Parser):
+    """Parser with the options that several commands share."""
 
     def add_number(
         self, name: str, unit: str, meaning: str, default: float | None = None, **more: Any
@@ -145,52 +133,12 @@ class Parser(argparse.ArgumentParser):
         self.add_argument("--json", action="store_true", help="print one JSON object")
 
 
-def run_command(
-    parser: argparse.ArgumentParser,
-    command: Callable[[argparse.Namespace], int | None],
-    arguments: list[str] | None = None,
-) -> int:
-    """Parse the arguments, run the command, and return the exit status."""
-    options = parser.parse_args(arguments)
-    notify = notifier(parser.prog)
-    try:
-        return command(options) or DONE
-    except (InputError, FileExistsError) as error:
-        notify(one_line(error))
-        return BAD_INPUT
-    except BrokenPipeError:
-        sys.stderr.close()  # The process that reads the output, such as `head`, has ended.
-        return FAILED
-    except OSError as error:  # a full disk, no permission
-        notify(one_line(error))
-        return FAILED
-    except KeyboardInterrupt:
-        notify("cancelled")
-        return FAILED
-
-
 def executable(
     parser: Callable[[], argparse.ArgumentParser],
     command: Callable[[argparse.Namespace], int | None],
 ) -> Callable[[], int]:
     """Return an entry point that runs a command with the arguments of the process."""
     return lambda: run_command(parser(), command)
-
-
-def one_line(error: BaseException) -> str:
-    """Return the message of an error without line breaks."""
-    if isinstance(error, FileExistsError):
-        return f"{error.filename}: exists already and is not overwritten; give another name"
-    return " ".join(str(error).split())
-
-
-def notifier(program: str) -> Callable[[str], None]:
-    """Return a function that prints a line, preceded by the program's name, on standard error."""
-
-    def notify(line: str) -> None:
-        sys.stderr.write(f"{program}: {printable(line)}\n")
-
-    return notify
 
 
 def number(text: str) -> float:

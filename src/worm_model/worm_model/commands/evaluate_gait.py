@@ -15,10 +15,11 @@ from worm_model.commands.command_line import (
     new_file,
     print_result,
 )
-from worm_model.conditions import LEVEL, Conditions, conditions_of, under
 from worm_model.gait import FORWARD, Gait, Profile, gait_of
+from worm_model.loads import under
 from worm_model.parameters import Parameters, load_parameters
 from worm_model.text_table import labelled
+from worm_msgs.conditions import LEVEL, Conditions, conditions_of
 
 if TYPE_CHECKING:
     from worm_model.simulation.simulator import GaitResult

@@ -17,10 +17,12 @@ from worm_model.commands.command_line import (
     figure_file,
     print_result,
 )
-from worm_model.conditions import conditions_of, under
-from worm_model.gait import SHAPE, STROKE_RANGE, Gait
+from worm_model.gait import STROKE_RANGE
+from worm_model.loads import under
 from worm_model.parameters import load_parameters
 from worm_model.text_table import text_table
+from worm_msgs.conditions import conditions_of
+from worm_msgs.gait import SHAPE, Gait
 
 
 def _parser() -> Parser:

@@ -44,7 +44,7 @@ from worm_model.commands.command_line import (
     notifier,
     print_result,
 )
-from worm_model.conditions import under
+from worm_model.loads import under
 from worm_model.parameters import load_parameters
 from worm_model.run import LengthSource, Stamps
 from worm_model.twin import warm_up

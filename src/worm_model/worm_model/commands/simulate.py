@@ -18,9 +18,10 @@ from worm_model.commands.command_line import (
     print_result,
 )
 from worm_model.commands.evaluate_gait import describe, gait_json
-from worm_model.conditions import conditions_of, under
 from worm_model.gait import Gait, gait_of
+from worm_model.loads import under
 from worm_model.parameters import load_parameters
+from worm_msgs.conditions import conditions_of
 
 if TYPE_CHECKING:
     from worm_model.analysis.simulated_run import SimulatedRun

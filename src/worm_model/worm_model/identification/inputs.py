@@ -12,7 +12,6 @@ from worm_model.bags.opening import open_bag
 from worm_model.bags.recording.run_manifest import recorded_conditions
 from worm_model.bags.run_reader import read_run
 from worm_model.checksum import checksums_of, sha256_of
-from worm_model.conditions import LEVEL
 from worm_model.identification import bellows, fin
 from worm_model.identification.data.lab_logs import (
     LabError,
@@ -23,6 +22,7 @@ from worm_model.identification.data.lab_logs import (
 from worm_model.identification.data.observed_run import Recording, recordings_of
 from worm_model.identification.identification_errors import IdentificationError
 from worm_model.run import utc_of
+from worm_msgs.conditions import LEVEL
 
 RUN_FILE = "camera.csv"  # a folder with this file is a run of a lab
 BELLOWS_FILE, FIN_FILE = "bellows.csv", "fin.csv"

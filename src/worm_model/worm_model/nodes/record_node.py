@@ -25,9 +25,9 @@ from worm_model.bags.recording.recording_session import (
 from worm_model.bags.recording.run_manifest import GAIT_RECORD, is_text, run_manifest
 from worm_model.bags.recording.topic_selection import TopicSelection
 from worm_model.commands import command_line
-from worm_model.conditions import conditions_of
 from worm_model.nodes.raw_subscriptions import RecordNode
 from worm_msgs import readiness
+from worm_msgs.conditions import conditions_of
 from worm_msgs.ros_process import ShutdownRequest, own_arguments, ros_process
 
 POLL_S = 0.01  # time between two polls of the subscriptions

@@ -14,7 +14,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
-from worm_model.conditions import CONDITION_PARAMETERS, CONDITION_ROWS, Conditions, under
+from worm_model.loads import under
 from worm_model.parameters import Parameters, load_parameters
 from worm_model.twin import scene
 from worm_model.twin.records import (
@@ -30,6 +30,7 @@ from worm_model.twin.samples import (
     SampleKind,
 )
 from worm_model.twin.twin_settings import TwinSettings
+from worm_msgs.conditions import CONDITION_ROWS, Conditions
 from worm_msgs.msg import (
     BodyLength,
     GaitPrediction,
@@ -198,9 +199,8 @@ def rows() -> list[ParameterRow]:
     return [
         file,
         *(
-            ParameterRow(key, 0.0, f"{row['meaning']}, {row['unit']}", row["low"], row["high"])
-            for key, name in CONDITION_PARAMETERS.items()
-            for row in (CONDITION_ROWS[name],)
+            ParameterRow(name, 0.0, f"{row['meaning']}, {row['unit']}", row["low"], row["high"])
+            for name, row in CONDITION_ROWS.items()
         ),
         *(ParameterRow(row.name, row.default, **row.metadata) for row in settings),
     ]
@@ -215,7 +215,7 @@ def robot_of(value: Callable[[str], Any]) -> Parameters:
     Raises:
         ParameterError, ConditionsError: The parameter file is invalid, or the conditions are not admissible.
     """
-    stated = {name: value(key) for key, name in CONDITION_PARAMETERS.items()}
+    stated = {name: value(name) for name in CONDITION_ROWS}
     return under(Conditions(**stated), load_parameters(value(PARAMETER_FILE)))
 
 

@@ -25,7 +25,6 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from visualization_msgs.msg import MarkerArray
 
-from worm_model.conditions import ConditionsError
 from worm_model.errors import InputError
 from worm_model.gait import (
     GaitError,
@@ -42,6 +41,7 @@ from worm_model.twin.stored_memory import StoringTimes, stored_memory
 from worm_model.twin.twin import Output, Twin
 from worm_model.twin.twin_status import report
 from worm_msgs import qos
+from worm_msgs.conditions import ConditionsError
 from worm_msgs.msg import BodyLength, TwinEvent, TwinMemory, TwinResiduals, TwinState
 from worm_msgs.node_command import declare, run_node
 from worm_msgs.ros_process import PolledGroup, ShutdownRequest, exiting_on_signal, spare_pauses

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from worm_model.errors import InputError
-from worm_model.gait import GAIT_COLUMNS, GAIT_DEFAULTS, GaitError, Profile
 from worm_model.parameters import FORM, KEYS, Parameters
 from worm_model.simulation.batch import GaitTable, check_bodies, evaluate_gaits
+from worm_msgs.gait import GAIT_COLUMNS, GAIT_DEFAULTS, GaitError, Profile
 
 REQUIRED = tuple(column for name, column in GAIT_COLUMNS.items() if name not in GAIT_DEFAULTS)
 OPTIONAL = ("L0_m", *(GAIT_COLUMNS[name] for name in GAIT_DEFAULTS))

@@ -17,13 +17,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from worm_model.errors import InputError
 from worm_model.gait import FORWARD, Gait, check_body
-from worm_model.parameters import PAPER, STANDARD_GRAVITY, Parameters
+from worm_model.parameters import PAPER, Parameters
 from worm_model.simulation.closed_form import front_groove, groove_phase, largest_static_load
 from worm_model.simulation.kernel import guard, march
 from worm_model.simulation.kernel import whole_run as run
 from worm_model.simulation.kernel.mode import Constants, Motion, region_of
 from worm_model.simulation.kernel.work import cable_power
 from worm_model.simulation.rows import gait_rows, parameter_rows
+from worm_msgs.robot_parameters import STANDARD_GRAVITY
 
 Array = NDArray[np.float64]
 

@@ -20,11 +20,12 @@ from worm_model.simulation.simulator import (
     play_gait,
 )
 from worm_model.twin.core.memory import Memory
-from worm_model.twin.run_start import TURNED_NS, DriverState, begin_run, motion_of
+from worm_model.twin.run_start import DriverState, begin_run, motion_of
 from worm_model.twin.twin import Twin, TwinState
 
 HORIZON_S = 10.0  # default horizon
 LONGEST_S = 120.0  # longest horizon
+REST_NS = 2_500_000_000  # usual time from the turning of the fins to the onset
 STEP_S = 0.02  # time step of the predicted motion
 
 
@@ -98,7 +99,11 @@ def _start(twin: Twin, state: TwinState, gait: Gait) -> tuple[TwinState, Locomot
     """
     if gait.direction != state.direction:
         memory = Memory(*(part.copy() for part in state.memory))
-        onset = int(state.record["processed_ns"]) + TURNED_NS
+        m = memory.record[0]
+        m["rest_ns"] = now = int(m["processed_ns"])
+        if m["pulling"]:
+            m["released_ns"] = now
+        onset = now + REST_NS
         driver = DriverState(onset, Activity.RUNNING, gait, onset)
         begin_run(memory, driver, twin.parameters, twin.settings, state.starts)
         state = replace(state, memory=memory)

@@ -27,13 +27,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from worm_model.gait import (
-    FORWARD,
-    WAVEFORM,
-    Gait,
-    GaitError,
-    gait_of,
-)
 from worm_model.parameters import Parameters
 from worm_model.run import PLAYING, SAME_ONSET_NS, Activity, is_another_run
 from worm_model.simulation.actuation import length_change_of_command, resting_change
@@ -43,6 +36,7 @@ from worm_model.twin.core.memory import NANOSECONDS, Memory
 from worm_model.twin.samples import GAIT_VALUES, SampleKind
 from worm_model.twin.start_estimate import Start
 from worm_model.twin.twin_settings import TwinSettings
+from worm_msgs.gait import FORWARD, WAVEFORM, Gait, GaitError, gait_of
 
 # A twin that joins a run at most this long after the onset does not report the delay.
 LATE_NS = 20_000_000
@@ -54,7 +48,7 @@ FEWEST = 5  # smallest number of samples for a mean
 STILL_M, STILL_NOISE = 0.0005, 5.0
 # Samples closer to the onset than this are ignored, because the clocks of driver and instruments may differ.
 GUARD_NS = 100_000_000
-TURNED_NS = 2_500_000_000  # longest time from the turning of the fins to the onset
+TAUT_NS = 500_000_000  # time after a pull in which the slack has certainly not returned
 SLACK_NS = 2_000_000_000  # longest time after a pull until the slack has returned
 # Largest deviations from the place where the previous run left the robot, modulo the pitch
 TOLERANCE = 0.3  # pitches; beyond this, the robot was moved between the runs
@@ -203,8 +197,8 @@ def _stand(
             f"; the slack is still taken up, which makes the body {-1e3 * tightened:.1f} mm shorter"
         )
     standing = initial_length + tightened
-    shorter = 0.0 if tightened else before.gain * before.slack
-    lengths = _lengths_when_turned(memory, driver.onset_ns, standing, shorter)
+    turned = _lengths_when_turned(m, initial_length, before.gain * before.slack)
+    lengths = turned if pulled or not tightened else (standing,)
     places = [_left_behind(m, before, standing, direction, at) for at in lengths]
     place = places[0]
     known = place is not None and place == places[-1]
@@ -241,24 +235,24 @@ def _unstressed(parameters: Parameters, direction: int, pulled: float) -> Start:
     return Start(x1, motion.front_groove - motion.rear_groove)
 
 
-def _lengths_when_turned(
-    memory: Memory, onset_ns: int, standing: float, shorter: float
-) -> tuple[float, ...]:
-    """Return the possible lengths (m) of the body when the fins were turned before an onset, the preferred one first.
+def _lengths_when_turned(m: Any, slack: float, shorter: float) -> tuple[float, ...]:
+    """Return the possible lengths (m) of the body when the fins were turned for a run, the preferred one first.
+
+    The driver turns the fins when the rest before the run begins, or, if the cable has to return first, when it has
+    returned.
 
     Args:
-        memory: the twin's memory.
-        onset_ns: onset of the run.
-        standing: length of the body at rest, m.
+        m: record of the memory, at the onset.
+        slack: length of the body with a slack cable, m.
         shorter: effect of the slack, which may still have been taken up when the fins were turned, m.
     """
-    m = memory.record[0]
-    rows = memory.rows[: int(m["place"])]
-    pulled = rows["stamp"][(rows["kind"] == SampleKind.COMMAND) & (rows["a"] < -STILL_M)]
-    since = onset_ns - max(int(m["end_ns"]), int(pulled.max(initial=0)))
-    if since <= TURNED_NS:
-        return (standing - shorter,)
-    return (standing,) if since >= TURNED_NS + SLACK_NS else (standing, standing - shorter)
+    released = max(int(m["end_ns"]), int(m["released_ns"]))
+    since = max(int(m["rest_ns"]) - released, 0)
+    if m["rest_ns"] < m["end_ns"]:  # It is not known when the driver began to rest.
+        return (slack, slack - shorter)
+    if since <= TAUT_NS:
+        return (slack - shorter,)
+    return (slack,) if since >= SLACK_NS else (slack, slack - shorter)
 
 
 def _tightened(m: Any, before: Parameters, rest: _Rest) -> float:

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from worm_model.gait import GAIT_UNITS
 from worm_model.run import Run
+from worm_msgs.gait import GAIT_UNITS
 
 SampleRows = NDArray[np.void]
 

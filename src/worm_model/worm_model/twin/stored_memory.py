@@ -16,13 +16,13 @@ from typing import Any
 
 import numpy as np
 
-from worm_model.gait import GAIT_DEFAULTS, WAVEFORM
 from worm_model.twin.causes import ReportedCause
 from worm_model.twin.core.memory import MEMORY, NANOSECONDS
 from worm_model.twin.cycle_data import CycleData, Step
 from worm_model.twin.diagnosis import History
 from worm_model.twin.samples import SAMPLE, SampleKind, SampleRows
 from worm_model.twin.twin import Twin, TwinState
+from worm_msgs.gait import GAIT_DEFAULTS, WAVEFORM
 
 VERSION = 1
 AT_REST_NS = NANOSECONDS  # interval between stored memories while no gait runs
@@ -37,8 +37,11 @@ _STORED_NAMES = {
     "rejected": "refused",
     "rejected_ns": "refused_ns",
 }
-# fields of a gait that older memories lack, with their values
-_GAIT_DEFAULTS = {name: GAIT_DEFAULTS[name] for name in WAVEFORM if name in GAIT_DEFAULTS}
+# fields that older memories lack, with their values
+_DEFAULTS = {
+    **{name: GAIT_DEFAULTS[name] for name in WAVEFORM if name in GAIT_DEFAULTS},
+    **dict.fromkeys(("rest_ns", "pulling", "released_ns"), 0),
+}
 # parameters that older memories lack; they were 0
 _ADDED = frozenset(("rear_load", "front_load"))
 #: fields by their name in the stored format
@@ -160,7 +163,7 @@ def read_memory(stamp_ns: int, text: str) -> StoredMemory | None:
     """Return a stored memory, or None if the text is invalid or of another version."""
     try:
         content = json.loads(text)
-        content["record"] = {**_GAIT_DEFAULTS, **content["record"]}
+        content["record"] = {**_DEFAULTS, **content["record"]}
         if content["version"] != VERSION or not set(_STORED) <= set(content["record"]):
             return None
         return StoredMemory(stamp_ns, content)

@@ -16,11 +16,6 @@ from typing import Any
 
 import numpy as np
 
-from worm_model.gait import (
-    WAVEFORM,
-    Gait,
-    gait_of,
-)
 from worm_model.parameters import PAPER, Parameters
 from worm_model.run import PLAYING, SAME_ONSET_NS, Activity
 from worm_model.simulation.actuation import actuator
@@ -48,6 +43,7 @@ from worm_model.twin.run_start import DriverState, begin_run, driver_state_of, i
 from worm_model.twin.samples import SampleRows
 from worm_model.twin.start_estimate import EstimatedStart, Start, estimate_start
 from worm_model.twin.twin_settings import DEFAULTS, TwinSettings
+from worm_msgs.gait import WAVEFORM, Gait, gait_of
 
 CLOCK_SET = "the clock was set{} during the gait"
 BATCH = 512  # largest number of samples that are inserted before samples are processed
@@ -283,6 +279,8 @@ class _Call:
 
     def _apply(self, driver: DriverState) -> None:
         m = self.state.record
+        if driver.activity == Activity.RESTING != m["activity"]:
+            m["rest_ns"] = driver.stamp_ns
         m["activity"] = driver.activity
         if is_new_run(m, driver):
             self._end(int(m["processed_ns"]))

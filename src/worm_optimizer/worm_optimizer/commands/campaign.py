@@ -21,10 +21,10 @@ from worm_model.commands.command_line import (
     print_result,
 )
 from worm_model.commands.identify import StageProgress
-from worm_model.conditions import Conditions
 from worm_model.errors import InputError
 from worm_model.parameters import load_parameter_file
 from worm_model.text_table import labelled
+from worm_msgs.conditions import Conditions
 from worm_optimizer.commands.robot_options import add_robot, robot_of
 from worm_optimizer.commands.search_options import add_campaign_options, chosen_settings
 from worm_optimizer.nodes.service_caller import OperatorError

@@ -15,8 +15,8 @@ from worm_model.commands.command_line import (
     figure_file,
     print_result,
 )
-from worm_model.conditions import content_under
 from worm_model.gait import Gait
+from worm_model.loads import content_under
 from worm_model.parameters import load_parameter_file
 from worm_model.text_table import text_table
 from worm_optimizer.commands.search_options import add_front_options, chosen_settings

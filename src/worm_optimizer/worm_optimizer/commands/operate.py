@@ -23,9 +23,9 @@ from worm_model.commands.command_line import (
     number,
     print_result,
 )
-from worm_model.conditions import CONDITION_PARAMETERS, LEVEL, Conditions
-from worm_model.gait import GAIT_DEFAULTS, WAVEFORM, Gait, gait_of
 from worm_model.text_table import labelled
+from worm_msgs.conditions import CONDITION_ROWS, LEVEL, Conditions
+from worm_msgs.gait import GAIT_DEFAULTS, WAVEFORM, Gait, gait_of
 from worm_optimizer.commands.objective_options import add_objective, request_of_options
 from worm_optimizer.nodes.operator_node import OPTIMIZER, OperatorNode, UnreachableError, operator
 from worm_optimizer.operation.bring_up import CYCLES, FAILURES, ProgressLog
@@ -241,13 +241,11 @@ def _conditions(node: OperatorNode, options: argparse.Namespace, say: ProgressLo
     Without an optimizer, send nothing and return the conditions in the options.
     """
     stated = {
-        key: value
-        for key, name in CONDITION_PARAMETERS.items()
-        if (value := getattr(options, name)) is not None
+        name: value for name in CONDITION_ROWS if (value := getattr(options, name)) is not None
     }
     if not node.graph.has_node(OPTIMIZER):
         say("no optimizer is running: the recording contains the conditions of the options")
-        return Conditions(**{CONDITION_PARAMETERS[key]: value for key, value in stated.items()})
+        return Conditions(**stated)
     if stated:
         node.set_model_parameters(stated)
     conditions = node.conditions()

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from worm_model.commands.command_line import InputError, Parser
-from worm_model.conditions import CONDITION_PARAMETERS
+from worm_msgs.conditions import CONDITION_ROWS
 from worm_optimizer.operation.bring_up import installed_system_file
 from worm_optimizer.operation.campaign_runs import Robot
 from worm_optimizer.operation.system import SystemFileError
@@ -62,9 +62,9 @@ def robot_of(options: argparse.Namespace, mode: str) -> Robot:
     settings = (
         {"parameter_file": str(Path(options.parameters).resolve())} if options.parameters else {}
     )
-    for key, name in CONDITION_PARAMETERS.items():
+    for name in CONDITION_ROWS:
         if (value := getattr(options, name)) is not None:
-            settings[key] = repr(value)
+            settings[name] = repr(value)
     for text in options.set:
         name, separator, value = text.partition("=")
         if not (name and separator):

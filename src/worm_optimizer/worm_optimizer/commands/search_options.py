@@ -10,9 +10,9 @@ from itertools import groupby
 from typing import Any
 
 from worm_model.commands.command_line import InputError, Parser, number
-from worm_model.conditions import CONDITION_PARAMETERS
 from worm_model.gait import Profile
 from worm_model.text_table import labelled, text_table
+from worm_msgs.conditions import CONDITION_ROWS
 from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.search import search_settings
 
@@ -47,7 +47,7 @@ def add_scan_options(parser: Parser) -> None:
 def add_campaign_options(parser: Parser) -> None:
     """Add the options for the settings of a front. `robot_options.add_robot` adds those for the conditions."""
     rows = (*search_settings.SCAN_SETTINGS, *search_settings.FRONT_SETTINGS)
-    _add_settings(parser, tuple(r for r in rows if r.parameter not in CONDITION_PARAMETERS))
+    _add_settings(parser, tuple(r for r in rows if r.parameter not in CONDITION_ROWS))
 
 
 def add_front_options(parser: Parser) -> None:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable
 from functools import partial
@@ -10,9 +11,9 @@ from functools import partial
 from nicegui import events, ui
 
 from worm_model.analysis.plot_style import BLUE, VERMILION
-from worm_model.conditions import CONDITION_PARAMETERS, CONDITION_ROWS, LEVEL, Conditions
 from worm_model.errors import InputError
-from worm_model.gait import FORWARD, GAIT_DEFAULTS, REVERSE, Gait, Profile
+from worm_msgs.conditions import CONDITION_ROWS, LEVEL, Conditions
+from worm_msgs.gait import FORWARD, GAIT_DEFAULTS, REVERSE, Gait, Profile
 from worm_optimizer.console import page_actions
 from worm_optimizer.console.console_state import ConsoleState
 from worm_optimizer.console.page_chart import chart
@@ -177,7 +178,7 @@ class ActPage:
         except InputError as error:
             self._error.set_text(str(error))
             return
-        values = {key: getattr(stated, name) for key, name in CONDITION_PARAMETERS.items()}
+        values = dataclasses.asdict(stated)
 
         def apply(node: OperatorNode) -> str:
             node.set_model_parameters(values)

@@ -8,10 +8,10 @@ import time
 from collections import deque
 from dataclasses import dataclass, field
 
-from worm_model.conditions import LEVEL, Conditions
 from worm_model.gait import FORWARD
 from worm_model.parameters import Parameters
 from worm_model.run import LengthSource
+from worm_msgs.conditions import LEVEL, Conditions
 from worm_optimizer.console.bag_library import BagLibrary
 from worm_optimizer.console.control import ConsoleControl
 from worm_optimizer.console.picture import picture

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from worm_model.gait import GAIT_DEFAULTS, SHAPE, Profile
+from worm_msgs.gait import GAIT_DEFAULTS, SHAPE, Profile
 
 Array = NDArray[np.float64]
 Shapes = NDArray[np.void]  # structured array with the fields of SHAPE_ROW

@@ -9,11 +9,13 @@ import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
+from worm_msgs.driver_file import DriverFile
+from worm_msgs.parameter_rows import present_names
 from worm_msgs.servo_models import RPM, SERVO_MODELS, VELOCITY_UNIT, Initial
-from worm_msgs.settings_file import json_schema, key, settings_of
-from worm_msgs.yaml_file import SettingsFileError, read_yaml
+from worm_msgs.settings_file import settings_of
+from worm_msgs.yaml_file import read_yaml
 from worm_optimizer.evaluation.actuator_limits import ActuatorLimits
 from worm_optimizer.evaluation.task import Bounds
 from worm_optimizer.optimizer_errors import OptimizerError
@@ -21,32 +23,8 @@ from worm_optimizer.optimizer_errors import OptimizerError
 _SHUNT_RANGE = 0.32  # largest shunt voltage that an INA219 measures, V (TI SBOS448, PGA = /8)
 
 
-@dataclass(frozen=True)
-class DriverFile:
-    """Parameters in the driver's file that limit gaits, in SI units. The defaults are those of the driver."""
-
-    i2c_bus: str = "1"
-    shunt: Annotated[float, key("ina219.shunt_resistance_ohm", gt=0.0)] = 0.1
-    max_current: Annotated[float, key("ina219.max_current_a", gt=0.0)] = 3.2
-    spool_radii: Annotated[
-        tuple[Annotated[float, key(gt=0.0)], ...],
-        key("cable_servos.spool_radius_m", min_length=1),
-    ] = (0.025,)
-    max_stroke: Annotated[float, key("limits.max_stroke_m", gt=0.0)] = 0.09
-    max_frequency: Annotated[float, key("limits.max_frequency_hz", gt=0.0)] = 0.4
-    max_cable_speed: Annotated[float, key("limits.max_cable_speed_m_per_s", gt=0.0)] = 0.12
-    max_servo_current: Annotated[float, key("limits.max_servo_current_a", gt=0.0)] = 2.0
-    max_servo_load: Annotated[float, key("limits.max_servo_load", gt=0.0)] = 0.9
-
-
-# Present names of parameters by their former names in the driver's file. The driver itself uses the list in
-# worm_msgs.parameter_rows.
-DRIVER_RENAMED: Mapping[str, str] = {
-    "ina219.max_current_A": "ina219.max_current_a",
-    "limits.max_frequency_Hz": "limits.max_frequency_hz",
-    "limits.max_cable_speed_m_s": "limits.max_cable_speed_m_per_s",
-    "limits.max_servo_current_A": "limits.max_servo_current_a",
-}
+# Parameters that rclpy declares or reads itself, in each node.
+_OF_ROS = ("use_sim_time", "start_type_description_service", "qos_overrides.")
 
 
 @dataclass(frozen=True)
@@ -132,26 +110,24 @@ def servo_model(name: str) -> ServoModel | None:
 def load_driver_file(path: str | Path) -> DrivenBy:
     """Return the limits in the driver's parameter file. A former name of a parameter causes a FutureWarning.
 
+    The file is invalid if the driver would reject it, for example because it contains an unknown parameter.
+
     Raises `OptimizerError`, with the path, if the file is invalid.
     """
     from_file = _parameters_of_driver(read_yaml(Path(path), OptimizerError))
     if not from_file:
         raise OptimizerError(f"{path}: contains no ros__parameters of a node named driver")
-    for former, name in DRIVER_RENAMED.items():
-        if former in from_file and name in from_file:
-            raise OptimizerError(
-                f"{path}: contains {name} and its former name {former}: remove {former}"
-            )
-        if former in from_file:
-            text = f"{path}: {former} is now named {name}: rename it, as the next version ignores {former}"
-            warnings.warn(text, FutureWarning, stacklevel=2)
-            from_file[name] = from_file[former]
-    known = json_schema(DriverFile)["properties"]
+
+    def warn(text: str) -> None:
+        warnings.warn(f"{path}: {text}", FutureWarning, stacklevel=4)
+
     try:
-        row = settings_of({n: v for n, v in from_file.items() if n in known}, DriverFile)
-    except SettingsFileError as error:
+        present = present_names(from_file, warn)
+        own = {name: value for name, value in present.items() if not name.startswith(_OF_ROS)}
+        row = settings_of(own, DriverFile)
+    except ValueError as error:
         raise OptimizerError(f"{path}: {error}") from None
-    sensor = min(row.max_current, _SHUNT_RANGE / row.shunt)
+    sensor = min(row.max_current, _SHUNT_RANGE / row.shunt_resistance)
     return DrivenBy(
         spool_radii=row.spool_radii,
         max_stroke=row.max_stroke,
@@ -159,7 +135,7 @@ def load_driver_file(path: str | Path) -> DrivenBy:
         max_cable_speed=row.max_cable_speed,
         max_servo_current=row.max_servo_current,
         max_servo_load=row.max_servo_load,
-        sensor_current=sensor if row.i2c_bus else math.inf,
+        sensor_current=sensor if row.has_sensor else math.inf,
     )
 
 

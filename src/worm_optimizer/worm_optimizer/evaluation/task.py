@@ -15,10 +15,11 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from worm_model import gait
+from worm_model.gait import FREQUENCY_RANGE, STROKE_RANGE
 from worm_model.parameters import PAPER, Parameters
 from worm_model.simulation.batch import GaitTable, evaluate_gaits
 from worm_model.simulation.simulator import AVERAGED
+from worm_msgs.gait import FORWARD, MAX_FREQUENCY, MAX_MARGIN, MAX_STROKE, REVERSE
 from worm_optimizer.evaluation.actuator_limits import ActuatorLimits, Peaks, peaks
 from worm_optimizer.evaluation.command_shape import SINUSOID, Shapes, fields_of, peak_rate
 from worm_optimizer.evaluation.runs import Array, Index, find_runs
@@ -43,14 +44,14 @@ class Bounds:
     gait, for strokes and frequencies.
     """
 
-    stroke_low: float = gait.STROKE_RANGE[0]
-    stroke_high: float = gait.STROKE_RANGE[1]
-    frequency_low: float = gait.FREQUENCY_RANGE[0]
-    frequency_high: float = gait.FREQUENCY_RANGE[1]
+    stroke_low: float = STROKE_RANGE[0]
+    stroke_high: float = STROKE_RANGE[1]
+    frequency_low: float = FREQUENCY_RANGE[0]
+    frequency_high: float = FREQUENCY_RANGE[1]
 
     def __post_init__(self) -> None:
-        _check_range("stroke", self.stroke_low, self.stroke_high, gait.MAX_STROKE, "m")
-        _check_range("frequency", self.frequency_low, self.frequency_high, gait.MAX_FREQUENCY, "Hz")
+        _check_range("stroke", self.stroke_low, self.stroke_high, MAX_STROKE, "m")
+        _check_range("frequency", self.frequency_low, self.frequency_high, MAX_FREQUENCY, "Hz")
 
 
 def _check_range(name: str, low: float, high: float, most: float, unit: str) -> None:
@@ -162,20 +163,18 @@ class MarginTask:
     """
 
     parameters: Parameters = PAPER
-    direction: int = gait.FORWARD
+    direction: int = FORWARD
     margin: float = 0.0
     bounds: Bounds = field(default_factory=Bounds)
     limits: ActuatorLimits = field(default_factory=ActuatorLimits)
     holding_power: float = 0.0
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.margin <= gait.MAX_MARGIN:
+        if not 0.0 <= self.margin <= MAX_MARGIN:
+            raise OptimizerError(f"margin: {self.margin} m is not between 0 and {MAX_MARGIN:g} m")
+        if self.direction not in (FORWARD, REVERSE):
             raise OptimizerError(
-                f"margin: {self.margin} m is not between 0 and {gait.MAX_MARGIN:g} m"
-            )
-        if self.direction not in (gait.FORWARD, gait.REVERSE):
-            raise OptimizerError(
-                f"direction: {self.direction} is neither {gait.FORWARD} (forward) nor {gait.REVERSE} (reverse)"
+                f"direction: {self.direction} is neither {FORWARD} (forward) nor {REVERSE} (reverse)"
             )
         length, idle = self.parameters.initial_length, self.parameters.idle_power
         if self.bounds.stroke_high >= length:

@@ -27,10 +27,10 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
-from worm_model.conditions import CONDITION_PARAMETERS, Conditions
 from worm_model.gait import FORWARD
 from worm_model.run import Activity
 from worm_msgs import network
+from worm_msgs.conditions import CONDITION_ROWS, Conditions
 from worm_msgs.msg import ControlRequest, Heartbeat
 from worm_msgs.qos import LATCHED
 from worm_msgs.ros_process import one_line_of
@@ -411,10 +411,10 @@ class OperatorNode(ServiceCaller):
 
     def conditions(self) -> Conditions:
         """Return the conditions that the optimizer assumes. Raises `OperatorError` without an optimizer."""
-        request = GetParameters.Request(names=list(CONDITION_PARAMETERS))
+        request = GetParameters.Request(names=list(CONDITION_ROWS))
         answer = self.call_twice(GetParameters, f"{OPTIMIZER}/get_parameters", request)
         values = (value.double_value for value in answer.values)
-        return Conditions(**dict(zip(CONDITION_PARAMETERS.values(), values, strict=True)))
+        return Conditions(**dict(zip(CONDITION_ROWS, values, strict=True)))
 
     def follow(
         self, run: GaitRun, progress: Progress, until: Callable[[], bool] = lambda: False

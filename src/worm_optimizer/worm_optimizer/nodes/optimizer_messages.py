@@ -6,8 +6,8 @@ from __future__ import annotations
 import dataclasses
 import math
 
-from worm_model.gait import GAIT_UNITS
 from worm_msgs.action import OptimizeGaits, ScanMargin
+from worm_msgs.gait import GAIT_UNITS
 from worm_msgs.msg import Gait, GaitPrediction
 from worm_msgs.srv import RequestGait
 from worm_optimizer.gait_prediction import Prediction

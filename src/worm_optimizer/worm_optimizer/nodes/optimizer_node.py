@@ -14,12 +14,12 @@ from rclpy.action.server import ServerGoalHandle
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from worm_model.conditions import CONDITION_PARAMETERS, ConditionsError
 from worm_model.errors import InputError
 from worm_model.gait import FORWARD, REVERSE
 from worm_model.parameters import ParameterError, ParameterFile, load_parameter_file
 from worm_model.simulation.simulator import SimulationError
 from worm_msgs.action import OptimizeGaits, ScanMargin
+from worm_msgs.conditions import CONDITION_ROWS, ConditionsError
 from worm_msgs.goal_rejections import GoalRejections
 from worm_msgs.node_command import declare, run_node
 from worm_msgs.parameter_rows import ParameterRow
@@ -44,10 +44,7 @@ def rows() -> list[ParameterRow]:
     )
     return [
         ParameterRow(PARAMETER_FILE, "", "Parameter file; empty: the paper's values."),
-        *(
-            dataclasses.replace(row, read_only=row.name not in CONDITION_PARAMETERS)
-            for row in settings
-        ),
+        *(dataclasses.replace(row, read_only=row.name not in CONDITION_ROWS) for row in settings),
     ]
 
 
@@ -180,7 +177,7 @@ class OptimizerNode(Node):
         changes = {parameter.name: parameter.value for parameter in parameters}
         if PARAMETER_FILE in changes:
             self._content = load_parameter_file(changes[PARAMETER_FILE])
-        elif not changes.keys() & CONDITION_PARAMETERS.keys():
+        elif not changes.keys() & CONDITION_ROWS.keys():
             return
         self._settings = self._under(changes)
         self._forget()
@@ -192,9 +189,7 @@ class OptimizerNode(Node):
         ``changes`` contains new values of node parameters by name, of which only the conditions are used. Raises
         `ConditionsError` if they are inadmissible.
         """
-        conditions = {
-            field: changes[name] for name, field in CONDITION_PARAMETERS.items() if name in changes
-        }
+        conditions = {name: value for name, value in changes.items() if name in CONDITION_ROWS}
         changed = dataclasses.replace(self._settings.conditions, **conditions)
         return dataclasses.replace(self._settings, conditions=changed)
 

@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from worm_model.commands.command_line import finite
-from worm_model.conditions import LEVEL
 from worm_model.gait import named_values
 from worm_model.parameters import ParameterFile
+from worm_msgs.conditions import LEVEL
 from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.report.agreement import LEVEL_GROUND, NOMINAL, SINUSOIDAL
 from worm_optimizer.report.optimisation import Optimisation

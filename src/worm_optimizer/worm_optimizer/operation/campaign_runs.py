@@ -11,8 +11,8 @@ from worm_model.analysis.run_metrics import last_played_gait
 from worm_model.bags.bag_errors import BagError
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import read_run
-from worm_model.conditions import Conditions
 from worm_model.errors import RecordingError
+from worm_msgs.conditions import Conditions
 from worm_optimizer.nodes.tracker_watch import TrackerWatch
 from worm_optimizer.operation.bring_up import RECORDER, Say, Session, recording, session
 from worm_optimizer.operation.system import System, SystemFile, conditions_of

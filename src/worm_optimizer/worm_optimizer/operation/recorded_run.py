@@ -8,8 +8,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from worm_model.bags.finding import METADATA_FILE, TIME_FIELD
-from worm_model.conditions import Conditions
 from worm_model.errors import InputError
+from worm_msgs.conditions import Conditions
 from worm_optimizer.nodes.operator_node import OperatorNode
 from worm_optimizer.operation.bring_up import (
     RECORDER,

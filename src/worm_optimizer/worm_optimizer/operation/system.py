@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
 
-from worm_model.conditions import CONDITION_PARAMETERS, Conditions
+from worm_msgs.conditions import CONDITION_ROWS, Conditions
 from worm_msgs.settings_file import OneOf, key, read_settings
 from worm_msgs.yaml_file import unknown_name
 
@@ -224,7 +224,7 @@ def _number(name: str, text: str) -> float:
 
 def settings_of(conditions: Conditions) -> dict[str, str]:
     """Return conditions in the pipe as settings of a system."""
-    return {key: repr(getattr(conditions, name)) for key, name in CONDITION_PARAMETERS.items()}
+    return {name: repr(getattr(conditions, name)) for name in CONDITION_ROWS}
 
 
 def conditions_of(settings: Mapping[str, str]) -> Conditions:
@@ -236,11 +236,7 @@ def conditions_of(settings: Mapping[str, str]) -> Conditions:
         SystemFileError: A setting is not a finite number.
         ConditionsError: The conditions are not admissible.
     """
-    stated = {
-        name: _number(key, settings[key])
-        for key, name in CONDITION_PARAMETERS.items()
-        if settings.get(key)
-    }
+    stated = {name: _number(name, settings[name]) for name in CONDITION_ROWS if settings.get(name)}
     return Conditions(**stated)
 
 

@@ -7,7 +7,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from worm_model.gait import GAIT_DEFAULTS, WAVEFORM, Gait
+from worm_msgs.gait import GAIT_DEFAULTS, WAVEFORM, Gait
 from worm_optimizer.report.recorded_gait import RecordedGait
 from worm_optimizer.search.front import RobustFront, make_front, reason_for, scanned_price
 from worm_optimizer.search.price_of_robustness import PriceOfRobustness

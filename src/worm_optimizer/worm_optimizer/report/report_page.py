@@ -15,9 +15,9 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from worm_model.analysis.plot_style import save_figure
-from worm_model.conditions import LEVEL
 from worm_model.identification.report.identification_figures import bellows_figure, fin_figure
 from worm_model.parameters import KEYS, PAPER, SYMBOLS, UNITS
+from worm_msgs.conditions import LEVEL
 from worm_optimizer.report import agreement
 from worm_optimizer.report.front_plots import measured_front_figure, price_figure
 from worm_optimizer.report.identification_parts import (

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from worm_model.gait import Gait
-from worm_model.parameters import STANDARD_GRAVITY
 from worm_model.simulation.closed_form import largest_load
 from worm_model.simulation.simulator import cost_of_transport
+from worm_msgs.robot_parameters import STANDARD_GRAVITY
 from worm_optimizer.evaluation.command_shape import SINUSOID, Shapes, shapes_of
 from worm_optimizer.evaluation.task import Array, MarginTask, Mask
 from worm_optimizer.search.exact import Resolution, Zoom, exact_front

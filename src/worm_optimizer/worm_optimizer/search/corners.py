@@ -20,7 +20,7 @@ from functools import cached_property
 
 import numpy as np
 
-from worm_model.gait import CONTRACTION_SHARE_RANGE, MAX_PRETENSION, RAMP_SHARE_RANGE, Profile
+from worm_msgs.gait import CONTRACTION_SHARE_RANGE, MAX_PRETENSION, RAMP_SHARE_RANGE, Profile
 from worm_optimizer.evaluation.command_shape import Shapes, shapes_of
 from worm_optimizer.evaluation.task import (
     EDGE_ALLOWANCE,

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from worm_model.conditions import content_under
 from worm_model.gait import Gait
+from worm_model.loads import content_under
 from worm_model.parameters import ParameterFile, Parameters
 from worm_model.simulation.simulator import LoadError, cost_of_transport, evaluate_gait
 from worm_optimizer.evaluation.actuator_limits import NO_LIMITS, describe_limit

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from worm_model.conditions import CONDITION_PARAMETERS, CONDITION_ROWS, Conditions
-from worm_model.gait import (
+from worm_msgs.conditions import CONDITION_ROWS, Conditions
+from worm_msgs.gait import (
     CONTRACTION_SHARE_RANGE,
     MAX_FREQUENCY,
     MAX_MARGIN,
@@ -190,15 +190,14 @@ _BOX, _SCAN, _PLAIN, _SHAPES = Bounds(), ScanSettings(), Settings(), ShapeBounds
 _Row = SettingRow
 _CONDITIONS = tuple(
     _Row(
-        key,
+        name,
         row["option"].removeprefix("--"),
         0.0,
         f"{row['meaning']}, {row['unit']}",
         row["low"],
         row["high"],
     )
-    for key, name in CONDITION_PARAMETERS.items()
-    for row in (CONDITION_ROWS[name],)
+    for name, row in CONDITION_ROWS.items()
 )
 
 # Settings of a margin scan, which also apply to a front
@@ -280,7 +279,7 @@ def settings_of(values: Mapping[str, Any]) -> Settings:
         margin=None if math.isnan(value["margin_m"]) else value["margin_m"],
         samples=value["samples"],
         seed=value["seed"],
-        conditions=Conditions(**{name: value[key] for key, name in CONDITION_PARAMETERS.items()}),
+        conditions=Conditions(**{name: value[name] for name in CONDITION_ROWS}),
         waveform=waveform_of(value["waveform"]),
         shapes=ShapeBounds(
             *(

@@ -11,12 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from worm_model.conditions import CONDITION_ROWS, Conditions, under
 from worm_model.errors import InputError
-from worm_model.gait import FORWARD, GAIT_MEANINGS, GAIT_UNITS
+from worm_model.loads import under
 from worm_model.parameters import KEYS, ParameterFile, Parameters
 from worm_model.simulation.closed_form import cliff_margin, front_groove, groove_phase
 from worm_model.simulation.simulator import SimulationError, cost_of_transport
+from worm_msgs.conditions import CONDITION_ROWS, Conditions
+from worm_msgs.gait import FORWARD, GAIT_MEANINGS, GAIT_UNITS
 from worm_optimizer.evaluation.actuator_limits import ActuatorLimits
 from worm_optimizer.evaluation.command_shape import SHAPE_ROW, Shapes, shapes_of
 from worm_optimizer.evaluation.servo_limits import DrivenBy, limits_of, servo_model

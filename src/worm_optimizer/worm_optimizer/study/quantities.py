@@ -6,8 +6,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from worm_model.conditions import CONDITION_ROWS
-from worm_model.gait import (
+from worm_msgs.conditions import CONDITION_ROWS
+from worm_msgs.gait import (
     CONTRACTION_SHARE_RANGE,
     MAX_FREQUENCY,
     MAX_MARGIN,

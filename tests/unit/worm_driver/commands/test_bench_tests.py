@@ -24,7 +24,7 @@ def test_the_files_hold_what_is_true_of_the_robot(tmp_path: Path):
 def test_nothing_is_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture):
     assert bench_tests.main([str(tmp_path)]) == 0
     assert bench_tests.main([str(tmp_path)]) == 2
-    assert "already exists" in capsys.readouterr().err
+    assert "exists already" in capsys.readouterr().err
 
 
 def test_a_wrong_file_of_the_robot_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture):

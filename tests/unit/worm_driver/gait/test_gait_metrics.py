@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import pytest
 
-from worm_driver.gait.gait_limits import Gait
 from worm_driver.gait.gait_metrics import RunRecord, distance, run_metrics
 from worm_driver.gait.gait_player import Ending, Run
 from worm_driver.power.ina219 import PowerSample, SampleStatus
+from worm_msgs.gait import Gait
 from worm_msgs.robot_parameters import RobotParameters
 
 FREQUENCY = 0.5

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from worm_driver.errors import LimitError
 from worm_driver.gait import gait_player
-from worm_driver.gait.gait_limits import COSINE, TRAPEZOID, Gait
 from worm_driver.gait.gait_player import Ending, Observation, Phase, PlayerSettings, PlayerState
+from worm_msgs.gait import Gait, Profile
 
 SETTINGS = PlayerSettings()
 READY = Observation(fins_set=True, idle_samples=100)
@@ -68,14 +68,16 @@ def test_a_rest_without_samples_ends_all_the_same():
     assert play(state, 0.0, 4.0, seen=none)[-1][1].phase is Phase.RUNNING
 
 
-SHAPED = Gait(0.06, 0.4, pretension=0.012, contraction_share=0.6, profile=TRAPEZOID, ramp_share=0.2)
+SHAPED = Gait(
+    0.06, 0.4, pretension=0.012, contraction_share=0.6, profile=Profile.TRAPEZOID, ramp_share=0.2
+)
 GAITS = st.builds(
     Gait,
     st.floats(0.02, 0.07),
     st.floats(0.1, 0.4),
     pretension=st.one_of(st.just(0.0), st.floats(0.0, 0.02)),
     contraction_share=st.floats(0.2, 0.8),
-    profile=st.sampled_from([COSINE, TRAPEZOID]),
+    profile=st.sampled_from([Profile.COSINE, Profile.TRAPEZOID]),
     ramp_share=st.floats(0.1, 0.5),
 )
 

@@ -7,10 +7,11 @@ import pytest
 
 from worm_driver.errors import LimitError
 from worm_driver.gait import gait_player
-from worm_driver.gait.gait_limits import Gait, GaitLimits
+from worm_driver.gait.gait_limits import GaitLimits
 from worm_driver.gait.gait_metrics import RunRecord
 from worm_driver.gait.gait_player import Phase, PlayerState, Run
 from worm_driver.gait.run_end import RunEnd, is_near_cycle_end, makes_no_progress, unseen_cycle
+from worm_msgs.gait import Gait
 
 PITCH, ONSET = 0.0173, 10.0
 GAIT = Gait(0.07, 0.2)

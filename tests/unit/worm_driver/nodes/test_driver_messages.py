@@ -10,13 +10,13 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from worm_driver.control.diagnostics import Level, Report
 from worm_driver.control.snapshot import Snapshot
-from worm_driver.gait.gait_limits import Gait
 from worm_driver.gait.gait_player import Phase, PlayerState, Run
 from worm_driver.nodes import driver_messages as ros_messages
 from worm_driver.nodes.driver_messages import ClockPair
 from worm_driver.power.ina219 import PowerSample, SampleStatus
 from worm_driver.servos.registers import XL330_M288, XL430_W250, XM430_W350, ServoModel
 from worm_driver.servos.servo_state import SILENT, ServoState
+from worm_msgs.gait import Gait
 from worm_msgs.msg import BodyLength, GaitState, Power
 
 CLOCKS = ClockPair(1_700_000_000_000_000_000)

@@ -7,14 +7,8 @@ from dataclasses import replace
 
 import pytest
 
-from worm_driver.virtual_robot.plant import (
-    FORWARD,
-    LOOSE,
-    REVERSE,
-    Plant,
-    PlantEffects,
-    make_grooves,
-)
+from worm_driver.virtual_robot.plant import LOOSE, Plant, PlantEffects, make_grooves
+from worm_msgs.gait import FORWARD, REVERSE
 from worm_msgs.robot_parameters import RobotParameters
 
 PAPER = RobotParameters()

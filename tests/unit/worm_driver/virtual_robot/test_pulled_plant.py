@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from worm_driver.virtual_robot.plant import FORWARD, LOOSE, Plant, PlantEffects, make_grooves
+from worm_driver.virtual_robot.plant import LOOSE, Plant, PlantEffects, make_grooves
 from worm_driver.virtual_robot.virtual_settings import load_settings
+from worm_msgs.gait import FORWARD
 
 DRY = load_settings().body
 BODY = replace(DRY, rear_dry_friction=0.0, front_dry_friction=0.0)

@@ -8,9 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from worm_driver.gait.gait_limits import TRAPEZOID, Gait
 from worm_driver.virtual_robot.offline_run import run_offline
-from worm_driver.virtual_robot.plant import FORWARD, REVERSE, Conditions
 from worm_driver.virtual_robot.servo.control_table import XL330_M288
 from worm_driver.virtual_robot.servo.virtual_servo import Servo
 from worm_driver.virtual_robot.virtual_robot import VirtualRobot
@@ -19,6 +17,8 @@ from worm_driver.virtual_robot.wire import smbus_frames as frames
 from worm_driver.virtual_robot.wire.faults import FaultBoard, make_fault
 from worm_driver.virtual_robot.wire.ina219_chip import BUS, CALIBRATION, CONFIGURATION, SHUNT
 from worm_driver.virtual_robot.wire.smbus_frames import Request
+from worm_msgs.conditions import Conditions
+from worm_msgs.gait import FORWARD, REVERSE, Gait, Profile
 
 ADDRESS = 0x40
 
@@ -50,7 +50,7 @@ def test_robust_gaits_gain_the_predicted_grooves(settings, seed, stroke, frequen
 
 
 def test_a_shaped_gait_rests_at_its_pretension_and_walks(settings):
-    gait = Gait(0.07, 0.147, 1, 0.0, 0.01, 0.62, TRAPEZOID, 0.15)
+    gait = Gait(0.07, 0.147, 1, 0.0, 0.01, 0.62, Profile.TRAPEZOID, 0.15)
     run = run_offline(settings, gait.length_change, 5 / gait.frequency, rest=3.0)
     metres = 2 * math.pi / 4096 * settings.cable_servos[0].spool_radius
     resting = (run.servo_time > 2.0) & (run.servo_time <= 3.0)

@@ -4,8 +4,8 @@
 import pytest
 import yaml
 
-from worm_driver.virtual_robot.plant import Conditions
 from worm_driver.virtual_robot.virtual_settings import DEFAULT_FILE, load_settings
+from worm_msgs.conditions import Conditions
 from worm_msgs.yaml_file import SettingsFileError
 
 

@@ -11,11 +11,12 @@ import pytest
 
 from worm_model.commands import evaluate_gait as command
 from worm_model.commands import phase_map
-from worm_model.conditions import Conditions, under
 from worm_model.gait import Gait, Profile
+from worm_model.loads import under
 from worm_model.parameters import PAPER
 from worm_model.simulation.closed_form import cliff_margin
 from worm_model.simulation.simulator import evaluate_gait
+from worm_msgs.conditions import Conditions
 
 KEYS = (
     "stroke frequency direction margin speed power cost_of_transport grooves_per_cycle groove_phase"
@@ -201,7 +202,7 @@ def test_conditions_and_waveform_are_options(run) -> None:
     assert gait["conditions"]["slope_deg"] == 10.0
     expected = evaluate_gait(
         Gait(0.06, 0.2, 1, 0.0, 0.0115, 0.6, Profile.TRAPEZOID, 0.1),
-        under(Conditions(slope_deg=10.0, tether_N=0.5), PAPER),
+        under(Conditions(slope_deg=10.0, tether_n=0.5), PAPER),
     )
     assert gait["power"] == expected.power
     assert gait["speed"] == expected.speed
@@ -212,7 +213,7 @@ def test_conditions_and_waveform_are_options(run) -> None:
     [
         ("--tether 200", "200 N"),
         ("--flow 1", "drag_area_m2"),
-        ("--tether-per-metre 1", "distance_m"),
+        ("--tether-length 1", "tether_n_per_m"),
         ("--profile sawtooth", "sawtooth"),
         ("--ramp-share 0.6", "ramp_share: 0.6"),
         ("--pretension 0.25", "stroke: 0.31 m"),

@@ -15,7 +15,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from recorded_run import EPOCH, simulated_run, write_bag
 
-from worm_driver.gait.gait_limits import Gait as DriverGait
 from worm_driver.virtual_robot.offline_run import run_offline
 from worm_driver.virtual_robot.virtual_settings import load_settings
 from worm_model.commands import health as health_command
@@ -51,9 +50,7 @@ def robot_run(seed: int, recording: int, gain: float = 1.0) -> Run:
     """Return a recording of the virtual robot, an hour after the one before; ``gain`` multiplies its K."""
     settings = replace(load_settings(), seed=seed, recording=recording)
     settings = replace(settings, body=replace(settings.body, gain=settings.body.gain * gain))
-    seen = run_offline(
-        settings, DriverGait(GAIT.stroke, GAIT.frequency).length_change, CYCLES / GAIT.frequency
-    )
+    seen = run_offline(settings, GAIT.length_change, CYCLES / GAIT.frequency)
     start = EPOCH + recording * HOUR
 
     def stamp(time):

@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 from virtual_campaign import read_off, run_of
 
-from worm_driver.gait.gait_limits import Gait as DriverGait
 from worm_driver.virtual_robot.offline_run import run_offline
-from worm_driver.virtual_robot.plant import Conditions as PlantConditions
 from worm_driver.virtual_robot.virtual_settings import load_settings
 from worm_model.commands.command_line import run_command
 from worm_model.commands.identify import _parser, _run
@@ -20,6 +18,7 @@ from worm_model.identification.inputs import Inputs
 from worm_model.identification.pull_test import PullTest, estimate_rear_load, loaded_file
 from worm_model.identification.reference_values import ReferenceValues
 from worm_model.parameters import ParameterFile, Parameters
+from worm_msgs.conditions import Conditions
 
 PLAN = ((Gait(0.08, 0.25), 12.0), (Gait(0.07, 0.2), 17.0))  # gait, s
 #: 95 % bounds of the known robot, relative
@@ -51,12 +50,12 @@ def pulled(seed: int, load: float) -> PullTest:
         load_settings(),
         seed=seed,
         parameter_spread=0.05,
-        conditions=PlantConditions(tether_n=load),
+        conditions=Conditions(tether_n=load),
     )
     recordings = []
     for number, (gait, duration) in enumerate(PLAN):
         own = dataclasses.replace(settings, recording=number + 1)
-        command = DriverGait(gait.stroke, gait.frequency).length_change
+        command = gait.length_change
         run = run_offline(own, command, duration)
         recordings.append(recording_of(run_of(run, gait, settings), f"run_{number}"))
     truth = Parameters(**dataclasses.asdict(run.truth))

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from driver_rig import settings as driver_settings
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from recorded_run import write_bag
@@ -368,6 +369,34 @@ def test_live_twin_and_replay_agree_on_the_grooves_of_every_complete_cycle(gaits
         judged = [not cycle.not_judged for cycle in report.cycles if cycle.complete]
         if not codes and (camera or all(judged[1:])):
             assert grooves_of(replay.states, played) == played.grooves
+
+
+TENSIONED = Gait(0.06, 0.4, pretension=0.02)
+
+
+@pytest.mark.parametrize(
+    ("rest", "pause", "gait"),
+    [
+        (1.0, 0.0, Gait(0.07, 0.4)),
+        (2.2, 0.3, Gait(0.07, 0.4)),
+        (5.0, 0.0, Gait(0.07, 0.4)),
+        (5.0, 3.0, Gait(0.07, 0.4)),
+        (1.0, 0.0, TENSIONED),
+        (1.0, 2.5, TENSIONED),
+    ],
+)
+def test_the_fins_grooves_are_known_whenever_the_fins_turn(rest: float, pause: float, gait: Gait):
+    """The slack decides in which grooves the fins are turned. No camera corrects them."""
+    driver = driver_settings()
+    player = replace(driver.player, rest_duration=rest, rest_timeout=rest + 2.0)
+    session = Session(driver=replace(driver, player=player))
+    session.run(GAIT_REVERSE, 2, before=1.0, after=0.0)
+    session.camera = False
+    played = session.run(gait, 2, before=pause, after=1.0)
+    found = seen(session)
+    assert grooves_of(found.live.states, played) == played.grooves
+    assert not any(c.not_judged for c in found.live.cycles if c.onset_ns == played.onset_ns)
+    assert live_health(found, played) is Health.HEALTHY
 
 
 SHAPED = Gait(

@@ -48,7 +48,9 @@ def test_a_forecast_begins_where_the_twin_is():
     )
     now = simulate(GAIT).at([10.0])
     found = forecast(twin, state, replace(GAIT, direction=REVERSE))
-    assert found.rear_position[0] == pytest.approx(now.x1[0], abs=2e-3)
+    # The fins turn while the slack is taken up. When it returns, the body pushes the rear module back.
+    pushed = PAPER.gain * PAPER.slack
+    assert found.rear_position[0] == pytest.approx(now.x1[0] - pushed, abs=1e-3)
     assert found.rear_position[-1] < now.x1[0] - PAPER.pitch
     assert found.grooves >= 1
 

@@ -11,10 +11,9 @@ import pytest
 from faulty_robots import Fault, Robots, run_robots
 from virtual_session import Session, live_twin, recording, virtual_settings
 
-from worm_driver.virtual_robot.plant import Conditions as PlantConditions
 from worm_model.analysis.replay_metrics import report_replay
-from worm_model.conditions import Conditions, under
 from worm_model.gait import REVERSE, Gait
+from worm_model.loads import under
 from worm_model.parameters import PAPER
 from worm_model.twin.cause_table import LASTING, LOAD_DOWN, LOAD_UP
 from worm_model.twin.core.memory import POSITION, POWER
@@ -22,6 +21,7 @@ from worm_model.twin.offline_replay import replay_run
 from worm_model.twin.records import Health
 from worm_model.twin.signatures import signatures
 from worm_model.twin.twin import Twin
+from worm_msgs.conditions import Conditions
 
 GAIT = Gait(0.08, 0.2)
 SLOPES = ((20.0, 2.0), (-20.0, 0.0))  # deg, N of the tether
@@ -41,9 +41,7 @@ FAULTS = (
 
 @lru_cache
 def climbed(slope: float, tether: float) -> Session:
-    session = Session(
-        virtual_settings(conditions=PlantConditions(slope_deg=slope, tether_n=tether))
-    )
+    session = Session(virtual_settings(conditions=Conditions(slope_deg=slope, tether_n=tether)))
     session.run(GAIT, 3)
     session.run(Gait(0.07, 0.25, REVERSE), 2)
     return session
@@ -52,7 +50,7 @@ def climbed(slope: float, tether: float) -> Session:
 @pytest.mark.parametrize(("slope", "tether"), SLOPES)
 def test_a_twin_with_the_right_load_follows_the_robot_live_and_in_replay(slope, tether):
     session = climbed(slope, tether)
-    loaded = under(Conditions(slope_deg=slope, tether_N=tether), PAPER)
+    loaded = under(Conditions(slope_deg=slope, tether_n=tether), PAPER)
     live = live_twin(session.rows, Twin(loaded))
     assert {event.code for event in live.events} <= {"", "clock_jump"}  # the first sample
     assert live.residuals["health"].max() == Health.HEALTHY  # also while the fins turn
@@ -68,7 +66,7 @@ def test_without_the_tracker_the_robot_starts_where_its_fins_hold_the_load():
     """The twin of a robot on a slope starts its first run with fins that the load has deflected."""
     slope, tether = SLOPES[0]
     session = climbed(slope, tether)
-    loaded = under(Conditions(slope_deg=slope, tether_N=tether), PAPER)
+    loaded = under(Conditions(slope_deg=slope, tether_n=tether), PAPER)
     first = session.played[0]
     states = live_twin(session.rows, Twin(loaded)).states
     begun = states[np.searchsorted(states["stamp_ns"], first.onset_ns)]

@@ -7,7 +7,7 @@ import pytest
 
 pytest.importorskip("worm_msgs.msg", reason="worm_msgs is not built")
 
-from worm_model.conditions import LEVEL, Conditions
+from worm_msgs.conditions import LEVEL, Conditions
 from worm_optimizer.commands import operate
 
 
@@ -26,7 +26,7 @@ class Robot:
         self.parameters = values
 
     def conditions(self) -> Conditions:
-        return Conditions(slope_deg=self.parameters.get("slope_deg", 0.0), tether_N=1.0)
+        return Conditions(slope_deg=self.parameters.get("slope_deg", 0.0), tether_n=1.0)
 
 
 def options_of(*arguments: str):
@@ -37,14 +37,14 @@ def test_only_the_given_conditions_are_set_and_those_that_hold_are_returned():
     robot = Robot(has_optimizer=True)
     found = operate._conditions(robot, options_of("--slope", "20"), print)
     assert robot.parameters == {"slope_deg": 20.0}
-    assert found == Conditions(slope_deg=20.0, tether_N=1.0)
+    assert found == Conditions(slope_deg=20.0, tether_n=1.0)
     operate._conditions(robot, options_of("--slope", "0", "--distance", "0.1"), print)
     assert robot.parameters == {"slope_deg": 0.0}
 
 
 def test_without_an_optimizer_the_conditions_are_those_of_the_options():
     robot = Robot(has_optimizer=False)
-    assert operate._conditions(robot, options_of("--tether", "2"), print) == Conditions(tether_N=2)
+    assert operate._conditions(robot, options_of("--tether", "2"), print) == Conditions(tether_n=2)
     assert operate._conditions(robot, options_of(), print) == LEVEL
     assert robot.parameters == {}
 

@@ -8,8 +8,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from worm_model.conditions import LEVEL
 from worm_model.gait import Gait
+from worm_msgs.conditions import LEVEL
 from worm_optimizer.console import page_actions
 from worm_optimizer.console.robot_worker import STOP_PRESSED
 from worm_optimizer.nodes.service_caller import OperatorError

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Limits from the driver's parameter file and its servo models, and fronts that satisfy them."""
 
+import dataclasses
 import math
 from pathlib import Path
 
@@ -13,11 +14,10 @@ from worm_driver.servos import registers
 from worm_driver.virtual_robot.servo import control_table
 from worm_model.gait import FORWARD, Gait
 from worm_model.parameters import PAPER
-from worm_msgs.settings_file import json_schema
+from worm_msgs.driver_file import DriverFile
+from worm_msgs.parameter_rows import RENAMED
 from worm_optimizer.evaluation.actuator_limits import NO_LIMITS, ActuatorLimits, peaks
 from worm_optimizer.evaluation.servo_limits import (
-    DRIVER_RENAMED,
-    DriverFile,
     limits_of,
     load_driver_file,
     servo_model,
@@ -44,11 +44,11 @@ def driver_file(tmp_path):
 def test_the_defaults_are_those_of_the_driver(driver_file):
     assert load_driver_file(DRIVER_FILE) == load_driver_file(driver_file(port="/dev/x"))
     driver = yaml.safe_load(DRIVER_FILE.read_text())["/**/driver"]["ros__parameters"]
-    for name, row in json_schema(DriverFile)["properties"].items():
+    for row in dataclasses.fields(DriverFile):
         value = driver
-        for part in name.split("."):
+        for part in row.metadata["alias"].split("."):
             value = value[part]
-        assert value == row["default"], name
+        assert value == (list(row.default) if isinstance(row.default, tuple) else row.default), row
 
 
 def test_former_names_of_the_drivers_parameters_hold_with_a_warning(driver_file):
@@ -56,7 +56,7 @@ def test_former_names_of_the_drivers_parameters_hold_with_a_warning(driver_file)
     with pytest.warns(FutureWarning) as warned:
         limits = load_driver_file(former)
     assert (limits.max_frequency, limits.sensor_current) == (0.21, 1.5)
-    assert {name for name in DRIVER_RENAMED for w in warned if name in str(w.message)} == {
+    assert {name for name in RENAMED for w in warned if name in str(w.message)} == {
         "limits.max_frequency_Hz",
         "ina219.max_current_A",
     }
@@ -65,11 +65,12 @@ def test_former_names_of_the_drivers_parameters_hold_with_a_warning(driver_file)
         load_driver_file(both)
 
 
-def test_the_former_names_are_those_of_the_driver():
-    renamed = pytest.importorskip("worm_msgs.parameter_rows", reason="no ROS").RENAMED
-    assert {
-        k: v for k, v in renamed.items() if v in json_schema(DriverFile)["properties"]
-    } == DRIVER_RENAMED
+def test_a_misspelt_name_is_rejected_and_names_of_ros_are_accepted(driver_file):
+    with pytest.raises(OptimizerError, match=r"did you mean limits\.max_stroke_m\?") as reported:
+        load_driver_file(driver_file(limits={"max_strok_m": 0.05}))
+    assert "max_strok_m'" in str(reported.value)
+    ros = {"use_sim_time": False, "qos_overrides": {"/tf.publisher.depth": 5}}
+    assert load_driver_file(driver_file(**ros)) == load_driver_file(DRIVER_FILE)
 
 
 def test_the_models_are_those_of_the_driver():
@@ -134,6 +135,7 @@ def test_the_range_of_the_sensor_is_that_of_its_shunt_or_none(driver_file):
     coarse = load_driver_file(driver_file(**{"ina219.shunt_resistance_ohm": 0.2}))
     assert coarse.sensor_current == pytest.approx(1.6)
     assert load_driver_file(driver_file(i2c_bus="")).sensor_current == math.inf
+    assert load_driver_file(driver_file(i2c_bus="none")).sensor_current == math.inf
 
 
 def test_a_driver_that_takes_less_narrows_the_box_and_a_stricter_limit_stays(driver_file):

@@ -11,9 +11,9 @@ import pytest
 from recorded_run import GAIT, simulated_run, write_bag
 
 from worm_model.commands.command_line import finite
-from worm_model.conditions import Conditions
 from worm_model.gait import named_values
 from worm_model.parameters import PAPER, ParameterFile
+from worm_msgs.conditions import Conditions
 from worm_optimizer.commands import campaign as command
 from worm_optimizer.operation.bring_up import left_out
 from worm_optimizer.operation.campaign_plan import (
@@ -81,7 +81,7 @@ def test_a_margin_as_a_load_is_that_of_all_gaits_of_the_plan(quick):
 
 
 def test_under_conditions_each_gait_is_followed_by_the_one_for_level_ground(quick):
-    steep = dataclasses.replace(quick, conditions=Conditions(slope_deg=20.0, tether_N=2.0))
+    steep = dataclasses.replace(quick, conditions=Conditions(slope_deg=20.0, tether_n=2.0))
     plan = make_plan(ParameterFile(), steep, 1)
     compared = with_comparisons(plan, ParameterFile(), steep, 1, nominal=False)
     names = ["min_power", "cruise", "max_speed"]
@@ -148,7 +148,7 @@ def test_a_calibrated_driver_gets_its_file():
         (("--set", "prot=/dev/ttyUSB0"), "no setting 'prot'"),
         (("--margin", "-1"), "margin: -1"),
         (("--slope", "91"), "slope_deg: 91"),
-        (("--tether-per-metre", "1"), "distance_m"),
+        (("--tether-length", "1"), "tether_n_per_m"),
         (("--set", "slope_deg=steep"), "steep"),
         (("--parameters", "none.yaml"), "none.yaml: cannot be read"),
         (("--mode", "imaginary"), "invalid choice"),

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from worm_model.conditions import CONDITION_PARAMETERS, LEVEL, Conditions
+from worm_msgs.conditions import CONDITION_ROWS, LEVEL, Conditions
 from worm_optimizer.operation.system import (
     MODES,
     NodeDescription,
@@ -205,7 +205,7 @@ def test_only_the_virtual_robot_is_driven_in_virtual_mode():
 
 
 def test_conditions_reach_twin_optimizer_recorder_and_virtual_robot():
-    stated = Conditions(slope_deg=-20.0, tether_N=2.0, tether_N_per_m=0.5, distance_m=3.0)
+    stated = Conditions(slope_deg=-20.0, tether_n=2.0, tether_n_per_m=0.5, distance_m=3.0)
     settings = settings_of(stated)
     assert conditions_of(settings) == stated
     system = load_system_file(SHIPPED).system("virtual", bag="b", **settings)
@@ -223,7 +223,7 @@ def test_conditions_that_are_not_stated_are_left_to_each_node():
     assert conditions_of({}) == LEVEL
     system = content.system("virtual", bag="b")
     for node in system.nodes:
-        assert not CONDITION_PARAMETERS.keys() & node.parameters.keys()
+        assert not CONDITION_ROWS.keys() & node.parameters.keys()
         assert "--slope" not in node.arguments
 
 

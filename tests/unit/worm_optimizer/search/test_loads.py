@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from gaits_for_tests import COARSE, QUICK, coarse_front
 
-from worm_model.conditions import Conditions, content_under, under
 from worm_model.gait import Gait
+from worm_model.loads import content_under, under
 from worm_model.parameters import PAPER, ParameterFile
 from worm_model.simulation.closed_form import cliff_margin, largest_load
 from worm_model.simulation.simulator import evaluate_gait
+from worm_msgs.conditions import Conditions
 from worm_optimizer.evaluation.task import Bounds, MarginTask
 from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.robustness.uncertainty import phase_known
@@ -22,7 +23,7 @@ from worm_optimizer.search.front import make_front
 from worm_optimizer.search.price_of_robustness import price_of_robustness
 from worm_optimizer.search.search_settings import Settings, settings_of
 
-UPHILL = under(Conditions(slope_deg=20.0, tether_N=2.0), PAPER)
+UPHILL = under(Conditions(slope_deg=20.0, tether_n=2.0), PAPER)
 
 
 def test_no_gait_of_a_dense_grid_is_cheaper_under_a_load():
@@ -85,7 +86,7 @@ def test_conditions_of_the_settings_load_the_robot():
 
 def test_an_interval_of_a_load_moves_with_the_conditions_and_is_drawn():
     content = ParameterFile(intervals={"rear_load": (-0.5, 0.5)})
-    loaded = content_under(Conditions(tether_N=2.0), content)
+    loaded = content_under(Conditions(tether_n=2.0), content)
     assert loaded.intervals["rear_load"] == pytest.approx((1.5, 2.5))
     drawn = phase_known(loaded, 2000, 1).overrides["rear_load"]
     assert np.mean(drawn) == pytest.approx(2.0, abs=0.02)
@@ -130,7 +131,7 @@ def test_gaits_that_do_not_move_carry_nothing():
 
 
 def test_a_load_that_the_fins_do_not_hold_is_the_reason():
-    settings = dataclasses.replace(QUICK, margin=0.0, conditions=Conditions(tether_N=200.0))
+    settings = dataclasses.replace(QUICK, margin=0.0, conditions=Conditions(tether_n=200.0))
     with pytest.raises(OptimizerError, match="200 N; the fins hold up to"):
         make_front(ParameterFile(), settings, 1)
 

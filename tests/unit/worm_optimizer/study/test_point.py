@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from study_cases import SMALL
 
-from worm_model.gait import SHAPE, Gait
 from worm_model.parameters import PAPER, ParameterFile
 from worm_model.simulation.closed_form import groove_phase
 from worm_model.simulation.simulator import evaluate_gait
+from worm_msgs.gait import SHAPE, Gait
 from worm_optimizer.evaluation.task import MarginTask
 from worm_optimizer.search.front import front_of_task
 from worm_optimizer.study.point import (
@@ -107,23 +107,23 @@ def test_an_interval_moves_with_its_value():
 def test_slope_and_tether_vary_as_loads():
     content = ParameterFile(PAPER, {"rear_load": (-1.0, 1.0)})
     study = dataclasses.replace(STUDY, files=(("robot", content),))
-    robot = content_of(study, {"slope_deg": 30.0, "tether_N": 2.0})
+    robot = content_of(study, {"slope_deg": 30.0, "tether_n": 2.0})
     weight = 9.80665 * 0.5
     assert robot.parameters.rear_load == pytest.approx(PAPER.rear_mass * weight + 2.0)
     assert robot.parameters.front_load == pytest.approx(PAPER.front_mass * weight)
     assert robot.intervals["rear_load"] == pytest.approx(
         (robot.parameters.rear_load - 1.0, robot.parameters.rear_load + 1.0)
     )
-    text = SMALL.replace("switching_threshold: [0.008, 0.0175]", "tether_N: [0.0, 5.0]")
+    text = SMALL.replace("switching_threshold: [0.008, 0.0175]", "tether_n: [0.0, 5.0]")
     varied = parse_study(text, Path())
-    assert varied.varied == ("parameter_file", "slack", "tether_N")
+    assert varied.varied == ("parameter_file", "slack", "tether_n")
 
 
 def test_a_larger_spool_pulls_faster_and_weaker(tmp_path):
     driver = tmp_path / "driver.yaml"
     driver.write_text(
         "driver:\n  ros__parameters:\n    cable_servos.spool_radius_m: [0.025]\n"
-        "    limits.max_cable_speed_m_per_s: 10.0\n"
+        "    limits.max_cable_speed_m_per_s: 2.0\n"
     )
     text = SMALL + f"hardware: {{driver: {driver}, servo_model: XL330-M288}}\n"
     study = parse_study(text, Path())

@@ -6,6 +6,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Final
 
+from worm_msgs.input_error import InputError
+
 # Faults of status packets.
 NO_ANSWER: Final = "no_answer"
 CORRUPTED_CRC: Final = "corrupted_crc"
@@ -72,8 +74,14 @@ KINDS: dict[str, FaultKind] = {
     ),
     PUT_BACK: FaultKind("the robot is moved back to its start, with straight fins", count=1),
     OCCLUDED: FaultKind("both markers are hidden from the camera", duration=1.0),
-    SLOPE: FaultKind("the pipe is value degrees steeper uphill", duration=10.0, value=10.0),
-    TETHER: FaultKind("the tether pulls value newtons more towards -x", duration=10.0, value=2.0),
+    SLOPE: FaultKind(
+        "the pipe is value degrees steeper uphill, at most vertical", duration=10.0, value=10.0
+    ),
+    TETHER: FaultKind(
+        "the tether pulls value newtons more towards -x, at least 0 in total",
+        duration=10.0,
+        value=2.0,
+    ),
     VANISHED: FaultKind(
         "a servo loses its supply, and boots when the supply returns", duration=1.0
     ),
@@ -98,7 +106,7 @@ KINDS: dict[str, FaultKind] = {
 }
 
 
-class FaultError(ValueError):
+class FaultError(InputError):
     """The fault is invalid. The message contains the remedy."""
 
 

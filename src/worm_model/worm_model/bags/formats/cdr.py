@@ -30,7 +30,7 @@ from worm_model.bags.formats.message_types import (
     typestore,
     with_definition,
 )
-from worm_model.gait import GAIT_DEFAULTS
+from worm_msgs.gait import GAIT_DEFAULTS
 
 #: values of fields that older messages lack, by type
 DEFAULTS: Mapping[str, Mapping[str, Any]] = {"worm_msgs/msg/Gait": GAIT_DEFAULTS}

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import os
 import platform
@@ -17,20 +18,15 @@ from worm_model.bags.bag import Bag
 from worm_model.bags.bag_errors import BagError
 from worm_model.bags.formats.contents import AttachedFile
 from worm_model.bags.recording.recorder import Manifest
-from worm_model.conditions import (
-    CONDITION_PARAMETERS,
-    LEVEL,
-    Conditions,
-    ConditionsError,
-    content_under,
-)
 from worm_model.errors import printable
+from worm_model.loads import content_under
 from worm_model.parameters import (
     ParameterError,
     ParameterFile,
     load_parameter_file,
     parse_parameter_file,
 )
+from worm_msgs.conditions import CONDITION_ROWS, LEVEL, Conditions
 
 RUN_RECORD = "worm_run"
 HOST = "host"  # key of the computer's name
@@ -96,8 +92,8 @@ def run_manifest(
 
 
 def _stored(conditions: Conditions) -> Mapping[str, str]:
-    values = {key: getattr(conditions, name) for key, name in CONDITION_PARAMETERS.items()}
-    return {key: repr(value) for key, value in values.items() if value}
+    values = dataclasses.asdict(conditions)
+    return {name: repr(value) for name, value in values.items() if value}
 
 
 def recorded_conditions(bag: Bag) -> Conditions:
@@ -109,16 +105,10 @@ def recorded_conditions(bag: Bag) -> Conditions:
     records = [dict(record.values) for record in bag.records if record.name == RUN_RECORD]
     try:
         found = {
-            Conditions(
-                **{
-                    name: float(record[key])
-                    for key, name in CONDITION_PARAMETERS.items()
-                    if key in record
-                }
-            )
+            Conditions(**{name: float(record[name]) for name in CONDITION_ROWS if name in record})
             for record in records
         }
-    except (ValueError, ConditionsError) as error:
+    except ValueError as error:
         raise ManifestError(f"{bag.path}: its conditions cannot be used ({error})") from None
     if len(found) > 1:
         raise ManifestError(

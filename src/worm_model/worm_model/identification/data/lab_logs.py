@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 
 from worm_model.arrays import Array
 from worm_model.errors import InputError
-from worm_model.gait import GAIT_COLUMNS, GAIT_DEFAULTS, Gait, GaitError, gait_of
 from worm_model.parameters import PAPER
 from worm_model.run import (
     Activity,
@@ -36,6 +35,7 @@ from worm_model.run import (
     TrackerSamples,
 )
 from worm_model.simulation.actuation import resting_change
+from worm_msgs.gait import GAIT_COLUMNS, GAIT_DEFAULTS, Gait, GaitError, gait_of
 
 TICKS_PER_TURN = 4096  # Dynamixel X series, ROBOTIS e-manual
 FILES = {

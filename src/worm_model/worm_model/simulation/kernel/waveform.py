@@ -19,8 +19,9 @@ from worm_model.simulation.kernel.actuation_law import (
 )
 from worm_model.simulation.kernel.compiled import compiled, inlined
 from worm_model.simulation.kernel.linear import Coefficients
+from worm_msgs.gait import Profile
 
-COSINE = 0.0  # value of `worm_model.gait.Profile`
+COSINE = float(Profile.COSINE)
 PARTS = 8  # slack, three pieces of the contraction, three of the extension, slack
 
 Borders = tuple[float, float, float, float, float, float, float, float]

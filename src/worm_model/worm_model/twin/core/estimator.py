@@ -66,6 +66,7 @@ from worm_model.twin.core.residuals import judge
 
 SECOND = 1e-9  # s per ns
 MOVED_M = 1e-6  # m, commanded contraction above which a run has begun, even without a driver state
+PULLED_M = 5e-4  # m, commanded contraction above which the cable counts as pulled
 FEWEST_LENGTHS = 4  # fewest lengths of a fit; a parabola through three would follow their noise
 ESTIMATED, MEASURED = int(LengthSource.ESTIMATED), int(LengthSource.MEASURED)
 
@@ -365,6 +366,10 @@ def _follow_command(memory: Memory, next_command: int, a: Actuator) -> None:
     if row.kind == COMMAND_KIND:
         if not m.command_ns:
             m.command_ns = row.stamp
+        pulls = row.a < -PULLED_M
+        if m.pulling and not pulls:
+            m.released_ns = row.stamp
+        m.pulling = 1 if pulls else 0
         _answer(memory, row.stamp, row.a, a)
     elif m.command_ns and next_command >= 0:
         after = memory.rows[next_command]

@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from worm_model.gait import GAIT_UNITS, WAVEFORM
 from worm_model.simulation.kernel.march import SAMPLE_COLUMNS, TOTALS_SIZE
 from worm_model.twin.records import RESIDUAL_ROW, STATE_ROW
 from worm_model.twin.samples import SAMPLE, SampleKind
+from worm_msgs.gait import GAIT_UNITS, WAVEFORM
 
 NANOSECONDS = 1_000_000_000
 KINDS = len(SampleKind)
@@ -63,6 +63,9 @@ FIELDS = (
     Field("counts", np.int64, "1", "number of samples by fate", len(VERDICTS)),
     # command, and the response of the length to it
     Field("activity", np.int64, "1", "last reported Activity of the driver, −1 before any"),
+    Field("rest_ns", np.int64, "ns", "stamp at which the driver last began to rest for a run"),
+    Field("pulling", np.int64, "1", "1 if the last command contracts the cable noticeably"),
+    Field("released_ns", np.int64, "ns", "stamp of the first command after the last such one"),
     Field("command_ns", np.int64, "ns", "stamp of `command` and `answer`"),
     Field("command", np.float64, "m", "u_cmd"),
     Field("answer", np.float64, "m", "ΔL that the actuation model computes from the command"),

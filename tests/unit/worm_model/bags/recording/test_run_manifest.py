@@ -20,10 +20,11 @@ from worm_model.bags.recording.run_manifest import (
     run_manifest,
 )
 from worm_model.bags.run_writer import write_run
-from worm_model.conditions import LEVEL, Conditions, under
 from worm_model.identification.identification_errors import IdentificationError
 from worm_model.identification.inputs import read_inputs
+from worm_model.loads import under
 from worm_model.parameters import PAPER, ParameterFile
+from worm_msgs.conditions import LEVEL, Conditions
 
 NOW = 1_800_000_000_000_000_000
 
@@ -57,7 +58,7 @@ def test_runs_of_different_parameter_files_are_not_judged_by_one_of_them(tmp_pat
         recorded_parameters(bag)
 
 
-STEEP = Conditions(slope_deg=20.0, tether_N=2.0, tether_N_per_m=0.5, distance_m=3.0)
+STEEP = Conditions(slope_deg=20.0, tether_n=2.0, tether_n_per_m=0.5, distance_m=3.0)
 
 
 def _bag_under(path: Path, conditions: Conditions, file: Path | None = None) -> Path:

@@ -13,11 +13,12 @@ import pytest
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import namespace_of, read_run
 from worm_model.commands import import_lab
-from worm_model.gait import GAIT_COLUMNS, Gait, Profile, named_values
+from worm_model.gait import named_values
 from worm_model.identification.data.lab_logs import LabError, LabSettings, read_lab_run
 from worm_model.parameters import PAPER
 from worm_model.run import POWER_VALID, Activity
 from worm_model.simulation.actuation import resting_change
+from worm_msgs.gait import GAIT_COLUMNS, Gait, Profile
 
 EPOCH = 1_767_225_600 * 10**9
 SETTINGS = LabSettings(epoch=EPOCH)

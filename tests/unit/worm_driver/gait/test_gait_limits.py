@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+import dataclasses
+import math
+import re
+
+import pytest
+
+from worm_driver.errors import LimitError
+from worm_driver.gait.gait_limits import GaitLimits
+from worm_driver.nodes.driver_messages import gait_from
+from worm_msgs.gait import Gait, Profile
+from worm_msgs.msg import Gait as GaitMessage
+
+
+def gait_message(stroke, frequency, **others):
+    return GaitMessage(
+        **{
+            **dataclasses.asdict(Gait(0.07, 0.2)),
+            "stroke": stroke,
+            "frequency": frequency,
+            **others,
+        }
+    )
+
+
+LIMITS = GaitLimits(max_stroke=0.09, max_frequency=0.4, max_cable_speed=0.1)
+
+
+@pytest.mark.parametrize(
+    ("values", "cycles", "message"),
+    [
+        ((math.nan, 0.2, {}), 5, "stroke: nan"),
+        ((0.07, math.inf, {}), 5, "frequency: inf"),
+        ((0.07, 0.2, {"margin": math.nan}), 5, "margin: nan"),
+        ((0.0, 0.2, {}), 5, "stroke: 0.0 m"),
+        ((0.0901, 0.2, {}), 5, "limits.max_stroke_m"),
+        ((-0.07, 0.2, {}), 5, "stroke: -0.07 m"),
+        ((0.07, -0.2, {}), 5, "frequency: -0.2 Hz"),
+        ((0.01, 0.41, {}), 5, "limits.max_frequency_hz"),
+        ((0.07, 0.2, {"direction": 0}), 5, "direction: 0 is neither 1"),
+        ((0.07, 0.2, {"margin": -1e-3}), 5, "margin: -0.001 m"),
+        ((0.07, 1e-300, {}), 5, "frequency 1e-300 Hz is outside 0.02 to 0.4"),
+        ((1e-300, 0.2, {}), 5, "stroke 1e-300 m is outside 0.001 to 0.09"),
+        ((0.07, 0.2, {"margin": 1e300}), 5, "margin: 1e+300 m"),
+        ((0.07, 0.1, {}), 1000, "take 10000 s; a run may take 7200 s: request at most 720 cycles"),
+        ((0.07, 0.2, {"pretension": math.nan}), 5, "pretension: nan"),
+        ((0.07, 0.2, {"pretension": -1e-3}), 5, "pretension: -0.001 m"),
+        ((0.07, 0.2, {"pretension": 0.021}), 5, "contract the body by 0.091 m; the limit is 0.09"),
+        ((0.07, 0.2, {"contraction_share": math.inf}), 5, "contraction_share: inf"),
+        (
+            (0.07, 0.2, {"contraction_share": 0.0}),
+            5,
+            "contraction_share: 0.0 is not between 0.01 and 0.99",
+        ),
+        (
+            (0.07, 0.2, {"contraction_share": 1.0}),
+            5,
+            "contraction_share: 1.0 is not between 0.01 and 0.99",
+        ),
+        ((0.07, 0.2, {"contraction_share": 0.2}), 5, "0.1100 m/s; the limit is 0.1000"),
+        ((0.07, 0.2, {"contraction_share": 0.8}), 5, "frequency is at most 0.0127 m/s"),
+        ((0.07, 0.2, {"profile": 2}), 5, "profile: 2 is neither cosine nor trapezoid"),
+        ((0.07, 0.2, {"ramp_share": 0.0}), 5, "ramp_share: 0.0 is not between 0.1 and 0.5"),
+        ((0.07, 0.2, {"profile": 1, "ramp_share": math.nan}), 5, "ramp_share: nan"),
+        ((0.08, 0.4, {"profile": 1, "ramp_share": 0.5}), 5, "0.1280 m/s"),
+        ((0.07, 0.2, {}), 0, "cycles must be 1 to"),
+        ((0.07, 0.2, {}), 10**6, "cycles must be 1 to"),
+        ((0.09, 0.4, {}), 5, "0.1131 m/s; the limit is 0.1000"),
+    ],
+)
+def test_a_gait_beyond_the_limits_is_rejected_with_the_reason(values, cycles, message):
+    stroke, frequency, others = values
+    with pytest.raises(LimitError, match=re.escape(message)):
+        LIMITS.check(gait_from(gait_message(stroke, frequency, **others)), cycles)
+
+
+@pytest.mark.parametrize(
+    "gait",
+    [
+        Gait(0.07, 0.2),
+        Gait(0.08, 0.2, pretension=0.01),
+        Gait(0.09, 0.4, profile=Profile.TRAPEZOID, ramp_share=0.1),
+    ],
+)
+def test_what_the_robot_can_play(gait):
+    LIMITS.check(gait, 5)
