@@ -17,6 +17,18 @@ MISSING = "–"
 
 
 @dataclass(frozen=True)
+class Number:
+    """Text of a number that is multiplied by ``scale`` and rounded to ``decimals``."""
+
+    scale: float
+    decimals: int
+
+    def __call__(self, value: float) -> str:
+        """Return the text of a value."""
+        return MISSING if math.isnan(value) else f"{self.scale * value:.{self.decimals}f}"
+
+
+@dataclass(frozen=True)
 class Column:
     """Column of the table of recorded runs. To add a column, add a row to COLUMNS.
 
@@ -25,48 +37,59 @@ class Column:
         title: title in the printed table; empty: the column is not printed.
         value: returns the value from the `bag_runs.RunMetrics` of a run.
         text: returns the printed text of a value that is not None.
+        label: title in the console's list; empty: the list does not contain the column.
     """
 
     key: str
     title: str
     value: Callable[[Any], Any]
     text: Callable[[Any], str] = str
+    label: str = ""
+
+    def cell(self, row: Mapping[str, Any]) -> Any:
+        """Return the value of a row in a list that sorts: a rounded number, or a text; None if it is missing."""
+        value = row.get(self.key)
+        if value is None or value != value:
+            return None
+        if isinstance(self.text, Number):
+            return round(self.text.scale * value, self.text.decimals)
+        return self.text(value)
 
 
-def _number(scale: float, decimals: int) -> Callable[[float], str]:
-    return lambda value: MISSING if math.isnan(value) else f"{scale * value:.{decimals}f}"
-
-
-def gait_text(gait: Mapping[str, Any] | None) -> str:
-    """Return the gait of a row as text: stroke, frequency and direction; empty without a gait."""
-    if gait is None:
-        return ""
+def _gait_text(gait: Mapping[str, Any]) -> str:
+    """Return the gait of a row as text: stroke, frequency and direction."""
     way = "" if gait["direction"] > 0 else " reverse"
     return f"{1e3 * gait['stroke']:.1f} mm {gait['frequency']:.3f} Hz{way}"
 
 
-def local_time(start: str) -> str:
+def _local_time(start: str) -> str:
     """Return the ``start`` of a row (ISO 8601) in local time to the second, like the names of bags."""
     return datetime.fromisoformat(start).astimezone().strftime("%Y-%m-%d %H:%M:%S")
 
 
 COLUMNS = (
-    Column("start", "start", lambda run: run.start, local_time),
-    Column("duration_s", "s", lambda run: run.duration_s, _number(1.0, 1)),
-    Column("gait", "gait", lambda run: named_values(run.played.gait), gait_text),
+    Column("start", "start", lambda run: run.start, _local_time, "start"),
+    Column("duration_s", "s", lambda run: run.duration_s, Number(1.0, 1)),
+    Column("gait", "gait", lambda run: named_values(run.played.gait), _gait_text, "gait"),
     Column(
         "conditions",
         "conditions",
         lambda run: asdict(run.conditions),
         lambda values: "" if (stated := Conditions(**values)) == LEVEL else str(stated),
     ),
-    Column("cycles", "cycles", lambda run: run.cycles, _number(1.0, 0)),
-    Column("groove_phase", "φ mm", lambda run: run.groove_phase, _number(1e3, 2)),
-    Column("grooves_per_cycle", "grooves", lambda run: run.grooves_per_cycle, _number(1.0, 2)),
-    Column("speed", "mm/s", lambda run: run.speed, _number(1e3, 2)),
-    Column("power", "W", lambda run: run.power, _number(1.0, 2)),
-    Column("cost_of_transport", "COT", lambda run: run.cost_of_transport, _number(1.0, 1)),
-    Column("health", "health", lambda run: run.report.health.name.lower()),
+    Column("cycles", "cycles", lambda run: run.cycles, Number(1.0, 0), "cycles"),
+    Column("groove_phase", "φ mm", lambda run: run.groove_phase, Number(1e3, 2)),
+    Column("grooves_per_cycle", "grooves", lambda run: run.grooves_per_cycle, Number(1.0, 2)),
+    Column("speed", "mm/s", lambda run: run.speed, Number(1e3, 2), "speed, mm/s"),
+    Column("power", "W", lambda run: run.power, Number(1.0, 2), "power, W"),
+    Column(
+        "cost_of_transport",
+        "COT",
+        lambda run: run.cost_of_transport,
+        Number(1.0, 1),
+        "cost of transport",
+    ),
+    Column("health", "health", lambda run: run.report.health.name.lower(), label="health"),
     Column("notes", "", lambda run: run.notes),
 )
 STATE = "state"  # key of the state of the files, which belongs to a bag, not to a run

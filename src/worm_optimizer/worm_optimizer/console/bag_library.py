@@ -17,7 +17,7 @@ from typing import Any
 
 import worm_model
 from worm_model.bags.finding import METADATA_FILE
-from worm_model.commands.bag_columns import gait_text, local_time
+from worm_model.commands.bag_columns import COLUMNS
 from worm_model.errors import InputError
 from worm_optimizer.console.run_traces import RunTraces, traces_of
 from worm_optimizer.operation.processes import executable_command
@@ -26,6 +26,7 @@ from worm_optimizer.report.report_page import PAGE, REPORT_SUFFIX, report_name
 _LONGEST = 200  # largest number of characters of a name; longer names are cut
 _IDENTIFIED = "identified_"  # prefix of the names of identified parameter files
 _DIGEST = 8  # number of characters of a digest in a name
+LISTED = tuple(column for column in COLUMNS if column.label)  # columns of the list of recordings
 
 Row = dict[str, Any]
 
@@ -239,11 +240,16 @@ def report_of(parameter_file: str) -> str:
     return report_name([Path(parameter_file).stem])
 
 
+def cells_of(row: Row) -> dict[str, Any]:
+    """Return the cells of a row in the list, by column."""
+    row = {**row, "health": row["health"] or row["state"]}
+    return {"name": row["name"], **{column.key: column.cell(row) for column in LISTED}}
+
+
 def matches(row: Row, words: str) -> bool:
-    """Return True if each of the words occurs in the displayed texts, direction or notes of a row, ignoring case."""
+    """Return True if each of the words occurs in the cells, state, direction or notes of a row, ignoring case."""
     gait = row["gait"]
-    start = row["start"] and local_time(row["start"])
     direction = "" if gait is None else ("forward" if gait["direction"] > 0 else "reverse")
-    shown = (row["name"], start, gait_text(gait), direction, row["health"], row["state"])
-    text = " ".join(str(part) for part in (*shown, row.get("notes")) if part).lower()
+    shown = (*cells_of(row).values(), row["state"], direction, row.get("notes"))
+    text = " ".join(map(str, filter(None, shown))).lower()
     return all(word in text for word in words.lower().split())

@@ -3,27 +3,15 @@
 
 from __future__ import annotations
 
-from typing import Any
 from urllib.parse import quote
 
 from nicegui import ui
 
-from worm_model.commands.bag_columns import gait_text, local_time
 from worm_model.errors import InputError
-from worm_optimizer.console.bag_library import Row, matches
+from worm_optimizer.console.bag_library import LISTED, Row, cells_of, matches
 from worm_optimizer.console.closer_page import CloserLook
 from worm_optimizer.console.console_state import ConsoleState
 
-_COLUMNS = (
-    ("name", "bag"),
-    ("start", "start"),
-    ("gait", "gait"),
-    ("cycles", "cycles"),
-    ("speed", "speed, mm/s"),
-    ("power", "power, W"),
-    ("cost_of_transport", "cost of transport"),
-    ("health", "health"),
-)
 _CHECKBOX = '<q-checkbox v-model="props.selected" :aria-label="{}" />'
 
 
@@ -53,7 +41,7 @@ class RecordingsPage:
         self._note = ui.label().classes("line").props("role=status")
         columns = [
             {"name": key, "field": key, "label": label, "align": "left", "sortable": True}
-            for key, label in _COLUMNS
+            for key, label in [("name", "bag"), *((column.key, column.label) for column in LISTED)]
         ]
         self._table = ui.table(
             columns=columns, rows=[], row_key="key", selection="multiple", pagination=20
@@ -76,7 +64,7 @@ class RecordingsPage:
 
     def _fill(self) -> None:
         """Show the rows that match the search, and the selected rows."""
-        rows = [_cells(row) for row in self._rows]
+        rows = [{"key": f"{row['name']} {row['start']}", **cells_of(row)} for row in self._rows]
         known = {row["key"] for row in rows}
         self._table.selected[:] = [row for row in self._table.selected if row["key"] in known]
         selected = {row["key"] for row in self._table.selected}
@@ -158,21 +146,3 @@ def report_frame(report: str) -> None:
         f'src="/reports/{quote(report)}" title="Report" sandbox="" '
         'style="width:100%;height:75vh;border:0;background:white"'
     )
-
-
-def _cells(row: Row) -> dict[str, Any]:
-    return {
-        "key": f"{row['name']} {row['start']}",
-        "name": row["name"],
-        "start": row["start"] and local_time(row["start"]),
-        "gait": gait_text(row["gait"]),
-        "cycles": row["cycles"],
-        "speed": _number(row["speed"], 1e3),
-        "power": _number(row["power"], 1.0),
-        "cost_of_transport": _number(row["cost_of_transport"], 1.0),
-        "health": row["health"] or row["state"],
-    }
-
-
-def _number(value: float | None, scale: float) -> float | None:
-    return None if value is None or value != value else round(scale * value, 2)

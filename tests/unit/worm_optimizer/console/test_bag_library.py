@@ -9,7 +9,7 @@ import pytest
 
 from worm_model.errors import InputError
 from worm_optimizer.console import bag_library
-from worm_optimizer.console.bag_library import BagLibrary, matches
+from worm_optimizer.console.bag_library import BagLibrary, cells_of, matches
 
 
 @pytest.fixture
@@ -59,12 +59,20 @@ def test_a_missing_folder_is_created_and_has_no_rows(tmp_path: Path):
 def test_a_row_matches_texts_that_its_table_shows():
     gait = {"direction": 1, "stroke": 0.07, "frequency": 0.2}
     row = {"name": "run_1", "start": "2026-11-21", "gait": gait, "health": "healthy", "state": ""}
-    for query in ("", "RUN forward", "11-21 healthy", "70", "70.0 mm", "0.200 hz"):
+    row |= {"speed": 0.00346, "power": float("nan"), "cycles": None}
+    for query in ("", "RUN forward", "11-21 healthy", "70", "70.0 mm", "0.200 hz", "3.46"):
         assert matches(row, query), query
-    for query in ("reverse", "faulty", "71"):
+    for query in ("reverse", "faulty", "71", "nan", "none"):
         assert not matches(row, query), query
     assert matches({**row, "gait": {**gait, "direction": -1}}, "reverse")
     assert matches({**row, "gait": None, "notes": "a new fin"}, "new FIN")
+
+
+def test_a_list_has_rounded_numbers_and_the_state_of_a_bag_without_health():
+    row = {"name": "run_1", "start": None, "gait": None, "health": None, "state": "damaged"}
+    cells = cells_of({**row, "speed": 0.0034567, "power": float("nan"), "cycles": 5})
+    assert (cells["speed"], cells["power"], cells["cycles"]) == (3.46, None, 5)
+    assert (cells["gait"], cells["health"]) == (None, "damaged")
 
 
 PROGRAM = """import sys
