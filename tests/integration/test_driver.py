@@ -239,8 +239,8 @@ def test_goals_that_cannot_be_played_are_rejected_with_the_reason(driver, comman
     assert "not configured" in probe.rejection(commander.send())
     commander.activate()
     for stroke, frequency, expected in (
-        (math.nan, 0.2, "stroke is nan"),
-        (0.07, -0.2, "frequency -0.2"),
+        (math.nan, 0.2, "stroke: nan"),
+        (0.07, -0.2, "frequency: -0.2"),
         (0.5, 0.2, "limits.max_stroke_m"),
     ):
         assert expected in probe.rejection(commander.send(stroke, frequency))
