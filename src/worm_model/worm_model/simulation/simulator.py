@@ -35,7 +35,7 @@ _NO_ROWS = np.empty((0, march.SAMPLE_COLUMNS))
 
 
 class SimulationError(RuntimeError):
-    """The simulation stopped because an anchor switches to and fro without end (the fin chatters)."""
+    """The simulation needed too many steps, as it does if a fin passes a border to and fro without end (chatters)."""
 
 
 class LoadError(InputError):
@@ -56,7 +56,10 @@ def _check(failure: float, subject: object, parameters: Parameters) -> None:
             "Reduce the load"
         )
     if failure:
-        raise SimulationError(f"{subject}: the anchors switch to and fro without end")
+        raise SimulationError(
+            f"{subject}: more than {march.MOST_STEPS} steps in one part of a cycle; a fin probably passes "
+            "the border of a groove to and fro without end"
+        )
 
 
 @dataclass(frozen=True)

@@ -38,7 +38,8 @@ WAVEFORMS = st.builds(
 )
 
 
-@pytest.mark.parametrize("seed", range(42))
+# From 10425 on: as with dry friction alone, see test_dry_friction.
+@pytest.mark.parametrize("seed", [*range(42), 10425, 19323])
 def test_random_loads_and_waveforms_agree_with_the_oracle(seed: int) -> None:
     _, gait, parameters = random_loaded_case(seed)
     oracle = Oracle(gait, parameters).run()

@@ -17,8 +17,9 @@ POSITION_TOLERANCE = 1e-9  # m
 POWER_TOLERANCE = 1e-6  # relative
 
 
-# 104: no clearance, a region without width must not hold a fin forever; 900: a fin at rest on its border
-@pytest.mark.parametrize("seed", [*range(50), 104, 900])
+# 104: no clearance, a region without width must not hold a fin forever; 900: a fin at rest on its border;
+# 363326: a fin approaches its border forever, at resonance
+@pytest.mark.parametrize("seed", [*range(50), 104, 900, 363326])
 def test_random_gaits_agree_with_the_oracle(seed: int) -> None:
     _, gait, parameters = random_case(seed)
     result = evaluate_gait(gait, parameters)

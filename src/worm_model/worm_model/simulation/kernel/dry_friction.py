@@ -70,19 +70,19 @@ def _sign(value: float) -> int:
 
 
 @inlined
-def _from_rest(load: float, stretch: int, bend: float, c: Constants) -> Grip:
+def _from_rest(load: float, stretch: int, apart: float, c: Constants) -> Grip:
     """Return the grip of two modules at rest.
 
-    ``load`` in N is the force on both modules together, ``stretch`` is the sign of L̇ from now on (0: ΔL is constant),
-    and ``bend`` is L̈ in m/s². With a growing force in the direction of ``stretch``, first no module, then one, then
-    both move in this direction.
+    ``load`` in N is the force on both modules together if the rear module stays at rest, and ``load + stretch·apart``
+    that if the front module stays at rest. ``stretch`` is the sign of L̇ from now on (0: ΔL is constant). ``apart`` is
+    negative if the rate of ΔL decays or is about to reverse. With a growing force in the direction of ``stretch``,
+    first no module, then one, then both move in this direction.
     """
     both = c.rear_dry + c.front_dry
     if stretch == 0:
         side = 0 if abs(load) <= both + SPARE else _sign(load)
         return Grip(side, side)
     along = stretch * load
-    apart = c.mass * max(stretch * bend, 0.0)
     if along > both + SPARE:
         return Grip(stretch, stretch)
     if along >= c.front_dry - c.rear_dry - SPARE:
@@ -114,6 +114,8 @@ def _judge(
         + fin_stiffness(motion.front_region, c.front_fin) * front
     )
     load = -fins - c.load - c.friction * rate - (c.mass - c.rear_mass) * bend
+    # that much more force acts if the front module stays at rest instead of the rear one
+    moved = 2.0 * c.friction * rate + c.mass * bend
     rear_rests = c.rear_dry > 0.0 and abs(rear_velocity) <= 2.0 * STILL
     front_rests = c.front_dry > 0.0 and abs(front_velocity) <= 2.0 * STILL
     if rear_rests and front_rests:
@@ -121,15 +123,17 @@ def _judge(
         if turn == 0.0:
             turn = bend if bend != 0.0 else value(derivative(bend_form, roots, wave), b)
         stretch = 0 if turn == 0.0 else _sign(turn)
-        grip = _from_rest(load, stretch, bend, c)
-        return grip, (c.mu if grip.rear == 0 or grip.front != 0 else c.mu - 1.0) * rate
+        grip = _from_rest(load, stretch, stretch * moved, c)
+        # Of two modules that slide to the same side, the one behind is at rest: the other one is ahead by L̇.
+        rear_waits = grip.rear == 0 or (grip.front != 0 and grip.front == stretch)
+        return grip, (c.mu if rear_waits else c.mu - 1.0) * rate
     if rear_rests:
         side = _sign(front_velocity)
         load -= c.front_dry * side
         return Grip(0 if abs(load) <= c.rear_dry + SPARE else _sign(load), side), c.mu * rate
     side = _sign(rear_velocity)
     if front_rests:
-        load += 2.0 * c.friction * rate + c.mass * bend - c.rear_dry * side
+        load += moved - c.rear_dry * side
         own = 0 if abs(load) <= c.front_dry + SPARE else _sign(load)
         return Grip(side, own), (c.mu - 1.0) * rate
     return Grip(side, _sign(front_velocity)), motion.rate

@@ -78,20 +78,35 @@ def follow(position: Coefficients, roots: Roots, wave: Wave) -> Followed:
     return Followed(position, rate, acceleration, amplitude)
 
 
+@inlined
+def _greatest(power: float, rate: float, s: float, end: float) -> float:
+    """Return the greatest value of t^power·e^(rate·t) over the times [s, end] in s, for a rate in 1/s of at most 0."""
+    t = min(max(s, -power / rate), end) if rate < 0.0 else end
+    return t**power * math.exp(rate * t)
+
+
 @compiled
-def _coarse_swing(c: Coefficients, s: float, end: float, roots: Roots, mass: float) -> float:
+def _coarse_swing(c: Coefficients, s: float, end: float, roots: Roots, wave: Wave) -> float:
     """Return a bound on the absolute value of the h1, h2 and R terms over the times [s, end] in the mode, s.
 
-    It is used for joined roots and for resonance, which are rare.
+    It is used for joined roots and for resonance, which are rare. R is a divided difference of e^(x·t) over r1, r2 and
+    q. Such a difference over two numbers is at most t·e^(slowest·t), and over three numbers t²/2·e^(slowest·t).
     """
     if not roots.joined:
         swing = abs(c.h1) * math.exp(roots.r1 * s) + abs(c.h2) * math.exp(roots.r2 * s)
-    elif roots.discriminant < 0.0:
-        longest = min(end, 1.0 / math.sqrt(-roots.discriminant))
-        swing = (abs(c.h1) + abs(c.h2) * longest) * math.exp(-roots.gamma * s)
     else:
-        swing = (abs(c.h1) + abs(c.h2) * end) * math.exp(roots.r1 * s)
-    return swing + abs(c.res) * 0.5 * end * end / mass
+        slow, longest = math.exp(roots.r1 * s), _greatest(1.0, roots.r1, s, end)
+        if roots.discriminant < 0.0:
+            longest = min(longest, slow / math.sqrt(-roots.discriminant))
+        swing = abs(c.h1) * slow + abs(c.h2) * longest
+    if c.res == 0.0:
+        return swing
+    slowest = max(roots.r1, wave.q)
+    response = 0.5 * _greatest(2.0, slowest, s, end)
+    spread = max(abs(wave.q + roots.gamma), math.sqrt(abs(roots.discriminant)))
+    if spread > 0.0:
+        response = min(response, 2.0 * _greatest(1.0, slowest, s, end) / spread)
+    return swing + abs(c.res) * response / wave.mass
 
 
 @inlined
@@ -112,7 +127,7 @@ def read(
         here, there = c.one + c.t1 * b.t1, c.one + c.t1 * end
         least, most = min(here, there), max(here, there)
     if coarse:
-        swing = _coarse_swing(c, s, s + left, roots, wave.mass)
+        swing = _coarse_swing(c, s, s + left, roots, wave)
         least, most = least - swing, most + swing
     else:
         slow, fast = c.h1 * b.h1, c.h2 * b.h2

@@ -96,7 +96,7 @@ EVENT_COLUMNS = 3
 # Entries of the totals
 WORK_DONE, SWITCHES, STEPS, SAMPLED, EVENTS, FAILURE = range(6)
 TOTALS_SIZE = 6
-CHATTERS = 1.0  # in the entry FAILURE: the anchors switch to and fro without end
+CHATTERS = 1.0  # in the entry FAILURE: MOST_STEPS are not sufficient, so a fin probably chatters
 
 
 class Segment(NamedTuple):
