@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A typical change is one edit: a copy of the sources gets one more entry, and the whole chain handles it.
 
-The copies run in processes of their own with an uncompiled kernel, which takes milliseconds per gait.
+The copies run in processes of their own with an uncompiled kernel, which takes milliseconds per gait. Where the edit
+is outside of the kernel and the run is long, one edited module stands before the original, and the kernel is compiled.
 """
 
 import json
@@ -15,6 +16,21 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("worm_msgs", "worm_driver", "worm_model", "worm_optimizer")
+
+
+def run_code(code: str, folder: Path, environment: dict[str, str]) -> dict:
+    """Run code in a process of its own and return the JSON object that it prints last."""
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment, cwd=folder, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def replaced(text: str, before: str, after: str) -> str:
+    """Replace a part of a text that occurs once."""
+    assert text.count(before) == 1, before
+    return text.replace(before, after)
 
 
 class Copy:
@@ -33,23 +49,14 @@ class Copy:
         """Replace a text that occurs at one place."""
         path = self.folder / file
         text = path.read_text(encoding="utf-8")
-        assert text.count(before) == 1, (file, before)
-        path.write_text(text.replace(before, after), encoding="utf-8")
+        path.write_text(replaced(text, before, after), encoding="utf-8")
 
     def run(self, code: str) -> dict:
         """Run code on the copy and return the JSON object that it prints last."""
         path = os.pathsep.join(str(self.folder / package) for package in PACKAGES)
         environment = os.environ | {"PYTHONPATH": path, "NUMBA_DISABLE_JIT": "1"}
         environment.pop("AMENT_PREFIX_PATH", None)  # definitions of messages come from the copy
-        done = subprocess.run(
-            [sys.executable, "-c", code],
-            env=environment,
-            cwd=self.folder,
-            capture_output=True,
-            text=True,
-        )
-        assert done.returncode == 0, done.stderr
-        return json.loads(done.stdout.splitlines()[-1])
+        return run_code(code, self.folder, environment)
 
 
 @pytest.fixture
@@ -266,6 +273,8 @@ import importlib.util, json, sys
 from dataclasses import replace
 sys.path[:0] = [ROOT, ROOT + "/tests"]
 import numpy as np
+import worm_model.twin
+worm_model.twin.__path__.insert(0, ".")
 from worm_model.gait import Gait
 from worm_model.parameters import PAPER
 from worm_model.twin.cause_table import EVENT_CODES, LASTING
@@ -310,7 +319,7 @@ print(json.dumps({
 """
 
 
-def test_a_cause_of_the_twin_is_a_row_of_the_table(copy):
+def test_a_cause_of_the_twin_is_a_row_of_the_table(tmp_path):
     """Signature, event, message, page and benchmark include it, also for a parameter that is 0 by default."""
     first = "#: lasting causes by name\nLASTING = {\n    row.name: row\n    for row in (\n"
     row = """        Cause(
@@ -326,8 +335,10 @@ def test_a_cause_of_the_twin_is_a_row_of_the_table(copy):
             trials=((0.2, 0.5, 1.0),),
         ),
 """
-    copy.edit("worm_model/worm_model/twin/cause_table.py", first, first + row)
-    seen = copy.run(CAUSE.replace("ROOT", repr(str(ROOT))))
+    table = ROOT / "src" / "worm_model" / "worm_model" / "twin" / "cause_table.py"
+    edited = replaced(table.read_text(encoding="utf-8"), first, first + row)
+    (tmp_path / table.name).write_text(edited, encoding="utf-8")
+    seen = run_code(CAUSE.replace("ROOT", repr(str(ROOT))), tmp_path, dict(os.environ))
     assert seen["default"] == 0.0
     assert seen["signature"] > 0.0
     assert seen["codes"] == ["stick_up"]
