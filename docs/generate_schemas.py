@@ -4,6 +4,7 @@
 The dataclasses that validate the files are the source. `./worm docs` runs it; a test fails if a schema is out of date.
 """
 
+import dataclasses
 import json
 import sys
 from pathlib import Path
@@ -12,33 +13,73 @@ from typing import Any
 from worm_driver.tracking.tracker_setup import SetupFile
 from worm_driver.virtual_robot.camera_images import CameraSettings
 from worm_driver.virtual_robot.virtual_settings import RobotSettings
+from worm_msgs.driver_file import DriverFile
 from worm_msgs.robot_parameters import ParameterFileContent
 from worm_msgs.settings_file import json_schema
 from worm_optimizer.operation.system import SystemFile
 from worm_optimizer.study.study_file import StudyFile
 
 ROOT = Path(__file__).resolve().parents[1]
-_DRIVER = ROOT / "src/worm_driver/worm_driver/config"
-#: Dataclass of each kind of file, by the path of its schema.
-SETTINGS: dict[Path, type[Any]] = {
-    _DRIVER / "tracker.schema.json": SetupFile,
-    _DRIVER / "virtual_camera.schema.json": CameraSettings,
-    _DRIVER / "virtual_robot.schema.json": RobotSettings,
-    ROOT / "src/worm_model/config/parameters.schema.json": ParameterFileContent,
-    ROOT / "src/worm_optimizer/config/study.schema.json": StudyFile,
-    ROOT / "src/worm_optimizer/config/system.schema.json": SystemFile,
+_DRIVER = ROOT / "src/worm_driver"
+_WITHIN = _DRIVER / "worm_driver/config"
+_OF_ROS = {  # parameters that every node accepts
+    "use_sim_time": {"type": "boolean"},
+    "start_type_description_service": {"type": "boolean"},
+    "qos_overrides": {"type": "object"},
 }
 
 
-def generated(kind: type[Any]) -> str:
+def parameter_file_schema(node: str, kind: type[Any]) -> dict[str, Any]:
+    """Return the JSON Schema of ROS parameter files with a node, whose parameters are the dataclass ``kind``.
+
+    A name such as limits.max_stroke_m is a key within a mapping. ROS also reads names with dots; the schema allows
+    them, but does not check them.
+    """
+    flat = json_schema(kind)
+    parameters = _mapping(dict(_OF_ROS), patternProperties={r"\.": {}})
+    for row in dataclasses.fields(kind):
+        *groups, name = row.metadata["alias"].split(".")
+        place = parameters["properties"]
+        for group in groups:
+            place = place.setdefault(group, _mapping({}))["properties"]
+        place[name] = flat["properties"][row.metadata["alias"]] | {
+            "title": name,
+            "description": row.metadata["meaning"],
+        }
+    content = {"ros__parameters": parameters}
+    return {
+        "$schema": flat["$schema"],
+        "description": flat["description"],
+        "type": "object",
+        "patternProperties": {f"(^|/){node}$": {"type": "object", "properties": content}},
+    }
+
+
+def _mapping(properties: dict[str, Any], **more: Any) -> dict[str, Any]:
+    return {"type": "object", "additionalProperties": False, "properties": properties, **more}
+
+
+#: Schema of each kind of file, by its path.
+SCHEMAS: dict[Path, dict[str, Any]] = {
+    _DRIVER / "config/driver.schema.json": parameter_file_schema("driver", DriverFile),
+    _WITHIN / "tracker.schema.json": json_schema(SetupFile),
+    _WITHIN / "virtual_camera.schema.json": json_schema(CameraSettings),
+    _WITHIN / "virtual_robot.schema.json": json_schema(RobotSettings),
+    ROOT / "src/worm_model/config/parameters.schema.json": json_schema(ParameterFileContent),
+    ROOT / "src/worm_optimizer/config/study.schema.json": json_schema(StudyFile),
+    ROOT / "src/worm_optimizer/config/system.schema.json": json_schema(SystemFile),
+}
+
+
+def generated(schema: dict[str, Any]) -> str:
     """Return the text of a schema file."""
-    return json.dumps(json_schema(kind), indent=2) + "\n"
+    return json.dumps(schema, indent=2) + "\n"
 
 
 def main() -> int:
     """Write the schemas."""
-    for path, kind in SETTINGS.items():
-        path.write_text(generated(kind), encoding="utf-8")
+    for path, schema in SCHEMAS.items():
+        path.write_text(generated(schema), encoding="utf-8")
     return 0
 
 
