@@ -200,6 +200,16 @@ def test_ctrl_c_ends_it(start):
     assert "Traceback" not in node.output()
 
 
+def test_ctrl_c_ends_a_long_computation(start, user):
+    node = start(margin_m=0.002)
+    node.wait_for_line("optimizer ready", 90.0)
+    # without an interruption this scan takes many times the time after which its parent would kill the node
+    user.send("scan_margin", ScanMargin.Goal(lowest=0.0, highest=0.02, step=3e-6, direction=1))
+    node.interrupt()
+    assert node.wait(TIMEOUT_S) == 0
+    assert "Traceback" not in node.output()
+
+
 @pytest.mark.parametrize(
     ("parameters", "expected"),
     [

@@ -55,6 +55,24 @@ class ShutdownRequest:
         """Return True if a signal has arrived."""
         return self._first is not None
 
+    @contextlib.contextmanager
+    def interrupting(self) -> Iterator[None]:
+        """Raise `KeyboardInterrupt` at the first signal, during a long computation of the main thread.
+
+        The computation must have no effect other than its result, because it ends at any point.
+        """
+
+        def interrupt() -> None:
+            raise KeyboardInterrupt
+
+        before, self.first = self.first, interrupt
+        try:
+            if self():
+                raise KeyboardInterrupt
+            yield
+        finally:
+            self.first = before
+
     def on_signal(self, number: int, _: FrameType | None) -> None:
         """Store the request and call `first` or `again`, as a handler of signals."""
         now = self._clock()

@@ -61,6 +61,19 @@ def test_only_a_later_ctrl_c_forces_the_end():
     assert reported == [40.0, 41.0]
 
 
+def test_a_signal_interrupts_a_long_computation_and_those_after_it(ros_domain):
+    with ros_process(["test"]) as ended:
+        first = ended.first
+        with ended.interrupting():
+            pass
+        assert ended.first is first
+        with pytest.raises(KeyboardInterrupt), ended.interrupting():
+            os.kill(os.getpid(), signal.SIGTERM)
+        with pytest.raises(KeyboardInterrupt), ended.interrupting():
+            pytest.fail("a computation begins after the signal")
+        os.kill(os.getpid(), signal.SIGINT)  # interrupts nothing outside of a computation
+
+
 def test_a_ros_argument_that_cannot_be_used_is_one_line_and_status_2(ros_domain, capsys):
     arguments = ["test", "--ros-args", "--params-file", "/nope"]
     for use in (lambda: own_arguments(arguments), lambda: ros_process(arguments).__enter__()):

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import SetParametersResult
@@ -35,6 +35,13 @@ PARAMETER_FILE = "parameter_file"
 # Largest number of stored fronts for initial lengths other than that of the parameters
 MOST_RESTING = 8
 _NAMES = {FORWARD: "forward", REVERSE: "reverse"}
+
+_Arguments = ParamSpec("_Arguments")
+_Result = TypeVar("_Result")
+
+
+class ShutdownError(OptimizerError):
+    """A signal ended the computation."""
 
 
 def rows() -> list[ParameterRow]:
@@ -104,12 +111,16 @@ class OptimizerNode(Node):
     The forward front is computed at the start, the reverse front at the first request that needs it. Fronts are stored
     until the settings, the conditions or the parameter file change.
 
+    Args:
+        ended: request to end the process, which also ends a running computation.
+
     Raises:
         ParameterError, ConditionsError, OptimizerError, OSError: A parameter of the node is invalid.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, ended: ShutdownRequest) -> None:
         super().__init__("optimizer")
+        self._ended = ended
         declare(self, rows)
         self._settings = _settings_of_node(self)
         file = self.get_parameter(PARAMETER_FILE).value
@@ -130,11 +141,26 @@ class OptimizerNode(Node):
 
     # --- the fronts --------------------------------------------------------------------------------
 
+    def _computed(
+        self,
+        compute: Callable[_Arguments, _Result],
+        *arguments: _Arguments.args,
+        **keywords: _Arguments.kwargs,
+    ) -> _Result:
+        """Return the result of a long computation. Raises `ShutdownError` if a signal requests the end of the node."""
+        try:
+            with self._ended.interrupting():
+                return compute(*arguments, **keywords)
+        except KeyboardInterrupt:
+            raise ShutdownError("the optimizer is ending") from None
+
     def _prepare(self) -> None:
         """Compute the forward front in advance."""
         self._first.cancel()
         try:
             self._front(FORWARD)
+        except ShutdownError:
+            return
         except (OptimizerError, SimulationError) as error:
             self.get_logger().error(f"the forward front cannot be computed: {error}")
 
@@ -146,7 +172,7 @@ class OptimizerNode(Node):
         if direction not in self._fronts:
             self._failures.pop(direction, None)
             try:
-                self._store(make_front(self._content, self._settings, direction))
+                self._store(self._computed(make_front, self._content, self._settings, direction))
             except (OptimizerError, SimulationError) as error:
                 self._failures[direction] = str(error)
                 raise
@@ -235,7 +261,7 @@ class OptimizerNode(Node):
             settings = front.settings.with_margin(front.margin)
             if len(self._resting) >= MOST_RESTING:
                 self._resting.pop(next(iter(self._resting)))
-            self._resting[key] = make_front(content, settings, front.direction)
+            self._resting[key] = self._computed(make_front, content, settings, front.direction)
         return self._resting[key]
 
     # --- actions --------------------------------------------------------------------------------
@@ -267,7 +293,7 @@ class OptimizerNode(Node):
         try:
             settings = optimizer_messages.settings_of_goal(self._settings, goal.request)
             direction = optimizer_messages.direction_of(goal.request.direction)
-            front = make_front(self._content, settings, direction)
+            front = self._computed(make_front, self._content, settings, direction)
         except (OptimizerError, SimulationError) as error:
             goal.abort()
             return OptimizeGaits.Result(message=str(error))
@@ -281,7 +307,7 @@ class OptimizerNode(Node):
         try:
             settings = optimizer_messages.scan_of_goal(self._settings, goal.request)
             direction = optimizer_messages.direction_of(goal.request.direction)
-            price = scanned_price(self._content, settings, direction)
+            price = self._computed(scanned_price, self._content, settings, direction)
         except (OptimizerError, SimulationError) as error:
             goal.abort()
             return ScanMargin.Result(message=str(error))
@@ -326,7 +352,7 @@ def main() -> int:
 
 
 def _run(ended: ShutdownRequest) -> None:
-    node = OptimizerNode()
+    node = OptimizerNode(ended)
     try:
         spin(node, ended)
     finally:
