@@ -364,12 +364,12 @@ class Locomotion:
         return LocomotionState(
             time=time,
             length_change=length_change,
-            y=x1 + c.mu * length_change,
+            y=x1 + c.body.mu * length_change,
             y_rate=0.0,
             rear_groove=0,
             front_groove=groove,
-            rear_region=region_of(x1, c.half_clearance),
-            front_region=region_of(x2 - groove * c.pitch, c.half_clearance),
+            rear_region=region_of(x1, c.body.half_clearance),
+            front_region=region_of(x2 - groove * c.body.pitch, c.body.half_clearance),
         )
 
     def at_rest(self, time: float = 0.0, length_change: float = 0.0) -> LocomotionState:
@@ -389,7 +389,7 @@ class Locomotion:
 
     def x1(self, state: LocomotionState) -> float:
         """Return the position of the rear module in m."""
-        return state.y - self._constants().mu * state.length_change
+        return state.y - self._constants().body.mu * state.length_change
 
     def x2(self, state: LocomotionState) -> float:
         """Return the position of the front module in m."""

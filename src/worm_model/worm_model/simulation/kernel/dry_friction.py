@@ -78,16 +78,16 @@ def _from_rest(load: float, stretch: int, apart: float, c: Constants) -> Grip:
     negative if the rate of ΔL decays or is about to reverse. With a growing force in the direction of ``stretch``,
     first no module, then one, then both move in this direction.
     """
-    both = c.rear_dry + c.front_dry
+    both = c.resistance.rear_dry + c.resistance.front_dry
     if stretch == 0:
         side = 0 if abs(load) <= both + SPARE else _sign(load)
         return Grip(side, side)
     along = stretch * load
     if along > both + SPARE:
         return Grip(stretch, stretch)
-    if along >= c.front_dry - c.rear_dry - SPARE:
+    if along >= c.resistance.front_dry - c.resistance.rear_dry - SPARE:
         return Grip(0, stretch)
-    if along > c.front_dry - c.rear_dry - apart + SPARE:
+    if along > c.resistance.front_dry - c.resistance.rear_dry - apart + SPARE:
         return Grip(-stretch, stretch)
     if along >= -both - apart - SPARE:
         return Grip(-stretch, 0)
@@ -99,25 +99,32 @@ def _judge(
     motion: Motion, length_change: Coefficients, wave: Wave, c: Constants, b: Basis
 ) -> tuple[Grip, float]:
     """Return (the grip from now on, ẏ). If a module rests, ẏ is computed from L̇ alone, without a rounding error."""
-    roots = roots_of(c.mass, c.friction, 0.0)
+    roots = roots_of(c.body.mass, c.body.friction, 0.0)
     rate_form = derivative(length_change, roots, wave)
     bend_form = derivative(rate_form, roots, wave)
     change, rate, bend = value(length_change, b), value(rate_form, b), value(bend_form, b)
-    rear_velocity = motion.rate - c.mu * rate
+    rear_velocity = motion.rate - c.body.mu * rate
     front_velocity = rear_velocity + rate
-    rear = motion.y - c.mu * change - motion.rear_groove * c.pitch
-    front = motion.y + (1.0 - c.mu) * change + c.initial_length - motion.front_groove * c.pitch
-    rear -= (motion.rear_region - 1.0) * c.half_clearance
-    front -= (motion.front_region - 1.0) * c.half_clearance
+    rear = motion.y - c.body.mu * change - motion.rear_groove * c.body.pitch
+    front = (
+        motion.y
+        + (1.0 - c.body.mu) * change
+        + c.body.initial_length
+        - motion.front_groove * c.body.pitch
+    )
+    rear -= (motion.rear_region - 1.0) * c.body.half_clearance
+    front -= (motion.front_region - 1.0) * c.body.half_clearance
     fins = (
         fin_stiffness(motion.rear_region, c.rear_fin) * rear
         + fin_stiffness(motion.front_region, c.front_fin) * front
     )
-    load = -fins - c.load - c.friction * rate - (c.mass - c.rear_mass) * bend
+    load = (
+        -fins - c.resistance.load - c.body.friction * rate - (c.body.mass - c.body.rear_mass) * bend
+    )
     # that much more force acts if the front module stays at rest instead of the rear one
-    moved = 2.0 * c.friction * rate + c.mass * bend
-    rear_rests = c.rear_dry > 0.0 and abs(rear_velocity) <= 2.0 * STILL
-    front_rests = c.front_dry > 0.0 and abs(front_velocity) <= 2.0 * STILL
+    moved = 2.0 * c.body.friction * rate + c.body.mass * bend
+    rear_rests = c.resistance.rear_dry > 0.0 and abs(rear_velocity) <= 2.0 * STILL
+    front_rests = c.resistance.front_dry > 0.0 and abs(front_velocity) <= 2.0 * STILL
     if rear_rests and front_rests:
         turn = rate
         if turn == 0.0:
@@ -126,16 +133,18 @@ def _judge(
         grip = _from_rest(load, stretch, stretch * moved, c)
         # Of two modules that slide to the same side, the one behind is at rest: the other one is ahead by L̇.
         rear_waits = grip.rear == 0 or (grip.front != 0 and grip.front == stretch)
-        return grip, (c.mu if rear_waits else c.mu - 1.0) * rate
+        return grip, (c.body.mu if rear_waits else c.body.mu - 1.0) * rate
     if rear_rests:
         side = _sign(front_velocity)
-        load -= c.front_dry * side
-        return Grip(0 if abs(load) <= c.rear_dry + SPARE else _sign(load), side), c.mu * rate
+        load -= c.resistance.front_dry * side
+        return Grip(
+            0 if abs(load) <= c.resistance.rear_dry + SPARE else _sign(load), side
+        ), c.body.mu * rate
     side = _sign(rear_velocity)
     if front_rests:
-        load += moved - c.rear_dry * side
-        own = 0 if abs(load) <= c.front_dry + SPARE else _sign(load)
-        return Grip(side, own), (c.mu - 1.0) * rate
+        load += moved - c.resistance.rear_dry * side
+        own = 0 if abs(load) <= c.resistance.front_dry + SPARE else _sign(load)
+        return Grip(side, own), (c.body.mu - 1.0) * rate
     return Grip(side, _sign(front_velocity)), motion.rate
 
 
@@ -146,15 +155,19 @@ def _held(mode: Mode, grip: Grip, motion: Motion, wave: Wave, c: Constants) -> C
     bend = derivative(rate, mode.roots, wave)
     fins = combine(
         -1.0,
-        fin_force(mode.rear, motion.rear_region, c.rear_fin, c.half_clearance),
+        fin_force(mode.rear, motion.rear_region, c.rear_fin, c.body.half_clearance),
         -1.0,
-        fin_force(mode.front, motion.front_region, c.front_fin, c.half_clearance),
+        fin_force(mode.front, motion.front_region, c.front_fin, c.body.half_clearance),
     )
     if grip.rear == 0:
-        moved = combine(-c.friction, rate, c.rear_mass - c.mass, bend)
-        return shifted(combine(1.0, fins, 1.0, moved), -c.front_dry * grip.front - c.load)
-    moved = combine(c.friction, rate, c.rear_mass, bend)
-    return shifted(combine(1.0, fins, 1.0, moved), -c.rear_dry * grip.rear - c.load)
+        moved = combine(-c.body.friction, rate, c.body.rear_mass - c.body.mass, bend)
+        return shifted(
+            combine(1.0, fins, 1.0, moved), -c.resistance.front_dry * grip.front - c.resistance.load
+        )
+    moved = combine(c.body.friction, rate, c.body.rear_mass, bend)
+    return shifted(
+        combine(1.0, fins, 1.0, moved), -c.resistance.rear_dry * grip.rear - c.resistance.load
+    )
 
 
 @compiled
@@ -176,17 +189,23 @@ def enter_dry_mode(
         motion.rear_region,
         motion.front_region,
     )
-    push = -(c.rear_dry * grip.rear + c.front_dry * grip.front)
+    push = -(c.resistance.rear_dry * grip.rear + c.resistance.front_dry * grip.front)
     mode = enter_mode(motion, length_change, wave, c, start, push)
     if grip.rear == 0 or grip.front == 0:
-        share = c.mu if grip.rear == 0 else c.mu - 1.0
+        share = c.body.mu if grip.rear == 0 else c.body.mu - 1.0
         rest = motion.y - share * value(length_change, start)
         y = shifted(combine(share, length_change, 0.0, length_change), rest)
-        mode = mode_of(y, length_change, motion, roots_of(c.mass, c.friction, 0.0), False, c)
+        mode = mode_of(
+            y, length_change, motion, roots_of(c.body.mass, c.body.friction, 0.0), False, c
+        )
     force = cable_force(mode, motion.rear_region, wave, c)
     if grip.rear != 0:
-        return mode, shifted(force, c.rear_dry * grip.rear), grip
-    own = 1.0 if grip.front != 0 else c.rear_dry / (c.rear_dry + c.front_dry)
+        return mode, shifted(force, c.resistance.rear_dry * grip.rear), grip
+    own = (
+        1.0
+        if grip.front != 0
+        else c.resistance.rear_dry / (c.resistance.rear_dry + c.resistance.front_dry)
+    )
     return mode, combine(1.0, force, own, _held(mode, grip, motion, wave, c)), grip
 
 
@@ -199,16 +218,16 @@ def _watched(
     A limit of ±NEVER has no effect.
     """
     side = grip.front if at_front else grip.rear
-    dry = c.front_dry if at_front else c.rear_dry
+    dry = c.resistance.front_dry if at_front else c.resistance.rear_dry
     together = grip.rear == 0 and grip.front == 0
     if dry == 0.0 or (together and at_front):
         return mode.rear, -NEVER, NEVER
     if side == 0:
-        limit = 2.0 * SPARE + (c.rear_dry + c.front_dry if together else dry)
+        limit = 2.0 * SPARE + (c.resistance.rear_dry + c.resistance.front_dry if together else dry)
         return _held(mode, grip, motion, wave, c), -limit, limit
     y_rate = derivative(mode.y, mode.roots, wave)
     rate = derivative(mode.length_change, mode.roots, wave)
-    velocity = combine(1.0, y_rate, 1.0 - c.mu if at_front else -c.mu, rate)
+    velocity = combine(1.0, y_rate, 1.0 - c.body.mu if at_front else -c.body.mu, rate)
     return velocity, (-STILL if side > 0 else -NEVER), (STILL if side < 0 else NEVER)
 
 

@@ -52,21 +52,8 @@ def in_grooves(even: Constants, motion: Motion, grooves: Grooves) -> Constants:
     ``even`` are the constants in grooves that do not differ.
     """
     return Constants(
-        even.mass,
-        even.mu,
-        even.friction,
+        even.body,
         _fin_in(motion.rear_groove, grooves.rear, even.rear_fin),
         _fin_in(motion.front_groove - grooves.front_start, grooves.front, even.front_fin),
-        even.half_clearance,
-        even.pitch,
-        even.initial_length,
-        even.rear_mass,
-        even.bellows_stiffness,
-        even.bellows_damping,
-        even.unstressed_length,
-        even.rear_dry,
-        even.front_dry,
-        even.rear_load,
-        even.load,
-        even.one_sided_cable,
+        even.resistance,
     )

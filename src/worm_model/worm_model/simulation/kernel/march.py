@@ -145,7 +145,7 @@ class PositiveWork(NamedTuple):
 @inlined
 def is_dry(c: Constants) -> bool:
     """Return True if a module has dry friction."""
-    return c.rear_dry + c.front_dry > 0.0
+    return c.resistance.rear_dry + c.resistance.front_dry > 0.0
 
 
 @inlined
@@ -166,8 +166,8 @@ def _open_stage(motion: Motion, segment: Segment, offset: float, b: Basis, c: Co
     else:
         mode = enter_mode(motion, segment.length_change, wave, c, b, 0.0)
         force, grip = cable_force(mode, motion.rear_region, wave, c), Grip(0, 0)
-    rear_low, rear_high = _borders(motion.rear_region, c.rear_fin, c.half_clearance)
-    front_low, front_high = _borders(motion.front_region, c.front_fin, c.half_clearance)
+    rear_low, rear_high = _borders(motion.rear_region, c.rear_fin, c.body.half_clearance)
+    front_low, front_high = _borders(motion.front_region, c.front_fin, c.body.half_clearance)
     return Stage(
         offset,
         mode,
@@ -276,7 +276,7 @@ def _antiderivative(stage: Stage, b: Basis, wave: Wave) -> float:
 def _open_work(
     force_side: float, rate_side: float, stage: Stage, b: Basis, wave: Wave, c: Constants
 ) -> PositiveWork:
-    active = wave.q != 0.0 and cable_power_of(force_side, rate_side, c.one_sided_cable) > 0.0
+    active = wave.q != 0.0 and cable_power_of(force_side, rate_side, c.body.one_sided_cable) > 0.0
     mark = _antiderivative(stage, b, wave) if active else 0.0
     return PositiveWork(force_side, rate_side, active, mark)
 
@@ -293,8 +293,8 @@ def _crossed(motion: Motion, stop: int, y: float, y_rate: float, c: Constants) -
         region = ABOVE if direction > 0 else BELOW
     elif (region == ABOVE) == (direction > 0):
         groove += direction
-        region = region_of(direction * (threshold - c.pitch), c.half_clearance)
-    elif c.half_clearance > 0.0:
+        region = region_of(direction * (threshold - c.body.pitch), c.body.half_clearance)
+    elif c.body.half_clearance > 0.0:
         region = CLEAR
     else:  # Without clearance there is no region CLEAR: a fin could enter and leave it endlessly.
         region = ABOVE if direction > 0 else BELOW
@@ -311,19 +311,19 @@ def _write_sample(
     mode = stage.mode
     length_change, length_rate = value(mode.length_change, b), value(stage.length_rate.position, b)
     rear, front = value(mode.rear, b), value(mode.front, b)
-    x1_rate = value(derivative(mode.y, mode.roots, wave), b) - c.mu * length_rate
-    row[X1] = rear + motion.rear_groove * c.pitch
-    row[X2] = front + motion.front_groove * c.pitch
+    x1_rate = value(derivative(mode.y, mode.roots, wave), b) - c.body.mu * length_rate
+    row[X1] = rear + motion.rear_groove * c.body.pitch
+    row[X2] = front + motion.front_groove * c.body.pitch
     row[V1] = x1_rate
     row[V2] = x1_rate + length_rate
     row[LENGTH_CHANGE] = length_change
     row[LENGTH_RATE] = length_rate
     row[FORCE] = value(stage.force.position, b)
     row[REAR_FORCE] = fin_stiffness(motion.rear_region, c.rear_fin) * (
-        rear - (motion.rear_region - 1.0) * c.half_clearance
+        rear - (motion.rear_region - 1.0) * c.body.half_clearance
     )
     row[FRONT_FORCE] = fin_stiffness(motion.front_region, c.front_fin) * (
-        front - (motion.front_region - 1.0) * c.half_clearance
+        front - (motion.front_region - 1.0) * c.body.half_clearance
     )
     row[REAR_GROOVE] = motion.rear_groove
     row[FRONT_GROOVE] = motion.front_groove
@@ -435,7 +435,7 @@ def march(
     """
     c = even if grooves is None else in_grooves(even, motion, grooves)
     totals[STEPS] = 0.0
-    b = basis_at(0.0, 0.0, roots_of(c.mass, c.friction, 0.0), segment.wave, False)
+    b = basis_at(0.0, 0.0, roots_of(c.body.mass, c.body.friction, 0.0), segment.wave, False)
     offset = 0.0
     while True:
         stage = _open_stage(motion, segment, offset, b, c)

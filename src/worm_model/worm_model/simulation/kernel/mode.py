@@ -40,8 +40,8 @@ class Fin(NamedTuple):
     threshold: float
 
 
-class Constants(NamedTuple):
-    """Parameters in SI units, as the kernel uses them; for the meaning see docs/model.md.
+class Body(NamedTuple):
+    """Parameters of the body and of its pipe in SI units; for the meaning see docs/model.md.
 
     ``mass`` is M1 + M2, ``mu`` is M2 / (M1 + M2), ``friction`` is η.
     """
@@ -49,8 +49,6 @@ class Constants(NamedTuple):
     mass: float
     mu: float
     friction: float
-    rear_fin: Fin
-    front_fin: Fin
     half_clearance: float
     pitch: float
     initial_length: float
@@ -58,11 +56,25 @@ class Constants(NamedTuple):
     bellows_stiffness: float
     bellows_damping: float
     unstressed_length: float
+    one_sided_cable: bool
+
+
+class Resistance(NamedTuple):
+    """Forces in N that do not depend on the position or on the magnitude of a velocity."""
+
     rear_dry: float
     front_dry: float
     rear_load: float
     load: float  # sum of both modules' loads
-    one_sided_cable: bool
+
+
+class Constants(NamedTuple):
+    """Parameters of a robot, as the kernel uses them, with one part for each set of values that is exchanged alone."""
+
+    body: Body
+    rear_fin: Fin
+    front_fin: Fin
+    resistance: Resistance
 
 
 class Motion(NamedTuple):
@@ -152,9 +164,9 @@ def _particular(
     g: Coefficients, k: float, c: Constants, wave: Wave, resonant: bool, start: Basis
 ) -> Coefficients:
     """Return a particular response to the forcing g. If q is resonant, it contains R, which starts from rest."""
-    p0, p1, p2, p3 = _polynomial_response(g, k, c.friction, c.mass)
-    in_phase = k - c.mass * wave.omega * wave.omega
-    in_quadrature = 2.0 * c.friction * wave.omega
+    p0, p1, p2, p3 = _polynomial_response(g, k, c.body.friction, c.body.mass)
+    in_phase = k - c.body.mass * wave.omega * wave.omega
+    in_quadrature = 2.0 * c.body.friction * wave.omega
     cos, sin, exp, res = 0.0, 0.0, 0.0, 0.0
     if wave.omega != 0.0:
         norm = in_phase * in_phase + in_quadrature * in_quadrature
@@ -164,7 +176,7 @@ def _particular(
         if resonant:
             res = g.exp * start.exp
         else:
-            exp = g.exp / (c.mass * wave.q * wave.q + 2.0 * c.friction * wave.q + k)
+            exp = g.exp / (c.body.mass * wave.q * wave.q + 2.0 * c.body.friction * wave.q + k)
     return Coefficients(p0, p1, p2, p3, cos, sin, exp, 0.0, 0.0, res)
 
 
@@ -187,9 +199,9 @@ def mode_of(
     c: Constants,
 ) -> Mode:
     """Return the mode with these y and ΔL, and the fin displacements that follow from them."""
-    rear = shifted(combine(1.0, y, -c.mu, length_change), -motion.rear_groove * c.pitch)
-    offset = c.initial_length - motion.front_groove * c.pitch
-    front = shifted(combine(1.0, y, 1.0 - c.mu, length_change), offset)
+    rear = shifted(combine(1.0, y, -c.body.mu, length_change), -motion.rear_groove * c.body.pitch)
+    offset = c.body.initial_length - motion.front_groove * c.body.pitch
+    front = shifted(combine(1.0, y, 1.0 - c.body.mu, length_change), offset)
     return Mode(y, length_change, rear, front, roots, resonant)
 
 
@@ -209,21 +221,23 @@ def enter_mode(
     """
     rear_k = fin_stiffness(motion.rear_region, c.rear_fin)
     front_k = fin_stiffness(motion.front_region, c.front_fin)
-    rear_anchor = motion.rear_groove * c.pitch
-    front_anchor = motion.front_groove * c.pitch
+    rear_anchor = motion.rear_groove * c.body.pitch
+    front_anchor = motion.front_groove * c.body.pitch
     k = rear_k + front_k
-    roots = roots_of(c.mass, c.friction, k)
+    roots = roots_of(c.body.mass, c.body.friction, k)
     resonant = wave.q != 0.0 and is_resonant(roots, wave.q)
     length_rate = derivative(length_change, roots, wave)
     forcing = combine(
-        (2.0 * c.mu - 1.0) * c.friction,
+        (2.0 * c.body.mu - 1.0) * c.body.friction,
         length_rate,
-        rear_k * c.mu - front_k * (1.0 - c.mu),
+        rear_k * c.body.mu - front_k * (1.0 - c.body.mu),
         length_change,
     )
-    rear_rest = rear_anchor + (motion.rear_region - 1.0) * c.half_clearance
-    front_rest = front_anchor + (motion.front_region - 1.0) * c.half_clearance - c.initial_length
-    forcing = shifted(forcing, rear_k * rear_rest + front_k * front_rest + push - c.load)
+    rear_rest = rear_anchor + (motion.rear_region - 1.0) * c.body.half_clearance
+    front_rest = (
+        front_anchor + (motion.front_region - 1.0) * c.body.half_clearance - c.body.initial_length
+    )
+    forcing = shifted(forcing, rear_k * rear_rest + front_k * front_rest + push - c.resistance.load)
     p = _particular(forcing, k, c, wave, resonant, start)
     p_rate = derivative(p, roots, wave)
     # R and its rate are 0 at the start of the mode, so only the functions of σ contribute to the initial values.
@@ -238,13 +252,18 @@ def enter_mode(
 def cable_force(mode: Mode, rear_region: int, wave: Wave, c: Constants) -> Coefficients:
     """Return F_c in N in a mode (eq:Fc), without dry friction."""
     length_rate = derivative(mode.length_change, mode.roots, wave)
-    x1 = combine(1.0, mode.y, -c.mu, mode.length_change)
+    x1 = combine(1.0, mode.y, -c.body.mu, mode.length_change)
     x1_rate = derivative(x1, mode.roots, wave)
     x1_acceleration = derivative(x1_rate, mode.roots, wave)
-    inertial = combine(c.rear_mass, x1_acceleration, c.friction, x1_rate)
-    body = combine(-c.bellows_stiffness, mode.length_change, -c.bellows_damping, length_rate)
-    constant = c.bellows_stiffness * (c.unstressed_length - c.initial_length) + c.rear_load
+    inertial = combine(c.body.rear_mass, x1_acceleration, c.body.friction, x1_rate)
+    body = combine(
+        -c.body.bellows_stiffness, mode.length_change, -c.body.bellows_damping, length_rate
+    )
+    constant = (
+        c.body.bellows_stiffness * (c.body.unstressed_length - c.body.initial_length)
+        + c.resistance.rear_load
+    )
     body = shifted(body, constant)
     held = combine(1.0, inertial, 1.0, body)
-    fin = fin_force(mode.rear, rear_region, c.rear_fin, c.half_clearance)
+    fin = fin_force(mode.rear, rear_region, c.rear_fin, c.body.half_clearance)
     return combine(1.0, held, 1.0, fin)

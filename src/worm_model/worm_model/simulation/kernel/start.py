@@ -36,9 +36,9 @@ def _balance(offset: float, c: Constants) -> tuple[float, int, int]:
         rear_k, front_k = fin_stiffness(rear, c.rear_fin), fin_stiffness(front, c.front_fin)
         if rear_k + front_k == 0.0:
             continue
-        rear_rest = (rear - 1.0) * c.half_clearance
-        front_rest = (front - 1.0) * c.half_clearance - offset
-        x = (rear_k * rear_rest + front_k * front_rest - c.load) / (rear_k + front_k)
+        rear_rest = (rear - 1.0) * c.body.half_clearance
+        front_rest = (front - 1.0) * c.body.half_clearance - offset
+        x = (rear_k * rear_rest + front_k * front_rest - c.resistance.load) / (rear_k + front_k)
         outside = max(_outside(x, rear, c), _outside(x + offset, front, c))
         if outside < best:
             best, deflection, regions = outside, x, pair
@@ -49,10 +49,10 @@ def _balance(offset: float, c: Constants) -> tuple[float, int, int]:
 def _outside(deflection: float, region: int, c: Constants) -> float:
     """Return the distance by which a deflection lies outside of a region, m."""
     if region == ABOVE:
-        return max(c.half_clearance - deflection, 0.0)
+        return max(c.body.half_clearance - deflection, 0.0)
     if region == BELOW:
-        return max(deflection + c.half_clearance, 0.0)
-    return max(abs(deflection) - c.half_clearance, 0.0)
+        return max(deflection + c.body.half_clearance, 0.0)
+    return max(abs(deflection) - c.body.half_clearance, 0.0)
 
 
 @compiled
@@ -65,25 +65,25 @@ def start_of(g: Any, c: Constants, a: Actuator) -> tuple[bool, float, Motion]:
     """
     length_change = rest_of(g.pretension, a)
     length_rate = 0.0 if g.pretension > 0.0 else -a.gain * a.slack / a.time_constant
-    rear_groove, front_groove = 0, int(nearest_groove_of(c.initial_length, c.pitch))
-    slips = int(abs(length_change) / c.pitch) + 4
+    rear_groove, front_groove = 0, int(nearest_groove_of(c.body.initial_length, c.body.pitch))
+    slips = int(abs(length_change) / c.body.pitch) + 4
     for _ in range(slips):
-        gap = (front_groove - rear_groove) * c.pitch
-        offset = c.initial_length + length_change - gap
-        if c.load != 0.0:
+        gap = (front_groove - rear_groove) * c.body.pitch
+        offset = c.body.initial_length + length_change - gap
+        if c.resistance.load != 0.0:
             rear, rear_region, front_region = _balance(offset, c)
         else:
-            rear = -rear_groove * c.pitch
-            rear_region = region_of(rear, c.half_clearance)
-            front_region = region_of(rear + offset, c.half_clearance)
+            rear = -rear_groove * c.body.pitch
+            rear_region = region_of(rear, c.body.half_clearance)
+            front_region = region_of(rear + offset, c.body.half_clearance)
         if abs(rear) > c.rear_fin.threshold:
             rear_groove += 1 if rear > 0.0 else -1
         elif abs(rear + offset) > c.front_fin.threshold:
             front_groove += 1 if rear + offset > 0.0 else -1
         else:
-            y = rear + rear_groove * c.pitch + c.mu * length_change
+            y = rear + rear_groove * c.body.pitch + c.body.mu * length_change
             motion = Motion(
-                y, c.mu * length_rate, rear_groove, front_groove, rear_region, front_region
+                y, c.body.mu * length_rate, rear_groove, front_groove, rear_region, front_region
             )
             return True, length_change, motion
     return False, length_change, Motion(0.0, 0.0, rear_groove, front_groove, 1, 1)

@@ -32,9 +32,11 @@ from worm_model.simulation.kernel.march import (
 )
 from worm_model.simulation.kernel.mode import (
     CLEAR,
+    Body,
     Constants,
     Fin,
     Motion,
+    Resistance,
     nearest_groove_of,
     region_of,
 )
@@ -66,12 +68,10 @@ def constants_of(p: Any, direction: float, margin: float) -> Constants:
     if direction < 0:
         below, above = above, below
     fin = Fin(below, above, p.switching_threshold + margin)
-    return Constants(
+    body = Body(
         mass=mass,
         mu=p.front_mass / mass,
         friction=p.viscous_friction,
-        rear_fin=fin,
-        front_fin=fin,
         half_clearance=0.5 * p.clearance,
         pitch=p.pitch,
         initial_length=p.initial_length,
@@ -79,12 +79,15 @@ def constants_of(p: Any, direction: float, margin: float) -> Constants:
         bellows_stiffness=p.bellows_stiffness,
         bellows_damping=p.bellows_damping,
         unstressed_length=p.unstressed_length,
+        one_sided_cable=p.one_sided_cable != 0.0,
+    )
+    resistance = Resistance(
         rear_dry=p.rear_dry_friction,
         front_dry=p.front_dry_friction,
         rear_load=p.rear_load,
         load=p.rear_load + p.front_load,
-        one_sided_cable=p.one_sided_cable != 0.0,
     )
+    return Constants(body, fin, fin, resistance)
 
 
 @inlined
@@ -120,7 +123,9 @@ def play(
             if end <= start or totals[FAILURE] != 0.0:
                 continue
             form, omega = answer_to_part(part, begin, start, length_change, g, a)
-            segment = Segment(start, end - start, form, Wave(c.mass, omega, -1.0 / a.time_constant))
+            segment = Segment(
+                start, end - start, form, Wave(c.body.mass, omega, -1.0 / a.time_constant)
+            )
             motion = march(segment, motion, c, None, totals, samples, events)
             length_change = value_at(form, end - start, omega, a.time_constant)
             start = end
@@ -149,7 +154,7 @@ def run_gait(
 def _alike(before: Motion, after: Motion, c: Constants) -> bool:
     """Return True if two motions are equal within STEADY, except for the grooves that both anchors have gained."""
     gained = after.rear_groove - before.rear_groove
-    moved = after.y - before.y - gained * c.pitch
+    moved = after.y - before.y - gained * c.body.pitch
     return (
         after.front_groove - before.front_groove == gained
         and after.rear_region == before.rear_region
@@ -180,12 +185,12 @@ def run_cycles(
         return
     steady, before, period = False, motion, 1.0 / g.frequency
     boundaries[0] = 0.0
-    boundaries[0, REACHED] = motion.y - c.mu * length_change
+    boundaries[0, REACHED] = motion.y - c.body.mu * length_change
     for cycle in range(boundaries.shape[0] - 1):
         now, then = boundaries[cycle], boundaries[cycle + 1]
         if steady:
             gained = motion.rear_groove - before.rear_groove
-            then[REACHED] = now[REACHED] + gained * c.pitch
+            then[REACHED] = now[REACHED] + gained * c.body.pitch
             for k in (CABLE_WORK, SWITCHED):
                 then[k] = now[k] + (now[k] - boundaries[cycle - 1, k])
             continue
@@ -197,7 +202,7 @@ def run_cycles(
         if totals[FAILURE] != 0.0:
             return
         steady = abs(length_change - length_before) <= STEADY and _alike(before, motion, c)
-        then[REACHED] = motion.y - c.mu * length_change
+        then[REACHED] = motion.y - c.body.mu * length_change
         then[CABLE_WORK] = totals[WORK_DONE]
         then[SWITCHED] = totals[SWITCHES]
     totals[SWITCHES] = then[SWITCHED]
@@ -294,7 +299,7 @@ def run_sampled(
     contains the coefficients of ΔL in m in the time in s since breaks[k], constant term first. For the grooves and the
     other arrays see `march`.
     """
-    still = Wave(c.mass, 0.0, 0.0)
+    still = Wave(c.body.mass, 0.0, 0.0)
     for k in range(breaks.size - 1):
         duration = breaks[k + 1] - breaks[k]
         if duration < 0.0:
@@ -324,30 +329,13 @@ def rest_at(length_change: float, c: Constants) -> Motion:
 
     At the start x1 = 0. Loads and dry friction are neglected, so the fins are in equilibrium with each other.
     """
-    groove = int(nearest_groove_of(c.initial_length, c.pitch))
-    front = region_of(c.initial_length - groove * c.pitch, c.half_clearance)
+    groove = int(nearest_groove_of(c.body.initial_length, c.body.pitch))
+    front = region_of(c.body.initial_length - groove * c.body.pitch, c.body.half_clearance)
     straight = Motion(0.0, 0.0, 0, groove, CLEAR, front)
     if length_change == 0.0:
         return straight
-    fins_alone = Constants(
-        c.mass,
-        c.mu,
-        c.friction,
-        c.rear_fin,
-        c.front_fin,
-        c.half_clearance,
-        c.pitch,
-        c.initial_length,
-        c.rear_mass,
-        c.bellows_stiffness,
-        c.bellows_damping,
-        c.unstressed_length,
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-        c.one_sided_cable,
-    )
+    unloaded = Resistance(0.0, 0.0, 0.0, 0.0)
+    fins_alone = Constants(c.body, c.rear_fin, c.front_fin, unloaded)
     coefficients = np.zeros((4, 2))
     coefficients[1, 0], coefficients[0, 1] = length_change / SETTLING_TIME, length_change
     breaks = SETTLING_TIME * np.arange(3.0)
@@ -387,17 +375,17 @@ def run_from_rest(
     c = constants_of(p, direction, 0.0)
     change, totals = coefficients[0, 0], np.zeros(TOTALS_SIZE)
     rest = rest_at(change, c)
-    rear = rest.y - c.mu * change + deflection
-    front = rear + c.initial_length + change
+    rear = rest.y - c.body.mu * change + deflection
+    front = rear + c.body.initial_length + change
     motion = Motion(
         rest.y + deflection,
-        onset * c.mu * coefficients[1, 0],
+        onset * c.body.mu * coefficients[1, 0],
         rest.rear_groove,
         rest.front_groove,
-        region_of(rear - rest.rear_groove * c.pitch, c.half_clearance),
-        region_of(front - rest.front_groove * c.pitch, c.half_clearance),
+        region_of(rear - rest.rear_groove * c.body.pitch, c.body.half_clearance),
+        region_of(front - rest.front_groove * c.body.pitch, c.body.half_clearance),
     )
-    first = int(nearest_groove_of(c.initial_length, c.pitch))
+    first = int(nearest_groove_of(c.body.initial_length, c.body.pitch))
     grooves = Grooves(rear_grooves, front_grooves, first)
     run_sampled(
         breaks, coefficients, motion, c, grooves, totals, samples, np.empty((0, EVENT_COLUMNS))

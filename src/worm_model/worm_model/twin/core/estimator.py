@@ -204,15 +204,15 @@ def put_at_rest(
     """
     m = memory.record[0]
     x1 = m.pose_x1
-    x2 = x1 + c.initial_length + length_change
+    x2 = x1 + c.body.initial_length + length_change
     m.moving, m.source = 1, source
     m.on_estimate = 1 if source == ESTIMATED else 0
     m.motion_ns = m.track_ns = m.power_ns = stamp
     m.track_change = length_change
-    m.length_change, m.y, m.y_rate = length_change, x1 + c.mu * length_change, 0.0
+    m.length_change, m.y, m.y_rate = length_change, x1 + c.body.mu * length_change, 0.0
     m.rear_groove, m.front_groove = 0, m.pose_front
-    m.rear_region = region_of(x1, c.half_clearance)
-    m.front_region = region_of(x2 - m.pose_front * c.pitch, c.half_clearance)
+    m.rear_region = region_of(x1, c.body.half_clearance)
+    m.front_region = region_of(x2 - m.pose_front * c.body.pitch, c.body.half_clearance)
     m.power = m.energy = 0.0
     _move(memory, _line(length_change, 0.0), SECOND, 0.0, c)
 
@@ -225,7 +225,7 @@ def _move(memory: Memory, form: Coefficients, duration: float, q: float, c: Cons
     """
     m = memory.record[0]
     motion = Motion(m.y, m.y_rate, m.rear_groove, m.front_groove, m.rear_region, m.front_region)
-    segment = Segment(0.0, duration, form, Wave(c.mass, 0.0, q))
+    segment = Segment(0.0, duration, form, Wave(c.body.mass, 0.0, q))
     motion = step(segment, motion, c, memory.totals, memory.sample)
     m.y, m.y_rate = motion.y, motion.rate
     m.rear_groove, m.front_groove = motion.rear_groove, motion.front_groove
@@ -292,7 +292,7 @@ def drag_of(c: Constants) -> float:
 
     The effect of L̈ is neglected.
     """
-    return c.bellows_damping + c.friction * c.mu
+    return c.body.bellows_damping + c.body.friction * c.body.mu
 
 
 @entry
@@ -311,7 +311,7 @@ def _update_power(
         if m.on_estimate or m.answered:
             rate = (effective(m.command, a) - m.answer) / a.time_constant if m.engaged else 0.0
     force = sample[FORCE] - drag_of(c) * (rate - sample[LENGTH_RATE])
-    mechanical = cable_power_of(force, rate, c.one_sided_cable)
+    mechanical = cable_power_of(force, rate, c.body.one_sided_cable)
     power = p.idle_power + p.power_factor * max(mechanical - drag_of(c) * variance, 0.0)
     before = m.power if stamp > m.track_ns else power
     m.energy += 0.5 * (before + power) * (stamp - m.power_ns) * SECOND
@@ -325,18 +325,18 @@ def publish(memory: Memory, rate: float, c: Constants, out: OutputRows) -> None:
     """Add the state of the motion to the output; ``rate`` (m/s) is L̇."""
     m, sample = memory.record[0], memory.sample[0]
     row = out.states[out.counts[0]]
-    zero = m.origin + m.moved * c.pitch
-    front = int(nearest_groove_of(c.initial_length, c.pitch))
-    y_rate = sample[V1] + c.mu * sample[LENGTH_RATE]
+    zero = m.origin + m.moved * c.body.pitch
+    front = int(nearest_groove_of(c.body.initial_length, c.body.pitch))
+    y_rate = sample[V1] + c.body.mu * sample[LENGTH_RATE]
     row.stamp_ns, row.length_source = m.motion_ns, m.source
-    row.initial_length = c.initial_length
-    row.groove_phase = c.initial_length - front * c.pitch
-    row.length, row.length_rate = c.initial_length + m.length_change, rate
+    row.initial_length = c.body.initial_length
+    row.groove_phase = c.body.initial_length - front * c.body.pitch
+    row.length, row.length_rate = c.body.initial_length + m.length_change, rate
     row.rear_position, row.front_position = zero + sample[X1], zero + sample[X2]
-    row.rear_velocity = y_rate - c.mu * rate
-    row.front_velocity = y_rate + (1.0 - c.mu) * rate
-    row.rear_anchor = zero + m.rear_groove * c.pitch
-    row.front_anchor = zero + m.front_groove * c.pitch
+    row.rear_velocity = y_rate - c.body.mu * rate
+    row.front_velocity = y_rate + (1.0 - c.body.mu) * rate
+    row.rear_anchor = zero + m.rear_groove * c.body.pitch
+    row.front_anchor = zero + m.front_groove * c.body.pitch
     row.rear_groove = m.rear_groove + m.moved
     row.front_groove = m.front_groove - m.pose_front + m.moved
     row.cable_force = sample[FORCE] - drag_of(c) * (rate - sample[LENGTH_RATE])
@@ -528,7 +528,7 @@ def _process_row(
     if row.kind == COMMAND_KIND and row.stamp - m.estimated_ns >= rules.period:
         line = out.lengths[out.counts[2]]
         line.stamp_ns, line.length_change = row.stamp, m.answer
-        line.length = c.initial_length + m.answer
+        line.length = c.body.initial_length + m.answer
         out.counts[2] += 1
         m.estimated_ns = row.stamp
     if m.arrived and (m.drives or row.kind > POSITION_KIND):

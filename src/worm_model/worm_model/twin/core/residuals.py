@@ -186,7 +186,7 @@ def _judge_position(
 ) -> float:
     """Compare a position with the twin; return the shift (m) of a tracker that was moved, otherwise 0."""
     m = memory.record[0]
-    expected = memory.sample[0, X1] + m.moved * c.pitch
+    expected = memory.sample[0, X1] + m.moved * c.body.pitch
     accepted = _is_plausible(memory, stamp, position, rules)
     if not m.origin_known:  # the first position defines the origin
         m.origin, m.origin_known = position - expected, 1
