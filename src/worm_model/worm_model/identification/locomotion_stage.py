@@ -11,7 +11,6 @@ ruler does.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -268,14 +267,12 @@ def _profiles(
         reach = abs((bound.high if sign > 0.0 else bound.low) - value)
         return follow_profile(cost, value, rise, sign * guess, reach)
 
-    sides = [(entry, sign) for entry in SOUGHT for sign in (-1.0, 1.0)]
-    with ThreadPoolExecutor() as pool:
-        ends = list(pool.map(lambda side: end(*side), sides))
+    ends = [(end(entry, -1.0), end(entry, 1.0)) for entry in SOUGHT]
     if met:
         best = min(met, key=lambda solution: solution.cost)
         problem = groove_problem(traverses, known, fit.places, fit.scatter)
         return [], solve(problem, best.shared, best.own)
-    return list(zip(ends[::2], ends[1::2], strict=True)), None
+    return ends, None
 
 
 def _scattered(fit: GrooveFit, entry: int) -> float:
@@ -323,8 +320,7 @@ def _variants(
         )
         return moved, refit(traverses, replace(known, parameters=moved), fit, fit.solution.own)
 
-    with ThreadPoolExecutor() as pool:
-        return tuple(pool.map(variant, deviations_of(fin.covariance)))
+    return tuple(map(variant, deviations_of(fin.covariance)))
 
 
 def deviations_of(covariance: Array) -> Array:

@@ -9,7 +9,6 @@ parameter without an interval counts as exact. Dry friction acts much like a loa
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -195,8 +194,7 @@ def _start(
         own = np.array([[t.length.initial_length, -sag] for t in traverses])
         return solve(problem, shared, own, iterations=12)
 
-    with ThreadPoolExecutor() as pool:
-        best = min(pool.map(fit, SEARCHED.tolist()), key=lambda solution: solution.cost)
+    best = min(map(fit, SEARCHED.tolist()), key=lambda solution: solution.cost)
     if max(float(np.sqrt(np.mean(r**2))) for r in best.residuals) >= LOST:
         raise IdentificationError(NO_FIT)
     return best
@@ -222,11 +220,9 @@ def _profile(
             return rise
         return max(solution.cost - fit.solution.cost, 0.0)
 
-    with ThreadPoolExecutor() as pool:
-        low, high = pool.map(
-            lambda sign: follow_profile(cost, value, rise, sign * FIRST_REACH, MOST_LOAD),
-            (-1.0, 1.0),
-        )
+    low, high = (
+        follow_profile(cost, value, rise, sign * FIRST_REACH, MOST_LOAD) for sign in (-1.0, 1.0)
+    )
     if met:
         best = min(met, key=lambda solution: solution.cost)
         return (low, high), solve(problem, best.shared, best.own)

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 
 from worm_model.identification.data.run_selection import Run
 from worm_model.identification.energy_stage import EnergyResult
@@ -74,8 +73,6 @@ def leave_one_out(
         offset = float(other_actuation.clock_offset.mean())
         return run_errors(runs[index], values, offset), run_errors(runs[index], PAPER, offset)
 
-    with ThreadPoolExecutor() as pool:
-        estimates = list(pool.map(left_out, range(len(runs))))
-    held_out, paper = zip(*estimates, strict=True)
+    held_out, paper = zip(*map(left_out, range(len(runs))), strict=True)
     names = [run.name for run in runs]
     return dict(zip(names, held_out, strict=True)), dict(zip(names, paper, strict=True))

@@ -19,7 +19,6 @@ The kernel computes x1 without time steps. The length is given by cubics between
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -311,21 +310,16 @@ def search(
     cost = np.empty((SEARCHED_FRICTION.size, threshold.size))
     samples = sum(t.time.size for t in traverses)
 
-    def fill(row: int) -> None:
+    for row, friction in enumerate(SEARCHED_FRICTION):
         for column, value in enumerate(threshold):
-            values = np.array(
-                [SEARCHED_FRICTION[row], value, 0.0, 0.0, parameters.pitch, FIRST_ONSET]
-            )
+            values = np.array([friction, value, 0.0, 0.0, parameters.pitch, FIRST_ONSET])
             squares = [
                 float(np.sum((problem.residuals(run, values, own[run]) * t.noise) ** 2))
                 for run, t in enumerate(traverses)
             ]
             cost[row, column] = sum(squares) / samples
-
-    with ThreadPoolExecutor() as pool:
-        for done, _ in enumerate(pool.map(fill, range(SEARCHED_FRICTION.size)), 1):
-            if progress is not None:
-                progress(done / SEARCHED_FRICTION.size)
+        if progress is not None:
+            progress((row + 1) / SEARCHED_FRICTION.size)
     return Landscape(SEARCHED_FRICTION, threshold, cost)
 
 
@@ -359,10 +353,9 @@ def find_locomotion(traverses: Sequence[Traverse], known: Known, landscape: Land
         for pitch in pitches
     ]
     problem = locomotion_problem(traverses, known)
-    with ThreadPoolExecutor() as pool:
-        near = list(pool.map(lambda s: solve(problem, s, own, iterations=ROUGH_ITERATIONS), starts))
-        near.sort(key=lambda solution: solution.cost)
-        solutions = list(pool.map(lambda s: solve(problem, s.shared, s.own), near[:REFINED]))
+    near = [solve(problem, start, own, iterations=ROUGH_ITERATIONS) for start in starts]
+    near.sort(key=lambda solution: solution.cost)
+    solutions = (solve(problem, rough.shared, rough.own) for rough in near[:REFINED])
     best = min(solutions, key=lambda solution: solution.cost)
     if max(float(np.sqrt(np.mean(r**2))) for r in best.residuals) >= LOST:
         raise IdentificationError(

@@ -9,7 +9,6 @@ as for the mean of an equal number of normally distributed values.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
@@ -26,9 +25,8 @@ def unit_weights(random: np.random.Generator, units: int) -> Array:
 
 
 def refitted(refit: Callable[[int], Array]) -> Array:
-    """Return the results of all refits in order, shape (REFITS, k), computed on all cores."""
-    with ThreadPoolExecutor() as pool:
-        return np.array(list(pool.map(refit, range(REFITS))))
+    """Return the results of all refits in order, shape (REFITS, k)."""
+    return np.array([refit(index) for index in range(REFITS)])
 
 
 def spread_factor(units: int) -> float:
