@@ -23,7 +23,7 @@ from worm_optimizer.search.front import (
     waveform_task,
 )
 from worm_optimizer.search.gait_request import GaitRequest, Objective, select
-from worm_optimizer.search.search_settings import Robustness, Settings, Waveform
+from worm_optimizer.search.search_settings import Nsga2Settings, Robustness, Settings, Waveform
 
 TITLE = "processor time of exact fronts, requests and scans; NSGA-II compared with the exact front"
 SEEDS = range(1, 6)
@@ -41,7 +41,7 @@ def _nsga2_row() -> Row:
     for margin in MARGINS:
         exact = exact_front(MarginTask(margin=margin), Resolution(), Zoom())
         for seed in SEEDS:
-            search = nsga2.SearchSettings(seed=seed)
+            search = Nsga2Settings(seed=seed)
             *_, last = nsga2.generations(exact.task, search, nsga2.reference_power_of(exact))
             found.append(nsga2.compared(exact, last.front))
     shares = 100.0 * np.array([each.hypervolume_share for each in found])

@@ -34,6 +34,7 @@ from worm_model.identification.fits.locomotion import (
     Traverse,
     Worm,
     own_quantities,
+    places_of,
     worm_of,
     x1_residuals,
 )
@@ -61,6 +62,7 @@ NUISANCES = {
     "engaged_stiffness": 10.0,
     "disengaged_stiffness": 4.0,
 }
+_PLACES = places_of((KEY, *NUISANCES))
 DRY = ("rear_dry_friction", "front_dry_friction")
 ONSET = Quantity(0.1, 0.0, 1.0, 0.5, 0.5)  # `Worm.onset`
 EXACT = 1e-7  # prior standard deviation of an exact parameter, relative to its value
@@ -176,7 +178,7 @@ def _loaded(worm: Worm, values: Array, own: Array) -> Worm:
     The sum of both loads acts on the rear module.
     """
     load, onset, *others = values
-    robot = worm.with_values((KEY, *NUISANCES), np.array([load, *others]), own[0])
+    robot = worm.with_values(_PLACES, np.array([load, *others]), own[0])
     return robot._replace(deflection=float(own[1]), onset=float(onset))
 
 

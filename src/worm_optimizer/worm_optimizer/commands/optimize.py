@@ -29,7 +29,7 @@ from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.report.front_plots import front_and_map_figure, front_figure
 from worm_optimizer.robustness.uncertainty import description
 from worm_optimizer.search.front import RobustFront, make_front, nominal_gaits, replaced
-from worm_optimizer.search.search_settings import Waveform
+from worm_optimizer.search.search_settings import Nsga2Settings, Waveform
 
 if TYPE_CHECKING:
     from worm_optimizer.search.nsga2 import Comparison
@@ -41,7 +41,7 @@ _FULL = {
     if isinstance(row.default, float) and math.isnan(row.default)
 }
 EXACT, NSGA2 = "exact", "nsga2"
-_POPULATION, _GENERATIONS = 100, 100  # defaults of NSGA-II
+_SIZES = ("population", "generations")  # settings of NSGA-II that are options
 
 
 def _parser() -> Parser:
@@ -56,9 +56,10 @@ def _parser() -> Parser:
     parser.add_argument(
         "--method", choices=(EXACT, NSGA2), default=EXACT, help="search method (default exact)"
     )
-    for option, default in (("population", _POPULATION), ("generations", _GENERATIONS)):
+    for option in _SIZES:
+        usual = getattr(Nsga2Settings, option)
         parser.add_argument(
-            f"--{option}", type=int, metavar="N", help=f"{option} of nsga2 (default {default})"
+            f"--{option}", type=int, metavar="N", help=f"{option} of nsga2 (default {usual})"
         )
     return parser
 
@@ -133,17 +134,18 @@ def _comparison_text(comparison: Comparison) -> str:
 def _optimize(options: argparse.Namespace) -> None:
     content = load_parameter_file(options.parameters)
     settings, figure = chosen_settings(options), figure_file(options)
-    given = options.population, options.generations
-    if options.method == EXACT and any(value is not None for value in given):
+    given = {name: vars(options)[name] for name in _SIZES if vars(options)[name] is not None}
+    if options.method == EXACT and given:
         raise InputError("--population and --generations need --method nsga2")
     if options.method == NSGA2 and settings.waveform is Waveform.SHAPED:
         raise InputError(
             "--method nsga2 searches the paper's gaits only: use it with --waveform sinusoid"
         )
+    search = Nsga2Settings(**given, seed=settings.seed)
     front = make_front(content, settings, options.direction)
     comparison = None
     if options.method == NSGA2:
-        comparison = _searched(front, given)
+        comparison = _searched(front, search)
         front = replaced(front, comparison.front)
     nominal = nominal_gaits(content, settings, options.direction)
     if figure is not None:
@@ -168,18 +170,12 @@ def _optimize(options: argparse.Namespace) -> None:
     )
 
 
-def _searched(front: RobustFront, given: tuple[int | None, int | None]) -> Comparison:
+def _searched(front: RobustFront, search: Nsga2Settings) -> Comparison:
     """Search the front with NSGA-II, and return its comparison with the exact front."""
     from worm_optimizer.search import (
         nsga2,
     )  # here: its import is slow, and the exact front does not need it
 
-    population, generations = given
-    search = nsga2.SearchSettings(
-        _POPULATION if population is None else population,
-        _GENERATIONS if generations is None else generations,
-        front.settings.seed,
-    )
     bar = ProgressLine("NSGA-II")
     for generation in nsga2.generations(
         front.exact.task, search, nsga2.reference_power_of(front.exact)

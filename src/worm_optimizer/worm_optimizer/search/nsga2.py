@@ -14,27 +14,9 @@ from pymoo.core.problem import Problem
 from pymoo.problems.static import StaticProblem
 
 from worm_optimizer.evaluation.task import Array, Bounds, Index, Points, Task
-from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.search.exact import ExactFront
 from worm_optimizer.search.pareto import front_of, hypervolume
-
-
-@dataclass(frozen=True)
-class SearchSettings:
-    """Settings of NSGA-II: population, generations and the seed of its random numbers."""
-
-    population: int = 100
-    generations: int = 100
-    seed: int = 1
-
-    def __post_init__(self) -> None:
-        if not (4 <= self.population <= 100_000 and 1 <= self.generations <= 100_000):
-            raise OptimizerError(
-                f"search: population {self.population} and generations {self.generations}: "
-                "give a population of at least 4 and at least 1 generation, both at most 100000"
-            )
-        if not 0 <= self.seed < 2**32:
-            raise OptimizerError(f"search: seed {self.seed}: give one from 0 to {2**32 - 1}")
+from worm_optimizer.search.search_settings import Nsga2Settings
 
 
 @dataclass(frozen=True)
@@ -57,7 +39,7 @@ class Generation:
 
 
 def generations(
-    task: Task, settings: SearchSettings, reference_power: float
+    task: Task, settings: Nsga2Settings, reference_power: float
 ) -> Iterator[Generation]:
     """Run NSGA-II on a task, and yield each generation. Equal seeds result in equal fronts.
 

@@ -56,6 +56,24 @@ class ScanSettings:
         return np.round(self.lowest + self.step * np.arange(count), 12)
 
 
+@dataclass(frozen=True)
+class Nsga2Settings:
+    """Settings of NSGA-II: population, generations and the seed of its random numbers."""
+
+    population: int = 100
+    generations: int = 100
+    seed: int = 1
+
+    def __post_init__(self) -> None:
+        if not (4 <= self.population <= 100_000 and 1 <= self.generations <= 100_000):
+            raise OptimizerError(
+                f"search: population {self.population} and generations {self.generations}: "
+                "give a population of at least 4 and at least 1 generation, both at most 100000"
+            )
+        if not 0 <= self.seed < 2**32:
+            raise OptimizerError(f"search: seed {self.seed}: give one from 0 to {2**32 - 1}")
+
+
 class Robustness(str, enum.Enum):
     """Criterion that keeps gaits away from the edges of their branch."""
 

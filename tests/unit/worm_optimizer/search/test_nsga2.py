@@ -9,16 +9,17 @@ from gaits_for_tests import coarse_front, random_robot
 
 from worm_optimizer.evaluation.task import MarginTask
 from worm_optimizer.optimizer_errors import OptimizerError
-from worm_optimizer.search.nsga2 import SearchSettings, compared, generations, reference_power_of
+from worm_optimizer.search.nsga2 import compared, generations, reference_power_of
+from worm_optimizer.search.search_settings import Nsga2Settings
 
 TASK = MarginTask(margin=2e-3)
-SMALL = SearchSettings(population=20, generations=8, seed=3)
+SMALL = Nsga2Settings(population=20, generations=8, seed=3)
 
 
 def test_the_same_seed_gives_the_same_front_and_another_seed_another():
     ends = [
         list(generations(TASK, settings, 10.0))[-1].front
-        for settings in (SMALL, SMALL, SearchSettings(20, 8, seed=4))
+        for settings in (SMALL, SMALL, Nsga2Settings(20, 8, seed=4))
     ]
     assert np.array_equal(ends[0].stroke, ends[1].stroke)
     assert np.array_equal(ends[0].frequency, ends[1].frequency)
@@ -35,7 +36,7 @@ def test_every_generation_reports_and_the_front_only_grows():
 
 
 def test_the_search_may_end_early():
-    endless = generations(TASK, SearchSettings(population=10, generations=100_000), 10.0)
+    endless = generations(TASK, Nsga2Settings(population=10, generations=100_000), 10.0)
     assert [step.number for step in itertools.islice(endless, 3)] == [1, 2, 3]
 
 
@@ -49,13 +50,13 @@ def test_all_of_the_front_moves_within_the_bounds():
 @pytest.mark.parametrize("wrong", [{"population": 1}, {"generations": 0}, {"seed": -1}])
 def test_invalid_settings_are_rejected(wrong):
     with pytest.raises(OptimizerError, match="search:"):
-        SearchSettings(**wrong)
+        Nsga2Settings(**wrong)
 
 
 @pytest.mark.parametrize("margin", [0.0, 3.4e-3, 5e-3])
 def test_the_papers_settings_come_near_the_exact_front_and_never_beyond(margin):
     exact = coarse_front(MarginTask(margin=margin), frequencies=81)
-    *_, last = generations(exact.task, SearchSettings(), reference_power_of(exact))
+    *_, last = generations(exact.task, Nsga2Settings(), reference_power_of(exact))
     comparison = compared(exact, last.front)
     assert 0.99 <= comparison.hypervolume_share <= 1.0
     assert comparison.missed_branches == ()
@@ -65,7 +66,7 @@ def test_the_papers_settings_come_near_the_exact_front_and_never_beyond(margin):
 @pytest.mark.parametrize("seed", range(4))
 def test_no_gait_of_nsga2_is_cheaper_than_the_exact_front(seed):
     exact = coarse_front(MarginTask(random_robot(seed)), frequencies=41)
-    *_, last = generations(exact.task, SearchSettings(30, 12, seed), reference_power_of(exact))
+    *_, last = generations(exact.task, Nsga2Settings(30, 12, seed), reference_power_of(exact))
     comparison = compared(exact, last.front)
     assert comparison.hypervolume_share <= 1.0
     assert comparison.largest_excess_power >= -1e-7
@@ -73,7 +74,7 @@ def test_no_gait_of_nsga2_is_cheaper_than_the_exact_front(seed):
 
 def test_a_search_that_falls_short_is_reported():
     exact = coarse_front(TASK)
-    *_, last = generations(TASK, SearchSettings(4, 1, seed=7), reference_power_of(exact))
+    *_, last = generations(TASK, Nsga2Settings(4, 1, seed=7), reference_power_of(exact))
     comparison = compared(exact, last.front)
     assert comparison.hypervolume_share < 0.995
     assert comparison.missed_branches == (2.0,)

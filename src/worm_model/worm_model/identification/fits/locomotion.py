@@ -21,9 +21,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from worm_model.arrays import Array
@@ -36,7 +37,7 @@ from worm_model.parameters import ParameterError, Parameters
 from worm_model.simulation.kernel import march
 from worm_model.simulation.kernel.grooves import EVEN
 from worm_model.simulation.kernel.whole_run import run_from_rest
-from worm_model.simulation.rows import parameter_rows
+from worm_model.simulation.rows import PARAMETER_ROW, parameter_rows
 from worm_model.simulation.smoothing import Smoothed
 
 RIDGES = 5  # number of ridges of a traverse; a module passes a ridge when it advances by a pitch
@@ -137,23 +138,32 @@ def traverse_of(recording: Recording, length: MeasuredLength, pitch: float) -> T
     )
 
 
+def places_of(keys: Sequence[str]) -> NDArray[np.intp]:
+    """Return the places of parameters in the values of a `Worm`, shape (n,)."""
+    names = PARAMETER_ROW.names or ()
+    return np.array([names.index(key) for key in keys])
+
+
+_MEANS = places_of(SHARED[:-1])
+(_INITIAL_LENGTH,) = places_of(["initial_length"])
+
+
 class Worm(NamedTuple):
-    """Robot before a run: its ``parameters`` as a row for the kernel, and how the run begins.
+    """Robot before a run: the values of its parameters in the order of PARAMETER_ROW, and how the run begins.
 
     For ``deflection`` in m and ``onset`` see `worm_model.simulation.kernel.whole_run.run_from_rest`.
     """
 
-    parameters: Any
+    values: Array
     deflection: float = 0.0
     onset: float = 0.0
 
-    def with_values(self, keys: Sequence[str], values: Array, initial_length: float) -> Worm:
-        """Return the robot with other values of some parameters and another L0 (m)."""
-        row = self.parameters.copy()
-        for key, value in zip(keys, values, strict=True):
-            row[key] = value
-        row["initial_length"] = initial_length
-        return self._replace(parameters=row)
+    def with_values(self, places: NDArray[np.intp], values: Array, initial_length: float) -> Worm:
+        """Return the robot with other values of the parameters at ``places`` (see `places_of`) and another L0 (m)."""
+        changed = self.values.copy()
+        changed[places] = values
+        changed[_INITIAL_LENGTH] = initial_length
+        return self._replace(values=changed)
 
 
 def worm_of(parameters: Parameters) -> Worm:
@@ -165,8 +175,8 @@ def worm_of(parameters: Parameters) -> Worm:
         if getattr(parameters, key) != 0.0:
             raise ParameterError(f"{key}: the fit of the motion does not include loads; use 0 N")
     absent = ("rear_dry_friction", "front_dry_friction", "bellows_stiffness", "bellows_damping")
-    worm = Worm(parameter_rows(parameters)[0])
-    return worm.with_values(absent, np.zeros(len(absent)), parameters.initial_length)
+    worm = Worm(parameter_rows(parameters).view(float))
+    return worm.with_values(places_of(absent), np.zeros(len(absent)), parameters.initial_length)
 
 
 def with_means(worm: Worm, means: Array, own: Array) -> Worm:
@@ -174,7 +184,7 @@ def with_means(worm: Worm, means: Array, own: Array) -> Worm:
 
     ``means`` are (η, p_sw, both dry frictions, pitch, onset). ``own`` are L0 and the pose at rest, m.
     """
-    robot = worm.with_values(SHARED[:-1], means[:-1], own[0])
+    robot = worm.with_values(_MEANS, means[:-1], own[0])
     return robot._replace(onset=float(means[-1]), deflection=float(own[1]))
 
 
@@ -195,7 +205,7 @@ def follow(
     completed = run_from_rest(
         breaks[: np.searchsorted(breaks, times[-1]) + 1],
         coefficients,
-        worm.parameters,
+        worm.values.view(PARAMETER_ROW)[0],
         float(traverse.direction),
         worm.deflection,
         worm.onset,
