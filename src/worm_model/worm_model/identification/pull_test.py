@@ -19,6 +19,7 @@ from worm_model.arrays import Array
 from worm_model.identification.data.run_selection import Run, fitted_runs
 from worm_model.identification.data.strides import check_pitch
 from worm_model.identification.fingerprint import code_version
+from worm_model.identification.fits import locomotion
 from worm_model.identification.fits.block_least_squares import Problem, Quantity, Solution, solve
 from worm_model.identification.fits.estimate import Estimate, follow_profile
 from worm_model.identification.fits.grooves import (
@@ -28,15 +29,6 @@ from worm_model.identification.fits.grooves import (
     fit_uneven,
     fixed_at,
     tables_of,
-)
-from worm_model.identification.fits.locomotion import (
-    LOST,
-    Traverse,
-    Worm,
-    own_quantities,
-    places_of,
-    worm_of,
-    x1_residuals,
 )
 from worm_model.identification.identification_errors import IdentificationError
 from worm_model.identification.inputs import Inputs
@@ -62,7 +54,7 @@ NUISANCES = {
     "engaged_stiffness": 10.0,
     "disengaged_stiffness": 4.0,
 }
-_PLACES = places_of((KEY, *NUISANCES))
+_PLACES = locomotion.places_of((KEY, *NUISANCES))
 DRY = ("rear_dry_friction", "front_dry_friction")
 ONSET = Quantity(0.1, 0.0, 1.0, 0.5, 0.5)  # `Worm.onset`
 EXACT = 1e-7  # prior standard deviation of an exact parameter, relative to its value
@@ -143,7 +135,7 @@ def _quantity(reference: ReferenceValues, key: str) -> Quantity:
 
 
 def _problem(
-    traverses: Sequence[Traverse],
+    traverses: Sequence[locomotion.Traverse],
     reference: ReferenceValues,
     places: NDArray[np.int64],
     scatter: Scatter,
@@ -155,7 +147,7 @@ def _problem(
     """
     parameters = reference.parameters
     unloaded = parameters.replace(rear_load=0.0, front_load=0.0)
-    worm = worm_of(unloaded)
+    worm = locomotion.worm_of(unloaded)
     shared = [
         Quantity(LOAD_STEP, -MOST_LOAD, MOST_LOAD),
         ONSET,
@@ -166,13 +158,13 @@ def _problem(
 
     def residuals(run: int, values: Array, own: Array) -> Array:
         robot = _loaded(worm, values[:first], own)
-        return x1_residuals(traverses[run], robot, *tables_of(values[first:], places))
+        return locomotion.x1_residuals(traverses[run], robot, *tables_of(values[first:], places))
 
-    own = [own_quantities(t, parameters, parameters.clearance) for t in traverses]
+    own = [locomotion.own_quantities(t, parameters, parameters.clearance) for t in traverses]
     return Problem(residuals, shared, own, jumps=True)
 
 
-def _loaded(worm: Worm, values: Array, own: Array) -> Worm:
+def _loaded(worm: locomotion.Worm, values: Array, own: Array) -> locomotion.Worm:
     """Return the robot with given shared ``values`` and the nuisance parameters ``own`` of a run.
 
     The sum of both loads acts on the rear module.
@@ -183,7 +175,7 @@ def _loaded(worm: Worm, values: Array, own: Array) -> Worm:
 
 
 def _start(
-    traverses: Sequence[Traverse], build: partial[Problem], parameters: Parameters
+    traverses: Sequence[locomotion.Traverse], build: partial[Problem], parameters: Parameters
 ) -> Solution:
     """Return the best of the fits with even grooves that start from the loads `SEARCHED`."""
     problem = build(np.empty((0, 3), np.int64), Scatter(0.0, 0.0))
@@ -197,13 +189,13 @@ def _start(
         return solve(problem, shared, own, iterations=12)
 
     best = min(map(fit, SEARCHED.tolist()), key=lambda solution: solution.cost)
-    if max(float(np.sqrt(np.mean(r**2))) for r in best.residuals) >= LOST:
+    if max(float(np.sqrt(np.mean(r**2))) for r in best.residuals) >= locomotion.LOST:
         raise IdentificationError(NO_FIT)
     return best
 
 
 def _profile(
-    traverses: Sequence[Traverse], build: partial[Problem], fit: GrooveFit
+    traverses: Sequence[locomotion.Traverse], build: partial[Problem], fit: GrooveFit
 ) -> tuple[tuple[float, float], Solution | None]:
     """Return the interval (low, high) of the sum of both loads in N, and None.
 

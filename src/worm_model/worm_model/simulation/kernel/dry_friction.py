@@ -16,21 +16,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from worm_model.simulation.kernel import guard
 from worm_model.simulation.kernel.compiled import compiled, inlined
-from worm_model.simulation.kernel.guard import (
-    FRONT_GRIP_HIGH,
-    FRONT_GRIP_LOW,
-    NEVER,
-    REAR_GRIP_HIGH,
-    REAR_GRIP_LOW,
-    Horizon,
-    above,
-    below,
-    follow,
-    locate,
-    narrow,
-    read,
-)
 from worm_model.simulation.kernel.linear import (
     Basis,
     Coefficients,
@@ -221,19 +208,19 @@ def _watched(
     dry = c.resistance.front_dry if at_front else c.resistance.rear_dry
     together = grip.rear == 0 and grip.front == 0
     if dry == 0.0 or (together and at_front):
-        return mode.rear, -NEVER, NEVER
+        return mode.rear, -guard.NEVER, guard.NEVER
     if side == 0:
         limit = 2.0 * SPARE + (c.resistance.rear_dry + c.resistance.front_dry if together else dry)
         return _held(mode, grip, motion, wave, c), -limit, limit
     y_rate = derivative(mode.y, mode.roots, wave)
     rate = derivative(mode.length_change, mode.roots, wave)
     velocity = combine(1.0, y_rate, 1.0 - c.body.mu if at_front else -c.body.mu, rate)
-    return velocity, (-STILL if side > 0 else -NEVER), (STILL if side < 0 else NEVER)
+    return velocity, (-STILL if side > 0 else -guard.NEVER), (STILL if side < 0 else guard.NEVER)
 
 
 @compiled
 def look_for_grip(
-    ahead: Horizon,
+    ahead: guard.Horizon,
     mode: Mode,
     grip: Grip,
     motion: Motion,
@@ -242,7 +229,7 @@ def look_for_grip(
     left: float,
     wave: Wave,
     c: Constants,
-) -> Horizon:
+) -> guard.Horizon:
     """Return the bounds on the next event, narrowed by the next changes of the modules' grips.
 
     ``s`` is the time in the mode, ``b`` the basis at this time, and ``left`` the rest of the segment, s.
@@ -250,20 +237,20 @@ def look_for_grip(
     coarse = mode.roots.joined or mode.resonant
     for at_front in (False, True):
         watched, low, high = _watched(at_front, mode, grip, motion, wave, c)
-        followed = follow(watched, mode.roots, wave)
-        reading = read(followed, b, s, left, mode.roots, wave, coarse)
-        if high < NEVER:
-            stop = FRONT_GRIP_HIGH if at_front else REAR_GRIP_HIGH
-            ahead = narrow(ahead, below(reading, high), stop)
-        if low > -NEVER:
-            stop = FRONT_GRIP_LOW if at_front else REAR_GRIP_LOW
-            ahead = narrow(ahead, above(reading, low), stop)
+        followed = guard.follow(watched, mode.roots, wave)
+        reading = guard.read(followed, b, s, left, mode.roots, wave, coarse)
+        if high < guard.NEVER:
+            stop = guard.FRONT_GRIP_HIGH if at_front else guard.REAR_GRIP_HIGH
+            ahead = guard.narrow(ahead, guard.below(reading, high), stop)
+        if low > -guard.NEVER:
+            stop = guard.FRONT_GRIP_LOW if at_front else guard.REAR_GRIP_LOW
+            ahead = guard.narrow(ahead, guard.above(reading, low), stop)
     return ahead
 
 
 @compiled
 def locate_grip(
-    ahead: Horizon,
+    ahead: guard.Horizon,
     mode: Mode,
     grip: Grip,
     motion: Motion,
@@ -274,10 +261,12 @@ def locate_grip(
     c: Constants,
 ) -> tuple[float, Basis]:
     """Return (time in the mode in s, basis) at which a grip changes; for the arguments see `guard.locate`."""
-    at_front = ahead.stop in (FRONT_GRIP_HIGH, FRONT_GRIP_LOW)
+    at_front = ahead.stop in (guard.FRONT_GRIP_HIGH, guard.FRONT_GRIP_LOW)
     watched, low, high = _watched(at_front, mode, grip, motion, wave, c)
-    border = high if ahead.stop in (REAR_GRIP_HIGH, FRONT_GRIP_HIGH) else low
+    border = high if ahead.stop in (guard.REAR_GRIP_HIGH, guard.FRONT_GRIP_HIGH) else low
     sticks = (grip.front if at_front else grip.rear) == 0
     tolerance = LOCATED * (SPARE if sticks else STILL)
-    followed = follow(watched, mode.roots, wave)
-    return locate(followed, border, tolerance, s, b, ahead, offset, mode.roots, wave, mode.resonant)
+    followed = guard.follow(watched, mode.roots, wave)
+    return guard.locate(
+        followed, border, tolerance, s, b, ahead, offset, mode.roots, wave, mode.resonant
+    )

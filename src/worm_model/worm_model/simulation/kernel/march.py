@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from worm_model.simulation.kernel import guard
 from worm_model.simulation.kernel.compiled import compiled, inlined
 from worm_model.simulation.kernel.dry_friction import (
     Grip,
@@ -23,25 +24,6 @@ from worm_model.simulation.kernel.dry_friction import (
     look_for_grip,
 )
 from worm_model.simulation.kernel.grooves import Grooves, in_grooves
-from worm_model.simulation.kernel.guard import (
-    END,
-    FORCE_SIGN,
-    FRONT_HIGH,
-    FRONT_LOW,
-    NOTHING,
-    RATE_SIGN,
-    REAR_HIGH,
-    REAR_LOW,
-    SHORTEST_STEP,
-    Followed,
-    Horizon,
-    above,
-    below,
-    follow,
-    locate,
-    narrow,
-    read,
-)
 from worm_model.simulation.kernel.linear import (
     Basis,
     Coefficients,
@@ -119,10 +101,10 @@ class Stage(NamedTuple):
     offset: float
     mode: Mode
     grip: Grip
-    rear: Followed
-    front: Followed
-    force: Followed
-    length_rate: Followed
+    rear: guard.Followed
+    front: guard.Followed
+    force: guard.Followed
+    length_rate: guard.Followed
     rear_low: float
     rear_high: float
     front_low: float
@@ -172,10 +154,10 @@ def _open_stage(motion: Motion, segment: Segment, offset: float, b: Basis, c: Co
         offset,
         mode,
         grip,
-        follow(mode.rear, mode.roots, wave),
-        follow(mode.front, mode.roots, wave),
-        follow(force, mode.roots, wave),
-        follow(derivative(segment.length_change, mode.roots, wave), mode.roots, wave),
+        guard.follow(mode.rear, mode.roots, wave),
+        guard.follow(mode.front, mode.roots, wave),
+        guard.follow(force, mode.roots, wave),
+        guard.follow(derivative(segment.length_change, mode.roots, wave), mode.roots, wave),
         rear_low,
         rear_high,
         front_low,
@@ -193,28 +175,28 @@ def _look_ahead(
     left: float,
     wave: Wave,
     c: Constants,
-) -> Horizon:
+) -> guard.Horizon:
     """Return the bounds on the next event within the remaining ``left`` seconds of the segment."""
     roots = stage.mode.roots
     coarse = roots.joined or stage.mode.resonant
-    ahead = Horizon(left, left, END)
-    rear = read(stage.rear, b, s, left, roots, wave, coarse)
-    ahead = narrow(ahead, below(rear, stage.rear_high), REAR_HIGH)
-    ahead = narrow(ahead, above(rear, stage.rear_low), REAR_LOW)
-    front = read(stage.front, b, s, left, roots, wave, coarse)
-    ahead = narrow(ahead, below(front, stage.front_high), FRONT_HIGH)
-    ahead = narrow(ahead, above(front, stage.front_low), FRONT_LOW)
+    ahead = guard.Horizon(left, left, guard.END)
+    rear = guard.read(stage.rear, b, s, left, roots, wave, coarse)
+    ahead = guard.narrow(ahead, guard.below(rear, stage.rear_high), guard.REAR_HIGH)
+    ahead = guard.narrow(ahead, guard.above(rear, stage.rear_low), guard.REAR_LOW)
+    front = guard.read(stage.front, b, s, left, roots, wave, coarse)
+    ahead = guard.narrow(ahead, guard.below(front, stage.front_high), guard.FRONT_HIGH)
+    ahead = guard.narrow(ahead, guard.above(front, stage.front_low), guard.FRONT_LOW)
     if wave.q != 0.0:
-        force = read(stage.force, b, s, left, roots, wave, coarse)
-        gap = above(force, 0.0) if work.force_side > 0.0 else below(force, 0.0)
-        ahead = narrow(ahead, gap, FORCE_SIGN)
+        force = guard.read(stage.force, b, s, left, roots, wave, coarse)
+        gap = guard.above(force, 0.0) if work.force_side > 0.0 else guard.below(force, 0.0)
+        ahead = guard.narrow(ahead, gap, guard.FORCE_SIGN)
     length_rate = stage.length_rate.position
     polynomial = length_rate.one != 0.0 or length_rate.t1 != 0.0
     # Otherwise L̇ decays exponentially and keeps its sign, or the length is sampled and no work is integrated.
     if wave.omega != 0.0 or (wave.q != 0.0 and polynomial):
-        rate = read(stage.length_rate, b, s, left, roots, wave, coarse)
-        gap = above(rate, 0.0) if work.rate_side > 0.0 else below(rate, 0.0)
-        ahead = narrow(ahead, gap, RATE_SIGN)
+        rate = guard.read(stage.length_rate, b, s, left, roots, wave, coarse)
+        gap = guard.above(rate, 0.0) if work.rate_side > 0.0 else guard.below(rate, 0.0)
+        ahead = guard.narrow(ahead, gap, guard.RATE_SIGN)
     if is_dry(c):
         ahead = look_for_grip(ahead, stage.mode, stage.grip, motion, b, s, left, wave, c)
     return ahead
@@ -223,7 +205,7 @@ def _look_ahead(
 @inlined
 def _go(
     stage: Stage,
-    ahead: Horizon,
+    ahead: guard.Horizon,
     motion: Motion,
     s: float,
     b: Basis,
@@ -232,27 +214,29 @@ def _go(
 ) -> tuple[float, Basis]:
     """Return (time in the mode in s, basis) of the next event, or of the point from which the search continues."""
     mode, offset = stage.mode, stage.offset
-    if ahead.stop == NOTHING or ahead.stop == END:
-        s += max(ahead.time, SHORTEST_STEP) if ahead.stop == NOTHING else ahead.time
+    if ahead.stop == guard.NOTHING or ahead.stop == guard.END:
+        s += max(ahead.time, guard.SHORTEST_STEP) if ahead.stop == guard.NOTHING else ahead.time
         return s, basis_at(offset + s, s, mode.roots, wave, mode.resonant)
-    if ahead.stop > END:
+    if ahead.stop > guard.END:
         return locate_grip(ahead, mode, stage.grip, motion, b, s, offset, wave, c)
     followed, border, tolerance = stage.rear, stage.rear_high, POSITION_TOLERANCE
-    if ahead.stop == REAR_LOW:
+    if ahead.stop == guard.REAR_LOW:
         border = stage.rear_low
-    elif ahead.stop == FRONT_HIGH:
+    elif ahead.stop == guard.FRONT_HIGH:
         followed, border = stage.front, stage.front_high
-    elif ahead.stop == FRONT_LOW:
+    elif ahead.stop == guard.FRONT_LOW:
         followed, border = stage.front, stage.front_low
-    elif ahead.stop == FORCE_SIGN:
+    elif ahead.stop == guard.FORCE_SIGN:
         followed, border, tolerance = stage.force, 0.0, SIGN_TOLERANCE
-    elif ahead.stop == RATE_SIGN:
+    elif ahead.stop == guard.RATE_SIGN:
         followed, border, tolerance = stage.length_rate, 0.0, SIGN_TOLERANCE
-    return locate(followed, border, tolerance, s, b, ahead, offset, mode.roots, wave, mode.resonant)
+    return guard.locate(
+        followed, border, tolerance, s, b, ahead, offset, mode.roots, wave, mode.resonant
+    )
 
 
 @inlined
-def _side(quantity: Followed, b: Basis) -> float:
+def _side(quantity: guard.Followed, b: Basis) -> float:
     """Return the sign of a quantity from now on: that of its value, or that of its rate if the value is almost zero."""
     here = value(quantity.position, b)
     if abs(here) <= SIGN_TOLERANCE:
@@ -284,8 +268,8 @@ def _open_work(
 @inlined
 def _crossed(motion: Motion, stop: int, y: float, y_rate: float, c: Constants) -> Motion:
     """Return the motion after a fin has left its region for the neighbouring one or the next groove (eq:A1_switch)."""
-    front = stop in (FRONT_HIGH, FRONT_LOW)
-    direction = 1 if stop in (REAR_HIGH, FRONT_HIGH) else -1
+    front = stop in (guard.FRONT_HIGH, guard.FRONT_LOW)
+    direction = 1 if stop in (guard.REAR_HIGH, guard.FRONT_HIGH) else -1
     region = motion.front_region if front else motion.rear_region
     groove = motion.front_groove if front else motion.rear_groove
     threshold = c.front_fin.threshold if front else c.rear_fin.threshold
@@ -391,17 +375,17 @@ def _follow_mode(
         left = segment.duration - stage.offset - s
         ahead = _look_ahead(stage, work, motion, b, s, left, wave, c)
         s, b = _go(stage, ahead, motion, s, b, wave, c)
-        if ahead.stop == NOTHING and totals[STEPS] <= MOST_STEPS:
+        if ahead.stop == guard.NOTHING and totals[STEPS] <= MOST_STEPS:
             continue
         if totals[SAMPLED] < samples.shape[0]:
             _write_samples(s, stage, work, segment, motion, c, totals, samples)
         if work.active:
             totals[WORK_DONE] += work.mark - _antiderivative(stage, b, wave)
-        if totals[STEPS] > MOST_STEPS and ahead.stop != END:
-            return s, NOTHING, b
-        if ahead.stop == FORCE_SIGN:
+        if totals[STEPS] > MOST_STEPS and ahead.stop != guard.END:
+            return s, guard.NOTHING, b
+        if ahead.stop == guard.FORCE_SIGN:
             work = _open_work(-work.force_side, work.rate_side, stage, b, wave, c)
-        elif ahead.stop == RATE_SIGN:
+        elif ahead.stop == guard.RATE_SIGN:
             work = _open_work(work.force_side, -work.rate_side, stage, b, wave, c)
         else:
             return s, ahead.stop, b
@@ -444,7 +428,7 @@ def march(
         offset += duration
         y = value(stage.mode.y, b)
         y_rate = value(derivative(stage.mode.y, stage.mode.roots, segment.wave), b)
-        if stop in (END, NOTHING) or stop > END:
+        if stop in (guard.END, guard.NOTHING) or stop > guard.END:
             motion = Motion(
                 y,
                 y_rate,
@@ -453,9 +437,9 @@ def march(
                 motion.rear_region,
                 motion.front_region,
             )
-            if stop > END:
+            if stop > guard.END:
                 continue
-            totals[FAILURE] = CHATTERS if stop == NOTHING else totals[FAILURE]
+            totals[FAILURE] = CHATTERS if stop == guard.NOTHING else totals[FAILURE]
             return motion
         passed = motion.rear_groove + motion.front_groove
         motion = _crossed(motion, stop, y, y_rate, c)
