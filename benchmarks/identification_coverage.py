@@ -14,9 +14,9 @@ import numpy as np
 
 from benchmarks.report import Row, wall_time
 from tests.helpers.virtual_campaign import virtual_campaign
+from worm_model.identification.data.identification_errors import IdentificationError
 from worm_model.identification.fingerprint import code_version
 from worm_model.identification.fits.estimate import Estimate
-from worm_model.identification.identification_errors import IdentificationError
 from worm_model.identification.inputs import read_inputs
 from worm_model.identification.reference_values import MEASURED, reference_by_folder
 from worm_model.identification.stages import identify

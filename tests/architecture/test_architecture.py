@@ -6,8 +6,9 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Set
 from fnmatch import fnmatch
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -209,6 +210,32 @@ def test_folders_import_only_what_the_seams_allow():
         if folder not in SEAMS[package][own] | {own}
     ]
     assert wrong == []
+
+
+def modules_imported(path: Path, modules: Set[str]) -> Iterator[str]:
+    """Return the modules of the packages that a file imports, also inside functions."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom):
+            parts = (f"{node.module}.{alias.name}" for alias in node.names)
+            yield from {part if part in modules else str(node.module) for part in parts} & modules
+
+
+def test_no_folders_import_each_other():
+    """Neither directly nor through further folders, at any depth."""
+    modules = {name_of(path).removesuffix(".py").replace("/", "."): path for path in SOURCES}
+    folders = {
+        folder: {
+            imported.rpartition(".")[0]
+            for module, path in modules.items()
+            if module.rpartition(".")[0] == folder
+            for imported in modules_imported(path, modules.keys())
+        }
+        - {folder}
+        for folder in {module.rpartition(".")[0] for module in modules}
+    }
+    assert (
+        len(list(TopologicalSorter(folders).static_order())) > 30
+    )  # or a CycleError names the cycle
 
 
 def test_a_module_of_which_many_names_are_needed_is_imported_itself():

@@ -21,6 +21,7 @@ from worm_driver.nodes.virtual_camera_node import CameraProcess
 from worm_driver.virtual_robot.camera import TrackerSample
 from worm_driver.virtual_robot.camera_images import DEFAULT_FILE as CAMERA_FILE
 from worm_driver.virtual_robot.camera_images import load_camera_settings
+from worm_driver.virtual_robot.robot_server import DirectoryError, RobotServer
 from worm_driver.virtual_robot.virtual_robot import VirtualRobot
 from worm_driver.virtual_robot.virtual_settings import load_settings
 from worm_driver.virtual_robot.wire.faults import (
@@ -30,7 +31,6 @@ from worm_driver.virtual_robot.wire.faults import (
     make_fault,
     parse_fault,
 )
-from worm_driver.virtual_robot.wire.robot_server import DirectoryError, RobotServer
 from worm_msgs import readiness
 from worm_msgs.command_parser import BAD_INPUT, Parser
 from worm_msgs.conditions import CONDITION_ROWS

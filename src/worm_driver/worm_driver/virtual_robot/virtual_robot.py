@@ -24,6 +24,7 @@ from worm_driver.virtual_robot.servo.control_table import (
 from worm_driver.virtual_robot.servo.measurement import OVERLOAD_ERROR
 from worm_driver.virtual_robot.servo.motor import PULSES_PER_RADIAN
 from worm_driver.virtual_robot.servo.virtual_servo import Servo
+from worm_driver.virtual_robot.virtual_bus import ServoBus, Transmission
 from worm_driver.virtual_robot.virtual_settings import (
     CableServoSettings,
     FinServoSettings,
@@ -35,7 +36,6 @@ from worm_driver.virtual_robot.wire import faults
 from worm_driver.virtual_robot.wire.faults import FaultBoard
 from worm_driver.virtual_robot.wire.ina219_chip import AdcNoise, I2cLine, Ina219
 from worm_driver.virtual_robot.wire.smbus_frames import Answer, Request
-from worm_driver.virtual_robot.wire.virtual_bus import ServoBus, Transmission
 from worm_msgs.conditions import CONDITION_ROWS
 from worm_msgs.gait import FORWARD, REVERSE
 from worm_msgs.robot_parameters import RobotParameters

@@ -8,15 +8,15 @@ from collections.abc import Sequence
 from pathlib import Path, PurePath
 from typing import Any
 
-from worm_model.bags.bag import Bag, Notify
-from worm_model.bags.bag_errors import BagError, ExistsError, UnwritableError
-from worm_model.bags.finding import (
+from worm_model.bags.formats.bag import Bag, Notify
+from worm_model.bags.formats.bag_errors import BagError, ExistsError, UnwritableError
+from worm_model.bags.formats.bag_metadata import custom_data, read_metadata
+from worm_model.bags.formats.finding import (
     METADATA_FILE,
     check_readable,
     is_storage,
     recovered_path,
 )
-from worm_model.bags.formats.bag_metadata import custom_data, read_metadata
 from worm_model.bags.formats.message_types import PACKAGE
 from worm_model.bags.formats.stored_file import StoredFile
 from worm_model.bags.recovery.recovery import (

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from worm_model.bags.bag import Bag
-from worm_model.bags.bag_errors import BagError
+from worm_model.bags.formats.bag import Bag
+from worm_model.bags.formats.bag_errors import BagError
 from worm_model.bags.formats.cdr import ColumnBuilder, Columns
 from worm_model.bags.formats.message_block import Topic, messages_of
 from worm_model.bags.worm_topics import SERIES, TWIN_INPUTS, TYPES, find_topic, path_of

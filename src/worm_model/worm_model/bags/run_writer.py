@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from worm_model.bags.bag_errors import BagError
+from worm_model.bags.formats.bag_errors import BagError
 from worm_model.bags.formats.bag_writer import BagFiles
 from worm_model.bags.formats.cdr import encode
 from worm_model.bags.formats.message_block import Message, Topic

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from worm_model.bags.bag_errors import BagError
+from worm_model.bags.formats.bag_errors import BagError
 from worm_model.bags.formats.message_block import Topic
 from worm_model.run import (
     GaitStates,

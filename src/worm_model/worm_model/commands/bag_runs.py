@@ -14,8 +14,8 @@ import numpy as np
 
 from worm_model.analysis import run_metrics
 from worm_model.analysis.replay_metrics import RunReport, report_replay
-from worm_model.bags.finding import METADATA_FILE
 from worm_model.bags.formats.bag_metadata import read_metadata
+from worm_model.bags.formats.finding import METADATA_FILE
 from worm_model.bags.opening import are_sound, is_unfinished, open_bag
 from worm_model.bags.recording.run_manifest import (
     RUN_RECORD,

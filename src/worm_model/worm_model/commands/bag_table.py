@@ -11,7 +11,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from worm_model.bags.finding import bags_below, mark_of, name_below
+from worm_model.bags.formats.finding import bags_below, mark_of, name_below
 from worm_model.bags.recording.run_manifest import ManifestError
 from worm_model.commands import bag_columns
 from worm_model.commands.bag_columns import CLOSED, DAMAGED, MISSING, STATE

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from worm_model.commands import command_line
 
 if TYPE_CHECKING:
-    from worm_model.bags.bag import Bag
+    from worm_model.bags.formats.bag import Bag
 
 TABLE = "table"
 FOLDER = Path("bags")  # where ./worm records

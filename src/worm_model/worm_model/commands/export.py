@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from worm_model.analysis.run_table import run_table
-from worm_model.bags.bag import Bag
-from worm_model.bags.bag_errors import BagError
+from worm_model.bags.formats.bag import Bag
+from worm_model.bags.formats.bag_errors import BagError
 from worm_model.bags.formats.whole_folder import new_folder
 from worm_model.bags.opening import open_bag
 from worm_model.bags.operations.tables import (

@@ -21,8 +21,8 @@ from worm_model.analysis.replay_metrics import (
     ReplayReporter,
     RunReport,
 )
-from worm_model.bags.bag import Bag
-from worm_model.bags.bag_errors import BagError
+from worm_model.bags.formats.bag import Bag
+from worm_model.bags.formats.bag_errors import BagError
 from worm_model.bags.formats.message_block import Message, Topic
 from worm_model.bags.formats.message_types import parse_ahead, topic_of
 from worm_model.bags.opening import open_bag
@@ -48,8 +48,8 @@ from worm_model.loads import under
 from worm_model.parameters import load_parameters
 from worm_model.run import LengthSource, Stamps
 from worm_model.twin import warm_up
+from worm_model.twin.core.records import NANOSECONDS, RESIDUAL_FIELDS, Event
 from worm_model.twin.offline_replay import OfflineReplay
-from worm_model.twin.records import NANOSECONDS, RESIDUAL_FIELDS, Event
 from worm_model.twin.twin import Output, residual_messages
 
 # The twin requires at least one of these topics.

@@ -10,18 +10,18 @@ from pathlib import Path
 
 import numpy as np
 
-from worm_model.bags.bag_errors import BagError
+from worm_model.bags.formats.bag_errors import BagError
 from worm_model.bags.opening import open_bag
 from worm_model.errors import InputError
 from worm_model.gait import Gait, GaitError
 from worm_model.identification.actuation_stage import identify_actuation
-from worm_model.identification.data.measured_length import measured_length
+from worm_model.identification.data.identification_errors import IdentificationError
 from worm_model.identification.data.observed_run import Recording
-from worm_model.identification.data.quality import LONGEST_GAP, remarks, usable
 from worm_model.identification.data.strides import check_pitch
 from worm_model.identification.fits.estimate import Estimate
 from worm_model.identification.fits.locomotion import Known, traverse_of
-from worm_model.identification.identification_errors import IdentificationError
+from worm_model.identification.fits.measured_length import measured_length
+from worm_model.identification.fits.quality import LONGEST_GAP, remarks, usable
 from worm_model.identification.idle import idle_power, idle_power_of
 from worm_model.identification.inputs import read_recordings
 from worm_model.identification.locomotion_stage import identify_locomotion

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.optimize import OptimizeResult, least_squares
 
 from worm_model.arrays import Array
+from worm_model.identification.data.identification_errors import IdentificationError
 from worm_model.identification.fits.estimate import (
     Estimate,
     follow_profile,
@@ -21,7 +22,6 @@ from worm_model.identification.fits.estimate import (
     quantile,
 )
 from worm_model.identification.fits.robust import SIGMA_PER_MAD, dependence
-from worm_model.identification.identification_errors import IdentificationError
 
 COLUMNS = ("displacement_m", "force_N")
 KEYS = ("clearance", "engaged_stiffness", "disengaged_stiffness")

@@ -13,6 +13,7 @@ from worm_model.bags.recording.run_manifest import recorded_conditions
 from worm_model.bags.run_reader import read_run
 from worm_model.checksum import checksums_of, sha256_of
 from worm_model.identification import bellows, fin
+from worm_model.identification.data.identification_errors import IdentificationError
 from worm_model.identification.data.lab_logs import (
     LabError,
     LabSettings,
@@ -20,7 +21,6 @@ from worm_model.identification.data.lab_logs import (
     read_lab_run,
 )
 from worm_model.identification.data.observed_run import Recording, recordings_of
-from worm_model.identification.identification_errors import IdentificationError
 from worm_model.run import utc_of
 from worm_msgs.conditions import LEVEL
 

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from worm_model.arrays import Array
+from worm_model.identification.data.identification_errors import IdentificationError
 from worm_model.identification.fits.block_least_squares import (
     Solution,
     inverse,
@@ -49,7 +50,6 @@ from worm_model.identification.fits.locomotion import (
     with_means,
     worm_of,
 )
-from worm_model.identification.identification_errors import IdentificationError
 from worm_model.parameters import PAPER, Parameters
 from worm_model.simulation.kernel.grooves import STIFFNESS, THRESHOLD
 from worm_model.simulation.kernel.march import FORCE

@@ -16,6 +16,7 @@ from scipy.optimize import least_squares, minimize
 
 from worm_model.arrays import Array
 from worm_model.identification.bellows import fit_bellows
+from worm_model.identification.data.identification_errors import IdentificationError
 from worm_model.identification.data.observed_run import Recording
 from worm_model.identification.fin import KEYS as FIN
 from worm_model.identification.fin import fit_fin
@@ -27,7 +28,6 @@ from worm_model.identification.fits.locomotion import (
     SEARCHED_FRICTION,
     least_threshold,
 )
-from worm_model.identification.identification_errors import IdentificationError
 from worm_model.identification.idle import SAMPLES
 from worm_model.identification.inputs import Inputs
 from worm_model.parameters import NOT_OF_PAPER, Parameters

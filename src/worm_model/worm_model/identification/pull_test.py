@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from worm_model.arrays import Array
-from worm_model.identification.data.run_selection import Run, fitted_runs
+from worm_model.identification.data.identification_errors import IdentificationError
 from worm_model.identification.data.strides import check_pitch
 from worm_model.identification.fingerprint import code_version
 from worm_model.identification.fits import locomotion
@@ -30,7 +30,6 @@ from worm_model.identification.fits.grooves import (
     fixed_at,
     tables_of,
 )
-from worm_model.identification.identification_errors import IdentificationError
 from worm_model.identification.inputs import Inputs
 from worm_model.identification.locomotion_stage import (
     BETTER,
@@ -39,6 +38,7 @@ from worm_model.identification.locomotion_stage import (
     variance_inflation,
 )
 from worm_model.identification.reference_values import ReferenceValues
+from worm_model.identification.run_selection import Run, fitted_runs
 from worm_model.parameters import ParameterFile, Parameters
 from worm_msgs.robot_parameters import ROWS
 

@@ -10,15 +10,9 @@ import numpy as np
 
 from worm_model.identification.actuation_stage import ActuationResult, identify_actuation
 from worm_model.identification.bellows import BellowsFit, fit_bellows
-from worm_model.identification.data.camera_delay import camera_delay
+from worm_model.identification.camera_delay import camera_delay
+from worm_model.identification.data.identification_errors import IdentificationError
 from worm_model.identification.data.observed_run import Recording
-from worm_model.identification.data.quality import starts_apart
-from worm_model.identification.data.run_selection import (
-    Run,
-    fitted_runs,
-    initial_length,
-    prepared_validation,
-)
 from worm_model.identification.data.strides import check_pitch
 from worm_model.identification.energy_stage import EnergyResult, identify_energy
 from worm_model.identification.fin import KEYS as FIN
@@ -26,11 +20,11 @@ from worm_model.identification.fin import FinFit, fit_fin
 from worm_model.identification.fits.actuation_fit import KEYS as ACTUATION
 from worm_model.identification.fits.energy import PowerRun, power_run
 from worm_model.identification.fits.estimate import Estimate, not_identifiable, quantile
-from worm_model.identification.fits.forces import Forces, forces_of
-from worm_model.identification.fits.held_out import leave_one_out, run_errors
 from worm_model.identification.fits.locomotion import Known
+from worm_model.identification.fits.quality import starts_apart
 from worm_model.identification.fits.run_prediction import Errors
-from worm_model.identification.identification_errors import IdentificationError
+from worm_model.identification.forces import Forces, forces_of
+from worm_model.identification.held_out import leave_one_out, run_errors
 from worm_model.identification.idle import NO_IDLE, idle_power
 from worm_model.identification.inputs import Inputs
 from worm_model.identification.locomotion_stage import (
@@ -39,6 +33,12 @@ from worm_model.identification.locomotion_stage import (
     identify_locomotion,
 )
 from worm_model.identification.reference_values import ReferenceValues
+from worm_model.identification.run_selection import (
+    Run,
+    fitted_runs,
+    initial_length,
+    prepared_validation,
+)
 from worm_model.parameters import FITTED_WITH_FORM, KEYS, Parameters
 
 Progress = Callable[[str, float], None]

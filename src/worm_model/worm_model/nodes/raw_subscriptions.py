@@ -29,7 +29,7 @@ from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from std_srvs.srv import Trigger
 
-from worm_model.bags.bag_errors import BagError, DefinitionError
+from worm_model.bags.formats.bag_errors import BagError, DefinitionError
 from worm_model.bags.formats.bag_metadata import dump_yaml, qos_profile
 from worm_model.bags.formats.message_block import Message, Topic
 from worm_model.bags.formats.message_types import installed_definition

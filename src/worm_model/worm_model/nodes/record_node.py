@@ -11,9 +11,9 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
-from worm_model.bags.bag_errors import BagError, UnwritableError
-from worm_model.bags.finding import TIME_FIELD, dated
+from worm_model.bags.formats.bag_errors import BagError, UnwritableError
 from worm_model.bags.formats.bag_writer import COMPRESSIONS, WriteOptions
+from worm_model.bags.formats.finding import TIME_FIELD, dated
 from worm_model.bags.formats.message_block import Message
 from worm_model.bags.operations.cleaning import Cleaner
 from worm_model.bags.recording.recorder import Manifest

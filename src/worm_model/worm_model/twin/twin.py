@@ -36,11 +36,11 @@ from worm_model.twin.core.memory import (
     new_memory,
     new_rows,
 )
+from worm_model.twin.core.records import Event, Health, Severity, residual_message
+from worm_model.twin.core.samples import SampleRows
 from worm_model.twin.diagnosis import CycleSeen, History, explains, judge_cycle, off_at_end
 from worm_model.twin.findings import INFORMATION, Finding, Sentence
-from worm_model.twin.records import Event, Health, Severity, residual_message
 from worm_model.twin.run_start import DriverState, begin_run, driver_state_of, is_new_run
-from worm_model.twin.samples import SampleRows
 from worm_model.twin.start_estimate import EstimatedStart, Start, estimate_start
 from worm_model.twin.twin_settings import DEFAULTS, TwinSettings
 from worm_msgs.gait import WAVEFORM, Gait, gait_of

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import worm_model
-from worm_model.bags.finding import METADATA_FILE
+from worm_model.bags.formats.finding import METADATA_FILE
 from worm_model.commands.bag_columns import COLUMNS
 from worm_model.errors import InputError
 from worm_optimizer.console.run_traces import RunTraces, traces_of

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from worm_model.analysis.run_metrics import last_played_gait
-from worm_model.bags.bag_errors import BagError
+from worm_model.bags.formats.bag_errors import BagError
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import read_run
 from worm_model.errors import RecordingError

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from worm_model.bags.finding import METADATA_FILE, TIME_FIELD
+from worm_model.bags.formats.finding import METADATA_FILE, TIME_FIELD
 from worm_model.errors import InputError
 from worm_msgs.conditions import Conditions
 from worm_optimizer.nodes.operator_node import OperatorNode

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from worm_model.bags.bag import Bag
+from worm_model.bags.formats.bag import Bag
 from worm_model.bags.formats.cdr import Columns
 from worm_model.bags.formats.message_block import Topic
 from worm_model.bags.run_reader import read_columns

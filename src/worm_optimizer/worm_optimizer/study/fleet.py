@@ -22,7 +22,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as parquet
 
-from worm_model.bags.finding import bags_below, mark_of, name_below
+from worm_model.bags.formats.finding import bags_below, mark_of, name_below
 from worm_model.errors import InputError
 from worm_model.identification.drift import ADVICE
 from worm_model.identification.drift_estimates import estimate_bags

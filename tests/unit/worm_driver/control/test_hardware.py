@@ -20,10 +20,10 @@ from worm_driver.errors import ConfigurationError, DriverError, PortError
 from worm_driver.gait.gait_player import Phase
 from worm_driver.servos import serial_port
 from worm_driver.servos.servo_bus import BusPort
+from worm_driver.virtual_robot.robot_server import RobotServer
 from worm_driver.virtual_robot.virtual_robot import VirtualRobot
 from worm_driver.virtual_robot.virtual_settings import load_settings
 from worm_driver.virtual_robot.wire.faults import make_fault
-from worm_driver.virtual_robot.wire.robot_server import RobotServer
 from worm_msgs.gait import Gait
 
 TIMEOUT_S = 20.0  # s, only a failing test waits so long

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from worm_driver.virtual_robot.camera import TrackerSample
+from worm_driver.virtual_robot.robot_server import I2C_NAME, SERIAL_NAME, RobotServer
 from worm_driver.virtual_robot.virtual_robot import VirtualRobot
 from worm_driver.virtual_robot.virtual_settings import RobotSettings, load_settings
-from worm_driver.virtual_robot.wire.robot_server import I2C_NAME, SERIAL_NAME, RobotServer
 
 
 @dataclass

@@ -27,8 +27,8 @@ from rosbags.rosbag2 import Writer as RosbagsWriter
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from zstandard import ZstdCompressor, ZstdDecompressor
 
-from worm_model.bags.bag import DECOMPRESSED_BYTES, Bag
-from worm_model.bags.bag_errors import BagError
+from worm_model.bags.formats.bag import DECOMPRESSED_BYTES, Bag
+from worm_model.bags.formats.bag_errors import BagError
 from worm_model.bags.formats.bag_writer import new_bag
 from worm_model.bags.formats.cdr import encode
 from worm_model.bags.formats.message_block import Topic

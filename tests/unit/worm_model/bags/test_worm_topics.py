@@ -3,7 +3,7 @@
 
 import pytest
 
-from worm_model.bags.bag_errors import BagError
+from worm_model.bags.formats.bag_errors import BagError
 from worm_model.bags.formats.message_block import Topic
 from worm_model.bags.formats.message_types import topic_of
 from worm_model.bags.worm_topics import JOINT_STATE, find_topic

@@ -15,8 +15,8 @@ from worm_model.bags.run_writer import write_run
 from worm_model.commands import identify
 from worm_model.commands.import_lab import import_lab
 from worm_model.gait import Gait
+from worm_model.identification.data.identification_errors import IdentificationError
 from worm_model.identification.data.lab_logs import LabSettings
-from worm_model.identification.identification_errors import IdentificationError
 from worm_model.identification.inputs import read_inputs, read_recordings
 from worm_model.identification.reference_values import reference_by_folder
 from worm_model.parameters import KEYS, PAPER, load_parameter_file

@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from worm_model.identification.bellows import fit_bellows
+from worm_model.identification.data.identification_errors import IdentificationError
 from worm_model.identification.fin import fit_fin
-from worm_model.identification.identification_errors import IdentificationError
 
 X = np.linspace(-0.012, 0.012, 97)
 COMPRESSION = np.linspace(0.0, 0.07, 36)

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 from virtual_campaign import SHORT
 
+from worm_model.identification.data.identification_errors import IdentificationError
 from worm_model.identification.fits.estimate import Estimate, not_identifiable
-from worm_model.identification.identification_errors import IdentificationError
 
 ROOT = Path(__file__).resolve().parents[4]
 

@@ -6,8 +6,8 @@ import pytest
 
 from worm_model.analysis.simulated_run import simulated_run
 from worm_model.gait import Gait
+from worm_model.identification.data.identification_errors import IdentificationError
 from worm_model.identification.data.observed_run import recording_of
-from worm_model.identification.identification_errors import IdentificationError
 from worm_model.identification.inputs import BenchTest, Inputs
 from worm_model.identification.paper_procedure import literal
 from worm_model.parameters import PAPER

@@ -10,13 +10,12 @@ import pytest
 from virtual_campaign import SHORT, bench_tests, virtual_campaign
 
 from worm_model.analysis.simulated_run import simulated_run
+from worm_model.identification.data.identification_errors import IdentificationError
 from worm_model.identification.data.observed_run import recording_of
-from worm_model.identification.data.run_selection import prepared, prepared_validation
 from worm_model.identification.fin import fit_fin
 from worm_model.identification.fits.estimate import Estimate
-from worm_model.identification.fits.held_out import run_errors
 from worm_model.identification.fits.run_prediction import predict
-from worm_model.identification.identification_errors import IdentificationError
+from worm_model.identification.held_out import run_errors
 from worm_model.identification.inputs import Inputs
 from worm_model.identification.reference_values import (
     MEASURED,
@@ -27,6 +26,7 @@ from worm_model.identification.report.advice import FREQUENCIES, STAGES, STROKES
 from worm_model.identification.report.identification_figures import energy_of_run
 from worm_model.identification.report.identification_report import text_of
 from worm_model.identification.report.results import correlations, parameter_file, summary
+from worm_model.identification.run_selection import prepared, prepared_validation
 from worm_model.identification.stages import FIN, bench_warnings, identify
 from worm_model.parameters import (
     FITTED_WITH_FORM,

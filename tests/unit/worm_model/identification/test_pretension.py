@@ -10,15 +10,15 @@ from virtual_campaign import SHORT, VirtualCampaign, virtual_campaign
 
 from worm_model.gait import Gait, Profile
 from worm_model.identification.actuation_stage import identify_actuation
+from worm_model.identification.data.identification_errors import IdentificationError
 from worm_model.identification.data.observed_run import SAME_PLACE
-from worm_model.identification.data.run_selection import fitted_runs
 from worm_model.identification.fits.actuation_fit import actuation_problem, fit_actuation
 from worm_model.identification.fits.block_least_squares import inverse, normal_equations
-from worm_model.identification.fits.held_out import run_errors
-from worm_model.identification.identification_errors import IdentificationError
+from worm_model.identification.held_out import run_errors
 from worm_model.identification.idle import idle_power, idle_power_of
 from worm_model.identification.paper_procedure import literal
 from worm_model.identification.reference_values import MEASURED
+from worm_model.identification.run_selection import fitted_runs
 from worm_model.identification.stages import identify
 from worm_model.parameters import KEYS
 

@@ -13,17 +13,17 @@ from virtual_session import Session
 
 from worm_model.gait import Gait, Profile
 from worm_model.identification.actuation_stage import identify_actuation
-from worm_model.identification.data.measured_length import measured_length
+from worm_model.identification.data.identification_errors import IdentificationError
 from worm_model.identification.data.observed_run import recording_of, recordings_of
-from worm_model.identification.data.quality import (
+from worm_model.identification.fits.locomotion import traverse_of
+from worm_model.identification.fits.measured_length import measured_length
+from worm_model.identification.fits.quality import (
     follows_command,
     longest_gap,
     remarks,
     starts_apart,
     usable,
 )
-from worm_model.identification.fits.locomotion import traverse_of
-from worm_model.identification.identification_errors import IdentificationError
 from worm_model.identification.idle import idle_power, idle_power_of
 from worm_model.parameters import PAPER
 from worm_model.run import GaitStates, LengthSamples, PowerSamples, Run, TrackerSamples

@@ -10,7 +10,7 @@ from virtual_campaign import Instruments, exact_run
 from worm_model.gait import Gait
 from worm_model.identification import locomotion_stage
 from worm_model.identification.actuation_stage import identify_actuation
-from worm_model.identification.data.measured_length import measured_length
+from worm_model.identification.data.identification_errors import IdentificationError
 from worm_model.identification.data.observed_run import recording_of
 from worm_model.identification.energy_stage import identify_energy
 from worm_model.identification.fits.actuation_fit import fit_actuation
@@ -29,7 +29,7 @@ from worm_model.identification.fits.locomotion import (
     with_means,
     worm_of,
 )
-from worm_model.identification.identification_errors import IdentificationError
+from worm_model.identification.fits.measured_length import measured_length
 from worm_model.parameters import PAPER
 from worm_model.simulation.kernel.grooves import FIRST_GROOVE
 from worm_model.simulation.kernel.march import X1

@@ -15,8 +15,8 @@ from typing import Any
 import yaml
 from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
 
-from worm_model.bags.bag_errors import BagError
-from worm_model.bags.finding import METADATA_FILE
+from worm_model.bags.formats.bag_errors import BagError
+from worm_model.bags.formats.finding import METADATA_FILE
 from worm_model.bags.formats.message_block import Topic
 
 METADATA_ROOT = "rosbag2_bagfile_information"

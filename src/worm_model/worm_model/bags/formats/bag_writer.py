@@ -14,8 +14,8 @@ from typing import BinaryIO
 
 from mcap.writer import CompressionType, Writer
 
-from worm_model.bags.bag import Bag
-from worm_model.bags.bag_errors import UnwritableError
+from worm_model.bags.formats.bag import Bag
+from worm_model.bags.formats.bag_errors import UnwritableError
 from worm_model.bags.formats.bag_metadata import Extent, metadata_text, write_metadata
 from worm_model.bags.formats.contents import AttachedFile
 from worm_model.bags.formats.message_block import Message, Topic

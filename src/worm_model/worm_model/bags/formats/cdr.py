@@ -21,7 +21,7 @@ from rosbags.convert.converter import default_message, migrate_message
 from rosbags.interfaces import Nodetype
 from rosbags.serde import SerdeError
 
-from worm_model.bags.bag_errors import BagError, DefinitionError
+from worm_model.bags.formats.bag_errors import BagError, DefinitionError
 from worm_model.bags.formats.message_block import Bytes, Integers, Message, Messages, Topic
 from worm_model.bags.formats.message_types import (
     REMEDY,

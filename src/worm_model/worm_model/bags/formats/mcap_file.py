@@ -9,8 +9,8 @@ import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import Attachment
 
-from worm_model.bags.bag_errors import BagError
 from worm_model.bags.formats import mcap_records
+from worm_model.bags.formats.bag_errors import BagError
 from worm_model.bags.formats.bag_metadata import named_qos
 from worm_model.bags.formats.contents import AttachedFile, Contents, Extent
 from worm_model.bags.formats.mcap_contents import extent_records, salvage, scan

@@ -29,7 +29,7 @@ from rosbags.typesys import (
 )
 from rosbags.typesys.store import Typestore
 
-from worm_model.bags.bag_errors import DefinitionError
+from worm_model.bags.formats.bag_errors import DefinitionError
 from worm_model.bags.formats.message_block import Topic
 
 PACKAGE = "worm_msgs"

@@ -12,7 +12,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from worm_model.bags.bag_errors import BagError
+from worm_model.bags.formats.bag_errors import BagError
 from worm_model.bags.formats.bag_metadata import named_qos
 from worm_model.bags.formats.contents import Contents, Extent
 from worm_model.bags.formats.message_block import Message, Messages, Topic, messages_of

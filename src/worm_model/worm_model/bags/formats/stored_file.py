@@ -17,9 +17,9 @@ from typing import BinaryIO, cast
 import zstandard
 from zstandard import ZstdDecompressor
 
-from worm_model.bags.bag_errors import BagError
-from worm_model.bags.finding import COMPRESSED, check_readable
+from worm_model.bags.formats.bag_errors import BagError
 from worm_model.bags.formats.contents import AttachedFile, Contents, Extent
+from worm_model.bags.formats.finding import COMPRESSED, check_readable
 from worm_model.bags.formats.mcap_records import DAMAGE
 from worm_model.bags.formats.message_block import Messages, Topic
 

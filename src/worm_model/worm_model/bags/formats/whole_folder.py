@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from worm_model.bags.bag_errors import BagError, ExistsError
+from worm_model.bags.formats.bag_errors import BagError, ExistsError
 from worm_model.bags.formats.bag_metadata import sync_directory
 
 

@@ -11,8 +11,8 @@ from typing import Any
 
 from rosbags.serde import SerdeError
 
-from worm_model.bags.bag import Bag
-from worm_model.bags.bag_errors import BagError
+from worm_model.bags.formats.bag import Bag
+from worm_model.bags.formats.bag_errors import BagError
 from worm_model.bags.formats.bag_writer import ROSBAG2_RECORD, new_bag
 from worm_model.bags.formats.cdr import defined_message
 from worm_model.bags.formats.contents import AttachedFile

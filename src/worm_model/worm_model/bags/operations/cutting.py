@@ -8,8 +8,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from operator import attrgetter
 from pathlib import Path
 
-from worm_model.bags.bag import Bag
-from worm_model.bags.bag_errors import BagError
+from worm_model.bags.formats.bag import Bag
+from worm_model.bags.formats.bag_errors import BagError
 from worm_model.bags.formats.bag_writer import new_bag
 from worm_model.bags.formats.cdr import defined_message
 from worm_model.bags.formats.message_block import Message, Topic

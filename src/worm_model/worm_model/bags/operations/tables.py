@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from worm_model.bags.bag import Bag
-from worm_model.bags.bag_errors import BagError
+from worm_model.bags.formats.bag import Bag
+from worm_model.bags.formats.bag_errors import BagError
 from worm_model.bags.formats.cdr import ColumnBuilder, Columns
 from worm_model.bags.formats.message_block import Messages, Topic
 

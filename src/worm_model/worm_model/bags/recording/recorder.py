@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from worm_model.bags.bag_errors import ExistsError
+from worm_model.bags.formats.bag_errors import ExistsError
 from worm_model.bags.formats.bag_metadata import sync_directory
 from worm_model.bags.formats.bag_writer import BagFiles, WriteOptions
 from worm_model.bags.formats.contents import AttachedFile

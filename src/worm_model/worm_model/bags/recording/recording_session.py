@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from operator import methodcaller
 from pathlib import Path
 
-from worm_model.bags.bag_errors import BagError
+from worm_model.bags.formats.bag_errors import BagError
 from worm_model.bags.formats.bag_metadata import first_qos_profile
 from worm_model.bags.formats.bag_writer import WriteOptions
 from worm_model.bags.formats.message_block import Message, Topic

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import yaml
 
-from worm_model.bags.bag import Bag
-from worm_model.bags.bag_errors import BagError
+from worm_model.bags.formats.bag import Bag
+from worm_model.bags.formats.bag_errors import BagError
 from worm_model.bags.formats.contents import AttachedFile
 from worm_model.bags.recording.recorder import Manifest
 from worm_model.errors import printable

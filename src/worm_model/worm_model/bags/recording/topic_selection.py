@@ -6,7 +6,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from worm_model.bags.bag_errors import BagError
+from worm_model.bags.formats.bag_errors import BagError
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from worm_model.bags.bag import Bag
-from worm_model.bags.bag_errors import BagError, DefinitionError
-from worm_model.bags.finding import COMPRESSED, check_readable, is_storage, recovered_path
+from worm_model.bags.formats.bag import Bag
+from worm_model.bags.formats.bag_errors import BagError, DefinitionError
 from worm_model.bags.formats.bag_metadata import (
     custom_data,
     declared_counts,
@@ -21,6 +20,7 @@ from worm_model.bags.formats.bag_metadata import (
     silent_topics,
 )
 from worm_model.bags.formats.bag_writer import new_bag
+from worm_model.bags.formats.finding import COMPRESSED, check_readable, is_storage, recovered_path
 from worm_model.bags.formats.mcap_file import McapFile, SalvagedMcapFile
 from worm_model.bags.formats.mcap_records import MAGIC as MCAP_MAGIC
 from worm_model.bags.formats.message_block import Topic

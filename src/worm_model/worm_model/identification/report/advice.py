@@ -16,7 +16,6 @@ import numpy as np
 from worm_model.arrays import Array
 from worm_model.gait import Gait
 from worm_model.identification.actuation_stage import ActuationResult
-from worm_model.identification.data.measured_length import measured_length
 from worm_model.identification.data.observed_run import Recording
 from worm_model.identification.energy_stage import EnergyResult
 from worm_model.identification.fits.actuation_fit import KEYS as ACTUATION
@@ -27,6 +26,7 @@ from worm_model.identification.fits.energy import KEYS as ENERGY
 from worm_model.identification.fits.estimate import Estimate, quantile
 from worm_model.identification.fits.grooves import groove_problem
 from worm_model.identification.fits.locomotion import RIDGES, Known, first_own, traverse_of
+from worm_model.identification.fits.measured_length import measured_length
 from worm_model.identification.locomotion_stage import LocomotionResult
 from worm_model.identification.stages import Identification
 from worm_model.parameters import PAPER

@@ -11,9 +11,9 @@ import pytest
 from worm_driver.clock import MachineClock
 from worm_driver.servos.registers import COMMON
 from worm_driver.servos.servo_bus import ServoBus
+from worm_driver.virtual_robot.robot_server import RobotServer
 from worm_driver.virtual_robot.virtual_robot import VirtualRobot
 from worm_driver.virtual_robot.wire.faults import make_fault
-from worm_driver.virtual_robot.wire.robot_server import RobotServer
 from worm_driver.virtual_robot.wire.virtual_clock import I2C, SERIAL, VirtualClock, clock_of
 
 

@@ -19,7 +19,7 @@ from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from rosbags.rosbag2 import Reader as RosbagsReader
 
-from worm_model.bags.bag_errors import UnwritableError
+from worm_model.bags.formats.bag_errors import UnwritableError
 from worm_model.bags.formats.bag_writer import new_bag
 from worm_model.bags.formats.contents import AttachedFile
 from worm_model.bags.formats.message_block import Message, Topic

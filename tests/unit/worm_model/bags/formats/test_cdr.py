@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from worm_model.bags.bag_errors import BagError
+from worm_model.bags.formats.bag_errors import BagError
 from worm_model.bags.formats.cdr import ColumnBuilder, Columns, Converter, encode
 from worm_model.bags.formats.message_block import Message, Topic, messages_of
 from worm_model.bags.formats.message_types import installed_definition, parse_types, topic_of

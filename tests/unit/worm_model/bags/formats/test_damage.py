@@ -21,7 +21,7 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
 from rosbags.typesys import Stores, get_typestore
 
-from worm_model.bags.bag_errors import BagError
+from worm_model.bags.formats.bag_errors import BagError
 from worm_model.bags.formats.bag_metadata import qos_profiles
 from worm_model.bags.formats.bag_writer import BagFiles, WriteOptions, new_bag
 from worm_model.bags.formats.cdr import ColumnBuilder

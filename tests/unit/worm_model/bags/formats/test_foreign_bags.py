@@ -14,7 +14,7 @@ import pytest
 from mcap.writer import Writer
 from recorded_run import simulated_run, write_bag
 
-from worm_model.bags.bag_errors import BagError
+from worm_model.bags.formats.bag_errors import BagError
 from worm_model.bags.formats.bag_writer import new_bag
 from worm_model.bags.formats.message_block import Message, Topic
 from worm_model.bags.formats.message_types import parse_types

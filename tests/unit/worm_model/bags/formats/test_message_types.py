@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from worm_model.bags.bag_errors import DefinitionError
+from worm_model.bags.formats.bag_errors import DefinitionError
 from worm_model.bags.formats.message_block import Topic
 from worm_model.bags.formats.message_types import (
     installed_definition,

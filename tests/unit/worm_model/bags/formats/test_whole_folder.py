@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from worm_model.bags.bag_errors import BagError, ExistsError
+from worm_model.bags.formats.bag_errors import BagError, ExistsError
 from worm_model.bags.formats.whole_folder import new_folder
 
 

@@ -11,7 +11,7 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability, QosReliability
 
-from worm_model.bags.bag_errors import BagError
+from worm_model.bags.formats.bag_errors import BagError
 from worm_model.bags.formats.bag_metadata import dump_yaml, qos_profile
 from worm_model.bags.formats.bag_writer import WriteOptions
 from worm_model.bags.formats.contents import AttachedFile

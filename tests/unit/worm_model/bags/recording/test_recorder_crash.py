@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 from rosbags.highlevel import AnyReader
 
-from worm_model.bags.bag import Bag
-from worm_model.bags.bag_errors import BagError
+from worm_model.bags.formats.bag import Bag
+from worm_model.bags.formats.bag_errors import BagError
 from worm_model.bags.opening import open_bag
 from worm_model.bags.recovery.recovery import recover
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from worm_model.bags.bag_errors import BagError, ExistsError
-from worm_model.bags.finding import dated
+from worm_model.bags.formats.bag_errors import BagError, ExistsError
+from worm_model.bags.formats.finding import dated
 from worm_model.bags.formats.message_block import Message, Topic
 from worm_model.bags.opening import open_bag
 from worm_model.bags.recording.recorder import Manifest

@@ -20,7 +20,7 @@ from worm_model.bags.recording.run_manifest import (
     run_manifest,
 )
 from worm_model.bags.run_writer import write_run
-from worm_model.identification.identification_errors import IdentificationError
+from worm_model.identification.data.identification_errors import IdentificationError
 from worm_model.identification.inputs import read_inputs
 from worm_model.loads import under
 from worm_model.parameters import PAPER, ParameterFile

@@ -3,7 +3,7 @@
 
 import pytest
 
-from worm_model.bags.bag_errors import BagError
+from worm_model.bags.formats.bag_errors import BagError
 from worm_model.bags.recording.topic_selection import TopicSelection
 
 

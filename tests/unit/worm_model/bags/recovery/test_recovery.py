@@ -30,7 +30,7 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
 from rosbags.typesys import Stores, get_typestore
 
-from worm_model.bags.bag_errors import BagError
+from worm_model.bags.formats.bag_errors import BagError
 from worm_model.bags.formats.bag_writer import BagFiles, WriteOptions
 from worm_model.bags.formats.mcap_records import LARGEST_CHUNK, MAGIC
 from worm_model.bags.formats.mcap_walk import DAMAGED, Walk, is_intact_chunk

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from worm_model.identification.data.run_selection import Run
 from worm_model.identification.energy_stage import EnergyResult
 from worm_model.identification.fits.actuation_fit import KEYS as ACTUATION
 from worm_model.identification.fits.actuation_fit import ActuationFit, fit_actuation
@@ -15,6 +14,7 @@ from worm_model.identification.fits.locomotion import Known
 from worm_model.identification.fits.run_prediction import Errors, errors, predict
 from worm_model.identification.idle import idle_power
 from worm_model.identification.locomotion_stage import ONSET, LocomotionResult, refit
+from worm_model.identification.run_selection import Run
 from worm_model.parameters import PAPER, Parameters
 
 ITERATIONS = 4  # iterations of the locomotion fit, which starts from the fit to all runs

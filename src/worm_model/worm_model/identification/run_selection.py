@@ -8,12 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from worm_model.identification.data.measured_length import MeasuredLength, measured_length
+from worm_model.identification.data.identification_errors import IdentificationError
 from worm_model.identification.data.observed_run import Recording
-from worm_model.identification.data.quality import power_missing, remarks, starts_apart, usable
 from worm_model.identification.fits.estimate import Estimate, half_of_mean, quantile
 from worm_model.identification.fits.locomotion import Traverse, traverse_of
-from worm_model.identification.identification_errors import IdentificationError
+from worm_model.identification.fits.measured_length import MeasuredLength, measured_length
+from worm_model.identification.fits.quality import power_missing, remarks, starts_apart, usable
 from worm_model.identification.idle import IdlePower, idle_power_of
 
 OF_THE_MEAN = "interval of the mean; the standard deviation between runs is {:.3f} mm"

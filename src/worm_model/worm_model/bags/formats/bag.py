@@ -15,7 +15,7 @@ import numpy as np
 import zstandard
 from zstandard import ZstdDecompressor
 
-from worm_model.bags.bag_errors import BagError
+from worm_model.bags.formats.bag_errors import BagError
 from worm_model.bags.formats.cdr import check_length
 from worm_model.bags.formats.contents import AttachedFile, Extent
 from worm_model.bags.formats.mcap_records import LARGEST_CHUNK

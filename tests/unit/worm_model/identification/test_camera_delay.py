@@ -9,7 +9,7 @@ from virtual_campaign import Instruments, exact_run
 
 from worm_model.gait import Gait
 from worm_model.identification.actuation_stage import identify_actuation
-from worm_model.identification.data.camera_delay import camera_delay, servo_lag
+from worm_model.identification.camera_delay import camera_delay, servo_lag
 from worm_model.identification.data.observed_run import Recording, recording_of
 
 GAITS = (Gait(0.07, 0.2), Gait(0.08, 0.25))

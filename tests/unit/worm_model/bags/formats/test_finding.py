@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from worm_model.bags.finding import bags_below, recovered_path
+from worm_model.bags.formats.finding import bags_below, recovered_path
 from worm_model.errors import InputError
 
 

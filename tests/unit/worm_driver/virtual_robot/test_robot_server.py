@@ -6,8 +6,8 @@ import stat
 
 import pytest
 
+from worm_driver.virtual_robot.robot_server import DirectoryError, RobotServer
 from worm_driver.virtual_robot.virtual_robot import VirtualRobot
-from worm_driver.virtual_robot.wire.robot_server import DirectoryError, RobotServer
 
 
 @pytest.fixture
