@@ -21,6 +21,8 @@ from worm_model.bags.formats.message_block import Topic
 
 METADATA_ROOT = "rosbag2_bagfile_information"
 VERSION = 9
+STATE = "state"  # key in custom_data of a bag that this package records
+UNFINISHED, CLOSED = "being recorded", "closed"  # its values
 LARGEST_YAML = 16 << 20  # bytes; a bag of a thousand files and topics has a tenth of that
 DEEPEST_YAML = 32  # levels; metadata.yaml has eight
 MOST_NODES = 250_000  # a bag of a thousand topics and ten thousand files has fewer

@@ -14,12 +14,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from worm_model.bags.formats.bag_errors import ExistsError
-from worm_model.bags.formats.bag_metadata import sync_directory
+from worm_model.bags.formats.bag_metadata import CLOSED, STATE, UNFINISHED, sync_directory
 from worm_model.bags.formats.bag_writer import BagFiles, WriteOptions
 from worm_model.bags.formats.contents import AttachedFile
-
-STATE = "state"  # key in the bag's custom_data
-UNFINISHED, CLOSED = "being recorded", "closed"
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,8 @@ from typing import Any
 from worm_model.bags.formats.bag import Bag
 from worm_model.bags.formats.bag_errors import BagError, DefinitionError
 from worm_model.bags.formats.bag_metadata import (
+    STATE,
+    UNFINISHED,
     custom_data,
     declared_counts,
     read_metadata,
@@ -28,7 +30,6 @@ from worm_model.bags.formats.message_types import with_definition
 from worm_model.bags.formats.sqlite_file import MAGIC as SQLITE_MAGIC
 from worm_model.bags.formats.sqlite_file import SqliteFile
 from worm_model.bags.formats.stored_file import StoredFile
-from worm_model.bags.recording.recorder import STATE, UNFINISHED
 from worm_model.checksum import sha256_of
 from worm_model.errors import printable
 
