@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from worm_driver.tracking.camera_model import CameraInfoFile
 from worm_driver.tracking.tracker_setup import SetupFile
 from worm_driver.virtual_robot.camera_images import CameraSettings
 from worm_driver.virtual_robot.virtual_settings import RobotSettings
@@ -62,6 +63,7 @@ def _mapping(properties: dict[str, Any], **more: Any) -> dict[str, Any]:
 #: Schema of each kind of file, by its path.
 SCHEMAS: dict[Path, dict[str, Any]] = {
     _DRIVER / "config/driver.schema.json": parameter_file_schema("driver", DriverFile),
+    _WITHIN / "camera_info.schema.json": json_schema(CameraInfoFile),
     _WITHIN / "tracker.schema.json": json_schema(SetupFile),
     _WITHIN / "virtual_camera.schema.json": json_schema(CameraSettings),
     _WITHIN / "virtual_robot.schema.json": json_schema(RobotSettings),

@@ -22,6 +22,8 @@ from worm_msgs.yaml_file import SettingsFileError, read_yaml, unknown_name
 
 T = TypeVar("T")
 _CONFIG = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
+#: ``__pydantic_config__`` of a dataclass for files of other programs, whose unknown keys are ignored.
+FOREIGN = ConfigDict(strict=True, extra="ignore", allow_inf_nan=False)
 _BOUNDS = ("greater_than", "greater_than_equal", "less_than", "less_than_equal")
 _YAML_TERMS = {"an object": "a mapping", "valid array": "list", " after validation": ""}
 

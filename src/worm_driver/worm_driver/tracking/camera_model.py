@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,7 @@ import yaml
 from numpy.typing import NDArray
 
 from worm_driver.tracking.tracking_errors import SetupError
-from worm_msgs.yaml_file import read_yaml
+from worm_msgs.settings_file import FOREIGN, read_settings
 
 Array = NDArray[np.float64]
 
@@ -69,6 +68,26 @@ class CameraModel:
         return bool(np.abs(differences).max() > _ROUNDING)
 
 
+@dataclass(frozen=True)
+class _Matrix:
+    __pydantic_config__ = FOREIGN
+
+    data: list[float]  # row by row
+
+
+@dataclass(frozen=True)
+class CameraInfoFile:
+    """Keys of a camera_info file that the tracker reads."""
+
+    __pydantic_config__ = FOREIGN
+
+    image_width: int
+    image_height: int
+    camera_matrix: _Matrix
+    distortion_model: str
+    distortion_coefficients: _Matrix
+
+
 def load_camera_info(path: Path) -> CameraModel:
     """Read the camera from a YAML file in the format of ROS's camera_calibration.
 
@@ -79,44 +98,17 @@ def load_camera_info(path: Path) -> CameraModel:
         raise SetupError(
             f"{path}: No such file. Create it with calibrate_camera, or copy the camera's camera_info file there"
         )
-    content = read_yaml(path, SetupError)
+    file = read_settings(path, CameraInfoFile, SetupError)
+    matrix, distortion = file.camera_matrix.data, file.distortion_coefficients.data
+    size = (file.image_width, file.image_height)
     try:
-        return _from_file(content)
+        return make_camera_model(size, matrix, file.distortion_model, distortion)
     except SetupError as error:
         raise SetupError(f"{path}: {error}") from None
 
 
-def _from_file(content: Any) -> CameraModel:
-    if not isinstance(content, Mapping):
-        raise SetupError(
-            "not a camera_info file: it must be a mapping with image_width, image_height, camera_matrix and so on"
-        )
-    for key in (
-        *("image_width", "image_height", "camera_matrix"),
-        *("distortion_model", "distortion_coefficients"),
-    ):
-        if key not in content:
-            raise SetupError(f"not a camera_info file: {key} is missing")
-    return make_camera_model(
-        (content["image_width"], content["image_height"]),
-        _numbers(content["camera_matrix"], "camera_matrix"),
-        content["distortion_model"],
-        _numbers(content["distortion_coefficients"], "distortion_coefficients"),
-    )
-
-
-def _numbers(content: Any, key: str) -> list[float]:
-    """Return the values of a matrix in the file, row by row. Raises SetupError."""
-    data = content.get("data") if isinstance(content, Mapping) else None
-    if not isinstance(data, list):
-        raise SetupError(f"{key} has no list named data")
-    if any(isinstance(v, bool) or not isinstance(v, int | float) for v in data):
-        raise SetupError(f"{key} contains a value that is not a number")
-    return [float(value) for value in data]
-
-
 def make_camera_model(
-    size: tuple[Any, Any], matrix: list[float], model: Any, distortion: list[float]
+    size: tuple[int, int], matrix: list[float], model: str, distortion: list[float]
 ) -> CameraModel:
     """Return the camera described by the fields of a camera_info message.
 
@@ -130,7 +122,7 @@ def make_camera_model(
         SetupError: The camera is not calibrated, or its distortion model is not supported.
     """
     width, height = size
-    if not all(isinstance(side, int) and side > 0 for side in size):
+    if min(size) <= 0:
         raise SetupError(
             f"image size {width} x {height} is not valid: both must be positive integers"
         )
