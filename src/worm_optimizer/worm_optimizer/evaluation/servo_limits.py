@@ -9,12 +9,12 @@ import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from worm_msgs.driver_file import DriverFile
 from worm_msgs.parameter_rows import present_names
 from worm_msgs.servo_models import RPM, SERVO_MODELS, VELOCITY_UNIT, Initial
-from worm_msgs.settings_file import settings_of
+from worm_msgs.settings_file import key, settings_of
 from worm_msgs.yaml_file import read_yaml
 from worm_optimizer.evaluation.actuator_limits import ActuatorLimits
 from worm_optimizer.evaluation.task import Bounds
@@ -71,7 +71,7 @@ class DrivenBy:
     max_cable_speed: float
     max_servo_current: float
     max_servo_load: float
-    sensor_current: float
+    sensor_current: Annotated[float, key(allow_inf_nan=True)]
 
 
 def servo_models() -> dict[str, ServoModel]:

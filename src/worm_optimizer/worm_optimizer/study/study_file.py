@@ -11,7 +11,8 @@ import dataclasses
 import hashlib
 import itertools
 import json
-import math
+import reprlib
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -263,9 +264,10 @@ def _check_waveform(study: plan.Study, named: set[str]) -> None:
 
 
 def _number(where: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not (is_number and abs(value) <= sys.float_info.max):
         hint = " (YAML reads 1e-3 as text: write 1.0e-3)" if isinstance(value, str) else ""
-        raise StudyError(f"{where}: {value!r} is not a finite number{hint}")
+        raise StudyError(f"{where}: {reprlib.repr(value)} is not a finite number{hint}")
     return float(value)
 
 
@@ -383,10 +385,7 @@ def _driver(content: Any, folder: Path) -> DrivenBy:
     """Return the driver's limits from the name of its parameter file, or from the mapping that `format_study` wrote."""
     if not isinstance(content, Mapping):
         return load_driver_file(folder / str(content))
-    names = tuple(row.name for row in dataclasses.fields(DrivenBy))
-    values = dict(content)
     try:
-        radii = tuple(map(float, values.pop("spool_radii")))
-        return DrivenBy(radii, **{name: float(value) for name, value in values.items()})
-    except (KeyError, TypeError, ValueError):
-        raise StudyError(f"hardware: driver: expected numbers for {', '.join(names)}") from None
+        return settings_of(content, DrivenBy)
+    except SettingsFileError as error:
+        raise StudyError(f"hardware: driver: {error}") from None

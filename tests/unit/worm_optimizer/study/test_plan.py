@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 import dataclasses
+import math
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ from hypothesis import strategies as st
 from study_cases import SMALL
 
 from worm_model.parameters import PAPER, ParameterFile, write_parameter_file
-from worm_optimizer.evaluation.servo_limits import servo_models
+from worm_optimizer.evaluation.servo_limits import DrivenBy, servo_models
 from worm_optimizer.study.study_file import (
     StudyError,
     extends,
@@ -155,10 +156,13 @@ def test_a_title_or_a_comment_changes_nothing_that_counts():
     assert identity_of(different) != identity_of(study)
 
 
+DRIVER = dataclasses.asdict(DrivenBy((0.02,), 0.08, 1.0, 0.2, 1.0, 0.5, math.inf))
+DRIVER["spool_radii"] = list(DRIVER["spool_radii"])  # as YAML contains it
 WRONG: list[tuple[list[str], dict[str, object]]] = [
     (["vary", "'slak'", "slack"], {"vary": {"slak": [1.0]}}),
     (["vary", "'one_sided_cable'"], {"vary": {"one_sided_cable": [0.0, 1.0]}}),
     (["vary: slack", "'much'"], {"vary": {"slack": ["much"]}}),
+    (["vary: slack", "1000", "number"], {"vary": {"slack": [10**400]}}),
     (["vary: slack", "list"], {"vary": {"slack": {"from": 0.0}}}),
     (["vary: slack", "twice"], {"vary": {"slack": [0.001, 0.001]}}),
     (["vary: slack", "8 m", "0 to 0.1 m"], {"vary": {"slack": [0.004, 8.0]}}),
@@ -210,7 +214,12 @@ WRONG: list[tuple[list[str], dict[str, object]]] = [
         {"vary": {"groove_phase_m": [0.0], "initial_length": [0.3]}},
     ),
     (["hardware: driver", "missing"], {"hardware": {"servo_model": "XL330-M288"}}),
-    (["hardware: driver", "max_stroke"], {"hardware": {"driver": {"max_stroke": 1}}}),
+    (["hardware: driver", "spool_radii", "missing"], {"hardware": {"driver": {"max_stroke": 1}}}),
+    (["hardware: driver", "'max_strok'", "max_stroke"], {"hardware": {"driver": {"max_strok": 1}}}),
+    (
+        ["hardware: driver: max_stroke", "number", "1000"],
+        {"hardware": {"driver": {**DRIVER, "max_stroke": 10**400}}},
+    ),
     (["vary"], {"vary": None}),
     (
         ["vary", "100000000 points"],
