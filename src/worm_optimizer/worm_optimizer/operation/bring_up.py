@@ -327,7 +327,4 @@ def check_ends(group: ProcessGroup) -> None:
     """Raise `ProcessError` if a process ended with an exit status other than 0."""
     for process in group.processes.values():
         if process.exit_code != 0:
-            raise ProcessError(
-                f"{process.name} ended with an error (exit status {process.exit_code}): "
-                f"{process.last_line()}"
-            )
+            raise ProcessError(process.report())

@@ -19,6 +19,7 @@ from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 
 POLL_PERIOD_S = 0.02  # period of the checks in `wait_for`, s
 GRACE_S = 30.0  # default time from an interrupt to a kill, s
+_ABORT_S = 5.0  # time in which a process that is aborted writes what its threads do, s
 ENDING_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _LIBC = ctypes.CDLL(None, use_errno=True)
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
@@ -65,6 +66,7 @@ class Process:
         command: command line.
         grace_s: time from an interrupt to a kill, s.
         was_ready: True after the process has reported readiness. The caller sets it.
+        overdue: True if the process was killed because it did not end in time.
     """
 
     def __init__(
@@ -73,7 +75,7 @@ class Process:
         self.name = name
         self.command = command
         self.grace_s = grace_s
-        self.was_ready = False
+        self.was_ready = self.overdue = False
         self._log = log
         with log.open("ab") as output:
             self._popen = subprocess.Popen(
@@ -122,14 +124,16 @@ class Process:
         )
         match = expression.search(self.output())
         if match is None:
-            raise ProcessError(
-                f"{self.name} {self._state()} without {pattern!r}: {self.last_line()}"
-            )
+            raise ProcessError(f"{self.report()}; no line of its output matches {pattern!r}")
         return match
+
+    def ends_within(self, timeout_s: float) -> bool:
+        """Wait for the end of the process; return False at the timeout (s)."""
+        return wait_for(lambda: self.exit_code is not None, timeout_s)
 
     def wait(self, timeout_s: float) -> int:
         """Wait for the end of the process and return `exit_code`. Raises `ProcessError` at the timeout (s)."""
-        wait_for(lambda: self.exit_code is not None, timeout_s)
+        self.ends_within(timeout_s)
         code = self.exit_code
         if code is None:
             message = f"{self.name} still runs after {timeout_s:g} s: {self.last_line()}"
@@ -150,14 +154,27 @@ class Process:
         """Send SIGKILL, which has the effect of a crash or a power cut."""
         self.signal(signal.SIGKILL)
 
+    def abort(self) -> None:
+        """Kill a process that does not end. Before its end, Python writes to the output what each thread is doing."""
+        self.overdue = True
+        self.signal(signal.SIGABRT)
+        self.ends_within(_ABORT_S)
+
     def signal(self, number: signal.Signals) -> None:
         """Send a signal to the process group; without effect after `release`."""
         if self._popen.returncode is None:
             os.killpg(self.pid, number)
 
-    def _state(self) -> str:
+    def report(self) -> str:
+        """Return the state of the process and its last line in one line."""
+        if self.overdue:
+            return (
+                f"{self.name} did not end within {self.grace_s:g} s and was killed; the end of {self._log} contains "
+                "what it was doing"
+            )
         code = self.exit_code
-        return "still runs" if code is None else f"ended with exit status {code}"
+        state = "still runs" if code is None else f"ended with exit status {code}"
+        return f"{self.name} {state}: {self.last_line()}"
 
 
 @contextlib.contextmanager
@@ -228,7 +245,8 @@ class ProcessGroup:
         if name in self.processes:
             raise ProcessError(f"a process with the name {name} exists already")
         log = self.log_folder / f"{name}.log"
-        process = Process(name, command, log, {**self._env, **(env or {})}, grace_s)
+        own = {"PYTHONFAULTHANDLER": "1", **self._env, **(env or {})}  # for `Process.abort`
+        process = Process(name, command, log, own, grace_s)
         self.processes[name] = process
         return process
 
@@ -247,7 +265,7 @@ class ProcessGroup:
         """Raise `ProcessError` if a process has ended with an error."""
         for process in self.processes.values():
             if process.exit_code not in (None, 0):
-                raise ProcessError(f"{process.name} {process._state()}: {process.last_line()}")
+                raise ProcessError(process.report())
 
     def end(self, name: str) -> None:
         """Interrupt a process and wait for its end.
@@ -265,8 +283,8 @@ class ProcessGroup:
             for process in reversed(self.processes.values()):
                 if process.exit_code is None:
                     process.interrupt()
-                    with contextlib.suppress(ProcessError):
-                        process.wait(process.grace_s)
+                    if not process.ends_within(process.grace_s):
+                        process.abort()
         finally:  # also after a second Ctrl-C
             for process in self.processes.values():
                 process.release()
