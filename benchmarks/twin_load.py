@@ -18,7 +18,7 @@ from benchmarks.report import Row
 from worm_model.gait import Gait
 from worm_msgs.msg import BodyLength, GaitState, TwinState
 from worm_msgs.msg import Gait as GaitMessage
-from worm_msgs.ros_process import spare_pauses
+from worm_msgs.ros_process import freeze_garbage_collection
 from worm_msgs.srv import PredictGait
 from worm_optimizer.operation.processes import ProcessGroup, executable_command, wait_for
 
@@ -111,7 +111,7 @@ def measure(topic: str) -> Load:
         if not wait_for(source.ready, 120.0):
             raise RuntimeError(f"the twin did not start: {process.last_line()}")
         source.predict(10.0)  # when it answers, its start is over
-        spare_pauses()  # of the source, which would pass for the twin's
+        freeze_garbage_collection()  # of the source, which would pass for the twin's
         onset = source.begin()
         started, used = time.monotonic(), processor_time(process.pid)
         sent = 0

@@ -48,7 +48,7 @@ class NetworkError(Exception):
 
 @dataclass(frozen=True)
 class Reach:
-    """Hosts that can reach a process.
+    """Whether other hosts can reach a process.
 
     Attributes:
         opened_by: environment variable and value that open the network; empty if the network is closed.
@@ -71,7 +71,7 @@ class Reach:
 
 
 def reach(environment: Mapping[str, str], middleware: str) -> Reach:
-    """Return the hosts that will be able to reach a process after a call of `bind` with this environment.
+    """Return whether other hosts can reach a process after a call of `bind` with this environment.
 
     ``middleware`` is the name of the rmw.
 
@@ -114,7 +114,7 @@ def bind(environment: MutableMapping[str, str], middleware: str) -> Reach:
     context of ROS is created.
 
     Returns:
-        Hosts that can then reach this process.
+        Whether other hosts can then reach this process.
 
     Raises:
         NetworkError: See `reach`.

@@ -46,8 +46,8 @@ def _row(
 class RobotParameters:
     """Parameters of the worm in its pipe, SI units.
 
-    The defaults are the values of the paper's table ``tab1``, except L0, which this project calibrated (docs/model.md),
-    and 0 for dry friction and loads.
+    The defaults are those of the paper's table ``tab1``, but L0 is calibrated by this project (docs/model.md). Dry
+    friction and loads are 0.
     """
 
     rear_mass: float = _row(0.429, "kg", 1e-3, 1e2, "M1")

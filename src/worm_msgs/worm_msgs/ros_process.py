@@ -39,8 +39,7 @@ class ShutdownRequest:
         clock: returns the time, s, monotonic.
 
     Attributes:
-        first: called in the handler of the first signal, before code of the main thread that polls the request can
-            react.
+        first: called in the handler of the first signal, before the main thread can poll the request again.
         again: called in the handler of every SIGINT more than 1.5 s after the first signal (a second Ctrl-C of the
             operator). Later SIGTERMs do not count, because launch and systemd send them to escalate.
     """
@@ -85,7 +84,7 @@ class ShutdownRequest:
 
 @contextlib.contextmanager
 def ros_process(arguments: Sequence[str] | None = None) -> Iterator[ShutdownRequest]:
-    """Initialise ROS for the duration of the context. SIGINT, SIGTERM and SIGHUP then only set the yielded request.
+    """Initialise ROS for the duration of the context. SIGINT, SIGTERM and SIGHUP then go to the yielded request.
 
     rclpy's own handlers would shut down rclpy's context while a node still works. Only this machine can reach the
     process, unless the environment opens the network (module `network`). A line on standard error reports an open
@@ -160,7 +159,7 @@ def _exit(error: Exception) -> SystemExit:
     return SystemExit(2)
 
 
-def spare_pauses() -> None:
+def freeze_garbage_collection() -> None:
     """Exempt all present objects from garbage collection. Call this when the node is complete.
 
     A collection that visits all objects of the modules, the compiled kernel and ROS takes about 60 ms. It blocks every
@@ -174,7 +173,7 @@ def spin(node: Node, ended: Callable[[], bool]) -> None:
     """Execute the callbacks of a node until ``ended`` returns True."""
     executor = SingleThreadedExecutor()
     executor.add_node(node)
-    spare_pauses()
+    freeze_garbage_collection()
     while not ended():
         executor.spin_once(timeout_sec=SPIN_S)
     executor.shutdown()

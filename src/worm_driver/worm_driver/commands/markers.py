@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Command ``markers``: create a PDF with the markers of a rig or the calibration board, to print at true scale."""
+"""Command ``markers``: create a PDF of the calibration board or of markers, to print at true scale."""
 
 import argparse
 import sys
@@ -30,32 +30,39 @@ _MARKER_REMEDY = "set marker_size_m of the setup file to its side"
 
 
 @dataclass(frozen=True)
-class Print:
+class MarkerLabel:
     """Marker to print: number and label."""
 
     number: int
     text: str
 
 
-def _prints(options: argparse.Namespace) -> tuple[str, float, list[Print]]:
+def _markers(options: argparse.Namespace) -> tuple[str, float, list[MarkerLabel]]:
     """Return dictionary, side (m) and markers for the options."""
     if options.setup is None:
         count = DICTIONARIES[options.dictionary]
         wrong = [number for number in options.ids if not 0 <= number < count]
         if wrong:
             raise SetupError(f"marker {wrong[0]}: {options.dictionary} has 0 to {count - 1}")
-        return options.dictionary, options.size_m, [Print(number, "") for number in options.ids]
+        return (
+            options.dictionary,
+            options.size_m,
+            [MarkerLabel(number, "") for number in options.ids],
+        )
     setup = load_setup(options.setup)
-    prints = [Print(setup.rear.number, "rear module"), Print(setup.front.number, "front module")]
+    markers = [
+        MarkerLabel(setup.rear.number, "rear module"),
+        MarkerLabel(setup.front.number, "front module"),
+    ]
     for number, (x, y, z) in setup.reference.items():
-        prints.append(Print(number, f"on the pipe at x {x:g}, y {y:g}, z {z:g} m"))
-    return setup.dictionary, setup.marker_size, prints
+        markers.append(MarkerLabel(number, f"on the pipe at x {x:g}, y {y:g}, z {z:g} m"))
+    return setup.dictionary, setup.marker_size, markers
 
 
 def _pages(
-    prints: Sequence[Print], size: float, paper: tuple[float, float]
-) -> Iterator[list[tuple[Print, float, float]]]:
-    """Yield, for each page, its prints with the lower left corners (x, y) of their black squares on the page, m.
+    markers: Sequence[MarkerLabel], size: float, paper: tuple[float, float]
+) -> Iterator[list[tuple[MarkerLabel, float, float]]]:
+    """Yield, for each page, its markers with the lower left corners (x, y) of their black squares on the page, m.
 
     Raises:
         SetupError: A marker does not fit on the paper.
@@ -65,9 +72,9 @@ def _pages(
     columns, rows = int(width / pitch_x), int(height / pitch_y)
     if not columns or not rows:
         raise SetupError(f"a marker of {size:g} m does not fit on the paper")
-    for start in range(0, len(prints), columns * rows):
+    for start in range(0, len(markers), columns * rows):
         page = []
-        for index, item in enumerate(prints[start : start + columns * rows]):
+        for index, item in enumerate(markers[start : start + columns * rows]):
             row, column = divmod(index, columns)
             x = _MARGIN + column * pitch_x + 0.25 * size
             y = paper[1] - _MARGIN - _HEAD - (row + 1) * pitch_y + 0.012 + 0.25 * size
@@ -91,7 +98,7 @@ class _Sheet:
         self.text(
             _MARGIN,
             top - 0.024,
-            "Print at 100 %, without fitting to the page, and measure this line: it must be 100.0 mm long.\n"
+            "MarkerLabel at 100 %, without fitting to the page, and measure this line: it must be 100.0 mm long.\n"
             f"If it is not, measure a black square and {remedy}.",
         )
 
@@ -109,7 +116,7 @@ class _Sheet:
             if index % 5 == 0:
                 self.text(x + 0.01 * index, y + 0.006, f"{index} cm", ha="center", fontsize=6)
 
-    def marker(self, dictionary: str, size: float, item: Print, x: float, y: float) -> None:
+    def marker(self, dictionary: str, size: float, item: MarkerLabel, x: float, y: float) -> None:
         """Draw a marker with its margin, alignment marks and label."""
         from matplotlib.patches import Rectangle
 
@@ -164,10 +171,10 @@ def _runs(line: Sequence[bool]) -> Iterator[tuple[int, int]]:
 
 
 def _marker_sheets(options: argparse.Namespace) -> list[_Sheet]:
-    dictionary, size, prints = _prints(options)
+    dictionary, size, markers = _markers(options)
     paper = PAPERS[options.paper]
     sheets = []
-    for page in _pages(prints, size, paper):
+    for page in _pages(markers, size, paper):
         sheet = _Sheet(paper, f"{dictionary}, black square {size * 1e3:g} mm", _MARKER_REMEDY)
         for item, x, y in page:
             sheet.marker(dictionary, size, item, x, y)

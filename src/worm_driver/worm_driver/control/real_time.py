@@ -30,7 +30,7 @@ class Scheduling:
 
 
 NOT_REQUESTED = Scheduling(granted=True, description="not requested")
-VIRTUAL = Scheduling(granted=True, description="not needed: the virtual robot's time waits")
+VIRTUAL = Scheduling(granted=True, description="not needed: virtual time waits for threads")
 
 
 def _set_priority(priority: int) -> None:

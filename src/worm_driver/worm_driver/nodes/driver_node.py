@@ -37,7 +37,7 @@ from worm_driver.nodes.telemetry_publisher import TelemetryPublisher
 from worm_driver.nodes.tracker_listener import TrackerListener
 from worm_msgs import network, readiness
 from worm_msgs.node_command import declare, run_node
-from worm_msgs.ros_process import ShutdownRequest, spare_pauses
+from worm_msgs.ros_process import ShutdownRequest, freeze_garbage_collection
 
 T = TypeVar("T")
 
@@ -410,7 +410,7 @@ def _run(ended: ShutdownRequest) -> int:
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     try:
-        spare_pauses()
+        freeze_garbage_collection()
         node.wait_until_sole(ended)
         readiness.announce()
         node.autostart()

@@ -20,7 +20,7 @@ from worm_msgs.parameter_rows import ParameterRow
 HEARTBEAT = "heartbeat_s"
 #: Prefixes of the names of the parameters that can be changed while the driver is configured.
 _LIVE = ("limits.", "rest_duration_s", "return_speed_m_per_s", HEARTBEAT)
-#: Prefixes of the names of those parameters that can then only be lowered.
+#: Those of `_LIVE` that a configured driver can only lower.
 _BOUNDS = ("limits.", "return_speed_m_per_s")
 _SIMULATED_TIME = "use_sim_time"
 _ROWS = tuple(
@@ -58,7 +58,7 @@ def check_time(node: Node) -> None:
     """Raise ConfigurationError if simulated time is requested. It would have no effect on the driver."""
     if node.get_parameter(_SIMULATED_TIME).value:
         raise ConfigurationError(
-            f"{_SIMULATED_TIME} is true, but the driver runs in the time of its robot: remove the parameter"
+            f"{_SIMULATED_TIME} is true, but the driver uses its robot's clock: remove the parameter"
         )
 
 
@@ -67,7 +67,7 @@ def why_not_set(node: Node, parameters: Sequence[Parameter], *, configured: bool
     for parameter in parameters:
         name, value = parameter.name, parameter.value
         if name == _SIMULATED_TIME and value:
-            return f"{name}: the driver runs in the time of its robot and cannot use another clock"
+            return f"{name}: the driver uses its robot's clock, no other"
         if not configured or name not in _NAMES:
             continue
         if not name.startswith(_LIVE):

@@ -29,7 +29,7 @@ from worm_driver.tracking.tracking_errors import ImageError, SetupError, Trackin
 from worm_msgs import readiness
 from worm_msgs.node_command import declare, run_node
 from worm_msgs.parameter_rows import ParameterRow
-from worm_msgs.ros_process import ShutdownRequest, spare_pauses
+from worm_msgs.ros_process import ShutdownRequest, freeze_garbage_collection
 
 #: Value of setup_file that selects the setup of the virtual robot's camera.
 VIRTUAL = "virtual"
@@ -241,7 +241,7 @@ def _run(ended: ShutdownRequest) -> int:
     try:
         executor = SingleThreadedExecutor()
         executor.add_node(node)
-        spare_pauses()
+        freeze_garbage_collection()
         node.get_logger().info("ready")
         readiness.announce()
         while not ended() and node.failure is None:

@@ -105,7 +105,7 @@ class Parser(command_parser.Parser):
         )
 
     def add_transmission(self) -> None:
-        """Add --onset and --spool-radius, for the logs of a lab; without these options, both values are estimated."""
+        """Add --onset and --spool-radius, for the logs of a lab; without them, both are estimated or assumed."""
         self.add_number(
             "--onset",
             "S",
@@ -184,7 +184,7 @@ def print_result(options: argparse.Namespace, content: dict[str, Any], text: str
         print_json(content)
     else:
         sys.stdout.write(f"{printable(text)}\n")
-    sys.stdout.flush()  # before a line on standard error that follows, also if both go to one file
+    sys.stdout.flush()  # so that later lines on standard error follow it, even in one file
 
 
 def print_json(content: Any) -> None:

@@ -24,14 +24,14 @@ ONE_RUN = "measured in this single run; the variation between runs is unknown"
 class Run:
     """Run used for fitting or validation: recording, smoothed length, traverse and idle power.
 
-    ``powered`` is True if power samples cover the traverse, so that the run is used for c_b and α_P.
+    ``has_power`` is True if power samples cover five ridges, so that the run is used for c_b and α_P.
     """
 
     recording: Recording
     length: MeasuredLength
     traverse: Traverse
     idle: IdlePower
-    powered: bool
+    has_power: bool
 
     @property
     def name(self) -> str:
@@ -84,7 +84,7 @@ def prepared_validation(
     for recording in recordings:
         if _identity(recording) in known:
             raise IdentificationError(
-                f"validation run {recording.name} is {known[_identity(recording)]}, which is also fitted; "
+                f"validation run {recording.name} is also fitted, as {known[_identity(recording)]}; "
                 "remove it from one of the two lists"
             )
         if recording.name in names:

@@ -214,7 +214,7 @@ def _energy(
     random: np.random.Generator,
 ) -> tuple[EnergyResult, list[PowerRun]]:
     """Run stage 7 with the forces of stage 4, for the runs whose power samples cover the traverse."""
-    powered = [index for index, run in enumerate(runs) if run.powered]
+    powered = [index for index, run in enumerate(runs) if run.has_power]
     stiffness = estimates["bellows_stiffness"]
     forces = forces_of(
         [run.traverse for run in runs], parameters, locomotion, stiffness, reference

@@ -44,7 +44,12 @@ from worm_msgs import qos
 from worm_msgs.conditions import ConditionsError
 from worm_msgs.msg import BodyLength, TwinEvent, TwinMemory, TwinResiduals, TwinState
 from worm_msgs.node_command import declare, run_node
-from worm_msgs.ros_process import PolledGroup, ShutdownRequest, exiting_on_signal, spare_pauses
+from worm_msgs.ros_process import (
+    PolledGroup,
+    ShutdownRequest,
+    exiting_on_signal,
+    freeze_garbage_collection,
+)
 from worm_msgs.srv import PredictGait
 
 POLL_S = 0.02  # time between two polls of the subscriptions
@@ -252,7 +257,7 @@ def _run(ended: ShutdownRequest) -> None:
     with exiting_on_signal():
         warm_up.main()  # compile before the first sample
     node = TwinNode()
-    spare_pauses()
+    freeze_garbage_collection()
     node.get_logger().info("twin ready")
     try:
         _spin(node, ended)

@@ -48,11 +48,11 @@ from worm_optimizer.report.recordings import read_recorded_gaits
 from worm_optimizer.report.report_page import PAGE, Report, build_report
 from worm_optimizer.robot_commands import GaitCommand
 
-_GAITS = 3  # number of gaits without comparisons; the spread is drawn only if there are more runs than this
+_GAITS = 3  # gaits of a plan without comparisons; with more runs than this, the spread is drawn
 SPREAD_FIGURE = "spread.png"
 _MODES = ("virtual", "robot")
 _CONTINUE = "campaign: continue with --resume {}"
-SAME_PLACE = "Put the robot where the first run began, its fins straight in the same grooves"
+SAME_PLACE = "Put the robot where the first run began: same grooves, fins straight"
 
 
 def _parser() -> Parser:
@@ -60,8 +60,8 @@ def _parser() -> Parser:
         prog="campaign",
         description="Run the minimum-power, cruising and maximum-speed gaits of the robust front, five cycles each, "
         "on the virtual robot or on a real one, record them, and compare measurements with predictions. With "
-        "conditions in the pipe, the corresponding gait designed for level ground follows each gait. With shaped "
-        "gaits, the corresponding sinusoid follows.",
+        "conditions in the pipe, each gait is followed by its counterpart for level ground. With shaped gaits, by its "
+        "sinusoid.",
     )
     add = parser.add_argument
     parser.add_argument(
@@ -88,7 +88,7 @@ def _parser() -> Parser:
         type=int,
         default=1,
         metavar="N",
-        help="runs of each gait; their spread is printed and drawn in spread.png (default: 1)",
+        help="runs of each gait; their spread is printed and, from four runs on, drawn in spread.png (default: 1)",
     )
     add(
         "--with-nominal",
@@ -265,7 +265,7 @@ def _promise(plan: Plan, folder: Path) -> None:
         write_promises(plan, folder)
     elif not is_promised(plan, folder):
         raise InputError(
-            f"{folder}: the campaign was started with options that result in other gaits: use these options again"
+            f"{folder}: this campaign has other predictions: use the options of its start again"
         )
 
 

@@ -224,7 +224,7 @@ class RobotWorker:
         try:
             self._notify(Notice(node.stop()))
         except FAILURES as error:
-            text = f"{error}: STOP is not confirmed; a run ends without its heartbeat"
+            text = f"{error}: STOP is not confirmed; a run ends as heartbeats stop"
             self._notify(Notice(text, good=False))
         finally:
             self.stopping = self._stop_requested.is_set()

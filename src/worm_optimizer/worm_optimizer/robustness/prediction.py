@@ -14,7 +14,7 @@ from worm_model.simulation.simulator import cost_of_transport
 from worm_optimizer.evaluation.command_shape import SINUSOID, Shapes
 from worm_optimizer.evaluation.task import Array, MarginTask, branch_of
 from worm_optimizer.gait_prediction import Prediction
-from worm_optimizer.robustness.success_probability import stroke_to_edges, success_probability
+from worm_optimizer.robustness.success_probability import stroke_to_ends, success_probability
 from worm_optimizer.robustness.uncertainty import phase_known, phase_unknown
 
 
@@ -62,7 +62,7 @@ def predict(
     ``samples`` parameter sets are drawn with ``seed`` from the uncertainty in ``content``.
     """
     robust_grooves = branch_of(task.table(stroke, frequency, margin, shape=shape))
-    lower, upper = stroke_to_edges(task, stroke, frequency, shape)
+    lower, upper = stroke_to_ends(task, stroke, frequency, shape)
     known, unknown = (
         success_probability(
             task, stroke, frequency, robust_grooves, draw(content, samples, seed), shape

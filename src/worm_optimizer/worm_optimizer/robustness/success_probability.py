@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Success probability of gaits, and their distances to the edges of their branches."""
+"""Success probability of gaits, and their distances to the ends of their branches."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from worm_optimizer.evaluation.task import EDGE_TOLERANCE, Array, Index, MarginT
 from worm_optimizer.robustness.uncertainty import Scenarios
 
 _BATCH = 200_000  # largest number of gaits that are evaluated in one call, which bounds the memory
-_EDGE_STROKES = 41  # number of strokes in the scan for the edges of a gait's branch
+_SCANNED_STROKES = 41  # number of strokes in the scan for the ends of a gait's branch
 
 
 def grooves_in(
@@ -25,7 +25,7 @@ def grooves_in(
     scenarios: Scenarios,
     shape: Shapes = SINUSOID,
 ) -> Index:
-    """Return the grooves that each gait gains in its worst averaged cycle in each scenario, with the task's margin.
+    """For each scenario, return the grooves of each gait in its worst averaged cycle, with the task's margin.
 
     ``stroke`` in m and ``frequency`` in Hz have shape (n,), the result has shape (n, scenarios). ``shape`` is the
     command shape of each gait, or of all (`evaluation.command_shape`).
@@ -59,7 +59,7 @@ def success_probability(
     return np.mean(gained >= np.asarray(required)[:, np.newaxis], axis=1)
 
 
-def stroke_to_edges(
+def stroke_to_ends(
     task: MarginTask, stroke: Array, frequency: Array, shape: Shapes = SINUSOID
 ) -> tuple[Array, Array]:
     """Return by how much each stroke may decrease and increase before the grooves per cycle change, m, shape (n,) each.
@@ -74,15 +74,15 @@ def stroke_to_edges(
     def label(strokes: Array, column: Index) -> Index:
         return nominal.points(strokes, frequency[column], shapes[column]).count
 
-    scan = np.linspace(np.full(stroke.shape, box.stroke_low), most, _EDGE_STROKES, axis=1)
+    scan = np.linspace(np.full(stroke.shape, box.stroke_low), most, _SCANNED_STROKES, axis=1)
     strokes = np.column_stack([scan, stroke])
-    runs = find_runs(label, np.sort(strokes, axis=1), EDGE_TOLERANCE)
-    own = (runs.low <= stroke[runs.column]) & (stroke[runs.column] <= runs.high)
-    # A column is the scan over the strokes of one gait. The scan contains the gait's own stroke, so a run of strokes
-    # with the same count contains it. If the stroke is on the border of two runs, use the first one.
-    place = np.flatnonzero(own)[np.unique(runs.column[own], return_index=True)[1]]
-    lower = np.where(runs.stepped[place], runs.low[place], box.stroke_low)
-    following = np.minimum(place + 1, len(runs.column) - 1)
-    is_last = (following == place) | ~runs.stepped[following]
-    upper = np.where(is_last, most, runs.high[place])
+    intervals = find_runs(label, np.sort(strokes, axis=1), EDGE_TOLERANCE)
+    own = (intervals.low <= stroke[intervals.column]) & (stroke[intervals.column] <= intervals.high)
+    # A column is the scan over the strokes of one gait. The scan contains the gait's own stroke, so an interval
+    # of equal count contains it. If the stroke is on the border of two intervals, use the first one.
+    place = np.flatnonzero(own)[np.unique(intervals.column[own], return_index=True)[1]]
+    lower = np.where(intervals.stepped[place], intervals.low[place], box.stroke_low)
+    following = np.minimum(place + 1, len(intervals.column) - 1)
+    is_last = (following == place) | ~intervals.stepped[following]
+    upper = np.where(is_last, most, intervals.high[place])
     return stroke - lower, upper - stroke

@@ -216,7 +216,7 @@ def without_power_after(recording, time):
 def test_power_that_ends_early_is_named(campaigns, time, expected):
     spoilt = without_power_after(campaigns[0].inputs.recordings[0], time)
     (run,), seen = prepared([spoilt], PAPER.pitch)
-    assert not run.powered
+    assert not run.has_power
     assert expected in " ".join(seen)
     error = run_errors(run, PAPER, 0.0)
     assert np.isnan(error.energy_error)

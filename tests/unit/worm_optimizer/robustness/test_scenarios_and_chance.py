@@ -12,7 +12,7 @@ from worm_model.simulation.closed_form import groove_phase
 from worm_optimizer.evaluation.task import MarginTask
 from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.robustness.chance import PromiseTask, tolerated_margins
-from worm_optimizer.robustness.success_probability import stroke_to_edges, success_probability
+from worm_optimizer.robustness.success_probability import stroke_to_ends, success_probability
 from worm_optimizer.robustness.uncertainty import (
     MOTION_HALF_WIDTHS,
     Scenarios,
@@ -189,7 +189,7 @@ def test_a_gait_that_promises_nothing_keeps_it():
 def test_the_branch_ends_at_the_computed_distances():
     task = MarginTask(margin=3.4e-3)
     stroke, frequency = np.array([0.0754, 0.0550, 0.06]), np.array([0.147, 0.08, 0.3])
-    lower, upper = stroke_to_edges(task, stroke, frequency)
+    lower, upper = stroke_to_ends(task, stroke, frequency)
     nominal = task.with_margin(0.0)
     branch = nominal.grooves(stroke, frequency)
     hair = 2e-8
@@ -202,7 +202,7 @@ def test_the_branch_ends_at_the_computed_distances():
 
 def test_a_branch_that_reaches_the_bound_ends_there():
     task = MarginTask()
-    _, upper = stroke_to_edges(task, np.array([0.08]), np.array([0.2]))
+    _, upper = stroke_to_ends(task, np.array([0.08]), np.array([0.2]))
     assert upper[0] == pytest.approx(0.01)
 
 

@@ -96,7 +96,7 @@ def _answer_to_piece(
 def answer_to_part(
     part: int, begin: float, start: float, length_change: float, g: Any, a: Actuator
 ) -> tuple[Coefficients, float]:
-    """Return (ΔL in m as a function of time, ω of this function in 1/s or 0) over a part of a cycle, from ``start`` on.
+    """Return ΔL (m) as a function of time over a part of a cycle, from ``start`` on, and its ω (1/s; 0 if none).
 
     ``begin`` is the start of the cycle, s. ``length_change`` is ΔL at ``start``, m.
     """
