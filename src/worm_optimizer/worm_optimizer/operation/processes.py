@@ -21,6 +21,8 @@ POLL_PERIOD_S = 0.02  # period of the checks in `wait_for`, s
 GRACE_S = 30.0  # default time from an interrupt to a kill, s
 _ABORT_S = 5.0  # time in which a process that is aborted writes what its threads do, s
 ENDING_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+# The innermost frame in what Python writes when it is aborted
+_PLACE = re.compile(r'^Current thread .*\n  File "(.*)", line (\d+) in (.*)', re.MULTILINE)
 _LIBC = ctypes.CDLL(None, use_errno=True)
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
@@ -168,9 +170,11 @@ class Process:
     def report(self) -> str:
         """Return the state of the process and its last line in one line."""
         if self.overdue:
+            place = _PLACE.search(self.output())
+            doing = " in {}, line {}, {}".format(*place.groups()) if place else ""
             return (
-                f"{self.name} did not end within {self.grace_s:g} s and was killed; the end of {self._log} contains "
-                "what it was doing"
+                f"{self.name} did not end within {self.grace_s:g} s and was killed{doing}; the end of {self._log} "
+                "contains what all its threads were doing"
             )
         code = self.exit_code
         state = "still runs" if code is None else f"ended with exit status {code}"
