@@ -15,6 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from PIL import Image
 
+from worm_model.analysis import robot_drawing
 from worm_model.analysis.gait_animation import palette_of, write_animation
 from worm_model.analysis.groove_phases import compute_phase_map, phase_map_figure
 from worm_model.analysis.plot_style import (
@@ -28,16 +29,6 @@ from worm_model.analysis.plot_style import (
     finish,
     letter,
     new_figure,
-)
-from worm_model.analysis.robot_drawing import (
-    MODULE_RADIUS,
-    WALL_RADIUS,
-    Pose,
-    RobotDrawing,
-    draw_pipe,
-    explain_colours,
-    pose_at,
-    prepare_axes,
 )
 from worm_model.analysis.simulated_run import simulated_run
 from worm_model.gait import FORWARD, STROKE_RANGE, Gait
@@ -59,7 +50,7 @@ STEADY = (
 )  # the third cycle begins; the first two differ, as the robot starts from rest
 WIDTH = 8.5  # inches
 ROOM = 0.05  # m of pipe drawn behind and before the robot
-BELOW, ABOVE = -WALL_RADIUS, WALL_RADIUS  # mm, outside of the walls
+BELOW, ABOVE = -robot_drawing.WALL_RADIUS, robot_drawing.WALL_RADIUS  # mm, outside of the walls
 ARROW: Mapping[str, Any] = {"arrowstyle": "<|-|>", "color": "black", "shrinkA": 0, "shrinkB": 0}
 POINTER: Mapping[str, Any] = {"arrowstyle": "-|>", "color": "black", "shrinkA": 0, "shrinkB": 0}
 RED: Mapping[str, Any] = {"color": VERMILION}
@@ -67,10 +58,10 @@ LOOSE = "#FFF3CF"  # where the cable is slack
 p = PAPER
 
 
-def pose_of(time: float) -> Pose:
+def pose_of(time: float) -> robot_drawing.Pose:
     """Return the pose of the gait at a time in s."""
     motions = simulate(GAIT, p).at([time])
-    return pose_at(motions, np.array([GAIT.command(time)]), p, 0)
+    return robot_drawing.pose_at(motions, np.array([GAIT.command(time)]), p, 0)
 
 
 def robot_picture() -> Figure:
@@ -88,11 +79,11 @@ def robot_picture() -> Figure:
     return figure
 
 
-def _label_robot(axes: Axes, pose: Pose) -> None:
+def _label_robot(axes: Axes, pose: robot_drawing.Pose) -> None:
     low, high = pose.x1 - ROOM, pose.x2 + 1.4 * ROOM
-    draw_pipe(axes, p.pitch, low, high)
-    RobotDrawing(axes, p).show(pose)
-    prepare_axes(axes, low, high, above=28.0, below=38.0)
+    robot_drawing.draw_pipe(axes, p.pitch, low, high)
+    robot_drawing.RobotDrawing(axes, p).show(pose)
+    robot_drawing.prepare_axes(axes, low, high, above=28.0, below=38.0)
     for name, position, anchor, label in (
         ("1", pose.x1, pose.rear_anchor, "rear module"),
         ("2", pose.x2, pose.front_anchor, "front module"),
@@ -100,7 +91,13 @@ def _label_robot(axes: Axes, pose: Pose) -> None:
         axes.text(MM * position, 0.0, f"$M_{name}$", ha="center", va="center", zorder=6)
         _point_at(axes, MM * anchor, ABOVE + 4.0, 12.0, f"anchor $A_{name}$")
         _point_at(axes, MM * position, BELOW - 1.0, -9.0, f"$x_{name}$, {label}")
-        axes.plot([MM * position] * 2, [-MODULE_RADIUS, BELOW - 1.0], "k:", linewidth=1.0, zorder=6)
+        axes.plot(
+            [MM * position] * 2,
+            [-robot_drawing.MODULE_RADIUS, BELOW - 1.0],
+            "k:",
+            linewidth=1.0,
+            zorder=6,
+        )
     _dimension(axes, MM * pose.x1, MM * pose.x2, BELOW - 32.0, "body length $L = L_0 + \\Delta L$")
     groove = round(0.5 * (pose.x1 + pose.x2) / p.pitch) * p.pitch
     _dimension(axes, MM * groove, MM * (groove + p.pitch), ABOVE + 5.0, "pitch $d$")
@@ -115,12 +112,12 @@ def _label_robot(axes: Axes, pose: Pose) -> None:
     )
 
 
-def _label_fin(axes: Axes, pose: Pose, x: float, anchor: float, name: str) -> None:
+def _label_fin(axes: Axes, pose: robot_drawing.Pose, x: float, anchor: float, name: str) -> None:
     """Show a fin, and its deflection on a scale with the clearance and the thresholds."""
     half, threshold = 0.5 * MM * p.clearance, MM * p.switching_threshold
     low, high = anchor - 0.026, anchor + 0.026
-    draw_pipe(axes, p.pitch, low, high)
-    RobotDrawing(axes, p).show(pose)
+    robot_drawing.draw_pipe(axes, p.pitch, low, high)
+    robot_drawing.RobotDrawing(axes, p).show(pose)
     axes.set(xlim=(MM * low, MM * high), ylim=(-88.0, -12.0), aspect="equal")
     axes.axis("off")
     root, zero, y = MM * x, MM * anchor, -68.0
@@ -132,7 +129,7 @@ def _label_fin(axes: Axes, pose: Pose, x: float, anchor: float, name: str) -> No
             zero + side * threshold, y - 5.0, f"{sign}$p_\\mathrm{{sw}}$", ha="center", va="top"
         )
     axes.text(zero, y - 5.0, "$\\delta_\\mathrm{c}$", ha="center", va="top")
-    axes.plot([root] * 2, [-MODULE_RADIUS, y], "k:", linewidth=1.0, zorder=6)
+    axes.plot([root] * 2, [-robot_drawing.MODULE_RADIUS, y], "k:", linewidth=1.0, zorder=6)
     axes.plot([zero] * 2, [BELOW - 4.0, y], "k:", linewidth=1.0, zorder=6)
     axes.annotate("", (root, y + 6.0), (zero, y + 6.0), arrowprops={**POINTER, **RED})
     away = 1.0 if root > zero else -1.0
@@ -178,9 +175,9 @@ def stride_picture() -> Figure:
     strip, legend = figure.subfigures(2, 1, height_ratios=(25.0, 1.0))
     before = poses[0]
     for axes, pose, (time, text) in zip(strip.subplots(4, 1), poses, frames, strict=True):
-        draw_pipe(axes, p.pitch, low, high)
-        RobotDrawing(axes, p).show(pose)
-        prepare_axes(axes, low, high, above=8.0)
+        robot_drawing.draw_pipe(axes, p.pitch, low, high)
+        robot_drawing.RobotDrawing(axes, p).show(pose)
+        robot_drawing.prepare_axes(axes, low, high, above=8.0)
         change = MM * (pose.x2 - pose.x1 - p.initial_length)
         axes.set_title(text, loc="left", fontsize="medium")
         middle = 0.5 * MM * (low + high)
@@ -194,7 +191,7 @@ def stride_picture() -> Figure:
         _mark_slip(axes, before.rear_anchor, pose.rear_anchor)
         _mark_slip(axes, before.front_anchor, pose.front_anchor)
         before = pose
-    explain_colours(legend, loc="center")
+    robot_drawing.explain_colours(legend, loc="center")
     return figure
 
 
@@ -292,13 +289,13 @@ def cable_slack_picture() -> Figure:
 def groove_phase_picture() -> Figure:
     """Draw the robot at rest, and how far its front module stands from its groove."""
     groove, length = front_groove(p) * p.pitch, p.initial_length
-    pose = Pose(0.0, length, 0.0, groove)
+    pose = robot_drawing.Pose(0.0, length, 0.0, groove)
     figure = new_figure(WIDTH, 6.2)
     whole, below = figure.subfigures(2, 1, height_ratios=(1.0, 1.0))
     axes, (close, trimmed) = whole.subplots(), below.subplots(1, 2)
-    draw_pipe(axes, p.pitch, -ROOM, length + ROOM)
-    RobotDrawing(axes, p).show(pose)
-    prepare_axes(axes, -ROOM, length + ROOM, above=24.0, below=28.0)
+    robot_drawing.draw_pipe(axes, p.pitch, -ROOM, length + ROOM)
+    robot_drawing.RobotDrawing(axes, p).show(pose)
+    robot_drawing.prepare_axes(axes, -ROOM, length + ROOM, above=24.0, below=28.0)
     for k in range(front_groove(p) + 1):
         axes.text(MM * k * p.pitch, ABOVE + 5.0, str(k), ha="center", fontsize="small")
     axes.text(0.5 * MM * length, ABOVE + 14.0, "grooves, counted from the rear fins", ha="center")
@@ -318,13 +315,15 @@ def _label_phase(axes: Axes, parameters: Parameters, title: str) -> None:
     """Show the front module at rest, and its groove."""
     number, length = front_groove(parameters), parameters.initial_length
     groove = number * parameters.pitch
-    draw_pipe(axes, parameters.pitch, groove - 0.026, groove + 0.026)
-    RobotDrawing(axes, parameters).show(Pose(0.0, length, 0.0, groove))
+    robot_drawing.draw_pipe(axes, parameters.pitch, groove - 0.026, groove + 0.026)
+    robot_drawing.RobotDrawing(axes, parameters).show(robot_drawing.Pose(0.0, length, 0.0, groove))
     axes.set(
         xlim=(MM * (groove - 0.026), MM * (groove + 0.026)), ylim=(-82.0, -12.0), aspect="equal"
     )
     axes.axis("off")
-    axes.plot([MM * length] * 2, [-MODULE_RADIUS, -72.0], "k:", linewidth=1.0, zorder=6)
+    axes.plot(
+        [MM * length] * 2, [-robot_drawing.MODULE_RADIUS, -72.0], "k:", linewidth=1.0, zorder=6
+    )
     axes.plot([MM * groove] * 2, [BELOW - 4.0, -72.0], "k:", linewidth=1.0, zorder=6)
     left = length < groove
     for place, text, ha in (

@@ -17,6 +17,7 @@ import numpy as np
 
 from worm_model.arrays import Array
 from worm_model.identification.data.identification_errors import IdentificationError
+from worm_model.identification.fits import locomotion
 from worm_model.identification.fits.block_least_squares import (
     Solution,
     inverse,
@@ -37,18 +38,6 @@ from worm_model.identification.fits.grooves import (
     groove_problem,
     held,
     tables_of,
-)
-from worm_model.identification.fits.locomotion import (
-    Known,
-    Landscape,
-    Traverse,
-    find_locomotion,
-    follow,
-    locomotion_problem,
-    search,
-    shared_quantities,
-    with_means,
-    worm_of,
 )
 from worm_model.parameters import PAPER, Parameters
 from worm_model.simulation.kernel.grooves import STIFFNESS, THRESHOLD
@@ -113,7 +102,7 @@ class LocomotionResult:
     initial_length: Array
     inflation: float
     correlation: Array
-    landscape: Landscape
+    landscape: locomotion.Landscape
     fit: GrooveFit
     variants: Variants
     stiffer: GrooveFit
@@ -121,8 +110,8 @@ class LocomotionResult:
 
 
 def identify_locomotion(
-    traverses: Sequence[Traverse],
-    known: Known,
+    traverses: Sequence[locomotion.Traverse],
+    known: locomotion.Known,
     fin: FinKnowledge | None = None,
     progress: Progress = lambda _: None,
 ) -> LocomotionResult:
@@ -132,8 +121,8 @@ def identify_locomotion(
     the fin parameters. Without ``fin``, the intervals are valid only for exact fin parameters. Raises
     `IdentificationError` if no fit explains the motion, or if the profiles repeatedly find a better fit.
     """
-    landscape = search(traverses, known, lambda done: progress(0.3 * done))
-    start = find_locomotion(traverses, known, landscape)
+    landscape = locomotion.search(traverses, known, lambda done: progress(0.3 * done))
+    start = locomotion.find_locomotion(traverses, known, landscape)
     plain = _as_printed(traverses, known, start)
     fit = fit_grooves(traverses, known, start)
     progress(0.5)
@@ -199,8 +188,8 @@ def _from_reference(fit: GrooveFit, entry: int, variants: Variants) -> float:
 
 
 def refit(
-    traverses: Sequence[Traverse],
-    known: Known,
+    traverses: Sequence[locomotion.Traverse],
+    known: locomotion.Known,
     like: GrooveFit,
     own: Array,
     iterations: int = 10,
@@ -215,7 +204,7 @@ def refit(
 
 
 def holding_forces(
-    traverses: Sequence[Traverse], parameters: Parameters, fit: GrooveFit
+    traverses: Sequence[locomotion.Traverse], parameters: Parameters, fit: GrooveFit
 ) -> tuple[Array, ...]:
     """Return the force H of each run, in N, at the times of the run's measured length, shape (n,).
 
@@ -224,14 +213,14 @@ def holding_forces(
     grooves = tables_of(fit.solution.shared[MEANS:], fit.places)
     forces = []
     for traverse, own in zip(traverses, fit.solution.own, strict=True):
-        worm = with_means(worm_of(parameters), fit.means, own)
-        samples = follow(traverse, worm, traverse.length.time, *grooves)
+        worm = locomotion.with_means(locomotion.worm_of(parameters), fit.means, own)
+        samples = locomotion.follow(traverse, worm, traverse.length.time, *grooves)
         assert samples is not None, "the fitted motion switches endlessly"
         forces.append(samples[:, FORCE])
     return tuple(forces)
 
 
-def variance_inflation(traverses: Sequence[Traverse], solution: Solution) -> float:
+def variance_inflation(traverses: Sequence[locomotion.Traverse], solution: Solution) -> float:
     """Return the factor by which large or correlated residuals increase the variances of a fit, at least 1."""
     power, memory = 0.0, 0.0
     for residuals in solution.residuals:
@@ -244,14 +233,17 @@ def variance_inflation(traverses: Sequence[Traverse], solution: Solution) -> flo
 
 
 def _profiles(
-    traverses: Sequence[Traverse], known: Known, fit: GrooveFit, inflation: float
+    traverses: Sequence[locomotion.Traverse],
+    known: locomotion.Known,
+    fit: GrooveFit,
+    inflation: float,
 ) -> tuple[list[tuple[float, float]], Solution | None]:
     """Return the interval (low, high) of each mean of `SOUGHT`, and None.
 
     If the profiles find a solution with a lower cost, the result is an empty list and this solution.
     """
     rise = NORMAL**2 * inflation
-    quantities = shared_quantities(known)
+    quantities = locomotion.shared_quantities(known)
     met: list[Solution] = []
 
     def end(entry: int, sign: float) -> float:
@@ -308,7 +300,10 @@ def _estimate(
 
 
 def _variants(
-    traverses: Sequence[Traverse], known: Known, fit: GrooveFit, fin: FinKnowledge | None
+    traverses: Sequence[locomotion.Traverse],
+    known: locomotion.Known,
+    fit: GrooveFit,
+    fin: FinKnowledge | None,
 ) -> Variants:
     if fin is None:
         return ()
@@ -336,16 +331,23 @@ def deviations_of(covariance: Array) -> Array:
     return deviations
 
 
-def _as_printed(traverses: Sequence[Traverse], known: Known, start: Solution) -> Array:
+def _as_printed(
+    traverses: Sequence[locomotion.Traverse], known: locomotion.Known, start: Solution
+) -> Array:
     """Return (η, p_sw) of a fit without dry friction, with the pitch and the onset of the solution ``start``."""
-    problem = with_fixed(locomotion_problem(traverses, known), ONSET, start.shared[ONSET])
+    problem = with_fixed(
+        locomotion.locomotion_problem(traverses, known), ONSET, start.shared[ONSET]
+    )
     problem = with_fixed(problem, PITCH, start.shared[PITCH])
     frictionless = with_fixed(with_fixed(problem, FRONT_DRY, 0.0), REAR_DRY, 0.0)
     return solve(frictionless, start.shared[:2], start.own).shared
 
 
 def _stiffer(
-    traverses: Sequence[Traverse], known: Known, fit: GrooveFit, friction: Estimate
+    traverses: Sequence[locomotion.Traverse],
+    known: locomotion.Known,
+    fit: GrooveFit,
+    friction: Estimate,
 ) -> GrooveFit:
     deviation = friction.spread / NORMAL if np.isfinite(friction.spread) else 0.0
     value = float(fit.means[FRICTION]) + deviation

@@ -15,18 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from worm_model.arrays import Array
-from worm_model.twin.core.memory import (
-    CHANNELS,
-    LENGTH_COUNT,
-    LENGTH_SUM,
-    PHASES,
-    POSITION,
-    POSITION_COUNT,
-    POSITION_SUM,
-    POWER,
-    POWER_COUNT,
-    POWER_SUM,
-)
+from worm_model.twin.core import memory
 from worm_model.twin.signatures import BINS
 
 WINDOW = 0.15  # last part of a cycle, in which the step is measured
@@ -98,19 +87,19 @@ def cycle_data(
         pitch: distance between two grooves, m.
         fresh: True for the first remembered cycle, whose transient differs between robots.
     """
-    by_bin = sums.reshape(BINS, PHASES // BINS, -1).sum(axis=1)
-    total = by_bin[:, [POSITION_SUM, LENGTH_SUM, POWER_SUM]].T
-    count = by_bin[:, [POSITION_COUNT, LENGTH_COUNT, POWER_COUNT]].T
+    by_bin = sums.reshape(BINS, memory.PHASES // BINS, -1).sum(axis=1)
+    total = by_bin[:, [memory.POSITION_SUM, memory.LENGTH_SUM, memory.POWER_SUM]].T
+    count = by_bin[:, [memory.POSITION_COUNT, memory.LENGTH_COUNT, memory.POWER_COUNT]].T
     some = count > 0
-    values = np.divide(total, count, out=np.zeros((CHANNELS, BINS)), where=some)
+    values = np.divide(total, count, out=np.zeros((memory.CHANNELS, BINS)), where=some)
     scatter = np.tile(np.array(SCATTER)[:, None], BINS)
-    scatter[POWER] += POWER_SHARE * power
+    scatter[memory.POWER] += POWER_SHARE * power
     scatter *= np.array(FIRST)[:, None] if fresh else 1.0
-    variance = np.full((CHANNELS, BINS), np.inf)
+    variance = np.full((memory.CHANNELS, BINS), np.inf)
     np.divide(noise[:, None] ** 2, count, out=variance, where=some)
     variance += scatter**2
-    watched = bool(sums[-round(WINDOW * PHASES) :, POSITION_COUNT].sum() >= FEWEST)
-    step = _step(sums, values[POSITION], some[POSITION], pitch) if watched else None
+    watched = bool(sums[-round(WINDOW * memory.PHASES) :, memory.POSITION_COUNT].sum() >= FEWEST)
+    step = _step(sums, values[memory.POSITION], some[memory.POSITION], pitch) if watched else None
     return CycleData(number, values, variance, step, watched)
 
 
@@ -120,7 +109,7 @@ def without_step(data: CycleData) -> CycleData:
         return data
     first = 0 if data.step is None else max(int(data.step.phase * BINS) - LEAD, 0)
     variance = data.variance.copy()
-    variance[POSITION, first:] = np.inf
+    variance[memory.POSITION, first:] = np.inf
     return replace(data, variance=variance)
 
 
@@ -130,11 +119,11 @@ def _step(sums: Array, position: Array, some: NDArray[np.bool_], pitch: float) -
     If a fin is about to slip or has just slipped, only the half of the window counts whose mean is nearer to a whole
     number of grooves.
     """
-    half = round(0.5 * WINDOW * PHASES)
+    half = round(0.5 * WINDOW * memory.PHASES)
     means = [
-        float(part[:, POSITION_SUM].sum() / part[:, POSITION_COUNT].sum())
+        float(part[:, memory.POSITION_SUM].sum() / part[:, memory.POSITION_COUNT].sum())
         for part in (sums[-2 * half : -half], sums[-half:])
-        if part[:, POSITION_COUNT].sum()
+        if part[:, memory.POSITION_COUNT].sum()
     ]
     apart = abs(means[-1] - means[0])
     size = float(np.mean(means))
@@ -154,8 +143,8 @@ def _off_whole(size: float, pitch: float) -> float:
 
 def _located(sums: Array, position: Array, some: NDArray[np.bool_], size: float) -> Step:
     """Return a step of a given size (m), which begins with the bin from which it best explains the positions."""
-    tracked = sums[:, POSITION_COUNT] > 0
-    share = sums[tracked, POSITION_SUM] / sums[tracked, POSITION_COUNT] / size
+    tracked = sums[:, memory.POSITION_COUNT] > 0
+    share = sums[tracked, memory.POSITION_SUM] / sums[tracked, memory.POSITION_COUNT] / size
     underway = int(np.sum(np.abs(share - 0.5) < 0.5 - UNDERWAY))
     after = (np.arange(BINS) >= np.arange(BINS)[:, None]).astype(float)
     misfit = np.sum(np.where(some, (position - size * after) ** 2, 0.0), axis=1)

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from worm_model.arrays import Array
 from worm_model.gait import Gait
 from worm_model.parameters import Parameters
+from worm_model.twin import causes
 from worm_model.twin.cause_table import (
     AMBIGUOUS,
     CAMERA_MOVED,
@@ -39,15 +40,6 @@ from worm_model.twin.cause_table import (
     MISSED_REAR,
     ROBOT_MOVED,
     EventCode,
-)
-from worm_model.twin.causes import (
-    CAMERA_M,
-    GAIN,
-    MISS,
-    UNEXPLAINED,
-    Candidate,
-    ReportedCause,
-    weigh_causes,
 )
 from worm_model.twin.core.memory import LENGTH_COUNT, POSITION, POSITION_COUNT, POSITION_SUM
 from worm_model.twin.cycle_data import (
@@ -137,7 +129,7 @@ class History:
     """
 
     cycles: tuple[CycleData, ...] = ()
-    reported: tuple[ReportedCause, ...] = ()
+    reported: tuple[causes.ReportedCause, ...] = ()
     unplaced: bool = False
     blind_s: float = 0.0
     slight: bool = False
@@ -219,8 +211,8 @@ def _lasts(history: History, cycle: CycleSeen, data: CycleData, signs: Signature
     step = data.step
     if step is None or step.is_none or _whole(step.size, cycle):
         return False
-    moved = Candidate(CAMERA_MOVED, "", data.number, math.log(MOVED), step.phase, cycles=1)
-    weighed = weigh_causes(
+    moved = causes.Candidate(CAMERA_MOVED, "", data.number, math.log(MOVED), step.phase, cycles=1)
+    weighed = causes.weigh_causes(
         (*history.cycles, data)[-REMEMBERED:],
         history.reported,
         signs,
@@ -231,8 +223,10 @@ def _lasts(history: History, cycle: CycleSeen, data: CycleData, signs: Signature
     return lasting >= SURE * (1.0 + sum(c.weight for c in weighed))
 
 
-def _weigh(history: History, cycle: CycleSeen, signs: Signatures) -> list[Candidate]:
-    return weigh_causes(history.cycles, history.reported, signs, length_seen=cycle.length_seen)
+def _weigh(history: History, cycle: CycleSeen, signs: Signatures) -> list[causes.Candidate]:
+    return causes.weigh_causes(
+        history.cycles, history.reported, signs, length_seen=cycle.length_seen
+    )
 
 
 # --- position of the robot after the twin was late or had no data for a time --------------------------
@@ -300,7 +294,7 @@ def _settle(
     finding = _explain(cycle, step, shares)
     gained = finding.grooves * cycle.gait.direction
     name = _NAMES.get(finding.code, "")
-    reported = (*history.reported, ReportedCause(name, cycle.number))[-REMEMBERED:]
+    reported = (*history.reported, causes.ReportedCause(name, cycle.number))[-REMEMBERED:]
     history = replace(history, slight=False, reported=reported)
     if name:
         history = replace(
@@ -352,20 +346,25 @@ def _explain(cycle: CycleSeen, step: Step, shares: Mapping[EventCode, float]) ->
 
 
 def _shares_of_step(
-    cycle: CycleSeen, step: Step, weighed: Sequence[Candidate], signs: Signatures
+    cycle: CycleSeen, step: Step, weighed: Sequence[causes.Candidate], signs: Signatures
 ) -> dict[EventCode, float]:
     """Return the probability of each code that can explain a step."""
     pitch, grooves = cycle.parameters.pitch, _whole(step.size, cycle)
     gained = grooves * cycle.gait.direction
     shares = dict.fromkeys((MISSED_REAR, MISSED_FRONT, MISSED, GAINED, ROBOT_MOVED), 0.0)
     swift = {who: p if step.swift else 1.0 - p for who, p in SWIFT.items()}
-    shares[CAMERA_MOVED] = MOVED * _normal(step.size, CAMERA_M) * swift["camera"]
+    shares[CAMERA_MOVED] = MOVED * _normal(step.size, causes.CAMERA_M) * swift["camera"]
     shares[NO_STEP] = _normal(step.size, WHOLE_M)
     if grooves:
         whole = _normal(step.size - grooves * pitch, WHOLE_M)
         shares[ROBOT_MOVED] = MOVED / (2 * MOST_GROOVES) * whole * swift["robot"]
         missed = gained < 0
-        chance = whole * swift["fin"] * 2.0 * (MISS * MORE ** (-gained - 1) if missed else GAIN)
+        chance = (
+            whole
+            * swift["fin"]
+            * 2.0
+            * (causes.MISS * MORE ** (-gained - 1) if missed else causes.GAIN)
+        )
         changes = signs.missed if missed else signs.gained
         if (missed and -gained <= max(signs.grooves, 1)) or gained == 1:
             shares[MISSED if missed else GAINED] = ANY_TIME * chance
@@ -383,7 +382,7 @@ def _phase_of_slip(position: Array, pitch: float) -> float:
     return float(np.argmax(np.abs(position) > 0.5 * pitch)) / BINS
 
 
-def _evidence(weighed: Sequence[Candidate], code: EventCode, fin: str, number: int) -> float:
+def _evidence(weighed: Sequence[causes.Candidate], code: EventCode, fin: str, number: int) -> float:
     """Return the Bayes factor of a groove that a fin missed or gained in a cycle; 1 if this was not weighed."""
     wanted = (code, fin, number, 1)
     matching = [c for c in weighed if (c.code, c.name, c.cycle, c.cycles) == wanted]
@@ -398,7 +397,7 @@ def _normal(value: float, spread: float) -> float:
 
 
 def _length(
-    history: History, cycle_seen: CycleSeen, weighed: Sequence[Candidate]
+    history: History, cycle_seen: CycleSeen, weighed: Sequence[causes.Candidate]
 ) -> tuple[History, Finding | None]:
     """Return a new L0 as a finding if a wrong L0 has at least the probability 1 − HEALTHY_AT_MOST.
 
@@ -434,7 +433,7 @@ def _length(
 
 
 def judge_causes(
-    history: History, number: int, weighed: Sequence[Candidate]
+    history: History, number: int, weighed: Sequence[causes.Candidate]
 ) -> tuple[History, list[Finding]]:
     """Return the updated history, and the findings if the robot is probably not healthy.
 
@@ -445,7 +444,7 @@ def judge_causes(
         return replace(history, doubt=False), []
     findings = _grooves_by_power(history.cycles, weighed, total)
     missed = sum(finding.code != GAINED for finding in findings)
-    reported = [ReportedCause(_NAMES[finding.code], finding.cycle) for finding in findings]
+    reported = [causes.ReportedCause(_NAMES[finding.code], finding.cycle) for finding in findings]
     for group in _by_code([c for c in weighed if c.name in LASTING]).values():
         share, best = _share(group, total), max(group, key=lambda c: c.weight)
         if share < SURE or (best.cycle >= number and best.phase >= LASTED):
@@ -453,7 +452,7 @@ def judge_causes(
         names = {candidate.name for candidate in group}
         if not _is_known(history.reported, best, names):
             findings.append(_lasting(best, share))
-        reported += [ReportedCause(name, best.cycle, best.phase) for name in sorted(names)]
+        reported += [causes.ReportedCause(name, best.cycle, best.phase) for name in sorted(names)]
     if reported:
         history = replace(
             history,
@@ -469,7 +468,7 @@ def judge_causes(
 
 
 def _grooves_by_power(
-    cycles: Iterable[CycleData], weighed: Sequence[Candidate], total: float
+    cycles: Iterable[CycleData], weighed: Sequence[causes.Candidate], total: float
 ) -> list[Finding]:
     """Return findings for the grooves missed or gained in cycles whose end no tracker saw."""
     findings = []
@@ -490,34 +489,38 @@ def _grooves_by_power(
     return findings
 
 
-def _is_known(reported: Iterable[ReportedCause], candidate: Candidate, names: set[str]) -> bool:
+def _is_known(
+    reported: Iterable[causes.ReportedCause], candidate: causes.Candidate, names: set[str]
+) -> bool:
     """Return True if the cause was already reported as beginning in this cycle or a neighbouring one."""
     return any(t.name in names and abs(t.cycle - candidate.cycle) <= 1 for t in reported)
 
 
-def _by_code(candidates: Iterable[Candidate]) -> Mapping[EventCode, list[Candidate]]:
+def _by_code(candidates: Iterable[causes.Candidate]) -> Mapping[EventCode, list[causes.Candidate]]:
     groups = defaultdict(list)
     for candidate in candidates:
         groups[candidate.code].append(candidate)
     return groups
 
 
-def _share(candidates: Iterable[Candidate], total: float) -> float:
+def _share(candidates: Iterable[causes.Candidate], total: float) -> float:
     return sum(c.weight for c in candidates) / total
 
 
-def _lasting(candidate: Candidate, share: float) -> Finding:
+def _lasting(candidate: causes.Candidate, share: float) -> Finding:
     change = LASTING[candidate.name].describe(candidate.size, candidate.deviation)
     facts = {"change": change, "percent": 100 * share}
     return Finding(candidate.code, Sentence.LASTING, candidate.cycle, facts, share)
 
 
-def _doubt(number: int, weighed: Sequence[Candidate], total: float) -> list[Finding]:
+def _doubt(number: int, weighed: Sequence[causes.Candidate], total: float) -> list[Finding]:
     """Return one finding with all causes that remain possible; no finding if only a known cause remains."""
     shares = {code: _share(group, total) for code, group in _by_code(weighed).items()}
     likely = {code: share for code, share in shares.items() if share > LIKELY}
-    if set(likely) == {UNEXPLAINED}:
-        number = max((c for c in weighed if c.code == UNEXPLAINED), key=lambda c: c.weight).cycle
+    if set(likely) == {causes.UNEXPLAINED}:
+        number = max(
+            (c for c in weighed if c.code == causes.UNEXPLAINED), key=lambda c: c.weight
+        ).cycle
         return [Finding(AMBIGUOUS, Sentence.UNEXPLAINED, number, {}, max(likely.values()))]
     if len(likely) < 2:
         return []

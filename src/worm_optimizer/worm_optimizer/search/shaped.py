@@ -32,15 +32,7 @@ from worm_optimizer.evaluation.task import (
     Mask,
     Points,
 )
-from worm_optimizer.search.corners import (
-    COARSE,
-    FINE,
-    NO_COLUMNS,
-    Columns,
-    ShapeBounds,
-    corners,
-    most_gained,
-)
+from worm_optimizer.search import corners
 from worm_optimizer.search.pattern_search import (
     FORBIDDEN,
     LEAST_STEP,
@@ -113,7 +105,7 @@ class ShapedTask:
     """
 
     task: MarginTask
-    shapes: ShapeBounds
+    shapes: corners.ShapeBounds
     nodes: tuple[float, ...] = ()
 
     @property
@@ -132,7 +124,7 @@ class ShapedTask:
         return self.task.direction
 
     @staticmethod
-    def over_margins(task: MarginTask, shapes: ShapeBounds, margins: Array) -> ShapedTask:
+    def over_margins(task: MarginTask, shapes: corners.ShapeBounds, margins: Array) -> ShapedTask:
         """Return a task that finds edges at any margin within the range of ``margins`` (n,) in m."""
         nodes = np.unique(np.linspace(margins.min(), margins.max(), _NODES))
         return ShapedTask(task, shapes, tuple(nodes.tolist()))
@@ -156,10 +148,10 @@ class ShapedTask:
         margins = np.full(frequency.shape, self.task.margin) if margin is None else margin
         parts = list(self._candidates(frequency, margins, count))
         column = np.concatenate([rows for rows, _, _ in parts])
-        problems = Columns.join(*(columns for _, columns, _ in parts))
+        problems = corners.Columns.join(*(columns for _, columns, _ in parts))
         shares = np.concatenate([tried for _, _, tried in parts])
         shares = _Search(self.task, self.shapes).within_limits(problems, shares)
-        points, gains = corners(self.task, self.shapes, problems, shares, FINE)
+        points, gains = corners.corners(self.task, self.shapes, problems, shares, corners.FINE)
         kept = gains & points.admissible
         found = [Edges(column[kept], points.take(kept))]
         if self.shapes.include_sinusoid:
@@ -169,20 +161,20 @@ class ShapedTask:
 
     def _candidates(
         self, frequency: Array, margin: Array, count: Index | None
-    ) -> Iterator[tuple[Index, Columns, Array]]:
+    ) -> Iterator[tuple[Index, corners.Columns, Array]]:
         """Yield the shares to be tried at each frequency.
 
         ``count`` contains the branch that is needed at each frequency. None yields the shares of all branches.
 
         Each element is (index of the column (n,), problems (n,), shares (n, 2)).
         """
-        yield np.empty(0, dtype=np.int64), NO_COLUMNS, np.empty((0, 2))
+        yield np.empty(0, dtype=np.int64), corners.NO_COLUMNS, np.empty((0, 2))
         for own, profile in sorted({(track.count, track.profile) for track in self.tracks}):
             wanted = np.ones(frequency.size, dtype=bool) if count is None else count == own
             for shares in self._shares(own, profile, frequency, margin):
                 rows = np.flatnonzero(wanted & np.isfinite(shares[:, 0]))
                 key = np.full(rows.size, own), np.full(rows.size, profile)
-                yield rows, Columns(frequency[rows], margin[rows], *key), shares[rows]
+                yield rows, corners.Columns(frequency[rows], margin[rows], *key), shares[rows]
 
     @cached_property
     def tracks(self) -> tuple[Track, ...]:
@@ -229,7 +221,7 @@ class ShapedTask:
 class Solved:
     """Problems, ``shares`` (n, 2) of their cheapest corners found so far, and ``cost`` (n,) in W, see `Costs.total`."""
 
-    columns: Columns
+    columns: corners.Columns
     shares: Array
     cost: Array
 
@@ -241,7 +233,7 @@ class Solved:
     def join(*parts: Solved) -> Solved:
         """Return the rows of all parts, in order."""
         return Solved(
-            Columns.join(*(part.columns for part in parts)),
+            corners.Columns.join(*(part.columns for part in parts)),
             np.concatenate([part.shares for part in parts]),
             np.concatenate([part.cost for part in parts]),
         )
@@ -270,7 +262,7 @@ class Solved:
         key = float(own.margin[0]), int(own.count[0]), float(own.profile[0])
         return Track(*key, own.frequency, self.shares)
 
-    def interpolated(self, frequency: Array) -> tuple[Columns, Array]:
+    def interpolated(self, frequency: Array) -> tuple[corners.Columns, Array]:
         """Return the problems of one group at other frequencies (m,) in Hz, with interpolated shares (m, 2)."""
         rows = np.zeros(frequency.size, dtype=np.int64)
         columns = dataclasses.replace(self.columns.take(rows), frequency=frequency)
@@ -282,20 +274,20 @@ class _Search:
     """Search for the cheapest shares of many problems."""
 
     task: MarginTask
-    shapes: ShapeBounds
+    shapes: corners.ShapeBounds
 
-    def costs(self, columns: Columns, shares: Array) -> Costs:
+    def costs(self, columns: corners.Columns, shares: Array) -> Costs:
         """Return the costs of the corners."""
-        return costs_of(*corners(self.task, self.shapes, columns, shares, COARSE))
+        return costs_of(*corners.corners(self.task, self.shapes, columns, shares, corners.COARSE))
 
     def improved(
-        self, columns: Columns, shares: Array, step: float, least: float = LEAST_STEP
+        self, columns: corners.Columns, shares: Array, step: float, least: float = LEAST_STEP
     ) -> Solved:
         """Search for cheaper shares from given ones. ``step`` and ``least`` are the first and last relative step."""
         found, costs = self._improved(columns, columns.has_ramps, shares, (step, least))
         return Solved(columns, found, costs.total)
 
-    def within_limits(self, columns: Columns, shares: Array) -> Array:
+    def within_limits(self, columns: corners.Columns, shares: Array) -> Array:
         """Search the contraction shares again if the task has limits of the actuators, and return all shares."""
         if self.task.limits == NO_LIMITS:
             return shares
@@ -309,7 +301,7 @@ class _Search:
         return moved
 
     def _improved(
-        self, columns: Columns, has_ramps: Mask, shares: Array, steps: tuple[float, float]
+        self, columns: corners.Columns, has_ramps: Mask, shares: Array, steps: tuple[float, float]
     ) -> tuple[Array, Costs]:
         def cost_of(rows: Index, tried: Array) -> Costs:
             return self.costs(columns.take(rows), tried)
@@ -343,7 +335,7 @@ class _Search:
         best = best.take(np.isfinite(best.cost))
         return self.improved(best.columns, best.shares, 1.0, _LEAST_FIRST_STEP)
 
-    def _started(self, margins: Array, frequencies: Array) -> tuple[Columns, Array, Index]:
+    def _started(self, margins: Array, frequencies: Array) -> tuple[corners.Columns, Array, Index]:
         """Return one row for each margin, frequency and start: problems, shares (n, 2), and grooves gained (n,)."""
         starts = np.array(
             [
@@ -361,8 +353,8 @@ class _Search:
             axis.ravel() for axis in np.meshgrid(margins, frequencies, numbers, indexing="ij")
         )
         profile, shares = starts[start.astype(np.int64), 0], starts[start.astype(np.int64), 1:]
-        columns = Columns(frequency, margin, np.ones(margin.size, np.int64), profile)
-        return columns, shares, most_gained(self.task, self.shapes, columns, shares)
+        columns = corners.Columns(frequency, margin, np.ones(margin.size, np.int64), profile)
+        return columns, shares, corners.most_gained(self.task, self.shapes, columns, shares)
 
     def continued(self, known: Solved) -> Solved:
         """Search again from the shares of a neighbouring frequency if they are cheaper here than the known shares."""
@@ -398,7 +390,7 @@ class _Search:
             bad = np.where(keeps, bad, middle)
         return self.improved(good.columns, good.shares, _SMALL_STEP)
 
-    def _cheapest_share(self, columns: Columns, shares: Array) -> Solved:
+    def _cheapest_share(self, columns: corners.Columns, shares: Array) -> Solved:
         """Return the cheapest of some contraction shares from the least to the given one, with the least ramp share."""
         least = self.shapes.shares[:, 0]
         parts = []
@@ -432,9 +424,9 @@ class _Search:
         best = Solved.join(known, self._improved_together(parts)).best()
         return best.take(best.cost < FORBIDDEN)
 
-    def _improved_together(self, parts: list[tuple[Columns, Array]]) -> Solved:
+    def _improved_together(self, parts: list[tuple[corners.Columns, Array]]) -> Solved:
         """Search from the shares (n, 2) of all parts at the same time, with small steps."""
-        columns = Columns.join(NO_COLUMNS, *(columns for columns, _ in parts))
+        columns = corners.Columns.join(corners.NO_COLUMNS, *(columns for columns, _ in parts))
         shares = np.concatenate([np.empty((0, 2)), *(shares for _, shares in parts)])
         return self.improved(columns, shares, _SMALL_STEP)
 
@@ -456,7 +448,7 @@ class _Search:
 
 
 def tracks_of(
-    task: MarginTask, shapes: ShapeBounds, margins: Array, frequencies: Array
+    task: MarginTask, shapes: corners.ShapeBounds, margins: Array, frequencies: Array
 ) -> list[Track]:
     """Search the cheapest shares of all branches at ``margins`` in m and ``frequencies`` in Hz, both rising.
 

@@ -12,18 +12,7 @@ from recorded_run import GAIT, simulated_run
 
 from worm_driver.gait import gait_limits, gait_metrics, gait_player
 from worm_driver.power.ina219 import PowerSample, SampleStatus
-from worm_model.analysis.run_metrics import (
-    AVERAGED_CYCLES,
-    IDLE_SAMPLES,
-    RecordingError,
-    Window,
-    accumulated_energy,
-    averaged_cycles,
-    early_end,
-    idle_power,
-    last_played_gait,
-    mean_rate,
-)
+from worm_model.analysis import run_metrics
 from worm_model.parameters import PAPER
 from worm_model.run import Activity, GaitStates, PowerSamples, Run
 from worm_model.simulation.simulator import cost_of_transport
@@ -61,20 +50,24 @@ def stamps(seconds):
 
 def test_the_last_three_of_five_cycles_are_averaged():
     states = gait_states([INACTIVE, RESTING, RUNNING, RUNNING], [0, 0, EPOCH, EPOCH], 5)
-    played = last_played_gait(states)
-    assert played.cycle_window(3, 5) == Window(EPOCH + 10_000_000_000, EPOCH + 25_000_000_000)
+    played = run_metrics.last_played_gait(states)
+    assert played.cycle_window(3, 5) == run_metrics.Window(
+        EPOCH + 10_000_000_000, EPOCH + 25_000_000_000
+    )
     assert played.cycle_window(3, 5).duration == 15.0
-    assert averaged_cycles(Run(gait_state=states), played) == (3, 5)
+    assert run_metrics.averaged_cycles(Run(gait_state=states), played) == (3, 5)
 
 
 def test_a_short_run_is_averaged_as_a_whole():
     states = gait_states([RUNNING], [EPOCH], 2)
-    assert averaged_cycles(Run(gait_state=states), last_played_gait(states)) == (1, 2)
+    assert run_metrics.averaged_cycles(
+        Run(gait_state=states), run_metrics.last_played_gait(states)
+    ) == (1, 2)
 
 
 def test_a_recording_without_a_gait_is_rejected():
-    with pytest.raises(RecordingError, match="no run of a gait"):
-        last_played_gait(gait_states([INACTIVE, RESTING], [0, 0], 5))
+    with pytest.raises(run_metrics.RecordingError, match="no run of a gait"):
+        run_metrics.last_played_gait(gait_states([INACTIVE, RESTING], [0, 0], 5))
 
 
 @pytest.mark.parametrize(
@@ -91,10 +84,12 @@ def test_an_early_end_is_reported_with_the_cycles_that_were_played(state, reason
     late = dataclasses.replace(states, stamp=stamp)
     early = dataclasses.replace(states, stamp=np.append(stamp[:3], stamps([11.0])))
     run = Run(gait_state=early)
-    assert early_end(run, last_played_gait(early)) == reason
-    assert averaged_cycles(run, last_played_gait(early)) == (1, 2)
+    assert run_metrics.early_end(run, run_metrics.last_played_gait(early)) == reason
+    assert run_metrics.averaged_cycles(run, run_metrics.last_played_gait(early)) == (1, 2)
     # The two topics have different clocks, a tenth of a second apart: the third cycle was complete.
-    assert averaged_cycles(Run(gait_state=late), last_played_gait(late)) == (1, 3)
+    assert run_metrics.averaged_cycles(
+        Run(gait_state=late), run_metrics.last_played_gait(late)
+    ) == (1, 3)
 
 
 @pytest.mark.parametrize(
@@ -106,26 +101,26 @@ def test_a_gait_that_is_stopped_plays_on_to_its_next_point_of_rest(state, reason
     states = dataclasses.replace(
         states, stamp=stamps([-1.0, 0.0, 11.0, 15.0 - 1e-9])
     )  # 5 s per cycle
-    run, played = Run(gait_state=states), last_played_gait(states)
-    assert early_end(run, played) == reason
-    assert averaged_cycles(run, played) == (1, 3)
+    run, played = Run(gait_state=states), run_metrics.last_played_gait(states)
+    assert run_metrics.early_end(run, played) == reason
+    assert run_metrics.averaged_cycles(run, played) == (1, 3)
 
 
 @pytest.mark.parametrize(("cycles", "whole"), [(0.5, 0), (1.5, 1)])
 def test_a_recording_that_ends_before_the_gait_names_its_complete_cycles(cycles, whole):
     run = simulated_run(3)
-    played = last_played_gait(run.gait_state)
+    played = run_metrics.last_played_gait(run.gait_state)
     end = played.onset + round(cycles * GAIT.period * 1e9)
     recorded = run.power.stamp < end
     fields = dataclasses.fields(run.power)
     power = PowerSamples(*(getattr(run.power, field.name)[recorded] for field in fields))
     early = dataclasses.replace(run, power=power)
-    assert f"{whole} of 3 cycles" in early_end(early, played)
+    assert f"{whole} of 3 cycles" in run_metrics.early_end(early, played)
 
 
 def test_the_end_of_a_whole_gait_is_no_early_end():
     run = simulated_run(3)
-    assert early_end(run, last_played_gait(run.gait_state)) == ""
+    assert run_metrics.early_end(run, run_metrics.last_played_gait(run.gait_state)) == ""
 
 
 # --- separation of runs ---------------------------------------------------------------------------
@@ -158,10 +153,12 @@ def test_without_numbers_onsets_distinguish_runs():
 # --- rates ----------------------------------------------------------------------------------------
 
 
-def performance(position, energy, window: Window, direction: int) -> tuple[float, float, float]:
+def performance(
+    position, energy, window: run_metrics.Window, direction: int
+) -> tuple[float, float, float]:
     """Return speed in m/s, power in W and cost of transport over a window."""
-    speed = direction * mean_rate(position, window, "position of x1")
-    power = mean_rate(energy, window, "power")
+    speed = direction * run_metrics.mean_rate(position, window, "position of x1")
+    power = run_metrics.mean_rate(energy, window, "power")
     return speed, power, float(cost_of_transport(speed, power, MASS))
 
 
@@ -175,8 +172,8 @@ def test_steady_motion_gives_its_speed_and_power_at_any_phase_of_the_samples(
     speed, power, phase, direction
 ):
     time = np.arange(0.0, 30.0, 1.0 / 30.0) + phase
-    window = Window(EPOCH + 5_000_000_000, EPOCH + 20_000_000_000)
-    energy = accumulated_energy((stamps(time), np.full(time.size, power)))
+    window = run_metrics.Window(EPOCH + 5_000_000_000, EPOCH + 20_000_000_000)
+    energy = run_metrics.accumulated_energy((stamps(time), np.full(time.size, power)))
     moved = performance((stamps(time), 0.3 + speed * time), energy, window, direction)
     assert moved[:2] == pytest.approx((direction * speed, power), rel=1e-6)
     # a robot that moves backwards transports nothing
@@ -190,8 +187,8 @@ def test_samples_that_are_missing_do_not_count():
     position = 0.01 * time
     power[50:60] = math.nan
     position[97:103] = math.nan
-    window = Window(EPOCH + 10_000_000_000, EPOCH + 20_000_000_000)
-    energy = accumulated_energy((stamps(time), power))
+    window = run_metrics.Window(EPOCH + 10_000_000_000, EPOCH + 20_000_000_000)
+    energy = run_metrics.accumulated_energy((stamps(time), power))
     assert performance((stamps(time), position), energy, window, 1)[:2] == pytest.approx(
         (0.01, 2.0)
     )
@@ -199,15 +196,15 @@ def test_samples_that_are_missing_do_not_count():
 
 def test_energy_is_the_integral_of_power():
     time = np.linspace(0.0, 2.0, 201)
-    _, energy = accumulated_energy((stamps(time), 3.0 * time))
+    _, energy = run_metrics.accumulated_energy((stamps(time), 3.0 * time))
     assert energy[-1] == pytest.approx(6.0, rel=1e-6)
-    assert accumulated_energy((stamps([]), np.empty(0)))[1].size == 0
+    assert run_metrics.accumulated_energy((stamps([]), np.empty(0)))[1].size == 0
 
 
 def test_standing_still_has_no_finite_cost_of_transport():
     time = np.arange(0.0, 30.0, 0.1)
-    window = Window(EPOCH, EPOCH + 20_000_000_000)
-    energy = accumulated_energy((stamps(time), np.ones(time.size)))
+    window = run_metrics.Window(EPOCH, EPOCH + 20_000_000_000)
+    energy = run_metrics.accumulated_energy((stamps(time), np.ones(time.size)))
     assert performance((stamps(time), 0.0 * time), energy, window, 1)[2] == math.inf
 
 
@@ -216,8 +213,8 @@ def test_a_recording_that_ends_too_early_is_rejected(name):
     long, short = np.arange(0.0, 30.0, 0.1), np.arange(0.0, 12.0, 0.1)
     series = {"position of x1": (stamps(long), long), "power": (stamps(long), long)}
     series[name] = (stamps(short), short)
-    window = Window(EPOCH, EPOCH + 20_000_000_000)
-    with pytest.raises(RecordingError, match=f"no {name} over the averaged cycles"):
+    window = run_metrics.Window(EPOCH, EPOCH + 20_000_000_000)
+    with pytest.raises(run_metrics.RecordingError, match=f"no {name} over the averaged cycles"):
         performance(series["position of x1"], series["power"], window, 1)
 
 
@@ -237,7 +234,7 @@ def driver_figures(run: Run, cycles: int) -> gait_metrics.RunMetrics:
         positions=[(time, float(x1)) for time, x1 in positions],
         power=[PowerSample(time, SampleStatus.VALID, float(u), float(i)) for time, u, i in power],
     )
-    played = last_played_gait(run.gait_state)
+    played = run_metrics.last_played_gait(run.gait_state)
     onset = (played.onset - run.origin) * 1e-9
     gait = gait_limits.Gait(GAIT.stroke, GAIT.frequency, GAIT.direction)
     ended = gait_player.Run(
@@ -250,11 +247,11 @@ def driver_figures(run: Run, cycles: int) -> gait_metrics.RunMetrics:
 def test_the_driver_measures_the_same_of_the_same_run(cycles: int):
     """The driver may not import this package: here its protocol and constants are compared."""
     run = simulated_run(cycles)
-    played = last_played_gait(run.gait_state)
-    first, last = averaged_cycles(run, played)
+    played = run_metrics.last_played_gait(run.gait_state)
+    first, last = run_metrics.averaged_cycles(run, played)
     speed, power, cost = performance(
         (run.tracker.stamp, run.tracker.rear_position),
-        accumulated_energy((run.power.stamp, run.power.valid_power)),
+        run_metrics.accumulated_energy((run.power.stamp, run.power.valid_power)),
         played.cycle_window(first, last),
         GAIT.direction,
     )
@@ -264,15 +261,17 @@ def test_the_driver_measures_the_same_of_the_same_run(cycles: int):
     # rectangle rule compared with trapezoidal rule
     assert theirs.power == pytest.approx(power, rel=2e-3)
     assert theirs.cost_of_transport == pytest.approx(cost, rel=2e-3)
-    assert theirs.idle_power == pytest.approx(idle_power(run, played), rel=1e-12)
+    assert theirs.idle_power == pytest.approx(run_metrics.idle_power(run, played), rel=1e-12)
     constants = gait_metrics.AVERAGED_CYCLES, gait_metrics.IDLE_SAMPLES
-    assert constants == (AVERAGED_CYCLES, IDLE_SAMPLES)
+    assert constants == (run_metrics.AVERAGED_CYCLES, run_metrics.IDLE_SAMPLES)
 
 
 def test_idle_power_needs_ten_samples_and_a_rest_that_was_reported():
     run = simulated_run(2)
-    played = last_played_gait(run.gait_state)
-    assert idle_power(run, played) == pytest.approx(run.power.power[:10].mean(), rel=1e-12)
+    played = run_metrics.last_played_gait(run.gait_state)
+    assert run_metrics.idle_power(run, played) == pytest.approx(
+        run.power.power[:10].mean(), rel=1e-12
+    )
     late = dataclasses.replace(played, rest_start=played.onset - 150_000_000)
-    assert math.isnan(idle_power(run, late))
-    assert math.isnan(idle_power(run, dataclasses.replace(played, rest_start=None)))
+    assert math.isnan(run_metrics.idle_power(run, late))
+    assert math.isnan(run_metrics.idle_power(run, dataclasses.replace(played, rest_start=None)))

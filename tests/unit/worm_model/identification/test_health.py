@@ -19,16 +19,8 @@ from worm_driver.virtual_robot.offline_run import run_offline
 from worm_driver.virtual_robot.virtual_settings import load_settings
 from worm_model.commands import health as health_command
 from worm_model.gait import Gait
+from worm_model.identification import drift
 from worm_model.identification.data.observed_run import recording_of
-from worm_model.identification.drift import (
-    ADVICE,
-    Rule,
-    State,
-    chart_of,
-    find_signals,
-    limits_of_bags,
-    limits_of_file,
-)
 from worm_model.identification.drift_estimates import estimate_bag, estimate_bags
 from worm_model.identification.fits.estimate import Estimate
 from worm_model.identification.report.drift_figure import draw_health
@@ -93,7 +85,7 @@ def run_health(capsys, *arguments):
 
 
 def test_limits_are_those_of_a_chart_for_individuals():
-    limits = limits_of_bags(np.array([10.0, 12.0, 11.0, 14.0, 13.0]), resolution=0.0)
+    limits = drift.limits_of_bags(np.array([10.0, 12.0, 11.0, 14.0, 13.0]), resolution=0.0)
     assert limits.centre == pytest.approx(12.0)
     assert limits.high - 12.0 == pytest.approx(2.66 * (2 + 1 + 3 + 1) / 4)
     assert 12.0 - limits.low == pytest.approx(limits.high - 12.0)
@@ -101,22 +93,22 @@ def test_limits_are_those_of_a_chart_for_individuals():
 
 
 def test_limits_are_not_nearer_than_the_uncertainty_of_a_bag():
-    limits = limits_of_bags(np.array([1.0, 1.001, 1.0, 1.001, 1.0]), resolution=0.2)
+    limits = drift.limits_of_bags(np.array([1.0, 1.001, 1.0, 1.001, 1.0]), resolution=0.2)
     assert limits.high - limits.centre == pytest.approx(0.2)
     assert "widened" in limits.source
 
 
 def test_four_bags_give_no_limits_which_is_reported():
-    chart = chart_of("gain", estimates([0.86, 0.85, 0.87, 0.5]), PAPER_FILE)
-    assert chart.state is State.TOO_FEW
+    chart = drift.chart_of("gain", estimates([0.86, 0.85, 0.87, 0.5]), PAPER_FILE)
+    assert chart.state is drift.State.TOO_FEW
     assert (chart.limits, chart.began, chart.advice) == (None, None, "")
 
 
 def test_limits_of_a_file_hold_for_a_single_bag():
     known = ParameterFile(PAPER, {"gain": (0.85, 0.87)})
-    assert chart_of("gain", estimates([0.868], 0.01), known).state is State.WITHIN
-    chart = chart_of("gain", estimates([0.83], 0.01), known)
-    assert (chart.state, chart.began, chart.direction) == (State.OUT, 0, -1)
+    assert drift.chart_of("gain", estimates([0.868], 0.01), known).state is drift.State.WITHIN
+    chart = drift.chart_of("gain", estimates([0.83], 0.01), known)
+    assert (chart.state, chart.began, chart.direction) == (drift.State.OUT, 0, -1)
     assert "stretched" in chart.advice
     reach = chart.limits.high - chart.limits.centre
     assert reach == pytest.approx(3.0 * np.hypot(0.01, 0.01) / 1.959964, rel=1e-5)
@@ -124,58 +116,67 @@ def test_limits_of_a_file_hold_for_a_single_bag():
 
 def test_a_single_bag_astray_is_named():
     values = [0.0078, 0.0079, 0.0078, 0.0077, 0.0078, 0.0079, 0.0078, 0.0110, 0.0078, 0.0079]
-    chart = chart_of("slack", estimates(values), PAPER_FILE)
-    assert chart.state is State.OUT
-    assert [(s.rule, s.first, s.last) for s in chart.signals] == [(Rule.LIMIT, 7, 7)]
+    chart = drift.chart_of("slack", estimates(values), PAPER_FILE)
+    assert chart.state is drift.State.OUT
+    assert [(s.rule, s.first, s.last) for s in chart.signals] == [(drift.Rule.LIMIT, 7, 7)]
     assert "re-tension" in chart.advice
 
 
 def test_six_in_one_direction_are_a_trend_that_began_with_the_first_of_them():
     values = np.array([87.0, 90.0, 86.0, 87.0, 88.0, 89.0, 90.0, 91.0])
-    chart = chart_of("viscous_friction", estimates(values), PAPER_FILE)
-    assert (chart.state, chart.began, chart.direction) == (State.TRENDING, 2, 1)
-    five = chart_of("viscous_friction", estimates(values[:-1]), PAPER_FILE)
-    assert five.state is State.WITHIN
+    chart = drift.chart_of("viscous_friction", estimates(values), PAPER_FILE)
+    assert (chart.state, chart.began, chart.direction) == (drift.State.TRENDING, 2, 1)
+    five = drift.chart_of("viscous_friction", estimates(values[:-1]), PAPER_FILE)
+    assert five.state is drift.State.WITHIN
 
 
 def test_a_drift_began_where_it_set_in_though_it_drags_the_mean_along():
     values = [0.865, 0.866, *(0.866 * 0.97**k for k in range(1, 7))]
-    chart = chart_of("gain", estimates(values), PAPER_FILE)
-    assert {(s.rule, s.direction) for s in chart.signals} >= {(Rule.LIMIT, 1), (Rule.LIMIT, -1)}
-    assert (chart.state, chart.began, chart.direction) == (State.TRENDING, 1, -1)
+    chart = drift.chart_of("gain", estimates(values), PAPER_FILE)
+    assert {(s.rule, s.direction) for s in chart.signals} >= {
+        (drift.Rule.LIMIT, 1),
+        (drift.Rule.LIMIT, -1),
+    }
+    assert (chart.state, chart.began, chart.direction) == (drift.State.TRENDING, 1, -1)
 
 
 def test_eight_on_one_side_are_a_trend_only_beyond_what_the_file_leaves_open():
     values = np.array([0.866, 0.867] * 4)
-    wide = limits_of_file((0.85, 0.87), 0.0)
-    narrow = limits_of_file((0.864, 0.8655), 0.0)
+    wide = drift.limits_of_file((0.85, 0.87), 0.0)
+    narrow = drift.limits_of_file((0.864, 0.8655), 0.0)
     narrow = replace(narrow, low=0.8, high=0.9)
-    assert find_signals(values, wide) == ()
-    rules = [(s.rule, s.first, s.last, s.direction) for s in find_signals(values, narrow)]
-    assert rules == [(Rule.ONE_SIDE, 0, 7, 1)]
-    assert find_signals(values[:-1], narrow) == ()
+    assert drift.find_signals(values, wide) == ()
+    rules = [(s.rule, s.first, s.last, s.direction) for s in drift.find_signals(values, narrow)]
+    assert rules == [(drift.Rule.ONE_SIDE, 0, 7, 1)]
+    assert drift.find_signals(values[:-1], narrow) == ()
 
 
 def test_a_trend_within_the_uncertainty_of_a_bag_is_none():
     values = 90.0 + 0.1 * np.arange(6.0)
-    assert chart_of("viscous_friction", estimates(values, 3.0), PAPER_FILE).state is State.WITHIN
     assert (
-        chart_of("viscous_friction", estimates(values, 0.1), PAPER_FILE).state is not State.WITHIN
+        drift.chart_of("viscous_friction", estimates(values, 3.0), PAPER_FILE).state
+        is drift.State.WITHIN
+    )
+    assert (
+        drift.chart_of("viscous_friction", estimates(values, 0.1), PAPER_FILE).state
+        is not drift.State.WITHIN
     )
 
 
 def test_a_bag_without_an_estimate_is_skipped():
     rows = estimates([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
     rows.insert(3, Estimate(99.0, np.nan, np.nan, False, "no power at rest"))
-    chart = chart_of("idle_power", rows, PAPER_FILE)
+    chart = drift.chart_of("idle_power", rows, PAPER_FILE)
     assert np.isnan(chart.value[3])
-    assert {s.rule: (s.first, s.last) for s in chart.signals}[Rule.MONOTONE] == (0, 6)
+    assert {s.rule: (s.first, s.last) for s in chart.signals}[drift.Rule.MONOTONE] == (0, 6)
 
 
 @given(st.lists(st.floats(-1e3, 1e3), min_size=5, max_size=30), st.floats(0.0, 10.0))
 def test_up_and_down_are_treated_alike(values, resolution):
     values = np.array(values)
-    up, down = (find_signals(v, limits_of_bags(v, resolution)) for v in (values, -values))
+    up, down = (
+        drift.find_signals(v, drift.limits_of_bags(v, resolution)) for v in (values, -values)
+    )
     assert {(s.rule, s.first, s.last, s.direction) for s in up} == {
         (s.rule, s.first, s.last, -s.direction) for s in down
     }
@@ -184,7 +185,7 @@ def test_up_and_down_are_treated_alike(values, resolution):
 def test_steady_series_are_seldom_reported():
     draw = np.random.default_rng(0)
     series = draw.normal(size=(2000, 10))
-    reported = [bool(find_signals(v, limits_of_bags(v, 1.96))) for v in series]
+    reported = [bool(drift.find_signals(v, drift.limits_of_bags(v, 1.96))) for v in series]
     assert np.mean(reported) < 0.03
 
 
@@ -195,8 +196,11 @@ def test_a_steady_robot_is_not_reported(seed):
         estimate_bag(recording_of(robot_run(seed, k), f"bag{k}"), k, PAPER).estimates
         for k in range(6)
     ]
-    states = {key: chart_of(key, [bag[key] for bag in bags], PAPER_FILE).state for key in ADVICE}
-    assert states == dict.fromkeys(ADVICE, State.WITHIN)
+    states = {
+        key: drift.chart_of(key, [bag[key] for bag in bags], PAPER_FILE).state
+        for key in drift.ADVICE
+    }
+    assert states == dict.fromkeys(drift.ADVICE, drift.State.WITHIN)
 
 
 def test_a_falling_gain_is_found_and_what_is_no_bag_of_a_run_left_out(tmp_path: Path, capsys):
@@ -217,12 +221,12 @@ def test_a_falling_gain_is_found_and_what_is_no_bag_of_a_run_left_out(tmp_path: 
     assert [bag["bag"] for bag in found["left_out"]] == ["broken", "bag0"]
     assert "same run" in found["left_out"][1]["reason"]
     gain = found["parameters"]["gain"]
-    assert gain["verdict"] == State.TRENDING.value
+    assert gain["verdict"] == drift.State.TRENDING.value
     assert gain["direction"] == -1
     assert gain["began"] in {"bag0", "bag1"}, "the last steady bags, of which noise tells the first"
     assert "spool slips" in gain["advice"]
-    others = {found["parameters"][key]["verdict"] for key in ADVICE if key != "gain"}
-    assert others == {State.WITHIN.value}
+    others = {found["parameters"][key]["verdict"] for key in drift.ADVICE if key != "gain"}
+    assert others == {drift.State.WITHIN.value}
     assert found["healthy"] is False
     assert figure.read_bytes().startswith(b"\x89PNG")
     assert "health: 100%" in err
@@ -298,7 +302,7 @@ def test_a_figure_is_neither_overwritten_nor_of_an_unknown_kind(tmp_path: Path, 
 
 def test_charts_without_limits_or_ends_can_be_drawn(tmp_path: Path):
     rows = [Estimate(0.86, -np.inf, np.inf), Estimate(np.nan, np.nan, np.nan, False)]
-    charts = [chart_of(key, rows, PAPER_FILE) for key in ADVICE]
+    charts = [drift.chart_of(key, rows, PAPER_FILE) for key in drift.ADVICE]
     draw_health(["a", "b"], charts, tmp_path / "few.svg")
     assert "</svg>" in (tmp_path / "few.svg").read_text()
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from virtual_campaign import SHORT, bench_tests, virtual_campaign
 
+from worm_model import parameters
 from worm_model.analysis.simulated_run import simulated_run
 from worm_model.identification.data.identification_errors import IdentificationError
 from worm_model.identification.data.observed_run import recording_of
@@ -28,17 +29,8 @@ from worm_model.identification.report.identification_report import text_of
 from worm_model.identification.report.results import correlations, parameter_file, summary
 from worm_model.identification.run_selection import prepared, prepared_validation
 from worm_model.identification.stages import FIN, bench_warnings, identify
-from worm_model.parameters import (
-    FITTED_WITH_FORM,
-    KEYS,
-    PAPER,
-    ParameterError,
-    ParameterFile,
-    load_parameters,
-    write_parameter_file,
-)
 
-IDENTIFIED = [key for key in KEYS if key not in MEASURED or key == "pitch"]
+IDENTIFIED = [key for key in parameters.KEYS if key not in MEASURED or key == "pitch"]
 DRY = ("rear_dry_friction", "front_dry_friction")  # keys with intervals in N, not relative
 
 
@@ -144,7 +136,7 @@ def test_the_outputs_agree_with_each_other(campaigns, results):
     result = results[0]
     file, found = parameter_file(result, campaigns[0].inputs), summary(result)
     assert file.parameters == result.parameters
-    assert set(found["parameters"]) == set(KEYS)
+    assert set(found["parameters"]) == set(parameters.KEYS)
     assert file.intervals["slack"] == (
         found["parameters"]["slack"]["low"],
         found["parameters"]["slack"]["high"],
@@ -155,34 +147,36 @@ def test_the_outputs_agree_with_each_other(campaigns, results):
 
 
 def test_a_cable_that_cannot_push_is_identified_as_such_and_reported(tmp_path):
-    truth = PAPER.replace(one_sided_cable=True, bellows_damping=950.0, power_factor=2.9)
+    truth = parameters.PAPER.replace(one_sided_cable=True, bellows_damping=950.0, power_factor=2.9)
     recordings = tuple(
         recording_of(simulated_run(gait, truth, 5, 60.0).as_recorded(), f"run_{k}")
         for k, (gait, _) in enumerate(SHORT[:3])
     )
     inputs = Inputs(recordings, *bench_tests(truth, np.random.default_rng(0)), None)
-    given = ReferenceValues(PAPER, {}, "the paper").with_one_sided_cable()
+    given = ReferenceValues(parameters.PAPER, {}, "the paper").with_one_sided_cable()
     result = identify(inputs, given)
-    for key in FITTED_WITH_FORM:
+    for key in parameters.FITTED_WITH_FORM:
         assert result.estimates[key].value == pytest.approx(getattr(truth, key), rel=0.02)
         assert "cannot push" in result.estimates[key].note
     assert max(abs(error.energy_error) for error in result.held_out.values()) < 5e-3
     assert summary(result)["one_sided_cable"] is True
     path = tmp_path / "robot.yaml"
-    write_parameter_file(path, parameter_file(result, inputs))
-    assert load_parameters(path) == result.parameters
+    parameters.write_parameter_file(path, parameter_file(result, inputs))
+    assert parameters.load_parameters(path) == result.parameters
     text = path.read_text()
     for edited in (
         text.replace("\none_sided_cable: true", "", 1),
         text.replace("true", "false", 1),
     ):
         path.write_text(edited)
-        with pytest.raises(ParameterError, match="identify again without --one-sided-cable"):
-            load_parameters(path)
+        with pytest.raises(
+            parameters.ParameterError, match="identify again without --one-sided-cable"
+        ):
+            parameters.load_parameters(path)
     without = replace(inputs, recordings=recordings[::2], bellows=None)
     with pytest.raises(IdentificationError, match="--one-sided-cable"):
         identify(without, given)
-    again = identify(without, reference_by_file(ParameterFile(truth), "it"))
+    again = identify(without, reference_by_file(parameters.ParameterFile(truth), "it"))
     assert again.parameters.one_sided_cable
     assert again.parameters.bellows_damping == 950.0
 
@@ -203,7 +197,7 @@ def test_without_bench_tests_nothing_is_claimed_that_depends_on_them(campaigns):
     assert unknown == bench | conditional
     assert set(parameter_file(result, blind).intervals).isdisjoint(unknown)
     assert "not identified" in text_of(result, advise(result), [])
-    assert result.estimates["bellows_damping"].value == PAPER.bellows_damping
+    assert result.estimates["bellows_damping"].value == parameters.PAPER.bellows_damping
     assert summary(result)["parameters"]["viscous_friction"]["note"].endswith("add a fin test")
 
 
@@ -215,10 +209,10 @@ def without_power_after(recording, time):
 @pytest.mark.parametrize(("time", "expected"), [(0.0, "0 power samples"), (1.5, "to 1.5 s")])
 def test_power_that_ends_early_is_named(campaigns, time, expected):
     spoilt = without_power_after(campaigns[0].inputs.recordings[0], time)
-    (run,), seen = prepared([spoilt], PAPER.pitch)
+    (run,), seen = prepared([spoilt], parameters.PAPER.pitch)
     assert not run.has_power
     assert expected in " ".join(seen)
-    error = run_errors(run, PAPER, 0.0)
+    error = run_errors(run, parameters.PAPER, 0.0)
     assert np.isnan(error.energy_error)
     assert np.isnan(error.power_rmse) == (time == 0.0)
 
@@ -327,15 +321,15 @@ def test_validation_runs_are_checked_like_the_fitted_ones(campaigns):
     fitted = campaigns[0].inputs.recordings
     kept = [replace(fitted[1], name="kept"), replace(fitted[2], name="aside")]
     spoilt = replace(kept[0], x1=np.where(kept[0].camera_time > 4.0, np.nan, kept[0].x1))
-    runs, seen = prepared_validation([spoilt, kept[1]], fitted[:1], PAPER.pitch)
+    runs, seen = prepared_validation([spoilt, kept[1]], fitted[:1], parameters.PAPER.pitch)
     assert [run.name for run in runs] == ["kept", "aside"]
     assert any(text.startswith("validation: kept: ") and "hidden" in text for text in seen)
     with pytest.raises(IdentificationError, match="two validation runs are called kept"):
-        prepared_validation([kept[0], kept[0]], fitted[:1], PAPER.pitch)
+        prepared_validation([kept[0], kept[0]], fitted[:1], parameters.PAPER.pitch)
     same = replace(fitted[0], sources={"camera.csv": "a" * 64})
     with pytest.raises(IdentificationError, match="run_1"):
-        prepared_validation([replace(same, name="copy")], [same], PAPER.pitch)
-    assert prepared_validation([], fitted, PAPER.pitch) == ([], [])
+        prepared_validation([replace(same, name="copy")], [same], parameters.PAPER.pitch)
+    assert prepared_validation([], fitted, parameters.PAPER.pitch) == ([], [])
 
 
 def test_the_energy_figure_shows_what_is_left_over(results):

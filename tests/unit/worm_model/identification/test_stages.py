@@ -13,22 +13,11 @@ from worm_model.identification.actuation_stage import identify_actuation
 from worm_model.identification.data.identification_errors import IdentificationError
 from worm_model.identification.data.observed_run import recording_of
 from worm_model.identification.energy_stage import identify_energy
+from worm_model.identification.fits import locomotion
 from worm_model.identification.fits.actuation_fit import fit_actuation
 from worm_model.identification.fits.block_least_squares import solve
 from worm_model.identification.fits.energy import fit_energy, power_run
 from worm_model.identification.fits.grooves import MEANS, fit_grooves
-from worm_model.identification.fits.locomotion import (
-    Known,
-    find_locomotion,
-    first_own,
-    follow,
-    locomotion_problem,
-    search,
-    traverse_of,
-    valleys,
-    with_means,
-    worm_of,
-)
 from worm_model.identification.fits.measured_length import measured_length
 from worm_model.parameters import PAPER
 from worm_model.simulation.kernel.grooves import FIRST_GROOVE
@@ -45,7 +34,7 @@ TRUTH = PAPER.replace(
     power_factor=3.0,
 )
 PITCH_DEVIATION = 2.5e-5  # m, of a ruler over ten ridges
-KNOWN = Known(TRUTH, PITCH_DEVIATION)
+KNOWN = locomotion.Known(TRUTH, PITCH_DEVIATION)
 GAITS = [Gait(0.08, 0.15), Gait(0.08, 0.25), Gait(0.09, 0.2)]
 
 
@@ -61,7 +50,7 @@ def recordings(truth=TRUTH, gaits=GAITS, **instruments):
 
 def traverses(truth=TRUTH, gaits=GAITS, **instruments):
     return [
-        traverse_of(recording, measured_length(recording), truth.pitch)
+        locomotion.traverse_of(recording, measured_length(recording), truth.pitch)
         for recording in recordings(truth, gaits, **instruments)
     ]
 
@@ -98,11 +87,11 @@ def test_the_bootstrap_repeats_with_its_seed():
 def test_the_search_finds_the_valley_from_nothing():
     runs = traverses(camera_noise=1e-4)
     start = TRUTH.replace(viscous_friction=300.0, switching_threshold=0.012)
-    landscape = search(runs, Known(start, PITCH_DEVIATION))
-    _, threshold = valleys(landscape)[0]
+    landscape = locomotion.search(runs, locomotion.Known(start, PITCH_DEVIATION))
+    _, threshold = locomotion.valleys(landscape)[0]
     assert threshold == pytest.approx(TRUTH.switching_threshold, abs=4e-4)
     assert landscape.cost.max() > 1e3 * landscape.cost.min()  # the position jumps
-    solution = find_locomotion(runs, KNOWN, landscape)
+    solution = locomotion.find_locomotion(runs, KNOWN, landscape)
     assert solution.shared[0] == pytest.approx(95.0, rel=0.02)
     assert solution.shared[1] == pytest.approx(TRUTH.switching_threshold, abs=4e-5)
     assert solution.shared[2:4] == pytest.approx([0.0, 0.0], abs=0.05)
@@ -111,8 +100,8 @@ def test_the_search_finds_the_valley_from_nothing():
 @pytest.mark.parametrize("off", [-5e-5, 5e-5])
 def test_a_pitch_that_was_read_off_wrongly_is_put_right(off):
     runs = traverses(camera_noise=1e-4)
-    known = Known(TRUTH.replace(pitch=TRUTH.pitch + off), PITCH_DEVIATION)
-    solution = find_locomotion(runs, known, search(runs, known))
+    known = locomotion.Known(TRUTH.replace(pitch=TRUTH.pitch + off), PITCH_DEVIATION)
+    solution = locomotion.find_locomotion(runs, known, locomotion.search(runs, known))
     assert solution.shared[0] == pytest.approx(95.0, rel=0.02)
     assert solution.shared[1] == pytest.approx(TRUTH.switching_threshold, abs=5e-5)
     assert solution.shared[4] == pytest.approx(TRUTH.pitch, abs=1e-5)
@@ -124,7 +113,7 @@ def test_runs_that_never_pass_a_groove_determine_friction_but_no_threshold():
     for seed, gait in enumerate(gaits):
         run = exact_run(gait, TRUTH, Instruments(camera_noise=1e-4), seed, 3.0 / gait.frequency)
         recording = recording_of(run, f"run_{seed}")
-        runs.append(traverse_of(recording, measured_length(recording), TRUTH.pitch))
+        runs.append(locomotion.traverse_of(recording, measured_length(recording), TRUTH.pitch))
     result = locomotion_stage.identify_locomotion(runs, KNOWN)
     assert result.viscous_friction.low < TRUTH.viscous_friction < result.viscous_friction.high
     assert not result.switching_threshold.identifiable
@@ -135,8 +124,8 @@ def test_how_the_body_sets_in_is_found(onset):
     alike = np.zeros((10, 2))
     runs = rough_traverses((0.1, 0.1), alike, alike, onset)
     start = np.array([90.0, 0.0172, 0.05, 0.05, TRUTH.pitch, 0.5])
-    own = first_own(runs)
-    solution = solve(locomotion_problem(runs, KNOWN), start, own)
+    own = locomotion.first_own(runs)
+    solution = solve(locomotion.locomotion_problem(runs, KNOWN), start, own)
     assert solution.shared[5] == pytest.approx(onset, abs=0.25)
     assert solution.shared[0] == pytest.approx(95.0, rel=0.02)
 
@@ -144,19 +133,21 @@ def test_how_the_body_sets_in_is_found(onset):
 def test_a_pitch_that_is_given_as_exact_stays():
     runs = traverses(camera_noise=1e-4)
     start = np.array([90.0, 0.0172, 0.05, 0.05, TRUTH.pitch, 0.5])
-    own = first_own(runs)
-    solution = solve(locomotion_problem(runs, Known(TRUTH, 0.0)), start, own)
+    own = locomotion.first_own(runs)
+    solution = solve(locomotion.locomotion_problem(runs, locomotion.Known(TRUTH, 0.0)), start, own)
     assert solution.shared[4] == pytest.approx(TRUTH.pitch, abs=1e-7)
 
 
 def test_the_scales_error_does_not_show_in_friction():
     """So masses need not be nuisances: a gram changes η by less than a thousandth."""
     runs = traverses(camera_noise=1e-4)
-    own = first_own(runs)
+    own = locomotion.first_own(runs)
     start = np.array([90.0, 0.0172, 0.05, 0.05, TRUTH.pitch, 0.5])
     heavier = TRUTH.replace(rear_mass=TRUTH.rear_mass + 1e-3, front_mass=TRUTH.front_mass - 1e-3)
     plain, moved = (
-        solve(locomotion_problem(runs, Known(p, PITCH_DEVIATION)), start, own).shared
+        solve(
+            locomotion.locomotion_problem(runs, locomotion.Known(p, PITCH_DEVIATION)), start, own
+        ).shared
         for p in (TRUTH, heavier)
     )
     assert moved[0] == pytest.approx(plain[0], rel=1e-3)
@@ -205,9 +196,9 @@ def test_commands_that_never_reach_the_slack_do_not_determine_it():
 def test_a_fit_that_never_settles_is_rejected(monkeypatch):
     runs = traverses(camera_noise=1e-4)
     solution = locomotion_stage.solve(
-        locomotion_problem(runs, KNOWN),
+        locomotion.locomotion_problem(runs, KNOWN),
         np.array([90.0, 0.0172, 0.05, 0.05, TRUTH.pitch, 0.5]),
-        first_own(runs),
+        locomotion.first_own(runs),
     )
     fit = fit_grooves(runs, KNOWN, solution)
     monkeypatch.setattr(locomotion_stage, "search", lambda *_: None)
@@ -221,9 +212,9 @@ def test_a_fit_that_never_settles_is_rejected(monkeypatch):
 def test_an_impossible_motion_is_rejected():
     runs = traverses(camera_noise=1e-4)
     wrong = [replace(run, x1=run.x1 - 40.0) for run in runs]
-    landscape = search(wrong, KNOWN)
+    landscape = locomotion.search(wrong, KNOWN)
     with pytest.raises(IdentificationError, match="explain the motion"):
-        find_locomotion(wrong, KNOWN, landscape)
+        locomotion.find_locomotion(wrong, KNOWN, landscape)
 
 
 def rough_traverses(dry, rear_grooves, front_grooves, onset=0.0):
@@ -232,8 +223,8 @@ def rough_traverses(dry, rear_grooves, front_grooves, onset=0.0):
     found = []
     for run in traverses(camera_noise=1e-4):
         means = np.array([95.0, 0.0171, *dry, TRUTH.pitch, onset])
-        worm = with_means(worm_of(TRUTH), means, np.array([0.2952, 0.0]))
-        samples = follow(run, worm, run.sampled, rear_grooves, front_grooves)
+        worm = locomotion.with_means(locomotion.worm_of(TRUTH), means, np.array([0.2952, 0.0]))
+        samples = locomotion.follow(run, worm, run.sampled, rear_grooves, front_grooves)
         x1 = samples[1:, X1]
         found.append(replace(run, x1=x1 + random.normal(0.0, 1e-4, x1.size), noise=1e-4))
     return found
@@ -242,8 +233,8 @@ def rough_traverses(dry, rear_grooves, front_grooves, onset=0.0):
 def test_dry_friction_is_not_booked_as_viscous():
     alike = np.zeros((10, 2))
     runs = rough_traverses((0.4, 0.2), alike, alike)
-    problem = locomotion_problem(runs, KNOWN)
-    own = first_own(runs)
+    problem = locomotion.locomotion_problem(runs, KNOWN)
+    own = locomotion.first_own(runs)
     solution = solve(problem, np.array([80.0, 0.0172, 0.05, 0.05, TRUTH.pitch, 0.5]), own)
     assert solution.shared[0] == pytest.approx(95.0, rel=0.02)
     assert solution.shared[2:4] == pytest.approx([0.4, 0.2], abs=0.05)
@@ -267,8 +258,8 @@ def test_grooves_that_differ_are_distinguished():
         for _ in range(2)
     )
     runs = rough_traverses((0.2, 0.2), rear, front)
-    problem = locomotion_problem(runs, KNOWN)
-    own = first_own(runs)
+    problem = locomotion.locomotion_problem(runs, KNOWN)
+    own = locomotion.first_own(runs)
     flat = solve(problem, np.array([90.0, 0.0172, 0.05, 0.05, TRUTH.pitch, 0.5]), own)
     fit = fit_grooves(runs, KNOWN, flat)
     assert fit.solution.cost < 0.8 * flat.cost

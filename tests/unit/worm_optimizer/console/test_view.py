@@ -8,23 +8,14 @@ import pytest
 
 from worm_model.run import Activity, LengthSource
 from worm_model.twin.core.records import Health, ResidualRecord, StateRecord
-from worm_optimizer.console.view import (
-    SOURCES,
-    History,
-    is_live,
-    missing_sources,
-    obstacles,
-    sample,
-    state_text,
-    twin_text,
-)
+from worm_optimizer.console import view
 from worm_optimizer.snapshot import DriverState, Snapshot
 
 NOW = 50.0
 IDLE = DriverState(Activity.IDLE, True, False, 0, 0, 0, 0.0, 0.0, 1, "")
 TWIN = StateRecord(0, LengthSource.MEASURED, *(0.3, 0.0, 0.3, 0.0, 0.0, 0.3, 0.0, 0.0, 0.0, 0.3),
                    *(0, 0), *(0.0, 0.0, 0.0, 2.0, 0.0))  # fmt: skip
-RECEIVED = dict.fromkeys(SOURCES, NOW)
+RECEIVED = dict.fromkeys(view.SOURCES, NOW)
 
 
 def snapshot(state: Activity = Activity.IDLE, **values) -> Snapshot:
@@ -33,36 +24,36 @@ def snapshot(state: Activity = Activity.IDLE, **values) -> Snapshot:
 
 def test_a_topic_is_live_for_a_second():
     received = Snapshot(received={"power": NOW - 0.9, "tracker": NOW - 1.1})
-    assert is_live(received, "power", NOW)
-    assert not is_live(received, "tracker", NOW)
-    assert not is_live(received, "twin/state", NOW)
+    assert view.is_live(received, "power", NOW)
+    assert not view.is_live(received, "tracker", NOW)
+    assert not view.is_live(received, "twin/state", NOW)
 
 
 def test_missing_sources_are_named_with_their_silence():
     receptions = {**RECEIVED, "tracker": NOW - 7.0}
     del receptions["power"]
-    assert missing_sources(snapshot(), NOW) == []
+    assert view.missing_sources(snapshot(), NOW) == []
     silent = replace(snapshot(), received=receptions)
-    assert missing_sources(silent, NOW) == ["power: no message yet", "tracker: silent for 7 s"]
+    assert view.missing_sources(silent, NOW) == ["power: no message yet", "tracker: silent for 7 s"]
 
 
 def test_no_source_is_missing_unless_the_driver_is_active():
     inactive = replace(snapshot(Activity.INACTIVE), received={})
-    assert missing_sources(inactive, NOW) == []
-    assert missing_sources(Snapshot(), NOW) == []
-    assert state_text(Snapshot()) == "no driver"
+    assert view.missing_sources(inactive, NOW) == []
+    assert view.missing_sources(Snapshot(), NOW) == []
+    assert view.state_text(Snapshot()) == "no driver"
 
 
 def test_old_values_are_not_shown():
     lengths = dict.fromkeys(LengthSource, 0.3)
     known = replace(snapshot(), lengths=lengths, power=2.5, twin_age=0.4)
-    assert sample(known, NOW).power == 2.5
-    assert sample(known, NOW).predicted == 2.0
-    assert sample(known, NOW).commanded == 0.3
-    assert sample(known, NOW).twin_age == 0.4
+    assert view.sample(known, NOW).power == 2.5
+    assert view.sample(known, NOW).predicted == 2.0
+    assert view.sample(known, NOW).commanded == 0.3
+    assert view.sample(known, NOW).twin_age == 0.4
     assert all(
         math.isnan(value)
-        for name, value in vars(sample(known, NOW + 2.0)).items()
+        for name, value in vars(view.sample(known, NOW + 2.0)).items()
         if name not in ("time", "twin_age")
     )
 
@@ -79,7 +70,7 @@ def test_old_values_are_not_shown():
     ],
 )
 def test_possible_actions_follow_from_the_state(given: Snapshot, possible: set[str]):
-    reasons = obstacles(given, "")
+    reasons = view.obstacles(given, "")
     assert {name for name, reason in reasons.items() if not reason} == possible
 
 
@@ -87,35 +78,35 @@ def test_the_age_of_the_twins_data_is_shown():
     residuals = ResidualRecord(0, *(0.0,) * 7, Health.SUSPECT, "a fin slips")
     received = {**RECEIVED, "twin/residuals": NOW}
     known = replace(snapshot(), residuals=residuals, twin_age=0.43, received=received)
-    assert twin_text(known, NOW) == "twin: suspect, a fin slips, 0.4 s behind"
-    assert twin_text(replace(known, twin_age=math.nan), NOW) == "twin: suspect, a fin slips"
-    assert twin_text(known, NOW + 2.0) == "twin: no message"
+    assert view.twin_text(known, NOW) == "twin: suspect, a fin slips, 0.4 s behind"
+    assert view.twin_text(replace(known, twin_age=math.nan), NOW) == "twin: suspect, a fin slips"
+    assert view.twin_text(known, NOW + 2.0) == "twin: no message"
 
 
 def test_a_common_obstacle_is_the_reason_for_each_action():
-    assert set(obstacles(snapshot(), "wait: homing").values()) == {"wait: homing"}
-    assert set(obstacles(Snapshot(), "").values()) == {"there is no driver"}
+    assert set(view.obstacles(snapshot(), "wait: homing").values()) == {"wait: homing"}
+    assert set(view.obstacles(Snapshot(), "").values()) == {"there is no driver"}
 
 
 def test_the_state_of_the_driver_as_text():
-    assert state_text(snapshot(Activity.RUNNING, cycle=2, cycles=5)) == "running, cycle 2 of 5"
-    assert state_text(snapshot(emergency_stop=True)) == "emergency stop, idle"
-    assert state_text(snapshot(Activity.FAULT, message="servo 2 is silent")) == (
+    assert view.state_text(snapshot(Activity.RUNNING, cycle=2, cycles=5)) == "running, cycle 2 of 5"
+    assert view.state_text(snapshot(emergency_stop=True)) == "emergency stop, idle"
+    assert view.state_text(snapshot(Activity.FAULT, message="servo 2 is silent")) == (
         "fault: servo 2 is silent"
     )
 
 
 def test_a_stop_is_shown_before_its_confirmation_and_until_a_person_acts():
     running = snapshot(Activity.RUNNING, cycle=2, cycles=5)
-    assert state_text(running, stopping=True).startswith("STOP is not confirmed yet, running")
+    assert view.state_text(running, stopping=True).startswith("STOP is not confirmed yet, running")
     holding = snapshot(Activity.IDLE, holding=True)
-    assert state_text(holding, stopping=True) == "stopped, holding"
-    assert state_text(holding) == "stopped, holding"
-    assert state_text(snapshot(Activity.IDLE)) == "idle"
+    assert view.state_text(holding, stopping=True) == "stopped, holding"
+    assert view.state_text(holding) == "stopped, holding"
+    assert view.state_text(snapshot(Activity.IDLE)) == "idle"
 
 
 def test_the_history_has_a_minute():
-    history = History(lambda: NOW)
+    history = view.History(lambda: NOW)
     for _ in range(1000):
         history.add(snapshot())
     assert len(history.samples) == 300
@@ -130,7 +121,7 @@ def test_grooves_of_a_cycle_are_counted_at_its_stamps_although_the_twin_lags(
     direction: int, before: int
 ):
     """The twin still has the grooves of the run before when the driver says that the next one has begun."""
-    history = History(lambda: NOW)
+    history = view.History(lambda: NOW)
     onset, gained = 10**12, (2, 1, 2)
 
     def rear_groove(stamp: int) -> int:
@@ -154,7 +145,7 @@ def test_grooves_of_a_cycle_are_counted_at_its_stamps_although_the_twin_lags(
 
 
 def test_a_stopped_cycle_has_no_grooves():
-    history = History(lambda: NOW)
+    history = view.History(lambda: NOW)
     onset = 10**12
     stop = onset + PERIOD_NS + PERIOD_NS // 2
     for now in range(onset, onset + 3 * PERIOD_NS, 200_000_000):

@@ -13,15 +13,7 @@ from worm_msgs.action import OptimizeGaits, ScanMargin
 from worm_msgs.msg import Gait, GaitPrediction
 from worm_msgs.srv import RequestGait
 from worm_optimizer.gait_prediction import Prediction
-from worm_optimizer.nodes.optimizer_messages import (
-    direction_of,
-    fill_response,
-    optimize_result,
-    prediction_message,
-    scan_of_goal,
-    scan_result,
-    settings_of_goal,
-)
+from worm_optimizer.nodes import optimizer_messages
 from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.search.gait_request import GaitAnswer, Objective, RequestStatus
 from worm_optimizer.search.price_of_robustness import Cliff, MarginPoint, PriceOfRobustness
@@ -37,8 +29,8 @@ def test_every_field_of_the_message_is_a_field_of_the_prediction():
 
 def test_speeds_are_along_the_gaits_direction_in_the_message():
     forward, reverse = made_up(0.005, 2.6), made_up(0.005, 2.6, direction=-1)
-    assert prediction_message(forward).speed == 0.005
-    message = prediction_message(reverse)
+    assert optimizer_messages.prediction_message(forward).speed == 0.005
+    message = optimizer_messages.prediction_message(reverse)
     assert (message.speed, message.nominal_speed) == (0.005, 0.005)
     assert message.cost_of_transport > 0.0
     assert message.gait.direction == Gait.REVERSE
@@ -55,7 +47,9 @@ def test_statuses_have_the_numbers_of_the_message():
 
 
 def test_an_answer_without_a_gait_has_no_figures():
-    response = fill_response(RequestGait.Response(), GaitAnswer(RequestStatus.NO_FRONT, "why"))
+    response = optimizer_messages.fill_response(
+        RequestGait.Response(), GaitAnswer(RequestStatus.NO_FRONT, "why")
+    )
     assert (response.success, response.message) == (False, "why")
     assert response.status == RequestGait.Response.NO_FRONT
     assert math.isnan(response.prediction.speed)
@@ -63,7 +57,7 @@ def test_an_answer_without_a_gait_has_no_figures():
 
 
 def test_an_answer_carries_its_gait():
-    response = fill_response(
+    response = optimizer_messages.fill_response(
         RequestGait.Response(), GaitAnswer(RequestStatus.DONE, "", made_up(0.005, 2.6))
     )
     assert response.success
@@ -73,14 +67,14 @@ def test_an_answer_carries_its_gait():
 
 def test_settings_missing_in_a_goal_keep_their_defaults():
     """The seed is an exception, as 0 is seed 0."""
-    settings = settings_of_goal(QUICK, OptimizeGaits.Goal(margin=math.nan))
+    settings = optimizer_messages.settings_of_goal(QUICK, OptimizeGaits.Goal(margin=math.nan))
     assert QUICK.seed != 0
     assert settings == dataclasses.replace(QUICK, seed=0)
 
 
 def test_a_goal_sets_its_settings():
     goal = OptimizeGaits.Goal(margin=1e-3, seed=5, robustness="chance", probability=0.9)
-    settings = settings_of_goal(QUICK, goal)
+    settings = optimizer_messages.settings_of_goal(QUICK, goal)
     assert settings.margin == 1e-3
     assert settings.seed == 5
     assert settings.robustness is Robustness.CHANCE
@@ -97,27 +91,27 @@ def test_a_goal_sets_its_settings():
 )
 def test_an_invalid_goal_is_rejected(goal, expected):
     with pytest.raises(OptimizerError, match=expected):
-        settings_of_goal(QUICK, OptimizeGaits.Goal(**goal))
+        optimizer_messages.settings_of_goal(QUICK, OptimizeGaits.Goal(**goal))
 
 
 def test_a_scans_margins_are_the_goals_or_the_defaults():
-    plain = scan_of_goal(QUICK, ScanMargin.Goal(lowest=1e-3))
+    plain = optimizer_messages.scan_of_goal(QUICK, ScanMargin.Goal(lowest=1e-3))
     assert dataclasses.astuple(plain.scan) == (1e-3, QUICK.scan.highest, QUICK.scan.step)
-    given = scan_of_goal(QUICK, ScanMargin.Goal(highest=2e-3, step=5e-4))
+    given = optimizer_messages.scan_of_goal(QUICK, ScanMargin.Goal(highest=2e-3, step=5e-4))
     assert given.scan.margins().tolist() == [0.0, 5e-4, 1e-3, 1.5e-3, 2e-3]
     with pytest.raises(OptimizerError, match="scan:"):
-        scan_of_goal(QUICK, ScanMargin.Goal(lowest=math.nan))
+        optimizer_messages.scan_of_goal(QUICK, ScanMargin.Goal(lowest=math.nan))
 
 
 def test_directions_are_the_two():
-    assert (direction_of(1), direction_of(-1)) == (1, -1)
+    assert (optimizer_messages.direction_of(1), optimizer_messages.direction_of(-1)) == (1, -1)
     with pytest.raises(OptimizerError, match="direction: 3"):
-        direction_of(3)
+        optimizer_messages.direction_of(3)
 
 
 def test_the_result_of_an_optimisation():
     front = small_front()
-    message = optimize_result(front)
+    message = optimizer_messages.optimize_result(front)
     assert message.success
     assert message.margin == 0.0034
     assert [gait.speed for gait in message.front] == [gait.speed for gait in front.gaits]
@@ -130,7 +124,7 @@ def test_the_result_of_an_optimisation():
 def test_the_result_of_a_scan():
     nothing = MarginPoint(2e-3, math.nan, math.nan, math.nan, 0.0, ())
     points = (MarginPoint(1e-3, 50.0, 0.07, 0.2, 2.0, (1.0, 2.0)), nothing)
-    message = scan_result(
+    message = optimizer_messages.scan_result(
         PriceOfRobustness(points, Cliff(1.5e-3, 1e-3, 2e-3, math.inf, 2.0), 1.4e-3, 1.1e-3)
     )
     assert message.success
@@ -139,6 +133,6 @@ def test_the_result_of_a_scan():
     assert message.cost_of_transport[0] == 50.0
     assert math.isnan(message.cost_of_transport[1])
     assert (message.cliff_margin, message.lost_branch) == (1.5e-3, 2)
-    without = scan_result(PriceOfRobustness(points[:1], None, 1.4e-3, 1.1e-3))
+    without = optimizer_messages.scan_result(PriceOfRobustness(points[:1], None, 1.4e-3, 1.1e-3))
     assert math.isnan(without.cliff_margin)
     assert "no cliff" in without.message

@@ -26,15 +26,7 @@ from worm_model.parameters import KEYS, PAPER, ParameterFile, format_parameter_f
 from worm_model.run import GaitStates, Run, TrackerSamples
 from worm_model.simulation.simulator import evaluate_gait
 from worm_optimizer.commands import report as command
-from worm_optimizer.report.agreement import (
-    Agreement,
-    Grooves,
-    agreements,
-    describe,
-    headline,
-    orders,
-    percent,
-)
+from worm_optimizer.report import agreement
 from worm_optimizer.report.expectation import Band, GrooveShare, expect
 from worm_optimizer.report.identification_parts import IdentificationParts
 from worm_optimizer.report.optimisation import optimise, why_no_front
@@ -100,7 +92,7 @@ def test_measured_figures_are_those_of_the_simulated_robot(gait: RecordedGait):
 def test_the_twin_follows_and_the_expectation_holds(gait: RecordedGait):
     assert gait.twin.speed.value == pytest.approx(gait.measured.speed.value, rel=0.02)
     assert gait.expected.nominal == evaluate_gait(GAIT)
-    assert all(row.agrees for row in agreements(gait))
+    assert all(row.agrees for row in agreement.agreements(gait))
     assert gait.judged.cycles[-1].measured_grooves == pytest.approx(
         gait.expected.nominal.grooves_per_cycle, abs=0.05
     )
@@ -130,7 +122,7 @@ def test_a_short_run_is_held_against_the_same_cycles_of_the_model(tmp_path: Path
     assert gait.expected.nominal == evaluate_gait(GAIT, PAPER, cycles, min(cycles, 3))
     assert gait.measured.speed.value == pytest.approx(gait.expected.nominal.speed, rel=0.01)
     assert gait.measured.power.value == pytest.approx(gait.expected.nominal.power, rel=0.01)
-    assert all(row.agrees for row in agreements(gait))
+    assert all(row.agrees for row in agreement.agreements(gait))
     assert gait.early_end == ""
 
 
@@ -146,8 +138,8 @@ def test_a_fault_is_reported_first_and_standing_still_is_not_averaged(tmp_path: 
     gait = read(tmp_path / "fault", dataclasses.replace(run, gait_state=GaitStates(**kept)))
     assert gait.averaged_cycles == (1, 3)
     assert gait.early_end.startswith("ended in FAULT after 3 of 5 cycles")
-    assert headline([gait]).startswith("fault ended in FAULT after 3 of 5 cycles")
-    assert describe([gait]).startswith("fault: ended in FAULT")
+    assert agreement.headline([gait]).startswith("fault ended in FAULT after 3 of 5 cycles")
+    assert agreement.describe([gait]).startswith("fault: ended in FAULT")
     page = build_report(Report("fault", [gait]), tmp_path / "report").read_text()
     assert page.index("ended in FAULT") < page.index("<nav")
 
@@ -159,7 +151,7 @@ def test_without_a_tracker_power_is_reported_and_the_reason_of_the_rest(tmp_path
     assert math.isnan(gait.measured.cost_of_transport.value)
     assert gait.measured.power.value == pytest.approx(evaluate_gait(GAIT).power, rel=0.01)
     assert gait.missing == ("the recording has no position of x1 over the averaged cycles",)
-    assert [row.agrees for row in agreements(gait)] == [None, True, None]
+    assert [row.agrees for row in agreement.agreements(gait)] == [None, True, None]
     build_report(Report("blind", [gait]), tmp_path / "report")
 
 
@@ -298,17 +290,17 @@ def test_a_file_with_intervals_of_its_parameters_narrows_the_interval():
 
 def test_order_is_preserved_or_not_or_uncertain(gait: RecordedGait):
     slow, fast = with_speed(gait, "slow", 1.0, 1.1), with_speed(gait, "fast", 2.0, 1.9)
-    assert orders([gait]) == ()
-    assert orders([fast, slow])[0].preserved is True
-    assert orders([slow, with_speed(gait, "fast", 0.5, 1.9)])[0].preserved is False
-    assert orders([slow, with_speed(gait, "fast", math.nan, 1.9)])[0].preserved is None
+    assert agreement.orders([gait]) == ()
+    assert agreement.orders([fast, slow])[0].preserved is True
+    assert agreement.orders([slow, with_speed(gait, "fast", 0.5, 1.9)])[0].preserved is False
+    assert agreement.orders([slow, with_speed(gait, "fast", math.nan, 1.9)])[0].preserved is None
 
 
 def test_nothing_that_is_twenty_percent_off_agrees():
     """Regardless of the width of the interval."""
     for measured, agrees in ((1.0, True), (1.19, True), (1.21, False), (0.79, False)):
         band = Band(measured, measured, measured)
-        assert Agreement("wide", "power", band, Band(1.0, 0.1, 9.0)).agrees is agrees
+        assert agreement.Agreement("wide", "power", band, Band(1.0, 0.1, 9.0)).agrees is agrees
 
 
 @pytest.mark.parametrize(
@@ -330,9 +322,9 @@ def test_nothing_that_is_twenty_percent_off_agrees():
 )
 def test_a_speed_is_whole_grooves_and_its_verdict_can_fail(shares, measured, agrees, verdict):
     expected = tuple(GrooveShare(*share) for share in shares)
-    grooves = Grooves(expected, measured, 3)
+    grooves = agreement.Grooves(expected, measured, 3)
     band = Band(measured, measured, measured)
-    row = Agreement("gait", "speed", band, Band(2.0, 0.0, 9.0), grooves)
+    row = agreement.Agreement("gait", "speed", band, Band(2.0, 0.0, 9.0), grooves)
     assert (row.agrees, row.verdict) == (agrees, verdict)
 
 
@@ -355,7 +347,9 @@ def test_power_is_expected_for_the_grooves_that_were_measured():
 
 
 def test_the_text_names_what_is_outside(gait: RecordedGait):
-    text = describe([with_speed(gait, "slow", 1.0, 2.0), with_speed(gait, "fast", 0.5, 3.0)])
+    text = agreement.describe(
+        [with_speed(gait, "slow", 1.0, 2.0), with_speed(gait, "fast", 0.5, 3.0)]
+    )
     assert re.search(r"slow +speed \(mm/s\).*-50\.0 % +disagrees", text)
     assert "order by speed: not preserved; expected slow < fast, measured fast < slow" in text
 
@@ -423,7 +417,7 @@ def test_gaits_without_a_front_in_common_are_shown_without(gait: RecordedGait, t
     [(-0.0004, "+0.0 %"), (-0.0006, "-0.1 %"), (0.25, "+25.0 %"), (math.nan, "")],
 )
 def test_differences_have_a_sign_but_nothing_has_none_below_zero(difference: float, reported: str):
-    assert percent(difference) == reported
+    assert agreement.percent(difference) == reported
 
 
 # --- the page -------------------------------------------------------------------------------------

@@ -11,26 +11,16 @@ from worm_model.parameters import PAPER, ParameterFile
 from worm_model.simulation.closed_form import groove_phase
 from worm_optimizer.evaluation.task import MarginTask
 from worm_optimizer.optimizer_errors import OptimizerError
+from worm_optimizer.robustness import uncertainty
 from worm_optimizer.robustness.chance import PromiseTask, tolerated_margins
 from worm_optimizer.robustness.success_probability import stroke_to_ends, success_probability
-from worm_optimizer.robustness.uncertainty import (
-    MOTION_HALF_WIDTHS,
-    Scenarios,
-    correlated,
-    description,
-    every_phase,
-    phase_guard,
-    phase_known,
-    phase_unknown,
-    reach_of,
-)
 
 FILE = ParameterFile()
 PITCH = PAPER.pitch
 FEW = 5  # frequencies of a front whose gaits are evaluated in many scenarios
 
 
-def phases_of(scenarios: Scenarios) -> np.ndarray:
+def phases_of(scenarios: uncertainty.Scenarios) -> np.ndarray:
     pitch = scenarios.overrides.get("pitch", np.full(len(scenarios), PITCH))
     return np.array(
         [
@@ -41,15 +31,17 @@ def phases_of(scenarios: Scenarios) -> np.ndarray:
 
 
 def any_phase_task() -> PromiseTask:
-    return PromiseTask(MarginTask(margin=phase_guard(PAPER)), every_phase(PAPER), 1.0)
+    return PromiseTask(
+        MarginTask(margin=uncertainty.phase_guard(PAPER)), uncertainty.every_phase(PAPER), 1.0
+    )
 
 
 # --- draws ----------------------------------------------------------------------------------------
 
 
 def test_draws_have_the_stated_widths():
-    draws = phase_known(FILE, 4000, seed=1).overrides
-    for key, width in MOTION_HALF_WIDTHS.items():
+    draws = uncertainty.phase_known(FILE, 4000, seed=1).overrides
+    for key, width in uncertainty.MOTION_HALF_WIDTHS.items():
         value = PAPER.as_dict()[key]
         inside = np.mean(np.abs(draws[key] - value) <= width * value)
         low, high = (0.93, 0.97) if width else (1.0, 1.0)
@@ -58,35 +50,40 @@ def test_draws_have_the_stated_widths():
 
 def test_a_files_intervals_replace_the_defaults_on_each_side():
     file = ParameterFile(intervals={"slack": (0.0079, 0.0090), "pitch": (0.0173, 0.0173)})
-    below, above = reach_of(file, "slack")
+    below, above = uncertainty.reach_of(file, "slack")
     assert (below, above) == pytest.approx((1e-4, 1e-3))
-    draws = phase_known(file, 4000, seed=1).overrides
+    draws = uncertainty.phase_known(file, 4000, seed=1).overrides
     assert np.all(draws["pitch"] == 0.0173)
     assert np.quantile(draws["slack"], [0.025, 0.975]) == pytest.approx([0.0079, 0.0090], abs=6e-5)
 
 
 def test_assumed_values_are_distinguished_from_those_of_the_file():
-    assert description(FILE).startswith(
+    assert uncertainty.description(FILE).startswith(
         "assumed at 95 %: rear_mass ±1 %, front_mass ±1 %, pitch ±0.5 %"
     )
-    mixed = description(ParameterFile(intervals={"slack": (0.0079, 0.0090)}))
+    mixed = uncertainty.description(ParameterFile(intervals={"slack": (0.0079, 0.0090)}))
     assert mixed.startswith("the parameter file's 95 % intervals of slack; assumed")
     assert "slack ±" not in mixed
-    everything = {key: (0.9 * PAPER.as_dict()[key], 1.1) for key in MOTION_HALF_WIDTHS}
-    assert description(ParameterFile(intervals=everything)) == "the parameter file's 95 % intervals"
-    phase = description(ParameterFile(intervals=everything, run_to_run={"initial_length": 4e-4}))
+    everything = {key: (0.9 * PAPER.as_dict()[key], 1.1) for key in uncertainty.MOTION_HALF_WIDTHS}
+    assert (
+        uncertainty.description(ParameterFile(intervals=everything))
+        == "the parameter file's 95 % intervals"
+    )
+    phase = uncertainty.description(
+        ParameterFile(intervals=everything, run_to_run={"initial_length": 4e-4})
+    )
     assert phase == "the parameter file's 95 % intervals; φ known to ±0.78 mm in the next run"
 
 
 def test_the_known_phase_is_held_whatever_the_pitch():
-    scenarios = phase_known(FILE, 200, seed=1)
+    scenarios = uncertainty.phase_known(FILE, 200, seed=1)
     assert np.ptp(scenarios.overrides["pitch"]) > 1e-4
     assert phases_of(scenarios) == pytest.approx(np.full(200, groove_phase(PAPER)), abs=1e-12)
 
 
 def test_an_interval_of_the_initial_length_is_one_of_the_phase():
     file = ParameterFile(intervals={"initial_length": (0.2950, 0.2954)})
-    spread = phases_of(phase_known(file, 2000, seed=1)) - groove_phase(PAPER)
+    spread = phases_of(uncertainty.phase_known(file, 2000, seed=1)) - groove_phase(PAPER)
     assert np.quantile(spread, [0.025, 0.975]) == pytest.approx([-2e-4, 2e-4], abs=2e-5)
 
 
@@ -96,7 +93,7 @@ def test_the_next_run_has_a_phase_of_its_own():
     file = ParameterFile(
         intervals={"initial_length": (0.2949, 0.2955)}, run_to_run={"initial_length": sigma}
     )
-    spread = phases_of(phase_known(file, 2000, seed=1)) - groove_phase(PAPER)
+    spread = phases_of(uncertainty.phase_known(file, 2000, seed=1)) - groove_phase(PAPER)
     assert np.quantile(spread, [0.025, 0.975]) == pytest.approx([-5e-4, 5e-4], abs=4e-5)
 
 
@@ -105,8 +102,8 @@ def test_draws_correlate_as_in_the_file_and_keep_their_widths():
         intervals={"slack": (0.0076, 0.0084)},
         correlations={("slack", "gain"): -0.9, ("bellows_damping", "power_factor"): -0.99},
     )
-    draws = phase_known(file, 4000, seed=1).overrides
-    plain = phase_known(FILE, 4000, seed=1).overrides
+    draws = uncertainty.phase_known(file, 4000, seed=1).overrides
+    plain = uncertainty.phase_known(FILE, 4000, seed=1).overrides
     assert np.corrcoef(draws["slack"], draws["gain"])[0, 1] == pytest.approx(-0.9, abs=0.02)
     assert abs(np.corrcoef(plain["slack"], plain["gain"])[0, 1]) < 0.05
     assert np.quantile(draws["slack"], [0.025, 0.975]) == pytest.approx([0.0076, 0.0084], abs=5e-5)
@@ -117,7 +114,7 @@ def test_correlations_that_exclude_each_other_are_drawn_as_near_as_can_be():
     random = np.random.default_rng(1)
     independent = {key: random.standard_normal(20_000) for key in "abc"}
     impossible = {("a", "b"): 0.9, ("b", "c"): 0.9, ("a", "c"): -0.9}
-    drawn = np.corrcoef(list(correlated(independent, impossible).values()))
+    drawn = np.corrcoef(list(uncertainty.correlated(independent, impossible).values()))
     assert np.all(np.isfinite(drawn))
     assert drawn[0, 1] == pytest.approx(drawn[1, 2], abs=0.02)
     assert 0.3 < drawn[0, 1] < 0.9
@@ -125,14 +122,14 @@ def test_correlations_that_exclude_each_other_are_drawn_as_near_as_can_be():
 
 
 def test_the_unknown_phase_fills_the_pitch():
-    phases = phases_of(phase_unknown(FILE, 1000, seed=1)) / PITCH
+    phases = phases_of(uncertainty.phase_unknown(FILE, 1000, seed=1)) / PITCH
     assert phases.min() < -0.48
     assert phases.max() > 0.48
     assert abs(np.mean(phases)) < 0.03
 
 
 def test_every_phase_is_even_and_changes_nothing_else():
-    scenarios = every_phase(PAPER)
+    scenarios = uncertainty.every_phase(PAPER)
     assert set(scenarios.overrides) == {"initial_length"}
     spacing = PITCH / len(scenarios)
     assert np.diff(np.sort(phases_of(scenarios))) == pytest.approx(
@@ -143,13 +140,13 @@ def test_every_phase_is_even_and_changes_nothing_else():
 @given(st.integers(0, 1000), st.integers(1, 20))
 @settings(max_examples=20, deadline=None)
 def test_the_same_seed_draws_the_same(seed, samples):
-    first, second = (phase_unknown(FILE, samples, seed).overrides for _ in range(2))
+    first, second = (uncertainty.phase_unknown(FILE, samples, seed).overrides for _ in range(2))
     assert all(np.array_equal(first[key], second[key]) for key in first)
 
 
 def test_wide_intervals_stay_admissible():
     wide = {key: (0.01 * value, 3.0 * value) for key, value in PAPER.as_dict().items() if value}
-    scenarios = phase_known(ParameterFile(intervals=wide), 300, seed=1)
+    scenarios = uncertainty.phase_known(ParameterFile(intervals=wide), 300, seed=1)
     probability = success_probability(MarginTask(), [0.08], [0.2], [1], scenarios)
     assert 0.0 < probability[0] < 1.0
 
@@ -159,7 +156,7 @@ def test_wide_intervals_stay_admissible():
 
 def test_nominal_gaits_are_fragile_and_robust_ones_are_not():
     nominal, robust = MarginTask(), MarginTask(margin=3.4e-3)
-    scenarios = phase_known(FILE, 200, seed=1)
+    scenarios = uncertainty.phase_known(FILE, 200, seed=1)
     success = []
     for task in (nominal, robust):
         front = coarse_front(task).front
@@ -174,12 +171,12 @@ def test_without_the_phase_even_robust_gaits_fail_at_times():
     task = MarginTask(margin=3.4e-3)
     front = coarse_front(task).front
     gaits = front.stroke, front.frequency, front.count // 3
-    probability = success_probability(task, *gaits, phase_unknown(FILE, 200, seed=1))
+    probability = success_probability(task, *gaits, uncertainty.phase_unknown(FILE, 200, seed=1))
     assert 0.3 < probability.min() <= probability.max() < 0.8
 
 
 def test_a_gait_that_promises_nothing_keeps_it():
-    scenarios = phase_known(FILE, 10, seed=1)
+    scenarios = uncertainty.phase_known(FILE, 10, seed=1)
     assert success_probability(MarginTask(), [0.05], [0.2], [0], scenarios).tolist() == [1.0]
 
 
@@ -213,7 +210,7 @@ def test_any_phase_gaits_keep_their_promise_at_phases_that_they_were_not_made_wi
     front = coarse_front(any_phase_task(), FEW).front
     assert set((front.count // 3).tolist()) == {1, 2}
     phase = np.linspace(-0.5, 0.5, 500) * PITCH
-    other = Scenarios({"initial_length": PAPER.initial_length + phase})
+    other = uncertainty.Scenarios({"initial_length": PAPER.initial_length + phase})
     gaits = front.stroke, front.frequency, front.count // 3
     assert success_probability(MarginTask(), *gaits, other).min() == 1.0
 
@@ -228,17 +225,21 @@ def test_any_phase_gaits_cost_stroke():
 
 def test_a_chance_constrained_front_keeps_its_probability_on_other_draws():
     task = MarginTask()
-    promise = PromiseTask(task, phase_known(FILE, 200, seed=7), 0.9)
+    promise = PromiseTask(task, uncertainty.phase_known(FILE, 200, seed=7), 0.9)
     front = coarse_front(promise, FEW).front
     kept = success_probability(
-        task, front.stroke, front.frequency, front.count // 3, phase_known(FILE, 300, seed=8)
+        task,
+        front.stroke,
+        front.frequency,
+        front.count // 3,
+        uncertainty.phase_known(FILE, 300, seed=8),
     )
     assert kept.min() > 0.82  # 200 draws give 0.9 to within 0.02, one standard deviation
     assert np.median(kept) > 0.86
 
 
 def test_a_higher_probability_amounts_to_a_larger_margin():
-    task, scenarios = MarginTask(), phase_known(FILE, 60, seed=7)
+    task, scenarios = MarginTask(), uncertainty.phase_known(FILE, 60, seed=7)
     least = [
         tolerated_margins(task, coarse_front(PromiseTask(task, scenarios, p), FEW).front).min()
         for p in (0.6, 0.95)
@@ -248,7 +249,7 @@ def test_a_higher_probability_amounts_to_a_larger_margin():
 
 def test_the_edge_of_a_promise_is_the_shortest_stroke_that_keeps_it():
     """Compared with a dense scan of all scenarios and strokes."""
-    promise = PromiseTask(MarginTask(), phase_known(FILE, 40, seed=3), 0.9)
+    promise = PromiseTask(MarginTask(), uncertainty.phase_known(FILE, 40, seed=3), 0.9)
     frequency = np.array([0.12, 0.25])
     edges = promise.edges(frequency, np.tile([0.01, 0.09], (2, 1)))
     strokes = np.linspace(0.045, 0.09, 901)
@@ -280,4 +281,4 @@ def test_a_promise_that_the_nominal_robot_breaks_stands_no_margin():
 @pytest.mark.parametrize("probability", [0.0, 1.1, -1.0])
 def test_an_invalid_probability_is_rejected(probability):
     with pytest.raises(OptimizerError, match="probability"):
-        PromiseTask(MarginTask(), every_phase(PAPER), probability)
+        PromiseTask(MarginTask(), uncertainty.every_phase(PAPER), probability)

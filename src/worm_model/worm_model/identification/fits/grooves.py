@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from worm_model.arrays import Array
+from worm_model.identification.fits import locomotion
 from worm_model.identification.fits.block_least_squares import (
     Problem,
     Quantity,
@@ -27,15 +28,6 @@ from worm_model.identification.fits.block_least_squares import (
     prior_cost,
     solve,
     with_fixed,
-)
-from worm_model.identification.fits.locomotion import (
-    Known,
-    Traverse,
-    own_of_unloaded,
-    shared_quantities,
-    with_means,
-    worm_of,
-    x1_residuals,
 )
 from worm_model.simulation.kernel.grooves import GROOVE_COLUMNS, STIFFNESS, THRESHOLD
 
@@ -92,21 +84,21 @@ def tables_of(deviations: Array, places: NDArray[np.int64]) -> tuple[Array, Arra
 
 
 def groove_problem(
-    traverses: Sequence[Traverse],
-    known: Known,
+    traverses: Sequence[locomotion.Traverse],
+    known: locomotion.Known,
     places: NDArray[np.int64],
     scatter: Scatter,
 ) -> Problem:
     """Return the problem of x1 with means and deviations; the scatter is the prior standard deviation."""
-    worm = worm_of(known.parameters)
+    worm = locomotion.worm_of(known.parameters)
 
     def residuals(run: int, values: Array, own: Array) -> Array:
-        robot = with_means(worm, values[:MEANS], own)
-        return x1_residuals(traverses[run], robot, *tables_of(values[MEANS:], places))
+        robot = locomotion.with_means(worm, values[:MEANS], own)
+        return locomotion.x1_residuals(traverses[run], robot, *tables_of(values[MEANS:], places))
 
     deviations = deviation_quantities(places, scatter, known.parameters.pitch)
-    shared = [*shared_quantities(known), *deviations]
-    return Problem(residuals, shared, own_of_unloaded(traverses, known), jumps=True)
+    shared = [*locomotion.shared_quantities(known), *deviations]
+    return Problem(residuals, shared, locomotion.own_of_unloaded(traverses, known), jumps=True)
 
 
 def deviation_quantities(
@@ -122,7 +114,9 @@ def deviation_quantities(
     ]
 
 
-def fit_grooves(traverses: Sequence[Traverse], known: Known, start: Solution) -> GrooveFit:
+def fit_grooves(
+    traverses: Sequence[locomotion.Traverse], known: locomotion.Known, start: Solution
+) -> GrooveFit:
     """Estimate scatter, deviations and means, starting from a solution with even grooves."""
     return fit_uneven(partial(groove_problem, traverses, known), start)
 
@@ -216,7 +210,11 @@ def _learned_scatter(
 
 
 def held(
-    traverses: Sequence[Traverse], known: Known, fit: GrooveFit, entry: int, value: float
+    traverses: Sequence[locomotion.Traverse],
+    known: locomotion.Known,
+    fit: GrooveFit,
+    entry: int,
+    value: float,
 ) -> Solution:
     """Return the solution with the mean ``entry`` fixed at a value and all other parameters fitted again."""
     problem = groove_problem(traverses, known, fit.places, fit.scatter)

@@ -5,24 +5,16 @@ from __future__ import annotations
 
 from typing import Any
 
+from worm_model.simulation.kernel import mode
 from worm_model.simulation.kernel.actuation_law import Actuator, rest_of
 from worm_model.simulation.kernel.compiled import compiled
 from worm_model.simulation.kernel.guard import NEVER
-from worm_model.simulation.kernel.mode import (
-    ABOVE,
-    BELOW,
-    Constants,
-    Motion,
-    fin_stiffness,
-    nearest_groove_of,
-    region_of,
-)
 
 REGIONS = 3
 
 
 @compiled
-def _balance(offset: float, c: Constants) -> tuple[float, int, int]:
+def _balance(offset: float, c: mode.Constants) -> tuple[float, int, int]:
     """Return (deflection of the rear fin in m, region of the rear fin, region of the front fin) in the equilibrium.
 
     ``offset`` in m is the deflection of the front fin minus that of the rear one. For each pair of regions, the
@@ -33,7 +25,10 @@ def _balance(offset: float, c: Constants) -> tuple[float, int, int]:
     best, deflection, regions = NEVER, 0.0, 0
     for pair in range(REGIONS * REGIONS):
         rear, front = pair // REGIONS, pair % REGIONS
-        rear_k, front_k = fin_stiffness(rear, c.rear_fin), fin_stiffness(front, c.front_fin)
+        rear_k, front_k = (
+            mode.fin_stiffness(rear, c.rear_fin),
+            mode.fin_stiffness(front, c.front_fin),
+        )
         if rear_k + front_k == 0.0:
             continue
         rear_rest = (rear - 1.0) * c.body.half_clearance
@@ -46,17 +41,17 @@ def _balance(offset: float, c: Constants) -> tuple[float, int, int]:
 
 
 @compiled
-def _outside(deflection: float, region: int, c: Constants) -> float:
+def _outside(deflection: float, region: int, c: mode.Constants) -> float:
     """Return the distance by which a deflection lies outside of a region, m."""
-    if region == ABOVE:
+    if region == mode.ABOVE:
         return max(c.body.half_clearance - deflection, 0.0)
-    if region == BELOW:
+    if region == mode.BELOW:
         return max(deflection + c.body.half_clearance, 0.0)
     return max(abs(deflection) - c.body.half_clearance, 0.0)
 
 
 @compiled
-def start_of(g: Any, c: Constants, a: Actuator) -> tuple[bool, float, Motion]:
+def start_of(g: Any, c: mode.Constants, a: Actuator) -> tuple[bool, float, mode.Motion]:
     """Return (True if the fins hold the load, ΔL in m, the motion) at the start of a gait.
 
     ``g`` is a row of GAIT_ROW. Without a load, x1 = 0. With a load, the fins are in equilibrium with it. The front
@@ -65,7 +60,7 @@ def start_of(g: Any, c: Constants, a: Actuator) -> tuple[bool, float, Motion]:
     """
     length_change = rest_of(g.pretension, a)
     length_rate = 0.0 if g.pretension > 0.0 else -a.gain * a.slack / a.time_constant
-    rear_groove, front_groove = 0, int(nearest_groove_of(c.body.initial_length, c.body.pitch))
+    rear_groove, front_groove = 0, int(mode.nearest_groove_of(c.body.initial_length, c.body.pitch))
     slips = int(abs(length_change) / c.body.pitch) + 4
     for _ in range(slips):
         gap = (front_groove - rear_groove) * c.body.pitch
@@ -74,16 +69,16 @@ def start_of(g: Any, c: Constants, a: Actuator) -> tuple[bool, float, Motion]:
             rear, rear_region, front_region = _balance(offset, c)
         else:
             rear = -rear_groove * c.body.pitch
-            rear_region = region_of(rear, c.body.half_clearance)
-            front_region = region_of(rear + offset, c.body.half_clearance)
+            rear_region = mode.region_of(rear, c.body.half_clearance)
+            front_region = mode.region_of(rear + offset, c.body.half_clearance)
         if abs(rear) > c.rear_fin.threshold:
             rear_groove += 1 if rear > 0.0 else -1
         elif abs(rear + offset) > c.front_fin.threshold:
             front_groove += 1 if rear + offset > 0.0 else -1
         else:
             y = rear + rear_groove * c.body.pitch + c.body.mu * length_change
-            motion = Motion(
+            motion = mode.Motion(
                 y, c.body.mu * length_rate, rear_groove, front_groove, rear_region, front_region
             )
             return True, length_change, motion
-    return False, length_change, Motion(0.0, 0.0, rear_groove, front_groove, 1, 1)
+    return False, length_change, mode.Motion(0.0, 0.0, rear_groove, front_groove, 1, 1)

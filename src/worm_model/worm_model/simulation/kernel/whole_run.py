@@ -12,34 +12,11 @@ from typing import Any
 
 import numpy as np
 
+from worm_model.simulation.kernel import march, mode
 from worm_model.simulation.kernel.actuation_law import Actuator, value_at
 from worm_model.simulation.kernel.compiled import compiled, entry, inlined, unlocked
 from worm_model.simulation.kernel.grooves import Grooves
 from worm_model.simulation.kernel.linear import Coefficients, Wave
-from worm_model.simulation.kernel.march import (
-    EVENT_COLUMNS,
-    FAILURE,
-    FORCE,
-    LENGTH_RATE,
-    SAMPLE_COLUMNS,
-    SAMPLED,
-    SWITCHES,
-    TIME,
-    TOTALS_SIZE,
-    WORK_DONE,
-    Segment,
-    march,
-)
-from worm_model.simulation.kernel.mode import (
-    CLEAR,
-    Body,
-    Constants,
-    Fin,
-    Motion,
-    Resistance,
-    nearest_groove_of,
-    region_of,
-)
 from worm_model.simulation.kernel.start import start_of
 from worm_model.simulation.kernel.waveform import PARTS, answer_to_part, borders_of
 
@@ -58,7 +35,7 @@ STEADY = 1e-14
 
 
 @entry
-def constants_of(p: Any, direction: float, margin: float) -> Constants:
+def constants_of(p: Any, direction: float, margin: float) -> mode.Constants:
     """Return the constants of a parameter row for a direction (±1) and a margin in m.
 
     In the forward direction, a fin is stiff below its clearance, where it is when its module is pushed backward.
@@ -67,8 +44,8 @@ def constants_of(p: Any, direction: float, margin: float) -> Constants:
     below, above = p.engaged_stiffness, p.disengaged_stiffness
     if direction < 0:
         below, above = above, below
-    fin = Fin(below, above, p.switching_threshold + margin)
-    body = Body(
+    fin = mode.Fin(below, above, p.switching_threshold + margin)
+    body = mode.Body(
         mass=mass,
         mu=p.front_mass / mass,
         friction=p.viscous_friction,
@@ -81,13 +58,13 @@ def constants_of(p: Any, direction: float, margin: float) -> Constants:
         unstressed_length=p.unstressed_length,
         one_sided_cable=p.one_sided_cable != 0.0,
     )
-    resistance = Resistance(
+    resistance = mode.Resistance(
         rear_dry=p.rear_dry_friction,
         front_dry=p.front_dry_friction,
         rear_load=p.rear_load,
         load=p.rear_load + p.front_load,
     )
-    return Constants(body, fin, fin, resistance)
+    return mode.Constants(body, fin, fin, resistance)
 
 
 @inlined
@@ -102,31 +79,31 @@ def play(
     last: float,
     g: Any,
     length_change: float,
-    motion: Motion,
-    c: Constants,
+    motion: mode.Motion,
+    c: mode.Constants,
     a: Actuator,
     totals: np.ndarray,
     samples: np.ndarray,
     events: np.ndarray,
-) -> tuple[float, Motion]:
+) -> tuple[float, mode.Motion]:
     """Play a gait from ``first`` to ``last`` in s since its onset, and return (ΔL in m, the motion) at the end.
 
     ``length_change`` and ``motion`` are ΔL in m and the motion at ``first``. For the arrays see `march`.
     """
     period = 1.0 / g.frequency
     start, cycle = first, math.floor(first * g.frequency + 1e-9)
-    while start < last and totals[FAILURE] == 0.0:
+    while start < last and totals[march.FAILURE] == 0.0:
         begin = cycle * period
         borders = borders_of(begin, g, a)
         for part in range(PARTS):
             end = min(borders[part], last)
-            if end <= start or totals[FAILURE] != 0.0:
+            if end <= start or totals[march.FAILURE] != 0.0:
                 continue
             form, omega = answer_to_part(part, begin, start, length_change, g, a)
-            segment = Segment(
+            segment = march.Segment(
                 start, end - start, form, Wave(c.body.mass, omega, -1.0 / a.time_constant)
             )
-            motion = march(segment, motion, c, None, totals, samples, events)
+            motion = march.march(segment, motion, c, None, totals, samples, events)
             length_change = value_at(form, end - start, omega, a.time_constant)
             start = end
         cycle += 1
@@ -146,12 +123,12 @@ def run_gait(
     c, a = constants_of(p, g.direction, g.margin), actuator_of(p)
     held, length_change, motion = start_of(g, c, a)
     if not held:
-        totals[FAILURE] = SLIDES
+        totals[march.FAILURE] = SLIDES
     play(0.0, cycles * (1.0 / g.frequency), g, length_change, motion, c, a, totals, samples, events)
 
 
 @inlined
-def _alike(before: Motion, after: Motion, c: Constants) -> bool:
+def _alike(before: mode.Motion, after: mode.Motion, c: mode.Constants) -> bool:
     """Return True if two motions are equal within STEADY, except for the grooves that both anchors have gained."""
     gained = after.rear_groove - before.rear_groove
     moved = after.y - before.y - gained * c.body.pitch
@@ -167,7 +144,7 @@ def _alike(before: Motion, after: Motion, c: Constants) -> bool:
 @compiled
 def run_cycles(
     g: Any,
-    c: Constants,
+    c: mode.Constants,
     a: Actuator,
     boundaries: np.ndarray,
     totals: np.ndarray,
@@ -178,10 +155,10 @@ def run_cycles(
     switches so far, at the start of each cycle and at the end of the run. A cycle is determined by the state at its
     start. Once two successive cycles start in the same state, all further cycles are repetitions and are not simulated.
     """
-    nothing = np.empty((0, SAMPLE_COLUMNS))
+    nothing = np.empty((0, march.SAMPLE_COLUMNS))
     held, length_change, motion = start_of(g, c, a)
     if not held:
-        totals[FAILURE] = SLIDES
+        totals[march.FAILURE] = SLIDES
         return
     steady, before, period = False, motion, 1.0 / g.frequency
     boundaries[0] = 0.0
@@ -199,13 +176,13 @@ def run_cycles(
         length_change, motion = play(
             first, last, g, length_change, motion, c, a, totals, nothing, nothing
         )
-        if totals[FAILURE] != 0.0:
+        if totals[march.FAILURE] != 0.0:
             return
         steady = abs(length_change - length_before) <= STEADY and _alike(before, motion, c)
         then[REACHED] = motion.y - c.body.mu * length_change
-        then[CABLE_WORK] = totals[WORK_DONE]
-        then[SWITCHED] = totals[SWITCHES]
-    totals[SWITCHES] = then[SWITCHED]
+        then[CABLE_WORK] = totals[march.WORK_DONE]
+        then[SWITCHED] = totals[march.SWITCHES]
+    totals[march.SWITCHES] = then[SWITCHED]
 
 
 @entry
@@ -224,12 +201,12 @@ def evaluate(
     """
     frequency, direction = g.frequency, g.direction
     boundaries = np.empty((cycles + 1, BOUNDARY_COLUMNS))
-    totals = np.zeros(TOTALS_SIZE)
+    totals = np.zeros(march.TOTALS_SIZE)
     c, a = constants_of(p, direction, g.margin), actuator_of(p)
     run_cycles(g, c, a, boundaries, totals)
-    result[RUN_SWITCHES] = totals[SWITCHES]
-    result[RUN_FAILURE] = totals[FAILURE]
-    if totals[FAILURE] != 0.0:
+    result[RUN_SWITCHES] = totals[march.SWITCHES]
+    result[RUN_FAILURE] = totals[march.FAILURE]
+    if totals[march.FAILURE] != 0.0:
         result[MEAN_ADVANCE] = result[MEAN_POWER] = result[LEAST_ADVANCE] = math.nan
         return
     first = cycles - averaged
@@ -272,27 +249,27 @@ def sample_many(
     ``phases`` (n, m) are times as fractions of the cycle, ascending. ``force`` and ``length_rate`` (n, m) receive F_c
     in N and L̇ in m/s at these times, NaN if the run of a gait failed.
     """
-    samples = np.empty((phases.shape[1], SAMPLE_COLUMNS))
+    samples = np.empty((phases.shape[1], march.SAMPLE_COLUMNS))
     for k in range(gaits.shape[0]):
-        totals = np.zeros(TOTALS_SIZE)
-        samples[:, TIME] = (cycle + phases[k]) / gaits[k].frequency
+        totals = np.zeros(march.TOTALS_SIZE)
+        samples[:, march.TIME] = (cycle + phases[k]) / gaits[k].frequency
         run_gait(gaits[k], p, cycle + 1, totals, samples, samples[:0])
-        if totals[FAILURE] != 0.0:
+        if totals[march.FAILURE] != 0.0:
             samples[:] = math.nan
-        force[k], length_rate[k] = samples[:, FORCE], samples[:, LENGTH_RATE]
+        force[k], length_rate[k] = samples[:, march.FORCE], samples[:, march.LENGTH_RATE]
 
 
 @unlocked
 def run_sampled(
     breaks: np.ndarray,
     coefficients: np.ndarray,
-    motion: Motion,
-    c: Constants,
+    motion: mode.Motion,
+    c: mode.Constants,
     grooves: Grooves | None,
     totals: np.ndarray,
     samples: np.ndarray,
     events: np.ndarray,
-) -> Motion:
+) -> mode.Motion:
     """Run under a piecewise cubic ΔL from breaks[0] to breaks[-1], and return the motion at the end.
 
     ``breaks`` (n + 1,) in s, ascending, are the borders of the segments. Column k of ``coefficients`` (4, n or more)
@@ -316,31 +293,31 @@ def run_sampled(
             0.0,
             0.0,
         )
-        segment = Segment(breaks[k], duration, form, still)
-        motion = march(segment, motion, c, grooves, totals, samples, events)
-        if totals[FAILURE] != 0.0:
+        segment = march.Segment(breaks[k], duration, form, still)
+        motion = march.march(segment, motion, c, grooves, totals, samples, events)
+        if totals[march.FAILURE] != 0.0:
             break
     return motion
 
 
 @compiled
-def rest_at(length_change: float, c: Constants) -> Motion:
+def rest_at(length_change: float, c: mode.Constants) -> mode.Motion:
     """Return the motion of a robot at rest at a ΔL in m, to which its length has moved from the start at ΔL = 0.
 
     At the start x1 = 0. Loads and dry friction are neglected, so the fins are in equilibrium with each other.
     """
-    groove = int(nearest_groove_of(c.body.initial_length, c.body.pitch))
-    front = region_of(c.body.initial_length - groove * c.body.pitch, c.body.half_clearance)
-    straight = Motion(0.0, 0.0, 0, groove, CLEAR, front)
+    groove = int(mode.nearest_groove_of(c.body.initial_length, c.body.pitch))
+    front = mode.region_of(c.body.initial_length - groove * c.body.pitch, c.body.half_clearance)
+    straight = mode.Motion(0.0, 0.0, 0, groove, mode.CLEAR, front)
     if length_change == 0.0:
         return straight
-    unloaded = Resistance(0.0, 0.0, 0.0, 0.0)
-    fins_alone = Constants(c.body, c.rear_fin, c.front_fin, unloaded)
+    unloaded = mode.Resistance(0.0, 0.0, 0.0, 0.0)
+    fins_alone = mode.Constants(c.body, c.rear_fin, c.front_fin, unloaded)
     coefficients = np.zeros((4, 2))
     coefficients[1, 0], coefficients[0, 1] = length_change / SETTLING_TIME, length_change
     breaks = SETTLING_TIME * np.arange(3.0)
-    samples, events = np.empty((0, SAMPLE_COLUMNS)), np.empty((0, EVENT_COLUMNS))
-    totals = np.zeros(TOTALS_SIZE)
+    samples, events = np.empty((0, march.SAMPLE_COLUMNS)), np.empty((0, march.EVENT_COLUMNS))
+    totals = np.zeros(march.TOTALS_SIZE)
     return run_sampled(breaks, coefficients, straight, fins_alone, None, totals, samples, events)
 
 
@@ -373,51 +350,62 @@ def run_from_rest(
         samples: see `march`.
     """
     c = constants_of(p, direction, 0.0)
-    change, totals = coefficients[0, 0], np.zeros(TOTALS_SIZE)
+    change, totals = coefficients[0, 0], np.zeros(march.TOTALS_SIZE)
     rest = rest_at(change, c)
     rear = rest.y - c.body.mu * change + deflection
     front = rear + c.body.initial_length + change
-    motion = Motion(
+    motion = mode.Motion(
         rest.y + deflection,
         onset * c.body.mu * coefficients[1, 0],
         rest.rear_groove,
         rest.front_groove,
-        region_of(rear - rest.rear_groove * c.body.pitch, c.body.half_clearance),
-        region_of(front - rest.front_groove * c.body.pitch, c.body.half_clearance),
+        mode.region_of(rear - rest.rear_groove * c.body.pitch, c.body.half_clearance),
+        mode.region_of(front - rest.front_groove * c.body.pitch, c.body.half_clearance),
     )
-    first = int(nearest_groove_of(c.body.initial_length, c.body.pitch))
+    first = int(mode.nearest_groove_of(c.body.initial_length, c.body.pitch))
     grooves = Grooves(rear_grooves, front_grooves, first)
     run_sampled(
-        breaks, coefficients, motion, c, grooves, totals, samples, np.empty((0, EVENT_COLUMNS))
+        breaks,
+        coefficients,
+        motion,
+        c,
+        grooves,
+        totals,
+        samples,
+        np.empty((0, march.EVENT_COLUMNS)),
     )
-    return totals[FAILURE] == 0.0
+    return totals[march.FAILURE] == 0.0
 
 
 @compiled
 def step(
-    segment: Segment, motion: Motion, c: Constants, totals: np.ndarray, sample: np.ndarray
-) -> Motion:
+    segment: march.Segment,
+    motion: mode.Motion,
+    c: mode.Constants,
+    totals: np.ndarray,
+    sample: np.ndarray,
+) -> mode.Motion:
     """Return the motion at the end of a segment, and fill ``sample`` (1, SAMPLE_COLUMNS) there; see `march`."""
-    totals[SAMPLED] = 0.0
-    sample[0, TIME] = segment.start + segment.duration
-    return march(segment, motion, c, None, totals, sample, sample[:0])
+    totals[march.SAMPLED] = 0.0
+    sample[0, march.TIME] = segment.start + segment.duration
+    return march.march(segment, motion, c, None, totals, sample, sample[:0])
 
 
 @entry
 def play_on(
     g: Any,
     p: Any,
-    c: Constants,
+    c: mode.Constants,
     length_change: float,
-    motion: Motion,
+    motion: mode.Motion,
     totals: np.ndarray,
     samples: np.ndarray,
-) -> Motion:
+) -> mode.Motion:
     """Play a gait that begins at time 0 with a motion and ΔL (m), up to the time of the last row of ``samples``.
 
     Returns the motion at this time; for the arrays see `march`.
     """
-    last = samples[samples.shape[0] - 1, TIME]
+    last = samples[samples.shape[0] - 1, march.TIME]
     a = actuator_of(p)
     _, motion = play(0.0, last, g, length_change, motion, c, a, totals, samples, samples[:0])
     return motion

@@ -27,6 +27,7 @@ from typing import Any
 import numpy as np
 
 from worm_model.run import LengthSource
+from worm_model.simulation.kernel import march
 from worm_model.simulation.kernel.actuation_law import (
     Actuator,
     answer_to_line,
@@ -37,17 +38,6 @@ from worm_model.simulation.kernel.actuation_law import (
 )
 from worm_model.simulation.kernel.compiled import entry, unlocked
 from worm_model.simulation.kernel.linear import Coefficients, Wave
-from worm_model.simulation.kernel.march import (
-    FAILURE,
-    FORCE,
-    FRONT_FORCE,
-    LENGTH_RATE,
-    REAR_FORCE,
-    V1,
-    X1,
-    X2,
-    Segment,
-)
 from worm_model.simulation.kernel.mode import Constants, Motion, nearest_groove_of, region_of
 from worm_model.simulation.kernel.whole_run import step
 from worm_model.simulation.kernel.work import cable_power_of
@@ -225,7 +215,7 @@ def _move(memory: Memory, form: Coefficients, duration: float, q: float, c: Cons
     """
     m = memory.record[0]
     motion = Motion(m.y, m.y_rate, m.rear_groove, m.front_groove, m.rear_region, m.front_region)
-    segment = Segment(0.0, duration, form, Wave(c.body.mass, 0.0, q))
+    segment = march.Segment(0.0, duration, form, Wave(c.body.mass, 0.0, q))
     motion = step(segment, motion, c, memory.totals, memory.sample)
     m.y, m.y_rate = motion.y, motion.rate
     m.rear_groove, m.front_groove = motion.rear_groove, motion.front_groove
@@ -307,10 +297,10 @@ def _update_power(
         variance *= m.noise_square[LENGTH_CHANNEL]
     if math.isnan(rate):
         # The slope of a line from a measured to an estimated length is not the rate of the body.
-        rate = sample[LENGTH_RATE]
+        rate = sample[march.LENGTH_RATE]
         if m.on_estimate or m.answered:
             rate = (effective(m.command, a) - m.answer) / a.time_constant if m.engaged else 0.0
-    force = sample[FORCE] - drag_of(c) * (rate - sample[LENGTH_RATE])
+    force = sample[march.FORCE] - drag_of(c) * (rate - sample[march.LENGTH_RATE])
     mechanical = cable_power_of(force, rate, c.body.one_sided_cable)
     power = p.idle_power + p.power_factor * max(mechanical - drag_of(c) * variance, 0.0)
     before = m.power if stamp > m.track_ns else power
@@ -327,20 +317,20 @@ def publish(memory: Memory, rate: float, c: Constants, out: OutputRows) -> None:
     row = out.states[out.counts[0]]
     zero = m.origin + m.moved * c.body.pitch
     front = int(nearest_groove_of(c.body.initial_length, c.body.pitch))
-    y_rate = sample[V1] + c.body.mu * sample[LENGTH_RATE]
+    y_rate = sample[march.V1] + c.body.mu * sample[march.LENGTH_RATE]
     row.stamp_ns, row.length_source = m.motion_ns, m.source
     row.initial_length = c.body.initial_length
     row.groove_phase = c.body.initial_length - front * c.body.pitch
     row.length, row.length_rate = c.body.initial_length + m.length_change, rate
-    row.rear_position, row.front_position = zero + sample[X1], zero + sample[X2]
+    row.rear_position, row.front_position = zero + sample[march.X1], zero + sample[march.X2]
     row.rear_velocity = y_rate - c.body.mu * rate
     row.front_velocity = y_rate + (1.0 - c.body.mu) * rate
     row.rear_anchor = zero + m.rear_groove * c.body.pitch
     row.front_anchor = zero + m.front_groove * c.body.pitch
     row.rear_groove = m.rear_groove + m.moved
     row.front_groove = m.front_groove - m.pose_front + m.moved
-    row.cable_force = sample[FORCE] - drag_of(c) * (rate - sample[LENGTH_RATE])
-    row.rear_fin_force, row.front_fin_force = sample[REAR_FORCE], sample[FRONT_FORCE]
+    row.cable_force = sample[march.FORCE] - drag_of(c) * (rate - sample[march.LENGTH_RATE])
+    row.rear_fin_force, row.front_fin_force = sample[march.REAR_FORCE], sample[march.FRONT_FORCE]
     row.power, row.energy = m.power, m.energy
     out.counts[0] += 1
     m.published_ns = m.motion_ns
@@ -519,8 +509,8 @@ def _process_row(
     moving = m.moving
     _follow(memory, rules, c, a, p, out)
     m.processed_ns = row.stamp
-    if memory.totals[FAILURE] != 0.0:
-        memory.totals[FAILURE] = 0.0
+    if memory.totals[march.FAILURE] != 0.0:
+        memory.totals[march.FAILURE] = 0.0
         put_at_rest(memory, row.stamp, m.length_change, m.source, c)
         _report(out, ZENO, row.stamp, 0.0)
         m.place += 1

@@ -5,17 +5,7 @@ from random import Random
 
 import pytest
 
-from worm_driver.virtual_robot.wire.ina219_chip import (
-    BUS,
-    CALIBRATION,
-    CONFIGURATION,
-    CURRENT,
-    POWER,
-    SHUNT,
-    AdcNoise,
-    Ina219,
-    converter,
-)
+from worm_driver.virtual_robot.wire import ina219_chip
 
 STEP = 0.001
 READY, OVERFLOW = 2, 1
@@ -25,7 +15,7 @@ class Bench:
     """Noiseless chip at constant voltages with a clock of its own."""
 
     def __init__(self, shunt=0.0, bus=12.0, noise=(0.0, 0.0)):
-        self.chip = Ina219(AdcNoise(*noise), Random(1))
+        self.chip = ina219_chip.Ina219(ina219_chip.AdcNoise(*noise), Random(1))
         self.shunt, self.bus, self.steps = shunt, bus, 0
 
     def run(self, seconds):
@@ -42,15 +32,15 @@ def test_power_up():
 def test_twelve_volts_are_the_data_sheets_bits():
     bench = Bench(bus=12.0)
     bench.run(0.01)
-    assert bench.chip.read(BUS) == 0x5DC0 | READY
+    assert bench.chip.read(ina219_chip.BUS) == 0x5DC0 | READY
 
 
 def test_without_calibration_current_and_power_are_zero():
     bench = Bench(shunt=0.1)
     bench.run(0.01)
-    assert bench.chip.read(SHUNT) == 10000
-    assert bench.chip.read(CURRENT) == 0
-    assert bench.chip.read(POWER) == 0
+    assert bench.chip.read(ina219_chip.SHUNT) == 10000
+    assert bench.chip.read(ina219_chip.CURRENT) == 0
+    assert bench.chip.read(ina219_chip.POWER) == 0
 
 
 @pytest.mark.parametrize(
@@ -58,45 +48,45 @@ def test_without_calibration_current_and_power_are_zero():
 )
 def test_current_and_power_are_integer_arithmetic(calibration, shunt, current):
     bench = Bench(shunt=shunt)
-    bench.chip.write(CALIBRATION, calibration)
+    bench.chip.write(ina219_chip.CALIBRATION, calibration)
     bench.run(0.01)
-    assert bench.chip.read(CURRENT) == current
-    assert bench.chip.read(POWER) == current * 3000 // 5000
+    assert bench.chip.read(ina219_chip.CURRENT) == current
+    assert bench.chip.read(ina219_chip.POWER) == current * 3000 // 5000
 
 
 def test_a_current_backwards_is_negative_and_its_power_is_not():
     bench = Bench(shunt=-0.05)
-    bench.chip.write(CALIBRATION, 4096)
+    bench.chip.write(ina219_chip.CALIBRATION, 4096)
     bench.run(0.01)
-    assert bench.chip.read(CURRENT) == 0x10000 - 5000
-    assert bench.chip.read(POWER) == 3000
+    assert bench.chip.read(ina219_chip.CURRENT) == 0x10000 - 5000
+    assert bench.chip.read(ina219_chip.POWER) == 3000
 
 
 def test_the_lowest_calibration_bit_is_void():
     chip = Bench().chip
-    chip.write(CALIBRATION, 0xFFFF)
-    assert chip.read(CALIBRATION) == 0xFFFE
+    chip.write(ina219_chip.CALIBRATION, 0xFFFF)
+    assert chip.read(ina219_chip.CALIBRATION) == 0xFFFE
 
 
 def test_ready_is_cleared_by_reading_power_only():
     bench = Bench()
     bench.run(0.01)
-    for register in (BUS, SHUNT, CURRENT, BUS):
+    for register in (ina219_chip.BUS, ina219_chip.SHUNT, ina219_chip.CURRENT, ina219_chip.BUS):
         bench.chip.read(register)
-    assert bench.chip.read(BUS) & READY
-    bench.chip.read(POWER)
-    assert not bench.chip.read(BUS) & READY
+    assert bench.chip.read(ina219_chip.BUS) & READY
+    bench.chip.read(ina219_chip.POWER)
+    assert not bench.chip.read(ina219_chip.BUS) & READY
     bench.run(0.002)
-    assert bench.chip.read(BUS) & READY
+    assert bench.chip.read(ina219_chip.BUS) & READY
 
 
 def test_averaging_takes_its_time():
     bench = Bench()
-    bench.chip.write(CONFIGURATION, 0x1DDF)  # 8 samples per channel, 8.51 ms for both
+    bench.chip.write(ina219_chip.CONFIGURATION, 0x1DDF)  # 8 samples per channel, 8.51 ms for both
     bench.run(0.008)
-    assert not bench.chip.read(BUS) & READY
+    assert not bench.chip.read(ina219_chip.BUS) & READY
     bench.run(0.001)
-    assert bench.chip.read(BUS) & READY
+    assert bench.chip.read(ina219_chip.BUS) & READY
 
 
 @pytest.mark.parametrize(
@@ -104,88 +94,90 @@ def test_averaging_takes_its_time():
     [(0, 84e-6), (3, 532e-6), (8, 532e-6), (9, 1.06e-3), (0xB, 4.26e-3), (0xF, 68.10e-3)],
 )
 def test_conversion_times(field, time):
-    assert converter(field).time == pytest.approx(time, rel=0.005)
+    assert ina219_chip.converter(field).time == pytest.approx(time, rel=0.005)
 
 
 def test_a_conversion_is_the_mean_of_its_window():
     bench = Bench()
-    bench.chip.write(CONFIGURATION, 0x1FFD)  # shunt only, 128 samples, 68.1 ms
+    bench.chip.write(ina219_chip.CONFIGURATION, 0x1FFD)  # shunt only, 128 samples, 68.1 ms
     for step in range(69):
         bench.shunt = 0.1 if step % 2 else 0.0
         bench.run(STEP)
-    assert bench.chip.read(SHUNT) == pytest.approx(5000, abs=100)
+    assert bench.chip.read(ina219_chip.SHUNT) == pytest.approx(5000, abs=100)
 
 
 @pytest.mark.parametrize(("gain", "counts"), [(0, 4000), (1, 8000), (2, 16000), (3, 32000)])
 def test_the_shunt_saturates_at_the_gains_range(gain, counts):
     bench = Bench(shunt=0.5)
-    bench.chip.write(CONFIGURATION, 0x219F | gain << 11)
+    bench.chip.write(ina219_chip.CONFIGURATION, 0x219F | gain << 11)
     bench.run(0.01)
-    assert bench.chip.read(SHUNT) == counts
+    assert bench.chip.read(ina219_chip.SHUNT) == counts
 
 
 def test_the_bus_saturates_at_its_range():
     bench = Bench(bus=20.0)
-    bench.chip.write(CONFIGURATION, 0x199F)  # 16 V
+    bench.chip.write(ina219_chip.CONFIGURATION, 0x199F)  # 16 V
     bench.run(0.01)
-    assert bench.chip.read(BUS) >> 3 == 4000
-    bench.chip.write(CONFIGURATION, 0x399F)  # 32 V
+    assert bench.chip.read(ina219_chip.BUS) >> 3 == 4000
+    bench.chip.write(ina219_chip.CONFIGURATION, 0x399F)  # 32 V
     bench.run(0.01)
-    assert bench.chip.read(BUS) >> 3 == 5000
+    assert bench.chip.read(ina219_chip.BUS) >> 3 == 5000
 
 
 def test_overflow_is_of_the_arithmetic_not_of_the_converter():
     bench = Bench(shunt=0.5)
-    bench.chip.write(CALIBRATION, 4194)
+    bench.chip.write(ina219_chip.CALIBRATION, 4194)
     bench.run(0.01)
-    assert not bench.chip.read(BUS) & OVERFLOW  # 32765 still fits: the clipped value looks valid
-    bench.chip.write(CALIBRATION, 4200)
-    assert bench.chip.read(BUS) & OVERFLOW
+    assert (
+        not bench.chip.read(ina219_chip.BUS) & OVERFLOW
+    )  # 32765 still fits: the clipped value looks valid
+    bench.chip.write(ina219_chip.CALIBRATION, 4200)
+    assert bench.chip.read(ina219_chip.BUS) & OVERFLOW
 
 
 def test_reset_forgets_everything():
     bench = Bench(shunt=0.1)
-    bench.chip.write(CALIBRATION, 4096)
-    bench.chip.write(CONFIGURATION, 0x1DDF)
+    bench.chip.write(ina219_chip.CALIBRATION, 4096)
+    bench.chip.write(ina219_chip.CONFIGURATION, 0x1DDF)
     bench.run(0.01)
-    bench.chip.write(CONFIGURATION, 0x8000)
+    bench.chip.write(ina219_chip.CONFIGURATION, 0x8000)
     assert [bench.chip.read(register) for register in range(6)] == [0x399F, 0, 0, 0, 0, 0]
 
 
 def test_triggered_mode_converts_once():
     bench = Bench(shunt=0.1)
-    bench.chip.write(CONFIGURATION, 0x399B)
+    bench.chip.write(ina219_chip.CONFIGURATION, 0x399B)
     bench.run(0.01)
-    assert bench.chip.read(SHUNT) == 10000
-    bench.chip.read(POWER)
+    assert bench.chip.read(ina219_chip.SHUNT) == 10000
+    bench.chip.read(ina219_chip.POWER)
     bench.shunt = 0.2
     bench.run(0.05)
-    assert bench.chip.read(SHUNT) == 10000
-    assert not bench.chip.read(BUS) & READY
+    assert bench.chip.read(ina219_chip.SHUNT) == 10000
+    assert not bench.chip.read(ina219_chip.BUS) & READY
 
 
 @pytest.mark.parametrize("mode", [0, 4])
 def test_switched_off_it_converts_nothing(mode):
     bench = Bench(shunt=0.1)
-    bench.chip.write(CONFIGURATION, 0x3998 | mode)
+    bench.chip.write(ina219_chip.CONFIGURATION, 0x3998 | mode)
     bench.run(0.05)
-    assert bench.chip.read(SHUNT) == 0
+    assert bench.chip.read(ina219_chip.SHUNT) == 0
 
 
 def test_measured_registers_cannot_be_written():
     bench = Bench()
-    bench.chip.write(SHUNT, 1234)
-    assert bench.chip.read(SHUNT) == 0
+    bench.chip.write(ina219_chip.SHUNT, 1234)
+    assert bench.chip.read(ina219_chip.SHUNT) == 0
 
 
 def test_averaging_quietens_the_noise():
     def spread(configuration):
         bench = Bench(shunt=0.1, noise=(1e-3, 0.0))
-        bench.chip.write(CONFIGURATION, configuration)
+        bench.chip.write(ina219_chip.CONFIGURATION, configuration)
         values = []
         for _ in range(100):
             bench.run(0.02)
-            values.append(bench.chip.read(SHUNT))
+            values.append(bench.chip.read(ina219_chip.SHUNT))
         return max(values) - min(values)
 
     assert spread(0x3DDF) < 0.6 * spread(0x399F)
