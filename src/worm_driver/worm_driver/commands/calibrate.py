@@ -3,13 +3,15 @@
 
 Ids and models are read from the bus. Signs and spool radii follow from ruler readings at a few positions, and fin
 angles from positions to which the operator turns the fins. The servos move slowly, and only after the operator has
-answered a question. At the end, the torque is released. While the torque of a servo is on, the servo's bus watchdog is
-armed. While a question waits for its answer, the command resets this watchdog.
+answered a question. A cable servo is released at the position where its calibration began, also after a failure or a
+Ctrl-C. While the torque of a servo is on, the servo's bus watchdog is armed. While a question waits for its answer, the
+command resets this watchdog.
 """
 
 import argparse
 import contextlib
 import functools
+import math
 import select
 import signal
 import sys
@@ -25,6 +27,7 @@ from worm_driver.errors import (
     CorruptReplyError,
     DriverError,
     NoReplyError,
+    ReleaseError,
 )
 from worm_driver.servos import servo_setup as servos
 from worm_driver.servos.calibration import Reading, parameter_text, spool_from
@@ -43,8 +46,11 @@ _SPEED = 0.5
 _PROBE = 256
 #: ticks, distance from a goal within which the servo has arrived
 _ARRIVED = 20
-#: s, longest duration of a motion
-_MOTION_TIMEOUT = 20.0
+#: s, period of reading the position during a motion
+_MOTION_PERIOD = 0.05
+#: s, time without approach to the goal after which a motion has failed. It is shorter than the overload that makes a
+#: servo shut down, after which a contracted body springs back.
+_STUCK = 0.5
 #: s, time without packets after which a servo stops by itself, for example because this command was killed
 _WATCHDOG = 1.0
 #: s, period of resets of the watchdog while a question waits for its answer
@@ -97,7 +103,11 @@ class Calibration:
 
         A lit LED is also the home mark of a cable servo, and the LED may stay lit if the dialogue is interrupted. So
         the servo is first set to position mode, in which a driver ignores the mark.
+
+        Raises:
+            DriverError: The servo does not answer, or the operator does not permit the release of its torque.
         """
+        self._require_no_torque(servo)
         with self._bus.retrying():
             servos.prepare(self._bus, servo, POSITION_MODE)
         self._bus.write(servo.number, servo["led"], 1)
@@ -127,21 +137,20 @@ class Calibration:
             start = servos.registers(self._bus, servo, "present_position")["present_position"]
         span = round(turns * TICKS_PER_TURN) + _PROBE
         self._goals.bounds = {servo.number: Bound(start - span, start + span)}
-        self._torque_on(servo)
-        self._reach(servo, start + _PROBE)
-        shorter = self._choice(
-            "the spool has turned a little. Is the cable [t]ighter or [s]lack? ", "ts"
-        )
-        direction = 1 if shorter == "t" else -1
-        step = round(turns * TICKS_PER_TURN / (points - 1))
-        readings = []
-        for index in range(points):
-            ticks = start + direction * step * index
-            self._reach(servo, ticks)
-            question = f"reading {index + 1} of {points}: body length on the ruler, mm: "
-            readings.append(Reading(ticks - start, self._number(question) * 1e-3))
-        self._reach(servo, start)
-        self._torque_off(servo)
+        with self._held(servo, start):
+            self._reach(servo, start + _PROBE)
+            tighter = self._choice(
+                "the spool has turned a little. Is the cable [t]ighter or [s]lack? ", "ts"
+            )
+            direction = 1 if tighter == "t" else -1
+            step = round(turns * TICKS_PER_TURN / (points - 1))
+            readings = []
+            for index in range(points):
+                ticks = start + direction * step * index
+                self._reach(servo, ticks)
+                question = f"reading {index + 1} of {points}: body length on the ruler, mm: "
+                readings.append(Reading(ticks - start, self._number(question) * 1e-3))
+            self._reach(servo, start)
         spool, worst = spool_from(servo.number, readings)
         self._say(
             f"cable servo {servo.number}: sign {spool.sign}, spool radius {spool.radius * 1e3:.2f} mm, "
@@ -165,6 +174,63 @@ class Calibration:
 
     def _ask(self, question: str) -> str:
         return self._ask_operator(question, self._meanwhile)
+
+    def _require_no_torque(self, servo: Servo) -> None:
+        """Let the operator decide whether a servo that another program left with its torque on may be released."""
+        with self._bus.retrying():
+            torque = servos.registers(self._bus, servo, "torque_enable")["torque_enable"]
+        if not torque:
+            return
+        self._say(
+            f"servo {servo.number} has its torque on. If the body is contracted, it springs back on release."
+        )
+        if self._choice("[r]elease the torque now or [g]ive up? ", "rg") == "g":
+            raise ReleaseError(f"servo {servo.number} keeps its torque")
+
+    @contextlib.contextmanager
+    def _held(self, servo: Servo, start: int) -> Iterator[None]:
+        """Hold a cable servo within the context. Afterwards return it to its start (ticks), and release it there.
+
+        After a failure or a Ctrl-C, too, the torque stays on until the cable is back, because a contracted body springs
+        back. Only a Ctrl-C during this return releases it at once.
+
+        Raises:
+            ReleaseError: The servo does not return, and keeps its torque; or it does not confirm its release.
+        """
+        try:
+            self._torque_on(servo)
+            yield
+        except BaseException:
+            self._return(servo, start)
+            raise
+        finally:
+            self._meanwhile = lambda: None
+        self._release(servo)
+
+    def _return(self, servo: Servo, start: int) -> None:
+        """Return a cable servo to its start (ticks) after a failure, and release it. Raises as `_held`."""
+        self._say(
+            f"cable servo {servo.number} returns to its start and is released there; Ctrl-C releases it at once"
+        )
+        try:
+            with self._bus.retrying():
+                if self._bus.read(servo.number, servo["torque_enable"]):
+                    self._resume(servo)
+                    self._move(servo, start)
+        except DriverError as error:
+            raise ReleaseError(
+                f"{error}. Servo {servo.number} keeps its torque, as a contracted body springs back on release: clear "
+                "the space of the stroke, then switch the supply of the servos off"
+            ) from error
+        except KeyboardInterrupt:
+            self._say("released at once")
+        self._release(servo)
+
+    def _release(self, servo: Servo) -> None:
+        if problems := servos.release_all(self._bus, [servo]):
+            raise ReleaseError(
+                f"{'; '.join(problems)}: the torque may still be on; switch the supply of the servos off"
+            )
 
     def _torque_on(self, servo: Servo) -> None:
         """Arm the bus watchdog of a servo, and hold the servo where it is. Questions then reset the watchdog."""
@@ -209,20 +275,27 @@ class Calibration:
         if watchdog == WATCHDOG_EXPIRED:
             self._torque_on(servo)
 
-    def _torque_off(self, servo: Servo) -> None:
-        self._meanwhile = lambda: None
-        servos.disable(self._bus, servo)
-
     def _move(self, servo: Servo, ticks: int) -> None:
-        """Move a servo to a position (ticks), and wait until it arrives. Raises DriverError if it does not."""
+        """Move a servo to a position (ticks), and wait until it arrives.
+
+        Raises:
+            DriverError: The servo does not arrive, and now holds where it is; or it does not answer.
+        """
         self._goals.write(servo.number, ticks)
-        for _ in range(round(_MOTION_TIMEOUT / 0.05)):
+        nearest, stuck = math.inf, 0.0
+        while stuck < _STUCK:
             position = self._bus.read(servo.number, servo["present_position"])
-            if abs(position - ticks) <= _ARRIVED:
+            distance = abs(position - ticks)
+            if distance <= _ARRIVED:
                 return
-            self._wait(0.05)
+            if distance < nearest - _ARRIVED:
+                nearest, stuck = distance, 0.0
+            self._wait(_MOTION_PERIOD)
+            stuck += _MOTION_PERIOD
+        self._goals.write(servo.number, position)
         raise DriverError(
-            f"servo {servo.number} stopped at {position} ticks and does not reach {ticks} ticks: the cable is blocked"
+            f"servo {servo.number} stopped at {position} ticks on the way to {ticks} ticks: the cable is blocked, or "
+            "its load is too large for the servo or its supply"
         )
 
     def _choice(self, question: str, letters: str) -> str:
@@ -262,7 +335,9 @@ def _arguments(arguments: list[str] | None) -> argparse.Namespace:
         description="Find the servos, and measure signs, spool radii and fin angles with an operator and a ruler. The "
         "servos move slowly, and only after an answer.",
     )
-    parser.add_argument("output", type=new_file, help="parameter file to write; must not exist")
+    parser.add_argument(
+        "output", type=new_file, help="parameter file of the driver to write; must not exist"
+    )
     parser.add_argument("--port", default="/dev/worm_bus", help="serial port; default: %(default)s")
     parser.add_argument(
         "--baud-rate", type=int, default=1_000_000, help="bit/s; default: %(default)s"
@@ -271,7 +346,7 @@ def _arguments(arguments: list[str] | None) -> argparse.Namespace:
         "--turns",
         type=float,
         default=0.5,
-        help="turns of the spool to measure; default: %(default)s",
+        help="turns of the spool from the first to the last ruler reading, 0.05 to 5; default: %(default)s",
     )
     parser.add_argument(
         "--points", type=int, default=4, help="number of ruler readings; default: %(default)s"
@@ -284,19 +359,6 @@ def _arguments(arguments: list[str] | None) -> argparse.Namespace:
     return options
 
 
-@contextlib.contextmanager
-def _torque_released_at_the_end(port: str, baud_rate: int) -> Iterator[ServoBus]:
-    bus = ServoBus.open(port, baud_rate, retries=_RETRIES)
-    try:
-        yield bus
-    finally:
-        try:
-            bus.torque_off_all()
-        except BusError as error:
-            _say(f"{error}: the torque may still be on; switch the power of the servos off")
-        bus.close()
-
-
 def _interrupt(_: int, __: FrameType | None) -> None:
     raise KeyboardInterrupt
 
@@ -307,7 +369,9 @@ def main(arguments: list[str] | None = None) -> int:
     signal.signal(signal.SIGTERM, _interrupt)
     signal.signal(signal.SIGHUP, _interrupt)
     try:
-        with _torque_released_at_the_end(options.port, options.baud_rate) as bus:
+        with contextlib.closing(
+            ServoBus.open(options.port, options.baud_rate, retries=_RETRIES)
+        ) as bus:
             calibration = Calibration(bus, _ask, _say, time.sleep)
             spools, fins = calibrate(calibration, options.turns, options.points)
         text = parameter_text(options.port, options.baud_rate, spools, fins)

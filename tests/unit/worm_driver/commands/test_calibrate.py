@@ -2,6 +2,7 @@
 """The calibration: its arithmetic, and a whole dialogue with the virtual robot's servos."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import yaml
@@ -10,7 +11,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from worm_driver.commands.calibrate import Calibration, calibrate, main
-from worm_driver.errors import ConfigurationError, CorruptReplyError, DriverError
+from worm_driver.errors import (
+    ConfigurationError,
+    CorruptReplyError,
+    DriverError,
+    ReleaseError,
+)
 from worm_driver.servos.calibration import Reading, parameter_text, spool_from
 from worm_driver.servos.servo_bus import ServoBus
 from worm_driver.servos.transmission import Fin, Spool
@@ -66,9 +72,12 @@ def test_the_file_is_one_that_ros_reads():
 class Bench:
     """The virtual robot, and an operator with a ruler who answers with its true length."""
 
-    def __init__(self) -> None:
+    def __init__(self, spool_radius: float = 0.025) -> None:
         self.clock = Clock()
-        self.robot = VirtualRobot(load_settings(None))
+        given = load_settings(None)
+        self.radius = spool_radius
+        cables = [replace(item, spool_radius=spool_radius) for item in given.cable_servos]
+        self.robot = VirtualRobot(replace(given, cable_servos=tuple(cables)))
         wire = Wire(
             self.clock, lambda data, now: [(t.time, t.data) for t in self.robot.receive(data, now)]
         )
@@ -76,6 +85,7 @@ class Bench:
         self.bus = ServoBus(self.port, retries=0)
         self.start = self.robot.servos[0].motor.position
         self.decision = "r"
+        self.interrupted_at: str | None = None
         self.output: list[str] = []
         self.questions: list[tuple[str, bool]] = []
         self.calibration = Calibration(self.bus, self.answer, self.output.append, self.wait)
@@ -98,6 +108,8 @@ class Bench:
             self.clock.now += 0.2
             meanwhile()
         self.questions.append((question, self.armed()))
+        if self.interrupted_at is not None and self.interrupted_at in question:
+            raise KeyboardInterrupt
         if "LED is lit" in question:
             return "c" if "servo 1 " in question else "f"
         if "ighter" in question:
@@ -106,9 +118,19 @@ class Bench:
             return self.decision
         if "ruler" in question:
             self.robot.advance(self.clock.now)
-            turned = (self.robot.servos[0].motor.position - self.start) * 2 * math.pi / 4096
-            return f"{295.3 - turned * 25.0:.1f}".replace(".", ",")
+            return f"{295.3 - self.wound * 1e3:.1f}".replace(".", ",")
         return ""
+
+    @property
+    def wound(self) -> float:
+        """Length of cable on the spool, m."""
+        self.robot.advance(self.clock.now)
+        turned = (self.robot.servos[0].motor.position - self.start) * 2 * math.pi / 4096
+        return turned * self.radius
+
+    @property
+    def torque(self) -> int:
+        return self.robot.servos[0].memory["torque_enable"]
 
 
 def test_a_conversation_finds_the_virtual_robots_parameters():
@@ -122,6 +144,87 @@ def test_a_conversation_finds_the_virtual_robots_parameters():
     assert [servo.memory["torque_enable"] for servo in bench.robot.servos] == [0, 0, 0]
     assert [servo.memory["led"] for servo in bench.robot.servos] == [0, 0, 0]
     assert all(armed for _, armed in bench.questions)
+
+
+def test_several_turns_of_a_small_spool_are_measured():
+    """The way back over several turns takes a minute."""
+    spools, _ = calibrate(Bench(spool_radius=0.002).calibration, turns=5.0, points=3)
+    assert spools[0].radius == pytest.approx(0.002, rel=0.02)
+
+
+def test_a_cancelled_conversation_returns_the_cable_before_it_releases_it():
+    bench = Bench()
+    bench.interrupted_at = "reading 3"
+    released_at = watch_release(bench)
+    with pytest.raises(KeyboardInterrupt):
+        calibrate(bench.calibration, turns=0.3, points=4)
+    assert released_at == [pytest.approx(0.0, abs=5e-4)]
+
+
+def test_a_second_interrupt_releases_a_contracted_robot_at_once():
+    bench = Bench()
+    bench.interrupted_at = "reading 3"
+    released_at = watch_release(bench)
+
+    def interrupt(_: float) -> None:
+        if any("Ctrl-C" in line for line in bench.output):
+            raise KeyboardInterrupt
+        bench.wait(0.05)
+
+    bench.calibration._wait = interrupt
+    with pytest.raises(KeyboardInterrupt):
+        calibrate(bench.calibration, turns=0.3, points=4)
+    assert released_at[0] > 0.02
+    assert not bench.torque
+
+
+@pytest.mark.parametrize("fault", ["stalled", "no_answer"])
+def test_a_contracted_robot_that_cannot_return_keeps_its_torque(fault):
+    bench = Bench()
+    bench.decision = "g"
+    ask = bench.answer
+
+    def answer(question: str, meanwhile) -> str:
+        if "reading 3" in question:
+            bench.robot.board.add(make_fault(fault, target=1, duration=1e3))
+        return ask(question, meanwhile)
+
+    bench.calibration._ask_operator = answer
+    with pytest.raises(ReleaseError, match="servo 1"):
+        calibrate(bench.calibration, turns=0.3, points=4)
+    assert bench.torque
+    assert bench.wound > 0.02
+
+
+@pytest.mark.parametrize(("decision", "torque"), [("r", 0), ("g", 1)])
+def test_the_operator_decides_on_a_torque_that_another_program_left_on(decision, torque):
+    bench = Bench()
+    servo = bench.calibration.find_servos()[0]
+    bench.bus.write(1, servo["torque_enable"], 1)
+    bench.calibration._ask_operator = lambda question, _: decision if "[g]" in question else "c"
+    if decision == "r":
+        assert bench.calibration.role(servo) == "c"
+    else:
+        with pytest.raises(ReleaseError):
+            bench.calibration.role(servo)
+    assert bench.torque == torque
+
+
+def watch_release(bench: Bench) -> list[float]:
+    """Return a list to which the wound length (m) is appended whenever the torque of the cable servo goes off."""
+    lengths: list[float] = []
+    write = bench.port.writePort
+
+    def watched(packet) -> int:
+        before = bench.torque
+        wound = bench.wound
+        sent = write(packet)
+        if before and not bench.torque:
+            lengths.append(wound)
+        return sent
+
+    bench.port.writePort = watched
+    return lengths
 
 
 def test_a_conversation_that_is_killed_with_the_torque_on_leaves_it_to_the_watchdog():
@@ -203,9 +306,11 @@ def test_a_garbled_answer_costs_one_reading_and_not_the_session(monkeypatch):
 def test_a_person_may_give_up_after_a_garbled_answer(monkeypatch):
     bench = Bench()
     bench.decision = "g"
-    lose_answers(bench, monkeypatch, 9)
+    lose_answers(bench, monkeypatch, 1)
+    released_at = watch_release(bench)
     with pytest.raises(CorruptReplyError):
         calibrate(bench.calibration, turns=0.3, points=4)
+    assert released_at == [pytest.approx(0.0, abs=5e-4)]
 
 
 def test_a_servo_that_lost_its_torque_meanwhile_is_not_read_on(monkeypatch):
