@@ -386,10 +386,11 @@ class Robot:
 
     def _supervise(self, now: float) -> None:
         self._watch.look(self._states)
-        if not self.active or self.player.phase is Phase.FAULT:
+        if not self.active:
             return
+        # In FAULT, too, a servo may turn out to have restarted, and is then no longer homed.
         reason = self._watch.fault(self._states, self.player.length_change)
-        if reason is not None:
+        if reason is not None and self.player.phase is not Phase.FAULT:
             self.fail(now, reason)
             self._send_goals()
 

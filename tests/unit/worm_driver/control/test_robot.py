@@ -416,6 +416,14 @@ def test_a_cable_servo_that_restarted_is_not_moved_before_it_is_homed():
     rig.robot.activate(rig.clock.now)
 
 
+def test_a_cable_servo_that_restarted_is_not_homed_in_the_fault_that_follows():
+    """The fault is its silence while it boots. That it restarted is visible only after this."""
+    rig = moving()
+    restart_cable_servo(rig)
+    assert rig.run(0.2).player.phase is Phase.FAULT
+    assert rig.run(1.0).homed is False
+
+
 def test_a_restart_while_inactive_is_noticed_by_the_activation(rig):
     rig.run(0.2)
     restart_cable_servo(rig)
