@@ -10,8 +10,8 @@ class ConfigurationError(DriverError):
     """The driver cannot be configured: an invalid parameter, an unsuitable or faulty device, or another driver."""
 
 
-class LimitError(DriverError):
-    """A gait or a goal is outside the robot's limits, or the driver does not permit a command now."""
+class RejectedError(DriverError):
+    """The driver rejects a command: it is outside the robot's limits, or not permitted now."""
 
 
 class StoppedError(DriverError):

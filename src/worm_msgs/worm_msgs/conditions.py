@@ -37,8 +37,8 @@ class Conditions:
     The tether is attached to the rear module and pulls it towards −x; a tether cannot push. ``distance_m`` is the
     length of tether in the pipe at the start.
 
-    The water flows towards −x with ``flow_m_per_s``. ``drag_area_m2`` is C_d·A of each module. In still water a moving
-    module has a drag, too.
+    The water flows towards −x with ``flow_m_per_s``. ``drag_area_m2`` is C_d·A of each module. In still water,
+    `drag` is not zero for a moving module. The virtual robot includes this; the model neglects it (`worm_model.loads`).
 
     Raises `ConditionsError` if a value is not finite or not in its range, or if it has no effect: a flow without a drag
     area, or a length of tether without a force for each metre.
@@ -85,7 +85,7 @@ class Conditions:
         return STANDARD_GRAVITY * math.sin(math.radians(self.slope_deg))
 
     def tether(self, travelled: float = 0.0) -> float:
-        """Return the pull of the tether in N. It stays if the robot moves back behind its start.
+        """Return the pull of the tether in N. Behind the start of the robot, the pull is the same as at its start.
 
         Args:
             travelled: distance of the rear module from the start, m.

@@ -237,7 +237,7 @@ class Calibration:
         with self._bus.retrying():
             servos.limit_motion(self._bus, servo, _SPEED, _WATCHDOG)
             position = servos.standing_position(self._bus, servo)
-            self._track.accepts(servo.number, position, self._bus.now())
+            self._track.record_if_plausible(servo.number, position, self._bus.now())
             self._goals.write(servo.number, position)
             servos.switch_on(self._bus, servo)
         self._meanwhile = functools.partial(self._reset_watchdog, servo)

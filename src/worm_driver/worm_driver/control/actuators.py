@@ -190,7 +190,7 @@ class Actuators:
 
     def _enable(self, servo: Servo) -> PositionSample:
         position = PositionSample(servos.standing_position(self._bus, servo), self._bus.now())
-        self.track.accepts(servo.number, position.ticks, position.time)
+        self.track.record_if_plausible(servo.number, position.ticks, position.time)
         self._goals.write(servo.number, position.ticks)
         servos.switch_on(self._bus, servo)
         return position
@@ -262,7 +262,7 @@ class Actuators:
                 stored.
 
         Raises:
-            LimitError: The length change is not finite, or is out of the range of a cable servo.
+            RejectedError: The length change is not finite, or is out of the range of a cable servo.
             BusError: The packet cannot be sent.
         """
         goals = dict(self._held)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Threads that own the robot and the power sensor.
 
-Other threads submit commands to the robot's thread, which executes them between two cycles. A callback receives the
-snapshots. Before the robot's thread ends, it releases the robot over the serial bus, without ROS. It does not release a
-robot that would spring back, unless an operator requests this.
+Other threads submit commands to the robot's thread, which executes them between two cycles. After each cycle, a
+callback receives a `Snapshot`. Before the robot's thread ends, it switches the torque off over the serial bus, without
+ROS. It leaves the torque of a robot on that would spring back, unless an operator requests its release.
 """
 
 import contextlib
@@ -26,7 +26,7 @@ from worm_driver.control.real_time import (
 from worm_driver.control.robot import Robot
 from worm_driver.control.snapshot import Snapshot
 from worm_driver.control.timing import DeadlineGrid, PeriodMeter, TimingReport
-from worm_driver.errors import DriverError, LimitError, PowerSensorError
+from worm_driver.errors import DriverError, PowerSensorError, RejectedError
 from worm_driver.power.ina219 import INA219, PowerSample, SampleStatus
 
 T = TypeVar("T")
@@ -165,7 +165,7 @@ class ControlLoop(PeriodicThread):
 
         Args:
             action: called with the time (s, monotonic).
-            lifetime: time after which the loop rejects the action with LimitError, if the action has not begun, s.
+            lifetime: time after which the loop rejects the action with RejectedError, if the action has not begun, s.
 
         Returns:
             Future of the action's result.
@@ -286,7 +286,9 @@ class ControlLoop(PeriodicThread):
                 continue
             if now >= command.expires:
                 command.answer.set_exception(
-                    LimitError("the command is stale: the control loop took too long to reach it")
+                    RejectedError(
+                        "the command is stale: the control loop took too long to reach it"
+                    )
                 )
                 continue
             try:

@@ -62,7 +62,7 @@ class FaultWatch:
             self._away, self._away_at = gap, now
         return self._lateness() if gap > watchdog else ""
 
-    def look(self, states: tuple[ServoState, ...]) -> None:
+    def note_silence(self, states: tuple[ServoState, ...]) -> None:
         """Update the durations of the servos' silence from their states, whether the torque is on or off."""
         silent = (
             servo.number
@@ -75,7 +75,7 @@ class FaultWatch:
         self._last_look = ended
 
     def fault(self, states: tuple[ServoState, ...], length_change: float) -> str | None:
-        """Return the present fault as a message, or None. Call `look` first.
+        """Return the present fault as a message, or None. Call `note_silence` first.
 
         Args:
             states: states of the servos while the torque is on.
@@ -102,7 +102,7 @@ class FaultWatch:
         if servo is None:
             return None
         names = ("torque_enable", "led", "hardware_error_status", "bus_watchdog")
-        registers = self._reader.look(servo, names)
+        registers = self._reader.reread_health(servo, names)
         if registers is None:
             return None  # `supervision.silence` counts a servo that does not answer
         health = Health(*(registers[name] for name in names))

@@ -19,8 +19,8 @@ from worm_driver.errors import (
     BusError,
     ConfigurationError,
     HomingError,
-    LimitError,
     NoReplyError,
+    RejectedError,
     StoppedError,
 )
 from worm_driver.gait import gait_player
@@ -144,7 +144,7 @@ class Robot:
         After an error the torque is off again, unless an earlier driver left it on (`Actuators.left_on`).
 
         Raises:
-            LimitError: The driver shuts down, or an emergency stop or another driver forbids a start.
+            RejectedError: The driver shuts down, or an emergency stop or another driver forbids a start.
             HomingError: The length of the cable is unknown or out of its range.
             BusError: A servo does not answer.
             ConfigurationError: A servo is not fit to be enabled.
@@ -173,10 +173,10 @@ class Robot:
 
     def _check_start(self) -> None:
         if self.closing:
-            raise LimitError("the driver shuts down: start it again first")
+            raise RejectedError("the driver shuts down: start it again first")
         reason = self._why_not_start()
         if reason:
-            raise LimitError(reason)
+            raise RejectedError(reason)
 
     def _measured_cable(self) -> float:
         """Return the length change of the cable (m), read until two consecutive readings agree.
@@ -200,10 +200,10 @@ class Robot:
         """Begin a run and return its number.
 
         Raises:
-            LimitError: The gait is out of its limits, or no run may begin now.
+            RejectedError: The gait is out of its limits, or no run may begin now.
         """
         if not self.active:
-            raise LimitError("the torque is off: activate the driver first")
+            raise RejectedError("the torque is off: activate the driver first")
         self._check_start()
         self.limits.check(gait, cycles)
         self.player = gait_player.start(self.player, now, gait, cycles)
@@ -222,7 +222,7 @@ class Robot:
             return ""
         try:
             self.limits.check(run.gait, run.cycles)
-        except LimitError as error:
+        except RejectedError as error:
             self.cancel(now, f"ended by a new limit ({error})")
             return f"run {run.number} ends at its next point of rest: {error}"
         return ""
@@ -385,7 +385,7 @@ class Robot:
         self.actuators.send(self.player.length_change, self.player.direction)
 
     def _supervise(self, now: float) -> None:
-        self._watch.look(self._states)
+        self._watch.note_silence(self._states)
         if not self.active:
             return
         # In FAULT, too, a servo may turn out to have restarted, and is then no longer homed.

@@ -4,7 +4,7 @@
 import math
 from dataclasses import dataclass
 
-from worm_driver.errors import LimitError
+from worm_driver.errors import RejectedError
 from worm_msgs.gait import Gait
 
 _ROUNDING = 1e-9  # m; tolerance of max_stroke, because 0.02 + 0.07 exceeds 0.09 in floating point
@@ -40,7 +40,7 @@ class GaitLimits:
         """Check a gait and its number of cycles.
 
         Raises:
-            LimitError: A value is outside its limits. The message contains the value.
+            RejectedError: A value is outside its limits. The message contains the value.
         """
         ranges = (
             ("stroke", self.min_stroke, self.max_stroke, " m", "limits.max_stroke_m"),
@@ -51,24 +51,24 @@ class GaitLimits:
         for name, low, high, unit, limit in ranges:
             value = getattr(gait, name)
             if not low <= value <= high:
-                raise LimitError(
+                raise RejectedError(
                     f"{name} {value:g}{unit} is outside {low:g} to {high:g}{unit} ({limit})"
                 )
         if gait.reach > self.max_stroke + _ROUNDING:
-            raise LimitError(
+            raise RejectedError(
                 f"pretension {gait.pretension:g} m and stroke {gait.stroke:g} m contract the body by {gait.reach:g} m; "
                 f"the limit is {self.max_stroke:g} m (limits.max_stroke_m)"
             )
         if not 1 <= cycles <= self.max_cycles:
-            raise LimitError(f"cycles must be 1 to {self.max_cycles}, not {cycles}")
+            raise RejectedError(f"cycles must be 1 to {self.max_cycles}, not {cycles}")
         if cycles / gait.frequency > self.max_duration:
-            raise LimitError(
+            raise RejectedError(
                 f"{cycles} cycles at {gait.frequency:g} Hz take {cycles / gait.frequency:.0f} s; a run may take "
                 f"{self.max_duration:.0f} s: request at most {math.floor(self.max_duration * gait.frequency)} cycles"
             )
         if gait.peak_speed > self.max_cable_speed:
             highest = gait.stroke * gait.frequency * self.max_cable_speed / gait.peak_speed
-            raise LimitError(
+            raise RejectedError(
                 f"the cable would reach {gait.peak_speed:.4f} m/s; the limit is {self.max_cable_speed:.4f} m/s. "
                 f"With this waveform, stroke times frequency is at most {highest:.4f} m/s"
             )

@@ -22,7 +22,7 @@ import enum
 import math
 from dataclasses import dataclass, replace
 
-from worm_driver.errors import LimitError
+from worm_driver.errors import RejectedError
 from worm_msgs.driver_file import DriverFile
 from worm_msgs.gait import Gait
 
@@ -170,15 +170,15 @@ def start(state: PlayerState, now: float, gait: Gait, cycles: int) -> PlayerStat
     """Begin a run. If the cable is not at delta L = 0, for example after a hold, it first returns there.
 
     Raises:
-        LimitError: A run is in progress, or the player is in fault.
+        RejectedError: A run is in progress, or the player is in fault.
     """
     run = state.active_run
     if run is not None:
-        raise LimitError(
+        raise RejectedError(
             f"a gait is running already (cycle {run.cycle(now)} of {run.cycles}): cancel it or wait for its end"
         )
     if state.phase is Phase.FAULT:
-        raise LimitError(
+        raise RejectedError(
             f"the driver is in fault ({state.message}): remove the cause, then deactivate and activate the driver"
         )
     number = 1 if state.run is None else state.run.number + 1

@@ -4,7 +4,7 @@
 import math
 from dataclasses import dataclass
 
-from worm_driver.errors import LimitError
+from worm_driver.errors import RejectedError
 from worm_driver.gait.gait_limits import GaitLimits
 from worm_driver.gait.gait_metrics import RunRecord, distance
 from worm_driver.gait.gait_player import Run
@@ -44,14 +44,14 @@ class RunEnd:
         """Return the number of cycles after which the run ends at the latest.
 
         Raises:
-            LimitError: The distance is invalid, or no condition is given.
+            RejectedError: The distance is invalid, or no condition is given.
         """
         if not (math.isfinite(self.distance) and self.distance >= 0.0):
-            raise LimitError(f"distance is {self.distance:g} m; it must be 0 m or longer")
+            raise RejectedError(f"distance is {self.distance:g} m; it must be 0 m or longer")
         if self.cycles:
             return self.cycles
         if not self.needs_tracker:
-            raise LimitError("a run needs an end: cycles, grooves or distance must not be 0")
+            raise RejectedError("a run needs an end: cycles, grooves or distance must not be 0")
         return limits.most_cycles(gait)
 
     def is_reached(self, run: Run, record: RunRecord, pitch: float) -> bool:

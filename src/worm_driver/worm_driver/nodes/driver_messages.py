@@ -12,7 +12,7 @@ from std_msgs.msg import Header
 
 from worm_driver.control.diagnostics import Report
 from worm_driver.control.snapshot import Snapshot
-from worm_driver.errors import LimitError
+from worm_driver.errors import RejectedError
 from worm_driver.gait.gait_player import Phase
 from worm_driver.power.ina219 import PowerSample
 from worm_driver.servos.registers import ServoModel
@@ -125,11 +125,11 @@ def power(sample: PowerSample, clocks: ClockPair) -> Power:
 
 
 def gait_from(message: GaitMessage) -> Gait:
-    """Return the gait of a message. Raises LimitError if a value is outside the range that every gait has."""
+    """Return the gait of a message. Raises RejectedError if a value is outside the range that every gait has."""
     try:
         return gait_of(message)
     except GaitError as error:
-        raise LimitError(str(error)) from None
+        raise RejectedError(str(error)) from None
 
 
 def gait_state(snapshot: Snapshot, clocks: ClockPair, *, emergency_stop: bool) -> GaitState:

@@ -9,7 +9,7 @@ from rclpy.action.server import ServerGoalHandle
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile
 
-from worm_driver.errors import DriverError, LimitError
+from worm_driver.errors import DriverError, RejectedError
 
 #: largest number of goals that are handled of those that arrive at once; the others are rejected
 QUEUE = 4
@@ -110,7 +110,7 @@ class GoalServer(ActionServer):
     def _on_goal(self, request: Any) -> GoalResponse:
         try:
             if self._place >= QUEUE:
-                raise LimitError(f"more than {QUEUE} goals arrived at once: send this one later")
+                raise RejectedError(f"more than {QUEUE} goals arrived at once: send this one later")
             self._begin(self._goal_id, request, self._stops_before)
         except DriverError as error:
             self._rejected(self._goal_id, str(error))

@@ -20,7 +20,7 @@ from rclpy.task import Future
 from worm_driver.control.hardware import Hardware
 from worm_driver.control.heartbeat import PERIOD, HeartbeatMonitor, shorter_timeout
 from worm_driver.control.snapshot import Snapshot
-from worm_driver.errors import DriverError, LimitError
+from worm_driver.errors import DriverError, RejectedError
 from worm_driver.gait.gait_metrics import RunMetrics, RunRecord, distance, run_metrics
 from worm_driver.gait.gait_player import Ending, Phase, Run
 from worm_driver.gait.run_end import RunEnd, is_near_cycle_end, makes_no_progress, unseen_cycle
@@ -232,16 +232,16 @@ class RunGaitAction:
 
         def start(now: float) -> int:
             if self._server.stops != stops:
-                raise LimitError("a stop followed this goal: send the goal again")
+                raise RejectedError("a stop followed this goal: send the goal again")
             return hardware.robot.start(now, gait, cycles)
 
         number = hardware.loop.run(start, undo=hardware.robot.cancel)
         self._runs.append(_Current(goal_id, number, Future(), RunRecord(), end, owner))
 
     def _heartbeat_timeout(self, requested: float) -> float:
-        """Return the heartbeat timeout of a run, s. Raises LimitError."""
+        """Return the heartbeat timeout of a run, s. Raises RejectedError."""
         if not (math.isfinite(requested) and requested >= 0.0):
-            raise LimitError(f"heartbeat is {requested:g} s; it must be 0 s or longer")
+            raise RejectedError(f"heartbeat is {requested:g} s; it must be 0 s or longer")
         required: float = self._node.get_parameter(HEARTBEAT).value
         return shorter_timeout(requested, required)
 

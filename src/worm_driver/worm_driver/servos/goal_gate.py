@@ -5,7 +5,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from worm_driver.errors import LimitError
+from worm_driver.errors import RejectedError
 from worm_driver.servos.position_track import PositionTrack
 from worm_driver.servos.registers import COMMON
 from worm_driver.servos.servo_bus import ServoBus
@@ -55,11 +55,11 @@ class GoalGate:
         """Write a goal (ticks) and wait for the acknowledgement. For use outside of the control cycle.
 
         Raises:
-            LimitError: The goal is withheld.
+            RejectedError: The goal is withheld.
             BusError: The servo does not acknowledge the goal.
         """
         if why := self._why_withheld(servo, ticks):
-            raise LimitError(f"servo {servo}: goal {ticks} ticks is withheld: {why}")
+            raise RejectedError(f"servo {servo}: goal {ticks} ticks is withheld: {why}")
         self._bus.write(servo, _GOAL, ticks)
         self._sent[servo] = ticks
 

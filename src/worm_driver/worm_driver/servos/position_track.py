@@ -9,10 +9,10 @@ from worm_driver.servos.registers import TICKS_PER_TURN
 
 #: Ratio of the highest plausible speed of a shaft to its velocity limit. It is above 1, because a load may turn the
 #: shaft faster than the motor does.
-_FASTER = 2.0
+_SPEED_RATIO = 2.0
 #: Difference between two positions that is always plausible, ticks. It covers errors of the times of reception: at the
 #: velocity limits of the supported models, a delay of 1 ms causes a difference of 3 to 7 ticks.
-_SLACK = 64
+_TOLERANCE = 64
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class PositionTrack:
     Attributes:
         lost: servos whose position was implausible in two successive readings. The value is the second position minus
             the last plausible one, ticks by servo id. All samples of such a servo are rejected until `begin` or
-            `end`, because every wrong position would become plausible with time.
+            `end`. Otherwise every wrong position would become plausible as time passes.
     """
 
     def __init__(self, fastest: Mapping[int, float]):
@@ -68,14 +68,14 @@ class PositionTrack:
         """Return the last plausible position of a servo, None before the first one."""
         return self._last.get(servo)
 
-    def accepts(self, servo: int, ticks: int, time: float) -> bool:
+    def record_if_plausible(self, servo: int, ticks: int, time: float) -> bool:
         """Record a sample received at a time (s) and return True, or return False if it is implausible."""
         if self._watches and not self._is_plausible(servo, ticks, time):
             return False
         self._last[servo] = PositionSample(ticks, time)
         return True
 
-    def lose(self, servo: int, ticks: int) -> None:
+    def mark_lost(self, servo: int, ticks: int) -> None:
         """Reject all further samples of a servo whose second reading (ticks) was implausible, too."""
         self.lost.setdefault(servo, ticks - self._last[servo].ticks)
 
@@ -91,5 +91,5 @@ def is_reachable(last: PositionSample, ticks: int, time: float, fastest: float) 
 
     ``fastest`` is the velocity limit of the servo, rad/s.
     """
-    turned = _FASTER * fastest * max(0.0, time - last.time) / math.tau * TICKS_PER_TURN
-    return abs(ticks - last.ticks) <= turned + _SLACK
+    turned = _SPEED_RATIO * fastest * max(0.0, time - last.time) / math.tau * TICKS_PER_TURN
+    return abs(ticks - last.ticks) <= turned + _TOLERANCE

@@ -450,7 +450,7 @@ class ServoBus:
         """Count goals that were not written because they are out of bounds."""
         self._count(withheld=goals)
 
-    def unsettle(self) -> None:
+    def require_quiet_line(self) -> None:
         """Make the next request wait for a quiet line, on which no late answer can arrive."""
         self._settled = False
 

@@ -110,7 +110,7 @@ def _registers(
         return {row.name: unpack_from(row, block, start) for row in rows}
 
     for _ in range(_PAIRS):
-        bus.unsettle()
+        bus.require_quiet_line()
         first, second = read(), read()
         if all(abs(first[n] - second[n]) <= _UNSTEADY.get(n, 0) for n in names):
             return second

@@ -65,10 +65,10 @@ class StateReader:
         requested_at, states = self._request()
         if len(states) < len(self._ids):
             before = frozenset(self._implausible)
-            self._bus.unsettle()
+            self._bus.require_quiet_line()
             requested_at, states = self._request()
             for servo in before & self._implausible.keys():
-                self._track.lose(servo, self._implausible[servo])
+                self._track.mark_lost(servo, self._implausible[servo])
         if len(states) == len(self._ids):
             self._read_health()
         return requested_at, tuple(states.get(servo.number, SILENT) for servo in self._servos)
@@ -106,20 +106,21 @@ class StateReader:
         self._clocks.clear()
         with self._bus.retrying():
             for _ in range(_FIRST_ANSWERS):
-                self._bus.unsettle()
+                self._bus.require_quiet_line()
                 self._request()
         self.forget_suspects()
 
-    def look(self, servo: Servo, names: Sequence[str]) -> Mapping[str, int] | None:
+    def reread_health(self, servo: Servo, names: Sequence[str]) -> Mapping[str, int] | None:
         """Return raw values of a servo's health registers ``names``, read on a quiet line; None without a fresh answer.
 
-        The registers and the servo's clock are read in one block, so that a late answer is never mistaken for a fault.
+        A line is quiet when all older answers have arrived or can no longer arrive. The registers and the servo's clock
+        are read in one block, which shows a late answer, so that it is never mistaken for a fault.
         The result includes the clock, realtime_tick.
 
         Raises:
             BusError: A request cannot be sent, for example because the port is gone.
         """
-        self._bus.unsettle()
+        self._bus.require_quiet_line()
         size = _HEALTH_END - _HEALTH_START
         requested_at, replies = self._bus.sync_read(_HEALTH_START, size, [servo.number])
         reply = replies.get(servo.number)
@@ -153,7 +154,7 @@ class StateReader:
                 state = decode(servo.model, reply.data)
                 if not self._is_fresh(servo.number, requested_at, reply.received, state.tick):
                     self.problems[servo.number] = "answers late"
-                elif not self._track.accepts(servo.number, state.ticks, reply.received):
+                elif not self._track.record_if_plausible(servo.number, state.ticks, reply.received):
                     self._note_implausible(servo.number, state.ticks)
                 else:
                     states[servo.number] = state
@@ -168,7 +169,7 @@ class StateReader:
         """Return True if the servo's clock shows that an answer belongs to the present request.
 
         The first answer of a servo starts the estimate of its clock. A jump of the clock shows that the servo has
-        restarted, and starts the estimate again. Neither answer counts as fresh.
+        restarted, and starts the estimate again. Neither the first answer nor the answer with the jump counts as fresh.
         """
         clock = self._clocks.get(servo)
         if clock is None or abs(tick_clock.jump(clock, tick, received)) >= tick_clock.RESTART:

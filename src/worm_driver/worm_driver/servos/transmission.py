@@ -8,7 +8,7 @@ homing_offset, so the home is stored in the servo and not in a file.
 import math
 from dataclasses import dataclass
 
-from worm_driver.errors import ConfigurationError, LimitError
+from worm_driver.errors import ConfigurationError, RejectedError
 from worm_driver.servos.registers import EXTENDED_POSITION_LIMIT, TICKS_PER_TURN
 
 
@@ -40,15 +40,15 @@ class Spool:
         """Return the position (ticks from home) for a length change (m, contraction is negative).
 
         Raises:
-            LimitError: The length change is not finite, or beyond the range of the servo.
+            RejectedError: The length change is not finite, or beyond the range of the servo.
         """
         if not math.isfinite(length_change):
-            raise LimitError(
+            raise RejectedError(
                 f"cable servo {self.servo}: length change {length_change} is not a finite number"
             )
         ticks = round(-self.sign * length_change / self.radius * TICKS_PER_TURN / (2 * math.pi))
         if abs(ticks) > EXTENDED_POSITION_LIMIT:
-            raise LimitError(
+            raise RejectedError(
                 f"cable servo {self.servo}: length change {length_change:g} m is {ticks} ticks from home, "
                 f"the servo counts at most {EXTENDED_POSITION_LIMIT}"
             )

@@ -96,8 +96,8 @@ def largest_static_load(parameters: Parameters, side: int, gait: Gait) -> float:
     """Return the largest load in N, as a positive number, that the fins hold at rest at the start of a gait.
 
     ``side`` is 1 for a load towards −x, and −1 for a load towards +x. Under this load, one fin is at its threshold. The
-    distance of the other fin from its own threshold is the phase of the front module between two grooves, or the pitch
-    minus this phase.
+    other fin is short of its own threshold by p or by d − p, with the pitch d and the distance p of the front module
+    from the nearest groove behind it. The larger of the two loads counts.
     """
     stiff, soft = parameters.engaged_stiffness, parameters.disengaged_stiffness
     if side != gait.direction:

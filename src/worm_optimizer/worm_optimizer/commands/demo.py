@@ -26,7 +26,7 @@ from worm_optimizer.operation.bring_up import (
     installed_system_file,
     work_folder,
 )
-from worm_optimizer.operation.demo_run import Comparison, compare, comparison_table, drive
+from worm_optimizer.operation.demo_run import Comparison, compare, comparison_table, run_demo_gait
 from worm_optimizer.operation.processes import termination_as_interrupt
 from worm_optimizer.operation.recorded_run import new_bag
 from worm_optimizer.report.recordings import read_recorded_gaits
@@ -90,7 +90,7 @@ def _drive(options: argparse.Namespace, bag: Path, say: Say) -> tuple[Prediction
         }
         settings = with_tracker(settings, options.tracker, "virtual")
         system = installed_system_file().system("virtual", **settings)
-        return drive(system, folder / "logs", say)
+        return run_demo_gait(system, folder / "logs", say)
 
 
 def _absolute(path: str) -> str:

@@ -39,14 +39,14 @@ class BagLibrary:
         self.folder = folder.resolve()
 
     def bag(self, name: str) -> Path:
-        """Return the path of a bag. Raises `InputError` unless there is one below the folder."""
+        """Return the path of a bag. Raises `InputError` if the folder contains no such bag."""
         path = self._below(name)
         if not (path / METADATA_FILE).is_file():
             raise InputError(f"{name}: no such bag")
         return path
 
     def report(self, name: str) -> Path:
-        """Return the path of a report's page. Raises `InputError` unless there is one below the folder."""
+        """Return the path of a report's page. Raises `InputError` if the folder contains no such report."""
         path = self._below(name)
         if not (path.name.endswith(REPORT_SUFFIX) and (path / PAGE).is_file()):
             raise InputError(f"{name}: no such report")

@@ -27,10 +27,11 @@ from worm_optimizer.robot_commands import GaitCommand
 from worm_optimizer.search.gait_request import GaitRequest, Objective
 
 
-def drive(system: System, logs: Path, say: Say) -> tuple[Prediction, Path]:
-    """Start a system, run five cycles of a requested gait, and end all processes. Return the prediction and the bag.
+def run_demo_gait(system: System, logs: Path, say: Say) -> tuple[Prediction, Path]:
+    """Start a system, run five cycles of the optimizer's cruise gait, and end all processes.
 
-    When this function returns or raises an exception, the bag is closed and all processes have ended.
+    Return the prediction and the bag. When this function returns or raises an exception, the bag is closed and all
+    processes have ended.
 
     Args:
         system: the nodes, including a recorder.

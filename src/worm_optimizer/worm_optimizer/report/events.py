@@ -51,13 +51,13 @@ def events_of(bag: Bag, run: Run, holds: Holds, replay: Replay) -> tuple[Event, 
         holds: function that returns True if a stamp (ns) belongs to the part.
         replay: output of the twin for the part.
     """
-    events = [*_driver_events(bag, run, holds), *_complaints(bag, run, holds)]
+    events = [*_driver_events(bag, run, holds), *_diagnostic_events(bag, run, holds)]
     events += [
         Event((n.stamp_ns - run.origin) * 1e-9, "twin", _SEVERITIES[n.severity], n.text)
         for n in replay.notices
     ]
     events.sort(key=lambda event: event.time)
-    return (*events, *_gaps(run))
+    return (*events, *_missing_measurements(run))
 
 
 def _driver_events(bag: Bag, run: Run, holds: Holds) -> Iterator[Event]:
@@ -78,14 +78,14 @@ def _driver_events(bag: Bag, run: Run, holds: Holds) -> Iterator[Event]:
         yield Event((stamp - run.origin) * 1e-9, "driver", level, text)
 
 
-def _complaints(bag: Bag, run: Run, holds: Holds) -> Iterator[Event]:
-    """Yield the first diagnostic of each name and level other than ok, with the number of such diagnostics."""
+def _diagnostic_events(bag: Bag, run: Run, holds: Holds) -> Iterator[Event]:
+    """Yield an event for each name and each level other than ok: the first message, and how often it was reported."""
     columns = _columns(bag, bag.topics.get(_DIAGNOSTICS))
     if columns is None:
         return
     first: dict[tuple[str, int], tuple[int, str]] = {}
     reports: Counter[str] = Counter()
-    complaints: Counter[tuple[str, int]] = Counter()
+    counts: Counter[tuple[str, int]] = Counter()
     for row, time in enumerate(_stamps(columns)):
         if not holds(time):
             continue
@@ -93,10 +93,10 @@ def _complaints(bag: Bag, run: Run, holds: Holds) -> Iterator[Event]:
             reports[name] += 1
             if level:
                 first.setdefault((name, level), (time, message))
-                complaints[name, level] += 1
+                counts[name, level] += 1
     for (name, level), (time, message) in first.items():
         kind = _LEVELS[level] if level < len(_LEVELS) else "error"
-        often = f"first of {complaints[name, level]} at this level, of {reports[name]} reports"
+        often = f"first of {counts[name, level]} at this level, of {reports[name]} reports"
         yield Event((time - run.origin) * 1e-9, name, kind, f"{message} ({often})")
 
 
@@ -125,7 +125,7 @@ def _statuses(columns: Columns, row: int) -> Iterator[tuple[str, int, str]]:
         index += 1
 
 
-def _gaps(run: Run) -> Iterator[Event]:
+def _missing_measurements(run: Run) -> Iterator[Event]:
     """Yield an event for each kind of power sample without a value, and for each marker that was hidden."""
     for code in sorted(set(run.power.status.tolist()) - {POWER_VALID}):
         count = int(np.count_nonzero(run.power.status == code))

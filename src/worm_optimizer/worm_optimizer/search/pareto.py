@@ -23,7 +23,7 @@ def non_dominated(speed: ArrayLike, power: ArrayLike) -> Index:
 def front_of(points: Points) -> Points:
     """Return the admissible non-dominated gaits, by rising speed.
 
-    Speeds are compared by grooves per second, so that the rest of a transient does not affect the comparison.
+    Speeds are compared by grooves per second, so that a transient which has not ended does not affect the comparison.
     """
     admissible = points.take(points.admissible)
     return admissible.take(non_dominated(admissible.count * admissible.frequency, admissible.power))

@@ -9,7 +9,7 @@ import pytest
 
 from worm_driver.clock import MachineClock
 from worm_driver.control.control_loop import ControlLoop, PeriodicThread, PowerLoop
-from worm_driver.errors import DriverError, LimitError, PowerSensorError
+from worm_driver.errors import DriverError, PowerSensorError, RejectedError
 from worm_driver.power.ina219 import PowerSample, SampleStatus
 
 TIMEOUT_S = 10.0  # s, only a failing test waits so long
@@ -98,9 +98,9 @@ def test_a_command_runs_in_the_robots_thread_and_gives_its_result_back(loop):
 
 def test_a_commands_exception_goes_to_the_caller_and_not_into_the_loop(loop):
     def reject(_: float) -> None:
-        raise LimitError("too long")
+        raise RejectedError("too long")
 
-    with pytest.raises(LimitError, match="too long"):
+    with pytest.raises(RejectedError, match="too long"):
         loop.submit(reject).result(TIMEOUT_S)
     assert loop.alive
 
@@ -108,7 +108,7 @@ def test_a_commands_exception_goes_to_the_caller_and_not_into_the_loop(loop):
 def test_a_stale_command_is_rejected_and_not_executed(loop):
     done: list[float] = []
     late = loop.submit(done.append, lifetime=-1.0)
-    with pytest.raises(LimitError, match="stale"):
+    with pytest.raises(RejectedError, match="stale"):
         late.result(TIMEOUT_S)
     assert done == []
 

@@ -6,7 +6,7 @@ import math
 import pytest
 from driver_rig import Rig, moving
 
-from worm_driver.errors import LimitError, StoppedError
+from worm_driver.errors import RejectedError, StoppedError
 from worm_driver.gait.gait_player import Phase
 
 
@@ -184,7 +184,7 @@ def test_no_torque_is_switched_on_while_it_shuts_down():
     rig.loop.shutdown("the driver ends")
     activation = rig.loop.submit(lambda now: rig.robot.activate(now))
     rig.run(rig.settings.period)
-    with pytest.raises(LimitError, match="shuts down"):
+    with pytest.raises(RejectedError, match="shuts down"):
         activation.result(0)
     assert rig.ended
     assert [servo.memory["torque_enable"] for servo in rig.virtual.servos] == [0, 0, 0]
@@ -192,7 +192,7 @@ def test_no_torque_is_switched_on_while_it_shuts_down():
 
 def test_no_gait_begins_while_it_shuts_down():
     rig = closing(0.2)
-    with pytest.raises(LimitError, match="shuts down"):
+    with pytest.raises(RejectedError, match="shuts down"):
         rig.start()
 
 

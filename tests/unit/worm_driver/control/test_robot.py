@@ -11,7 +11,7 @@ import pytest
 from driver_rig import CABLE, Rig, moving, settings
 
 from worm_driver.control.supervision import Limits
-from worm_driver.errors import BusError, ConfigurationError, HomingError, LimitError
+from worm_driver.errors import BusError, ConfigurationError, HomingError, RejectedError
 from worm_driver.gait.gait_player import Ending, Phase
 from worm_driver.servos.registers import COMMON
 from worm_driver.servos.servo_state import SILENT
@@ -180,7 +180,7 @@ def test_a_reverse_gait_sets_the_fins_first_and_at_rest(rig):
 
 
 def test_a_gait_while_inactive_is_rejected(rig):
-    with pytest.raises(LimitError, match="activate the driver first"):
+    with pytest.raises(RejectedError, match="activate the driver first"):
         rig.start()
 
 
@@ -192,7 +192,7 @@ def test_a_gait_beyond_the_limits_leaves_the_robot_as_it_was(stroke, frequency):
     rig = Rig(settings(max_cable_speed=0.1))
     rig.activate()
     before = rig.run(0.1)
-    with pytest.raises(LimitError):
+    with pytest.raises(RejectedError):
         rig.start(stroke, frequency)
     after = rig.run(0.1)
     assert (after.player.phase, after.cable) == (Phase.IDLE, before.cable)
@@ -201,7 +201,7 @@ def test_a_gait_beyond_the_limits_leaves_the_robot_as_it_was(stroke, frequency):
 def test_the_servos_velocity_limit_is_a_limit_of_gaits():
     rig = Rig(settings(spools=(Spool(1, 1, 0.012),)))
     rig.activate()
-    with pytest.raises(LimitError, match=r"limit is 0\.0575 m/s"):
+    with pytest.raises(RejectedError, match=r"limit is 0\.0575 m/s"):
         rig.start(0.09, 0.4)
 
 
@@ -261,7 +261,7 @@ def test_a_fault_stops_the_motion_within_100_ms_and_is_named(fault, arguments, e
     assert player.phase is Phase.FAULT
     assert player.run.ending is Ending.FAILED
     assert re.search(expected, player.message), player.message
-    with pytest.raises(LimitError, match="in fault"):
+    with pytest.raises(RejectedError, match="in fault"):
         rig.start()
 
 
@@ -769,5 +769,5 @@ def test_a_lower_limit_ends_a_gait_whose_pretension_and_stroke_exceed_it():
     )
     rig.run(10.0, until=lambda s: s.player.phase is Phase.IDLE)
     assert rig.robot.player.run.ending is Ending.CANCELLED
-    with pytest.raises(LimitError, match="contract the body by"):
+    with pytest.raises(RejectedError, match="contract the body by"):
         rig.start(0.06, 0.4, 5, **SHAPED)

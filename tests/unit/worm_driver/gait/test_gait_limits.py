@@ -5,7 +5,7 @@ import re
 
 import pytest
 
-from worm_driver.errors import LimitError
+from worm_driver.errors import RejectedError
 from worm_driver.gait.gait_limits import GaitLimits
 from worm_driver.nodes.driver_messages import gait_from
 from worm_msgs.gait import Gait, Profile
@@ -70,7 +70,7 @@ LIMITS = GaitLimits(max_stroke=0.09, max_frequency=0.4, max_cable_speed=0.1)
 )
 def test_a_gait_beyond_the_limits_is_rejected_with_the_reason(values, cycles, message):
     stroke, frequency, others = values
-    with pytest.raises(LimitError, match=re.escape(message)):
+    with pytest.raises(RejectedError, match=re.escape(message)):
         LIMITS.check(gait_from(gait_message(stroke, frequency, **others)), cycles)
 
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from worm_driver.errors import LimitError
+from worm_driver.errors import RejectedError
 from worm_driver.gait import gait_player
 from worm_driver.gait.gait_player import Ending, Observation, Phase, PlayerSettings, PlayerState
 from worm_msgs.gait import Gait, Profile
@@ -233,7 +233,7 @@ def test_after_a_stop_a_run_returns_to_rest_before_it_begins():
 
 def test_a_second_run_is_rejected_with_the_reason():
     now, state = running()
-    with pytest.raises(LimitError, match=r"running already \(cycle 1 of 5\)"):
+    with pytest.raises(RejectedError, match=r"running already \(cycle 1 of 5\)"):
         gait_player.start(state, now, Gait(0.07, 0.4), 5)
 
 
@@ -242,7 +242,7 @@ def test_a_fault_holds_and_rejects_until_the_next_activation():
     state = gait_player.fault(state, now, -0.01, "servo 1 is gone")
     assert state.run.ending is Ending.FAILED
     assert play(state, now, 1.0)[-1][1].length_change == -0.01
-    with pytest.raises(LimitError, match="servo 1 is gone"):
+    with pytest.raises(RejectedError, match="servo 1 is gone"):
         gait_player.start(state, now, Gait(0.07, 0.4), 5)
     assert gait_player.fault(state, now, 0.0, "another").message == "servo 1 is gone"
     assert gait_player.stop(state, now, 0.0, "stop").phase is Phase.FAULT

@@ -5,7 +5,7 @@ import math
 
 import pytest
 
-from worm_driver.errors import LimitError
+from worm_driver.errors import RejectedError
 from worm_driver.gait import gait_player
 from worm_driver.gait.gait_limits import GaitLimits
 from worm_driver.gait.gait_metrics import RunRecord
@@ -60,10 +60,10 @@ def test_cycles_bound_a_run_and_without_them_the_limits_do():
     assert RunEnd(cycles=7, grooves=3).most_cycles(GAIT, LIMITS) == 7
     assert RunEnd(grooves=3).most_cycles(GAIT, LIMITS) == 1000
     assert RunEnd(distance=1.0).most_cycles(Gait(0.07, 0.02), LIMITS) == 144
-    with pytest.raises(LimitError, match="needs an end"):
+    with pytest.raises(RejectedError, match="needs an end"):
         RunEnd().most_cycles(GAIT, LIMITS)
     for distance in (math.nan, -1.0, math.inf):
-        with pytest.raises(LimitError, match="distance is"):
+        with pytest.raises(RejectedError, match="distance is"):
             RunEnd(distance=distance).most_cycles(GAIT, LIMITS)
 
 

@@ -6,7 +6,7 @@ from driver_rig import CABLE, Clock, SimulatedPort, Wire
 from hypothesis import given
 from hypothesis import strategies as st
 
-from worm_driver.errors import LimitError
+from worm_driver.errors import RejectedError
 from worm_driver.servos.goal_gate import Bound, GoalGate
 from worm_driver.servos.position_track import PositionSample, PositionTrack
 from worm_driver.servos.registers import COMMON
@@ -52,32 +52,32 @@ def test_a_goal_is_within_the_range_and_the_reach_or_not_written(ticks, age):
 def test_an_acknowledged_goal_has_the_same_bounds():
     gated = Gated(Bound(-1000, 500))
     gated.gate.write(CABLE, -1000)
-    with pytest.raises(LimitError, match=r"501.*-1000 to 500"):
+    with pytest.raises(RejectedError, match=r"501.*-1000 to 500"):
         gated.gate.write(CABLE, 501)
     assert gated.goal() == -1000
 
 
 def test_a_rejected_goal_names_its_reason():
     gated = Gated(Bound(-1000, 500, lead=400))
-    with pytest.raises(LimitError, match=r"401.* 400 ticks from .* 0 ticks"):
+    with pytest.raises(RejectedError, match=r"401.* 400 ticks from .* 0 ticks"):
         gated.gate.write(CABLE, 401)
-    with pytest.raises(LimitError, match=r"servo 11\b.* no bounds"):
+    with pytest.raises(RejectedError, match=r"servo 11\b.* no bounds"):
         gated.gate.write(11, 0)
-    gated.track.lose(CABLE, 4096)
-    with pytest.raises(LimitError, match="unknown"):
+    gated.track.mark_lost(CABLE, 4096)
+    with pytest.raises(RejectedError, match="unknown"):
         gated.gate.write(CABLE, 1)
 
 
 def test_a_servo_whose_position_is_lost_gets_no_goal():
     gated = Gated(Bound(-1000, 500))
     before = gated.goal()
-    gated.track.lose(CABLE, 4096)
+    gated.track.mark_lost(CABLE, 4096)
     gated.gate.send({CABLE: 1})
     assert gated.goal() == before
 
 
 def test_a_servo_without_bounds_gets_no_goal():
     gated = Gated(Bound(-1000, 500))
-    gated.track.accepts(11, 1500, 0.0)
+    gated.track.record_if_plausible(11, 1500, 0.0)
     gated.gate.send({11: 1500})
     assert gated.bus.counters.withheld == 1

@@ -28,30 +28,30 @@ def test_the_fastest_motion_is_plausible_even_after_lost_cycles(elapsed, share, 
 @pytest.mark.parametrize("jump", [-8192, -4096, -600, -300, 300, 600, 4096, 12288])
 def test_a_jump_within_a_cycle_is_not(jump):
     track = watching(100)
-    assert not track.accepts(1, 100 + jump, 0.01)
+    assert not track.record_if_plausible(1, 100 + jump, 0.01)
     assert track.last(1) == PositionSample(100, 0.0)
 
 
 def test_a_sample_after_a_wrong_one_is_judged_by_the_one_before_it():
     track = watching()
-    assert not track.accepts(1, 600, 0.01)
-    assert track.accepts(1, 5, 0.02)
+    assert not track.record_if_plausible(1, 600, 0.01)
+    assert track.record_if_plausible(1, 5, 0.02)
     assert track.last(1) == PositionSample(5, 0.02)
 
 
 def test_a_lost_position_does_not_become_plausible_by_waiting():
     track = watching()
-    track.lose(1, 600)
-    assert not any(track.accepts(1, ticks, 1e6) for ticks in (0, 600))
+    track.mark_lost(1, 600)
+    assert not any(track.record_if_plausible(1, ticks, 1e6) for ticks in (0, 600))
     assert track.lost == {1: 600}
     track.begin({1: PositionSample(600, 1e6)})
-    assert track.accepts(1, 601, 1e6 + 0.01)
+    assert track.record_if_plausible(1, 601, 1e6 + 0.01)
 
 
 def test_with_the_torque_off_a_person_may_turn_the_spool():
     track = watching()
     track.end()
-    assert track.accepts(1, 5000, 0.01)
+    assert track.record_if_plausible(1, 5000, 0.01)
 
 
 def test_a_clock_that_goes_back_allows_no_more():

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from worm_driver.errors import ConfigurationError, LimitError
+from worm_driver.errors import ConfigurationError, RejectedError
 from worm_driver.servos.transmission import Fin, Spool
 
 TICK = 2 * math.pi / 4096 * 0.025
@@ -24,7 +24,7 @@ def test_one_turn_is_one_circumference():
 
 @pytest.mark.parametrize("change", [math.nan, math.inf, -20.0])
 def test_a_position_beyond_the_counter_is_rejected(change):
-    with pytest.raises(LimitError, match="cable servo 1"):
+    with pytest.raises(RejectedError, match="cable servo 1"):
         Spool(1, 1, 0.012).ticks(change)
 
 

@@ -84,7 +84,7 @@ class Contents:
     complaints: list[str] = field(default_factory=list)
     expected: dict[int, int] | None = None
 
-    def lose(self, first: int, last: int) -> Loss:
+    def mark_lost(self, first: int, last: int) -> Loss:
         """Add a damaged part and return it."""
         self.losses.append(Loss(first, last, Counter()))
         return self.losses[-1]

@@ -293,7 +293,7 @@ class _Survey:
             )
 
     def _lose(self, part: mcap_walk.Part, found: Iterable[int] = ()) -> None:
-        loss = self.contents.lose(part.first, part.last)
+        loss = self.contents.mark_lost(part.first, part.last)
         if self._data[part.first] == Opcode.CHUNK:
             loss.counts.subtract(found)
             self._lost = loss

@@ -48,7 +48,7 @@ class SqliteFile(StoredFile):
                 contents.counts[row[1]] += 1
                 rows.append(row[:3])  # without the payload
             else:
-                contents.lose(first, last)
+                contents.mark_lost(first, last)
                 self._add_extent(contents, rows)
             if len(rows) >= TOGETHER:
                 self._add_extent(contents, rows)

@@ -18,9 +18,9 @@ def _balance(offset: float, c: mode.Constants) -> tuple[float, int, int]:
     """Return (deflection of the rear fin in m, region of the rear fin, region of the front fin) in the equilibrium.
 
     ``offset`` in m is the deflection of the front fin minus that of the rear one. For each pair of regions, the
-    equilibrium of the fins with the load is computed as if the fins were in these regions. The force of both fins grows
-    with the deflection, so one pair contains the equilibrium that is computed for it. At a border, rounding may prevent
-    this. Therefore the pair is returned whose equilibrium is least outside of the pair's regions.
+    equilibrium of the fins with the load is computed as if the fins were in these regions. The sum of both
+    fin forces increases with the deflection. So exactly one pair contains the equilibrium that is computed for it,
+    except for rounding at a border. The function returns the pair whose equilibrium lies least outside of its regions.
     """
     best, deflection, regions = NEVER, 0.0, 0
     for pair in range(REGIONS * REGIONS):
@@ -56,7 +56,7 @@ def start_of(g: Any, c: mode.Constants, a: Actuator) -> tuple[bool, float, mode.
 
     ``g`` is a row of GAIT_ROW. Without a load, x1 = 0. With a load, the fins are in equilibrium with it. The front
     anchor is the groove nearest to the front module at ΔL = 0. A fin beyond its threshold slips into the next groove at
-    once, the rear fin first. The fins do not hold the load if the slipping does not end. v1 = 0, so that ẏ = μ·L̇.
+    once, the rear fin first. The fins do not hold the load if the slipping does not end. v1 = 0, so that y′ = μ·L′.
     """
     length_change = rest_of(g.pretension, a)
     length_rate = 0.0 if g.pretension > 0.0 else -a.gain * a.slack / a.time_constant
