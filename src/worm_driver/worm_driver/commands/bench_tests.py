@@ -63,7 +63,7 @@ def main(arguments: list[str] | None = None) -> int:
     )
     parser.add_argument("folder", type=Path, metavar="FOLDER", help="folder for the two files")
     parser.add_argument(
-        "--parameters", type=Path, metavar="FILE", help="parameters of the virtual robot"
+        "--parameters", type=Path, metavar="FILE", help="parameter file of the virtual robot"
     )
     parser.add_argument("--seed", type=int, metavar="N", help="seed of the virtual robot")
     return run_command(parser, _run, arguments)

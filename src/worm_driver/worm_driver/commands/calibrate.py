@@ -3,9 +3,9 @@
 
 Ids and models are read from the bus. Signs and spool radii follow from ruler readings at a few positions, and fin
 angles from positions to which the operator turns the fins. The servos move slowly, and only after the operator has
-answered a question. A cable servo is released at the position where its calibration began, also after a failure or a
-Ctrl-C. While the torque of a servo is on, the servo's bus watchdog is armed. While a question waits for its answer, the
-command resets this watchdog.
+answered a question. There is one exception: after a failure or a Ctrl-C, a cable servo first returns to the position
+where its calibration began, and is released there. While the torque of a servo is on, the servo's bus watchdog is
+armed. While a question waits for its answer, the command resets this watchdog.
 """
 
 import argparse
@@ -83,7 +83,12 @@ class Calibration:
         self._goals = GoalGate(bus, self._track)
 
     def find_servos(self) -> list[Servo]:
-        """Return all servos that answer and have a supported model. Print the ids of servos with other models."""
+        """Return all servos that answer and have a supported model. Print the ids of servos with other models.
+
+        Raises:
+            ConfigurationError: The firmware of a servo is too old.
+            BusError: A servo stops answering.
+        """
         answering = []
         for number in range(253):
             try:
@@ -189,10 +194,10 @@ class Calibration:
 
     @contextlib.contextmanager
     def _held(self, servo: Servo, start: int) -> Iterator[None]:
-        """Hold a cable servo within the context. Afterwards return it to its start (ticks), and release it there.
+        """Hold a cable servo within the context, and release it afterwards.
 
-        After a failure or a Ctrl-C, too, the torque stays on until the cable is back, because a contracted body springs
-        back. Only a Ctrl-C during this return releases it at once.
+        The context must end with the servo at its start (ticks). After a failure or a Ctrl-C, the servo first returns
+        there, because a contracted body springs back. Only a Ctrl-C during this return releases the servo at once.
 
         Raises:
             ReleaseError: The servo does not return, and keeps its torque; or it does not confirm its release.
@@ -333,7 +338,8 @@ def _arguments(arguments: list[str] | None) -> argparse.Namespace:
     parser = Parser(
         prog="calibrate",
         description="Find the servos, and measure signs, spool radii and fin angles with an operator and a ruler. The "
-        "servos move slowly, and only after an answer.",
+        "servos move slowly, and only after an answer; after a failure or a Ctrl-C, a cable servo returns to its "
+        "start.",
     )
     parser.add_argument(
         "output", type=new_file, help="parameter file of the driver to write; must not exist"
@@ -349,7 +355,10 @@ def _arguments(arguments: list[str] | None) -> argparse.Namespace:
         help="turns of the spool from the first to the last ruler reading, 0.05 to 5; default: %(default)s",
     )
     parser.add_argument(
-        "--points", type=int, default=4, help="number of ruler readings; default: %(default)s"
+        "--points",
+        type=int,
+        default=4,
+        help="number of ruler readings, at least 3; default: %(default)s",
     )
     options = parser.parse_args(arguments)
     if options.points < 3:

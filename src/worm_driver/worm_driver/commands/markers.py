@@ -98,7 +98,7 @@ class _Sheet:
         self.text(
             _MARGIN,
             top - 0.024,
-            "MarkerLabel at 100 %, without fitting to the page, and measure this line: it must be 100.0 mm long.\n"
+            "Print at 100 %, without fitting to the page, and measure this line: it must be 100.0 mm long.\n"
             f"If it is not, measure a black square and {remedy}.",
         )
 

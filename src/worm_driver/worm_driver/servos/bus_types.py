@@ -48,9 +48,10 @@ class BusCounters:
     """Numbers of exchanges and of failures since the port was opened.
 
     Attributes:
-        exchanges: requests to servos, with and without answers.
-        timeouts: requests for which at least one answer is missing.
-        corrupt: garbled, unexpected or contradictory answers.
+        exchanges: requests to servos, including group writes and broadcasts, which have no answer.
+        timeouts: requests that a single servo does not answer, and sync reads in which a usable answer is missing.
+        corrupt: garbled or contradictory answers, and answers of a wrong length; in sync reads also answers of servos
+            that were not requested.
         errors: answers with an error number.
         stale: answers that are older than their request.
         implausible: positions that their servo cannot have reached.

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Conversions between the bytes of a register, its raw integer, and its value in the unit of the control table.
 
-The SDK returns every value unsigned. In the driver, only this module decodes two's complement.
+A signed register is in two's complement. In the package ``servos``, only this module decodes it.
 """
 
 import math

@@ -229,7 +229,7 @@ class ServoBus:
 
     Attributes:
         port: open port.
-        retries: largest number of repetitions of a failed exchange.
+        retries: largest number of repetitions of a failed request to a single servo. Group requests are not repeated.
         counters: numbers of exchanges and failures.
     """
 
@@ -253,7 +253,7 @@ class ServoBus:
             baud_rate: bit/s.
             latency: longest time that the adapter delays an answer, s. None: the adapter's latency timer, or 1 ms
                 without a timer. The timer is read after the port was opened, because opening it requests a low latency.
-            retries: largest number of repetitions of a failed exchange.
+            retries: see `ServoBus`.
 
         Raises:
             PortError: The port is missing, forbidden or in use. The message contains the remedy.
@@ -284,8 +284,9 @@ class ServoBus:
     def retrying(self, retries: int = _SETUP_RETRIES) -> Iterator[None]:
         """Enter a context for setup, in which exchanges may take longer but fail less often.
 
-        A failed exchange is repeated at most ``retries`` times, or ``self.retries`` times if this is more. Before
-        the first request, and before each request after a failure, the bus waits until no older answer can arrive.
+        A failed request to a single servo is repeated at most ``retries`` times, or ``self.retries`` times if this is
+        more. Before the first request, and before each request after a failure, the bus waits until no older answer can
+        arrive.
         """
         before = self.retries, self._quiet
         self.retries, self._quiet = max(self.retries, retries), _LATEST

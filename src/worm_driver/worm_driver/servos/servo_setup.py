@@ -2,10 +2,10 @@
 """Functions that identify, check, set up and release servos, outside of the control cycle.
 
 A line is quiet if no late answer can arrive any more. A value on which a decision depends is read twice on a quiet
-line, because a late answer must not pass for the answer to the present request. Only `limit_motion`,
-`standing_position` and `switch_on`, which enable the torque, do not wait for a quiet line before each reading. Values
-written to the EEPROM, and the home mark, are read back twice on a quiet line, too. The callers enter the context
-`ServoBus.retrying`. Only `release_all` enters it itself.
+line, because a late answer must not pass for the answer to the present request. There are two exceptions. `identify`
+pings only once. `limit_motion`, `standing_position` and `switch_on`, which belong to the switching on of the torque, do
+not wait for a quiet line before each reading. Values written to the EEPROM, and the home mark, are read back twice on a
+quiet line, too. Callers should enter the context `ServoBus.retrying`; `release_all` enters it itself.
 
 The register led of a cable servo is its home mark: 1 means that position 0 is the cable's home. The register is in RAM.
 A reboot or a power failure reduces the position to a single turn, and always clears the mark.
@@ -210,7 +210,8 @@ def prepare_fin(bus: ServoBus, servo: Servo) -> None:
 def held_position(bus: ServoBus, servo: Servo, limit: float) -> int | None:
     """Return the position (ticks from home) of a cable servo that an earlier driver left with its torque on.
 
-    Return None if the torque is off, the servo is not homed, or its settings differ from those of `prepare_cable`.
+    Return None if the torque is off, the servo is not homed, or its operating mode, drive mode or current limit differs
+    from that of `prepare_cable`.
 
     Raises:
         BusError: The servo does not answer, or no two readings agree.

@@ -17,7 +17,7 @@ from worm_driver.tracking.tracking_errors import PoseError
 #: absorbs most of a wrong position: an error of 10 mm along the pipe leaves a residual of 0.9 mm, and an error of 2 mm
 #: leaves a residual of 0.2 mm.
 _MISPLACED, DOUBTFUL = 0.0007, 0.00015
-#: The pose is ambiguous if a second pose has an error below _ALMOST times the best error, and a viewing direction that
+#: The pose is ambiguous if a second pose has an error below _ALMOST times the best error, and an orientation that
 #: differs by more than _OTHER_DIRECTION (rad).
 _ALMOST, _OTHER_DIRECTION = 1.5, 0.03
 #: Displacement of a marker in the image above which the marker counts as moved (pixels). It is twenty times the noise

@@ -13,7 +13,7 @@ from worm_driver.tracking.tracking_errors import ImageError, TrackingError
 from worm_driver.tracking.vision import VideoSource
 
 _QUEUE_LENGTH = 2  # images; the oldest image is dropped if the tracker is late
-_POLL_PERIOD = 0.05  # s, longest time until the thread reacts to `close`
+_POLL_PERIOD = 0.05  # s, longest single wait for the time of an image
 
 
 def frames_of_device(device: str, size: tuple[int, int], rate: float) -> Iterator[Frame]:

@@ -102,7 +102,7 @@ def frames_of_video(path: Path, rate: float) -> Iterator[Frame]:
     no frame rate either, they are spaced by ``rate`` (Hz).
 
     Raises:
-        ImageError: The video cannot be opened, has no images, or its times are unknown.
+        ImageError: The video cannot be opened or has no images, or no frame rate is known (even if times are stored).
     """
     if not path.is_file():
         raise ImageError(f"{path} is not a file")

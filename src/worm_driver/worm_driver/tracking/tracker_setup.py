@@ -28,8 +28,8 @@ DICTIONARIES = {
 #: Smallest number of reference markers. A single marker determines the camera's direction only to one or two degrees,
 #: which is an error of about a centimetre at the modules.
 FEWEST_REFERENCES = 2
-#: Largest side or offset of a marker (m). A value above this limit, or above one of the next two
-#: limits, is probably in mm.
+#: Largest side or offset of a marker (m). A value above this limit, or above one of the next two limits, is probably in
+#: mm.
 LARGEST_MARKER = 0.5
 #: Largest distance from the pipe's axis along y, and along z (m).
 LARGEST_SIDEWAYS = 3.0
@@ -151,7 +151,7 @@ def _check_numbers(rig: Rig) -> None:
 
 
 def _check_places(rig: Rig) -> None:
-    """Raise SetupError if two reference markers overlap. Positions in another unit than m can also be the cause."""
+    """Raise SetupError if the centres of two reference markers are closer than the side of a marker."""
     for (other, other_place), (number, place) in itertools.combinations(rig.reference.items(), 2):
         distance = math.dist(place, other_place)
         if distance < rig.marker_size:

@@ -25,7 +25,7 @@ class TrackerSample:
 
 
 class Tracker:
-    """Camera with a fixed rate. Both positions are relative to the initial position of the rear module.
+    """Camera with a fixed rate. The zero of both positions is the initial position of the rear module without a load.
 
     Attributes:
         next_exposure: time of the next exposure, s.

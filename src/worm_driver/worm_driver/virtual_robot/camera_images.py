@@ -197,7 +197,7 @@ class VirtualCamera:
         share = np.clip(self._empty, 0.0, 255.0) / np.float32(255.0)
         dark, bright = np.float32(settings.noise_dark), np.float32(settings.noise_bright)
         self._noisiness = dark + (bright - dark) * share
-        # Each image uses a different part of this array of random numbers.
+        # Each image uses the values from a random index on.
         self._noise = self._random.standard_normal(2 * self._empty.size, np.float32)
 
     # --- static scene -----------------------------------------------------------------------------

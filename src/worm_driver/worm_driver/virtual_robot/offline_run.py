@@ -80,7 +80,7 @@ def run_offline(
         command: returns the commanded length change (m, negative for a contraction) at a time (s) since the onset.
         duration: duration of the command, s.
         rest: rest before the onset, s.
-        direction: plant.FORWARD or plant.REVERSE.
+        direction: FORWARD or REVERSE of `worm_msgs.gait`.
     """
     robot = VirtualRobot(_with_fins_set(settings, direction))
     for servo in robot.servos:

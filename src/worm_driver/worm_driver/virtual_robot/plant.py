@@ -58,7 +58,7 @@ class PlantEffects:
 
 
 class Grooves(NamedTuple):
-    """Switching thresholds (m) and stiffness factors of the grooves for one fin pair."""
+    """Switching thresholds (m) and stiffness factors of the grooves, for the fins of one module."""
 
     thresholds: tuple[float, ...]
     stiffness: tuple[float, ...]
@@ -165,7 +165,10 @@ class Plant:
         return start
 
     def put_back(self, state: PlantState) -> PlantState:
-        """Return the state after the robot was put back to its start, with straight fins and unchanged length."""
+        """Return the state after the robot was put back to its start, with each fin in its nearest groove.
+
+        The length does not change.
+        """
         p, share = self.parameters, self._share
         return state._replace(
             centre=share * state.length_change,
@@ -228,8 +231,8 @@ class Plant:
     def _pulled(self, state: PlantState, cable: float, laws: tuple[int, int]) -> PlantState:
         """Return the state one step later with a compliant cable (eq:x1_ddot_full, eq:x2_ddot_full).
 
-        Springs, dampers and friction are integrated implicitly. A cable that would have to push is slack: its force
-        is zero.
+        Cable, bellows and friction are integrated implicitly, the fin forces explicitly. A cable that would have to
+        push is slack: its force is zero.
         """
         p, h = self.parameters, self.step_s
         taken, cable_rest = self._slack(state, cable)

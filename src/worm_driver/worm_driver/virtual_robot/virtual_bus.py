@@ -51,7 +51,7 @@ def _answer_of(servo: Servo, number: int = Error.NONE, data: bytes = b"") -> _An
 
 
 class ServoBus:
-    """Servos on one serial line. Without injected faults, they send exactly the bytes that real servos would send.
+    """Servos on one serial line. Without injected faults, they send packets in the format of real servos.
 
     Args:
         servos: the servos.
@@ -106,7 +106,7 @@ class ServoBus:
     def _misread(
         self, packet: Packet, answers: Sequence[_Answer], time: float
     ) -> Sequence[_Answer]:
-        """Return the answers. While the fault WRONG_POSITION is active, positions in answers to reads are wrong."""
+        """Return the answers. While WRONG_POSITION is active, positions in answers to Read and Sync Read are wrong."""
         is_read = packet.instruction in (Instruction.READ, Instruction.SYNC_READ)
         if not is_read or len(packet.parameters) < 4:
             return answers

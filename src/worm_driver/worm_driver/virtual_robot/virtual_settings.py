@@ -136,8 +136,8 @@ class RobotSettings:
 def perturbed(body: RobotParameters, spread: float, random: Random) -> RobotParameters:
     """Return the parameters with a random log-normal factor on each parameter of the paper's model.
 
-    Masses, lengths and the pitch, which can be measured, stay as they are. So do dry friction and loads, which the
-    paper does not contain.
+    Masses, body lengths (L_free, L0) and the pitch, which can be measured, do not change. Neither do dry friction and
+    loads, which the paper does not contain.
 
     Args:
         body: the parameters.

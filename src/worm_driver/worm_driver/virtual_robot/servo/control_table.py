@@ -13,7 +13,7 @@ from functools import cached_property
 from worm_msgs.servo_models import RPM, SERVO_MODELS, Initial, ServoRow
 
 EEPROM_END = 64  # registers at lower addresses are locked while torque is on
-TABLE_END = 168  # address after the last implemented register
+TABLE_END = 168  # first address that cannot be read; the last register is at 147
 
 CURRENT_MODE = 0
 VELOCITY_MODE = 1

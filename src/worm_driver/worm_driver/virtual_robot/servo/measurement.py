@@ -26,7 +26,7 @@ _STALL_HEAT = 20.0  # degC; further rise at the stall torque
 
 @dataclass
 class Surroundings:
-    """External conditions of a servo, set by the caller before each step.
+    """External conditions of a servo, set by the caller.
 
     Attributes:
         load: torque on the shaft, N*m; positive when it turns the shaft backward.

@@ -65,7 +65,7 @@ class RegisterMemory:
         self.reset_goals()
 
     def reset_mode_dependents(self) -> None:
-        """Reset gains, profile and goals, as a change of the operating mode does."""
+        """Reset gains, profile, and the goals of PWM, current and velocity, as a change of the operating mode does."""
         for name, row in self._rows.items():
             if name.endswith("_gain") or name.startswith("profile_"):
                 self[name] = row.initial

@@ -12,7 +12,7 @@ from worm_driver.virtual_robot.wire.virtual_clock import SERIAL, Wait
 
 #: Largest delay that simulated time catches up by advancing faster than its rate, s of machine time.
 _SLACK = 0.1
-#: Machine time for which bytes may be in transit before they count as lost, s.
+#: Duration of a wait of a serial client after which bytes in transit count as lost, s of machine time.
 _LOST = 2.0
 
 
@@ -43,7 +43,7 @@ class ClockClient:
         return all_read and received >= self.wait.written
 
     def has_lost_bytes(self, machine: float) -> bool:
-        """Return True if bytes to or from the client have been in transit for too long at a machine time (s)."""
+        """Return True if a serial client has waited for so long at a machine time (s) that bytes count as lost."""
         return self.wait is not None and self.port == SERIAL and machine - self.since > _LOST
 
 

@@ -87,7 +87,7 @@ KINDS: dict[str, FaultKind] = {
     ),
     STALLED: FaultKind("a servo's shaft is blocked, which can overload the servo", duration=1.0),
     OVERLOAD: FaultKind("a servo reports overload until it is rebooted", duration=0.1),
-    OVERHEATING: FaultKind("a servo is 100 degrees too hot", duration=1.0),
+    OVERHEATING: FaultKind("the air around a servo is 100 degC hotter", duration=1.0),
     INPUT_VOLTAGE: FaultKind("a servo's supply is at value volts", duration=1.0, value=4.0),
     UNPLUGGED: FaultKind("the serial port disappears for the duration", duration=1.0),
     I2C_NACK: FaultKind("the power sensor does not acknowledge", count=1),

@@ -2,8 +2,8 @@
 """Packets that each contain one SMBus transaction, for a socket that preserves packets (SOCK_SEQPACKET).
 
 A request is four bytes (operation, address, register, number of bytes to read) followed by the data to write. An answer
-is errno as two bytes followed by the data read. Data bytes are in the order of the bus. As with a real adapter, the
-client combines them to words.
+is the errno (two bytes) followed by the data read. Data bytes are in the order of the bus. As with a real adapter, the
+client combines them into words.
 """
 
 import struct
