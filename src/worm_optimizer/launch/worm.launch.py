@@ -241,7 +241,9 @@ class _Graph:
     def _on_exit(
         self, description: NodeDescription, event: ProcessExited, context: LaunchContext
     ) -> list[LaunchDescriptionEntity]:
-        """End all nodes if a required node has ended. Report the end of any other node, which launch restarts.
+        """End all nodes if a required node has ended. Report the end of any other node.
+
+        Launch restarts the other node up to `RESTARTS` times.
 
         A failure is raised only when all nodes have ended. Its message is then the last line of launch, and the exit
         status is 1.

@@ -23,7 +23,8 @@ class DriverState:
         emergency_stop: True if the emergency stop is on.
         run: number of the latest run; 0 before the first run.
         cycle: number of the present cycle of the run; 0 before the first cycle.
-        cycles: number of requested cycles.
+        cycles: number of requested cycles. In a run by grooves or distance, an upper bound until the last cycle is
+            known.
         stroke: stroke of the gait, m; 0 without a gait.
         frequency: frequency of the gait, Hz.
         direction: direction of the gait, FORWARD or REVERSE.
@@ -80,7 +81,7 @@ class Snapshot:
         twin_age: stamp of the latest commanded length minus stamp of ``twin``, in s of the robot's clock.
         received: time at which the latest message of each topic was received, s (monotonic clock).
         grooves: one pair for each state of the twin in the last seconds: its stamp (ns), and the grooves that the rear
-            module has gained since the onset.
+            anchor has moved along +x since the start of the run.
     """
 
     driver: DriverState | None = None

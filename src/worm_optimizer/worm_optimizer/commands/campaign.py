@@ -88,7 +88,8 @@ def _parser() -> Parser:
         type=int,
         default=1,
         metavar="N",
-        help="runs of each gait; their spread is printed and, from four runs on, drawn in spread.png (default: 1)",
+        help="runs of each gait (default: 1); their spread is printed, and drawn in spread.png if the campaign has "
+        "more than three runs in total",
     )
     add(
         "--with-nominal",

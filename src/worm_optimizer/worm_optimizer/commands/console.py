@@ -24,7 +24,7 @@ from worm_optimizer.operation.system import RESTARTS
 
 PORT = 8080
 CONTROL_TIMEOUT_S = 5.0  # default of --control-timeout
-# Largest time without a request after which the driver still lets a client keep control
+# Longest time (s) without a request for which the driver lets a client keep control
 MAX_CONTROL_TIMEOUT_S = 600.0
 
 
@@ -132,7 +132,7 @@ def _robot_opener(
     Args:
         options: command line.
         namespace: the robot's namespace.
-        name: name of the operator node of a running graph.
+        name: name of the operator node that connects to a running graph.
         note: prints a line in the terminal.
     """
     robot = robot_of(options, "virtual" if options.virtual else "robot")
@@ -172,7 +172,7 @@ def _secret(options: argparse.Namespace) -> str:
 
 
 def _check_control_timeout(timeout_s: float) -> None:
-    """Raise `InputError` if the timeout is longer than the driver permits, or so short that a message may exceed it."""
+    """Raise `InputError` if the timeout is longer than the driver permits, or too short for a slow network."""
     if not 2.0 <= timeout_s <= MAX_CONTROL_TIMEOUT_S:
         raise InputError(
             f"--control-timeout {timeout_s:g}: give 2 to {MAX_CONTROL_TIMEOUT_S:g} seconds"

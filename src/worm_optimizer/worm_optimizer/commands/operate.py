@@ -72,7 +72,7 @@ def _parser() -> Parser:
     add(
         "home",
         _simple(OperatorNode.home),
-        "Define the present length of the cable as the initial one; torque must be off.",
+        "Define the present cable length as ΔL = 0; torque must be off.",
     )
     add("activate", _simple(OperatorNode.activate), "Turn the torque on without motion.")
     add(

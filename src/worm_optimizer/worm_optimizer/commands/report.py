@@ -37,7 +37,7 @@ def _parser() -> Parser:
         "--output",
         type=Path,
         metavar="FOLDER",
-        help="new folder (default: BAG_report, or BAG_with_BAG_report for several bags)",
+        help="new folder (default: BAG_report; for two bags BAG_with_BAG_report, for three BAG_with_2_others_report)",
     )
     add("--title", default="", help="title of the page")
     add("--without-front", action="store_true", help="omit the front and the price of robustness")

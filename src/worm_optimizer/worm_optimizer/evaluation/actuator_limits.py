@@ -24,7 +24,7 @@ from worm_optimizer.optimizer_errors import OptimizerError
 
 Array = NDArray[np.float64]
 
-_CYCLE = 2  # index of the sampled cycle, from 0. From the third cycle on, only the positions differ between cycles.
+_CYCLE = 2  # index of the sampled cycle, from 0. From the third cycle on, usually only the positions differ.
 _SAMPLES = 400  # number of samples of force and power in that cycle
 
 

@@ -58,10 +58,10 @@ def pull_rate(shape: Shapes, phases: Array) -> Array:
 def sample_phases(shape: Shapes, count: int) -> Array:
     """Return the phases at which cycles of shapes (n,) are sampled, ascending, shape (n, count).
 
-    ``count`` is even. Half of the phases lie in the contraction, half in the extension. In a trapezoid, each ramp has a
-    quarter of the phases of its half, and the steady part has the other two quarters. The ends of the ramps, where
-    force and power are often extreme, are among the phases. The sampled extremes are therefore continuous functions of
-    the shape.
+    ``count`` is a multiple of 8. Half of the phases lie in the contraction, half in the extension. In a trapezoid, each
+    ramp has a quarter of the phases of its half, and the steady part has the other two quarters. The ends of the ramps,
+    where force and power are often extreme, are among the phases. The sampled extremes are therefore continuous
+    functions of the shape.
     """
     share, ramp = shape["contraction_share"][:, np.newaxis], shape["ramp_share"][:, np.newaxis]
     part = np.arange(count // 2) / (count // 2)

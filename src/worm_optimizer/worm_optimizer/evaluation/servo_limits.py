@@ -175,7 +175,7 @@ def within(
     """
     known = servo_model(model)
     if voltage is not None and not 0.0 < voltage < math.inf:
-        raise OptimizerError(f"supply voltage: {voltage} V: give a positive number")
+        raise OptimizerError(f"supply voltage: {voltage} V: give a finite positive number")
     if not file:
         if model or voltage is not None:
             raise OptimizerError(

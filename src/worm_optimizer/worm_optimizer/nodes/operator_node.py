@@ -300,7 +300,7 @@ class OperatorNode(ServiceCaller):
     def request_control(self, client: str, wish: Wish, lease_s: float) -> None:
         """Publish a client's wish to have, hand over or release control. `Snapshot.control` contains the answer.
 
-        ``lease_s`` is the time (s) after which the driver ends the client's control without a further request.
+        ``lease_s`` is the time (s) without a request after which the driver ends the client's control.
         """
         self._control.publish(ControlRequest(client=client, wish=wish, lease_s=lease_s))
 

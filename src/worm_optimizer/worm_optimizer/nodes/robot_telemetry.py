@@ -79,7 +79,7 @@ class Telemetry:
 
     @property
     def is_complete(self) -> bool:
-        """True if messages of power, tracker and twin were received. They are published without an active driver."""
+        """True if messages of power, tracker and twin were received. A configured driver publishes the power."""
         return self._received.keys() >= _MEASUREMENTS
 
     @property

@@ -40,7 +40,8 @@ def make_plan(content: ParameterFile, settings: Settings, direction: int) -> Pla
 
     Args:
         content: parameters of the robot.
-        settings: settings of the search. If they contain no margin, the last margin before the cliff is used.
+        settings: settings of the search. If the criterion is the margin and they contain none, the last margin before
+            the cliff is used.
         direction: FORWARD or REVERSE.
 
     Raises:
@@ -62,7 +63,7 @@ def with_comparisons(
 
     Under conditions other than level ground, each gait is compared with the corresponding gait that is designed for
     level ground. In a plan of shaped gaits, each gait is compared with the corresponding sinusoid. These gaits are
-    designed with the margin of the plan.
+    designed with the margin of the plan, or with its other criterion of robustness.
 
     Args:
         plan: plan with three gaits.

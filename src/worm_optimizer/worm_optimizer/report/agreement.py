@@ -43,8 +43,8 @@ QUANTITIES = {
     "power": Quantity("power", 1.0, "W", 3),
     "cost_of_transport": Quantity("cost of transport", 1.0, "", 1),
 }
-# A relative difference of this size or more never counts as agreement. An interval that contains such differences shows
-# that the parameters are poorly known, not that the prediction is good.
+# A power or cost of transport with a relative difference of this size or more never counts as agreement. An interval
+# that contains such differences shows that the parameters are poorly known, not that the prediction is good.
 LEAST_DISAGREEMENT = 0.20
 # A measurement can contradict the expected number of grooves only if the probability of this number is at least
 # CERTAIN. Numbers of grooves with a probability below POSSIBLE count as impossible.
@@ -158,7 +158,7 @@ class Agreement:
             return "undefined: no groove is expected"
         if self.grooves is not None:
             return f"fragile: {self.grooves}"
-        return "no draw of the parameters gains the measured grooves"
+        return "too few draws of the parameters gain the measured grooves"
 
     @property
     def difference(self) -> float:
@@ -240,7 +240,7 @@ def headline(gaits: Sequence[RecordedGait]) -> str:
     early = [f"{title_of(gait.name)} {gait.early_end}" for gait in gaits if gait.early_end]
     away = [row for row in known if not row.agrees]
     if not known:
-        verdict = "Nothing could be measured"
+        verdict = "No number could be compared with the prediction"
     elif away:
         verdict = f"{len(away)} of {len(known)} numbers do not agree with the prediction"
     elif len(known) == 1:
@@ -254,7 +254,7 @@ def headline(gaits: Sequence[RecordedGait]) -> str:
         )
     unknown = len(rows) - len(known) - len(fragile)
     if known and unknown:
-        verdict += f"; {unknown} could not be measured"
+        verdict += f"; {unknown} could not be compared"
     return ". ".join([*early, verdict]) + "."
 
 

@@ -25,7 +25,8 @@ class RecordedGait:
 
     Attributes:
         name: name of the gait.
-        run: part of the recording, from the rest before this gait to the rest before the next one.
+        run: part of the recording, from the rest before this gait to the rest before the next one. The parts of the
+            first and the last gait extend to the ends of the recording.
         played: gait as the driver reported it.
         averaged_cycles: first and last averaged cycle, counted from 1. They are the last complete cycles that were
             played and recorded, at most three; (1, 1) if there is no such cycle.

@@ -199,7 +199,7 @@ class _Brackets:
 
 
 def tolerated_margins(task: MarginTask, front: Points) -> Array:
-    """Return the largest margin in m at which each gait of a front still gains its grooves, shape (n,).
+    """Return the largest margin in m up to which each gait of a front gains its grooves, shape (n,).
 
     Margins above 20 mm are not searched. The result is 0 for a gait with which the nominal robot does not gain its
     grooves.

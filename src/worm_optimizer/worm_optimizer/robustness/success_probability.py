@@ -78,8 +78,8 @@ def stroke_to_ends(
     strokes = np.column_stack([scan, stroke])
     intervals = find_runs(label, np.sort(strokes, axis=1), EDGE_TOLERANCE)
     own = (intervals.low <= stroke[intervals.column]) & (stroke[intervals.column] <= intervals.high)
-    # A column is the scan over the strokes of one gait. The scan contains the gait's own stroke, so an interval
-    # of equal count contains it. If the stroke is on the border of two intervals, use the first one.
+    # A column is the scan over the strokes of one gait. The scan contains the gait's own stroke, so exactly one
+    # interval of equal count contains it.
     place = np.flatnonzero(own)[np.unique(intervals.column[own], return_index=True)[1]]
     lower = np.where(intervals.stepped[place], intervals.low[place], box.stroke_low)
     following = np.minimum(place + 1, len(intervals.column) - 1)

@@ -207,7 +207,7 @@ def values_at(
 
 
 def _least(key: str, value: float) -> float:
-    """Return the smallest admissible draw of a parameter with this value. A positive quantity stays positive."""
+    """Return the smallest permitted draw: a tenth of ``value`` if a parameter is never negative, else its low bound."""
     lowest = float(ROWS[key]["low"])
     return 0.1 * value if lowest >= 0.0 else lowest
 

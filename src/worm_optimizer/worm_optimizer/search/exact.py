@@ -137,7 +137,7 @@ def _seeds(surveyed: Survey, step: float) -> list[tuple[int, int, int, tuple[flo
     """Return the columns in which `_completed` searches for edges.
 
     Each element is (count, index of the column, side of the columns with known edges, strokes in m of the edges in the
-    next two columns on that side).
+    next two columns on that side). The side is 1 for lower frequencies, and −1 for higher ones.
     """
     seeds = []
     for count in np.unique(surveyed.points.count):

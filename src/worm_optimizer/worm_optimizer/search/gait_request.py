@@ -2,7 +2,7 @@
 """Requests for gaits and their exact answers: the three gaits of a front, and the best gait at a speed or a power.
 
 The length of the robot at rest determines its groove phase, and so the number of grooves that a stroke gains
-(`docs/model.md`). The service `RequestGait` may therefore give this length.
+(`docs/model.md`). A request of the service `RequestGait` can therefore contain this length.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from worm_model.parameters import ParameterFile
 from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.optimizer_errors import OptimizerError
 
-if TYPE_CHECKING:  # the imports would take half of the start of `operate`
+if TYPE_CHECKING:  # these imports would take half of the time in which `operate` starts
     from worm_optimizer.search.exact import Cost
     from worm_optimizer.search.front import RobustFront
 

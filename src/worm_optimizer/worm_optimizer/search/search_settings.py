@@ -228,7 +228,7 @@ SCAN_SETTINGS: tuple[SettingRow, ...] = (
          100.0),
     _Row("limits.max_cable_force_n", "max-cable-force", 0.0, "greatest cable force, N; 0: no limit", 0.0, 1e5),
     _Row("limits.max_power_w", "max-power", 0.0, "greatest source power, W; 0: no limit", 0.0, 1e5),
-    _Row("limits.max_push_force_n", "max-push-force", 0.0, "greatest force with which the model may push in the cable, "
+    _Row("limits.max_push_force_n", "max-push-force", 0.0, "greatest force with which the cable may push in the model, "
          "N; 0: no limit", 0.0, 1e5),
     _Row("limits.driver_file", "limits-from", "", "the driver's parameter file, whose limits apply too; empty: none"),
     _Row("limits.servo_model", "servo-model", "", "with the driver's file, the model of the cable servos: "
