@@ -11,17 +11,16 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from functools import cache
 from pathlib import Path
 from typing import Any
 
-import worm_model
 from worm_model.bags.formats.finding import METADATA_FILE
 from worm_model.commands.bag_columns import COLUMNS
 from worm_model.errors import InputError
 from worm_optimizer.console.run_traces import RunTraces, traces_of
 from worm_optimizer.operation.processes import executable_command
 from worm_optimizer.report.report_page import PAGE, REPORT_SUFFIX, report_name
+from worm_optimizer.study.version import identity_of_all
 
 _LONGEST = 200  # largest number of characters of a name; longer names are cut
 _IDENTIFIED = "identified_"  # prefix of the names of identified parameter files
@@ -174,20 +173,10 @@ def _files(parameter_file: str) -> list[Path]:
 
 def _digest(files: Sequence[Path]) -> str:
     """Return a short digest of files and of the code."""
-    digest = hashlib.sha256(_code_digest())
+    digest = hashlib.sha256(identity_of_all().encode())
     for path in files:
         digest.update(path.read_bytes())
     return digest.hexdigest()[:_DIGEST]
-
-
-@cache
-def _code_digest() -> bytes:
-    """Return a digest of the sources of worm_model and worm_optimizer at the start of this process."""
-    digest = hashlib.sha256()
-    for folder in (Path(worm_model.__file__).parent, Path(__file__).parents[1]):
-        for path in sorted(folder.rglob("*.py")):
-            digest.update(path.read_bytes())
-    return digest.digest()
 
 
 async def _run(

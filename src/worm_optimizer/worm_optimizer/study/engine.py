@@ -25,7 +25,7 @@ from distributed.client import ClosedClientError
 from distributed.comm import CommClosedError
 
 from worm_model.errors import InputError
-from worm_optimizer.study.version import identity
+from worm_optimizer.study.version import identity_of_all
 
 _AHEAD = 2  # pieces submitted per worker: it computes one while the other one waits
 _UPDATE = 1.0  # interval between two updates of the list of workers, s
@@ -116,7 +116,7 @@ class _WorkerPool:
 
     client: Client
     say: Say
-    mine: str = field(default_factory=identity)
+    mine: str = field(default_factory=identity_of_all)
     accepted: set[str] = field(default_factory=set)
     rejected: dict[str, str] = field(default_factory=dict)  # reason of the rejection, by address
     unanswered: set[str] = field(default_factory=set)
@@ -130,7 +130,7 @@ class _WorkerPool:
         self.unanswered &= new
         if not new:
             return
-        answers = self.client.run(identity, workers=sorted(new), on_error="return")
+        answers = self.client.run(identity_of_all, workers=sorted(new), on_error="return")
         for address, answer in sorted(answers.items()):
             if answer == self.mine:
                 self.accepted.add(address)

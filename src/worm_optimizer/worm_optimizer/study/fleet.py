@@ -32,7 +32,7 @@ from worm_optimizer.report.recordings import read_recorded_gaits
 from worm_optimizer.study.engine import LostError, Say, connected, cores, spread
 from worm_optimizer.study.store import check_folder, lock
 from worm_optimizer.study.study_run import Counts, Workers
-from worm_optimizer.study.version import identity
+from worm_optimizer.study.version import identity_of_all
 
 READ, FAILED = "read", "failed"
 _IDENTITY = b"worm_fleet"  # key of the table's metadata under which `_Fleet.identity` is stored
@@ -217,7 +217,7 @@ def _fleet(folder: Path, parameters: str) -> _Fleet:
     # Without recovered copies, because opening a damaged bag opens its copy
     bags = tuple(bags_below(folder))
     marks = tuple(_mark(bag, parameters) for bag in bags)
-    whole = hashlib.sha256(" ".join([*marks, identity()]).encode()).hexdigest()[:24]
+    whole = hashlib.sha256(" ".join([*marks, identity_of_all()]).encode()).hexdigest()[:24]
     return _Fleet(bags, tuple(name_below(folder, bag) for bag in bags), marks, whole)
 
 
@@ -248,9 +248,9 @@ def _read(
 
 
 def _mark(bag: Path, parameters: str) -> str:
-    """Return a hash of the path and files of a bag, the parameter file, and the code that `identity` covers."""
+    """Return a hash of the path and files of a bag, the parameter file, and the code."""
     content = Path(parameters).read_text() if parameters else ""
-    text = [str(bag.resolve()), identity(), content, mark_of(bag)]
+    text = [str(bag.resolve()), identity_of_all(), content, mark_of(bag)]
     return hashlib.sha256("\n".join(text).encode()).hexdigest()[:24]
 
 

@@ -6,7 +6,8 @@ from __future__ import annotations
 import hashlib
 import inspect
 import platform
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -58,8 +59,28 @@ def sources() -> list[Path]:
 
 
 def identity() -> str:
-    """Return a hash of `sources` with the versions of the numerical packages. It must be equal on all workers."""
+    """Return a hash of `sources` with the versions of the numerical packages."""
+    return _hash(sources())
+
+
+@cache
+def identity_of_all() -> str:
+    """Return a hash as `identity`, but of all sources, as they are at the first call. It must be equal on all workers.
+
+    It is for results of recordings, on which also the code of bags, twin and identification has an effect.
+    """
+    whole = (Path(worm_model.__file__).parent, Path(__file__).parents[1])
+    plain = Path(inspect.getfile(RobotParameters)).parent  # next to generated messages
+    return _hash(
+        [
+            *(path for folder in whole for path in sorted(folder.rglob("*.py"))),
+            *sorted(plain.glob("*.py")),
+        ]
+    )
+
+
+def _hash(files: Iterable[Path]) -> str:
     digest = hashlib.sha256()
-    for path in sources():
+    for path in files:
         digest.update(path.name.encode() + b"\0" + path.read_bytes())
     return " ".join([digest.hexdigest()[:24], *(f"{name}-{version(name)}" for name in _NUMERIC)])

@@ -12,6 +12,7 @@ from study_cases import SMALL, contents
 
 from worm_model.parameters import KEYS as KEYS_OF_ROBOT
 from worm_optimizer.commands import study as command
+from worm_optimizer.study import fleet
 from worm_optimizer.study.plan import COMPUTABLE, METHODS
 from worm_optimizer.study.quantities import QUANTITIES
 from worm_optimizer.study.study_file import StudyFile
@@ -117,6 +118,11 @@ def test_a_fleet_is_a_table_with_a_row_for_the_broken_bag(tmp_path, monkeypatch,
     before = output.read_bytes()
     assert run(monkeypatch, capsys, *arguments, "--retry-failed", "--accept-failures")[0] == 0
     assert output.read_bytes() == before
+    with monkeypatch.context() as other:
+        other.setattr(fleet, "identity_of_all", lambda: "another version")
+        status, _, err = run(monkeypatch, capsys, *arguments)
+    assert status == 2
+    assert "nothing is overwritten" in err
     write_bag(folder / "new", simulated_run(5, 2))
     status, _, err = run(monkeypatch, capsys, *arguments)
     assert status == 2
