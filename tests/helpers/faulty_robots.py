@@ -16,7 +16,7 @@ import numpy as np
 
 from worm_model.parameters import PAPER, Parameters
 from worm_model.run import Activity
-from worm_model.twin.core.samples import SampleKind, sample_rows
+from worm_model.twin.data.samples import SampleKind, sample_rows
 from worm_msgs.gait import GAIT_UNITS, Gait
 
 ONSET = 1_700_000_000_000_000_000

@@ -20,8 +20,8 @@ from worm_model.run import (
     Run,
     TrackerSamples,
 )
-from worm_model.twin.core.records import Event, residual_message
-from worm_model.twin.core.samples import GAIT_VALUES, SAMPLE, VALUES, SampleKind
+from worm_model.twin.data.records import Event, residual_message
+from worm_model.twin.data.samples import GAIT_VALUES, SAMPLE, VALUES, SampleKind
 from worm_model.twin.twin import Twin, TwinState
 
 

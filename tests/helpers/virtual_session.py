@@ -23,8 +23,8 @@ from worm_driver.virtual_robot.virtual_robot import VirtualRobot
 from worm_driver.virtual_robot.virtual_settings import RobotSettings
 from worm_model.gait import Gait
 from worm_model.run import Activity, Run
-from worm_model.twin.core.records import Event
-from worm_model.twin.core.samples import SAMPLE, VALUES, SampleKind
+from worm_model.twin.data.records import Event
+from worm_model.twin.data.samples import SAMPLE, VALUES, SampleKind
 from worm_model.twin.stored_memory import StoringTimes, stored_memory
 from worm_model.twin.twin import ClosedCycle, Twin
 from worm_model.twin.twin_settings import DEFAULTS

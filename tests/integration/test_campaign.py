@@ -8,7 +8,8 @@ from harness import system_file
 
 from worm_model.gait import Gait
 from worm_optimizer.commands.robot_options import CAMERA, with_tracker
-from worm_optimizer.operation.campaign_runs import Robot, run_gaits
+from worm_optimizer.operation.campaign_runs import run_gaits
+from worm_optimizer.operation.system import Robot
 from worm_optimizer.report.agreement import agreements
 from worm_optimizer.report.agreement import orders as orders_of
 from worm_optimizer.report.recordings import read_recorded_gaits

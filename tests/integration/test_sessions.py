@@ -14,7 +14,7 @@ from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import read_columns, read_run
 from worm_model.bags.worm_topics import REPLAY_INPUTS
 from worm_model.commands import bags, replay
-from worm_model.twin.core.records import Health
+from worm_model.twin.data.records import Health
 from worm_msgs.msg import GaitState
 from worm_optimizer.operation.processes import Process
 

@@ -22,7 +22,7 @@ from visualization_msgs.msg import MarkerArray  # noqa: E402
 from worm_model.gait import Gait  # noqa: E402
 from worm_model.nodes import twin_messages as ros_twin  # noqa: E402
 from worm_model.parameters import PAPER  # noqa: E402
-from worm_model.twin.core.samples import SAMPLE  # noqa: E402
+from worm_model.twin.data.samples import SAMPLE  # noqa: E402
 from worm_model.twin.twin import Output, Twin  # noqa: E402
 from worm_msgs.msg import (  # noqa: E402
     BodyLength,

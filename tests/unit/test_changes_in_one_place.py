@@ -143,7 +143,7 @@ from worm_model.simulation.gait_table import evaluate_table, read_gaits, write_t
 from worm_model.twin.core.memory import MEMORY
 from worm_model.twin.recorded_samples import rows_of_run
 from worm_model.twin.run_start import driver_state_of
-from worm_model.twin.core.samples import SampleKind
+from worm_model.twin.data.samples import SampleKind
 from worm_optimizer.report.expectation import expect
 from worm_optimizer.robustness.prediction import predict
 from worm_optimizer.evaluation.task import MarginTask

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from worm_model.run import Activity, LengthSource
-from worm_model.twin.core.records import ResidualRecord, StateRecord
+from worm_model.twin.data.records import ResidualRecord, StateRecord
 from worm_model.twin.scene import PositionSample
 
 

@@ -16,8 +16,8 @@ from worm_model.analysis.run_metrics import END_TOLERANCE_NS, PlayedGait, played
 from worm_model.arrays import Array, Stamps
 from worm_model.run import PLAYING, SAME_ONSET_NS, GaitStates, Run
 from worm_model.simulation.quadrature import accumulated
-from worm_model.twin.core.records import Event, Health
-from worm_model.twin.core.samples import NO_SAMPLES, SampleKind, SampleRows
+from worm_model.twin.data.records import Event, Health
+from worm_model.twin.data.samples import NO_SAMPLES, SampleKind, SampleRows
 from worm_model.twin.offline_replay import Replay, Series
 from worm_model.twin.recorded_samples import RecordedSamples
 from worm_model.twin.twin import ClosedCycle, Output

@@ -48,7 +48,7 @@ from worm_model.loads import under
 from worm_model.parameters import load_parameters
 from worm_model.run import LengthSource, Stamps
 from worm_model.twin import warm_up
-from worm_model.twin.core.records import NANOSECONDS, RESIDUAL_FIELDS, Event
+from worm_model.twin.data.records import NANOSECONDS, RESIDUAL_FIELDS, Event
 from worm_model.twin.offline_replay import OfflineReplay
 from worm_model.twin.twin import Output, residual_messages
 

@@ -17,14 +17,14 @@ from visualization_msgs.msg import Marker, MarkerArray
 from worm_model.loads import under
 from worm_model.parameters import Parameters, load_parameters
 from worm_model.twin import scene
-from worm_model.twin.core.records import (
+from worm_model.twin.data.records import (
     NANOSECONDS,
     RESIDUAL_FIELDS,
     STATE_ROW,
     Event,
     residual_message,
 )
-from worm_model.twin.core.samples import (
+from worm_model.twin.data.samples import (
     GAIT_VALUES,
     VALUES,
     SampleKind,

@@ -33,8 +33,8 @@ from worm_model.gait import (
 from worm_model.nodes import twin_messages
 from worm_model.parameters import ParameterError
 from worm_model.twin import warm_up
-from worm_model.twin.core.records import Event, Severity, StateRecord
-from worm_model.twin.core.samples import SAMPLE, SampleKind
+from worm_model.twin.data.records import Event, Severity, StateRecord
+from worm_model.twin.data.samples import SAMPLE, SampleKind
 from worm_model.twin.forecast import ForecastError, forecast
 from worm_model.twin.scene import LOST_S, PositionSample, scene
 from worm_model.twin.stored_memory import StoringTimes, stored_memory

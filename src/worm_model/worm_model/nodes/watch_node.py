@@ -26,7 +26,7 @@ from worm_model.nodes.keyboard import keys_of_terminal, pressed
 from worm_model.nodes.twin_messages import nanoseconds
 from worm_model.parameters import load_parameters
 from worm_model.run import Activity, LengthSource
-from worm_model.twin.core.records import Health
+from worm_model.twin.data.records import Health
 from worm_model.twin.watch_view import CLEAR, NAN, Trend, View, render
 from worm_msgs.msg import BodyLength, GaitState, Power, Tracker, TwinResiduals, TwinState
 from worm_msgs.node_command import declare_none

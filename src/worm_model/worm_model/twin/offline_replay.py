@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from worm_model.parameters import Parameters
 from worm_model.run import SAME_ONSET_NS, GaitStates, Run
-from worm_model.twin.core.records import Event
-from worm_model.twin.core.samples import NO_SAMPLES, SampleRows
+from worm_model.twin.data.records import Event
+from worm_model.twin.data.samples import NO_SAMPLES, SampleRows
 from worm_model.twin.recorded_samples import RecordedSamples
 from worm_model.twin.start_estimate import Start
 from worm_model.twin.stored_memory import StoredMemory, look_back_ns, memory_to_resume

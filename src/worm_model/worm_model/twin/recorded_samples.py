@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from worm_model.arrays import Stamps
 from worm_model.run import GaitStates, LengthSamples, Run, concatenated
-from worm_model.twin.core.samples import SAMPLE, SampleKind, SampleRows, series_of, topic_rows
+from worm_model.twin.data.samples import SAMPLE, SampleKind, SampleRows, series_of, topic_rows
 from worm_model.twin.stored_memory import StoredMemory, read_memory
 
 # m/s; no gait changes the command faster, and the paper's gaits stay below 0.12 m/s

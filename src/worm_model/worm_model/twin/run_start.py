@@ -33,7 +33,7 @@ from worm_model.simulation.actuation import length_change_of_command, resting_ch
 from worm_model.simulation.closed_form import front_groove
 from worm_model.simulation.simulator import Locomotion, LocomotionState, SimulationError
 from worm_model.twin.core.memory import NANOSECONDS, Memory
-from worm_model.twin.core.samples import GAIT_VALUES, SampleKind
+from worm_model.twin.data.samples import GAIT_VALUES, SampleKind
 from worm_model.twin.start_estimate import Start
 from worm_model.twin.twin_settings import TwinSettings
 from worm_msgs.gait import FORWARD, WAVEFORM, Gait, GaitError, gait_of

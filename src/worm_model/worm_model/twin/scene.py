@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from worm_model.gait import FORWARD
 from worm_model.parameters import Parameters
-from worm_model.twin.core.records import NANOSECONDS, StateRecord
+from worm_model.twin.data.records import NANOSECONDS, StateRecord
 
 FRAME = "pipe"
 PIPE_RADIUS = 0.06

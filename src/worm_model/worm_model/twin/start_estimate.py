@@ -21,7 +21,7 @@ from worm_model.simulation.actuation import length_change_of_command
 from worm_model.simulation.closed_form import front_groove
 from worm_model.simulation.simulator import Locomotion, LocomotionState, SimulationError
 from worm_model.twin.core.memory import NANOSECONDS, Memory
-from worm_model.twin.core.samples import SampleKind
+from worm_model.twin.data.samples import SampleKind
 
 FIT_M = 0.0012  # largest root mean square of the residuals at which a start explains the positions
 STEP_M = 0.001  # step between the tested offsets of the rear module from its groove

@@ -18,8 +18,8 @@ import numpy as np
 
 from worm_model.twin.causes import ReportedCause
 from worm_model.twin.core.memory import MEMORY, NANOSECONDS
-from worm_model.twin.core.samples import SAMPLE, SampleKind, SampleRows
 from worm_model.twin.cycle_data import CycleData, Step
+from worm_model.twin.data.samples import SAMPLE, SampleKind, SampleRows
 from worm_model.twin.diagnosis import History
 from worm_model.twin.twin import Twin, TwinState
 from worm_msgs.gait import GAIT_DEFAULTS, WAVEFORM

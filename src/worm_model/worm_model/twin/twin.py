@@ -36,8 +36,8 @@ from worm_model.twin.core.memory import (
     new_memory,
     new_rows,
 )
-from worm_model.twin.core.records import Event, Health, Severity, residual_message
-from worm_model.twin.core.samples import SampleRows
+from worm_model.twin.data.records import Event, Health, Severity, residual_message
+from worm_model.twin.data.samples import SampleRows
 from worm_model.twin.diagnosis import CycleSeen, History, explains, judge_cycle, off_at_end
 from worm_model.twin.findings import INFORMATION, Finding, Sentence
 from worm_model.twin.run_start import DriverState, begin_run, driver_state_of, is_new_run

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from worm_model.run import LengthSource
-from worm_model.twin.core.records import COMPLAINTS, NANOSECONDS, Health, Severity, residual_message
+from worm_model.twin.data.records import COMPLAINTS, NANOSECONDS, Health, Severity, residual_message
 from worm_model.twin.twin import TwinState
 
 SAYS_S = 5.0  # age of the last residual beyond which the health is UNKNOWN

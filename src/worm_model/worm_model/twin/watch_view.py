@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from worm_model.run import Activity, LengthSource
-from worm_model.twin.core.records import Health
+from worm_model.twin.data.records import Health
 
 HEALTH_COLOURS = {
     Health.UNKNOWN: "\033[90m",

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from worm_model.gait import FORWARD
 from worm_model.parameters import Parameters
-from worm_model.twin.core.records import StateRecord
+from worm_model.twin.data.records import StateRecord
 from worm_model.twin.scene import PIPE_RADIUS, PositionSample, Shape, ShapeKind, scene
 
 BEFORE, BEHIND = 0.12, 0.12  # length of the pipe that is shown ahead of and behind the robot, m

@@ -23,7 +23,7 @@ from worm_model.commands.command_line import FAILED, InputError, notifier
 from worm_model.gait import FORWARD
 from worm_model.parameters import Parameters
 from worm_model.run import Run, seconds
-from worm_model.twin.core.records import NANOSECONDS, StateRecord
+from worm_model.twin.data.records import NANOSECONDS, StateRecord
 from worm_model.twin.offline_replay import Replay, replay_run
 from worm_model.twin.scene import PositionSample
 from worm_optimizer.console.picture import picture

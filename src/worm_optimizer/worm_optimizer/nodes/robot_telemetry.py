@@ -14,7 +14,7 @@ from rclpy.qos import QoSProfile
 
 from worm_model.nodes.twin_messages import nanoseconds
 from worm_model.run import Activity, LengthSource
-from worm_model.twin.core.records import Health, ResidualRecord, StateRecord
+from worm_model.twin.data.records import Health, ResidualRecord, StateRecord
 from worm_model.twin.scene import PositionSample
 from worm_model.twin.watch_view import STALE_S
 from worm_msgs.msg import (

@@ -37,7 +37,6 @@ from worm_optimizer.robot_commands import GaitCommand, RunProgress, RunResult
 READY_TIMEOUT_S = 120.0  # timeout for the start of a node, s; sufficient on a busy computer
 CYCLES = 5  # default number of cycles of a run
 AFTERWARDS_S = 2.0  # rest at the end of a recording, s, during which the cable becomes slack again
-RECORDER = "recorder"  # name of the node in system.yaml
 BUSY = 1.5  # load average per processor above which the load may be the cause of a failure
 # Option of a recorder: after an interrupt, record until torque is released. `recording` removes it, because its
 # recorders end before the torque is released.

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
 from pathlib import Path
 
 from worm_model.analysis.run_metrics import last_played_gait
@@ -12,59 +11,17 @@ from worm_model.bags.formats.bag_errors import BagError
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import read_run
 from worm_model.errors import RecordingError
-from worm_msgs.conditions import Conditions
 from worm_optimizer.nodes.tracker_watch import TrackerWatch
-from worm_optimizer.operation.bring_up import RECORDER, Say, Session, recording, session
-from worm_optimizer.operation.system import System, SystemFile, conditions_of
+from worm_optimizer.operation.bring_up import Say, Session, recording, session
+from worm_optimizer.operation.system import RECORDER, Robot, System
 from worm_optimizer.robot_commands import GaitCommand
 
 #: Prepares a run. Arguments: session, and description of the run.
 Prepare = Callable[[Session, str], None]
 
-# Nodes that a campaign does not start: the front is known, and each gait has its own recorder.
-_UNUSED = {"optimizer", RECORDER}
 _ELSEWHERE = "this run may have started at another position and with bent fins"
 _TRACKER = "tracker"
 _NO_TRACKER = "without it no speed can be measured: start the tracker in the robot's namespace"
-
-
-@dataclass(frozen=True)
-class Robot:
-    """Robot, described by the system file and its settings.
-
-    Attributes:
-        file: the system file.
-        mode: mode of the system file, ``robot`` or ``virtual``.
-        settings: settings of the system file that differ from their defaults.
-    """
-
-    file: SystemFile
-    mode: str
-    settings: Mapping[str, str]
-
-    @property
-    def conditions(self) -> Conditions:
-        """Conditions in the pipe according to the settings. Raises the errors of `conditions_of`."""
-        return conditions_of(self.settings)
-
-    def system(self) -> System:
-        """Return the system of the nodes that run during a whole campaign: all but optimizer and recorder."""
-        whole = self.file.system(self.mode, **self.settings)
-        return System(
-            whole.namespace, tuple(node for node in whole.nodes if node.name not in _UNUSED)
-        )
-
-    def in_folder(self, folder: Path) -> Robot:
-        """Return the same robot with its sockets in ``folder``, unless the settings name a folder already."""
-        return replace(self, settings={"directory": str(folder), **self.settings})
-
-    def with_parameters(self, file: str) -> Robot:
-        """Return the same robot with another parameter file."""
-        return replace(self, settings={**self.settings, "parameter_file": file})
-
-    def recording_system(self, bag: Path) -> System:
-        """Return the system of the same robot, in which the recorder records into ``bag``."""
-        return self.file.system(self.mode, **{**self.settings, "bag": str(bag)})
 
 
 def run_gaits(

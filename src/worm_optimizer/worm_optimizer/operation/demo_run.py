@@ -14,13 +14,12 @@ from worm_model.text_table import text_table
 from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.operation.bring_up import (
     CYCLES,
-    RECORDER,
     Say,
     bag_of,
     left_out,
     session,
 )
-from worm_optimizer.operation.system import System
+from worm_optimizer.operation.system import RECORDER, System
 from worm_optimizer.report.expectation import Bands
 from worm_optimizer.report.recorded_gait import RecordedGait
 from worm_optimizer.robot_commands import GaitCommand

@@ -21,8 +21,9 @@ from worm_model.identification.report.results import parameter_file, summary
 from worm_model.identification.stages import identify
 from worm_model.parameters import ParameterFile, write_parameter_file
 from worm_optimizer.operation.bring_up import Say, Session
-from worm_optimizer.operation.campaign_runs import Prepare, Robot, run_gaits
+from worm_optimizer.operation.campaign_runs import Prepare, run_gaits
 from worm_optimizer.operation.processes import ProcessError, ProcessGroup, executable_command
+from worm_optimizer.operation.system import Robot
 from worm_optimizer.robot_commands import GaitCommand
 
 # Several frequencies are needed to separate damping and power factor (docs/model.md), several strokes to separate gain

@@ -12,13 +12,12 @@ from worm_model.errors import InputError
 from worm_msgs.conditions import Conditions
 from worm_optimizer.nodes.operator_node import OperatorNode
 from worm_optimizer.operation.bring_up import (
-    RECORDER,
     installed_system_file,
     recording,
     work_folder,
 )
 from worm_optimizer.operation.processes import ProcessGroup
-from worm_optimizer.operation.system import settings_of
+from worm_optimizer.operation.system import RECORDER, settings_of
 
 
 def new_bag(folder: Path, kind: str = "run") -> Path:

@@ -15,6 +15,10 @@ from worm_msgs.conditions import CONDITION_ROWS, Conditions
 from worm_msgs.settings_file import OneOf, key, read_settings
 from worm_msgs.yaml_file import unknown_name
 
+RECORDER = "recorder"  # name of the node in system.yaml
+# Nodes that a campaign does not start: the front is known, and each gait has its own recorder.
+_UNUSED = {"optimizer", RECORDER}
+
 Value = bool | int | float | str | list[bool] | list[int] | list[float] | list[str]
 
 MODES = ("robot", "virtual", "replay")
@@ -268,3 +272,42 @@ def _fill(value: Value, values: Mapping[str, str | float]) -> Value:
         return value
     alone = values.get(value[1:-1], "") if value == f"{{{value[1:-1]}}}" else ""
     return value.format_map(values) if isinstance(alone, str) else alone
+
+
+@dataclass(frozen=True)
+class Robot:
+    """Robot, described by the system file and its settings.
+
+    Attributes:
+        file: the system file.
+        mode: mode of the system file, ``robot`` or ``virtual``.
+        settings: settings of the system file that differ from their defaults.
+    """
+
+    file: SystemFile
+    mode: str
+    settings: Mapping[str, str]
+
+    @property
+    def conditions(self) -> Conditions:
+        """Conditions in the pipe according to the settings. Raises the errors of `conditions_of`."""
+        return conditions_of(self.settings)
+
+    def system(self) -> System:
+        """Return the system of the nodes that run during a whole campaign: all but optimizer and recorder."""
+        whole = self.file.system(self.mode, **self.settings)
+        return System(
+            whole.namespace, tuple(node for node in whole.nodes if node.name not in _UNUSED)
+        )
+
+    def in_folder(self, folder: Path) -> Robot:
+        """Return the same robot with its sockets in ``folder``, unless the settings name a folder already."""
+        return replace(self, settings={"directory": str(folder), **self.settings})
+
+    def with_parameters(self, file: str) -> Robot:
+        """Return the same robot with another parameter file."""
+        return replace(self, settings={**self.settings, "parameter_file": file})
+
+    def recording_system(self, bag: Path) -> System:
+        """Return the system of the same robot, in which the recorder records into ``bag``."""
+        return self.file.system(self.mode, **{**self.settings, "bag": str(bag)})

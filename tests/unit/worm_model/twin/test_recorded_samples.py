@@ -13,7 +13,7 @@ from recorded_run import simulated_run
 from worm_model.analysis.replay_metrics import ReplayReporter, report_replay
 from worm_model.parameters import PAPER
 from worm_model.run import LengthSamples, Run, concatenated
-from worm_model.twin.core.samples import SAMPLE, SampleKind
+from worm_model.twin.data.samples import SAMPLE, SampleKind
 from worm_model.twin.offline_replay import OfflineReplay, replay_run, unusable_runs
 from worm_model.twin.recorded_samples import RecordedSamples, rows_of_run
 

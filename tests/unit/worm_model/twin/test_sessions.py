@@ -23,7 +23,7 @@ from worm_model.bags.worm_topics import REPLAY_INPUTS
 from worm_model.commands import bags
 from worm_model.gait import REVERSE, Gait, Profile
 from worm_model.parameters import PAPER
-from worm_model.twin.core.records import Health
+from worm_model.twin.data.records import Health
 from worm_model.twin.offline_replay import Replay, replay_run
 from worm_model.twin.stored_memory import read_memory, stored_memory
 from worm_model.twin.twin import Twin

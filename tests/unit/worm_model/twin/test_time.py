@@ -11,8 +11,8 @@ from twin_samples import run_of_rows
 from worm_model.analysis.replay_metrics import report_replay
 from worm_model.gait import Gait
 from worm_model.parameters import PAPER
-from worm_model.twin.core.records import Event, Health
-from worm_model.twin.core.samples import SampleKind
+from worm_model.twin.data.records import Event, Health
+from worm_model.twin.data.samples import SampleKind
 from worm_model.twin.offline_replay import Replay, replay_run
 from worm_model.twin.twin import Twin
 

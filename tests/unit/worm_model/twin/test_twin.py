@@ -24,7 +24,7 @@ from worm_model.parameters import PAPER
 from worm_model.run import Activity, LengthSource
 from worm_model.simulation.simulator import evaluate_gait, simulate
 from worm_model.twin.cause_table import CAMERA_MOVED, GAP
-from worm_model.twin.core.records import Health
+from worm_model.twin.data.records import Health
 from worm_model.twin.twin import Twin
 from worm_model.twin.twin_settings import TwinSettings
 

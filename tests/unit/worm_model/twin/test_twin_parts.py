@@ -12,7 +12,7 @@ from worm_model.gait import REVERSE, Gait
 from worm_model.parameters import PAPER
 from worm_model.run import Activity, LengthSource
 from worm_model.simulation.simulator import simulate
-from worm_model.twin.core.records import Health, Severity, StateRecord
+from worm_model.twin.data.records import Health, Severity, StateRecord
 from worm_model.twin.forecast import ForecastError, forecast
 from worm_model.twin.scene import FREE, HOLDING, YIELDING, PositionSample, engagement, scene
 from worm_model.twin.twin import Twin

@@ -21,7 +21,7 @@ from worm_driver.virtual_robot.plant import Plant, PlantEffects, make_grooves
 from worm_model.gait import FORWARD, REVERSE, Gait
 from worm_model.parameters import PAPER
 from worm_model.run import Activity
-from worm_model.twin.core.records import Health
+from worm_model.twin.data.records import Health
 from worm_model.twin.forecast import forecast
 from worm_model.twin.twin import Twin
 from worm_msgs.robot_parameters import RobotParameters

@@ -17,7 +17,7 @@ from worm_model.loads import under
 from worm_model.parameters import PAPER
 from worm_model.twin.cause_table import LASTING, LOAD_DOWN, LOAD_UP
 from worm_model.twin.core.memory import POSITION, POWER
-from worm_model.twin.core.records import Health
+from worm_model.twin.data.records import Health
 from worm_model.twin.offline_replay import replay_run
 from worm_model.twin.signatures import signatures
 from worm_model.twin.twin import Twin

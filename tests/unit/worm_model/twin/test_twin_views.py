@@ -11,7 +11,7 @@ import yaml
 
 from worm_model.parameters import PAPER
 from worm_model.run import Activity, LengthSource
-from worm_model.twin.core.records import Health
+from worm_model.twin.data.records import Health
 from worm_model.twin.watch_view import CLEAR, LEVELS, Trend, View, render
 
 ROOT = Path(__file__).resolve().parents[4]

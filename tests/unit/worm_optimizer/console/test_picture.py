@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 
 from worm_model.parameters import PAPER
 from worm_model.run import LengthSource
-from worm_model.twin.core.records import StateRecord
+from worm_model.twin.data.records import StateRecord
 from worm_model.twin.scene import MODULE, PIPE_RADIUS, PositionSample
 from worm_optimizer.console.picture import picture
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from worm_model.run import Activity, LengthSource
-from worm_model.twin.core.records import Health, ResidualRecord, StateRecord
+from worm_model.twin.data.records import Health, ResidualRecord, StateRecord
 from worm_optimizer.console import view
 from worm_optimizer.snapshot import DriverState, Snapshot
 

@@ -23,12 +23,11 @@ from worm_optimizer.operation.campaign_plan import (
     write_promises,
 )
 from worm_optimizer.operation.campaign_runs import (
-    Robot,
     is_recorded,
     put_aside,
     run_gaits,
 )
-from worm_optimizer.operation.system import load_system_file
+from worm_optimizer.operation.system import Robot, load_system_file
 from worm_optimizer.report.agreement import title_of
 from worm_optimizer.robot_commands import GaitCommand
 from worm_optimizer.search.exact import Resolution

@@ -52,8 +52,10 @@ def cache_directory(more: Sequence[Path] = ()) -> Path:
     )
 
 
-def load_compiled(package: str, folder: Path) -> None:
+def load_compiled(package: str, folder: Path, further: Sequence[Path] = ()) -> None:
     """Import all modules of a package of compiled code from a folder, and cache their code next to the kernel's.
+
+    The name of the cache also depends on the contents of ``further`` files, whose constants are compiled in.
 
     The compiler caches the code of a file under the path of the file. A build folder contains links to the checkout.
     The links are resolved, so that build folder and checkout have the same paths, and the code is compiled once.
@@ -63,7 +65,7 @@ def load_compiled(package: str, folder: Path) -> None:
     sys.modules[package].__path__ = [str(folder)]
     sources = sorted(folder.glob("[!_]*.py"))
     before = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = str(cache_directory(() if own else sources))
+    numba.config.CACHE_DIR = str(cache_directory(() if own else [*sources, *further]))
     try:
         for source in sources:
             importlib.import_module(f"{package}.{source.stem}")

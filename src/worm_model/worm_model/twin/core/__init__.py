@@ -10,4 +10,6 @@ from pathlib import Path
 
 from worm_model.simulation.kernel import load_compiled
 
-load_compiled(__name__, Path(__file__).parent)
+load_compiled(
+    __name__, Path(__file__).parent, sorted((Path(__file__).parents[1] / "data").glob("*.py"))
+)

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from worm_model.simulation.kernel.march import SAMPLE_COLUMNS, TOTALS_SIZE
-from worm_model.twin.core.records import RESIDUAL_ROW, STATE_ROW
-from worm_model.twin.core.samples import SAMPLE, SampleKind
+from worm_model.twin.data.records import RESIDUAL_ROW, STATE_ROW
+from worm_model.twin.data.samples import SAMPLE, SampleKind
 from worm_msgs.gait import GAIT_UNITS, WAVEFORM
 
 NANOSECONDS = 1_000_000_000

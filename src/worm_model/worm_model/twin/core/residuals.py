@@ -31,7 +31,7 @@ from worm_model.twin.core.memory import (
     OutputRows,
     Rules,
 )
-from worm_model.twin.core.records import Health
+from worm_model.twin.data.records import Health
 
 MEMORY_S = 2.0  # s, time constant of the average
 SILENT_S = 5.0  # s; a channel whose last residual is older than this does not affect the health
