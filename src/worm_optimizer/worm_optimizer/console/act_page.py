@@ -301,7 +301,7 @@ class ActPage:
     def _show_conditions(self) -> None:
         """Show the present conditions. The fields, which a person may be editing, change only with the conditions."""
         conditions = self._state.conditions
-        self._condition_text.set_text(f"The front holds for {conditions}.")
+        self._condition_text.set_text(f"The optimizer assumes {conditions}.")
         if conditions != self._conditions_shown:
             self._conditions_shown = conditions
             for name, field in self._condition_fields.items():

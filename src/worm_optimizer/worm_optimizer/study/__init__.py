@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Studies of many parameter sets or many bags, on the cores of one machine or of a cluster.
 
-- `plan` reads the description of a study.
+- `study_file` reads and validates the description of a study, and `plan` defines it.
 - `point` computes the results of one parameter set: fronts, gaits, margin scans and success probabilities.
 - `engine` distributes blocks of points to workers, and `store` saves finished blocks.
 - `study_page` and `study_plots` present the result.

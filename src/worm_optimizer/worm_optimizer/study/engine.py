@@ -241,7 +241,7 @@ def spread(
                 number = len(pool.unanswered)
                 state = f"{number} have not answered yet" if number else "none is connected"
                 say(
-                    f"waiting for workers, {state} (Ctrl-C ends this command; finished blocks remain)"
+                    f"waiting for workers, {state} (Ctrl-C ends this command; finished results remain)"
                 )
             waiting_reported = not pool.accepted
             dispatcher.fill()

@@ -105,7 +105,7 @@ def variables(study: Study) -> dict[str, Variable]:
     of_gait = _of_gait(study)
     variables_of = {
         "margin": Variable((), "m", "margin of front and gaits"),
-        "groove_phase": Variable((), "m", "groove phase for which all results hold"),
+        "groove_phase": Variable((), "m", "groove phase of the point"),
         "closed_form_cliff_margin": Variable((), "m", "margin of the cliff in the slow limit"),
     }
     if "front" in study.compute:
@@ -238,7 +238,7 @@ def content_of(study: Study, given: Mapping[str, float]) -> ParameterFile:
         given: values of all varied and fixed quantities, by name.
 
     Raises:
-        PointError: The groove phase is not admissible.
+        InputError: A value, a condition or the groove phase is not admissible, or two values exclude each other.
     """
     content = study.files[int(given.get(PARAMETER_FILE, 0))][1]
     old = content.parameters
@@ -275,7 +275,7 @@ def content_of(study: Study, given: Mapping[str, float]) -> ParameterFile:
 
 
 def settings_of(study: Study, given: Mapping[str, float]) -> Settings:
-    """Return those settings of the search at a point that are not part of its task, see `task_of`."""
+    """Return the settings of the search at a point: margin scan, waveform and bounds of the shapes (cf. `task_of`)."""
     plain = dataclasses.astuple(ShapeBounds())
     ends = (
         tuple(given.get(name, end) for name, end in zip(names, row, strict=True))

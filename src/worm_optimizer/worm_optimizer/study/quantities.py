@@ -22,7 +22,7 @@ _SMALL, _LARGE = 1e-6, 1e6  # bounds of positive quantities, in their units
 
 @dataclass(frozen=True)
 class Quantity:
-    """Quantity: SI ``unit``, description, and admissible range. A value outside it is probably in another unit."""
+    """Quantity: ``unit``, description, and admissible range. A value outside the range is probably in another unit."""
 
     unit: str
     long_name: str

@@ -26,24 +26,24 @@ def check_export(file: Path) -> None:
     """Check that the suffix of a file belongs to a known format.
 
     Raises:
-        InputError: The format is unknown.
+        InputError: The suffix is unknown.
     """
     if file.suffix not in _WRITERS:
-        raise InputError(f"{file}: the format is none of {', '.join(_WRITERS)}")
+        raise InputError(f"{file}: the suffix is none of {', '.join(_WRITERS)}")
 
 
 def export(path: Path, file: Path) -> None:
     """Write the results of a study to a file, whose suffix determines the format.
 
     Raises:
-        InputError: The format is unknown.
+        InputError: The suffix is unknown.
     """
     check_export(file)
     _WRITERS[file.suffix](path, file)
 
 
 def _write_netcdf(path: Path, file: Path) -> None:
-    """Write all variables with their attributes as NetCDF 3 (64-bit offset)."""
+    """Write all variables except the checksums, with their attributes, as NetCDF 3 (64-bit offset)."""
     with open_result(path) as data:
         plain = data.drop_vars(CHECKSUM).load()
     for name, variable in plain.variables.items():

@@ -261,8 +261,8 @@ def locked_store(path: Path, study: Study) -> Iterator[Store]:
         The store.
 
     Raises:
-        StoreError: The folder of the output is missing. The output contains no study or another one, or its description
-            is damaged. It was begun by another version of the code, or is in use.
+        StoreError: The folder of the output is missing. The output contains no study or another one, its description is
+            damaged, another version of the code began it, or another process uses it.
     """
     if not path.exists():
         _make(path, study)
@@ -297,7 +297,7 @@ def existing_store(path: Path) -> Iterator[Store]:
         The store.
 
     Raises:
-        StoreError: The path contains no study, or the store is in use or damaged.
+        StoreError: The path contains no study, or another process uses it, or its description is damaged.
     """
     with _locked(path):
         study = stored_study(path)
@@ -340,7 +340,7 @@ def check_folder(output: Path) -> None:
 
 def _no_study(path: Path) -> StoreError:
     return StoreError(
-        f"{path}: exists already and is not a study; choose another name, nothing is overwritten"
+        f"{path}: is not the store of a study; choose another name, nothing is overwritten"
         if path.exists()
         else f"{path}: does not exist"
     )
@@ -384,9 +384,8 @@ def _installed(path: Path, study: Study, block: tuple[int, ...]) -> tuple[str, .
             results = name.parts[0] in (STATE, REASON, CHECKSUM) and not name.name.startswith(".")
             if target.is_file() and (results or target.read_bytes() == (part / name).read_bytes()):
                 continue
-            if (
-                len(name.parts) > 1
-            ):  # The attributes in the root folder contain versions of packages, which may change.
+            # The attributes in the root folder contain versions of packages, which may change.
+            if len(name.parts) > 1:
                 different.append(str(name))
             target.parent.mkdir(exist_ok=True)
             (part / name).replace(target)

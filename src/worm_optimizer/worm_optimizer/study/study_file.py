@@ -2,7 +2,8 @@
 """Reading and writing of the YAML files of studies.
 
 A written file contains the values of all files to which the study refers, so that it alone suffices to repeat the
-study. docs/studies.md lists the keys. This module checks all values before the computation starts.
+study. docs/studies.md lists the keys. Each value is checked when the file is read. Values that exclude each other at a
+point, such as a groove phase beyond half a pitch, are detected when the point is computed (`point.content_of`).
 """
 
 from __future__ import annotations

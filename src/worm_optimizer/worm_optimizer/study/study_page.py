@@ -22,7 +22,8 @@ _BEST = 10  # largest number of rows of the tables of best points and of failure
 # Limit of the model that the page states if the study varies the quantity
 _COUPLED = {
     "bellows_stiffness": "A stiffer bellows extends faster: on a real robot time_constant, gain and slack change, too. "
-    "Here they keep their values unless the study varies them; bellows_stiffness alone then affects only the power.",
+    "Here they keep their values unless the study varies them; bellows_stiffness alone then affects only the cable "
+    "force and the power.",
     "bellows_damping": "Damping and stiffness of a bellows depend on the same material; here they vary independently.",
     "slack": "Less slack needs a tighter cable. The model does not compute whether the cable stays tight during a run.",
     "pitch": "Another pitch needs other fins, but threshold and stiffnesses keep their values unless the study varies "
@@ -36,8 +37,8 @@ _COUPLED = {
 }
 # Limits of the model that each page states
 _ALWAYS = (
-    "All numbers are predictions for the groove phase of the point. A robot with another groove phase gains other "
-    "numbers of grooves.",
+    "All numbers hold for the groove phase of the point, except those of any-phase gaits and for an unknown phase. A "
+    "robot with another groove phase may gain other numbers of grooves.",
     "Designs cannot be ranked if their results differ by less than what the uncertainty of the parameters can cause.",
 )
 
@@ -105,7 +106,7 @@ def _lead(summary: Summary) -> list[str]:
     failed = sum(summary.failed.values())
     lines = [
         f"{summary.done} of {summary.points} points are computed"
-        + (f"; {failed} of them are not admissible" if failed else "")
+        + (f"; {failed} of them failed" if failed else "")
         + (f"; {summary.still} have no {label(summary.figures[0])}" if summary.still else "")
         + "."
     ]
@@ -150,4 +151,4 @@ def _failed_table(summary: Summary) -> list[Table]:
     if not summary.failed:
         return []
     rows = [[reason, str(count)] for reason, count in summary.failed.most_common(_BEST)]
-    return [Table("Points that are not admissible", ["reason", "points"], rows, words=True)]
+    return [Table("Points that failed", ["reason", "points"], rows, words=True)]
