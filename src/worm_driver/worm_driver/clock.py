@@ -14,7 +14,7 @@ from typing import Protocol
 
 @dataclass
 class Traffic:
-    """Bytes that a serial line has carried since it was opened, counted by the thread that opened it."""
+    """Bytes that the user of a clock has written to its serial line and read from it. The serial port counts them."""
 
     written: int = 0
     read: int = 0
@@ -24,7 +24,7 @@ class Clock(Protocol):
     """Clock of a thread. A call returns the time (s, monotonic).
 
     Attributes:
-        traffic: bytes on the serial line that the thread uses. The thread counts them.
+        traffic: bytes that the thread has written to its serial line and read from it.
         epoch_ns: ROS time at which the clock shows 0, ns; None if the ROS clock can be set independently
             of this clock.
         least_timeout: lower bound of the timeouts of calls to other threads, s of the machine's time.

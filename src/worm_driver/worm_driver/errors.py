@@ -7,7 +7,7 @@ class DriverError(Exception):
 
 
 class ConfigurationError(DriverError):
-    """The driver cannot be configured: an invalid parameter, an unsuitable or faulty device, or another driver."""
+    """The driver cannot be configured or activated: an invalid parameter, an unfit device, or another driver."""
 
 
 class RejectedError(DriverError):
@@ -19,7 +19,7 @@ class StoppedError(DriverError):
 
 
 class ReleaseError(DriverError):
-    """A servo did not confirm that its torque is off."""
+    """The torque of a servo stays on, or the servo did not confirm that its torque is off."""
 
 
 class HomingError(DriverError):

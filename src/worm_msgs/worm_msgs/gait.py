@@ -223,7 +223,8 @@ SHAPE = tuple(name for name in WAVEFORM if name in GAIT_DEFAULTS)
 def gait_of(source: Any) -> Gait:
     """Return a gait whose fields are the items of a mapping, or the attributes of a message or a record.
 
-    A field that the source lacks has its default. Raises `GaitError` if a value is not admissible.
+    Stroke and frequency are mandatory; any other field that the source lacks has its default. Raises `GaitError` if a
+    value is not admissible.
     """
     if not isinstance(source, Mapping):
         source = {name: getattr(source, name) for name in GAIT_UNITS if hasattr(source, name)}

@@ -48,7 +48,7 @@ class NetworkError(Exception):
 
 @dataclass(frozen=True)
 class Reach:
-    """Whether other hosts can reach a process.
+    """Network access of other hosts to a process.
 
     Attributes:
         opened_by: environment variable and value that open the network; empty if the network is closed.
@@ -71,7 +71,7 @@ class Reach:
 
 
 def reach(environment: Mapping[str, str], middleware: str) -> Reach:
-    """Return whether other hosts can reach a process after a call of `bind` with this environment.
+    """Return the access of other hosts to a process after a call of `bind` with this environment.
 
     ``middleware`` is the name of the rmw.
 
@@ -114,7 +114,7 @@ def bind(environment: MutableMapping[str, str], middleware: str) -> Reach:
     context of ROS is created.
 
     Returns:
-        Whether other hosts can then reach this process.
+        Access of other hosts to this process from then on.
 
     Raises:
         NetworkError: See `reach`.

@@ -254,7 +254,8 @@ class Actuators:
     def send(self, length_change: float, direction: int) -> None:
         """Send the goals of all servos in one packet.
 
-        Before homing, a length has no meaning, and the cable servos keep the goals that `enable` or `hold` stored.
+        If the robot is no longer homed, a length has no meaning, and the cable servos keep the goals that `enable` or
+        `hold` stored.
 
         Args:
             length_change: ΔL, m.

@@ -3,7 +3,7 @@
 
 Other threads submit commands to the robot's thread, which executes them between two cycles. After each cycle, a
 callback receives a `Snapshot`. Before the robot's thread ends, it switches the torque off over the serial bus, without
-ROS. It leaves the torque of a robot on that would spring back, unless an operator requests its release.
+ROS. If the robot would spring back, the thread leaves the torque on, unless an operator requests the release.
 """
 
 import contextlib

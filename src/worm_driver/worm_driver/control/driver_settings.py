@@ -38,7 +38,7 @@ class DriverSettings:
         rate: rate of commands and telemetry, Hz.
         real_time_priority: SCHED_FIFO priority of the servo thread; the other threads have half of it. 0: normal
             scheduling.
-        max_stroke: largest stroke of a gait, m.
+        max_stroke: largest sum of stroke and pretension of a gait, m.
         max_frequency: largest frequency of a gait, Hz.
         max_cable_speed: largest speed of the cable, m/s.
         fin_speed: largest speed of the fin servos, rad/s.

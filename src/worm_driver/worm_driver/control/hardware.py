@@ -182,7 +182,7 @@ class Hardware:
         Args:
             latest: snapshot of the latest cycle.
         """
-        robot, sensor = self.robot, self._seen
+        robot, before = self.robot, self._seen
         counters, power = self._bus.counters, self._power_counts.copy()
         self._seen = _Seen(counters, power)
         timer = serial_port.latency_timer_ms(self.settings.port)
@@ -193,7 +193,7 @@ class Hardware:
                 homed=robot.actuators.homed,
                 left_on=robot.actuators.left_on,
             ),
-            diagnostics.bus_report(self.settings.port, counters, sensor.counters, timer),
+            diagnostics.bus_report(self.settings.port, counters, before.counters, timer),
             diagnostics.timing_report(
                 self.loop.report(), self.settings.period, self.loop.scheduling
             ),
@@ -208,7 +208,7 @@ class Hardware:
             where = (
                 f"INA219 0x{self.settings.power.i2c_address:02X} on {self.settings.power.i2c_bus}"
             )
-            reports.append(diagnostics.power_report(power - sensor.power, where))
+            reports.append(diagnostics.power_report(power - before.power, where))
         return reports
 
     def _check_latency(self, latency: float) -> None:

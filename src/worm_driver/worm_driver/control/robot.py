@@ -144,7 +144,8 @@ class Robot:
         After an error the torque is off again, unless an earlier driver left it on (`Actuators.left_on`).
 
         Raises:
-            RejectedError: The driver shuts down, or an emergency stop or another driver forbids a start.
+            RejectedError: The driver shuts down, an emergency stop or another driver forbids a start, or the position
+                of a servo is out of the bounds of its goals.
             HomingError: The length of the cable is unknown or out of its range.
             BusError: A servo does not answer.
             ConfigurationError: A servo is not fit to be enabled.
@@ -213,7 +214,7 @@ class Robot:
     def apply_settings(self, now: float, settings: DriverSettings) -> str:
         """Apply new limits.
 
-        A run that violates the new limits ends at its next point of rest. In this case return a message, else an empty
+        A run that violates the new limits is cancelled, see `cancel`. In this case return a message, else an empty
         string.
         """
         self.actuators.apply_settings(settings)
@@ -255,8 +256,8 @@ class Robot:
     def _adopt(self, player: PlayerState) -> None:
         """Store a new state of the player.
 
-        If a hold begins, fins that are still flipping are stopped where they are. The other fins keep their last goals,
-        and so do cable servos that are no longer homed. Homed cable servos hold the player's length change.
+        If a hold begins before all fins are set, every fin is stopped where it is. Otherwise the fins keep their last
+        goals. Cable servos that are no longer homed keep theirs, too. Homed ones hold the player's length change.
         """
         if player.phase in _HOLDS and self.player.phase is not player.phase:
             self.actuators.hold()

@@ -9,7 +9,7 @@ from worm_driver.servos.servo_setup import Servo
 from worm_msgs.driver_file import DriverFile
 
 #: Ratio of the limit that a servo enforces itself to the effort above which it is overloaded (`fault_level`). The ratio
-#: must be above 1, because a servo never exceeds its own limit, and an overload could not be detected.
+#: is above 1, because a servo never exceeds its own limit: with a ratio of 1, no overload could be detected.
 _HEADROOM = 1.1
 
 
@@ -191,6 +191,6 @@ def fault_in_health(servo: int, health: Health, *, is_cable: bool) -> str | None
 def position_jumped(servo: int, jump: int) -> str:
     """Return the message about a servo whose position jumped by some ticks from the last plausible one."""
     return (
-        f"the position of servo {servo} jumped by {jump} ticks, and a second reading confirmed it: it cannot have "
-        "turned so far, so its turn count or its encoder is wrong"
+        f"the position of servo {servo} jumped by {jump} ticks, in the second of two implausible readings: the servo "
+        "cannot have turned so far, so its turn count or its encoder is wrong"
     )

@@ -3,8 +3,8 @@
 
 Speed and power are means over the last three complete cycles (over all, if there are fewer). The idle power is the mean
 of the first ten valid samples at rest. Times are monotonic, in s. Metrics that cannot be computed are NaN. Missing
-speed, power and idle power have a reason. A metric is also NaN if its data contain an overflow or a gap that is too
-long to bridge, because data are seldom missing at random: a sensor overflows where the power is largest.
+speed, power and idle power have a reason. Speed and power are also NaN if a gap in their data is too long to bridge,
+and power if a sample overflowed: data are seldom missing at random, and a sensor overflows where the power is largest.
 """
 
 import math

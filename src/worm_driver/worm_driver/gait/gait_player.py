@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """State machine that computes the commands for the cable and the fins.
 
-A run has these phases:
+The phases of a run, and the phase without one:
 
 - RETURNING: the cable returns to delta L = 0. The phase ends at once if the cable is there already.
 - FLIPPING: the fins are set, and the robot settles.
@@ -58,7 +58,7 @@ class Run:
     """Run of a gait, and its progress.
 
     Attributes:
-        number: number of the run, counted since the start of the driver.
+        number: number of the run, counted from 1 since the driver was configured.
         gait: the gait.
         cycles: requested number of cycles; `finish` lowers it.
         stop_cycle: number of the cycle after which the run stops, at most ``cycles``.
@@ -292,7 +292,7 @@ def _tensioning(
 
 
 def _ramp(state: PlayerState, now: float, target: float, settings: PlayerSettings) -> PlayerState:
-    """Return the state with the length change at its present point of a ramp to a target (m).
+    """Return the state with the length change that a ramp to a target (m) has reached at the time ``now`` (s).
 
     The ramp is a half cosine, so that the speed of the cable has no steps.
     """

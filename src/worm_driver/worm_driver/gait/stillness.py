@@ -19,7 +19,7 @@ class Stillness:
     """Detector of rest.
 
     Attributes:
-        lasts: True if both modules were at rest during the SPAN before the latest sample. False with too few samples.
+        lasts: True if both modules were at rest in all samples of the last SPAN. False with too few samples.
     """
 
     def __init__(self) -> None:

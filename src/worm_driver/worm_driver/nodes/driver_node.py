@@ -73,7 +73,7 @@ _SERVICES: tuple[tuple[str, _Action, str], ...] = (
     (
         "reboot",
         lambda hardware, _: hardware.robot.reboot(),
-        "servos with a hardware error were restarted; home before the next activation",
+        "servos with a hardware error were restarted; if a cable servo was one of them, call home before activate",
     ),
 )
 

@@ -22,6 +22,8 @@ HEARTBEAT = "heartbeat_s"
 _LIVE = ("limits.", "rest_duration_s", "return_speed_m_per_s", HEARTBEAT)
 #: Those of `_LIVE` that a configured driver can only lower.
 _BOUNDS = ("limits.", "return_speed_m_per_s")
+#: Parameters that the node reads only once, after its start.
+_AT_START = ("autostart", "stay_on_failure")
 _SIMULATED_TIME = "use_sim_time"
 _ROWS = tuple(
     ParameterRow(
@@ -51,6 +53,8 @@ def _effect(name: str) -> str:
         return "Takes effect for the next goal."
     if name.startswith(_LIVE):
         return "Takes effect at once."
+    if name in _AT_START:
+        return "Takes effect only at the start of the driver."
     return "Takes effect at configure; a configured driver rejects changes until cleanup."
 
 

@@ -2,9 +2,9 @@
 """Server of the lifecycle requests in a thread of its own.
 
 rclpy (7.1) serves these requests in the node's executor. A transition blocks the executor for seconds. During this time
-the middleware stores only ten requests. A request for a transition that is impossible in the
-present state raises an exception in the executor, which ends the node. This module answers every request, also
-during a transition, and rejects impossible transitions.
+the middleware stores only ten requests. A request for a transition that is impossible in the present state raises an
+exception in the executor, which ends the node. This module answers every request, also during a transition, and
+rejects impossible transitions.
 """
 
 import queue

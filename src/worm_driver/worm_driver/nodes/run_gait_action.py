@@ -47,8 +47,11 @@ class _Current:
     """Run in progress, and its goal.
 
     Attributes:
+        goal_id: id of the goal.
         number: number of the run.
         done: future of the ended run, or of the reason why there is no result.
+        record: measurements of the run.
+        end: requested end of the run.
         owner: monitor of the heartbeats of the client that sent the goal.
         goal: the goal, once rclpy has accepted it; None before.
         next_feedback: time before which no feedback is published, s.
@@ -162,7 +165,7 @@ class RunGaitAction:
         return CancelResponse.ACCEPT
 
     def _judge(self, current: _Current) -> None:
-        """End a run that has reached its end, or makes no progress, according to the latest tracker sample."""
+        """End a run by grooves or distance if it has reached its end or makes no progress, by the latest sample."""
         run, hardware = current.run, self._hardware()
         if run is None or run.onset is None or not is_near_cycle_end(run, current.record):
             return

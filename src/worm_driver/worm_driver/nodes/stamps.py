@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ROS stamps of the driver's messages, from the clock of a virtual robot, for a real one from the ROS clock."""
+"""ROS stamps of the driver's messages: from the ROS clock, or from the robot's own clock for a virtual robot."""
 
 import time
 

@@ -129,7 +129,7 @@ class TelemetryPublisher:
         is_fault = player.phase is Phase.FAULT
         if is_fault and not self._faulty:
             self._logger.error(
-                f"FAULT: {player.message}. The cable holds its position. Remove the cause, then deactivate and "
-                "activate; after a hardware error deactivate, reboot, home, activate"
+                f"FAULT: {player.message}. The robot holds, as far as its servos have torque. Remove the cause, then "
+                "deactivate and activate; after a hardware error deactivate, reboot, home, activate"
             )
         self._faulty = is_fault

@@ -3,8 +3,8 @@
 
 virtual_robot starts the node as a separate process, because rendering an image takes longer than an answer on the servo
 bus may take. Each line of standard input is an exposure: stamp in ns, x1 and x2 in m, nan while a marker is hidden.
-Each line of standard output reports that an image was published or lost, so that the virtual time can wait for the
-camera.
+The first line of standard output reports that the node is ready. Each further line reports that an image was published
+or lost, so that the virtual time can wait for the camera.
 """
 
 import contextlib
