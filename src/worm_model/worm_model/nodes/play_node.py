@@ -125,7 +125,7 @@ class PlayNode(Node):
                 continue
             publishers[topic.name] = publisher
         if not publishers:
-            raise InputError(f"{self._bag.path} has none of the selected topics that can be played")
+            raise InputError(f"{self._bag.path}: none of the selected topics can be played")
         return publishers
 
     def _converter(self, channel: Topic, type_name: str) -> Converter:
@@ -273,7 +273,7 @@ class PlayNode(Node):
         return "playing"
 
     def step(self) -> str:
-        """Pause, publish the next message once its subscribers are connected, and return its topic.
+        """Pause, publish the next message as soon as all subscribers are connected, and return its topic.
 
         The result is empty at the end of the bag.
         """

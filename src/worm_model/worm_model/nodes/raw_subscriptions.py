@@ -242,7 +242,7 @@ class RecordNode(Node):
 
     @property
     def missing(self) -> list[str]:
-        """Topics that were requested by name and have not appeared."""
+        """Topics that were requested by name and are not subscribed: they have not appeared, or cannot be recorded."""
         return sorted(self._selection.names - self._subscriptions_by_name.keys())
 
     @property
@@ -325,7 +325,7 @@ class RecordNode(Node):
     def _is_known(self, state: Any) -> bool:
         """Return True if a state belongs to the last reported run, and store its run as the last reported one.
 
-        The onset distinguishes runs with the same number, because a restarted driver counts from 1.
+        A different onset makes it another run even with the same number, because a restarted driver counts from 1.
         """
         onset = state.onset.sec * 10**9 + state.onset.nanosec
         same_onset = onset == self._onset or not self._onset

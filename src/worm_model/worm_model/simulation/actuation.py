@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The slack-aware actuation model (eq:slack_clip, eq:first_order_actuation) in closed form.
 
-Within each part of a cycle (`kernel.waveform`), u_eff is a constant, a sinusoid or a parabola. ΔL then has the same
-form plus one exponential.
+Within each part of a cycle (`kernel.waveform`), u_eff is a constant, a line, a parabola or a sinusoid. ΔL then is a
+polynomial or a sinusoid, plus one exponential.
 """
 
 from __future__ import annotations

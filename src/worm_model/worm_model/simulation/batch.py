@@ -36,7 +36,8 @@ class GaitTable:
     """Results of many gaits. Each field is an array of the broadcast shape; for the meaning see `simulator.GaitResult`.
 
     ``gait`` contains such an array for each field of `Gait`. Speed, power and grooves of a gait are NaN, and its cost
-    of transport is infinite, if the anchors switch to and fro without end, or if the fins do not hold the load at rest.
+    of transport is infinite, if a fin chatters (`simulator.SimulationError`) or if the fins do not hold the load at
+    rest.
     """
 
     gait: Mapping[str, Array]
@@ -145,9 +146,10 @@ def evaluate_gaits(
         further: further fields of `Gait`; without a value, the default of `Gait` is used.
 
     Raises:
-        GaitError: A field of a gait is out of its limits, or stroke plus pretension is not below the body length.
-        ParameterError: An override is out of its limits.
-        ValueError: A value is not finite, or the number of cycles is impossible.
+        GaitError: A field of a gait is unknown or out of its limits, or stroke plus pretension is not below the body
+            length.
+        ParameterError: An override is unknown, not finite or out of its limits.
+        ValueError: A field of a gait is not finite, or the number of cycles is impossible.
     """
     check_cycles(cycles, averaged)
     overrides = overrides or {}
@@ -232,8 +234,8 @@ def sample_cycle(
 ) -> tuple[Array, Array]:
     """Return (cable force F_c in N, source power in W) of gaits at times within one cycle of their runs.
 
-    Force and power have the shape (n, m) and equal those of `simulator.simulate`. They are NaN for a gait whose anchors
-    switch to and fro without end, or whose fins do not hold the load at rest.
+    Force and power have the shape (n, m) and equal those of `simulator.simulate`. They are NaN for a gait with a fin
+    that chatters, or with fins that do not hold the load at rest.
 
     Args:
         stroke: strokes (n,), m.

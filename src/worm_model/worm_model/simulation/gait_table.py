@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tables of gaits as CSV. Each row is a gait. A column with the name of a parameter sets it for each gait."""
+"""Tables of gaits as CSV. Each row is a gait. A column named after a parameter contains its value for each gait."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def read_gaits(path: str | Path) -> Columns:
     except (UnicodeDecodeError, csv.Error):
         raise InputError(f"{path}: is not a CSV table") from None
     if not rows:
-        raise InputError(f"{path}: holds no gait; add a line below its header")
+        raise InputError(f"{path}: contains no gait; add a line below its header")
     columns: Columns = {name: np.empty(len(rows)) for name in header}
     for line, row in enumerate(rows, start=2):
         if len(row) != len(header):

@@ -153,7 +153,8 @@ class Motions:
     ``cable_force`` is F_c (eq:Fc); where it is negative, the cable would have to push. ``rear_force`` and
     ``front_force`` are the forces of the fins, F_1 and F_2. The anchors A1 and A2 are given in m and as numbers of
     their grooves. ``energy`` is the idle power times ``time``, plus the energy of the cable work since the first
-    computed time. At the time of an event, the values are those before the event.
+    computed time. The cable work is included only if the length follows from a gait, not if `Locomotion` follows given
+    lengths. At the time of an event, the values are those before the event.
     """
 
     time: Array
@@ -175,7 +176,7 @@ class Motions:
 
 
 def _motions(samples: Array, parameters: Parameters, energy: Array | None = None) -> Motions:
-    """Return the kernel's samples as `Motions`; without ``energy``, the energy is computed from the cable work."""
+    """Return the kernel's samples as `Motions`; without ``energy`` (J), the energy is computed from the work column."""
     time, force, rate = (samples[:, k] for k in (march.TIME, march.FORCE, march.LENGTH_RATE))
     mechanical = cable_power(force, rate, parameters.one_sided_cable)
     power = parameters.idle_power + parameters.power_factor * mechanical
@@ -404,8 +405,9 @@ class Locomotion:
     ) -> tuple[LocomotionState, Motions]:
         """Return (state at the end, dense output at every sample) under samples of ΔL joined by straight lines.
 
-        ``times`` (n,) in s ascend from the time of the state on; ``length_changes`` (n,) are in m. Power and energy of
-        the output use the slopes of the lines; for noisy samples see `worm_model.simulation.smoothing`.
+        ``times`` (n,) in s ascend from the time of the state on; ``length_changes`` (n,) are in m. The power of the
+        output uses the slopes of the lines; for noisy samples see `worm_model.simulation.smoothing`. The energy does
+        not include the cable work (see `Motions`).
         """
         time = np.atleast_1d(np.asarray(times, dtype=float))
         values = np.concatenate([[state.length_change], np.atleast_1d(length_changes)])
@@ -459,5 +461,5 @@ class Locomotion:
 
 @lru_cache(maxsize=16)
 def _constants_of(parameters: Parameters, direction: int, margin: float) -> Constants:
-    """Return the kernel's constants. They are cached, because the twin requests them about 100 times per second."""
+    """Return the kernel's constants. They are cached, because most methods of `Locomotion` need them."""
     return run.constants_of(parameter_rows(parameters)[0], float(direction), margin)

@@ -27,7 +27,7 @@ UNDERWAY = 0.15  # a position is on the way between the shares UNDERWAY and 1 âˆ
 LEAD = 4  # number of bins before the phase of a step in which the step may have begun
 
 # Standard deviation of the residuals of a healthy robot in addition to noise, by channel: m, m, W. POWER_SHARE times
-# the predicted power is added to the third. In the first cycle, FIRST multiplies these values.
+# the predicted power is added to the third. In the first remembered cycle, FIRST multiplies these values.
 SCATTER = (0.0003, 0.0002, 0.04)
 POWER_SHARE = 0.015
 FIRST = (5.0, 2.0, 3.0)

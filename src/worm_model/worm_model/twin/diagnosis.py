@@ -5,8 +5,9 @@
 corrected.
 
 - **A step of the position** (`worm_model.twin.cycle_data`) is visible if a tracker saw the end of the cycle. Its size
-  determines by how many grooves the robot is off. Its timing and the power determine the fin. It is reported at once,
-  if necessary as ambiguous. Only a small step of the camera has to last for another cycle.
+  determines by how many grooves the robot is off. Its timing and the power determine the fin. Unless scatter or a
+  lasting cause explains the step, it is reported at once, if necessary as ambiguous. Only a small step of the camera
+  has to last for another cycle.
 - **Other causes** are reported when the probability of a healthy robot is at most ``HEALTHY_AT_MOST``. The report names
   each cause with at least the probability ``SURE``. If there is none, the twin waits for another cycle. If there is
   still none, the report lists the causes that remain possible.
@@ -206,7 +207,8 @@ def off_at_end(cycle: CycleSeen) -> float:
 def _lasts(history: History, cycle: CycleSeen, data: CycleData, signs: Signatures) -> bool:
     """Return True if a step that is not of whole grooves probably does not come from the camera.
 
-    Instead, a lasting cause explains it, such as a load that bends the fins, or a healthy robot does.
+    Instead, it comes from a lasting cause, such as a load that deflects the fins, or from the scatter of a healthy
+    robot.
     """
     step = data.step
     if step is None or step.is_none or _whole(step.size, cycle):

@@ -30,7 +30,7 @@ STEP_S = 0.02  # time step of the predicted motion
 
 
 class ForecastError(ValueError):
-    """The gait cannot be predicted, or the horizon is inadmissible."""
+    """The simulation of the gait failed, or the horizon is inadmissible."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,9 @@ def forecast(twin: Twin, state: TwinState, gait: Gait, horizon_s: float = HORIZO
     """Return the forecast of a gait for a horizon in s, where 0 means `HORIZON_S`.
 
     Raises:
-        ForecastError: The gait cannot be predicted, or the horizon is not in the range from `STEP_S` to `LONGEST_S`.
+        ForecastError: A fin chatters, or the horizon is not in the range from `STEP_S` to `LONGEST_S`.
+        GaitError: Stroke plus pretension is not below the body length.
+        LoadError: The fins do not hold the load at the start of a run from rest.
     """
     horizon = horizon_s or HORIZON_S
     if not STEP_S <= horizon <= LONGEST_S:

@@ -13,7 +13,7 @@ from worm_model.run import GaitStates, LengthSamples, Run, concatenated
 from worm_model.twin.data.samples import SAMPLE, SampleKind, SampleRows, series_of, topic_rows
 from worm_model.twin.stored_memory import StoredMemory, read_memory
 
-# m/s; no gait changes the command faster, and the paper's gaits stay below 0.12 m/s
+# m/s; faster changes of the command count as impossible. The gaits of the paper's box stay below 0.12 m/s.
 IMPOSSIBLE_SPEED = 1.0
 _FOREVER = int(np.iinfo(np.int64).max)
 # Place of a sample in the order: number of backward jumps of the clock before it, and its stamp in ns
@@ -44,7 +44,7 @@ class RecordedSamples:
         last_ns: largest of the last stamps of command, measured length and tracker, ns; None without samples.
         gait_state: all driver states.
         memories: the usable stored memories before `first_ns`, and the first one from `first_ns` on, in order of stamp.
-        impossible_steps: stamps (n, 2) before and after steps of the command that no gait makes, in order of stamp.
+        impossible_steps: stamps (n, 2) before and after impossibly fast steps of the command, in order of stamp.
         clock_went_back: True if the clock has jumped back.
     """
 
@@ -182,7 +182,7 @@ def _last_of(samples: LengthSamples) -> LengthSamples:
 
 
 def _impossible_steps(commanded: LengthSamples) -> NDArray[np.int64]:
-    """Return the stamps (n, 2) before and after each step of the command that is faster than any gait."""
+    """Return the stamps (n, 2) before and after each step of the command that is faster than `IMPOSSIBLE_SPEED`."""
     order = np.argsort(commanded.stamp, kind="stable")
     stamp, change = commanded.stamp[order], commanded.length_change[order]
     step, duration = np.abs(np.diff(change)), np.diff(stamp) * 1e-9

@@ -235,7 +235,7 @@ def _unstressed(parameters: Parameters, direction: int, pulled: float) -> Start:
     return Start(x1, motion.front_groove - motion.rear_groove)
 
 
-def _lengths_when_turned(m: Any, slack: float, shorter: float) -> tuple[float, ...]:
+def _lengths_when_turned(m: Any, released: float, shorter: float) -> tuple[float, ...]:
     """Return the possible lengths (m) of the body when the fins were turned for a run, the preferred one first.
 
     The driver turns the fins when the rest before the run begins, or, if the cable has to return first, when it has
@@ -243,16 +243,16 @@ def _lengths_when_turned(m: Any, slack: float, shorter: float) -> tuple[float, .
 
     Args:
         m: record of the memory, at the onset.
-        slack: length of the body with a slack cable, m.
+        released: length of the body with a slack cable, m.
         shorter: effect of the slack, which may still have been taken up when the fins were turned, m.
     """
-    released = max(int(m["end_ns"]), int(m["released_ns"]))
-    since = max(int(m["rest_ns"]) - released, 0)
+    pulled_until = max(int(m["end_ns"]), int(m["released_ns"]))
+    since = max(int(m["rest_ns"]) - pulled_until, 0)
     if m["rest_ns"] < m["end_ns"]:  # It is not known when the driver began to rest.
-        return (slack, slack - shorter)
+        return (released, released - shorter)
     if since <= TAUT_NS:
-        return (slack - shorter,)
-    return (slack,) if since >= SLACK_NS else (slack, slack - shorter)
+        return (released - shorter,)
+    return (released,) if since >= SLACK_NS else (released, released - shorter)
 
 
 def _tightened(m: Any, before: Parameters, rest: _Rest) -> float:

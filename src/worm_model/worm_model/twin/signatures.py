@@ -296,7 +296,10 @@ def _switched(model: _Model, fin: int, margin: float, grooves: int) -> Array | N
 
 
 def _window(gait: Gait, parameters: Parameters, fin: int) -> tuple[float, float] | None:
-    """Return the times (s) just before a fin's last switch in a steady cycle and the other fin's next switch."""
+    """Return (time just before a fin's last switch in a steady cycle, time just before the other fin's next switch), s.
+
+    The result is None if there are no such switches.
+    """
     try:
         events = simulate(gait, parameters, CYCLES).events()
     except SimulationError:

@@ -374,8 +374,8 @@ class _Call:
             return findings, "it began before the first sample"
         if cycle.blind_s:
             return findings, f"{cycle.blind_s:.1f} s of it are without data"
-        # Without a tracker the position stays unknown. It matters only in the first cycle after the one in which the
-        # twin joined, because later the deflection of the fins no longer depends on the start.
+        # Without a tracker the position stays unknown. This matters only in the first complete cycle after the twin
+        # joined. In later cycles the deflection of the fins no longer depends on the start.
         watched = bool(history.cycles) and history.cycles[-1].watched
         unplaced = unplaced and (watched or cycle.number == state.joined_cycle + 1)
         return findings, "the position of the robot at its beginning is unknown" if unplaced else ""
@@ -385,8 +385,8 @@ class _Call:
     ) -> tuple[list[Finding], str]:
         """Judge the first cycle of a gait that began with fins in an unknown state.
 
-        The state with which the twin began the gait is kept if it explains the cycle. Otherwise the start is estimated.
-        If no start explains the cycle, the cycle is not judged.
+        If the state with which the twin began the gait explains the cycle, the twin continues from it. Otherwise it
+        estimates the start. If no start explains the cycle, the cycle is not judged.
         """
         state, m = self.state, self.state.record
         m["start_known"] = 1
@@ -453,7 +453,8 @@ class _Call:
     def _restart(self, way: str) -> None:
         """Reset the twin after a jump of the clock, and insert the held samples, which revealed the jump.
 
-        The counts, the texts of the warnings, and the reasons why runs cannot be judged are preserved.
+        The counts, the texts of the warnings, the reasons why runs cannot be judged and the estimated starts are
+        preserved.
         """
         state = self.state
         held = state.memory.held[: int(state.record["ahead"])].copy()

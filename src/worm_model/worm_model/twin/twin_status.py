@@ -11,7 +11,7 @@ from worm_model.run import LengthSource
 from worm_model.twin.data.records import COMPLAINTS, NANOSECONDS, Health, Severity, residual_message
 from worm_model.twin.twin import TwinState
 
-SAYS_S = 5.0  # age of the last residual beyond which the health is UNKNOWN
+RESIDUAL_TIMEOUT_S = 5.0  # age of the last residual beyond which the health is UNKNOWN
 INPUT_TIMEOUT_S = (
     2.0  # time without input after which missing input is reported instead of the health
 )
@@ -53,7 +53,7 @@ def report(state: TwinState, newest: Any, silent_s: float = 0.0) -> Report:
     """
     m, now = state.record, state.now_ns
     health = Health.UNKNOWN
-    if newest is not None and now - newest["stamp_ns"] <= SAYS_S * NANOSECONDS:
+    if newest is not None and now - newest["stamp_ns"] <= RESIDUAL_TIMEOUT_S * NANOSECONDS:
         health = Health(int(newest["health"]))
     message = residual_message(newest, state.warnings) if health > Health.HEALTHY else ""
     level = _LEVELS[health]

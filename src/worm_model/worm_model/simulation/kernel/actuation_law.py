@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Actuation law: slack clip (eq:slack_clip) and first-order lag (eq:first_order_actuation), exact.
 
-All users of the law import it from here: the waveform of a gait, sampled commands (straight lines between samples),
-fits, the twin and forecasts. The moments at which the command crosses −δ_s are located exactly. Between them, the
-effective command min(u_cmd, −δ_s) is a constant, a line, a parabola or a sinusoid, and ΔL has a closed form, the
-solution of τ·d(ΔL)/dt + ΔL = K·u_eff.
+All modules of this package that use the law import it from here: the waveform of a gait, sampled commands (straight
+lines between samples), fits and the twin. The moments at which the command crosses −δ_s are located exactly. Between
+them, the effective command min(u_cmd, −δ_s) is a constant, a line, a parabola or a sinusoid, and ΔL has a closed form,
+the solution of τ·d(ΔL)/dt + ΔL = K·u_eff.
 """
 
 from __future__ import annotations

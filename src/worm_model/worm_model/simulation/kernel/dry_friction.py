@@ -61,9 +61,9 @@ def _from_rest(load: float, stretch: int, apart: float, c: Constants) -> Grip:
     """Return the grip of two modules at rest.
 
     ``load`` in N is the force on both modules together if the rear module stays at rest, and ``load + stretch·apart``
-    that if the front module stays at rest. ``stretch`` is the sign of L̇ from now on (0: ΔL is constant). ``apart`` is
-    negative if the rate of ΔL decays or is about to reverse. With a growing force in the direction of ``stretch``,
-    first no module, then one, then both move in this direction.
+    that if the front module stays at rest. ``stretch`` is the sign of L̇ from now on (0: ΔL is constant). ``apart`` can
+    be negative only if the rate of ΔL decays or is about to reverse. With a growing force in the direction of
+    ``stretch``, first no module, then one, then both move in this direction.
     """
     both = c.resistance.rear_dry + c.resistance.front_dry
     if stretch == 0:
@@ -108,7 +108,7 @@ def _judge(
     load = (
         -fins - c.resistance.load - c.body.friction * rate - (c.body.mass - c.body.rear_mass) * bend
     )
-    # that much more force acts if the front module stays at rest instead of the rear one
+    # Amount by which the force is larger if the front module stays at rest instead of the rear one
     moved = 2.0 * c.body.friction * rate + c.body.mass * bend
     rear_rests = c.resistance.rear_dry > 0.0 and abs(rear_velocity) <= 2.0 * STILL
     front_rests = c.resistance.front_dry > 0.0 and abs(front_velocity) <= 2.0 * STILL
@@ -118,7 +118,7 @@ def _judge(
             turn = bend if bend != 0.0 else value(derivative(bend_form, roots, wave), b)
         stretch = 0 if turn == 0.0 else _sign(turn)
         grip = _from_rest(load, stretch, stretch * moved, c)
-        # Of two modules that slide to the same side, the one behind is at rest: the other one is ahead by L̇.
+        # If both modules slide to the same side, the slower one is still at rest, and the other one moves at |L̇|.
         rear_waits = grip.rear == 0 or (grip.front != 0 and grip.front == stretch)
         return grip, (c.body.mu if rear_waits else c.body.mu - 1.0) * rate
     if rear_rests:
@@ -164,8 +164,8 @@ def enter_dry_mode(
     """Return (the mode that begins with ``motion``, F_c in this mode, the grip in this mode).
 
     Of the basis ``start``, only the functions of σ are used (see `kernel.linear`). If both modules stick, the
-    distribution of the load over them is statically indeterminate. It is assumed to be proportional to the forces that
-    the modules can hold. No work depends on this assumption, because ΔL is constant.
+    distribution of the friction over them is statically indeterminate. It is assumed to be proportional to their dry
+    frictions. No work depends on this assumption, because ΔL is constant.
     """
     grip, rate = _judge(motion, length_change, wave, c, start)
     motion = Motion(

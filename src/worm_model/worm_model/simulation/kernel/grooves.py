@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Grooves of a pipe with individual thresholds and stiffnesses, whose means are the parameters of the robot.
 
-The identification estimates the differences between grooves. All other modules assume even grooves, which are alike.
+The identification estimates the differences between grooves. All other modules of this package assume even grooves,
+which are alike.
 """
 
 from __future__ import annotations

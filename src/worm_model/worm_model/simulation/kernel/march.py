@@ -52,7 +52,7 @@ from worm_model.simulation.kernel.work import cable_power_of, cable_work
 POSITION_TOLERANCE = 1e-14  # m; accuracy with which a border is located
 # N for F_c, m/s for L̇; below it the sign of the quantity is irrelevant, because the power is almost zero
 SIGN_TOLERANCE = 1e-9
-TIME_ROUNDING = 1e-14  # relative; a sample that is later than the end of a run by at most this belongs to the run
+TIME_ROUNDING = 1e-14  # relative; a sample that is later than the end of a mode by at most this belongs to the mode
 MOST_STEPS = 20_000  # steps in a segment; if they are not sufficient, the march reports CHATTERS
 
 # Columns of a row of samples

@@ -153,7 +153,7 @@ def _polynomial_response(
         p2 = (g.t2 - 6.0 * friction * p3) / k
         p1 = (g.t1 - 4.0 * friction * p2 - 6.0 * mass * p3) / k
         return (g.one - 2.0 * friction * p1 - 2.0 * mass * p2) / k, p1, p2, p3
-    # Both fins in clearance: the forcing is the length rate alone, at most quadratic.
+    # Both fins in clearance: the forcing consists of the length rate and constant forces, so it is at most quadratic.
     p3 = g.t2 / (6.0 * friction)
     p2 = (g.t1 - 6.0 * mass * p3) / (4.0 * friction)
     return 0.0, (g.one - 2.0 * mass * p2) / (2.0 * friction), p2, p3

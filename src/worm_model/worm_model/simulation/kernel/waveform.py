@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parts of a cycle of a gait (`worm_model.gait.Gait`) over which the effective command has one form.
 
-A cycle begins and ends with a part within the slack, unless the pretension exceeds the slack. Between these parts, each
+A cycle begins and ends with a part within the slack, if the pretension is below the slack. Between these parts, each
 half of the cycle is a half wave of a cosine, or three pieces of the trapezoidal velocity profile. Two half waves of
 equal duration form one sinusoid. In this module ``g`` is a gait as a row of GAIT_ROW (`worm_model.simulation.rows`).
 """

@@ -304,7 +304,8 @@ def run_sampled(
 def rest_at(length_change: float, c: mode.Constants) -> mode.Motion:
     """Return the motion of a robot at rest at a ΔL in m, to which its length has moved from the start at ΔL = 0.
 
-    At the start x1 = 0. Loads and dry friction are neglected, so the fins are in equilibrium with each other.
+    At the start x1 = 0. Loads and dry friction are neglected, so the fins are in equilibrium with each other after the
+    move. For ΔL = 0, the start itself is returned.
     """
     groove = int(mode.nearest_groove_of(c.body.initial_length, c.body.pitch))
     front = mode.region_of(c.body.initial_length - groove * c.body.pitch, c.body.half_clearance)
@@ -333,7 +334,7 @@ def run_from_rest(
     front_grooves: np.ndarray,
     samples: np.ndarray,
 ) -> bool:
-    """Run a robot from rest under a piecewise cubic ΔL, and return False if the anchors switch endlessly.
+    """Run a robot from rest under a piecewise cubic ΔL, and return False if a fin chatters.
 
     Args:
         breaks: as in `run_sampled`.

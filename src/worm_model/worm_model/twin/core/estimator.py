@@ -54,7 +54,7 @@ from worm_model.twin.core.memory import (
 from worm_model.twin.core.memory import LENGTH as LENGTH_CHANNEL
 from worm_model.twin.core.residuals import judge
 
-SECOND = 1e-9  # s per ns
+SECONDS_PER_NS = 1e-9  # s per ns
 MOVED_M = 1e-6  # m, commanded contraction above which a run has begun, even without a driver state
 PULLED_M = 5e-4  # m, commanded contraction above which the cable counts as pulled
 FEWEST_LENGTHS = 4  # fewest lengths of a fit; a parabola through three would follow their noise
@@ -118,9 +118,11 @@ def _answers_ahead(memory: Memory, until: int, a: Actuator) -> None:
             if rows[k].kind == LENGTH_KIND:
                 share = (rows[k].stamp - when) / (rows[j].stamp - when)
                 there = command + share * (rows[j].a - command)
-                rows[k].c = respond(answer, command, there, (rows[k].stamp - when) * SECOND, a)
+                rows[k].c = respond(
+                    answer, command, there, (rows[k].stamp - when) * SECONDS_PER_NS, a
+                )
             k += 1
-        answer = respond(answer, command, rows[j].a, (rows[j].stamp - when) * SECOND, a)
+        answer = respond(answer, command, rows[j].a, (rows[j].stamp - when) * SECONDS_PER_NS, a)
         when, command = rows[j].stamp, rows[j].a
     while k < m.filled and rows[k].stamp <= until:
         rows[k].c = math.nan if rows[k].kind == LENGTH_KIND else rows[k].c
@@ -157,7 +159,7 @@ def _slope(memory: Memory, stamp: int, rules: Rules, a: Actuator) -> tuple[float
             when, change = rows[k].stamp, rows[k].a - m.initial_length
         known = at_start or not with_answer or not math.isnan(rows[k].c)
         if known and (at_start or (rows[k].kind == LENGTH_KIND and when > m.track_ns)):
-            t = (when - stamp) * SECOND / half
+            t = (when - stamp) * SECONDS_PER_NS / half
             y = change - (rows[k].c if with_answer else m.length_change)
             n += 1
             earlier += 1 if when <= stamp else 0
@@ -204,7 +206,7 @@ def put_at_rest(
     m.rear_region = region_of(x1, c.body.half_clearance)
     m.front_region = region_of(x2 - m.pose_front * c.body.pitch, c.body.half_clearance)
     m.power = m.energy = 0.0
-    _move(memory, _line(length_change, 0.0), SECOND, 0.0, c)
+    _move(memory, _line(length_change, 0.0), SECONDS_PER_NS, 0.0, c)
 
 
 @entry
@@ -226,10 +228,10 @@ def _move(memory: Memory, form: Coefficients, duration: float, q: float, c: Cons
 def _move_along(memory: Memory, stamp: int, corner: int, target: float, c: Constants) -> None:
     """Advance the motion to a stamp, with ΔL on a straight line that reaches ``target`` (m) at the stamp ``corner``."""
     m = memory.record[0]
-    duration = (stamp - m.motion_ns) * SECOND
+    duration = (stamp - m.motion_ns) * SECONDS_PER_NS
     if duration <= 0.0:
         return
-    slope = (target - m.length_change) / ((corner - m.motion_ns) * SECOND)
+    slope = (target - m.length_change) / ((corner - m.motion_ns) * SECONDS_PER_NS)
     form = Coefficients(m.length_change, slope, 0, 0, 0, 0, 0, 0, 0, 0)
     _move(memory, form, duration, 0.0, c)
     m.length_change = target if stamp == corner else m.length_change + slope * duration
@@ -245,7 +247,7 @@ def _move_with_answer(
     ``before`` is the answer (m) at the start. The motion is computed in two parts if the command crosses −δ_s.
     """
     m = memory.record[0]
-    left = (stamp - m.motion_ns) * SECOND
+    left = (stamp - m.motion_ns) * SECONDS_PER_NS
     if left <= 0.0:
         return
     q, value = -1.0 / a.time_constant, before
@@ -271,7 +273,7 @@ def _answer(memory: Memory, stamp: int, command: float, a: Actuator) -> None:
     """Advance the answer to a stamp, with the command on a straight line to a value in m."""
     m = memory.record[0]
     if m.engaged:
-        duration = (stamp - m.command_ns) * SECOND
+        duration = (stamp - m.command_ns) * SECONDS_PER_NS
         m.answer = respond(m.answer, m.command, command, duration, a)
     m.command_ns, m.command = stamp, command
 
@@ -304,7 +306,7 @@ def _update_power(
     mechanical = cable_power_of(force, rate, c.body.one_sided_cable)
     power = p.idle_power + p.power_factor * max(mechanical - drag_of(c) * variance, 0.0)
     before = m.power if stamp > m.track_ns else power
-    m.energy += 0.5 * (before + power) * (stamp - m.power_ns) * SECOND
+    m.energy += 0.5 * (before + power) * (stamp - m.power_ns) * SECONDS_PER_NS
     m.power_ns, m.power = stamp, power
     m.power_variance = (p.power_factor * (drag_of(c) * rate - force)) ** 2 * variance
     return rate
@@ -442,7 +444,7 @@ def _follow_between(
         _move_with_answer(memory, stamp, start, m.command, before, c, a)
     else:
         after = rows[next_command]
-        duration = (after.stamp - stamp) * SECOND
+        duration = (after.stamp - stamp) * SECONDS_PER_NS
         target = m.answer
         if m.engaged:
             target = respond(m.answer, m.command, after.a, duration, a)
@@ -476,7 +478,7 @@ def _gap(memory: Memory, rules: Rules) -> float:
         stamp = memory.rows[k].stamp
     if stamp - m.motion_ns <= rules.pause or m.paused_ns > m.motion_ns:
         return 0.0
-    duration = (stamp - m.motion_ns) * SECOND
+    duration = (stamp - m.motion_ns) * SECONDS_PER_NS
     m.paused_ns = row.stamp
     m.blind_s += duration
     return duration

@@ -100,7 +100,7 @@ FIELDS = (
     Field("power", np.float64, "W", "predicted source power"),
     Field("power_variance", np.float64, "W²", "variance of `power` due to noise of the lengths"),
     Field("energy", np.float64, "J", "predicted energy since `track_ns`"),
-    Field("instrument_ns", np.int64, "ns", "stamp of the last measured power, or onset"),
+    Field("instrument_ns", np.int64, "ns", "stamp of the last measured power, or start of the run"),
     Field("instrument_power", np.float64, "W", "last measured power"),
     Field("instrument_energy", np.float64, "J", "measured energy of the run"),
     # run
@@ -127,7 +127,7 @@ FIELDS = (
     Field("moved", np.int64, "1", "grooves to add to both anchors, along +x"),
     Field("cycle", np.int64, "1", "number of the cycle, from 1; 0 without a gait"),
     Field("cycle_end_ns", np.int64, "ns", "end of the cycle"),
-    Field("reported_cycle", np.int64, "1", "cycle in the driver's last message"),
+    Field("reported_cycle", np.int64, "1", "cycle in the driver's last message during a gait"),
     Field("blind_s", np.float64, "s", "part of the cycle without data about the length"),
     Field("paused_ns", np.int64, "ns", "stamp at which the last gap was reported"),
     # residuals by channel

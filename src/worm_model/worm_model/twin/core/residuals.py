@@ -238,7 +238,8 @@ def judge(memory: Memory, rules: Rules, c: Constants, out: OutputRows) -> float:
     """Compare the row being processed with the twin.
 
     A length is compared only during a run, if ΔL from the actuation model (`Memory`: answer) is known at this row. A
-    position or a power is compared only if the motion is computed up to this row.
+    position or a power is compared only if the motion is computed up to this row. For a power, all lengths from which
+    it is predicted must have arrived, too.
 
     Returns the shift (m) of a tracker that was moved, otherwise 0.
     """

@@ -213,7 +213,7 @@ def _hold(memory: Memory, s: np.ndarray, rules: Rules) -> int:
 def insert(memory: Memory, s: np.ndarray, rules: Rules) -> int:
     """Insert, hold or exclude a sample (a row, shape (1,)); return the jump of the clock that the sample reveals.
 
-    After a jump, `held` contains the samples that revealed it.
+    After a jump ahead, `held` contains the samples that revealed it; after a jump back, the last of these samples.
     """
     m, row = memory.record[0], s[0]
     if not _is_number(s):
