@@ -118,7 +118,7 @@ def test_reference_table_comes_back_with_its_columns(run, shared: Path, tmp_path
     ("text", "message"),
     [
         ("", "no column stroke_m"),
-        ("stroke_m,frequency_Hz\n", "holds no gait"),
+        ("stroke_m,frequency_Hz\n", "contains no gait"),
         ("stroke_m,frequency_Hz\n0.07\n", "line 2, column frequency_Hz"),
         ("stroke_m,frequency_Hz\n0.07,x\n", "'x' is not a finite number"),
         ("stroke_m,frequency_Hz\n0.07,0.2,3\n", "line 2: 3 values for 2 columns"),
