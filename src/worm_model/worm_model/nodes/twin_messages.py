@@ -66,7 +66,7 @@ Row = tuple[int | float, ...]
 
 
 def gait_sample(message: Any) -> Row:
-    """Return the sample of a GaitState, a row of `twin.core.samples.SAMPLE`."""
+    """Return the sample of a GaitState, a row of `twin.data.samples.SAMPLE`."""
     stamp, gait = nanoseconds(message.header.stamp), message.gait
     identity = nanoseconds(message.onset), message.state, message.run, message.cycle
     values = (float(getattr(gait, name)) for name in GAIT_VALUES)
@@ -100,14 +100,14 @@ _STATE = tuple(name for name in STATE_ROW.names or () if name != "stamp_ns")
 
 
 def state_message(row: Any) -> TwinState:
-    """Return the TwinState of a row of `twin.core.records.STATE_ROW`."""
+    """Return the TwinState of a row of `twin.data.records.STATE_ROW`."""
     message = _filled(TwinState(), row, _STATE)
     message.header.frame_id = scene.FRAME
     return message
 
 
 def residuals_message(row: Any, warnings: Mapping[int, str]) -> TwinResiduals:
-    """Return the TwinResiduals of a row of `twin.core.records.RESIDUAL_ROW`.
+    """Return the TwinResiduals of a row of `twin.data.records.RESIDUAL_ROW`.
 
     ``warnings`` contains the texts of the warnings by number.
     """
@@ -140,7 +140,7 @@ def memory_message(stamp_ns: int, content: str) -> TwinMemory:
 
 
 def joint_state(row: Any) -> JointState:
-    """Return the positions (m) of the joints of urdf/worm.urdf for a row of `twin.core.records.STATE_ROW`."""
+    """Return the positions (m) of the joints of urdf/worm.urdf for a row of `twin.data.records.STATE_ROW`."""
     rear = float(row["rear_position"])
     return JointState(
         header=Header(stamp=time_message(int(row["stamp_ns"]))),
