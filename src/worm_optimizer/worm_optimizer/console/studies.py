@@ -49,7 +49,10 @@ class Studies:
         return self._search_name
 
     def search(self, request: ScanRequest | FrontRequest) -> bool:
-        """Start a search. Return False, and do nothing, if another search or a command, such as a run, is under way."""
+        """Start a search.
+
+        Return False, and do nothing, if a search is under way or `RobotWorker.submit` accepts no command.
+        """
         scans = isinstance(request, ScanRequest)
 
         def begin(node: OperatorNode) -> str:
@@ -109,7 +112,8 @@ class Studies:
     def set_parameter_file(self, file: str) -> bool:
         """Set the parameter file of twin and optimizer; empty for the paper's values.
 
-        Return False, and do nothing, if another command is under way. Raises `InputError` if the file is invalid.
+        Return False, and do nothing, if `RobotWorker.submit` accepts no command. Raises `InputError` if the file is
+        invalid.
         """
         state, parameters = self._state, load_parameters(file)
 
