@@ -52,7 +52,6 @@ from worm_optimizer.robot_commands import GaitCommand
 _GAITS = 3  # gaits of a plan without comparisons; with more runs than this, the spread is drawn
 SPREAD_FIGURE = "spread.png"
 _MODES = ("virtual", "robot")
-_CONTINUE = "campaign: continue with --resume {}"
 SAME_PLACE = "Put the robot where the first run began: same grooves, fins straight"
 
 
@@ -144,10 +143,10 @@ def _campaign(options: argparse.Namespace) -> int:
             ask = _prompt("Put the robot where it has room") if _prompts(options) else _at_once
             run_gaits(robot, orders, folder, work / "logs" / "validation", say, ask)
     except FAILURES as error:
-        sys.stderr.write(f"campaign: {error}\n{_CONTINUE.format(folder)}\n")
+        sys.stderr.write(f"campaign: {error}\n{_hint(options, folder)}")
         return FAILED
     except KeyboardInterrupt:
-        sys.stderr.write(f"{_CONTINUE.format(folder)}\n")
+        sys.stderr.write(_hint(options, folder))
         raise
     say("comparing")
     bags = [folder / run for run in names]
@@ -243,10 +242,7 @@ def _folder(options: argparse.Namespace) -> Path:
         if options.output is not None:
             raise InputError("--resume names the folder: remove --output")
         resumed: Path = options.resume.resolve()
-        if not (
-            (resumed / PROMISES).is_file()
-            or (options.identify and (resumed / identification_runs.RUNS).is_dir())
-        ):
+        if not _is_begun(options, resumed):
             raise InputError(f"{resumed}: contains no campaign ({PROMISES} is missing)")
         if (resumed / "report" / PAGE).exists():
             raise InputError(f"{resumed}: this campaign is complete and contains its report")
@@ -258,6 +254,17 @@ def _folder(options: argparse.Namespace) -> Path:
             f"{folder}: exists already; give another name with --output, or continue the campaign with --resume"
         )
     return folder
+
+
+def _is_begun(options: argparse.Namespace, folder: Path) -> bool:
+    """Return True if a folder contains a campaign that can be continued."""
+    identified = options.identify and (folder / identification_runs.RUNS).is_dir()
+    return (folder / PROMISES).is_file() or identified
+
+
+def _hint(options: argparse.Namespace, folder: Path) -> str:
+    """Return a line on how to continue an interrupted campaign; empty if nothing has begun."""
+    return f"campaign: continue with --resume {folder}\n" if _is_begun(options, folder) else ""
 
 
 def _promise(plan: Plan, folder: Path) -> None:

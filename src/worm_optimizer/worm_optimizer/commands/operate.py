@@ -326,15 +326,16 @@ def _progress(say: ProgressLog) -> Callable[[RunProgress], None]:
 
 
 def _result_text(result: RunResult, bag: Path | None) -> str:
+    recording = {} if bag is None else {"recording": bag}
     if not result.cycles_completed:
-        return result.message
+        return f"{result.message}\n{labelled(recording)}".rstrip()
     rows = {
         "cycles": result.cycles_completed,
         "distance": f"{1e3 * result.distance:.1f} mm, {result.grooves:.1f} grooves",
         "speed": f"{1e3 * result.speed:.2f} mm/s",
         "power": f"{result.power:.2f} W, at rest {result.idle_power:.2f} W",
         "cost of transport": f"{result.cost_of_transport:.1f}",
-        **({} if bag is None else {"recording": bag}),
+        **recording,
     }
     return f"{result.message}\n{labelled(rows)}"
 

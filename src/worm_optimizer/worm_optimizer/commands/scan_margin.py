@@ -54,9 +54,7 @@ def describe(price: PriceOfRobustness) -> str:
         rows.append((f"{1e3 * point.margin:.2f}", cost, *gait, branches))
     found = {
         "groove phase": f"{1e3 * price.groove_phase:+.2f} mm",
-        "cliff": f"{1e3 * price.cliff.margin:.3f} mm: beyond this margin, the branch with "
-        f"{price.cliff.lost_branch:g} grooves per cycle is lost, and the lowest COT rises by a factor of "
-        f"{price.cliff.rise:.2f}"
+        "cliff": f"{1e3 * price.cliff.margin:.3f} mm: beyond this margin, {price.cliff.consequence}"
         if price.cliff
         else "none among these margins",
         "closed form": f"{1e3 * price.closed_form_cliff_margin:.3f} mm, in the slow limit",

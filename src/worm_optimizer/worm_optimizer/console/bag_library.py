@@ -17,10 +17,10 @@ from typing import Any
 from worm_model.bags.formats.finding import METADATA_FILE
 from worm_model.commands.bag_columns import COLUMNS
 from worm_model.errors import InputError
+from worm_optimizer.code_version import identity_of_all
 from worm_optimizer.console.run_traces import RunTraces, traces_of
 from worm_optimizer.operation.processes import executable_command
 from worm_optimizer.report.report_page import PAGE, REPORT_SUFFIX, report_name
-from worm_optimizer.study.version import identity_of_all
 
 _LONGEST = 200  # largest number of characters of a name; longer names are cut
 _IDENTIFIED = "identified_"  # prefix of the names of identified parameter files

@@ -49,7 +49,7 @@ def pull_rate(shape: Shapes, phases: Array) -> Array:
     """
     share, ramp = shape["contraction_share"][:, np.newaxis], shape["ramp_share"][:, np.newaxis]
     part = np.minimum(phases / share, 1.0)
-    cosine = 0.5 * np.pi * np.sin(np.pi * part)
+    cosine = np.where(part < 1.0, 0.5 * np.pi * np.sin(np.pi * part), 0.0)  # sin(π) > 0 in floats
     trapezoid = np.minimum(1.0, np.minimum(part, 1.0 - part) / ramp) / (1.0 - ramp)
     is_cosine = shape["profile"][:, np.newaxis] == Profile.COSINE
     return np.where(is_cosine, cosine, trapezoid) / share

@@ -9,6 +9,7 @@ from dataclasses import (
     replace,
 )
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from worm_model.gait import Gait
@@ -103,15 +104,19 @@ def virtual_bench(robot: Robot, folder: Path, logs: Path) -> Bench:
     """
     bench = folder / BENCH
     if not bench.exists():
-        words = [str(bench)]
+        words = []
         for name, option in (("plant", "--parameters"), ("seed", "--seed")):
             if value := robot.settings.get(name, ""):
                 words += [option, value]
-        with ProcessGroup(logs) as group:
-            command = [*executable_command("worm_driver", "bench_tests"), *words]
-            process = group.start("bench_tests", command)
-            if process.wait(BENCH_S) != 0:
-                raise ProcessError(f"bench_tests: {process.last_line()}")
+        # The folder appears when both files are complete: an interrupted campaign is continued without it.
+        with TemporaryDirectory(prefix=".bench_tests_", dir=folder) as part:
+            with ProcessGroup(logs) as group:
+                made = Path(part) / BENCH
+                command = [*executable_command("worm_driver", "bench_tests"), str(made), *words]
+                process = group.start("bench_tests", command)
+                if process.wait(BENCH_S) != 0:
+                    raise ProcessError(f"bench_tests: {process.last_line()}")
+            made.rename(bench)
     return Bench(bench / "bellows.csv", bench / "fin.csv")
 
 

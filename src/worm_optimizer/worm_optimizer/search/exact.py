@@ -144,7 +144,9 @@ def _seeds(surveyed: Survey, step: float) -> list[tuple[int, int, int, tuple[flo
         _, strokes = _by_column(surveyed, surveyed.points.stroke, int(count))
         for side in (-1, 1):
             near, beyond = (np.roll(strokes, by * side) for by in (1, 2))
-            near[0 if side > 0 else -1] = np.nan  # The outermost column lacks this neighbour.
+            # The outermost columns lack these neighbours.
+            near[0 if side > 0 else -1] = np.nan
+            beyond[[0, 1] if side > 0 else [-1, -2]] = np.nan
             missed = np.isfinite(near) & ~(strokes <= near + 0.5 * step)
             for place in np.flatnonzero(missed):
                 pair = near[place], beyond[place] if np.isfinite(beyond[place]) else near[place]

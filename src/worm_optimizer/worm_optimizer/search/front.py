@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -274,16 +273,9 @@ def reason_for(price: PriceOfRobustness) -> str:
     """Return the reason why a scan's margin was chosen, as text."""
     if price.cliff is None:
         return "the largest margin of the scan at which a gait moves: the scan has no cliff"
-    cliff = price.cliff
-    rise = (
-        "no gait moves"
-        if math.isinf(cliff.rise)
-        else f"the lowest cost of transport rises by a factor of {cliff.rise:.2f}"
-    )
     return (
-        f"the last margin of the scan before the cliff at {1e3 * cliff.margin:.3f} mm, where the branch with "
-        f"{cliff.lost_branch:g} grooves per cycle is lost and {rise}; the closed form of the cliff is "
-        f"{1e3 * price.closed_form_cliff_margin:.3f} mm"
+        f"the last margin of the scan before the cliff at {1e3 * price.cliff.margin:.3f} mm, where "
+        f"{price.cliff.consequence}; the closed form of the cliff is {1e3 * price.closed_form_cliff_margin:.3f} mm"
     )
 
 

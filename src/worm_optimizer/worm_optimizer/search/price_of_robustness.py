@@ -72,6 +72,16 @@ class Cliff:
     rise: float
     lost_branch: float
 
+    @property
+    def consequence(self) -> str:
+        """What happens beyond the margin, as text."""
+        rise = (
+            "no gait moves"
+            if math.isinf(self.rise)
+            else f"the lowest cost of transport rises by a factor of {self.rise:.2f}"
+        )
+        return f"the branch with {self.lost_branch:g} grooves per cycle is lost and {rise}"
+
 
 @dataclass(frozen=True)
 class PriceOfRobustness:

@@ -25,7 +25,7 @@ from distributed.client import ClosedClientError
 from distributed.comm import CommClosedError
 
 from worm_model.errors import InputError
-from worm_optimizer.study.version import identity_of_all
+from worm_optimizer.code_version import identity_of_all
 
 _AHEAD = 2  # pieces submitted per worker: it computes one while the other one waits
 _UPDATE = 1.0  # interval between two updates of the list of workers, s

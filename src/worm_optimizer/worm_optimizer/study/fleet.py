@@ -27,12 +27,12 @@ from worm_model.errors import InputError
 from worm_model.identification.drift import ADVICE
 from worm_model.identification.drift_estimates import estimate_bags
 from worm_model.parameters import load_parameter_file
+from worm_optimizer.code_version import identity_of_all
 from worm_optimizer.report.recorded_gait import RecordedGait
 from worm_optimizer.report.recordings import read_recorded_gaits
 from worm_optimizer.study.engine import LostError, Say, connected, cores, spread
 from worm_optimizer.study.store import check_folder, lock
 from worm_optimizer.study.study_run import Counts, Workers
-from worm_optimizer.study.version import identity_of_all
 
 READ, FAILED = "read", "failed"
 _IDENTITY = b"worm_fleet"  # key of the table's metadata under which `_Fleet.identity` is stored

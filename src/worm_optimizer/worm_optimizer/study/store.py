@@ -30,12 +30,12 @@ import zarr
 from dask.array.core import normalize_chunks, slices_from_chunks
 
 from worm_model.errors import InputError
+from worm_optimizer.code_version import identity, versions
 from worm_optimizer.evaluation.servo_limits import servo_model
 from worm_optimizer.study.plan import PARAMETER_FILE, SAMPLE, Array, Study
 from worm_optimizer.study.point import FAILED, OPEN, Results, dimensions, variables
 from worm_optimizer.study.quantities import QUANTITIES
 from worm_optimizer.study.study_file import extends, format_study, identity_of, parse_study
-from worm_optimizer.study.version import identity, versions
 
 # Errors of codecs. MemoryError: a damaged length field may exceed the memory.
 _UNDECODABLE = (RuntimeError, ValueError, MemoryError, OverflowError)

@@ -1,14 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """The command operate, as far as it needs no robot."""
 
+import math
 import sys
+from pathlib import Path
 
 import pytest
 
 pytest.importorskip("worm_msgs.msg", reason="worm_msgs is not built")
 
 from worm_msgs.conditions import LEVEL, Conditions
+from worm_msgs.gait import Gait
 from worm_optimizer.commands import operate
+from worm_optimizer.robot_commands import RunResult
 
 
 class Robot:
@@ -55,3 +59,12 @@ def test_help_is_printed(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capture
         operate.main()
     assert end.value.code == 0
     assert "--tether-length" in capsys.readouterr().out
+
+
+def test_a_run_without_a_complete_cycle_names_its_recording():
+    nothing = dict.fromkeys(
+        ("grooves", "distance", "speed", "power", "cost_of_transport", "idle_power"), math.nan
+    )
+    result = RunResult(Gait(0.05, 0.2), False, "stopped", 0, 0, **nothing)
+    assert "bags/run" in operate._result_text(result, Path("bags/run"))
+    assert operate._result_text(result, None) == "stopped"

@@ -6,6 +6,7 @@ import json
 import math
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from recorded_run import GAIT, simulated_run, write_bag
@@ -15,8 +16,10 @@ from worm_model.gait import named_values
 from worm_model.parameters import PAPER, ParameterFile
 from worm_msgs.conditions import Conditions
 from worm_optimizer.commands import campaign as command
+from worm_optimizer.operation import identification_runs
 from worm_optimizer.operation.bring_up import left_out
 from worm_optimizer.operation.campaign_plan import (
+    PROMISES,
     is_promised,
     make_plan,
     with_comparisons,
@@ -27,6 +30,7 @@ from worm_optimizer.operation.campaign_runs import (
     put_aside,
     run_gaits,
 )
+from worm_optimizer.operation.processes import ProcessError
 from worm_optimizer.operation.system import Robot, load_system_file
 from worm_optimizer.report.agreement import title_of
 from worm_optimizer.robot_commands import GaitCommand
@@ -251,3 +255,34 @@ def test_what_cannot_be_resumed_is_one_line(
         (tmp_path / name).touch()
     assert run_command(monkeypatch, "--resume", str(tmp_path), *arguments) == 2
     assert complaint in capsys.readouterr().err.splitlines()[-1]
+
+
+@pytest.mark.parametrize("status", [0, 1])
+def test_bench_tests_that_are_interrupted_leave_no_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, status: int
+):
+    code = "import pathlib, sys; p = pathlib.Path(sys.argv[1]); p.mkdir(); (p / 'fin.csv').touch()"
+    monkeypatch.setattr(
+        identification_runs,
+        "executable_command",
+        lambda *_: [sys.executable, "-c", f"{code}; sys.exit({status})"],
+    )
+    folder, logs = tmp_path / "campaign", tmp_path / "logs"
+    folder.mkdir()
+    logs.mkdir()
+    robot = Robot(FILE, "virtual", {})
+    if status == 0:
+        assert identification_runs.virtual_bench(robot, folder, logs).fin.is_file()
+    else:
+        with pytest.raises(ProcessError):
+            identification_runs.virtual_bench(robot, folder, logs)
+    assert [path.name for path in folder.iterdir()] == ["bench_tests"] * (status == 0)
+
+
+def test_only_a_campaign_that_has_begun_can_be_continued(tmp_path: Path):
+    options = SimpleNamespace(identify=False)
+    assert command._hint(options, tmp_path / "campaign") == ""
+    (tmp_path / "campaign").mkdir()
+    assert command._hint(options, tmp_path / "campaign") == ""
+    (tmp_path / "campaign" / PROMISES).touch()
+    assert "--resume" in command._hint(options, tmp_path / "campaign")

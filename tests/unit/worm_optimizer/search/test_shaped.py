@@ -262,6 +262,7 @@ def test_the_rate_of_the_waveform_is_that_of_the_command():
         steps = -np.diff(gait.command(np.append(phases - 0.5 / 4000, 1.0 - 1e-12))) * 4000
         pulls = np.maximum(steps, 0.0)
         assert pull_rate(shape, phases[np.newaxis])[0] * 0.05 == pytest.approx(pulls, abs=2e-3)
+        assert np.all(pull_rate(shape, phases[np.newaxis])[0][steps < -0.001] == 0.0)
         assert peak_rate(shape)[0] * 0.05 == pytest.approx(gait.peak_speed)
 
 

@@ -24,7 +24,7 @@ _SOURCES: Mapping[Path, tuple[str, ...]] = {
         "parameters.py",
         "simulation/**/*.py",
     ),
-    Path(__file__).parents[1]: (
+    Path(__file__).parent: (
         "evaluation/*.py",
         "search/*.py",
         "robustness/*.py",
@@ -69,7 +69,7 @@ def identity_of_all() -> str:
 
     It is for results of recordings, on which also the code of bags, twin and identification has an effect.
     """
-    whole = (Path(worm_model.__file__).parent, Path(__file__).parents[1])
+    whole = (Path(worm_model.__file__).parent, Path(__file__).parent)
     plain = Path(inspect.getfile(RobotParameters)).parent  # next to generated messages
     return _hash(
         [
