@@ -340,7 +340,7 @@ def check_folder(output: Path) -> None:
 
 def _no_study(path: Path) -> StoreError:
     return StoreError(
-        f"{path}: is not the store of a study; choose another name, nothing is overwritten"
+        f"{path}: is not a study; choose another name, nothing is overwritten"
         if path.exists()
         else f"{path}: does not exist"
     )
