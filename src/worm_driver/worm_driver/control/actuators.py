@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from worm_driver.control.driver_settings import DriverSettings
 from worm_driver.control.supervision import fault_level, own_limit
-from worm_driver.errors import HomingError
+from worm_driver.errors import ConfigurationError, HomingError
 from worm_driver.servos import servo_setup as servos
 from worm_driver.servos.goal_gate import Bound, GoalGate
 from worm_driver.servos.position_track import PositionSample, PositionTrack
@@ -65,9 +65,9 @@ class Actuators:
     def _set_up(self) -> None:
         for servo in self.servos:
             servos.check(self._bus, servo)
+        contraction = self._held_contraction()
         for servo in self.fins:
             servos.prepare_fin(self._bus, servo)
-        contraction = self._held_contraction()
         if contraction is not None:
             self.homed = True
             self.left_on = (
@@ -85,17 +85,29 @@ class Actuators:
     def _held_contraction(self) -> float | None:
         """Return the contraction (m) that the cable servos hold, if an earlier driver left their torque on.
 
-        Return None if the torque of a cable servo is off, if a cable servo is not homed or has other settings than
-        this driver writes, or if the robot would not spring back.
+        Return None if no cable servo has torque, or if the robot would not spring back without it.
+
+        Raises:
+            ConfigurationError: The torque must stay on, but this driver cannot take the robot over: a cable servo is
+                not homed, has other settings than this driver writes, or has no torque while another one has.
+            BusError: A servo does not answer.
         """
-        longest = 0.0
-        for spool, servo in zip(self.settings.spools, self.cables, strict=True):
-            limit = own_limit(servo, self.settings.limits)
-            ticks = servos.held_position(self._bus, servo, limit)
-            if ticks is None:
-                return None
-            longest = max(longest, -spool.length_change(ticks))
-        return longest if longest > _SPRINGS_BACK else None
+        ticks = [servos.held_position(self._bus, servo) for servo in self.cables]
+        held = [
+            -spool.length_change(at)
+            for spool, at in zip(self.settings.spools, ticks, strict=True)
+            if at is not None
+        ]
+        if max(held, default=0.0) <= _SPRINGS_BACK:
+            return None
+        for servo, at in zip(self.cables, ticks, strict=True):
+            if at is None:
+                raise ConfigurationError(
+                    f"servo {servo.number} has no torque, while another cable servo holds the robot contracted by "
+                    f"{max(held) * 1e3:.1f} mm: secure the body and switch the supply of the servos off"
+                )
+            servos.require_cable_settings(self._bus, servo, own_limit(servo, self.settings.limits))
+        return max(held)
 
     @property
     def servos(self) -> tuple[Servo, ...]:
@@ -141,6 +153,8 @@ class Actuators:
         for servo in failed:
             self._bus.reboot(servo.number)
             self.homed = self.homed and servo not in self.cables
+        if all(servo in failed for servo in self.cables):
+            self.left_on = ""  # the restarted servos have no torque
         return tuple(servo.number for servo in failed)
 
     def check(self) -> None:

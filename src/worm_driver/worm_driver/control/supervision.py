@@ -179,13 +179,15 @@ def fault_in_health(servo: int, health: Health, *, is_cable: bool) -> str | None
         return f"servo {servo} reports {hardware_error_text(health.hardware_error)}"
     if health.watchdog == WATCHDOG_EXPIRED:
         return f"the bus watchdog of servo {servo} has expired: the command stream was interrupted"
-    if not health.torque or not health.watchdog or (is_cable and not health.led):
-        armed = "on" if health.watchdog else "on, without its bus watchdog"
-        torque = armed if health.torque else "off"
-        return f"servo {servo} has restarted: its torque is {torque}" + (
-            ", and its turn count is lost" if is_cable else ""
-        )
-    return None
+    if health.torque and health.watchdog and (health.led or not is_cable):
+        return None
+    armed = "on" if health.watchdog else "on, without its bus watchdog"
+    torque = f"its torque is {armed if health.torque else 'off'}"
+    if is_cable and not health.led:
+        return f"servo {servo} has restarted: {torque}, and its turn count is lost"
+    if not (is_cable or health.torque or health.watchdog):
+        return f"servo {servo} has restarted: {torque}"
+    return f"servo {servo} was changed by another program, as it has not restarted: {torque}"
 
 
 def position_jumped(servo: int, jump: int) -> str:

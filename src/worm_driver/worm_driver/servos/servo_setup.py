@@ -207,24 +207,45 @@ def prepare_fin(bus: ServoBus, servo: Servo) -> None:
     prepare(bus, servo, POSITION_MODE)
 
 
-def held_position(bus: ServoBus, servo: Servo, limit: float) -> int | None:
-    """Return the position (ticks from home) of a cable servo that an earlier driver left with its torque on.
-
-    Return None if the torque is off, the servo is not homed, or its operating mode, drive mode or current limit differs
-    from that of `prepare_cable`.
+def held_position(bus: ServoBus, servo: Servo) -> int | None:
+    """Return the position (ticks from home) of a cable servo that was left with its torque on; None if it is off.
 
     Raises:
+        ConfigurationError: The torque is on, but the servo is not homed or not in extended position mode.
         BusError: The servo does not answer, or no two readings agree.
     """
-    wanted = {
-        "operating_mode": EXTENDED_POSITION_MODE,
-        "drive_mode": 0,
-        "led": 1,
-        "torque_enable": 1,
-    }
-    wanted |= cable_settings(servo, limit)
-    values = registers(bus, servo, *wanted, "present_position")
-    return values["present_position"] if wanted.items() <= values.items() else None
+    wanted = {"operating_mode": EXTENDED_POSITION_MODE, "drive_mode": 0, "led": 1}
+    values = registers(bus, servo, *wanted, "torque_enable", "present_position")
+    if not values["torque_enable"]:
+        return None
+    if not wanted.items() <= values.items():
+        raise ConfigurationError(
+            f"servo {servo.number} has its torque on, but is not homed: the body may be contracted, and would spring "
+            "back without torque; switch the torque off with the program that switched it on, or secure the body and "
+            "switch the supply off"
+        )
+    return values["present_position"]
+
+
+def require_cable_settings(bus: ServoBus, servo: Servo, limit: float) -> None:
+    """Check that a cable servo whose torque is on has the settings of `cable_settings`, as they need the torque off.
+
+    Raises:
+        ConfigurationError: A setting differs.
+        BusError: The servo does not answer, or no two readings agree.
+    """
+    wanted = cable_settings(servo, limit)
+    if not wanted:
+        return
+    values = registers(bus, servo, *wanted)
+    for name, raw in wanted.items():
+        if values[name] != raw:
+            stored, own = (from_raw(servo[name], each) for each in (values[name], raw))
+            raise ConfigurationError(
+                f"servo {servo.number} holds a contracted robot, and its {name} is {stored:g} instead of {own:g}, which "
+                "can only be changed without torque: start the driver once more with the limits of the earlier driver, "
+                "and bring the robot to rest (activate, deactivate)"
+            )
 
 
 def is_homed(bus: ServoBus, servo: Servo) -> bool:

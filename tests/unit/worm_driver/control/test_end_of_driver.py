@@ -2,11 +2,13 @@
 """The end of the driver, on the virtual robot's bytes: how a stop, a fault or an operator affects the torque."""
 
 import math
+from dataclasses import replace
 
 import pytest
-from driver_rig import Rig, moving
+from driver_rig import CABLE, Rig, moving, settings
 
-from worm_driver.errors import RejectedError, StoppedError
+from worm_driver.control.supervision import Limits
+from worm_driver.errors import ConfigurationError, RejectedError, StoppedError
 from worm_driver.gait.gait_player import Phase
 
 
@@ -67,6 +69,55 @@ def test_the_next_driver_brings_a_robot_to_rest_that_was_left_so():
     assert again.robot.release() == []
     assert contraction(again) == pytest.approx(0.0, abs=1e-3)
     assert again.cable.memory["torque_enable"] == 0
+
+
+def left_contracted() -> Rig:
+    """Return a driver whose end left the robot contracted, with its torque on."""
+    rig = closing(0.3)
+    stop(rig)
+    ended(rig)
+    assert contraction(rig) > 0.003
+    return rig
+
+
+def test_a_driver_with_other_limits_does_not_release_a_robot_that_was_left_contracted():
+    """The current limit of the servo could only be changed without torque."""
+    rig = left_contracted()
+    held = contraction(rig)
+    other = replace(rig.settings, home_at_start=False, limits=Limits(max_current=1.9))
+    with pytest.raises(ConfigurationError, match=r"current_limit is 2\.2"):
+        rig.restarted_driver(other)
+    assert rig.cable.memory["torque_enable"] == 1
+    assert contraction(rig) == pytest.approx(held, abs=1e-4)
+    again = rig.restarted_driver()
+    again.robot.activate(again.clock.now)
+    again.robot.ramp_to_rest(again.clock.now, "deactivated")
+    again.run(10.0, until=lambda _: again.robot.released)
+    assert again.robot.release() == []
+    assert rig.restarted_driver(other).robot.actuators.left_on == ""
+
+
+@pytest.mark.parametrize("register", ["led", "operating_mode", "drive_mode"])
+def test_a_torque_without_a_home_is_not_released(register):
+    rig = left_contracted()
+    rig.cable.memory[register] = 3 if register == "operating_mode" else 0
+    if register == "drive_mode":
+        rig.cable.memory[register] = 1
+    with pytest.raises(ConfigurationError, match="not homed"):
+        rig.restarted_driver()
+    assert rig.cable.memory["torque_enable"] == 1
+
+
+def test_a_reboot_of_a_servo_that_was_left_with_its_torque_permits_a_home():
+    rig = left_contracted().restarted_driver(settings(home_at_start=False))
+    assert rig.robot.actuators.left_on
+    rig.inject("overload", target=CABLE)
+    rig.run(0.5)
+    assert rig.robot.reboot() == (CABLE,)
+    rig.run(1.0)
+    assert rig.robot.actuators.left_on == ""
+    rig.robot.home()
+    rig.robot.activate(rig.clock.now)
 
 
 def test_without_a_stop_it_is_released_at_rest():

@@ -57,13 +57,23 @@ def test_a_cable_that_does_not_follow_is_a_fault():
     [
         (Health(1, 1, 0b100000, 4), "reports overload"),
         (Health(1, 1, 0, -1), "bus watchdog of servo 1 has expired"),
-        (Health(0, 1, 0, 4), "has restarted: its torque is off"),
+        (Health(0, 1, 0, 4), "another program, as it has not restarted: its torque is off"),
         (Health(1, 0, 0, 4), "turn count is lost"),
-        (Health(1, 1, 0, 0), "has restarted: its torque is on, without its bus watchdog"),
+        (Health(1, 1, 0, 0), "not restarted: its torque is on, without its bus watchdog"),
+        (Health(0, 0, 0, 0), "has restarted: its torque is off, and its turn count is lost"),
     ],
 )
 def test_each_register_shows_its_fault(health, expected):
     assert expected in fault_in_health(1, health, is_cable=True)
+
+
+@pytest.mark.parametrize(
+    ("health", "restarted"), [(Health(0, 0, 0, 0), True), (Health(0, 1, 0, 4), False)]
+)
+def test_a_fin_has_restarted_only_if_its_watchdog_is_reset_too(health, restarted):
+    found = fault_in_health(11, health, is_cable=False)
+    assert ("servo 11 has restarted" in found) is restarted
+    assert "turn count" not in found
 
 
 def test_a_healthy_servo_has_no_fault_and_a_fins_led_does_not_matter():
