@@ -242,9 +242,9 @@ def require_cable_settings(bus: ServoBus, servo: Servo, limit: float) -> None:
         if values[name] != raw:
             stored, own = (from_raw(servo[name], each) for each in (values[name], raw))
             raise ConfigurationError(
-                f"servo {servo.number} holds a contracted robot, and its {name} is {stored:g} instead of {own:g}, which "
-                "can only be changed without torque: start the driver once more with the limits of the earlier driver, "
-                "and bring the robot to rest (activate, deactivate)"
+                f"servo {servo.number} holds a contracted robot, and its {name} is {stored:g} instead of {own:g}, "
+                "which can only be changed without torque: start the driver once more with the limits of the earlier "
+                "driver, and bring the robot to rest (activate, deactivate)"
             )
 
 
