@@ -56,8 +56,8 @@ class PlayedGait:
         cycles: requested number of cycles.
         end: stamp at which the driver reported the end of the gait or, if the recording ends earlier, STOPPING; None
             if it reported neither.
-        state_after: state at ``end``, a value of GaitState.state: FAULT; otherwise STOPPING if the driver
-            reported STOPPING before; otherwise the state that it reported. None if ``end`` is None.
+        state_after: state at ``end``, a value of GaitState.state. It is STOPPING for a gait that was stopped, unless it
+            ended in FAULT. None if ``end`` is None.
         rest_start: stamp of the last message with the state RESTING before the onset; None if there is none.
         run: the driver's number of the run; 0 in recordings without run numbers.
     """
@@ -150,15 +150,15 @@ def completed_cycles(run: Run, played: PlayedGait) -> int:
 def averaged_cycles(run: Run, played: PlayedGait) -> tuple[int, int]:
     """Return the numbers (from 1) of the first and the last averaged cycle.
 
-    The averaged cycles are the last three that were completely played and recorded. Without such a cycle, the result is
-    (1, 1), and speed and power are unavailable; see `completed_cycles`.
+    The averaged cycles are the last three that were completely played and recorded. Without such a cycle
+    (`completed_cycles` is 0), the result is (1, 1), and the caller must treat speed and power as unavailable.
     """
     last = max(completed_cycles(run, played), 1)
     return max(last - AVERAGED_CYCLES, 0) + 1, last
 
 
 def early_end(run: Run, played: PlayedGait) -> str:
-    """Return how a gait ended early, in FAULT, or with an incomplete recording; empty if it did not."""
+    """Return a remark on a gait that ended early or in FAULT, or was not recorded completely; otherwise empty."""
     if played.state_after is not None and played.end is not None:
         done = played.whole_cycles_until(_FOREVER)
         if played.state_after == Activity.FAULT:

@@ -3,7 +3,7 @@
 
 Only these modules depend on the file formats; all other packages use typed arrays and records.
 
-`opening.open_bag` returns a `bag.Bag` for any supported format. Iteration over a bag reads its messages lazily.
+`opening.open_bag` returns a `bag.Bag` for any supported format. `Bag.messages` reads the messages lazily.
 `run_reader.read_run` returns the worm's topics as arrays (`worm_model.run.Run`), and `run_writer` writes them.
 
 - `formats`: MCAP, sqlite3, metadata.yaml, message definitions, CDR. `bag_writer.new_bag` writes a complete bag.

@@ -213,7 +213,8 @@ def read_columns(bag: Bag, topics: Sequence[Topic]) -> dict[str, Columns]:
 class _Filter:
     """Filter of one topic's messages; it excludes and counts repeated messages and messages with an infinite number.
 
-    A message counts as repeated if it equals the previous one, as in a recording that was merged with itself.
+    A message counts as repeated if its numbers equal those of the previous one, as in a recording that was merged with
+    itself. Texts are not compared.
 
     Attributes:
         repeated, infinite: number of excluded messages of each kind.

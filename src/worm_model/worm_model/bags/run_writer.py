@@ -53,7 +53,7 @@ def stamped_messages(
         numbers, texts: values of the fields, see `cdr.encode`.
 
     Raises:
-        BagError: A stamp is before the epoch, or the type has no such field.
+        BagError: A stamp is before the epoch, or the type lacks one of the fields.
     """
     if len(stamp) and stamp.min() < 0:
         raise BagError(f"a {topic.type_name} has a stamp before 1970, which a bag cannot store")

@@ -47,7 +47,7 @@ class Column:
     label: str = ""
 
     def cell(self, row: Mapping[str, Any]) -> Any:
-        """Return the value of a row in a list that sorts: a rounded number, or a text; None if it is missing."""
+        """Return the value of a row for a sortable list: a rounded number, or a text; None if it is missing."""
         value = row.get(self.key)
         if value is None or value != value:
             return None

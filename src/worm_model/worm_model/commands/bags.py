@@ -55,7 +55,7 @@ def _parser() -> command_line.Parser:
     table.add_argument(
         "folder", type=Path, nargs="?", default=FOLDER, metavar="FOLDER", help="default: bags"
     )
-    table.add_parameters()
+    table.add_parameters("the file in each bag, else the paper's values")
     add_verb("info", _info, help="content of a bag")
     trim = add_verb(
         "trim",

@@ -95,13 +95,13 @@ class Parser(command_parser.Parser):
             "--figure", metavar="FILE", help="write a figure too (.png, .pdf or .svg)"
         )
 
-    def add_parameters(self) -> None:
-        """Add --parameters."""
+    def add_parameters(self, default: str = "the paper's values") -> None:
+        """Add --parameters; ``default`` describes the parameters that are used without the option."""
         self.add_argument(
             "--parameters",
             default="",
             metavar="FILE",
-            help="parameter file (YAML); default: the paper's values",
+            help=f"parameter file (YAML); default: {default}",
         )
 
     def add_transmission(self) -> None:

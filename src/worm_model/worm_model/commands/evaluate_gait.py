@@ -114,7 +114,7 @@ def _evaluate_table(options: argparse.Namespace, parameters: Parameters) -> None
         lines = ", ".join(map(str, failed[:10])) + (", ..." if len(failed) > 10 else "")
         text += (
             f"; {len(failed)} of them have no results (nan), lines {lines}: the fins do not hold the load at rest, "
-            "or a fin probably passes a border to and fro without end"
+            "or the simulation needs too many steps, probably because a fin switches without end"
         )
     print_result(options, {"output": str(output), "gaits": count, "without_figures": failed}, text)
 

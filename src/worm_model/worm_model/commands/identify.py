@@ -102,7 +102,7 @@ def _parser() -> Parser:
     parser.add_transmission()
     parser.add_definitions()
     parser.add_json()
-    parser.add_parameters()
+    parser.add_parameters("README.md of a lab's folder, else the paper's values")
     return parser
 
 

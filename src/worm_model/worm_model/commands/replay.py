@@ -248,7 +248,7 @@ def _total_lines(report: ReplayReport) -> list[str]:
 
 _SOURCES = {
     "x1": "no position of the tracker was recorded",
-    "length": "no measured length was recorded",
+    "length": "no measured length or no command was recorded",
     "power": "no power was recorded",
     "energy": "no power was recorded",
 }

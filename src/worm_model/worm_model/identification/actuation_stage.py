@@ -30,8 +30,8 @@ from worm_model.identification.fits.resampling import correlation, estimates, re
 from worm_model.parameters import PAPER
 
 USUAL = (PAPER.slack, PAPER.gain, PAPER.time_constant)  # usual values, see `if_identifiable`
-# A parameter counts as without effect if a change of its value by one derivative step changes the residuals (in units
-# of the camera's noise) by a sum of squares below this limit.
+# A parameter counts as without effect if a change of its value by one derivative step hardly changes the residuals: the
+# sum of the squared changes, in units of the camera's noise, is below this limit.
 LEAST_INFORMATION = 1e-9
 NO_BEARING = "the parameter has no effect on these runs"
 AT_BOUND = "the fit is at a bound, where no interval is valid"

@@ -70,7 +70,7 @@ def identify_energy(
         forces: function that draws the static forces (N) of all runs within their uncertainty. Each array begins like
             `PowerRun.static_force`, but extends to the end of the run.
         parameters: source of c_b if c_b is not identifiable, and of α_P if there are no runs.
-        random: source of the bootstrap.
+        random: generator for the bootstrap.
         hindrance: reason why no interval of c_b and α_P would be valid; empty if there is no such reason.
     """
     note = hindrance or _why_not(runs, frequencies)

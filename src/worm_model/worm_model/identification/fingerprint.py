@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Fingerprint of the source files that an identification imports."""
+"""Fingerprint of the source files of this package that an identification imports."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ VERSION = "0.1.0"
 
 
 def code_version() -> str:
-    """Return a text with the version of the package and the fingerprint of the sources that `identify` imports."""
+    """Return a text with the version of this package and the fingerprint of its sources that `identify` imports."""
     digest = hashlib.sha256()
     for file in imported_files(PACKAGE, ENTRY):
         digest.update(str(file.relative_to(PACKAGE)).encode() + file.read_bytes())

@@ -63,7 +63,10 @@ SEARCHED = np.linspace(-12.0, 12.0, 13)  # N, loads from which fits start
 FIRST_REACH = 0.1  # N, first step of the search for an end of the interval
 MOST_RESTARTS = 10  # number of better fits found by the profile after which the test fails
 LOAD = 0  # entry of the load among the shared parameters
-NO_FIT = "no load between -12 and 12 N explains the motion of x1; check the parameter file and the starts of the runs"
+NO_FIT = (
+    "no load explains the motion of x1 in fits that start from -12 to 12 N; check the parameter file and the starts of "
+    "the runs"
+)
 NOT_SETTLED = (
     "the load has no valid interval: each fit found a better load far from the previous one; check the parameter "
     "file, the pitch first, and add a run"

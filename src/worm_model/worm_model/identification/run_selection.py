@@ -24,7 +24,7 @@ ONE_RUN = "measured in this single run; the variation between runs is unknown"
 class Run:
     """Run used for fitting or validation: recording, smoothed length, traverse and idle power.
 
-    ``has_power`` is True if power samples cover five ridges, so that the run is used for c_b and α_P.
+    ``has_power`` is True if power samples cover the traverse, so that the run is used for c_b and α_P.
     """
 
     recording: Recording

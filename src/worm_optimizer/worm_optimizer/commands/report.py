@@ -43,7 +43,7 @@ def _parser() -> Parser:
     add("--without-front", action="store_true", help="omit the front and the price of robustness")
     add_identification(parser)
     parser.add_json()
-    parser.add_parameters()
+    parser.add_parameters("the file in each bag, else the paper's values")
     return parser
 
 

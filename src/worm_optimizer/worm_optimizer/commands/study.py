@@ -84,7 +84,9 @@ def _parser() -> command_line.Parser:
     )
     add("--dry-run", action="store_true", help="only print points, blocks and an estimated time")
     parser.add_json()
-    parser.add_parameters()
+    parser.add_parameters(
+        "the file that the study names, with --bags the file in each bag, else the paper's values"
+    )
     return parser
 
 

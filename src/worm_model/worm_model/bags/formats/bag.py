@@ -178,10 +178,10 @@ class Bag:
 
         Raises BagError if a message does not have the length that its definition requires.
         """
-        taken = np.array([channel in self._given for channel in block.channels], bool)
+        is_given = np.array([channel in self._given for channel in block.channels], bool)
         channels = tuple(self._given.get(channel, channel) for channel in block.channels)
         defined = replace(block, channels=channels)
-        for message in defined.select(taken[block.channel]) if taken.any() else ():
+        for message in defined.select(is_given[block.channel]) if is_given.any() else ():
             check_length(message.channel, message.data)
         return defined
 

@@ -265,7 +265,7 @@ def encode(
         texts: texts by path: one text for all messages, or one text per message.
 
     Raises:
-        BagError: The type has no such field.
+        BagError: The type lacks one of the fields.
     """
     store = typestore(topic.type_name, topic.definition, topic.definition_format)
     message: Any = default_message(store, topic.type_name)
@@ -309,8 +309,8 @@ def check_length(topic: Topic, data: bytes) -> None:
         store.deserialize_cdr(data, topic.type_name)
     except SerdeError:
         raise BagError(
-            f"{topic.name} has no definition, and a message is not as long as the {topic.type_name} used "
-            f"instead requires; {REMEDY}"
+            f"{topic.name} has no definition in the bag; another definition of {topic.type_name} was used, and a "
+            f"message is not as long as it requires; {REMEDY}"
         ) from None
 
 

@@ -64,8 +64,8 @@ def _run_pieces(records: Buffer, first: int, last: int) -> Iterator[Buffer]:
 def scan(data: Buffer) -> Contents:
     """Return the contents of a file that begins with MAGIC.
 
-    Only the heads of the chunks are decoded if the file is closed, the checksums of its summary and its data section
-    are correct, and the summary describes the data section. Otherwise every chunk is decoded.
+    Only the heads of the chunks are decoded if the file is closed, its summary has a correct checksum, its data section
+    has a correct checksum or none, and the summary describes the data section. Otherwise every chunk is decoded.
     """
     summary, _ = _read_summary(data)
     if summary is not None and summary.is_protected:
@@ -217,7 +217,7 @@ class _Survey:
     Args:
         data: the file.
         summary: the intact summary, or None.
-        judge: returns True if a chunk is complete.
+        judge: returns True if the body of a chunk is accepted, see `mcap_walk.Walk`.
         add_chunk: adds a chunk to the contents, `add_by_head` or `add_by_content`.
 
     Attributes:

@@ -145,7 +145,8 @@ def topic_of(
 def parse_ahead(type_names: Iterable[str]) -> None:
     """Parse definitions now rather than with the first bag that contains messages of these types.
 
-    The function does nothing if worm_msgs is not installed, because a bag may contain all definitions.
+    The function ends at the first type that is not installed. This is not an error, because a bag may contain all
+    definitions.
     """
     with suppress(DefinitionError):
         for type_name in type_names:

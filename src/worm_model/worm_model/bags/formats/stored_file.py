@@ -124,8 +124,8 @@ def _unpacked(path: Path) -> BinaryIO:
 
     Raises:
         BagError: The content is larger than LARGEST_RATIO times the file, or larger than half of the free space for
-            temporary files. The other half stays free for other processes. Or a file that is not empty has no content
-            before its first damage.
+            temporary files (the other half stays free for other processes), or a file that is not empty has no
+            content before its first damage.
     """
     free = shutil.disk_usage(gettempdir()).free // 2
     most, size = min(free, LARGEST_RATIO * path.stat().st_size), 0

@@ -46,7 +46,7 @@ def write_copy(
 def trim(bag: Bag, output: Path, first: int, last: int) -> int:
     """Write the messages with log times from ``first`` to ``last`` (ns since the epoch); return their number.
 
-    The last message of each latched topic before the span is included, because a subscriber that starts at the start
+    The last message of each latched topic before the span is included, because a subscriber that joins at the start
     of the span would receive it. Its log time is set to the start of the span.
 
     Raises:

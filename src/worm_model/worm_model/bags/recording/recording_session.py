@@ -17,7 +17,7 @@ from worm_model.bags.opening import is_unclosed
 from worm_model.bags.recording.recorder import BagRecorder, Manifest
 from worm_model.bags.recording.recording_thread import RecordingThread, Tally
 
-# largest size, in bytes, of the messages that wait for the disk, and of the ring buffer; default of rosbag2's cache
+# bytes, largest size of the messages that wait for the disk, and of the ring buffer: rosbag2's default cache size
 BACKLOG_BYTES = 100 * 2**20
 
 

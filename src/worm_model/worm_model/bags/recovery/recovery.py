@@ -113,7 +113,7 @@ class Recovery:
         """Known loss in one line; empty if there is none."""
         parts = [*map(str, self.damaged), *(self.unreadable or {}).values()]
         if self.absent:
-            parts.append(f"{', '.join(self.absent)} is missing with all its messages")
+            parts.append(f"files missing with all their messages: {', '.join(self.absent)}")
         counted: Counter[str] = Counter()
         for file in self.damaged:
             counted.update(file.missing or {})
@@ -227,7 +227,8 @@ def is_unfinished(content: Mapping[str, Any]) -> bool:
 def undeclared(path: Path, counts: Mapping[str, int]) -> dict[str, int]:
     """Return the number of messages that a bag's metadata.yaml declares minus the number in ``counts``, by topic.
 
-    Topics without a difference are omitted. The result is empty if the bag is not closed or declares no messages.
+    Topics without a difference are omitted. The result is empty if the bag is a single file, is not closed,
+    or declares no messages.
     """
     try:
         content = read_metadata(path) if path.is_dir() else {}

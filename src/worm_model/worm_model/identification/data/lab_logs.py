@@ -50,8 +50,8 @@ USUAL_SPOOL = 0.012  # m, used if the logs do not show the spool radius
 # Relative difference between the given and the estimated radius above which a remark reports it
 SPOOL_TOLERANCE = 2e-3
 FEWEST_MOVED = 10  # smallest number of goals for an estimate of the onset or of the radius
-# Ticks, smallest range of the goals for an estimate of the radius. The rounding error of the radius is then half a
-# percent.
+# Ticks, smallest range of the goals for an estimate of the radius. The rounding error of the radius is then at most
+# half a percent.
 FEWEST_TICKS = 200
 
 
@@ -228,7 +228,7 @@ def read_table(path: Path, columns: tuple[str, ...]) -> Table:
     """Return the columns of a CSV file by name; an empty cell is NaN. The first column is the time, which must rise.
 
     Raises:
-        LabError: A column is missing, a cell is not a number, or the time does not rise.
+        LabError: The time does not rise, or the error is one of `read_columns`.
     """
     table = read_columns(path, columns)
     time = table[columns[0]]
@@ -243,7 +243,7 @@ def read_columns(path: Path, columns: tuple[str, ...]) -> Table:
     """Return the columns of a CSV file by name; an empty cell is NaN. The order of the rows does not matter.
 
     Raises:
-        LabError: A column is missing, there are no rows, or a cell is not a number.
+        LabError: The file cannot be read, a column is missing, there are no rows, or a cell is not a finite number.
     """
     try:
         with path.open(encoding="utf-8-sig", newline="") as stream:

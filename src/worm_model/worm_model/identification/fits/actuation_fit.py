@@ -78,7 +78,7 @@ def predicted_length_change(
 
     Args:
         recording: the run.
-        values: δ_s in m, K and τ in s.
+        values: δ_s in m, K, and τ in s, shape (3,).
         times: ascending times on the camera's clock, s, shape (n,).
         clock_offset: offset of the camera's clock, s, see `ActuationFit`.
         engagement: time after the onset until which ΔL has its value at rest, s. Ignored for a gait with pretension.

@@ -128,8 +128,8 @@ def power_missing(recording: Recording, traverse: Traverse) -> str:
         return ""
     covered = f" from {times[0]:.1f} to {times[-1]:.1f} s" if times.size else ""
     return (
-        f"{recording.name}: {times.size} power samples{covered} in the {end:.1f} s over five ridges: the run is "
-        "excluded from the estimation of c_b and α_P"
+        f"{recording.name}: {times.size} power samples{covered} in the first {end:.1f} s, which are evaluated: the run "
+        "is excluded from the estimation of c_b and α_P"
     )
 
 
