@@ -20,7 +20,7 @@ from worm_model.parameters import PAPER, Parameters
 from worm_model.simulation.batch import GaitTable, evaluate_gaits
 from worm_model.simulation.simulator import AVERAGED
 from worm_msgs.gait import FORWARD, MAX_FREQUENCY, MAX_MARGIN, MAX_STROKE, REVERSE
-from worm_optimizer.evaluation.actuator_limits import ActuatorLimits, Peaks, peaks
+from worm_optimizer.evaluation.actuator_limits import NO_LIMITS, ActuatorLimits, Peaks, peaks
 from worm_optimizer.evaluation.command_shape import SINUSOID, Shapes, fields_of, peak_rate
 from worm_optimizer.evaluation.runs import Array, Index, find_runs
 from worm_optimizer.optimizer_errors import OptimizerError
@@ -285,6 +285,8 @@ class MarginTask:
 
     def _excess(self, stroke: Array, frequency: Array, shape: Shapes) -> Array:
         """Return the relative excess of moving gaits over the limits; 1 for gaits that cannot be simulated."""
+        if self.limits == NO_LIMITS:
+            return np.full(stroke.shape, -1.0)
         peak = Peaks.none(stroke.size)
         if self.limits.need_simulation:
             peak = peaks(stroke, frequency, self.direction, self.parameters, self.limits, shape)

@@ -262,11 +262,10 @@ def _places(task: MarginTask, bounds: ShapeBounds) -> list[Array]:
     """
     places = [(0.0, *start) for start in _starts(task, bounds)]
     longer = [
-        (part, 0.0, reach)
+        [(part, 0.0, reach) for reach in _reaches(task, bounds.pretension[0], _REACHES_OF_RAMPS)]
         for part in _RAMP_PARTS
-        for reach in _reaches(task, bounds.pretension[0], _REACHES_OF_RAMPS)
     ]
-    groups = places[:1], places[1:_REACHES], places[_REACHES:], longer
+    groups = places[:1], places[1:_REACHES], places[_REACHES:], *longer
     return [np.array(group) for group in groups if group]
 
 

@@ -176,6 +176,9 @@ def transport_cost(points: Points) -> Array:
     return points.power / points.speed
 
 
+_MINIMISED = (power_cost, transport_cost)  # costs whose minima belong to every front
+
+
 def lowest(task: Task, surveyed: Survey, costs: Sequence[Cost], zoom: Zoom) -> Points:
     """Minimise each cost along the edges, continuously in the frequency.
 
@@ -323,6 +326,7 @@ class ExactFront:
         surveyed: edges at the columns.
         front: non-dominated edges, by rising speed. The gaits of lowest power, lowest cost of transport and highest
             speed are located continuously in the frequency.
+        minima: gaits of lowest power and of lowest cost of transport along the edges, as `lowest` returns them.
         power_rises: True if no tried longer stroke on a branch of the front needs less power than the edge. If one
             does, it replaces the edge in the front.
     """
@@ -332,11 +336,14 @@ class ExactFront:
     zoom: Zoom
     surveyed: Survey
     front: Points
+    minima: Points
     power_rises: bool
 
     def cheapest(self, cost: Cost) -> Points:
         """Minimise a cost over all edges, continuously in the frequency. Return one row; none if no gait qualifies."""
-        found = lowest(self.task, self.surveyed, [cost], self.zoom)
+        found = self.minima
+        if cost not in _MINIMISED:
+            found = lowest(self.task, self.surveyed, [cost], self.zoom)
         candidates = Points.join(self.surveyed.points, self.front, found)
         costs = cost(candidates)
         qualified = np.flatnonzero(np.isfinite(costs))
@@ -364,14 +371,14 @@ class ExactFront:
 def exact_front(task: Task, resolution: Resolution, zoom: Zoom) -> ExactFront:
     """Compute the exact front of a task. The front is empty if no gait of the box is admissible."""
     surveyed = survey(task, resolution, zoom)
-    best = lowest(task, surveyed, (power_cost, transport_cost), zoom)
+    best = lowest(task, surveyed, _MINIMISED, zoom)
     front = front_of(Points.join(surveyed.points, best))
     box = task.bounds
     reach = 0.25 * (box.stroke_high - box.stroke_low) / (resolution.strokes - 1)
     front = front_of(Points.join(front, _rivals(task, surveyed, front, reach)))
     cheaper = _cheaper(task, front)
     front = front_of(Points.join(front, cheaper)) if len(cheaper) else front
-    return ExactFront(task, resolution, zoom, surveyed, front, not len(cheaper))
+    return ExactFront(task, resolution, zoom, surveyed, front, best, not len(cheaper))
 
 
 def _rivals(task: Task, surveyed: Survey, front: Points, reach: float) -> Points:
