@@ -264,8 +264,7 @@ def locked_store(path: Path, study: Study) -> Iterator[Store]:
         StoreError: The folder of the output is missing. The output contains no study or another one, its description is
             damaged, another version of the code began it, or another process uses it.
     """
-    if not path.exists():
-        _make(path, study)
+    made = not path.exists() and _make(path, study)
     with _locked(path):
         attributes = _attributes(path)
         stored = study if attributes[_HASH] == identity_of(study) else stored_study(path)
@@ -282,7 +281,7 @@ def locked_store(path: Path, study: Study) -> Iterator[Store]:
         for partial in path.rglob("*.partial"):  # Zarr was writing it when a process was killed
             partial.unlink()
         block = tuple(attributes[_BLOCK])
-        repaired = _installed(path, study, block)
+        repaired = () if made else _installed(path, study, block)
         if stored is not study:
             _clear_samples(path, stored.shape[-1])
             repaired = ()
@@ -363,11 +362,18 @@ def _attributes(path: Path) -> dict[str, Any]:
     return content
 
 
-def _make(path: Path, study: Study) -> None:
-    """Create an empty store under a temporary name and rename it, so that no incomplete store remains."""
+def _make(path: Path, study: Study) -> bool:
+    """Create an empty store under a temporary name and rename it, so that no incomplete store remains.
+
+    Return False if another process has created the store, which is then used.
+    """
     check_folder(path)
-    with _template(path, study, block_shape(study)) as part, contextlib.suppress(OSError):
-        part.rename(path)  # Fails if another process has created the store, which is then used.
+    with _template(path, study, block_shape(study)) as part:
+        try:
+            part.rename(path)
+        except OSError:
+            return False
+    return True
 
 
 def _installed(path: Path, study: Study, block: tuple[int, ...]) -> tuple[str, ...]:
