@@ -32,16 +32,28 @@ def pytest_pycollect_makemodule(module_path: Path, parent: pytest.Collector):
     return None
 
 
-@pytest.fixture(scope="package")
+# Without these settings, a cluster that waits needs an eighth of a processor to watch itself.
+QUIET = {
+    "distributed.worker.profile.enabled": False,
+    "distributed.admin.tick.interval": "1s",
+    "distributed.admin.system-monitor.interval": "10s",
+}
+
+
+@pytest.fixture(scope="module")  # "package" would keep it until all tests have ended
 def cluster() -> Iterator[LocalCluster]:
     """Start two workers in processes of their own, for the tests that start none themselves."""
+    import dask
     from distributed import LocalCluster
 
-    with LocalCluster(
-        n_workers=2,
-        threads_per_worker=1,
-        processes=True,
-        dashboard_address="127.0.0.1:0",
-        memory_limit=0,
-    ) as running:
+    with (
+        dask.config.set(QUIET),
+        LocalCluster(
+            n_workers=2,
+            threads_per_worker=1,
+            processes=True,
+            dashboard_address="127.0.0.1:0",
+            memory_limit=0,
+        ) as running,
+    ):
         yield running
