@@ -16,6 +16,7 @@ import pytest
 from lab_files import write_bench_tests
 from recorded_run import GAIT, simulated_run, write_bag
 from recorded_session import joined_session, recorded_session
+from unrendered import leave_runs_unrendered
 
 from worm_model.bags.formats.bag_writer import new_bag
 from worm_model.bags.formats.contents import AttachedFile
@@ -53,6 +54,12 @@ def silent(line: str) -> None:
 def gait(tmp_path_factory: pytest.TempPathFactory) -> RecordedGait:
     bag = write_bag(tmp_path_factory.mktemp("bags") / "five", simulated_run(CYCLES))
     return read_one(bag)
+
+
+@pytest.fixture
+def unrendered(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Do not render the figures of single gaits. The fixture `page` and the test without a tracker render them."""
+    leave_runs_unrendered(monkeypatch)
 
 
 def read_one(bag: Path, parameters: str = "") -> RecordedGait:
@@ -126,6 +133,7 @@ def test_a_short_run_is_held_against_the_same_cycles_of_the_model(tmp_path: Path
     assert gait.early_end == ""
 
 
+@pytest.mark.usefixtures("unrendered")
 def test_a_fault_is_reported_first_and_standing_still_is_not_averaged(tmp_path: Path):
     """The recording continues after the fault; only the played part counts."""
     run = simulated_run(CYCLES)
@@ -389,7 +397,7 @@ def test_next_to_shaped_gaits_the_page_names_the_waveform_of_the_front(gait: Rec
     assert "waveform" in found.note
 
 
-@pytest.mark.usefixtures("coarse")
+@pytest.mark.usefixtures("coarse", "unrendered")
 def test_gaits_of_different_margins_get_the_cliffs_which_the_page_reports(
     gait: RecordedGait, tmp_path: Path
 ):
@@ -402,6 +410,7 @@ def test_gaits_of_different_margins_get_the_cliffs_which_the_page_reports(
     assert "margins from 2.00 to 3.00 mm" in page
 
 
+@pytest.mark.usefixtures("unrendered")
 def test_gaits_without_a_front_in_common_are_shown_without(gait: RecordedGait, tmp_path: Path):
     assert why_no_front([gait, made_with(gait, 0.002)]) == ""
     back = made_with(gait, 0.0, direction=-1)
@@ -489,6 +498,7 @@ def test_values_of_another_form_of_the_power_are_not_held_against_the_papers(tmp
     assert rows["bellows_stiffness"].count("968.8") == 2  # its value and the paper's
 
 
+@pytest.mark.usefixtures("unrendered")
 def test_fits_of_the_bench_tests_and_the_report_of_identify_are_on_the_page(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
@@ -518,6 +528,7 @@ def test_fits_of_the_bench_tests_and_the_report_of_identify_are_on_the_page(
     assert "0.88 to 0.92" in text
 
 
+@pytest.mark.usefixtures("unrendered")
 def test_the_page_fits_narrow_screens_and_names_the_campaigns_gaits(
     gait: RecordedGait, tmp_path: Path
 ):
@@ -539,6 +550,7 @@ def run_command(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
     return command.main()
 
 
+@pytest.mark.usefixtures("unrendered")
 def test_the_newest_recording_is_reported_by_default(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ):
