@@ -53,10 +53,10 @@ def test_forward_and_reverse_differ_under_a_load():
 
 @pytest.mark.parametrize("load", [0.0, 2.0, 4.0])
 def test_the_cliff_under_a_load_is_that_of_the_closed_form_in_the_slow_limit(load):
-    slow = Bounds(0.01, 0.12, 0.01, 0.02)
+    slow = Bounds(0.01, 0.12, 0.01, 0.01)
     robot = PAPER.replace(rear_load=0.5 * load, front_load=0.5 * load, viscous_friction=5.0)
     expected = cliff_margin(robot)
-    margins = np.arange(expected - 4e-4, expected + 4e-4, 2e-4)
+    margins = expected + np.array([-1e-4, 1e-4])
     price = price_of_robustness(MarginTask(robot, bounds=slow), np.maximum(margins, 0.0))
     assert price.cliff is not None
     assert price.cliff.margin == pytest.approx(expected, abs=5e-5)
