@@ -230,7 +230,8 @@ class RobotServer:
     def _advance_time(self) -> float:
         """Advance simulated time as far as allowed and return it."""
         machine, clients = self._clock(), self._clients.values()
-        if any(client.has_lost_bytes(machine) for client in clients):
+        sent, received = self._bytes_sent, self._bytes_received
+        if any(client.has_lost_bytes(machine, sent, received) for client in clients):
             self._cut_line()
         if clients:
             waiting = (p.waits(self._bytes_sent, self._bytes_received) for p in clients)

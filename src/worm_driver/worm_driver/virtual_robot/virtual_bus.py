@@ -255,15 +255,20 @@ def _range(parameters: bytes, *, exactly: bool) -> tuple[int, int]:
 def _group_read(
     packet: Packet, listening: Sequence[Servo], time: float
 ) -> tuple[list[_Answer], list[int]]:
-    """Return the answers of the servos that listen, and the data lengths requested from all servos."""
+    """Return the answers of the servos that listen, and the data lengths requested from all servos.
+
+    The request resets the watchdog of each servo in it, also of a servo whose status return level forbids an answer.
+    """
     by_id = {servo.servo_id: servo for servo in listening}
     answers, lengths = [], []
     for servo_id, address, length in _requests(packet):
         lengths.append(length)
         servo = by_id.get(servo_id)
-        if servo is None or servo.memory["status_return_level"] == 0:
+        if servo is None:
             continue
         servo.feed_watchdog(time)
+        if servo.memory["status_return_level"] == 0:
+            continue
         try:
             answers.append(_answer_of(servo, data=servo.read(address, length)))
         except RegisterError as error:

@@ -1,13 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The directory of a virtual robot: which process may use it, and which files remain."""
+"""The directory of a virtual robot: which process may use it, and which files remain. The server's simulated time."""
 
+import math
 import os
+import socket
 import stat
 
 import pytest
 
 from worm_driver.virtual_robot.robot_server import DirectoryError, RobotServer
 from worm_driver.virtual_robot.virtual_robot import VirtualRobot
+from worm_driver.virtual_robot.wire.clock_server import ClockClient
+from worm_driver.virtual_robot.wire.virtual_clock import I2C, SERIAL, Wait
 
 
 @pytest.fixture
@@ -68,6 +72,31 @@ def test_a_directory_that_cannot_be_made(make, tmp_path):
 def test_a_path_too_long_for_a_socket(make, tmp_path):
     with pytest.raises(DirectoryError, match="shorter --directory"):
         make(tmp_path / ("x" * 120)).open()
+
+
+def test_after_a_long_wait_time_still_does_not_pass_while_bytes_are_in_transit(make, tmp_path):
+    """Another client may compute for seconds, during which a serial client waits without any bytes in transit."""
+    server = make(tmp_path)
+    server.open()
+    machine = 100.0
+    server._clock = lambda: machine
+    server.time.begin(machine)
+    now = server.time.now
+    serial = ClockClient(SERIAL, Wait(1, math.inf, False, written=0, read=0), since=machine)
+    other = ClockClient(I2C)
+    ends = socket.socketpair()
+    server._clients.update(zip(ends, (serial, other), strict=True))
+    machine += 5.0
+    assert server._advance_time() == now
+    # The serial client writes 14 bytes, which the server has not received yet.
+    serial.wait, serial.since = Wait(2, math.inf, True, written=14, read=0), machine
+    other.wait = Wait(1, math.inf, False, 0, 0)
+    machine += 0.1
+    assert server._advance_time() == now
+    server._bytes_received += 14
+    assert server._advance_time() > now
+    for end in ends:
+        end.close()
 
 
 def test_samples_of_the_camera_arrive(served):

@@ -139,6 +139,30 @@ def test_the_watchdog_counts_from_the_last_packet_for_the_servo():
     assert replies(virtual, goal, 0.23) == [status_packet(CABLE, 0)]
 
 
+@pytest.mark.parametrize("level", [0, 1, 2])
+@pytest.mark.parametrize(
+    ("instruction", "parameters"),
+    [
+        (Instruction.SYNC_READ, two_bytes(132) + two_bytes(4) + bytes([CABLE])),
+        (Instruction.FAST_SYNC_READ, two_bytes(132) + two_bytes(4) + bytes([CABLE])),
+        (Instruction.BULK_READ, bytes([CABLE]) + two_bytes(132) + two_bytes(4)),
+        (Instruction.FAST_BULK_READ, bytes([CABLE]) + two_bytes(132) + two_bytes(4)),
+    ],
+)
+def test_a_group_read_resets_the_watchdog_also_of_a_servo_that_does_not_answer(
+    instruction, parameters, level
+):
+    virtual = robot()
+    virtual.receive(write(CABLE, 64, b"\x01"), 0.0)
+    virtual.receive(write(CABLE, 98, b"\x05"), 0.0)  # 100 ms
+    virtual.receive(write(CABLE, 68, bytes([level])), 0.0)
+    request = instruction_packet(BROADCAST_ID, instruction, parameters)
+    for tick in range(1, 21):
+        virtual.advance(tick * 0.05)
+        assert len(replies(virtual, request, tick * 0.05)) == (level > 0)
+    assert virtual.servos[0].memory["bus_watchdog"] == 5
+
+
 def test_a_lost_answer_is_still_an_instruction_obeyed():
     virtual = robot(make_fault(faults.NO_ANSWER, target=CABLE))
     assert replies(virtual, write(CABLE, 65, b"\x01")) == []

@@ -12,7 +12,7 @@ from worm_driver.virtual_robot.wire.virtual_clock import SERIAL, Wait
 
 #: Largest delay that simulated time catches up by advancing faster than its rate, s of machine time.
 _SLACK = 0.1
-#: Duration of a wait of a serial client after which bytes in transit count as lost, s of machine time.
+#: Duration of a serial client's wait after which bytes that are still in transit count as lost, s of machine time.
 _LOST = 2.0
 
 
@@ -42,9 +42,18 @@ class ClockClient:
         all_read = not self.wait.listening or self.wait.read >= sent
         return all_read and received >= self.wait.written
 
-    def has_lost_bytes(self, machine: float) -> bool:
-        """Return True if a serial client has waited for so long at a machine time (s) that bytes count as lost."""
-        return self.wait is not None and self.port == SERIAL and machine - self.since > _LOST
+    def has_lost_bytes(self, machine: float, sent: float, received: float) -> bool:
+        """Return True if bytes to or from a client have been in transit for so long that they count as lost.
+
+        A client that computes or is idle has lost no bytes, however long.
+
+        Args:
+            machine: machine time, s.
+            sent, received: numbers of bytes over the serial line, as for `waits`.
+        """
+        if self.wait is None or self.waits(sent, received):
+            return False
+        return machine - self.since > _LOST
 
 
 @dataclass

@@ -81,5 +81,24 @@ def test_bytes_on_their_way_keep_the_time():
     )  # nor is awaited
     assert not ClockClient(SERIAL).waits(0, 0)
     assert ClockClient(I2C, Wait(1, 0.1, False, 0, 0)).waits(sent=61, received=14)
-    assert not client.has_lost_bytes(5.1)
-    assert client.has_lost_bytes(60.0)
+
+
+@pytest.mark.parametrize(("sent", "received"), [(60, 13), (61, 14)])
+def test_bytes_that_stay_in_transit_for_long_are_lost(sent, received):
+    client = ClockClient(SERIAL, Wait(1, 0.1, True, written=14, read=60), since=5.0)
+    assert not client.has_lost_bytes(5.1, sent, received)
+    assert client.has_lost_bytes(60.0, sent, received)
+
+
+@pytest.mark.parametrize(
+    "client",
+    [
+        ClockClient(SERIAL, Wait(1, 0.1, True, written=14, read=60), since=5.0),
+        ClockClient(SERIAL, Wait(1, 0.1, False, written=14, read=50), since=5.0),
+        ClockClient(SERIAL),
+        ClockClient(I2C, Wait(1, 0.1, True, 0, 0), since=5.0),
+    ],
+    ids=["idle", "idle without listening", "computes", "of the I2C bus"],
+)
+def test_a_client_without_bytes_in_transit_has_lost_none_however_long_it_waits(client):
+    assert not client.has_lost_bytes(60.0, sent=60, received=14)
