@@ -96,7 +96,8 @@ class Calibration:
             except BusError:
                 continue
             if model in MODELS:
-                answering.append(servos.identify(self._bus, number))
+                with self._bus.retrying():
+                    answering.append(servos.identify(self._bus, number))
             else:
                 self._say(
                     f"servo {number}: model number {model} is not supported; the servo is excluded"
@@ -154,7 +155,7 @@ class Calibration:
                 ticks = start + direction * step * index
                 self._reach(servo, ticks)
                 question = f"reading {index + 1} of {points}: body length on the ruler, mm: "
-                readings.append(Reading(ticks - start, self._number(question) * 1e-3))
+                readings.append(Reading(ticks - start, self._length(question) * 1e-3))
             self._reach(servo, start)
         spool, worst = spool_from(servo.number, readings)
         self._say(
@@ -308,13 +309,18 @@ class Calibration:
             self._say(f"answer with one of {', '.join(letters)}")
         return answer
 
-    def _number(self, question: str) -> float:
+    def _length(self, question: str) -> float:
+        """Ask the operator for a length until the answer is a positive, finite number. Return this number."""
         while True:
             answer = self._ask(question)
             try:
-                return float(answer.replace(",", "."))
+                length = float(answer.replace(",", "."))
             except ValueError:
                 self._say(f"{answer!r} is not a number")
+                continue
+            if 0.0 < length < math.inf:
+                return length
+            self._say(f"{answer!r} is not a length: enter a positive number")
 
 
 def calibrate(calibration: Calibration, turns: float, points: int) -> tuple[list[Spool], list[Fin]]:

@@ -23,6 +23,7 @@ from worm_driver.servos.transmission import Fin, Spool
 from worm_driver.virtual_robot.virtual_robot import VirtualRobot
 from worm_driver.virtual_robot.virtual_settings import load_settings
 from worm_driver.virtual_robot.wire.faults import make_fault
+from worm_driver.virtual_robot.wire.packet import Instruction
 
 
 @given(st.sampled_from([1, -1]), st.floats(0.008, 0.05), st.floats(0.2, 0.4))
@@ -334,6 +335,43 @@ def test_an_invalid_answer_repeats_the_question():
     bench.calibration._ask_operator = lambda *_: next(answers)
     assert bench.calibration.role(bench.calibration.find_servos()[0]) == "n"
     assert bench.output == ["answer with one of c, f, n"] * 2
+
+
+@pytest.mark.parametrize("answer", ["nan", "inf", "-inf", "1e999", "0", "-295", "", "x"])
+def test_a_reading_that_is_no_length_repeats_the_question(answer):
+    bench = Bench()
+    ask, wrong = bench.answer, iter([answer])
+
+    def misread(question: str, meanwhile) -> str:
+        right = ask(question, meanwhile)
+        return next(wrong, right) if "reading 2" in question else right
+
+    bench.calibration._ask_operator = misread
+    spools, _ = calibrate(bench.calibration, turns=0.3, points=4)
+    assert spools[0].radius == pytest.approx(0.025, rel=0.02)
+    assert sum("reading 2" in question for question, _ in bench.questions) == 2
+    assert sum(repr(answer) in line for line in bench.output) == 1
+
+
+@pytest.mark.parametrize("late", [0.005, 0.02, 0.05])
+def test_no_request_is_sent_while_a_late_answer_may_still_arrive(late):
+    """Otherwise the late answer could pass for the answer to a later request."""
+    bench = Bench()
+    bench.bus.retries = 3
+    write, in_transit = bench.port.writePort, []
+
+    def watched(packet) -> int:
+        if packet[7] == Instruction.READ:
+            if not in_transit:
+                fault = make_fault("late", target=1, value=late, count=1)
+                bench.robot.board.add(fault.delayed(bench.clock.now))
+            in_transit.append(len(bench.port.ser._coming))
+        return write(packet)
+
+    bench.port.writePort = watched
+    assert [servo.number for servo in bench.calibration.find_servos()] == [1, 11, 12]
+    assert bench.bus.counters.timeouts > 0
+    assert set(in_transit) == {0}
 
 
 def test_without_servos_it_names_the_checks():
