@@ -7,6 +7,8 @@ bytes in both directions. Only one thread may use a bus, because smbus2 has no l
 
 import contextlib
 import errno
+import os
+import re
 import stat
 from dataclasses import dataclass
 from pathlib import Path
@@ -75,9 +77,10 @@ class I2CDevice:
 
     def _explain(self, error: OSError) -> str:
         where = f"I2C device 0x{self.address:02X} on bus {self.bus_name}"
+        number = _bus_number(self.bus_name)
+        scan = f" (i2cdetect -y {number})" if number else ""
         remedy = {
-            errno.EREMOTEIO: "does not acknowledge: check its power, wiring and address "
-            f"(i2cdetect -y {self.bus_name})",
+            errno.EREMOTEIO: f"does not acknowledge: check its power, wiring and address{scan}",
             errno.ENXIO: "does not acknowledge: check its power, wiring and address",
             errno.ETIMEDOUT: "timed out: a device may block the bus. Switch its power off and on",
             errno.EBUSY: "is in use by a kernel driver: unbind ina2xx (hwmon)",
@@ -113,6 +116,14 @@ def open_device(bus: str, address: int) -> I2CDevice:
         ) from error
     except OSError as error:
         raise PowerSensorError(f"I2C bus {bus} cannot be opened: {error}") from error
+
+
+def _bus_number(bus: str) -> str:
+    """Return the number of a bus that is given as in `open_device`; empty for a virtual robot's socket."""
+    if bus.isdecimal():
+        return bus
+    device = re.fullmatch(r"/dev/i2c-(\d+)", os.path.realpath(bus))
+    return device[1] if device else ""
 
 
 def _open_bus(bus: str) -> WordBus:

@@ -25,6 +25,8 @@ SHUNT_LSB_V = 10e-6
 BUS_LSB_V = 4e-3
 #: absolute value of the raw shunt voltage at the ends of the range +-320 mV
 SHUNT_FULL_SCALE = 32_000
+#: smallest shunt voltage at the largest current, V, at which the calibration fits into its 16 bits: 0.02048, rounded up
+_LEAST_FULL_SCALE_V = 0.0205
 
 #: number of consecutive samples with identical bits at which the chip counts as frozen. With a quiet supply a few
 #: samples are identical, but seldom so many at a resolution of 4 mV and 0.1 mA (shunt of 0.1 ohm).
@@ -159,6 +161,8 @@ class INA219:
 def calibration_for(shunt_resistance: float, max_current: float) -> int:
     """Return the value of the calibration register for a shunt (ohm) and the largest current (A) without overflow.
 
+    The value is even, and fits into the 16 bits of the register.
+
     Cal = trunc(0.04096 / (Current_LSB R)) with Current_LSB = max_current / 32768 and the resistance R of the shunt
     (SBOS448G). Bit 0 is always 0.
 
@@ -173,12 +177,12 @@ def calibration_for(shunt_resistance: float, max_current: float) -> int:
             f"{max_current:g} A through {shunt_resistance:g} ohm exceeds the INA219's 320 mV: "
             f"use at most {0.32 / shunt_resistance:g} A, or a smaller shunt"
         )
-    value = int(0.04096 / (max_current / 32768 * shunt_resistance)) & 0xFFFE
-    if not 0 < value <= 0xFFFE:
+    if max_current * shunt_resistance < _LEAST_FULL_SCALE_V * (1.0 - 1e-9):
         raise ConfigurationError(
-            f"max_current_a {max_current:g} is too small for {shunt_resistance:g} ohm: raise it"
+            f"max_current_a {max_current:g} is too small for the INA219 with {shunt_resistance:g} ohm: "
+            f"use at least {_LEAST_FULL_SCALE_V / shunt_resistance:g} A, or a larger shunt"
         )
-    return value
+    return int(0.04096 / (max_current / 32768 * shunt_resistance)) & 0xFFFE
 
 
 def _signed(word: int) -> int:

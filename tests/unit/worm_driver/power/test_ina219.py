@@ -65,6 +65,13 @@ class RegisterBus:
         return None
 
 
+class Unacknowledged(RegisterBus):
+    """Bus on which no device acknowledges."""
+
+    def read_word_data(self, i2c_addr, register):
+        raise OSError(errno.EREMOTEIO, "Remote I/O error")
+
+
 def test_the_bytes_of_smbus_values_are_swapped():
     """Unswapped, 12.000 V (0x5DC2) would read a plausible 24.876 V."""
     device = I2CDevice(RegisterBus({2: 0x5DC2}), "1", 0x40)
@@ -224,6 +231,24 @@ def test_a_current_beyond_the_shunts_range_is_rejected():
 
 
 @pytest.mark.parametrize(
+    ("resistance", "current", "least"),
+    [
+        (0.1, 0.2, r"0\.205"),
+        (0.1, 0.1, r"0\.205"),
+        (0.01, 2.0, r"2\.05"),
+        (10.0, 1e-3, r"0\.00205"),
+        (1e-200, 1e-200, r"2\.05e\+198"),
+    ],
+)
+def test_a_current_too_small_for_the_register_is_rejected_and_the_smallest_one_is_usable(
+    resistance, current, least
+):
+    with pytest.raises(ConfigurationError, match=rf"max_current_a .* at least {least} A"):
+        calibration_for(resistance, current)
+    assert 0 < calibration_for(resistance, float(least.replace("\\", ""))) <= 0xFFFE
+
+
+@pytest.mark.parametrize(
     ("resistance", "current"), [(0.0, 3.2), (-0.1, 3.2), (0.1, 0.0), (0.1, math.nan)]
 )
 def test_an_impossible_shunt_is_rejected(resistance, current):
@@ -266,6 +291,26 @@ def test_each_failure_of_the_bus_has_its_message(number, expected):
 
     with pytest.raises(PowerSensorError, match=expected):
         I2CDevice(Broken({}), "1", 0x40).read(0)
+
+
+@pytest.mark.parametrize(
+    ("bus", "hint"), [("1", "i2cdetect -y 1"), ("/dev/i2c-7", "i2cdetect -y 7")]
+)
+def test_the_hint_to_i2cdetect_has_the_number_of_the_bus(bus, hint):
+    with pytest.raises(PowerSensorError, match=rf"check its power, wiring and address \({hint}\)$"):
+        I2CDevice(Unacknowledged({}), bus, 0x40).read(0)
+
+
+def test_the_hint_to_i2cdetect_follows_a_link_to_the_bus(tmp_path):
+    link = tmp_path / "power_bus"
+    link.symlink_to("/dev/i2c-7")
+    with pytest.raises(PowerSensorError, match="i2cdetect -y 7"):
+        I2CDevice(Unacknowledged({}), str(link), 0x40).read(0)
+
+
+def test_a_virtual_robots_bus_has_no_hint_to_i2cdetect():
+    with pytest.raises(PowerSensorError, match=r"check its power, wiring and address$"):
+        I2CDevice(Unacknowledged({}), "/tmp/worm/i2c.sock", 0x40).read(0)
 
 
 def test_a_sensor_that_repeats_the_same_bits_is_not_valid_and_one_that_repeats_a_few_is():
