@@ -13,6 +13,7 @@ from worm_model.run import Activity
 from worm_model.simulation.closed_form import groove_phase
 from worm_model.simulation.simulator import (
     GaitResult,
+    LoadError,
     Locomotion,
     LocomotionState,
     SimulationError,
@@ -64,9 +65,9 @@ def forecast(twin: Twin, state: TwinState, gait: Gait, horizon_s: float = HORIZO
     """Return the forecast of a gait for a horizon in s, where 0 means `HORIZON_S`.
 
     Raises:
-        ForecastError: A fin chatters, or the horizon is not in the range from `STEP_S` to `LONGEST_S`.
+        ForecastError: A fin chatters, the fins do not hold the load at rest, or the horizon is not in the range from
+            `STEP_S` to `LONGEST_S`.
         GaitError: Stroke plus pretension is not below the body length.
-        LoadError: The fins do not hold the load at the start of a run from rest.
     """
     horizon = horizon_s or HORIZON_S
     if not STEP_S <= horizon <= LONGEST_S:
@@ -78,7 +79,7 @@ def forecast(twin: Twin, state: TwinState, gait: Gait, horizon_s: float = HORIZO
         nominal = evaluate_gait(replace(gait, margin=0.0), parameters)
         time: Array = np.arange(1, round(horizon / STEP_S) + 1, dtype=float) * STEP_S
         motions = play_gait(gait, parameters, start, time)
-    except SimulationError as error:
+    except (LoadError, SimulationError) as error:
         raise ForecastError(f"the gait cannot be predicted: {error}") from None
     origin = float(begun.record["origin"]) + int(begun.record["moved"]) * parameters.pitch
     return Forecast(

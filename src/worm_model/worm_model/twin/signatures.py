@@ -20,7 +20,7 @@ from worm_model.arrays import Array
 from worm_model.gait import Gait
 from worm_model.parameters import Parameters
 from worm_model.simulation.actuation import length_change_of_command
-from worm_model.simulation.simulator import Locomotion, SimulationError, simulate
+from worm_model.simulation.simulator import Locomotion, LoadError, SimulationError, simulate
 from worm_model.twin.cause_table import LASTING, Cause, Effect
 from worm_model.twin.core.memory import CHANNELS, LENGTH, PHASES, POSITION, POWER
 
@@ -134,7 +134,7 @@ class _Model:
         self.length = self._length(parameters, self.commands)
         try:
             self.seen, self.grooves = self._cycle(parameters, self.commands, 0.0)
-        except SimulationError:  # without a steady gait there are no signatures
+        except (LoadError, SimulationError):  # without a steady gait there are no signatures
             self.seen, self.grooves = np.zeros((CHANNELS, BINS)), 0
 
     def _length(self, parameters: Parameters, commands: Array) -> Array:
@@ -167,7 +167,7 @@ class _Model:
             shown, grooves = self._cycle(
                 parameters, self.commands if commands is None else commands, 0.0
             )
-        except SimulationError:
+        except (LoadError, SimulationError):
             return np.zeros((CHANNELS, BINS)), 0
         return shown - self.seen, grooves - self.grooves
 
@@ -280,7 +280,7 @@ def _switched(model: _Model, fin: int, margin: float, grooves: int) -> Array | N
             begins += 1e-3
             ends = _first_change(model, fin, usual, _follow(model, (begins, ends), margin), ends)
         other = _follow(model, (begins, ends), margin)
-    except SimulationError:
+    except (LoadError, SimulationError):
         return None
     pitch = parameters.pitch
     x1, power = other.x1 - usual.x1, other.power - usual.power
@@ -302,7 +302,7 @@ def _window(gait: Gait, parameters: Parameters, fin: int) -> tuple[float, float]
     """
     try:
         events = simulate(gait, parameters, CYCLES).events()
-    except SimulationError:
+    except (LoadError, SimulationError):
         return None
     events = [e for e in events if e.switched and e.direction == gait.direction]
     mine = [e.time for e in events if e.fin == fin]

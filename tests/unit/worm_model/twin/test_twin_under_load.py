@@ -18,6 +18,7 @@ from worm_model.parameters import PAPER
 from worm_model.twin.cause_table import LASTING, LOAD_DOWN, LOAD_UP
 from worm_model.twin.core.memory import POSITION, POWER
 from worm_model.twin.data.records import Health
+from worm_model.twin.forecast import ForecastError, forecast
 from worm_model.twin.offline_replay import replay_run
 from worm_model.twin.signatures import signatures
 from worm_model.twin.twin import Twin
@@ -109,3 +110,20 @@ def test_a_load_that_is_zero_has_a_signature_in_newtons(name):
     shift = -cause.size / (PAPER.engaged_stiffness + PAPER.disengaged_stiffness)
     assert np.median(small[POSITION]) == pytest.approx(shift, rel=0.3)
     assert np.abs(small[POWER]).max() > 0.0
+
+
+@pytest.mark.parametrize("load", [60.0, -60.0])
+def test_a_load_that_the_fins_do_not_hold_does_not_end_the_twin(load):
+    """The parameter file may be wrong; the robot moves all the same."""
+    slides = PAPER.replace(rear_load=load)
+    assert signatures(GAIT, slides, driven=False)
+    session = climbed(*SLOPES[0])
+    played = session.played[0]
+    live = live_twin(session.rows, Twin(slides))
+    assert live.residuals["health"].max() == Health.FAULTY
+    run = recording(session.rows, live.memories, played.begin_ns, played.end_ns)
+    (report,) = report_replay(run, replay_run(run, slides), slides.pitch).runs
+    assert report.health == Health.FAULTY
+    twin = Twin(slides)
+    with pytest.raises(ForecastError, match="hold"):
+        forecast(twin, twin.start(), GAIT)
