@@ -239,8 +239,11 @@ class Robot:
         """
         self.player = gait_player.cancel(self.player, now, reason)
 
-    def stop(self, now: float, reason: str) -> None:
+    def stop(self, now: float, reason: str) -> str:
         """Hold the cable and the fins at their present positions immediately. Has no effect with the torque off.
+
+        Returns:
+            Message that says whether the robot holds.
 
         Raises:
             BusError: The goals cannot be sent.
@@ -248,6 +251,9 @@ class Robot:
         if self.active:
             self._adopt(gait_player.stop(self.player, now, self._here(), reason))
             self._send_goals()
+            return "stopped, and holding"
+        problems = self.actuators.unreleased or [self.actuators.left_on]
+        return f"nothing to stop: {'; '.join(filter(None, problems)) or 'the torque is off'}"
 
     def fail(self, now: float, reason: str) -> None:
         """Hold the cable and the fins at their present positions until the next activation."""

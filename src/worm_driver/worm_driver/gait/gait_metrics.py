@@ -150,6 +150,8 @@ def _speed(run: Run, record: RunRecord, start: float, end: float) -> tuple[float
         return math.nan, "no speed: no samples arrived on the topic tracker"
     (first, first_gap), (last, last_gap) = record.position_at(start), record.position_at(end)
     gap = max(first_gap, last_gap)
+    if math.isinf(gap):
+        return math.nan, _not_covered(record.positions, start, end)
     if math.isnan(last - first):
         where = f"the start or the end of the averaged cycles ({gap:.2f} s)"
         return math.nan, f"no speed: the tracker did not see the robot at {where}"
@@ -161,11 +163,22 @@ def _speed(run: Run, record: RunRecord, start: float, end: float) -> tuple[float
     return run.gait.direction * (last - first) / (end - start), note
 
 
+def _not_covered(positions: Sequence[tuple[float, float]], start: float, end: float) -> str:
+    """Return why there is no speed if the tracker samples do not extend from a start to an end (s)."""
+    causes = []
+    if (late := positions[0][0] - start) > 0.0:
+        causes.append(f"first saw the robot {late:.3f} s after the start of the averaged cycles")
+    if (early := end - positions[-1][0]) > 0.0:
+        causes.append(f"last saw the robot {early:.3f} s before the end of the averaged cycles")
+    return f"no speed: the tracker {' and '.join(causes)}"
+
+
 def _mean_power(samples: Sequence[PowerSample], start: float, end: float) -> tuple[float, str]:
     """Return the mean power (W) from a start to an end (s), and a reason if it is NaN.
 
     The mean is weighted with time: each valid sample counts until the next valid one, and the last one until the end.
-    The first one also counts from the start to its own time.
+    The first one also counts from the start to its own time. The mean is NaN if the time between two neighbouring valid
+    samples, from the start to the first one, or from the last one to the end is too long.
     """
     window = [sample for sample in samples if start <= sample.time <= end]
     if not window:
@@ -174,13 +187,14 @@ def _mean_power(samples: Sequence[PowerSample], start: float, end: float) -> tup
     if overflows:
         return math.nan, f"no power: {overflows} samples overflowed the sensor's range"
     valid = [sample for sample in window if sample.status is SampleStatus.VALID]
-    times = [start, *(sample.time for sample in valid[1:]), end]
+    times = [start, *(sample.time for sample in valid), end]
     gap = max(after - before for before, after in pairwise(times))
     if not valid or gap > _POWER_GAP:
         return math.nan, f"no power: no valid sample for {gap:.2f} s"
+    borders = [start, *times[2:]]
     energy = math.fsum(
         sample.power * (after - before)
-        for sample, (before, after) in zip(valid, pairwise(times), strict=True)
+        for sample, (before, after) in zip(valid, pairwise(borders), strict=True)
     )
     return energy / (end - start), ""
 

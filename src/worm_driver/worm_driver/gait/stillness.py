@@ -3,7 +3,7 @@
 
 import math
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 #: s, time for which both modules must be at rest before a gait. The twin determines the initial length from the samples
 #: of this span.
@@ -13,13 +13,17 @@ SPAN = 1.0
 TOLERANCE = 3e-4
 #: smallest number of known positions of a module in each half of the span
 FEWEST = 3
+#: smallest part of the span that the known positions of a module must cover. It is less than 1, because the samples
+#: do not arrive at equal intervals.
+_COVERED = 0.95
 
 
 class Stillness:
     """Detector of rest.
 
     Attributes:
-        lasts: True if both modules were at rest in all samples of the last SPAN. False with too few samples.
+        lasts: True if both modules were at rest in all samples of the last SPAN. False with too few samples, and until
+            the known positions of both modules cover the span.
     """
 
     def __init__(self) -> None:
@@ -36,18 +40,25 @@ class Stillness:
         self._samples.append((time, rear, front))
         while self._samples[0][0] < time - SPAN:
             self._samples.popleft()
-        before = [places for then, *places in self._samples if then < time - SPAN / 2]
-        after = [places for then, *places in self._samples if then >= time - SPAN / 2]
         self.lasts = all(
-            abs(
-                _mean(places[module] for places in after)
-                - _mean(places[module] for places in before)
+            _is_at_rest(
+                [(then, places[module]) for then, *places in self._samples], time - SPAN / 2
             )
-            <= TOLERANCE
             for module in (0, 1)
         )
 
 
-def _mean(places: Iterable[float]) -> float:
-    known = [place for place in places if math.isfinite(place)]
-    return math.fsum(known) / len(known) if len(known) >= FEWEST else math.nan
+def _is_at_rest(samples: Iterable[tuple[float, float]], middle: float) -> bool:
+    """Return True if a module was at rest, from its samples (s, m) in the span around the time ``middle`` (s)."""
+    known = [(then, place) for then, place in samples if math.isfinite(place)]
+    before = [place for then, place in known if then < middle]
+    after = [place for then, place in known if then >= middle]
+    if min(len(before), len(after)) < FEWEST:
+        return False
+    # Each sample stands for one interval, so that a slow tracker can cover the span, too.
+    covered = (known[-1][0] - known[0][0]) * len(known) / (len(known) - 1)
+    return covered >= _COVERED * SPAN and abs(_mean(after) - _mean(before)) <= TOLERANCE
+
+
+def _mean(places: Sequence[float]) -> float:
+    return math.fsum(places) / len(places)

@@ -161,7 +161,7 @@ class RunGaitAction:
     def _on_cancel(self, goal: ServerGoalHandle) -> CancelResponse:
         hardware = self._hardware()
         if hardware is not None and self._runs and self._runs[-1].goal_id == _id(goal):
-            hardware.loop.submit(hardware.robot.cancel)
+            hardware.loop.submit(hardware.robot.cancel, lifetime=math.inf)
         return CancelResponse.ACCEPT
 
     def _judge(self, current: _Current) -> None:
@@ -174,7 +174,7 @@ class RunGaitAction:
             return
         if current.end.is_reached(run, current.record, hardware.settings.body.pitch):
             current.end_requested = True
-            hardware.loop.submit(hardware.robot.finish)
+            hardware.loop.submit(hardware.robot.finish, lifetime=math.inf)
         elif makes_no_progress(run, current.record, hardware.settings.body.pitch):
             self._end_early(current, "ended, as the robot gains no groove with this gait")
 
@@ -214,7 +214,7 @@ class RunGaitAction:
         current.goal = goal
         hardware = self._hardware()
         if goal.is_cancel_requested and hardware is not None:  # requested before this callback ran
-            hardware.loop.submit(hardware.robot.cancel)
+            hardware.loop.submit(hardware.robot.cancel, lifetime=math.inf)
         outcome = await current.done
         self._runs.remove(current)
         return self._finish(goal, current, outcome)

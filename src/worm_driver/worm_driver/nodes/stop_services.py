@@ -83,13 +83,13 @@ class StopServices:
         self._reject_goals()
         try:
             hardware = self._opened()
-            hardware.loop.run_without_deadline(
+            message = hardware.loop.run_without_deadline(
                 lambda now: hardware.robot.stop(now, "the service stop was called")
             )
         except Exception as error:  # noqa: BLE001 (the service must survive for the next call)
             response.success, response.message = False, str(error)
         else:
-            response.success, response.message = True, "stopped, and holding"
+            response.success, response.message = True, message
         for header in others:
             self._stop.send_response(response, header)
         return response

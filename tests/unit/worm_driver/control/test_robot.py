@@ -139,6 +139,33 @@ def test_a_release_without_a_port_is_reported_and_raises_nothing():
     assert any("is gone" in problem for problem in rig.robot.release())
 
 
+# --- the answer of a stop -------------------------------------------------------------------------
+
+
+def test_a_stop_reports_whether_the_robot_holds(rig):
+    assert rig.robot.stop(rig.clock.now, "asked to") == "nothing to stop: the torque is off"
+    rig.activate()
+    assert rig.robot.stop(rig.clock.now, "asked to") == "stopped, and holding"
+
+
+def test_a_stop_does_not_claim_that_a_torque_is_off_that_was_left_on():
+    rig = moving().restarted_driver(settings(home_at_start=False))
+    rig.run(0.1)
+    assert rig.cable.memory["torque_enable"] == 1
+    message = rig.robot.stop(rig.clock.now, "asked to")
+    assert "torque is off" not in message
+    assert "left the torque on" in message
+
+
+def test_a_stop_does_not_claim_that_a_torque_is_off_whose_release_failed():
+    rig = moving()
+    rig.inject("no_answer", duration=10.0)
+    problems = rig.robot.release()
+    message = rig.robot.stop(rig.clock.now, "asked to")
+    assert "torque is off" not in message
+    assert problems[0] in message
+
+
 # --- gaits ----------------------------------------------------------------------------------------
 
 

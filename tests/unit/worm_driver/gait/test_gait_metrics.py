@@ -105,6 +105,28 @@ def test_a_tracker_that_was_blind_at_the_end_gives_no_speed():
     found = run_metrics(RUN, seen, BODY)
     assert math.isnan(found.speed)
     assert "did not see the robot" in found.reasons[0]
+    assert "0.70 s" in found.reasons[0]
+
+
+@pytest.mark.parametrize(
+    ("first", "last", "causes"),
+    [
+        (0.0, 19.45, ["last saw the robot 0.567 s before the end"]),
+        (14.5, 30.0, ["first saw the robot 0.500 s after the start"]),
+        (14.5, 19.45, ["first saw the robot 0.500 s", "last saw the robot 0.567 s"]),
+        (0.0, 10.0, ["last saw the robot 10.000 s before the end"]),
+    ],
+)
+def test_a_tracker_that_misses_an_end_of_the_averaged_cycles_is_the_stated_cause(
+    first: float, last: float, causes: list[str]
+):
+    seen = record()
+    seen.positions = [(t, x) for t, x in seen.positions if first <= t <= last]
+    found = run_metrics(RUN, seen, BODY)
+    assert math.isnan(found.speed)
+    assert found.reasons[0].startswith("no speed: the tracker ")
+    assert "inf" not in found.reasons[0]
+    assert all(cause in found.reasons[0] for cause in causes)
 
 
 def test_a_robot_that_stands_has_no_cost_of_transport():
@@ -141,6 +163,31 @@ def test_a_sensor_that_was_gone_for_a_while_gives_no_power():
     found = run_metrics(RUN, seen, BODY)
     assert math.isnan(found.power)
     assert "no valid sample for 0.31 s" in found.reasons[0]
+
+
+def lost_at_the_start(*found: float) -> RunRecord:
+    """Return a record whose only valid power samples in the first 0.5 s of the averaged cycles are those given, s."""
+    seen, start = record(), ONSET + 2 * PERIOD
+    lost = [s.time for s in seen.power if start <= s.time < start + 0.5]
+    keep = {min(lost, key=lambda time, at=start + at: abs(time - at)) for at in found}
+    seen.power = [
+        bad(s.time, SampleStatus.BUS_ERROR) if s.time in lost and s.time not in keep else s
+        for s in seen.power
+    ]
+    return seen
+
+
+def test_only_a_gap_between_valid_samples_or_to_an_end_of_the_cycles_is_too_long():
+    """The second sample comes 0.28 s after the start, but no gap is longer than 0.2 s."""
+    found = run_metrics(RUN, lost_at_the_start(0.2, 0.28, 0.4), BODY)
+    assert found.power == pytest.approx(6.0, rel=2e-3)
+    assert found.reasons == ()
+
+
+def test_a_late_first_sample_gives_no_power():
+    found = run_metrics(RUN, lost_at_the_start(0.27, 0.35, 0.45), BODY)
+    assert math.isnan(found.power)
+    assert "no valid sample for 0.27 s" in found.reasons[0]
 
 
 def test_without_a_power_sensor_there_is_a_reason_for_each_figure():

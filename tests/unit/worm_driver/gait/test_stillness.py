@@ -13,22 +13,40 @@ LENGTH = 0.2952
 
 
 def seen(
-    length, duration: float, noise: float = 0.0, rear=lambda _: 0.1
+    length, duration: float, noise: float = 0.0, rear=lambda _: 0.1, rate_hz: float = RATE_HZ
 ) -> list[tuple[float, bool]]:
     """Return time and outcome of each sample of a robot whose length is a function of time."""
     draw, still, found = random.Random(1), Stillness(), []
-    for index in range(round(duration * RATE_HZ)):
-        time = index / RATE_HZ
+    for index in range(round(duration * rate_hz)):
+        time = index / rate_hz
         place = rear(time) + draw.gauss(0.0, noise)
         still.observe(time, place, place + length(time) + draw.gauss(0.0, noise))
         found.append((time, still.lasts))
     return found
 
 
-def test_rest_is_detected_after_most_of_a_span():
-    found = seen(lambda _: LENGTH, 3.0, noise=1e-4)
-    assert not any(lasts for time, lasts in found if time < SPAN / 2)
+@pytest.mark.parametrize("rate_hz", [6.5, 7.9, 15.0, 30.0, 100.0])
+def test_rest_is_detected_once_the_samples_cover_a_span(rate_hz: float):
+    found = seen(lambda _: LENGTH, 3.0, noise=5e-5, rate_hz=rate_hz)
+    early = 0.9 * SPAN - 1.0 / rate_hz
+    assert not any(lasts for time, lasts in found if time < early)
     assert all(lasts for time, lasts in found if time > SPAN)
+
+
+@pytest.mark.parametrize("module", ["rear", "front"])
+def test_a_module_that_appears_late_must_be_seen_for_a_span(module: str):
+    """Half of a span would be enough for two means, but they would be too close to each other to show a creep."""
+
+    def hidden(time: float) -> float:
+        return math.nan if time < 1.0 else 0.0
+
+    found = seen(
+        lambda time: LENGTH + (hidden(time) if module == "front" else 0.0),
+        3.0,
+        rear=lambda time: 0.1 + (hidden(time) if module == "rear" else 0.0),
+    )
+    assert not any(lasts for time, lasts in found if time < 1.0 + 0.9 * SPAN)
+    assert all(lasts for time, lasts in found if time > 1.0 + SPAN)
 
 
 def test_a_body_that_creeps_is_not_mistaken_for_one_at_rest():
