@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Many robots at once with faults, integrated step by step and independently of worm_model.
+"""Robots with faults, integrated step by step and independently of worm_model.
 
 Their driver, camera and power sensor provide samples for the twin. Each robot deviates from the twin's parameters and
 has dry friction, grooves that differ and noisy instruments. A fault begins in a cycle at a phase. A fin's miss belongs
@@ -11,8 +11,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from typing import Any, NamedTuple
 
 import numpy as np
+from numba import njit
 
 from worm_model.parameters import PAPER, Parameters
 from worm_model.run import Activity
@@ -27,6 +29,22 @@ GROOVES = 64
 CARRIED_S = 0.5  # duration in which a person moves a robot
 EARLY_M = 0.010  # distance by which a fin that gains a groove switches too early
 SLOW = 1e-3  # m/s below which dry friction fades
+KINDS = (
+    "gain",
+    "slip",
+    "viscous_friction",
+    "rear_load",
+    "both_loads",
+    "robot",
+    "gained",
+    "rear",
+    "front",
+    "healthy",
+    "scale",  # this and the next change only what the instruments measure
+    "offset",
+    "camera",
+)
+GAIN, SLIP, VISCOUS_FRICTION, REAR_LOAD, BOTH_LOADS, ROBOT, GAINED, REAR, FRONT = range(9)
 
 
 @dataclass(frozen=True)
@@ -136,170 +154,213 @@ def run_robots(
     A healthy robot gains ``usual`` grooves per cycle.
     """
     draw = np.random.default_rng(seed)
-    bodies = _Bodies(gait, faults, lab, truth, usual, draw)
+    count = len(faults)
+    bodies = _bodies(truth, lab, count, draw)
+    shape = (count, 2, GROOVES)
+    limits = bodies["switching_threshold"][:, None, None] + lab.threshold_m * draw.normal(
+        size=shape
+    )
+    factors = np.maximum(1.0 + lab.stiffness * draw.normal(size=shape), 0.2)
     end = cycles * gait.period
     times = np.arange(-round(REST_S / STEP_S), round((end + AFTER_S) / STEP_S) + 1) * STEP_S
-    camera_k = np.rint(np.arange(0.0, times[-1] - times[0], 1.0 / lab.camera_hz) / STEP_S).astype(
-        int
-    )
-    looks, cycle_ends = (
-        set(camera_k.tolist()),
-        {round((c * gait.period - times[0]) / STEP_S) for c in range(cycles + 1)},
-    )
-    seen, powers, ends = [], [], []
-    for k, time in enumerate(times.tolist()):
-        commanded = float(_command(gait, np.array(time))) if 0.0 < time < end else 0.0
-        bodies.step(time, commanded)
-        if k % round(1 / POWER_HZ / STEP_S) == 0:
-            powers.append(bodies.power * (1.0 + bodies.of("scale")) + bodies.of("offset"))
-        if k in looks:
-            seen.append(bodies.x + bodies.of("camera")[:, None])
-        if k in cycle_ends:
-            ends.append(bodies.x[:, 0])
-    positions, power = np.array(seen), np.array(powers)
-    positions = 0.4 + positions + lab.camera_noise_m * draw.normal(size=positions.shape)
+    commands = np.where((times > 0.0) & (times < end), _command(gait, times), 0.0)
+    begins = np.array([(fault.cycle - 1 + fault.phase) * gait.period for fault in faults])
+    positions, power = np.empty((times.size, count, 2)), np.empty((times.size, count))
+    for k, fault in enumerate(faults):
+        failing = _Failing(KINDS.index(fault.kind), fault.size, fault.cycle, begins[k])
+        setting = _Setting(
+            gait.direction,
+            gait.period,
+            lab.dry_friction_N,
+            truth.pitch,
+            usual,
+            limits[k],
+            factors[k],
+        )
+        _integrate(times, commands, bodies[k], failing, setting, positions[:, k], power[:, k])
+    on = times[:, None] >= begins
+
+    def present(kind: str) -> np.ndarray:
+        """Return the sizes of the faults of one kind at each step, 0 for the other robots."""
+        return on * np.array([fault.size if fault.kind == kind else 0.0 for fault in faults])
+
+    power = power * (1.0 + present("scale")) + present("offset")
+    power = power[:: round(1 / POWER_HZ / STEP_S)]
+    looks = np.rint(np.arange(0.0, times[-1] - times[0], 1.0 / lab.camera_hz) / STEP_S).astype(int)
+    seen = 0.4 + positions[looks] + present("camera")[looks, :, None]
+    seen = seen + lab.camera_noise_m * draw.normal(size=seen.shape)
+    ends = [round((c * gait.period - times[0]) / STEP_S) for c in range(cycles + 1)]
     return Robots(
         gait,
         cycles,
         times[:: round(1 / COMMAND_HZ / STEP_S)],
-        times[camera_k],
-        positions[:, :, 0],
-        positions[:, :, 1],
+        times[looks],
+        seen[:, :, 0],
+        seen[:, :, 1],
         times[:: round(1 / POWER_HZ / STEP_S)],
         power + lab.power_noise_W * draw.normal(size=power.shape),
-        np.rint(np.diff(np.array(ends), axis=0) / truth.pitch).astype(int),
+        np.rint(np.diff(positions[ends, :, 0], axis=0) / truth.pitch).astype(int),
     )
 
 
-class _Bodies:
-    """Robots between two steps: ``x`` (k, 2) in m, source ``power`` (k,) in W."""
+class _Failing(NamedTuple):
+    """Fault of a robot: its kind in `KINDS`, its size and cycle, and the time in s at which it begins."""
 
-    def __init__(
-        self,
-        gait: Gait,
-        faults: Sequence[Fault],
-        lab: Lab,
-        truth: Parameters,
-        usual: int,
-        draw: np.random.Generator,
-    ) -> None:
-        count = len(faults)
-        self.gait, self.lab, self.usual = gait, lab, usual
-        self.p = p = _parameters(truth, lab, count, draw)
-        self.pitch = truth.pitch
-        shape = (count, 2, GROOVES)
-        self.limits = p["switching_threshold"][:, None, None] + lab.threshold_m * draw.normal(
-            size=shape
-        )
-        self.factors = np.maximum(1.0 + lab.stiffness * draw.normal(size=shape), 0.2)
-        self.kinds = np.array([fault.kind for fault in faults])
-        self.sizes = np.array([fault.size for fault in faults])
-        self.cycle = np.array([fault.cycle for fault in faults])
-        self.begins = np.array([(f.cycle - 1 + f.phase) * gait.period for f in faults])
-        self.mu = p["front_mass"] / (p["rear_mass"] + p["front_mass"])
-        zero = np.zeros(count)
-        self.change, self.rate, self.centre, self.speed, self.v1 = (zero.copy() for _ in range(5))
-        self.taut, self.on = np.zeros(count, bool), np.zeros(count, bool)
-        self.anchor = np.zeros((count, 2), int)
-        self.anchor[:, 1] = np.rint(p["initial_length"] / self.pitch)
-        self.switches, self.stood = np.zeros((count, 2), int), np.zeros((count, 2))
-        self.x, self.power = np.zeros((count, 2)), zero
+    kind: int
+    size: float
+    cycle: int
+    begin: float
 
-    def of(self, kind: str) -> np.ndarray:
-        """Return the sizes of the present faults of one kind, 0 for the other robots."""
-        return np.where((self.kinds == kind) & self.on, self.sizes, 0.0)
 
-    def step(self, time: float, commanded: float) -> None:
-        """Advance by one step to a time (s) under a command (m)."""
-        self.on = time >= self.begins
-        self._pull(commanded)
-        carried = (self.kinds == "robot") & self.on & (time < self.begins + CARRIED_S)
-        self.centre = self.centre + np.where(
-            carried, self.sizes * self.pitch * STEP_S / CARRIED_S, 0.0
-        )
-        rear = self.centre - self.mu * self.change
-        self.x = np.stack([rear, rear + self.p["initial_length"] + self.change], 1)
-        self._switch(time, carried)
-        self._push(self._fins(carried))
+class _Setting(NamedTuple):
+    """Gait, dry friction, and the grooves (2, GROOVES): thresholds in m and factors of the stiffness."""
 
-    def _pull(self, commanded: float) -> None:
-        p = self.p
-        self.taut |= commanded < -5e-5
-        pulled = np.minimum(commanded + self.of("slip"), np.where(self.taut, -p["slack"], 0.0))
-        goal = p["gain"] * (1.0 + self.of("gain")) * pulled
-        self.change = goal + (self.change - goal) * np.exp(-STEP_S / p["time_constant"])
-        self.rate = (goal - self.change) / p["time_constant"]
+    direction: int
+    period: float
+    dry: float
+    pitch: float
+    usual: int
+    limits: np.ndarray
+    factors: np.ndarray
 
-    def _switch(self, time: float, carried: np.ndarray) -> None:
-        """Move anchors on where a fin passes its ridge, and to other grooves where a person puts the robot down."""
-        within = (time / self.gait.period) % 1.0
-        step = STEP_S / self.gait.period
-        if within < step:
-            self.switches[:, 0] = 0
-        elif abs(within - 0.5) < 0.6 * step:
-            self.switches[:, 1] = 0
-        robots = np.arange(len(self.kinds))
-        limit = np.stack([self.limits[robots, f, self.anchor[:, f] % GROOVES] for f in (0, 1)], 1)
-        limit = self._at_fault(limit, time / self.gait.period - (self.cycle - 1))
-        stretch = self.x - self.anchor * self.pitch
-        moves = (stretch > limit).astype(int) - (stretch < -limit).astype(int)
-        moves[carried] = 0
-        down = (self.kinds == "robot") & (np.abs(time - self.begins - CARRIED_S) < 0.6 * STEP_S)
-        moves[down] = np.rint((stretch - self.stood)[down] / self.pitch)
-        self.anchor = self.anchor + moves
-        self.switches += np.abs(moves)
-        self.stood = np.where(carried[:, None], self.stood, stretch)
 
-    def _at_fault(self, limit: np.ndarray, phase: np.ndarray) -> np.ndarray:
-        """Return the thresholds with a fin that misses its last switch, or switches once too often.
+@njit(cache=True)
+def _at_fault(
+    limit: np.ndarray, phase: float, fault: _Failing, switches: np.ndarray, usual: int
+) -> None:
+    """Change the thresholds (2,) of a fin that misses its last switch, or switches once too often.
 
-        ``phase`` counts from the fault's cycle.
-        """
-        kinds, switches, usual = self.kinds, self.switches, self.usual
-        rear = (kinds == "rear") & (phase > 0.0) & (phase < self.sizes) & (phase % 1.0 < 0.8)
-        rear &= switches[:, 0] >= usual - 1
-        phase_of_front = phase + 0.5
-        front = (kinds == "front") & (phase_of_front > 0.0) & (phase_of_front < self.sizes)
-        front &= (phase_of_front % 1.0 < 0.8) & (switches[:, 1] >= usual - 1)
-        gained = (kinds == "gained") & (phase > 0.0) & (phase < 0.6) & (switches[:, 0] == usual)
-        limit[rear, 0], limit[front, 1] = 1.0, 1.0
-        limit[gained, 0] -= EARLY_M
-        return limit
+    ``phase`` counts from the fault's cycle.
+    """
+    of_front = phase + 0.5
+    if fault.kind == REAR:
+        if 0.0 < phase < fault.size and phase % 1.0 < 0.8 and switches[0] >= usual - 1:
+            limit[0] = 1.0
+    elif fault.kind == FRONT:
+        if 0.0 < of_front < fault.size and of_front % 1.0 < 0.8 and switches[1] >= usual - 1:
+            limit[1] = 1.0
+    elif fault.kind == GAINED and 0.0 < phase < 0.6 and switches[0] == usual:
+        limit[0] -= EARLY_M
 
-    def _fins(self, carried: np.ndarray) -> np.ndarray:
-        """Return the forces (k, 2) of the fins and the loads, N."""
-        p, robots = self.p, np.arange(len(self.kinds))
-        stretch = np.where(carried[:, None], 0.0, self.x - self.anchor * self.pitch)
-        forces = []
-        for f in (0, 1):
-            s = stretch[:, f]
-            beyond = np.sign(s) * np.maximum(np.abs(s) - 0.5 * p["clearance"], 0.0)
-            held = self.gait.direction * s < 0.0
-            stiffness = np.where(held, p["engaged_stiffness"], p["disengaged_stiffness"])
-            fin = stiffness * self.factors[robots, f, self.anchor[:, f] % GROOVES] * beyond
-            own = p["front_load"] if f else p["rear_load"] + self.of("rear_load")
-            forces.append(fin + own + 0.5 * self.of("both_loads"))
-        return np.stack(forces, 1)
 
-    def _push(self, forces: np.ndarray) -> None:
-        """Move the centre of mass, with implicit friction, and compute the power that the cable needs."""
-        p, mu, rate = self.p, self.mu, self.rate
-        mass = (p["rear_mass"] + p["front_mass"]) / STEP_S
-        before = self.speed - mu * rate
-        viscous = p["viscous_friction"] * (1.0 + self.of("viscous_friction"))
-        d1 = viscous + self.lab.dry_friction_N / (np.abs(before) + SLOW)
-        d2 = viscous + self.lab.dry_friction_N / (np.abs(before + rate) + SLOW)
-        push = (d1 * mu - d2 * (1.0 - mu)) * rate - forces.sum(axis=1)
-        self.speed = (mass * self.speed + push) / (mass + d1 + d2)
-        self.centre = self.centre + STEP_S * self.speed
-        v1 = self.speed - mu * rate
-        spring = p["bellows_stiffness"] * (
-            p["unstressed_length"] - p["initial_length"] - self.change
-        )
-        cable = p["rear_mass"] * (v1 - self.v1) / STEP_S + spring - p["bellows_damping"] * rate
-        cable += d1 * v1 + forces[:, 0]
-        self.v1 = v1
-        self.power = p["idle_power"] + p["power_factor"] * np.maximum(-cable * rate, 0.0)
+@njit(cache=True)
+def _switch(
+    time: float,
+    carried: bool,
+    x: np.ndarray,
+    fault: _Failing,
+    setting: _Setting,
+    anchor: np.ndarray,
+    stood: np.ndarray,
+    switches: np.ndarray,
+) -> None:
+    """Move anchors on where a fin passes its ridge, and to other grooves where a person puts the robot down."""
+    within, step = (time / setting.period) % 1.0, STEP_S / setting.period
+    if within < step:
+        switches[0] = 0
+    elif abs(within - 0.5) < 0.6 * step:
+        switches[1] = 0
+    limit = np.array([setting.limits[f, anchor[f] % GROOVES] for f in range(2)])
+    phase = time / setting.period - (fault.cycle - 1)
+    _at_fault(limit, phase, fault, switches, setting.usual)
+    down = fault.kind == ROBOT and abs(time - fault.begin - CARRIED_S) < 0.6 * STEP_S
+    for f in range(2):
+        stretch = x[f] - anchor[f] * setting.pitch
+        moves = int(stretch > limit[f]) - int(stretch < -limit[f])
+        if down:
+            moves = int(np.rint((stretch - stood[f]) / setting.pitch))
+        elif carried:
+            moves = 0
+        anchor[f] += moves
+        switches[f] += abs(moves)
+        if not carried:
+            stood[f] = stretch
+
+
+@njit(cache=True)
+def _set_forces(
+    force: np.ndarray,
+    carried: bool,
+    x: np.ndarray,
+    size: float,
+    p: Any,
+    kind: int,
+    setting: _Setting,
+    anchor: np.ndarray,
+) -> None:
+    """Fill the forces (2,) of the fins and the loads, N; ``size`` is that of a present fault."""
+    for f in range(2):
+        s = 0.0 if carried else x[f] - anchor[f] * setting.pitch
+        beyond = np.sign(s) * max(abs(s) - 0.5 * p.clearance, 0.0)
+        held = setting.direction * s < 0.0
+        stiffness = p.engaged_stiffness if held else p.disengaged_stiffness
+        fin = stiffness * setting.factors[f, anchor[f] % GROOVES] * beyond
+        own = p.front_load if f == 1 else p.rear_load + (size if kind == REAR_LOAD else 0.0)
+        force[f] = fin + own + (0.5 * size if kind == BOTH_LOADS else 0.0)
+
+
+@njit(cache=True)
+def _integrate(
+    times: np.ndarray,
+    commands: np.ndarray,
+    p: Any,
+    fault: _Failing,
+    setting: _Setting,
+    positions: np.ndarray,
+    powers: np.ndarray,
+) -> None:
+    """Integrate one robot, a row ``p`` of parameters, and fill the position (n, 2) and source power (n,) of each step.
+
+    The command, in m, is that of each step.
+    """
+    kind, pitch = fault.kind, setting.pitch
+    mu = p.front_mass / (p.rear_mass + p.front_mass)
+    mass = (p.rear_mass + p.front_mass) / STEP_S
+    decay = np.exp(-STEP_S / p.time_constant)
+    change = centre = speed = v1 = 0.0
+    taut = False
+    anchor = np.array([0, int(np.rint(p.initial_length / pitch))])
+    x, stood, force = np.zeros(2), np.zeros(2), np.zeros(2)
+    switches = np.zeros(2, np.int64)
+    for k in range(times.size):
+        time = times[k]
+        on = time >= fault.begin
+        size = fault.size if on else 0.0
+
+        taut = taut or commands[k] < -5e-5
+        pulled = min(commands[k] + (size if kind == SLIP else 0.0), -p.slack if taut else 0.0)
+        goal = p.gain * (1.0 + (size if kind == GAIN else 0.0)) * pulled
+        change = goal + (change - goal) * decay
+        rate = (goal - change) / p.time_constant
+        carried = kind == ROBOT and on and time < fault.begin + CARRIED_S
+        if carried:
+            centre += size * pitch * STEP_S / CARRIED_S
+        x[0] = centre - mu * change
+        x[1] = x[0] + p.initial_length + change
+        positions[k] = x
+
+        _switch(time, carried, x, fault, setting, anchor, stood, switches)
+        _set_forces(force, carried, x, size, p, fault.kind, setting, anchor)
+
+        # implicit friction
+        before = speed - mu * rate
+        viscous = p.viscous_friction * (1.0 + (size if kind == VISCOUS_FRICTION else 0.0))
+        d1 = viscous + setting.dry / (abs(before) + SLOW)
+        d2 = viscous + setting.dry / (abs(before + rate) + SLOW)
+        push = (d1 * mu - d2 * (1.0 - mu)) * rate - (force[0] + force[1])
+        speed = (mass * speed + push) / (mass + d1 + d2)
+        centre += STEP_S * speed
+        earlier, v1 = v1, speed - mu * rate
+        spring = p.bellows_stiffness * (p.unstressed_length - p.initial_length - change)
+        cable = p.rear_mass * (v1 - earlier) / STEP_S + spring - p.bellows_damping * rate
+        cable += d1 * v1 + force[0]
+        powers[k] = p.idle_power + p.power_factor * max(-cable * rate, 0.0)
+
+
+def _bodies(truth: Parameters, lab: Lab, count: int, draw: np.random.Generator) -> np.recarray:
+    """Return the parameters of each robot as a row."""
+    drawn = _parameters(truth, lab, count, draw)
+    return np.rec.fromarrays(list(drawn.values()), names=list(drawn))
 
 
 def _parameters(
