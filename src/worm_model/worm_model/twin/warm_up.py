@@ -14,6 +14,7 @@ from worm_model.simulation.batch import evaluate_gaits, sample_cycle
 from worm_model.simulation.kernel import cache_directory
 from worm_model.simulation.kernel.grooves import EVEN
 from worm_model.simulation.kernel.march import SAMPLE_COLUMNS
+from worm_model.simulation.kernel.sampled_energy import sampled_energy
 from worm_model.simulation.kernel.whole_run import run_from_rest
 from worm_model.simulation.rows import parameter_rows
 from worm_model.simulation.simulator import Locomotion, evaluate_gait, play_gait, simulate
@@ -36,7 +37,9 @@ def main() -> None:
     length_change_of_command([0.0, 0.1], [0.0, -0.01], PAPER)
     replay_run(_recording(gait), PAPER)
     samples, still, row = np.zeros((1, SAMPLE_COLUMNS)), np.zeros((4, 1)), parameter_rows(PAPER)[0]
-    run_from_rest(np.arange(2.0), still, row, 1.0, 0.0, 0.0, EVEN, EVEN, samples)
+    two = np.arange(2.0)
+    sampled_energy(two, two, two, 1.0, False, 1.0, 1.0, two)
+    run_from_rest(two, still, row, 1.0, 0.0, 0.0, EVEN, EVEN, samples)
 
 
 def _recording(gait: Gait) -> Run:

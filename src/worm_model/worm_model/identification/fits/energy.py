@@ -23,7 +23,7 @@ from worm_model.identification.fits.block_least_squares import (
     solve,
     with_fixed,
 )
-from worm_model.simulation.kernel.work import cable_power
+from worm_model.simulation.kernel.sampled_energy import sampled_energy
 from worm_model.simulation.quadrature import accumulated
 
 CLOCK_SPREAD = 0.02  # s, prior standard deviation of the clock offset
@@ -109,25 +109,21 @@ def power_run(
     )
 
 
-def predicted_power(run: PowerRun, damping: float, factor: float) -> Array:
-    """Return the predicted source power (W) at ``run.time``."""
-    force = run.static_force - damping * run.rate
-    power: Array = run.idle + factor * cable_power(force, run.rate, run.one_sided_cable)
-    return power
-
-
 def predicted_energy(run: PowerRun, damping: float, factor: float, offset: float = 0.0) -> Array:
     """Return the predicted energy (J) since the first power sample, at the power samples, shape (m,).
 
-    ``offset`` (s) is the clock offset, see `EnergyFit`.
+    ``offset`` (s) is the clock offset, see `EnergyFit`. Outside of the run the power is the idle power.
     """
-    energy = accumulated(run.time, predicted_power(run, damping, factor))
-    at = run.power_time + offset
-    # Outside of the run the power is the idle power.
-    inside = np.interp(at, run.time, energy)
-    idle = np.minimum(at - run.time[0], 0.0) + np.maximum(at - run.time[-1], 0.0)
-    values = inside + run.idle * idle
-    return values - values[0]
+    return sampled_energy(
+        run.time,
+        run.rate,
+        run.static_force,
+        run.idle,
+        run.one_sided_cable,
+        damping,
+        factor,
+        run.power_time + offset,
+    )
 
 
 def energy_problem(runs: Sequence[PowerRun], scale: float = SCALE) -> Problem:
