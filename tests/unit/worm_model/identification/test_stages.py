@@ -201,8 +201,8 @@ def test_a_fit_that_never_settles_is_rejected(monkeypatch):
         locomotion.first_own(runs),
     )
     fit = fit_grooves(runs, KNOWN, solution)
-    monkeypatch.setattr(locomotion_stage, "search", lambda *_: None)
-    monkeypatch.setattr(locomotion_stage, "find_locomotion", lambda *_: solution)
+    monkeypatch.setattr(locomotion, "search", lambda *_: None)
+    monkeypatch.setattr(locomotion, "find_locomotion", lambda *_: solution)
     monkeypatch.setattr(locomotion_stage, "fit_grooves", lambda *_: fit)
     monkeypatch.setattr(locomotion_stage, "_profiles", lambda *_: ([], fit.solution))
     with pytest.raises(IdentificationError, match="viscous_friction, switching_threshold"):
