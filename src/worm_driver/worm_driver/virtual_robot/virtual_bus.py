@@ -23,6 +23,9 @@ from worm_driver.virtual_robot.wire.packet import (
 
 #: Register present_position. Its address is the same in every model.
 _POSITION = XM430_W350.registers["present_position"]
+#: bytes of data, more than any control table, for which a servo sends a fast answer; its length has 16 bits
+_LONGEST = 0x7FFF
+_FAST = (Instruction.FAST_SYNC_READ, Instruction.FAST_BULK_READ)
 #: s, longest gap between the bytes of a packet; 1.5 ms on a real line, but a pseudo-terminal is read when the scheduler
 #: permits
 _ALLOWED_GAP = 0.050
@@ -139,7 +142,7 @@ class ServoBus:
             if self._board.consume(faults.NO_ANSWER, time, answer.servo_id):
                 break  # Each servo waits for the one before it.
             parts.append((answer.error, answer.servo_id, answer.data))
-        if not parts:
+        if not parts or sum(lengths) > _LONGEST:
             return []
         return [Transmission(time + answers[0].delay, fast_status_packet(parts, lengths))]
 
@@ -272,7 +275,9 @@ def _group_read(
         try:
             answers.append(_answer_of(servo, data=servo.read(address, length)))
         except RegisterError as error:
-            answers.append(_answer_of(servo, error.number))
+            # The length at the head of a fast answer counts the data of every servo.
+            data = bytes(length) if packet.instruction in _FAST else b""
+            answers.append(_answer_of(servo, error.number, data))
     return answers, lengths
 
 

@@ -20,7 +20,7 @@ from worm_model.arrays import Array
 from worm_model.gait import Gait
 from worm_model.parameters import Parameters
 from worm_model.simulation.actuation import length_change_of_command
-from worm_model.simulation.simulator import Locomotion, LoadError, SimulationError, simulate
+from worm_model.simulation.simulator import LoadError, Locomotion, SimulationError, simulate
 from worm_model.twin.cause_table import LASTING, Cause, Effect
 from worm_model.twin.core.memory import CHANNELS, LENGTH, PHASES, POSITION, POWER
 
