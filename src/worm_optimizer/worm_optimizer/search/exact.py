@@ -146,7 +146,7 @@ def _seeds(surveyed: Survey, step: float) -> list[tuple[int, int, int, tuple[flo
             near, beyond = (np.roll(strokes, by * side) for by in (1, 2))
             # The outermost columns lack these neighbours.
             near[0 if side > 0 else -1] = np.nan
-            beyond[[0, 1] if side > 0 else [-1, -2]] = np.nan
+            beyond[slice(None, 2) if side > 0 else slice(-2, None)] = np.nan
             missed = np.isfinite(near) & ~(strokes <= near + 0.5 * step)
             for place in np.flatnonzero(missed):
                 pair = near[place], beyond[place] if np.isfinite(beyond[place]) else near[place]
