@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import os
 import sys
 from collections.abc import Callable, Mapping
 from functools import cache
@@ -37,12 +39,15 @@ from worm_model.simulation.actuation import effective_command
 from worm_model.simulation.closed_form import front_groove, groove_phase
 from worm_model.simulation.simulator import Locomotion, simulate
 from worm_model.twin.scene import FREE, HOLDING, YIELDING
+from worm_optimizer.evaluation.task import Bounds
 from worm_optimizer.report.capability_figure import capability_figure
 from worm_optimizer.report.front_plots import price_figure
 from worm_optimizer.search.capability import capabilities, curve, strongest
 from worm_optimizer.search.front import RobustFront, make_front, scanned_price
-from worm_optimizer.search.search_settings import settings_of
+from worm_optimizer.search.search_settings import Settings, settings_of
 
+# Set by a test that every picture is drawn: fronts at one frequency and a map of few points take seconds, not a minute.
+COARSE = "WORM_COARSE_PICTURES" in os.environ
 FOLDER = Path(__file__).with_name("figures") / "model"
 GAIT = Gait(stroke=0.07, frequency=0.2)
 STEADY = (
@@ -347,20 +352,31 @@ def _label_phase(axes: Axes, parameters: Parameters, title: str) -> None:
 
 def price_picture() -> Figure:
     """Plot the price of robustness of the paper's parameters under the default settings."""
-    return price_figure(scanned_price(ParameterFile(), settings_of({}), FORWARD))
+    return price_figure(scanned_price(ParameterFile(), _settings(), FORWARD))
 
 
 def phase_map_picture() -> Figure:
     """Plot the map of groove phases at the gait's frequency."""
-    phase = np.linspace(-0.5 * p.pitch, 0.5 * p.pitch, 122)[1:]
-    content = compute_phase_map(p, GAIT, np.linspace(*STROKE_RANGE, 121), phase)
+    count = 13 if COARSE else 121
+    phase = np.linspace(-0.5 * p.pitch, 0.5 * p.pitch, count + 1)[1:]
+    content = compute_phase_map(p, GAIT, np.linspace(*STROKE_RANGE, count), phase)
     return phase_map_figure(content)
+
+
+def _settings(**changes: object) -> Settings:
+    """Return the default settings with changes."""
+    settings = settings_of(changes)
+    if COARSE:
+        settings = dataclasses.replace(
+            settings, bounds=Bounds(frequency_low=0.15, frequency_high=0.15)
+        )
+    return settings
 
 
 @cache
 def _front(waveform: str, margin: float) -> RobustFront:
     """Return the front of the paper's parameters over gaits of a waveform at a margin (m)."""
-    settings = settings_of({"waveform": waveform, "margin_m": margin, "samples": 1})
+    settings = _settings(waveform=waveform, margin_m=margin, samples=1)
     return make_front(ParameterFile(), settings, FORWARD)
 
 
@@ -453,7 +469,8 @@ def main(folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     for name, draw in PICTURES.items():
         _write_png(draw(), folder / f"{name}.png")
-    write_animation(simulated_run(GAIT, p, 2, 12.5), folder / ANIMATION, lambda _: None)
+    rate = 2.5 if COARSE else 12.5  # frames per second
+    write_animation(simulated_run(GAIT, p, 2, rate), folder / ANIMATION, lambda _: None)
 
 
 if __name__ == "__main__":

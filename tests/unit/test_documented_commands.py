@@ -18,11 +18,12 @@ import yaml
 from documented_commands import PAGES, ROOT, Command, commands, entry_points
 from lab_files import write_bench_tests, write_lab
 from recorded_run import simulated_run, write_bag
+from unrendered import leave_runs_unrendered
 
 COMMANDS = commands()
 ENTRY_POINTS = entry_points()
 EXECUTABLE_COMMANDS = [command for command in COMMANDS if command.executable]
-SMALL_FRONT = ("--samples", "20")
+SMALL_FRONT = ("--samples", "20", "--frequencies", "0.15", "0.15")
 # Executables that only read and write files, with arguments that shorten those that take longer than seconds.
 CHEAP: dict[tuple[str, str], tuple[str, ...]] = {
     **{
@@ -222,6 +223,7 @@ def test_it_runs(command: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPat
     if command.executable == ("worm_model", "import_lab"):  # which reads one run of a lab
         arguments = ["FOLDER/run_01" if shown == "FOLDER" else shown for shown in arguments]
     arguments += CHEAP[command.executable]
+    leave_runs_unrendered(monkeypatch)
     monkeypatch.setattr(sys, "argv", [command.executable[1], *arguments])
     assert run(command) == 0
 
@@ -253,6 +255,7 @@ def test_the_reference_of_the_packages_is_built(tmp_path: Path):
     done = subprocess.run(
         ["./worm", "docs", str(tmp_path / "docs")],
         cwd=ROOT,
+        env={**os.environ, "WORM_COARSE_PICTURES": "1"},
         capture_output=True,
         text=True,
         timeout=300,
