@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from worm_model.errors import InputError
-from worm_model.loads import under
+from worm_model.loads import content_under
 from worm_model.parameters import KEYS, ParameterFile, Parameters
 from worm_model.simulation.closed_form import cliff_margin, front_groove, groove_phase
 from worm_model.simulation.simulator import SimulationError, cost_of_transport
@@ -230,8 +230,8 @@ def compute_point(study: Study, values: Mapping[str, float]) -> dict[str, Any]:
 def content_of(study: Study, given: Mapping[str, float]) -> ParameterFile:
     """Return the robot of a point: its parameter file with the given values, under the given conditions.
 
-    If a value changes, its interval and its run-to-run deviation are scaled by the same factor. If the old value is 0,
-    the interval is shifted instead, and the deviation stays the same.
+    If a value is given, its interval and its run-to-run deviation are scaled by the same factor. If the old value is 0,
+    the interval is shifted instead, and the deviation stays the same. Conditions shift intervals, see `content_under`.
 
     Args:
         study: study.
@@ -251,27 +251,25 @@ def content_of(study: Study, given: Mapping[str, float]) -> ParameterFile:
                 f"groove_phase_m: {phase:g} m is not within half a pitch of {new.pitch:g} m"
             )
         new = new.replace(initial_length=front_groove(old) * new.pitch + phase)
-    conditions = {key: given[key] for key in CONDITION_ROWS if key in given}
-    new = under(Conditions(**conditions), new)
     before, after = old.as_dict(), new.as_dict()
 
-    def moved(key: str, end: float) -> float:
-        if before[key]:
-            return after[key] / before[key] * end
-        return after[key] - before[key] + end
+    def moved(key: str, ends: tuple[float, float]) -> tuple[float, float]:
+        if not before[key]:
+            return ends[0] + after[key], ends[1] + after[key]
+        scaled = [after[key] / before[key] * end for end in ends]
+        return min(scaled), max(scaled)
 
-    return dataclasses.replace(
+    changed = dataclasses.replace(
         content,
         parameters=new,
-        intervals={
-            key: (moved(key, low), moved(key, high))
-            for key, (low, high) in content.intervals.items()
-        },
+        intervals={key: moved(key, ends) for key, ends in content.intervals.items()},
         run_to_run={
-            key: value * (after[key] / before[key] if before[key] else 1.0)
+            key: value * abs(after[key] / before[key] if before[key] else 1.0)
             for key, value in content.run_to_run.items()
         },
     )
+    conditions = {key: given[key] for key in CONDITION_ROWS if key in given}
+    return content_under(Conditions(**conditions), changed)
 
 
 def settings_of(study: Study, given: Mapping[str, float]) -> Settings:

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from study_cases import SMALL
 
+from worm_model.loads import content_under
 from worm_model.parameters import PAPER, ParameterFile
 from worm_model.simulation.closed_form import groove_phase
 from worm_model.simulation.simulator import evaluate_gait
+from worm_msgs.conditions import Conditions
 from worm_msgs.gait import SHAPE, Gait
 from worm_optimizer.evaluation.task import MarginTask
 from worm_optimizer.search.front import front_of_task
@@ -117,6 +119,33 @@ def test_slope_and_tether_vary_as_loads():
     text = SMALL.replace("switching_threshold: [0.008, 0.0175]", "tether_n: [0.0, 5.0]")
     varied = parse_study(text, Path())
     assert varied.varied == ("parameter_file", "slack", "tether_n")
+
+
+@pytest.mark.parametrize("slope", [20.0, -20.0])
+def test_conditions_shift_the_interval_of_a_load_and_keep_its_deviation(slope):
+    content = ParameterFile(
+        PAPER.replace(rear_load=0.5, viscous_friction=40.0),
+        {"rear_load": (0.4, 0.7), "viscous_friction": (30.0, 50.0)},
+        run_to_run={"rear_load": 0.05},
+    )
+    study = dataclasses.replace(STUDY, files=(("robot", content),))
+    conditions = {"slope_deg": slope, "flow_m_per_s": 0.5, "drag_area_m2": 0.01}
+    robot = content_of(study, conditions)
+    assert robot == content_under(Conditions(**conditions), content)
+    load, friction = robot.parameters.rear_load, robot.parameters.viscous_friction
+    assert robot.intervals["rear_load"] == pytest.approx((load - 0.1, load + 0.2))
+    assert robot.intervals["viscous_friction"] == pytest.approx((friction - 10.0, friction + 10.0))
+    assert robot.run_to_run["rear_load"] == 0.05
+
+
+def test_a_value_of_the_other_sign_keeps_the_order_of_its_interval():
+    content = ParameterFile(
+        PAPER.replace(rear_load=0.5), {"rear_load": (0.4, 0.7)}, run_to_run={"rear_load": 0.05}
+    )
+    study = dataclasses.replace(STUDY, files=(("robot", content),))
+    robot = content_of(study, {"rear_load": -0.5})
+    assert robot.intervals["rear_load"] == pytest.approx((-0.7, -0.4))
+    assert robot.run_to_run["rear_load"] == pytest.approx(0.05)
 
 
 def test_a_larger_spool_pulls_faster_and_weaker(tmp_path):
