@@ -106,6 +106,8 @@ def _check_rows(rows: Rows) -> None:
     `Parameters` limits each value, and the differences 2·p_sw − d and 2·p_sw − δ_c. Therefore only the rows with the
     extremes of these quantities are checked. If these rows are admissible, all rows are.
     """
+    if not len(rows):
+        return
     suspects = [pick(rows[key]) for key in KEYS for pick in (np.argmin, np.argmax)]
     suspects += [
         np.argmin(2.0 * rows["switching_threshold"] - rows[key]) for key in ("pitch", "clearance")

@@ -175,13 +175,12 @@ class Motions:
     energy: Array
 
 
-def _motions(samples: Array, parameters: Parameters, energy: Array | None = None) -> Motions:
-    """Return the kernel's samples as `Motions`; without ``energy`` (J), the energy is computed from the work column."""
+def _motions(samples: Array, parameters: Parameters) -> Motions:
+    """Return the kernel's samples as `Motions`."""
     time, force, rate = (samples[:, k] for k in (march.TIME, march.FORCE, march.LENGTH_RATE))
     mechanical = cable_power(force, rate, parameters.one_sided_cable)
     power = parameters.idle_power + parameters.power_factor * mechanical
-    if energy is None:
-        energy = parameters.idle_power * time + parameters.power_factor * samples[:, march.WORK]
+    energy = parameters.idle_power * time + parameters.power_factor * samples[:, march.WORK]
     rear, front = (samples[:, k].astype(np.int64) for k in (march.REAR_GROOVE, march.FRONT_GROOVE))
     return Motions(
         time=time,
@@ -405,11 +404,17 @@ class Locomotion:
     ) -> tuple[LocomotionState, Motions]:
         """Return (state at the end, dense output at every sample) under samples of ΔL joined by straight lines.
 
-        ``times`` (n,) in s ascend from the time of the state on; ``length_changes`` (n,) are in m. The power of the
-        output uses the slopes of the lines; for noisy samples see `worm_model.simulation.smoothing`. The energy does
-        not include the cable work (see `Motions`).
+        ``times`` (n,) in s ascend from the time of the state on; ``length_changes`` (n,) are in m. Without samples, the
+        state stays as it is, and the output is empty. The power of the output uses the slopes of the lines; for noisy
+        samples see `worm_model.simulation.smoothing`. The energy does not include the cable work (see `Motions`).
+
+        Raises:
+            ValueError: A sample is not finite, the times do not ascend, or the numbers of times and lengths differ.
+            SimulationError: A fin chatters.
         """
         time = np.atleast_1d(np.asarray(times, dtype=float))
+        if not time.size and not np.size(length_changes):
+            return state, _motions(_NO_ROWS, self.parameters)
         values = np.concatenate([[state.length_change], np.atleast_1d(length_changes)])
         breaks = np.concatenate([[state.time], time])
         step = np.diff(breaks)
@@ -425,17 +430,20 @@ class Locomotion:
 
         Args:
             state: state at the first break.
-            breaks: borders of the pieces (n + 1,), s, ascending.
+            breaks: borders of at least one piece (n + 1,), s, ascending.
             coefficients: coefficients of each piece (4, n), constant term first (m, m/s, …), for the time since the
                 break at which the piece begins.
             times: times of the output (m,), s, ascending within the breaks.
 
         Raises:
-            ValueError: A break or a coefficient is not finite, or the times do not ascend within the breaks.
+            ValueError: There is no piece, a break or a coefficient is not finite, or the times do not ascend within the
+                breaks.
             SimulationError: A fin chatters.
         """
         knots = np.ascontiguousarray(breaks, dtype=float)
         forms = np.ascontiguousarray(coefficients, dtype=float)
+        if knots.size < 2:
+            raise ValueError(f"breaks: {knots.size} value(s), but a piece has two borders")
         if not (np.all(np.isfinite(knots)) and np.all(np.isfinite(forms))):
             raise ValueError("times and lengths must be finite: exclude missing samples")
         samples = np.empty((np.size(times), march.SAMPLE_COLUMNS))
@@ -445,7 +453,7 @@ class Locomotion:
             knots, forms, _motion_of(state), self._constants(), None, totals, samples, _NO_ROWS
         )
         _check(totals[march.FAILURE], f"after {state.time:g} s", self.parameters)
-        last = knots[-1] - knots[-2] if knots.size > 1 else 0.0
+        last = knots[-1] - knots[-2]
         final = LocomotionState(
             float(knots[-1]),
             float(np.polynomial.polynomial.polyval(last, forms[:, -1])),

@@ -17,7 +17,7 @@ from functools import lru_cache, partial
 import numpy as np
 
 from worm_model.arrays import Array
-from worm_model.gait import Gait
+from worm_model.gait import Gait, GaitError
 from worm_model.parameters import Parameters
 from worm_model.simulation.actuation import length_change_of_command
 from worm_model.simulation.simulator import LoadError, Locomotion, SimulationError, simulate
@@ -298,11 +298,12 @@ def _switched(model: _Model, fin: int, margin: float, grooves: int) -> Array | N
 def _window(gait: Gait, parameters: Parameters, fin: int) -> tuple[float, float] | None:
     """Return (time just before a fin's last switch in a steady cycle, time just before the other fin's next switch), s.
 
-    The result is None if there are no such switches.
+    The result is None if there are no such switches. It is also None if the gait has no run from rest: the fins do not
+    hold the load, a fin chatters, or the twin's body is too short for the gait.
     """
     try:
         events = simulate(gait, parameters, CYCLES).events()
-    except (LoadError, SimulationError):
+    except (GaitError, LoadError, SimulationError):
         return None
     events = [e for e in events if e.switched and e.direction == gait.direction]
     mine = [e.time for e in events if e.fin == fin]

@@ -17,11 +17,12 @@ import numpy as np
 
 from worm_model.arrays import Array
 from worm_model.parameters import Parameters
-from worm_model.simulation.actuation import length_change_of_command
+from worm_model.simulation.actuation import length_change_of_command, resting_change
 from worm_model.simulation.closed_form import front_groove
 from worm_model.simulation.simulator import Locomotion, LocomotionState, SimulationError
 from worm_model.twin.core.memory import NANOSECONDS, Memory
 from worm_model.twin.data.samples import SampleKind
+from worm_msgs.gait import WAVEFORM, gait_of
 
 FIT_M = 0.0012  # largest root mean square of the residuals at which a start explains the positions
 STEP_M = 0.001  # step between the tested offsets of the rear module from its groove
@@ -58,8 +59,8 @@ class EstimatedStart:
 def estimate_start(memory: Memory, parameters: Parameters, end_ns: int) -> EstimatedStart | None:
     """Return the start of the running gait, estimated from the samples since its onset.
 
-    ``parameters`` contain the run's L0. The motion is computed up to ``end_ns``. The result is None if the samples do
-    not suffice, or if no start explains the positions.
+    ``parameters`` contain the run's L0. The memory must contain the run's gait. The motion is computed up to
+    ``end_ns``. The result is None if the samples do not suffice, or if no start explains the positions.
     """
     m = memory.record[0]
     onset = int(m["start_ns"])
@@ -95,7 +96,11 @@ def _drive(
     m: Any, rows: np.ndarray, parameters: Parameters, duration: float
 ) -> tuple[Array, Array]:
     """Return times (s) from 0 to the duration, and ΔL (m) at these times, measured or computed from the commands."""
-    onset, start = int(m["start_ns"]), float(m["track_change"])
+    onset = int(m["start_ns"])
+    gait = gait_of({name: m[name] for name in (*WAVEFORM, "direction")})
+    # A twin that was put at rest after the onset does not store ΔL at the onset.
+    known = int(m["track_ns"]) <= onset
+    start = float(m["track_change"]) if known else resting_change(gait, parameters)
     lengths = rows[rows["kind"] == SampleKind.LENGTH]
     if len(lengths) >= LEAST_RATE_HZ * duration:
         times = (lengths["stamp"] - onset) / NANOSECONDS
@@ -105,7 +110,7 @@ def _drive(
         times = (commands["stamp"] - onset) / NANOSECONDS
         knots = np.concatenate([[0.0], times])
         changes = length_change_of_command(
-            knots, np.concatenate([[0.0], commands["a"]]), parameters
+            knots, np.concatenate([[gait.command(0.0)], commands["a"]]), parameters, start
         )[1:]
     times, changes = np.concatenate([[0.0], times]), np.concatenate([[start], changes])
     inside = times < duration

@@ -68,7 +68,8 @@ def test_shapes_broadcast_and_progress_reaches_one() -> None:
     assert table.speed.shape == (30, 20)
     assert len(seen) == -(-600 // CHUNK)
     assert seen[-1] == 1.0
-    assert evaluate_gaits([], 0.2).speed.shape == (0,)
+    for overrides in ({}, {"gain": 0.85}, {"gain": []}):
+        assert evaluate_gaits([], 0.2, overrides=overrides).speed.shape == (0,)
 
 
 def test_an_exception_of_the_progress_cancels() -> None:

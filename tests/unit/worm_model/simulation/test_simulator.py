@@ -279,6 +279,16 @@ def test_no_time_changes_nothing_but_is_sampled() -> None:
     assert motions.length == pytest.approx(PAPER.initial_length - 0.002)
 
 
+def test_no_samples_leave_the_state_as_it_is() -> None:
+    model = Locomotion()
+    before, _ = model.follow(model.start(), [0.1], [-0.002])
+    after, motions = model.follow(before, [], [])
+    assert after == before
+    assert motions.x1.shape == motions.energy.shape == (0,)
+    with pytest.raises(ValueError, match="a piece has two borders"):
+        model.follow(before, [], [-0.002])
+
+
 @pytest.mark.parametrize("times", [[-0.1, 0.2], [0.2, 0.1]])
 def test_a_gait_is_played_only_at_times_that_ascend_from_0_on(times: list[float]):
     model = Locomotion(PAPER)

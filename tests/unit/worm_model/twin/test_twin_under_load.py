@@ -127,3 +127,9 @@ def test_a_load_that_the_fins_do_not_hold_does_not_end_the_twin(load):
     twin = Twin(slides)
     with pytest.raises(ForecastError, match="hold"):
         forecast(twin, twin.start(), GAIT)
+
+
+def test_a_gait_that_is_longer_than_the_twins_body_does_not_end_the_twin():
+    """L0 in the parameter file may be wrong, or a gait longer than the driver of this robot permits."""
+    short = PAPER.replace(initial_length=GAIT.stroke)
+    assert not signatures(GAIT, short, driven=False).missed
