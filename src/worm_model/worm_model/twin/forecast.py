@@ -10,16 +10,8 @@ import numpy as np
 from worm_model.arrays import Array
 from worm_model.gait import Gait
 from worm_model.run import Activity
+from worm_model.simulation import simulator
 from worm_model.simulation.closed_form import groove_phase
-from worm_model.simulation.simulator import (
-    GaitResult,
-    LoadError,
-    Locomotion,
-    LocomotionState,
-    SimulationError,
-    evaluate_gait,
-    play_gait,
-)
 from worm_model.twin.core.memory import Memory
 from worm_model.twin.run_start import DriverState, begin_run, motion_of
 from worm_model.twin.twin import Twin, TwinState
@@ -50,8 +42,8 @@ class Forecast:
         groove_phase: groove phase of the L0 that the twin uses, m.
     """
 
-    robust: GaitResult
-    nominal: GaitResult
+    robust: simulator.GaitResult
+    nominal: simulator.GaitResult
     time: Array
     rear_position: Array
     front_position: Array
@@ -75,11 +67,11 @@ def forecast(twin: Twin, state: TwinState, gait: Gait, horizon_s: float = HORIZO
     try:
         begun, start = _start(twin, state, gait)
         parameters = twin.effective_parameters(begun)
-        robust = evaluate_gait(gait, parameters)
-        nominal = evaluate_gait(replace(gait, margin=0.0), parameters)
+        robust = simulator.evaluate_gait(gait, parameters)
+        nominal = simulator.evaluate_gait(replace(gait, margin=0.0), parameters)
         time: Array = np.arange(1, round(horizon / STEP_S) + 1, dtype=float) * STEP_S
-        motions = play_gait(gait, parameters, start, time)
-    except (LoadError, SimulationError) as error:
+        motions = simulator.play_gait(gait, parameters, start, time)
+    except (simulator.LoadError, simulator.SimulationError) as error:
         raise ForecastError(f"the gait cannot be predicted: {error}") from None
     origin = float(begun.record["origin"]) + int(begun.record["moved"]) * parameters.pitch
     return Forecast(
@@ -95,7 +87,7 @@ def forecast(twin: Twin, state: TwinState, gait: Gait, horizon_s: float = HORIZO
     )
 
 
-def _start(twin: Twin, state: TwinState, gait: Gait) -> tuple[TwinState, LocomotionState]:
+def _start(twin: Twin, state: TwinState, gait: Gait) -> tuple[TwinState, simulator.LocomotionState]:
     """Return the state of the twin, and the motion of the robot at the onset of a gait that begins now.
 
     For a gait in the other direction, the fins are turned now, and the robot rests in their new grooves at the onset.
@@ -112,6 +104,6 @@ def _start(twin: Twin, state: TwinState, gait: Gait) -> tuple[TwinState, Locomot
         state = replace(state, memory=memory)
     elif state.record["moving"]:
         return state, motion_of(state.record)
-    m, model = state.record, Locomotion(twin.effective_parameters(state), gait.direction)
+    m, model = state.record, simulator.Locomotion(twin.effective_parameters(state), gait.direction)
     pose = float(m["answer"]), float(m["pose_x1"]), int(m["pose_front"])
     return state, model.start(0.0, *pose)
