@@ -18,9 +18,9 @@ _NUMERIC = ("numpy", "scipy", "numba")  # their versions may change the last dig
 # Sources that determine the numbers of a study. Patterns of whole folders include files that are added later.
 _SOURCES: Mapping[Path, tuple[str, ...]] = {
     Path(worm_model.__file__).parent: (
-        "conditions.py",
         "errors.py",
         "gait.py",
+        "loads.py",
         "parameters.py",
         "simulation/**/*.py",
     ),
@@ -32,8 +32,15 @@ _SOURCES: Mapping[Path, tuple[str, ...]] = {
         "study/point.py",
         "study/quantities.py",
         "study/study_file.py",
+        "gait_prediction.py",
     ),
-    Path(inspect.getfile(RobotParameters)).parent: ("robot_parameters.py", "servo_models.py"),
+    Path(inspect.getfile(RobotParameters)).parent: (
+        "conditions.py",
+        "driver_file.py",
+        "gait.py",
+        "robot_parameters.py",
+        "servo_models.py",
+    ),
 }
 _OTHERS = ("worm_model", "worm_optimizer", "xarray", "zarr", "distributed")
 
