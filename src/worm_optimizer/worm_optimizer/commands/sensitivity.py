@@ -108,8 +108,8 @@ def describe(content: Sensitivity) -> str:
 def _run(options: argparse.Namespace) -> None:
     if not 2 <= options.samples <= MOST_SAMPLES or options.samples & (options.samples - 1):
         raise InputError(f"--samples {options.samples}: give a power of two, 2 to {MOST_SAMPLES}")
-    if options.seed < 0:
-        raise InputError("--seed must not be negative")
+    if not 0 <= options.seed < 2**32:
+        raise InputError(f"--seed {options.seed}: give a number from 0 to 4294967295")
     gait = gait_of(options)
     content = content_under(conditions_of(options), load_parameter_file(options.parameters))
     figure = figure_file(options)

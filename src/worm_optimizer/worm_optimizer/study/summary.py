@@ -11,6 +11,7 @@ import numpy as np
 import xarray
 from numpy.typing import NDArray
 
+from worm_msgs.conditions import CONDITION_ROWS
 from worm_optimizer.study.plan import PARAMETER_FILE, Study
 from worm_optimizer.study.point import DONE, FAILED, OPEN, REQUESTS, gait_names
 from worm_optimizer.study.results import point_table
@@ -89,10 +90,18 @@ def summarise(path: Path, study: Study) -> Summary:
 def _own(varied: tuple[Column, ...], study: Study) -> int | None:
     """Return the index of the point with the values of the parameter file.
 
-    Return None if there are several files, a varied quantity is no parameter, or no point has these values.
+    Return None if there are several files, a varied quantity is no parameter, no point has these values, or a fixed
+    parameter, condition or groove phase makes the robot of every point another one.
     """
     values = study.files[0][1].parameters.as_dict()
     if len(study.files) > 1 or not all(column.name in values for column in varied):
+        return None
+    usual = {**values, **dict.fromkeys(CONDITION_ROWS, 0.0)}
+    if "groove_phase_m" in study.fixed or any(
+        not np.isclose(value, usual[name], rtol=1e-9)
+        for name, value in study.fixed.items()
+        if name in usual
+    ):
         return None
     same = [np.isclose(column.values, values[column.name], rtol=1e-9) for column in varied]
     rows = np.flatnonzero(np.all(same, axis=0)) if same else np.empty(0)

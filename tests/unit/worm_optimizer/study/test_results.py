@@ -8,10 +8,13 @@ import xarray
 from study_cases import SMALL
 
 from worm_model.errors import InputError
+from worm_model.parameters import PAPER
+from worm_optimizer.study import summary
 from worm_optimizer.study.point import compute_block
 from worm_optimizer.study.results import export, point_table
 from worm_optimizer.study.store import locked_store
 from worm_optimizer.study.study_file import parse_study
+from worm_optimizer.study.summary import Column
 
 STUDY = parse_study(SMALL, Path())
 
@@ -64,3 +67,22 @@ def test_csv_has_a_row_per_point_and_a_column_per_gait(output, tmp_path):
 def test_another_format_is_rejected(output, tmp_path):
     with pytest.raises(InputError, match=r"none of \.nc, \.csv"):
         export(output, tmp_path / "study.xlsx")
+
+
+@pytest.mark.parametrize(
+    ("fixed", "found"),
+    [
+        ("margin_m: 0.002", True),
+        ("margin_m: 0.002, slope_deg: 0.0", True),
+        ("margin_m: 0.002, slope_deg: 10.0", False),
+        ("margin_m: 0.002, bellows_stiffness: 500.0", False),
+        ("margin_m: 0.002, groove_phase_m: 0.001", False),
+    ],
+)
+def test_another_robot_is_not_taken_for_that_of_the_parameter_file(fixed, found):
+    study = parse_study(SMALL.replace("margin_m: 0.002", fixed), Path())
+    varied = (
+        Column("slack", "m", np.array([0.004, PAPER.slack])),
+        Column("switching_threshold", "m", np.full(2, PAPER.switching_threshold)),
+    )
+    assert summary._own(varied, study) == (1 if found else None)
