@@ -15,16 +15,18 @@ import worm_model
 from worm_msgs.robot_parameters import RobotParameters
 
 _NUMERIC = ("numpy", "scipy", "numba")  # their versions may change the last digits of results
+_MODEL, _OPTIMIZER = Path(worm_model.__file__).parent, Path(__file__).parent
+_MESSAGES = Path(inspect.getfile(RobotParameters)).parent
 # Sources that determine the numbers of a study. Patterns of whole folders include files that are added later.
 _SOURCES: Mapping[Path, tuple[str, ...]] = {
-    Path(worm_model.__file__).parent: (
+    _MODEL: (
         "errors.py",
         "gait.py",
         "loads.py",
         "parameters.py",
         "simulation/**/*.py",
     ),
-    Path(__file__).parent: (
+    _OPTIMIZER: (
         "evaluation/*.py",
         "search/*.py",
         "robustness/*.py",
@@ -34,13 +36,19 @@ _SOURCES: Mapping[Path, tuple[str, ...]] = {
         "study/study_file.py",
         "gait_prediction.py",
     ),
-    Path(inspect.getfile(RobotParameters)).parent: (
+    _MESSAGES: (
         "conditions.py",
         "driver_file.py",
         "gait.py",
         "robot_parameters.py",
         "servo_models.py",
     ),
+}
+# All sources, without the generated messages
+_ALL: Mapping[Path, tuple[str, ...]] = {
+    _MODEL: ("**/*.py",),
+    _OPTIMIZER: ("**/*.py",),
+    _MESSAGES: ("*.py",),
 }
 _OTHERS = ("worm_model", "worm_optimizer", "xarray", "zarr", "distributed")
 
@@ -58,9 +66,13 @@ def versions() -> dict[str, str]:
 
 def sources() -> list[Path]:
     """Return the source files that determine the numbers of a study, in an order independent of their location."""
+    return _found(_SOURCES)
+
+
+def _found(places: Mapping[Path, tuple[str, ...]]) -> list[Path]:
     return [
         path
-        for folder, patterns in _SOURCES.items()
+        for folder, patterns in places.items()
         for path in sorted(path for pattern in patterns for path in folder.glob(pattern))
     ]
 
@@ -76,14 +88,7 @@ def identity_of_all() -> str:
 
     It is for results of recordings, on which also the code of bags, twin and identification has an effect.
     """
-    whole = (Path(worm_model.__file__).parent, Path(__file__).parent)
-    plain = Path(inspect.getfile(RobotParameters)).parent  # next to generated messages
-    return _hash(
-        [
-            *(path for folder in whole for path in sorted(folder.rglob("*.py"))),
-            *sorted(plain.glob("*.py")),
-        ]
-    )
+    return _hash(_found(_ALL))
 
 
 def _hash(files: Iterable[Path]) -> str:

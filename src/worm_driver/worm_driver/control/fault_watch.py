@@ -81,11 +81,11 @@ class FaultWatch:
             states: states of the servos while the torque is on.
             length_change: commanded ΔL, m.
         """
-        return (
-            self._fault_of_suspect()
-            or self._fault_of_position()
-            or self._fault_in_counts(states, length_change)
-        )
+        return self.fault_of_servo() or self._fault_in_counts(states, length_change)
+
+    def fault_of_servo(self) -> str | None:
+        """Return a fault that the registers or the position of a servo show, as a message, or None."""
+        return self._fault_of_suspect() or self._fault_of_position()
 
     def _lateness(self) -> str:
         return supervision.lateness(self._away, self._actuators.settings.watchdog, self._load())

@@ -395,9 +395,11 @@ class Robot:
         self._watch.note_silence(self._states)
         if not self.active:
             return
-        # In FAULT, too, a servo may turn out to have restarted, and is then no longer homed.
+        if self.player.phase is Phase.FAULT:
+            self._watch.fault_of_servo()  # a servo that restarted is no longer homed
+            return
         reason = self._watch.fault(self._states, self.player.length_change)
-        if reason is not None and self.player.phase is not Phase.FAULT:
+        if reason is not None:
             self.fail(now, reason)
             self._send_goals()
 

@@ -161,8 +161,6 @@ class INA219:
 def calibration_for(shunt_resistance: float, max_current: float) -> int:
     """Return the value of the calibration register for a shunt (ohm) and the largest current (A) without overflow.
 
-    The value is even, and fits into the 16 bits of the register.
-
     Cal = trunc(0.04096 / (Current_LSB R)) with Current_LSB = max_current / 32768 and the resistance R of the shunt
     (SBOS448G). Bit 0 is always 0.
 

@@ -20,9 +20,8 @@ from worm_model.parameters import Parameters
 from worm_model.simulation.actuation import length_change_of_command, resting_change
 from worm_model.simulation.closed_form import front_groove
 from worm_model.simulation.simulator import Locomotion, LocomotionState, SimulationError
-from worm_model.twin.core.memory import NANOSECONDS, Memory
+from worm_model.twin.core.memory import NANOSECONDS, Memory, gait_of_run
 from worm_model.twin.data.samples import SampleKind
-from worm_msgs.gait import WAVEFORM, gait_of
 
 FIT_M = 0.0012  # largest root mean square of the residuals at which a start explains the positions
 STEP_M = 0.001  # step between the tested offsets of the rear module from its groove
@@ -97,7 +96,7 @@ def _drive(
 ) -> tuple[Array, Array]:
     """Return times (s) from 0 to the duration, and ΔL (m) at these times, measured or computed from the commands."""
     onset = int(m["start_ns"])
-    gait = gait_of({name: m[name] for name in (*WAVEFORM, "direction")})
+    gait = gait_of_run(m)
     # A twin that was put at rest after the onset does not store ΔL at the onset.
     known = int(m["track_ns"]) <= onset
     start = float(m["track_change"]) if known else resting_change(gait, parameters)

@@ -33,6 +33,7 @@ from worm_model.twin.core.memory import (
     Memory,
     OutputRows,
     Rules,
+    gait_of_run,
     new_memory,
     new_rows,
 )
@@ -43,7 +44,7 @@ from worm_model.twin.findings import INFORMATION, Finding, Sentence
 from worm_model.twin.run_start import DriverState, begin_run, driver_state_of, is_new_run
 from worm_model.twin.start_estimate import EstimatedStart, Start, estimate_start
 from worm_model.twin.twin_settings import DEFAULTS, TwinSettings
-from worm_msgs.gait import WAVEFORM, Gait, gait_of
+from worm_msgs.gait import Gait
 
 CLOCK_SET = "the clock was set{} during the gait"
 BATCH = 512  # largest number of samples that are inserted before samples are processed
@@ -104,7 +105,7 @@ class TwinState:
         m = self.record
         if not m["has_gait"]:
             return None
-        return gait_of({name: m[name] for name in (*WAVEFORM, "direction")})
+        return gait_of_run(m)
 
     @property
     def counts(self) -> dict[str, int]:

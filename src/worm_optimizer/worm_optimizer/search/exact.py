@@ -40,7 +40,7 @@ FindEdges = Callable[[Index, Index, Array, Array], Edges]
 # which includes frequencies between the columns, it may be the lowest. `_rivals` searches for a cheaper edge
 # between two columns only if the power in one of them is at most this share above that of the gait of the front.
 _NEAR_BEST = 0.02
-_SPEED_RATIO = 1e-12  # relative increase of the speed at which `_rivals` searches for cheaper gaits
+_FASTER = 1e-12  # relative increase of the speed at which `_rivals` searches for cheaper gaits
 _WINDOW_SCAN = 5  # number of strokes that are evaluated in the window around an edge
 _LEAST_WINDOW = 1e-6  # least extension of a window beyond the known strokes of an edge, m
 _LONGER = 4  # number of longer strokes per gait at which the rise of the power is verified
@@ -393,7 +393,7 @@ def _rivals(task: Task, surveyed: Survey, front: Points, reach: float) -> Points
     counts, frequencies, windows = [], [], []
     for count in np.unique(surveyed.points.count):
         power, strokes = _by_column(surveyed, surveyed.points.power, int(count))
-        at = front.count * front.frequency / count * (1.0 + _SPEED_RATIO)
+        at = front.count * front.frequency / count * (1.0 + _FASTER)
         place = np.clip(np.searchsorted(columns, at), 1, columns.size - 1)
         near = (front.count != count) & (at >= columns[0]) & (at <= columns[-1])
         cheapest = np.minimum(power[place - 1], power[place])  # Infinite without an edge.

@@ -74,7 +74,7 @@ class Cliff:
 
     @property
     def consequence(self) -> str:
-        """What happens beyond the margin, as text."""
+        """Loss of a branch beyond the margin, and the rise of the cost of transport, as text."""
         rise = (
             "no gait moves"
             if math.isinf(self.rise)

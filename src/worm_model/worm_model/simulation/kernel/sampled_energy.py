@@ -10,6 +10,9 @@ from __future__ import annotations
 import numpy as np
 
 from worm_model.simulation.kernel.compiled import exact
+from worm_model.simulation.kernel.work import cable_power
+
+_cable_power = exact(cable_power)
 
 
 @exact
@@ -25,7 +28,7 @@ def sampled_energy(
 ) -> np.ndarray:
     """Return the energy (m,) in J since the first of the times ``at`` (m,), s, ascending.
 
-    The power is ``idle`` (W) plus ``factor`` times the power of the cable (`kernel.work.cable_power`) with the force
+    The power is ``idle`` (W) plus ``factor`` times the power of the cable (`cable_power`) with the force
     ``static_force`` − ``damping``·``rate``. Between the samples it is interpolated linearly for the energy at the
     samples (trapezoidal rule), and the energy is interpolated linearly between them. Outside of the samples the power
     is ``idle``.
@@ -40,29 +43,14 @@ def sampled_energy(
         factor: α_P.
         at: times of the result, s.
     """
-    last = time.size - 1
     energy, before = np.empty(time.size), 0.0
     for k in range(time.size):
         force = static_force[k] - damping * rate[k]
-        if one_sided_cable:
-            force = max(force, 0.0)
-        power = idle + factor * max(-force * rate[k], 0.0)
+        power = idle + factor * _cable_power(force, rate[k], one_sided_cable)
         energy[k] = (
             0.0 if k == 0 else energy[k - 1] + 0.5 * (power + before) * (time[k] - time[k - 1])
         )
         before = power
-    values, k = np.empty(at.size), 0
-    for i in range(at.size):
-        moment = at[i]
-        while k < last and time[k + 1] <= moment:
-            k += 1
-        if moment <= time[0]:
-            inside = energy[0]
-        elif k == last or time[k] == moment:
-            inside = energy[k]
-        else:
-            slope = (energy[k + 1] - energy[k]) / (time[k + 1] - time[k])
-            inside = slope * (moment - time[k]) + energy[k]
-        outside = min(moment - time[0], 0.0) + max(moment - time[last], 0.0)
-        values[i] = inside + idle * outside
+    outside = np.minimum(at - time[0], 0.0) + np.maximum(at - time[-1], 0.0)
+    values = np.interp(at, time, energy) + idle * outside
     return values - values[0]

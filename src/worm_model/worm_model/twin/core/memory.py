@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from worm_model.simulation.kernel.march import SAMPLE_COLUMNS, TOTALS_SIZE
 from worm_model.twin.data.records import RESIDUAL_ROW, STATE_ROW
 from worm_model.twin.data.samples import SAMPLE, SampleKind
-from worm_msgs.gait import GAIT_UNITS, WAVEFORM
+from worm_msgs.gait import GAIT_UNITS, WAVEFORM, Gait, gait_of
 
 NANOSECONDS = 1_000_000_000
 KINDS = len(SampleKind)
@@ -186,6 +186,11 @@ class Memory(NamedTuple):
     sums: NDArray[np.float64]
     totals: NDArray[np.float64]
     sample: NDArray[np.float64]
+
+
+def gait_of_run(record: Any) -> Gait:
+    """Return the gait in a record of the memory, without the margin. The record must contain one (``has_gait``)."""
+    return gait_of({name: record[name] for name in (*WAVEFORM, "direction")})
 
 
 class Rules(NamedTuple):
