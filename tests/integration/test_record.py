@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from builtin_interfaces.msg import Time
 from harness import LATCHED, Probe, Processes
 from mcap.reader import make_reader
 from rcl_interfaces.srv import GetParameters, ListParameters
@@ -356,8 +357,11 @@ def test_each_run_of_a_gait_is_noted_once(processes: Processes, probe: Probe, tm
     wait_until_discovered(states)
     gait = Gait(stroke=0.07, frequency=0.2, direction=Gait.FORWARD)
     for cycle, run in enumerate((1, 1, 2, 2, 2), 1):
+        onset = Time(sec=10 * run, nanosec=1000 * cycle)  # a real robot's onset is measured again
         states.publish(
-            GaitState(state=GaitState.RUNNING, gait=gait, cycle=cycle, cycles=5, run=run)
+            GaitState(
+                state=GaitState.RUNNING, gait=gait, cycle=cycle, cycles=5, run=run, onset=onset
+            )
         )
     assert states.wait_for_all_acked(ACKNOWLEDGED)
     recorder.interrupt()

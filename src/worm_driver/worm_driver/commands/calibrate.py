@@ -27,6 +27,7 @@ from worm_driver.errors import (
     CorruptReplyError,
     DriverError,
     NoReplyError,
+    PortError,
     ReleaseError,
 )
 from worm_driver.servos import servo_setup as servos
@@ -87,13 +88,18 @@ class Calibration:
 
         Raises:
             ConfigurationError: The firmware of a servo is too old.
-            BusError: A servo stops answering.
+            BusError: A servo stops answering, or the port is gone.
         """
         answering = []
         for number in range(253):
             try:
                 model = self._bus.ping(number).model_number
-            except BusError:
+            except NoReplyError:
+                continue
+            except PortError:
+                raise
+            except BusError as error:
+                self._say(f"servo {number} is excluded: {error}")
                 continue
             if model in MODELS:
                 with self._bus.retrying():

@@ -251,6 +251,8 @@ class Robot:
         if self.active:
             self._adopt(gait_player.stop(self.player, now, self._here(), reason))
             self._send_goals()
+            if self.player.phase is Phase.FAULT:
+                return f"in FAULT, holding as far as the servos have torque: {self.player.message}"
             return "stopped, and holding"
         problems = self.actuators.unreleased or [self.actuators.left_on]
         return f"nothing to stop: {'; '.join(filter(None, problems)) or 'the torque is off'}"

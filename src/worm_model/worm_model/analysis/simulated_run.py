@@ -87,7 +87,7 @@ class SimulatedRun:
         """Return the recording of an ideal driver, camera and power sensor, with a rest before the gait."""
         length = self.parameters.initial_length
         step = self.time[1] - self.time[0]
-        count = round(REST_S / step)
+        count = int(REST_S / step + 1e-9)
 
         def after_rest(values: Array) -> Array:
             return np.concatenate([np.full(count, values[0]), values])

@@ -43,6 +43,7 @@ def _parser() -> command_line.Parser:
         verb: command_line.Parser, metavar: str = "BAG2", meaning: str = "must not exist"
     ) -> None:
         verb.add_argument("--output", required=True, metavar=metavar, help=meaning)
+        verb.add_definitions()
 
     table = add_verb(
         TABLE,
@@ -81,7 +82,6 @@ def _parser() -> command_line.Parser:
         "messages) is reduced to its last part. Names of the robot's topics do not change.",
     )
     add_output(clean)
-    clean.add_definitions()
     return parser
 
 
@@ -161,6 +161,7 @@ def _spans(bag: Bag) -> list[tuple[int, int]]:
 
 
 def _split(options: argparse.Namespace) -> None:
+    from worm_model.bags.formats.whole_folder import new_folder
     from worm_model.bags.operations.cutting import trim
 
     output = command_line.new_file(options.output)
@@ -170,10 +171,12 @@ def _split(options: argparse.Namespace) -> None:
             raise command_line.InputError(
                 f"{bag.path}: contains no run. Use `bags trim` to cut by time"
             )
-        output.mkdir()
-        made = [output / f"run_{number}" for number in range(1, len(spans) + 1)]
-        counts = [trim(bag, path, *span) for path, span in zip(made, spans, strict=True)]
-    _written(options, {"bags": [str(path) for path in made], "messages": sum(counts)})
+        made = [f"run_{number}" for number in range(1, len(spans) + 1)]
+        with new_folder(output) as folder:
+            counts = [
+                trim(bag, folder / name, *span) for name, span in zip(made, spans, strict=True)
+            ]
+    _written(options, {"bags": [str(output / name) for name in made], "messages": sum(counts)})
 
 
 def _merge(options: argparse.Namespace) -> None:

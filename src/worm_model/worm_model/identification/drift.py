@@ -35,6 +35,7 @@ class State(str, Enum):
     OUT = "out of limits"
     TRENDING = "trending"
     TOO_FEW = "too few bags"
+    NOT_IDENTIFIABLE = "not identifiable"
 
 
 class Rule(str, Enum):
@@ -121,7 +122,9 @@ class Chart:
             return State.TRENDING
         if rules:
             return State.OUT
-        return State.WITHIN if self.limits else State.TOO_FEW
+        if self.limits is None:
+            return State.TOO_FEW
+        return State.WITHIN if np.isfinite(self.value).any() else State.NOT_IDENTIFIABLE
 
     @property
     def began(self) -> int | None:

@@ -36,7 +36,7 @@ from worm_model.bags.formats.message_types import installed_definition
 from worm_model.bags.recording.message_loss import LossCounter
 from worm_model.bags.recording.topic_selection import TopicSelection
 from worm_model.bags.worm_topics import GAIT_STATE, TWIN_EVENT
-from worm_model.run import Activity
+from worm_model.run import SAME_ONSET_NS, Activity
 from worm_msgs.node_command import declare_none
 
 # A `_RawSubscription` may have two subscriptions. This is the number of polls for which the first one stays after the
@@ -189,7 +189,7 @@ class RecordNode(Node):
         self._selection = replace(selection, names=names)
         self._depth = depth
         self._subscriptions_by_name: dict[str, _RawSubscription] = {}
-        self._rejected: set[str] = set()
+        self._rejected: dict[str, str] = {}  # reason by name of a topic that cannot be recorded
         self._run, self._onset = 0, 0  # number and onset (ns) of the last reported run
         self._reported = False
         self._drivers: dict[str, int] = {}  # last state of each driver, by topic
@@ -245,6 +245,10 @@ class RecordNode(Node):
         """Topics that were requested by name and are not subscribed: they have not appeared, or cannot be recorded."""
         return sorted(self._selection.names - self._subscriptions_by_name.keys())
 
+    def why_missing(self, name: str) -> str:
+        """Return the reason why a missing topic is not subscribed."""
+        return self._rejected.get(name, "it was never published")
+
     @property
     def topics(self) -> list[Topic]:
         """Subscribed topics."""
@@ -273,7 +277,7 @@ class RecordNode(Node):
             definition = installed_definition(types[0])
             message = message_class(types[0])
         except BagError as error:
-            self._rejected.add(name)
+            self._rejected[name] = str(error)
             self.get_logger().error(f"{name} is not recorded: {error}")
             return
         publishers = self.get_publishers_info_by_topic(name)
@@ -325,10 +329,11 @@ class RecordNode(Node):
     def _is_known(self, state: Any) -> bool:
         """Return True if a state belongs to the last reported run, and store its run as the last reported one.
 
-        A different onset makes it another run even with the same number, because a restarted driver counts from 1.
+        A different onset makes it another run even with the same number, because a restarted driver counts from 1. The
+        onset of one run may differ slightly between states.
         """
         onset = state.onset.sec * 10**9 + state.onset.nanosec
-        same_onset = onset == self._onset or not self._onset
+        same_onset = not self._onset or abs(onset - self._onset) <= SAME_ONSET_NS
         known = self._reported and state.run == self._run and same_onset
         self._reported, self._run, self._onset = True, state.run, onset
         return known

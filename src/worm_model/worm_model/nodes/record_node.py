@@ -328,7 +328,7 @@ def _report(
     recording.show("\n")
     notify = command_line.notifier("record")
     for name in node.missing:
-        notify(f"{name} was never published")
+        notify(f"{name} is not recorded: {node.why_missing(name)}")
     for name, count in node.missed.items():
         notify(
             f"{name}: the first {count} messages of a publisher that started after the recorder are missing"

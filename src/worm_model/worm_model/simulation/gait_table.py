@@ -19,7 +19,7 @@ from worm_msgs.gait import GAIT_COLUMNS, GAIT_DEFAULTS, GaitError, Profile
 
 REQUIRED = tuple(column for name, column in GAIT_COLUMNS.items() if name not in GAIT_DEFAULTS)
 OPTIONAL = ("L0_m", *(GAIT_COLUMNS[name] for name in GAIT_DEFAULTS))
-RESULTS = ("speed_m_s", "power_W", "grooves_per_cycle", "switches_5_cycles")
+RESULTS = ("speed_m_s", "power_W", "grooves_per_cycle", "switches_5_cycles", "groove_phase_m")
 
 Columns = dict[str, NDArray[np.float64]]
 
@@ -36,7 +36,7 @@ def read_gaits(path: str | Path) -> Columns:
             reader = csv.DictReader(file)
             header = [name.strip() for name in reader.fieldnames or []]
             _check_header(path, header)
-            rows = [list(row.values()) for row in reader]
+            rows = [(reader.line_num, list(row.values())) for row in reader]
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from None
     except (UnicodeDecodeError, csv.Error):
@@ -44,11 +44,11 @@ def read_gaits(path: str | Path) -> Columns:
     if not rows:
         raise InputError(f"{path}: contains no gait; add a line below its header")
     columns: Columns = {name: np.empty(len(rows)) for name in header}
-    for line, row in enumerate(rows, start=2):
+    for k, (line, row) in enumerate(rows):
         if len(row) != len(header):
             raise InputError(f"{path}, line {line}: {len(row)} values for {len(header)} columns")
         for name, text in zip(header, row, strict=True):
-            columns[name][line - 2] = _number(path, line, name, text)
+            columns[name][k] = _number(path, line, name, text)
     return columns
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from worm_model.arrays import Array
 from worm_model.gait import Gait, GaitError
-from worm_model.parameters import Parameters
+from worm_model.parameters import ParameterError, Parameters
 from worm_model.simulation.actuation import length_change_of_command
 from worm_model.simulation.simulator import LoadError, Locomotion, SimulationError, simulate
 from worm_model.twin.cause_table import LASTING, Cause, Effect
@@ -161,13 +161,18 @@ class _Model:
         gained = motions.rear_groove[place + PHASES - 1] - motions.rear_groove[place - 1]
         return channels, self.gait.direction * int(gained)
 
-    def change(self, parameters: Parameters, commands: Array | None = None) -> tuple[Array, int]:
-        """Return the effect (CHANNELS, BINS) of other parameters or commands, and the additional grooves per cycle."""
+    def change(self, commands: Array | None = None, **values: float) -> tuple[Array, int]:
+        """Return the effect (CHANNELS, BINS) of other commands or parameters, and the additional grooves per cycle.
+
+        The effect is 0 if the model does not permit the ``values`` of the parameters.
+        """
         try:
             shown, grooves = self._cycle(
-                parameters, self.commands if commands is None else commands, 0.0
+                self.parameters.replace(**values),
+                self.commands if commands is None else commands,
+                0.0,
             )
-        except (LoadError, SimulationError):
+        except (LoadError, ParameterError, SimulationError):
             return np.zeros((CHANNELS, BINS)), 0
         return shown - self.seen, grooves - self.grooves
 
@@ -175,27 +180,26 @@ class _Model:
         """Return the effect of a change at its usual size, extrapolated from a small change.
 
         ``change`` returns the effect and the additional grooves of a fraction of the usual change. The first of several
-        fractions that keeps the number of grooves is used. If there is none, the effect is 0.
+        fractions that has an effect and keeps the number of grooves is used. If there is none, the effect is 0.
         """
         for step in (SMALL, -SMALL, 0.2 * SMALL, -0.2 * SMALL):
             effect, grooves = change(step)
-            if grooves == 0:
+            if grooves == 0 and effect.any():
                 return effect / step
         return np.zeros((CHANNELS, BINS))
 
     def with_parameter(self, key: str, amount: float, step: float) -> tuple[Array, int]:
         """Return the effect of a parameter changed by ``step * amount``, and the additional grooves per cycle."""
-        value = getattr(self.parameters, key) + step * amount
-        return self.change(self.parameters.replace(**{key: value}))
+        return self.change(**{key: getattr(self.parameters, key) + step * amount})
 
     def with_both_loads(self, amount: float, step: float) -> tuple[Array, int]:
         """Return the effect of a load ``step * amount`` (N), one half on each module, and the additional grooves."""
         p, half = self.parameters, 0.5 * step * amount
-        return self.change(p.replace(rear_load=p.rear_load + half, front_load=p.front_load + half))
+        return self.change(rear_load=p.rear_load + half, front_load=p.front_load + half)
 
     def with_loose_cable(self, amount: float, step: float) -> tuple[Array, int]:
         """Return the effect of a cable longer by ``step * amount`` (m), and the additional grooves per cycle."""
-        return self.change(self.parameters, np.minimum(self.commands + step * amount, 0.0))
+        return self.change(np.minimum(self.commands + step * amount, 0.0))
 
 
 def _lasting(model: _Model, cause: Cause) -> Array:
@@ -246,7 +250,7 @@ def _lengths(model: _Model) -> list[AnotherLength]:
     lengths = []
     for k in (k for k in range(-count, count + 1) if k):
         error = k * L0_STEP_M
-        change, gained = model.change(p.replace(initial_length=p.initial_length + error))
+        change, gained = model.change(initial_length=p.initial_length + error)
         lengths.append(AnotherLength(error, gained, change))
     return lengths
 

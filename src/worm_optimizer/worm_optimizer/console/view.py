@@ -95,11 +95,12 @@ def obstacles(snapshot: Snapshot, hindrance: str) -> dict[str, str]:
     off = driver.state is Activity.INACTIVE
     moving = "the robot moves" if driver.state in MOVING else ""
     blocked = "the emergency stop is on" if driver.emergency_stop else ""
+    fault = "FAULT: remove the cause, then Deactivate" if driver.state is Activity.FAULT else ""
     return {
         "Home": moving or ("" if off else "the torque is on: Deactivate first"),
         "Activate": blocked or ("" if off else "the torque is on already"),
         "Deactivate": "the torque is off already" if off else "",
-        "Run": blocked or moving or ("the torque is off: Activate first" if off else ""),
+        "Run": blocked or moving or fault or ("the torque is off: Activate first" if off else ""),
     }
 
 

@@ -66,7 +66,7 @@ SHAPE_BOUNDS = (  # lower and upper end of each field of ShapeBounds, in the ord
     ("min_ramp_share", "max_ramp_share"),
 )
 # Units in the notation of the CF conventions
-_CF_UNITS = {"°": "degree", "m²": "m2", "N·s/m": "N s/m"}
+_CF_UNITS = {"°": "degree", "deg": "degree", "m²": "m2", "N·s/m": "N s/m"}
 QUANTITIES: Mapping[str, Quantity] = {
     **{
         key: Quantity(

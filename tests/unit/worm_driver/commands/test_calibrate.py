@@ -15,6 +15,7 @@ from worm_driver.errors import (
     ConfigurationError,
     CorruptReplyError,
     DriverError,
+    PortError,
     ReleaseError,
 )
 from worm_driver.servos.calibration import Reading, parameter_text, spool_from
@@ -269,6 +270,17 @@ def test_a_conversation_that_is_killed_leaves_no_mark_of_a_home():
     assert lit == [1]
     assert rig.cable.memory["led"] == 1
     assert not rig.restarted_driver().robot.actuators.homed
+
+
+def test_a_port_that_is_unplugged_during_the_search_is_reported_as_such():
+    bench = Bench()
+
+    def unplugged(packet) -> int:
+        raise OSError("no such device")
+
+    bench.port.writePort = unplugged
+    with pytest.raises(PortError, match="no such device"):
+        bench.calibration.find_servos()
 
 
 def test_a_blocked_cable_ends_the_conversation():

@@ -8,8 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from worm_model.bags.formats.bag_errors import BagError
 from worm_model.bags.formats.bag_writer import new_bag
 from worm_model.bags.opening import open_bag
+from worm_model.bags.operations import cutting
 from worm_model.commands import bag_columns, bag_table, bags
 from worm_model.gait import Gait, named_values
 
@@ -131,6 +133,16 @@ def test_what_is_split_and_merged_again_is_the_same(run, tmp_path):
     assert times == sorted(times)
     rows = json.loads(run(tmp_path / "both", "--json")[1])["runs"]
     assert [row["gait"]["direction"] for row in rows] == [1, -1]
+
+
+def test_nothing_remains_of_a_split_that_fails(run, tmp_path, monkeypatch):
+    def fail(bag, output, first, last):
+        output.mkdir()
+        raise BagError(f"{output} has no definition of a topic")
+
+    monkeypatch.setattr(cutting, "trim", fail)
+    assert run("split", SAMPLES / "forward", "--output", tmp_path / "runs")[0] == 2
+    assert not list(tmp_path.glob("*runs*"))
 
 
 def test_a_column_is_a_row_of_the_table_of_columns(run, monkeypatch):

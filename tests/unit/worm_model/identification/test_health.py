@@ -22,7 +22,7 @@ from worm_model.gait import Gait
 from worm_model.identification import drift
 from worm_model.identification.data.observed_run import recording_of
 from worm_model.identification.drift_estimates import estimate_bag, estimate_bags
-from worm_model.identification.fits.estimate import Estimate
+from worm_model.identification.fits.estimate import Estimate, not_identifiable
 from worm_model.identification.report.drift_figure import draw_health
 from worm_model.parameters import PAPER, ParameterFile
 from worm_model.run import GaitStates, LengthSamples, PowerSamples, Run, TrackerSamples
@@ -243,6 +243,12 @@ def test_few_bags_are_reported_and_a_file_of_intervals_helps(tmp_path: Path, cap
     status, out, _ = run_health(capsys, bag, "--parameters", file)
     assert "gain: out of limits since only" in out
     assert "slack: too few bags" in out
+
+
+def test_a_parameter_that_no_bag_identifies_is_not_within_its_limits():
+    known = replace(PAPER_FILE, intervals={"gain": (0.94, 0.96)})
+    chart = drift.chart_of("gain", [not_identifiable(0.95, "constant")] * drift.ONE_SIDE, known)
+    assert chart.state is drift.State.NOT_IDENTIFIABLE
 
 
 def test_no_usable_bag_is_bad_input_of_one_line(tmp_path: Path, capsys):

@@ -133,3 +133,9 @@ def test_a_gait_that_is_longer_than_the_twins_body_does_not_end_the_twin():
     """L0 in the parameter file may be wrong, or a gait longer than the driver of this robot permits."""
     short = PAPER.replace(initial_length=GAIT.stroke)
     assert not signatures(GAIT, short, driven=False).missed
+
+
+def test_a_parameter_at_its_limit_has_a_signature_from_the_permitted_side():
+    """A larger clearance than twice the switching threshold is not permitted."""
+    wide = PAPER.replace(clearance=1.9999 * PAPER.switching_threshold)
+    assert signatures(GAIT, wide, driven=True).healthy["clearance"].any()

@@ -66,6 +66,7 @@ def test_old_values_are_not_shown():
         (snapshot(Activity.IDLE), {"Deactivate", "Run"}),
         (snapshot(Activity.IDLE, emergency_stop=True), {"Deactivate"}),
         (snapshot(Activity.RUNNING), {"Deactivate"}),
+        (snapshot(Activity.FAULT), {"Deactivate"}),
         (Snapshot(), set()),
     ],
 )

@@ -147,11 +147,10 @@ class RecordingSession:
         """Write the content of the ring buffer into a separate bag."""
         if not self.options.ring_s:
             raise BagError("there is no ring buffer: record with --snapshot S")
-        messages = self._ring.take()
-        if not messages:
+        if not self._ring:
             raise BagError("nothing has been received since the last snapshot")
-        thread = self._begin("_snapshot")
-        thread.offer(messages)
+        thread = self._begin("_snapshot")  # If this fails, the messages stay for the next snapshot.
+        thread.offer(self._ring.take())
         thread.finish()
         return f"the last {self.options.ring_s:g} s are written to {thread.directory}"
 
@@ -202,6 +201,10 @@ class _Ring:
         self._messages: deque[Message] = deque()
         self._latched: dict[str, Message] = {}
 
+    def __len__(self) -> int:
+        """Number of messages since the last `take`."""
+        return len(self._messages)
+
     def add(self, messages: Sequence[Message]) -> None:
         """Append messages in the order of reception, and remove the oldest messages beyond the limits."""
         self._messages.extend(messages)
@@ -217,8 +220,6 @@ class _Ring:
 
     def take(self) -> list[Message]:
         """Return all messages and empty the ring buffer, except for the last message of each latched topic."""
-        if not self._messages:
-            return []
         messages = [*self._latched.values(), *self._messages]
         self._latched |= {m.topic: m for m in self._messages if is_latched(m.channel)}
         self._messages.clear()

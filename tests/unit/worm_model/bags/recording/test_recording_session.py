@@ -128,6 +128,17 @@ def test_a_snapshot_holds_the_last_seconds_and_what_is_latched(tmp_path: Path):
     assert not (tmp_path / "bag").exists()
 
 
+def test_a_snapshot_that_cannot_be_written_keeps_its_messages(tmp_path: Path):
+    recording = session(tmp_path / "bag", ring_s=5.0)
+    recording.offer([message(1), message(2)])
+    (tmp_path / "bag_snapshot_1").mkdir()
+    with pytest.raises(BagError):
+        recording.snapshot()
+    recording.snapshot()
+    recording.close()
+    assert seconds(tmp_path / "bag_snapshot_2") == [1, 2]
+
+
 def test_a_ring_does_not_outgrow_the_memory(tmp_path: Path):
     recording = session(tmp_path / "bag", ring_s=1000.0)
     size = BACKLOG_BYTES // 4
