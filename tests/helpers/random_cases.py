@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Seeded random gaits and parameter sets over all kinds of dynamics that are admissible."""
+"""Random cases by seed: how many, and gaits and parameter sets over all kinds of dynamics that are admissible."""
 
 from __future__ import annotations
 
 import dataclasses
+import os
 
 import numpy as np
 
@@ -11,6 +12,11 @@ from worm_model.gait import FORWARD, REVERSE, Gait, Profile
 from worm_model.parameters import PAPER, Parameters
 
 KINDS = ("paper", "perturbed", "heavy", "light damping", "double root", "resonant", "wide")
+
+
+def seeds(count: int) -> range:
+    """Return the seeds of costly random cases: ``count`` in continuous integration, a third of them elsewhere."""
+    return range(count if os.environ.get("WORM_ALL_RANDOM_CASES") else count // 3)
 
 
 def random_case(seed: int) -> tuple[str, Gait, Parameters]:

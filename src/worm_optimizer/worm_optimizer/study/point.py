@@ -212,7 +212,7 @@ def compute_point(study: Study, values: Mapping[str, float]) -> dict[str, Any]:
         price = price_of(task, settings)
         results |= _cliff(price)
         if study.margin_at_cliff:
-            margin = price.margin
+            margin = price.margin if price.moves else None
     if margin is not None:
         results["margin"] = margin
         if {"front", "gaits", "success"} & set(study.compute):

@@ -6,7 +6,6 @@ servos, wrong samples and ids, kills and restarts.
 """
 
 import math
-import os
 from dataclasses import replace
 
 import pytest
@@ -22,6 +21,7 @@ from hypothesis.stateful import (
     rule,
     run_state_machine_as_test,
 )
+from random_cases import seeds
 
 from worm_driver.errors import DriverError, StoppedError
 from worm_driver.gait import gait_player
@@ -31,7 +31,6 @@ from worm_driver.virtual_robot.wire.faults import make_fault
 from worm_msgs.gait import Gait, Profile
 
 LIVES, STEPS = 20, 50
-PARTS = int(os.environ.get("WORM_DRIVER_PARTS", "3"))  # of a thousand steps each; .ci/run runs ten
 
 #: short rests, so that a sequence of 50 steps includes whole gaits
 QUICK = replace(
@@ -484,7 +483,7 @@ class Life(RuleBasedStateMachine):
 
 
 @pytest.mark.timeout(900)  # each part takes minutes of the virtual clock
-@pytest.mark.parametrize("part", range(PARTS))
+@pytest.mark.parametrize("part", seeds(10))  # of a thousand steps each
 def test_whatever_happens(part: int) -> None:
     seed(part)(Life)
     run_state_machine_as_test(

@@ -216,3 +216,12 @@ def test_cliff_success_and_any_phase():
             gained = evaluate_gait(gait, PAPER.replace(initial_length=start)).min_grooves
             assert gained >= found["any_phase_grooves_per_cycle"][k] - 0.05
     assert found["any_phase_grooves_per_cycle"][2] >= 1.0
+
+
+def test_a_point_on_which_no_gait_moves_has_no_margin_at_the_cliff_and_has_not_failed():
+    text = SMALL.replace("margin_m: 0.002", "margin_m: cliff, slope_deg: 90")
+    scan = "scan: {lowest_m: 0.003, highest_m: 0.004, step_m: 0.0005}\n"
+    block = compute_block(parse_study(text + scan, Path()), POINTS[1:2])
+    assert (block["state"][0], block["reason"][0]) == (DONE, "")
+    assert np.isnan(block["margin"][0])
+    assert np.isnan(block["speed"][0]).all()
