@@ -22,12 +22,10 @@ from types import FrameType
 from worm_driver.commands.driver_command import new_file
 from worm_driver.control.supervision import Limits, own_limit
 from worm_driver.errors import (
-    BusError,
     ConfigurationError,
     CorruptReplyError,
     DriverError,
     NoReplyError,
-    PortError,
     ReleaseError,
 )
 from worm_driver.servos import servo_setup as servos
@@ -96,9 +94,7 @@ class Calibration:
                 model = self._bus.ping(number).model_number
             except NoReplyError:
                 continue
-            except PortError:
-                raise
-            except BusError as error:
+            except CorruptReplyError as error:
                 self._say(f"servo {number} is excluded: {error}")
                 continue
             if model in MODELS:

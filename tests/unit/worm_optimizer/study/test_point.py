@@ -219,7 +219,7 @@ def test_cliff_success_and_any_phase():
 
 
 def test_a_point_on_which_no_gait_moves_has_no_margin_at_the_cliff_and_has_not_failed():
-    text = SMALL.replace("margin_m: 0.002", "margin_m: cliff, slope_deg: 90")
+    text = SMALL.replace("margin_m: 0.002", "margin_m: cliff, tether_n: 30")
     scan = "scan: {lowest_m: 0.003, highest_m: 0.004, step_m: 0.0005}\n"
     block = compute_block(parse_study(text + scan, Path()), POINTS[1:2])
     assert (block["state"][0], block["reason"][0]) == (DONE, "")

@@ -70,8 +70,11 @@ def _clear(folder: Path) -> None:
 
 
 def _synchronise(folder: Path) -> None:
-    """Write files and their names to the disk."""
+    """Write files, subfolders and their names to the disk."""
     for entry in folder.iterdir():
+        if entry.is_dir():
+            _synchronise(entry)
+            continue
         with entry.open("rb") as stream:
             os.fsync(stream.fileno())
     sync_directory(folder)
