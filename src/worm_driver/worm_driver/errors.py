@@ -15,7 +15,7 @@ class RejectedError(DriverError):
 
 
 class StoppedError(DriverError):
-    """The robot holds: a stop interrupted the operation, forbids it, or the robot did not come to rest in time."""
+    """The operation failed, and the robot holds. A stop interrupted or forbids the operation, or it took too long."""
 
 
 class ReleaseError(DriverError):

@@ -12,12 +12,12 @@ class Snapshot:
     """Result of one cycle. Times are monotonic, in s.
 
     Attributes:
-        command_time: start of the cycle. With the torque on, the goals are sent immediately after it.
+        command_time: start of the cycle. If active, the goals are sent immediately after it.
         read_time: time at which the states of the servos were requested; command_time if the request failed.
-        active: True if the torque is on.
+        active: True if this driver has enabled the torque. A torque that an earlier driver left on does not count.
         homed: True if the length of the cable is known.
         player: state of the gait player.
-        commanded: commanded length change of the cable, m; NaN with the torque off.
+        commanded: commanded length change of the cable, m; NaN if not active.
         cable: length change according to the encoders, m; NaN if a cable servo is silent, and before homing.
         servos: states in the order of the robot's servos; SILENT for a servo without a usable answer.
         alerts: ids of the servos whose last answer reported a hardware error.

@@ -26,7 +26,7 @@ _NOTICES = 50  # largest number of stored messages
 
 @dataclass
 class ConsoleState:
-    """Shared state, which the pages use in their thread.
+    """Shared state. All pages use it in one thread, that of the web server.
 
     Commands in the worker's command thread change ``fronts``, ``conditions``, ``parameters`` and ``parameter_file``.
     Both threads of the worker append to ``notices``, too.

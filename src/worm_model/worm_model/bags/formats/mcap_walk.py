@@ -15,7 +15,8 @@ After damage, stricter rules apply:
 - A schema, channel or metadata record with a damaged length ends where its fields end, if a plausible record or the end
   of the data follows there.
 - Messages, schemas and channels outside of chunks are searched for only in a file that has no chunks, or whose chunks
-  have no checksums. In other files they could only be the content of a damaged chunk, which no checksum could verify.
+  have no checksums. In other files, such a record could only be content of a damaged chunk, and no checksum could
+  verify the record.
 - Headers, records with a private opcode and records longer than a terabyte are not searched for.
 """
 
