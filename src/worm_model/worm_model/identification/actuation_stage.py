@@ -19,6 +19,8 @@ from worm_model.identification.fits.block_least_squares import (
     informative,
     normal_equations,
     own_deviations,
+    remembering,
+    solve,
 )
 from worm_model.identification.fits.estimate import (
     Estimate,
@@ -36,6 +38,8 @@ LEAST_INFORMATION = 1e-9
 NO_BEARING = "the parameter has no effect on these runs"
 AT_BOUND = "the fit is at a bound, where no interval is valid"
 FEWEST_RUNS = 4  # smallest number of runs for a bootstrap over runs
+# Number of residuals that the refits keep, so that none computes those at the common start again; a refit needs fewer
+REMEMBERED = 2048
 LEAST_STEP = 1e-9  # m; smaller changes between two samples of a command are rounding errors
 # A command counts as quantised if all its changes are multiples of the smallest change. Each may deviate from a
 # multiple by less than this share of the smallest change.
@@ -67,13 +71,14 @@ def identify_actuation(
 ) -> ActuationResult:
     """Estimate slack, gain and time constant from all runs; ``random`` draws the bootstrap weights."""
     fit = actuation_fit.fit_actuation(recordings)
+    problem = remembering(actuation_fit.actuation_problem(recordings), REMEMBERED)
     labels = _units(recordings)
     units = int(max(label.max() for label in labels)) + 1
     weights = unit_weights(random, units)
 
     def refit(index: int) -> Array:
         drawn = [weights[index][label] for label in labels]
-        return actuation_fit.fit_actuation(recordings, fit, drawn).values
+        return solve(problem, fit.solution.shared, fit.solution.own, drawn).shared
 
     refits = refitted(refit)
     # A run whose pretension takes up the slack contains no information about the slack.
@@ -85,7 +90,6 @@ def identify_actuation(
     slack, gain, time_constant = estimates(fit.values, refits, (slack_units, units, units))
     rounding = max(command_resolution(recording) for recording in recordings)
     slack = _widened(slack, quantile(np.inf) * rounding / np.sqrt(12.0))
-    problem = actuation_fit.actuation_problem(recordings)
     matrix, _ = normal_equations(problem, fit.solution)
     slack, gain, time_constant = (
         _checked(estimate, entry, float(matrix[entry, entry]))

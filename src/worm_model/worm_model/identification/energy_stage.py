@@ -20,6 +20,7 @@ from worm_model.identification.fits.block_least_squares import (
     evaluate,
     informative,
     own_deviations,
+    solve,
 )
 from worm_model.identification.fits.estimate import VAGUE, Estimate, not_identifiable
 from worm_model.identification.fits.resampling import correlation, estimates, refitted, unit_weights
@@ -79,19 +80,22 @@ def identify_energy(
     fit = energy.fit_energy(runs)
     weights = unit_weights(random, len(runs))
     seeds = random.integers(2**62, size=(weights.shape[0],)).tolist()
+    start, alike = fit.solution, np.ones(len(runs))
 
-    def refit(index: int, weight: Array) -> Array:
+    def refit(index: int) -> Array:
+        """Return (c_b, α_P) with drawn weights, and with equal weights."""
         drawn = forces(np.random.default_rng(seeds[index]))
         moved = [
             replace(run, static_force=force[: run.time.size])  # up to the end of the traverse
             for run, force in zip(runs, drawn, strict=True)
         ]
-        solution = energy.fit_energy(moved, weight, fit)
-        return np.array([solution.damping, solution.factor])
+        problem = energy.energy_problem(moved)
+        samples = [energy.sample_weights(runs, weight) for weight in (weights[index], alike)]
+        return np.array([solve(problem, start.shared, start.own, each).shared for each in samples])
 
-    refits = refitted(lambda index: refit(index, weights[index]))
-    alike = np.ones(len(runs))
-    inherited = refitted(lambda index: refit(index, alike)).var(axis=0) / refits.var(axis=0)
+    both = refitted(refit)
+    refits = both[:, 0]
+    inherited = both[:, 1].var(axis=0) / refits.var(axis=0)
     damping, factor = estimates(np.array([fit.damping, fit.factor]), refits, len(runs))
     identifiable = [e.spread <= VAGUE * e.value for e in (damping, factor)]  # False for NaN as well
     if not all(identifiable):

@@ -134,24 +134,10 @@ def _slack_length(recording: Recording) -> float:
     )
 
 
-def fit_actuation(
-    recordings: Sequence[Recording],
-    start: ActuationFit | None = None,
-    weights: Sequence[Array] | None = None,
-) -> ActuationFit:
-    """Fit slack, gain and time constant to all recordings.
-
-    Args:
-        recordings: the runs.
-        start: earlier fit to the same runs, from which this fit starts; default: the values of the paper.
-        weights: weights of each run's `fitted_samples`; default: 1.
-    """
-    if start is None:
-        shared = np.array(START)
-        own = np.array([[_slack_length(r), 0.0, 0.0] for r in recordings])
-    else:
-        shared, own = start.solution.shared, start.solution.own
-    solution = solve(actuation_problem(recordings), shared, own, weights)
+def fit_actuation(recordings: Sequence[Recording]) -> ActuationFit:
+    """Fit slack, gain and time constant to all recordings, starting from the values of the paper."""
+    own = np.array([[_slack_length(r), 0.0, 0.0] for r in recordings])
+    solution = solve(actuation_problem(recordings), np.array(START), own)
     noise = [max(noise_of(r.length), LEAST_NOISE) for r in recordings]
     slack, gain, time_constant = map(float, solution.shared)
     return ActuationFit(

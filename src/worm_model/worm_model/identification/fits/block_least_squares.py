@@ -10,6 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,8 +30,7 @@ INFORMATIVE = 0.5
 TOLERANCE = 1e-6  # relative decrease of the cost at which a fit has converged
 
 
-@dataclass(frozen=True)
-class Quantity:
+class Quantity(NamedTuple):
     """Parameter: step of its numerical derivative, bounds ``low`` and ``high``, and a normal prior.
 
     ``spread`` is the prior's standard deviation around ``centre``; infinite without a prior.
@@ -40,6 +41,20 @@ class Quantity:
     high: float = np.inf
     centre: float = 0.0
     spread: float = np.inf
+
+
+class Table(NamedTuple):
+    """Fields of several quantities as arrays, each of shape (n,)."""
+
+    step: Array
+    low: Array
+    high: Array
+    centre: Array
+    spread: Array
+
+    def at(self, entries: NDArray[np.intp]) -> Table:
+        """Return the fields of the quantities with these indices."""
+        return Table(*(field[entries] for field in self))
 
 
 @dataclass(frozen=True)
@@ -58,6 +73,21 @@ class Problem:
     own: Sequence[Sequence[Quantity]]
     jumps: bool = False
 
+    @cached_property
+    def table(self) -> Table:
+        """All quantities: the shared ones, then those of each run."""
+        return Table(*np.array([*self.shared, *(q for row in self.own for q in row)]).T)
+
+    @cached_property
+    def entries(self) -> list[NDArray[np.intp]]:
+        """Indices in the table of the quantities on which each run depends: the shared ones, then its own."""
+        count, first = np.arange(len(self.shared)), len(self.shared)
+        indices = []
+        for row in self.own:
+            indices.append(np.append(count, np.arange(first, first + len(row))))
+            first += len(row)
+        return indices
+
 
 @dataclass(frozen=True)
 class Solution:
@@ -68,15 +98,37 @@ class Solution:
     residuals: tuple[Array, ...]
     cost: float
 
+    @property
+    def values(self) -> Array:
+        """All parameters, in the order of `Problem.table`."""
+        return np.concatenate([self.shared, self.own.ravel()])
+
 
 def with_fixed(problem: Problem, entry: int, value: float) -> Problem:
     """Return the problem without the shared parameter ``entry``, which is fixed at a value."""
+    held = np.array([value])
 
     def residuals(run: int, shared: Array, own: Array) -> Array:
-        return problem.residuals(run, np.insert(shared, entry, value), own)
+        return problem.residuals(run, np.concatenate([shared[:entry], held, shared[entry:]]), own)
 
     shared = [quantity for k, quantity in enumerate(problem.shared) if k != entry]
     return replace(problem, residuals=residuals, shared=shared)
+
+
+def remembering(problem: Problem, most: int) -> Problem:
+    """Return the problem with residuals that are not computed again for any of the last ``most`` arguments.
+
+    It pays for fits with different weights that start from the same solution.
+    """
+
+    @lru_cache(most)
+    def known(run: int, shared: bytes, own: bytes) -> Array:
+        return problem.residuals(run, np.frombuffer(shared), np.frombuffer(own))
+
+    def residuals(run: int, shared: Array, own: Array) -> Array:
+        return known(run, shared.tobytes(), own.tobytes())
+
+    return replace(problem, residuals=residuals)
 
 
 def solve(
@@ -118,11 +170,11 @@ def _best_step(
     A parameter is fixed if it is at a bound and the step would cross this bound.
     """
     free = _free(problem, state, gradient)
-    part = matrix[np.ix_(free, free)]
+    part, slope = matrix[free[:, np.newaxis], free], gradient[free]
+    scale = np.diag(np.diag(part) + 1e-12)
     step = np.zeros(gradient.size)
     while damping < MOST_DAMPING:
-        damped = part + damping * np.diag(np.diag(part) + 1e-12)
-        step[free] = -np.linalg.solve(damped, gradient[free])
+        step[free] = -np.linalg.solve(part + damping * scale, slope)
         trial = evaluate(problem, *_moved(problem, state, step), weights)
         if trial.cost < state.cost:
             return trial, max(damping / 8.0, 1e-6)
@@ -131,26 +183,15 @@ def _best_step(
 
 
 def _free(problem: Problem, state: Solution, gradient: Array) -> NDArray[np.intp]:
-    quantities = [*problem.shared, *(q for row in problem.own for q in row)]
-    values = np.concatenate([state.shared, state.own.ravel()])
-    low = np.array([quantity.low for quantity in quantities])
-    high = np.array([quantity.high for quantity in quantities])
-    held = ((values <= low) & (gradient > 0.0)) | ((values >= high) & (gradient < 0.0))
+    values, table = state.values, problem.table
+    held = ((values <= table.low) & (gradient > 0.0)) | ((values >= table.high) & (gradient < 0.0))
     return np.flatnonzero(~held)
 
 
 def _moved(problem: Problem, state: Solution, step: Array) -> tuple[Array, Array]:
+    values = np.clip(state.values + step, problem.table.low, problem.table.high)
     count = len(problem.shared)
-    shared = _clipped(state.shared + step[:count], problem.shared)
-    own = state.own + step[count:].reshape(state.own.shape)
-    rows = [_clipped(row, quantities) for row, quantities in zip(own, problem.own, strict=True)]
-    return shared, np.array(rows).reshape(state.own.shape)
-
-
-def _clipped(values: Array, quantities: Sequence[Quantity]) -> Array:
-    low = [quantity.low for quantity in quantities]
-    high = [quantity.high for quantity in quantities]
-    return np.clip(values, low, high)
+    return values[:count], values[count:].reshape(state.own.shape)
 
 
 def evaluate(
@@ -158,12 +199,12 @@ def evaluate(
 ) -> Solution:
     """Return residuals and cost at given parameters."""
     residuals = tuple(problem.residuals(run, shared, own[run]) for run in range(len(problem.own)))
-    cost = sum(
-        float(np.sum(_huber(r) if weights is None else weights[run] * _huber(r)))
-        for run, r in enumerate(residuals)
-    )
-    cost += prior_cost(shared, problem.shared)
-    cost += sum(prior_cost(row, q) for row, q in zip(own, problem.own, strict=True))
+    costs = [_huber(r) for r in residuals]
+    if weights is not None:
+        costs = [weight * cost for weight, cost in zip(weights, costs, strict=True)]
+    cost = sum(float(cost.sum()) for cost in costs)
+    cost += prior_cost(shared.tolist(), problem.shared)
+    cost += sum(prior_cost(row, q) for row, q in zip(own.tolist(), problem.own, strict=True))
     return Solution(shared, own, residuals, cost)
 
 
@@ -172,7 +213,7 @@ def _huber(residuals: Array) -> Array:
     return np.where(size <= HUBER, size**2, 2.0 * HUBER * size - HUBER**2)
 
 
-def prior_cost(values: Sequence[float] | Array, quantities: Sequence[Quantity]) -> float:
+def prior_cost(values: Sequence[float], quantities: Sequence[Quantity]) -> float:
     """Return the cost of the deviations from the priors."""
     return sum(
         ((value - quantity.centre) / quantity.spread) ** 2
@@ -188,24 +229,20 @@ def normal_equations(
     Shared parameters come first, then the nuisance parameters of each run. ``width`` multiplies the steps of the
     numerical derivatives.
     """
-    count, (runs, own_count) = len(problem.shared), state.own.shape
-    size = count + runs * own_count
-    matrix, gradient = np.zeros((size, size)), np.zeros(size)
+    values, table = state.values, problem.table
+    matrix, gradient = np.zeros((values.size, values.size)), np.zeros(values.size)
     for run, residuals in enumerate(state.residuals):
         jacobian = _jacobian(problem, state, run, width)
         weight = np.minimum(1.0, HUBER / np.maximum(np.abs(residuals), 1e-12))
         if weights is not None:
             weight = weight * weights[run]
-        columns = np.r_[:count, count + run * own_count : count + (run + 1) * own_count]
+        entries = problem.entries[run]
         weighted = jacobian * weight[:, np.newaxis]
-        matrix[np.ix_(columns, columns)] += weighted.T @ jacobian
-        gradient[columns] += weighted.T @ residuals
-    quantities = [*problem.shared, *(q for row in problem.own for q in row)]
-    values = np.concatenate([state.shared, state.own.ravel()])
-    precision = np.array([q.spread**-2.0 for q in quantities])
-    centre = np.array([q.centre for q in quantities])
+        matrix[entries[:, np.newaxis], entries] += weighted.T @ jacobian
+        gradient[entries] += weighted.T @ residuals
+    precision = table.spread**-2.0
     matrix += np.diag(precision)
-    return matrix, gradient + precision * (values - centre)
+    return matrix, gradient + precision * (values - table.centre)
 
 
 def inverse(matrix: Array) -> Array:
@@ -222,17 +259,23 @@ def _jacobian(problem: Problem, state: Solution, run: int, width: float) -> Arra
     One-sided differences are not accurate enough: almost collinear parameters (η and a stiffness common to all grooves)
     would appear separable because their curvatures differ. At a bound the difference is one-sided.
     """
-    values = np.concatenate([state.shared, state.own[run]])
-    quantities = [*problem.shared, *problem.own[run]]
+    values, table = (
+        np.concatenate([state.shared, state.own[run]]),
+        problem.table.at(problem.entries[run]),
+    )
+    low = np.maximum(values - width * table.step, table.low)
+    high = np.minimum(values + width * table.step, table.high)
     count = len(problem.shared)
-    columns = np.empty((state.residuals[run].size, values.size))
-    for k, quantity in enumerate(quantities):
-        sides = values.copy(), values.copy()
-        sides[0][k] = max(values[k] - width * quantity.step, quantity.low)
-        sides[1][k] = min(values[k] + width * quantity.step, quantity.high)
-        low, high = (problem.residuals(run, side[:count], side[count:]) for side in sides)
-        columns[:, k] = (high - low) / (sides[1][k] - sides[0][k])
-    return columns
+
+    def at(entry: int, value: float) -> Array:
+        moved = values.copy()
+        moved[entry] = value
+        return problem.residuals(run, moved[:count], moved[count:])
+
+    jacobian = np.empty((state.residuals[run].size, values.size))
+    for k in range(values.size):
+        jacobian[:, k] = (at(k, high[k]) - at(k, low[k])) / (high[k] - low[k])
+    return jacobian
 
 
 def own_deviations(

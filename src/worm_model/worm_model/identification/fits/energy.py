@@ -142,25 +142,19 @@ def energy_problem(runs: Sequence[PowerRun], scale: float = SCALE) -> Problem:
     return Problem(residuals, SHARED, [own for _ in runs])
 
 
-def fit_energy(
-    runs: Sequence[PowerRun],
-    weights: Array | None = None,
-    start: EnergyFit | None = None,
-    damping: float | None = None,
-) -> EnergyFit:
-    """Fit c_b and α_P, or only α_P for a given ``damping``.
-
-    The weight of a run does not depend on its duration. ``weights`` (runs,) are additional factors, by default 1. The
-    fit starts from the fit ``start``, by default from `START`.
-    """
-    weight = np.ones(len(runs)) if weights is None else weights
-    samples = [
-        np.full(run.power_time.size, w * INDEPENDENT / run.power_time.size)
-        for run, w in zip(runs, weight, strict=True)
+def sample_weights(runs: Sequence[PowerRun], weights: Array) -> list[Array]:
+    """Return the weights of each run's samples. ``weights`` (runs,) are those of the runs, whatever their durations."""
+    return [
+        np.full(run.power_time.size, weight * INDEPENDENT / run.power_time.size)
+        for run, weight in zip(runs, weights, strict=True)
     ]
+
+
+def fit_energy(runs: Sequence[PowerRun], damping: float | None = None) -> EnergyFit:
+    """Fit c_b and α_P, or only α_P for a given ``damping``. All runs have the same weight."""
+    samples = sample_weights(runs, np.ones(len(runs)))
     problem = energy_problem(runs)
-    shared = np.array(START) if start is None else start.solution.shared
-    own = np.zeros((len(runs), 1)) if start is None else start.solution.own
+    shared, own = np.array(START), np.zeros((len(runs), 1))
     if damping is None:
         solution = solve(problem, shared, own, samples)
     else:

@@ -182,11 +182,10 @@ def _learned_scatter(
 ) -> Scatter:
     """Return the scatter by expectation maximisation on the problem linearised around the solution."""
     matrix, gradient = normal_equations(problem, solution)
-    values = np.concatenate([solution.shared, solution.own.ravel()])
     first = len(problem.shared) - len(places)
     entries = [first + np.flatnonzero(places[:, 2] == k) for k in (THRESHOLD, STIFFNESS)]
     spreads = [scatter.of(THRESHOLD), scatter.of(STIFFNESS)]
-    pull = matrix @ values - gradient
+    pull = matrix @ solution.values - gradient
     for index, spread in zip(entries, spreads, strict=True):
         matrix[index, index] -= spread**-2
     for _ in range(INNER_ROUNDS):

@@ -25,7 +25,7 @@ def unit_weights(random: np.random.Generator, units: int) -> Array:
 
 
 def refitted(refit: Callable[[int], Array]) -> Array:
-    """Return the results of all refits in order, shape (REFITS, k)."""
+    """Return the results of all refits in order, shape (REFITS, ...)."""
     return np.array([refit(index) for index in range(REFITS)])
 
 
