@@ -8,16 +8,20 @@ from collections.abc import Sequence
 from worm_model.identification.energy_stage import EnergyResult
 from worm_model.identification.fits.actuation_fit import KEYS as ACTUATION
 from worm_model.identification.fits.actuation_fit import ActuationFit, fit_actuation
+from worm_model.identification.fits.block_least_squares import of_runs, remembering, solve
 from worm_model.identification.fits.energy import PowerRun, fit_energy
+from worm_model.identification.fits.grooves import groove_problem
 from worm_model.identification.fits.locomotion import SHARED as LOCOMOTION
 from worm_model.identification.fits.locomotion import Known
 from worm_model.identification.fits.run_prediction import Errors, errors, predict
 from worm_model.identification.idle import idle_power
-from worm_model.identification.locomotion_stage import ONSET, LocomotionResult, refit
+from worm_model.identification.locomotion_stage import ONSET, LocomotionResult
 from worm_model.identification.run_selection import Run
 from worm_model.parameters import PAPER, Parameters
 
 ITERATIONS = 4  # iterations of the locomotion fit, which starts from the fit to all runs
+# Number of residuals that are kept, so that those at the common start of the fits are computed once
+REMEMBERED = 4096
 FEWEST = 2  # smallest number of runs for leaving one out
 
 
@@ -53,14 +57,19 @@ def leave_one_out(
         return {}, {run.name: run_errors(run, PAPER, offset) for run in runs}
     damping = None if energy.bellows_damping.identifiable else energy.fit.damping
     by_name = {run.name: run for run in power_runs}
+    fit = locomotion.fit
+    traverses = [run.traverse for run in runs]
+    problem = remembering(groove_problem(traverses, known, fit.places, fit.scatter), REMEMBERED)
 
     def left_out(index: int) -> tuple[Errors, Errors]:
         others = [k for k in range(len(runs)) if k != index]
-        own = locomotion.fit.solution.own[others]
-        fit = refit([runs[k].traverse for k in others], known, locomotion.fit, own, ITERATIONS)
+        own = fit.solution.own[others]
+        other_motion = solve(
+            of_runs(problem, others), fit.solution.shared, own, iterations=ITERATIONS
+        )
         other_actuation = fit_actuation([runs[k].recording for k in others])
         values = parameters.replace(
-            **dict(zip(LOCOMOTION[:ONSET], fit.means[:ONSET], strict=True)),
+            **dict(zip(LOCOMOTION[:ONSET], other_motion.shared[:ONSET], strict=True)),
             **{key: getattr(other_actuation, key) for key in ACTUATION},
         )
         idle = idle_power([runs[k].idle for k in others])

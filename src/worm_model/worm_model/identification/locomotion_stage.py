@@ -58,6 +58,7 @@ LEAST_EIGENVALUE = 1e-9  # smaller eigenvalues of a correlation are rounding err
 NORMAL = quantile(np.inf)
 LONGEST_MEMORY = 30  # largest lag of correlated residuals, in samples
 BETTER = 0.5  # another fit replaces the present one if its cost is lower by more than this
+VARIANT_ITERATIONS = 10  # iterations of the fit with changed fin values, which starts from the fit
 MOST_RESTARTS = 3  # number of better fits found by the profiles after which the stage fails
 
 
@@ -187,22 +188,6 @@ def _from_reference(fit: GrooveFit, entry: int, variants: Variants) -> float:
     return NORMAL * float(np.linalg.norm(changes))
 
 
-def refit(
-    traverses: Sequence[locomotion.Traverse],
-    known: locomotion.Known,
-    like: GrooveFit,
-    own: Array,
-    iterations: int = 10,
-) -> GrooveFit:
-    """Return a fit to ``traverses`` with the parameters ``known``, which starts from the fit ``like``.
-
-    The runs or the parameters differ from those of ``like``. The scatter of the grooves is that of ``like`` and is not
-    estimated again. ``own`` (runs, 2) contains the start values of each run's nuisance parameters.
-    """
-    problem = groove_problem(traverses, known, like.places, like.scatter)
-    return replace(like, solution=solve(problem, like.solution.shared, own, iterations=iterations))
-
-
 def holding_forces(
     traverses: Sequence[locomotion.Traverse], parameters: Parameters, fit: GrooveFit
 ) -> tuple[Array, ...]:
@@ -313,7 +298,11 @@ def _variants(
         moved = known.parameters.replace(
             clearance=clearance, engaged_stiffness=engaged, disengaged_stiffness=disengaged
         )
-        return moved, refit(traverses, replace(known, parameters=moved), fit, fit.solution.own)
+        problem = groove_problem(
+            traverses, replace(known, parameters=moved), fit.places, fit.scatter
+        )
+        best = solve(problem, fit.solution.shared, fit.solution.own, iterations=VARIANT_ITERATIONS)
+        return moved, replace(fit, solution=best)
 
     return tuple(map(variant, deviations_of(fin.covariance)))
 

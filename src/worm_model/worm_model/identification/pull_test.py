@@ -173,8 +173,7 @@ def _loaded(worm: locomotion.Worm, values: Array, own: Array) -> locomotion.Worm
     The sum of both loads acts on the rear module.
     """
     load, onset, *others = values
-    robot = worm.with_values(_PLACES, np.array([load, *others]), own[0])
-    return robot._replace(deflection=float(own[1]), onset=float(onset))
+    return worm.begun(_PLACES, np.array([load, *others]), own, onset)
 
 
 def _start(

@@ -115,10 +115,19 @@ def with_fixed(problem: Problem, entry: int, value: float) -> Problem:
     return replace(problem, residuals=residuals, shared=shared)
 
 
+def of_runs(problem: Problem, runs: Sequence[int]) -> Problem:
+    """Return the problem of some of the runs."""
+
+    def residuals(run: int, shared: Array, own: Array) -> Array:
+        return problem.residuals(runs[run], shared, own)
+
+    return replace(problem, residuals=residuals, own=[problem.own[run] for run in runs])
+
+
 def remembering(problem: Problem, most: int) -> Problem:
     """Return the problem with residuals that are not computed again for any of the last ``most`` arguments.
 
-    It pays for fits with different weights that start from the same solution.
+    It pays for fits with different weights or to different runs that start from the same solution.
     """
 
     @lru_cache(most)
@@ -268,6 +277,8 @@ def _jacobian(problem: Problem, state: Solution, run: int, width: float) -> Arra
     count = len(problem.shared)
 
     def at(entry: int, value: float) -> Array:
+        if value == values[entry]:  # at a bound
+            return state.residuals[run]
         moved = values.copy()
         moved[entry] = value
         return problem.residuals(run, moved[:count], moved[count:])

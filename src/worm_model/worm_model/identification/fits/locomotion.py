@@ -146,6 +146,9 @@ def places_of(keys: Sequence[str]) -> NDArray[np.intp]:
 
 _MEANS = places_of(SHARED[:-1])
 (_INITIAL_LENGTH,) = places_of(["initial_length"])
+_ABSENT = places_of(
+    ["rear_dry_friction", "front_dry_friction", "bellows_stiffness", "bellows_damping"]
+)
 
 
 class Worm(NamedTuple):
@@ -158,12 +161,15 @@ class Worm(NamedTuple):
     deflection: float = 0.0
     onset: float = 0.0
 
-    def with_values(self, places: NDArray[np.intp], values: Array, initial_length: float) -> Worm:
-        """Return the robot with other values of the parameters at ``places`` (see `places_of`) and another L0 (m)."""
+    def begun(self, places: NDArray[np.intp], values: Array, own: Array, onset: float) -> Worm:
+        """Return the robot with other values of the parameters at ``places`` (see `places_of`) before a run.
+
+        ``own`` are the nuisance parameters of the run: L0 and the pose at rest, m.
+        """
         changed = self.values.copy()
         changed[places] = values
-        changed[_INITIAL_LENGTH] = initial_length
-        return self._replace(values=changed)
+        changed[_INITIAL_LENGTH] = own[0]
+        return Worm(changed, float(own[1]), float(onset))
 
 
 def worm_of(parameters: Parameters) -> Worm:
@@ -174,9 +180,9 @@ def worm_of(parameters: Parameters) -> Worm:
     for key in ("rear_load", "front_load"):
         if getattr(parameters, key) != 0.0:
             raise ParameterError(f"{key}: the fit of the motion does not include loads; use 0 N")
-    absent = ("rear_dry_friction", "front_dry_friction", "bellows_stiffness", "bellows_damping")
-    worm = Worm(parameter_rows(parameters).view(float))
-    return worm.with_values(places_of(absent), np.zeros(len(absent)), parameters.initial_length)
+    values = parameter_rows(parameters).view(float)
+    values[_ABSENT] = 0.0
+    return Worm(values)
 
 
 def with_means(worm: Worm, means: Array, own: Array) -> Worm:
@@ -184,8 +190,7 @@ def with_means(worm: Worm, means: Array, own: Array) -> Worm:
 
     ``means`` are (η, p_sw, both dry frictions, pitch, onset). ``own`` are L0 and the pose at rest, m.
     """
-    robot = worm.with_values(_MEANS, means[:-1], own[0])
-    return robot._replace(onset=float(means[-1]), deflection=float(own[1]))
+    return worm.begun(_MEANS, means[:-1], own, means[-1])
 
 
 def follow(
@@ -203,7 +208,7 @@ def follow(
     samples = np.empty((times.size, march.SAMPLE_COLUMNS))
     samples[:, march.TIME] = times
     completed = run_from_rest(
-        breaks[: np.searchsorted(breaks, times[-1]) + 1],
+        breaks[: breaks.searchsorted(times[-1]) + 1],
         coefficients,
         worm.values.view(PARAMETER_ROW)[0],
         float(traverse.direction),

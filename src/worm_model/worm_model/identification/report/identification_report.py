@@ -8,11 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from worm_model.analysis.plot_style import save_figure
 from worm_model.identification.fingerprint import code_version
 from worm_model.identification.fits.estimate import Estimate, quantile
 from worm_model.identification.fits.run_prediction import Errors
-from worm_model.identification.report.identification_figures import all_figures
 from worm_model.identification.report.results import correlations
 from worm_model.identification.stages import Identification
 from worm_model.parameters import PAPER, SYMBOLS, UNITS
@@ -47,6 +45,9 @@ def write_report(
     Raises:
         FileExistsError: The folder exists.
     """
+    from worm_model.analysis.plot_style import save_figure
+    from worm_model.identification.report.identification_figures import all_figures
+
     folder.mkdir(parents=True)
     pictures = folder / FIGURES
     pictures.mkdir()
