@@ -19,7 +19,6 @@ from worm_model.identification.fits.block_least_squares import (
     informative,
     normal_equations,
     own_deviations,
-    remembering,
     solve,
 )
 from worm_model.identification.fits.estimate import (
@@ -38,8 +37,6 @@ LEAST_INFORMATION = 1e-9
 NO_BEARING = "the parameter has no effect on these runs"
 AT_BOUND = "the fit is at a bound, where no interval is valid"
 FEWEST_RUNS = 4  # smallest number of runs for a bootstrap over runs
-# Number of residuals that the refits keep, so that none computes those at the common start again; a refit needs fewer
-REMEMBERED = 2048
 LEAST_STEP = 1e-9  # m; smaller changes between two samples of a command are rounding errors
 # A command counts as quantised if all its changes are multiples of the smallest change. Each may deviate from a
 # multiple by less than this share of the smallest change.
@@ -71,7 +68,7 @@ def identify_actuation(
 ) -> ActuationResult:
     """Estimate slack, gain and time constant from all runs; ``random`` draws the bootstrap weights."""
     fit = actuation_fit.fit_actuation(recordings)
-    problem = remembering(actuation_fit.actuation_problem(recordings), REMEMBERED)
+    problem = actuation_fit.actuation_problem(recordings)
     labels = _units(recordings)
     units = int(max(label.max() for label in labels)) + 1
     weights = unit_weights(random, units)

@@ -2,6 +2,7 @@
 """From a run to a recording, idle power, and the warnings about a run."""
 
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -31,12 +32,23 @@ from worm_model.run import GaitStates, LengthSamples, PowerSamples, Run, Tracker
 GAIT = Gait(0.08, 0.25)
 
 
+@lru_cache
+def exact(**instruments):
+    return exact_run(GAIT, instruments=Instruments(**instruments), duration=7.0)
+
+
 def run(**changes):
-    return replace(exact_run(GAIT, duration=7.0), **changes)
+    return replace(exact(), **changes)
 
 
+@lru_cache
 def recording(**instruments):
-    return recording_of(exact_run(GAIT, instruments=Instruments(**instruments), duration=7.0), "r")
+    return recording_of(exact(**instruments), "r")
+
+
+@lru_cache
+def length_of(**instruments):
+    return measured_length(recording(**instruments))
 
 
 @pytest.mark.parametrize(
@@ -215,14 +227,13 @@ def test_power_that_still_settles_is_noticed():
 
 
 def test_the_measured_length_is_smooth_and_keeps_its_corners():
-    found = recording(camera_noise=0.0003)
-    length = measured_length(found)
-    exact = measured_length(recording(camera_noise=0.0))
+    length = length_of(camera_noise=0.0003)
+    noiseless = length_of(camera_noise=0.0)
     at = np.linspace(0.1, 6.5, 200)
     difference = np.interp(at, length.time, length.length_change)
-    difference -= np.interp(at, exact.time, exact.length_change)
+    difference -= np.interp(at, noiseless.time, noiseless.length_change)
     assert np.sqrt(np.mean(difference**2)) < 1.2e-4
-    rate = np.interp(at, length.time, length.rate) - np.interp(at, exact.time, exact.rate)
+    rate = np.interp(at, length.time, length.rate) - np.interp(at, noiseless.time, noiseless.rate)
     assert np.sqrt(np.mean(rate**2)) < 8e-4
     steepest = np.abs(np.diff(length.rate)).max() / length.step
     assert steepest > 0.25  # m/s²: the edges of the slack are not rounded off
@@ -250,7 +261,7 @@ def test_hidden_markers_are_named_and_bridged():
     texts = remarks(found, length, traverse_of(found, length, PAPER.pitch))
     assert "hidden marker, longest gap 1.5" in texts[0]
     assert "1.5 s" in texts[1]
-    expected = measured_length(plain)
+    expected = length_of()
     at = np.linspace(2.0, 3.5, 50)
     bridge = np.interp(at, length.time, length.length_change)
     assert bridge == pytest.approx(np.interp(at, expected.time, expected.length_change), abs=4e-4)
@@ -266,7 +277,7 @@ def test_a_run_of_too_few_ridges_is_named():
 
 def test_one_outlier_is_no_arrival():
     found = recording()
-    plain = traverse_of(found, measured_length(found), PAPER.pitch)
+    plain = traverse_of(found, length_of(), PAPER.pitch)
     x1 = found.x1.copy()
     x1[100] = 0.2
     spoilt = replace(found, x1=x1)
@@ -284,13 +295,13 @@ def stuck(found, time):
 def test_a_tracker_without_a_length_after_the_onset_is_named():
     found = recording()
     blind = with_hidden_marker(found, 0.0, np.inf)
-    assert "no length after the gait's onset" in follows_command(blind, measured_length(found))
+    assert "no length after the gait's onset" in follows_command(blind, length_of())
 
 
 @pytest.mark.parametrize("time", [0.3, 2.0, 4.0])
 def test_a_stuck_servo_is_left_out_or_rejected_and_never_averaged(time):
     healthy, spoilt = recording(), stuck(recording(), time)
-    lengths = [measured_length(healthy), measured_length(spoilt)]
+    lengths = [length_of(), measured_length(spoilt)]
     kept, reasons = usable([healthy, spoilt], lengths)
     assert kept == [0]
     assert "stuck servo" in reasons[0]

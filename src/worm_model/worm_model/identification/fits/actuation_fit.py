@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,9 @@ CLOCK_SPREAD = 0.02  # s, prior standard deviation of the clock offset (includes
 LATEST_ENGAGEMENT = 0.25  # s, upper bound of the engagement
 ENGAGEMENT_SPREAD = 0.05  # s, prior standard deviation of the engagement; the prior's centre is 0
 LEAST_NOISE = 2e-5  # m, lower bound of the noise of a measured length
+# Number of predictions that a problem keeps: those that differ only in L0 are equal, and so are those at the common
+# start of several fits, each of which needs fewer
+REMEMBERED = 2048
 KEYS = ("slack", "gain", "time_constant")
 START = (PAPER.slack, PAPER.gain, PAPER.time_constant)  # values from which a fit starts
 SHARED = (
@@ -110,14 +114,20 @@ def actuation_problem(recordings: Sequence[Recording], known_noise: float = 0.0)
     Residuals are in units of the camera's noise, which is estimated from the data unless ``known_noise`` (m) is given.
     """
     samples = [fitted_samples(recording) for recording in recordings]
+    times = [r.camera_time[kept] for r, kept in zip(recordings, samples, strict=True)]
+    lengths = [r.length[kept] for r, kept in zip(recordings, samples, strict=True)]
     noise = [known_noise or max(noise_of(r.length), LEAST_NOISE) for r in recordings]
 
-    def residuals(run: int, shared: Array, own: Array) -> Array:
-        recording, kept = recordings[run], samples[run]
-        predicted = predicted_length_change(
-            recording, shared, recording.camera_time[kept], own[CLOCK], own[ENGAGEMENT]
+    @lru_cache(REMEMBERED)
+    def predicted(run: int, shared: bytes, clock_offset: float, engagement: float) -> Array:
+        values = np.frombuffer(shared)
+        return predicted_length_change(
+            recordings[run], values, times[run], clock_offset, engagement
         )
-        return (recording.length[kept] - own[INITIAL_LENGTH] - predicted) / noise[run]
+
+    def residuals(run: int, shared: Array, own: Array) -> Array:
+        change = predicted(run, shared.tobytes(), own[CLOCK], own[ENGAGEMENT])
+        return (lengths[run] - own[INITIAL_LENGTH] - change) / noise[run]
 
     own = (
         Quantity(1e-4),  # initial length, m

@@ -127,7 +127,7 @@ def of_runs(problem: Problem, runs: Sequence[int]) -> Problem:
 def remembering(problem: Problem, most: int) -> Problem:
     """Return the problem with residuals that are not computed again for any of the last ``most`` arguments.
 
-    It pays for fits with different weights or to different runs that start from the same solution.
+    It pays for fits to different runs that start from the same solution.
     """
 
     @lru_cache(most)
