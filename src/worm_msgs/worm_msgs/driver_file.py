@@ -23,7 +23,7 @@ def _row(
 
 @dataclass(frozen=True)
 class DriverFile:
-    """Parameters of the driver, in SI units. The last part of a name is the unit. A missing key has its default."""
+    """Parameters of the driver, in SI units. A name may end with the unit. A missing key has its default."""
 
     autostart: bool = _row(
         "autostart", False, "Configure and activate at the start, without a lifecycle manager."

@@ -125,7 +125,7 @@ def power(sample: PowerSample, clocks: ClockPair) -> Power:
 
 
 def gait_from(message: GaitMessage) -> Gait:
-    """Return the gait of a message. Raises RejectedError if a value is outside the range that every gait has."""
+    """Return the gait of a message. Raises RejectedError if a value is not admissible for any robot."""
     try:
         return gait_of(message)
     except GaitError as error:

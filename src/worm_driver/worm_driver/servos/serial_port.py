@@ -73,6 +73,8 @@ def _own_terminals() -> set[int]:
 def open_exclusively(descriptor: int) -> None:
     """Make the kernel reject further opens of a tty, also by programs that ignore lock files.
 
+    Processes with CAP_SYS_ADMIN, such as those of root, can still open it.
+
     The function does nothing for a pseudo-terminal. The other side keeps a pseudo-terminal open, so the kernel would
     still reject opens after this process has ended.
     """

@@ -21,7 +21,9 @@ def is_local(address: str) -> bool:
 
 
 def same_origin(headers: Mapping[str, str]) -> bool:
-    """Return True if a request comes from a page of this console, or from no page at all.
+    """Return True unless a request names another origin than this console in its header Origin.
+
+    For a link or an image, a browser does not send this header, even if the page belongs to another site.
 
     Args:
         headers: headers of the request, with names in lower case.
@@ -54,7 +56,7 @@ class Access:
     def admits(self, headers: Mapping[str, str], session: str) -> bool:
         """Return True if a request is permitted.
 
-        A request from a page of another origin is always rejected. If there is a secret, the session must be open. If
+        A request that names another origin is always rejected. If there is a secret, the session must be open. If
         there is none, the request must name one of `LOCAL` as its host, so that a foreign host name that resolves to
         this computer is rejected.
 

@@ -44,8 +44,8 @@ from worm_optimizer.search.pattern_search import (
 _FREQUENCIES = 13  # number of frequencies at which shares are searched
 _FREQUENCIES_OF_NODES = 9  # the same number if shares are searched at several margins
 _NODES = 5  # number of margins of a scan at which shares are searched (nodes)
-# A branch that is lost between two nodes gets further nodes, because its shares change quickly there. Positions of
-# these nodes, from 0 (the largest margin with the branch) to 1 (the last node with the branch)
+# If a branch is lost between two nodes, its shares change quickly there. It then gets further nodes between the last
+# node with the branch (position 1) and the largest margin with the branch (position 0), at these positions.
 _CLIFF_NODES = (0.5, 0.2, 0.05, 0.0)
 _START_SHARES = (0.35, 0.5, 0.65, 0.8)  # contraction shares from which the search starts
 _START_RAMPS = (0.1, 0.25, 0.5)  # ramp shares of a trapezoid from which the search starts
@@ -94,7 +94,7 @@ class Track:
 
 @dataclass(frozen=True)
 class ShapedTask:
-    """Task of a `MarginTask`, extended to shaped gaits. Each edge has the shape that needs the least power.
+    """Extension of a `MarginTask` to shaped gaits. Each edge has the shape that needs the least power.
 
     Attributes:
         task: task of the sinusoids. The largest stroke of its bounds limits the reach (stroke plus pretension).
@@ -321,7 +321,7 @@ class _Search:
         return known.take(known.cost < FORBIDDEN)
 
     def begun(self, margins: Array, frequencies: Array) -> Solved:
-        """Search the shares of each branch from the cheapest start shares with which a gait belongs to the branch."""
+        """Search the shares of each branch, starting from the cheapest start shares that reach this branch."""
         columns, starts, gained = self._started(margins, frequencies)
         wanted = [
             np.flatnonzero(gained >= count)

@@ -60,10 +60,11 @@ def _sign(value: float) -> int:
 def _from_rest(load: float, stretch: int, apart: float, c: Constants) -> Grip:
     """Return the grip of two modules at rest.
 
-    ``load`` in N is the force on both modules together if the rear module stays at rest, and ``load + stretch·apart``
-    that if the front module stays at rest. ``stretch`` is the sign of L̇ from now on (0: ΔL is constant). ``apart`` can
-    be negative only if the rate of ΔL decays or is about to reverse. With a growing force in the direction of
-    ``stretch``, first no module, then one, then both move in this direction.
+    ``load`` in N is the force on both modules together if the rear module stays at rest. If the front module stays at
+    rest instead, this force is ``load + stretch·apart``. ``stretch`` is the sign of L̇ from now on (0: ΔL is constant).
+    ``apart`` can be negative only if the rate of ΔL decays or is about to reverse. If ΔL changes, at least one module
+    moves. The larger the force in the direction of ``stretch``, the more modules move in this direction: first none,
+    then one, then both.
     """
     both = c.resistance.rear_dry + c.resistance.front_dry
     if stretch == 0:
@@ -118,7 +119,7 @@ def _judge(
             turn = bend if bend != 0.0 else value(derivative(bend_form, roots, wave), b)
         stretch = 0 if turn == 0.0 else _sign(turn)
         grip = _from_rest(load, stretch, stretch * moved, c)
-        # If both modules slide to the same side, the slower one is still at rest, and the other one moves at |L̇|.
+        # If both modules begin to slide to the same side, one still has the velocity 0, and the other one has |L̇|.
         rear_waits = grip.rear == 0 or (grip.front != 0 and grip.front == stretch)
         return grip, (c.body.mu if rear_waits else c.body.mu - 1.0) * rate
     if rear_rests:
