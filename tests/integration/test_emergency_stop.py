@@ -4,7 +4,7 @@
 whose false permits a reset, and which of them trigger a stop by their end.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -17,6 +17,7 @@ from std_srvs.srv import Trigger
 from worm_driver.control.emergency import EmergencyLatch
 from worm_driver.errors import DriverError
 from worm_driver.nodes.stop_services import StopServices
+from worm_msgs.msg import Heartbeat
 
 TOPIC = "emergency_stop"
 QUALITIES = (
@@ -29,7 +30,12 @@ QUALITIES = (
 class Stops:
     """The stop services of a driver that has opened nothing, and clients with several publishers."""
 
-    def __init__(self, probe: Probe, folder: Path) -> None:
+    def __init__(
+        self,
+        probe: Probe,
+        folder: Path,
+        on_heartbeat: Callable[[Heartbeat], None] = lambda _: None,
+    ) -> None:
         self.probe = probe
         self.latch = EmergencyLatch(folder)
         self.latch.adopt(["stop"])
@@ -38,7 +44,7 @@ class Stops:
             _closed,
             self.latch,
             lambda: None,
-            lambda _: None,
+            on_heartbeat,
             lambda: probe.node.get_clock().now().to_msg(),
         )
 
@@ -136,3 +142,19 @@ def test_a_true_from_before_the_driver_latches_and_blocks_the_reset(probe: Probe
 
 def test_a_reset_without_a_stop_succeeds(stops: Stops):
     assert stops.reset().success
+
+
+def test_an_error_in_one_request_does_not_end_the_service_of_stops(probe: Probe, tmp_path: Path):
+    failed = []
+
+    def fail(beat: Heartbeat) -> None:
+        failed.append(beat)
+        raise RuntimeError("a defect")
+
+    stops = Stops(probe, tmp_path, fail)
+    heart = probe.node.create_publisher(Heartbeat, "heartbeat", 1)
+    probe.wait_for(lambda: heart.get_subscription_count() == 1, "driver")
+    heart.publish(Heartbeat())
+    probe.wait_for(lambda: failed, "heartbeat")
+    stops.press(stops.button(LATCHED))
+    stops.services.close()

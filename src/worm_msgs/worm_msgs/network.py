@@ -13,7 +13,8 @@ from collections.abc import Mapping, MutableMapping
 from dataclasses import dataclass
 from pathlib import Path
 
-#: Environment variable. Its value 1 opens the network: other hosts can reach this process.
+#: Environment variable. Its value 1 opens the network: other hosts can reach this process. Its value 0 keeps the
+#: network closed, whatever other variables say.
 DECISION = "WORM_NETWORK"
 
 _RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
@@ -98,7 +99,7 @@ def reach(environment: Mapping[str, str], middleware: str) -> Reach:
             for name, value in profiles.items()
         },
     }
-    opener = next((name for name, opens in openers.items() if opens), "")
+    opener = "" if decided == "0" else next((name for name, opens in openers.items() if opens), "")
     if not opener and binding is None:
         raise NetworkError(
             f"{middleware} cannot be bound to this machine only; Fast DDS and Cyclone DDS can. Choose one of "

@@ -55,7 +55,7 @@ def test_a_page_without_connection_shows_it_and_comes_back_without_control(
 ):
     expect = sync_api.expect
     console.open(page)
-    expect(state(page)).to_have_text("inactive, torque off")
+    expect(state(page)).to_have_text("inactive")
     press(page, "Take control")
     expect(page.get_by_role("button", name="Release control")).to_be_visible()
     page.context.set_offline(True)
@@ -86,7 +86,7 @@ def test_a_gait_is_run_stopped_found_and_reported(page: "sync_api.Page", console
     expect(state(page)).to_have_text("stopped, holding")
     page.get_by_role("tab", name="Act").click()
     press(page, "Deactivate")
-    expect(state(page)).to_have_text("inactive, torque off")
+    expect(state(page)).to_have_text("inactive")
     page.get_by_role("tab", name="Recordings").click()
     row = page.get_by_role("row", name=re.compile("run_"))
     row.get_by_role("checkbox").click()

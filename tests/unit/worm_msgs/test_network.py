@@ -11,6 +11,15 @@ network = pytest.importorskip("worm_msgs.network", reason="worm_msgs is not buil
 
 FAST_DDS, CYCLONE_DDS = "rmw_fastrtps_cpp", "rmw_cyclonedds_cpp"
 PROFILE = "FASTRTPS_DEFAULT_PROFILES_FILE"
+OPENERS = (
+    {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"},
+    {"ROS_STATIC_PEERS": "192.168.1.7"},
+    {"ROS_STATIC_PEERS": "[2001:db8::1]:11811"},
+    {"ROS_STATIC_PEERS": "localhost;robot.lan"},
+    {"ROS_DISCOVERY_SERVER": "192.168.1.7:11811"},
+    {PROFILE: "/home/somebody/profiles.xml"},
+    {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT"},
+)
 
 
 @pytest.mark.parametrize("middleware", [FAST_DDS, "rmw_fastrtps_dynamic_cpp", CYCLONE_DDS])
@@ -44,19 +53,7 @@ def test_a_started_process_inherits_the_binding_and_takes_it_for_ours():
     assert environment == once
 
 
-@pytest.mark.parametrize(
-    "given",
-    [
-        {"WORM_NETWORK": "1"},
-        {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"},
-        {"ROS_STATIC_PEERS": "192.168.1.7"},
-        {"ROS_STATIC_PEERS": "[2001:db8::1]:11811"},
-        {"ROS_STATIC_PEERS": "localhost;robot.lan"},
-        {"ROS_DISCOVERY_SERVER": "192.168.1.7:11811"},
-        {PROFILE: "/home/somebody/profiles.xml"},
-        {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT"},
-    ],
-)
+@pytest.mark.parametrize("given", [{"WORM_NETWORK": "1"}, *OPENERS])
 def test_a_decision_for_the_network_is_kept_and_reported_by_its_name(given):
     environment = dict(given)
     reach = network.bind(environment, FAST_DDS)
@@ -66,6 +63,14 @@ def test_a_decision_for_the_network_is_kept_and_reported_by_its_name(given):
     assert "can move the robot" in str(reach)
     assert environment.get(PROFILE) == given.get(PROFILE)
     assert environment[name] == value
+
+
+@pytest.mark.parametrize("given", OPENERS)
+def test_a_decision_against_the_network_has_priority(given):
+    environment = {"WORM_NETWORK": "0", **given}
+    assert network.bind(environment, FAST_DDS).is_local
+    assert environment[PROFILE].endswith("fastdds_loopback.xml")
+    assert environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] != "SUBNET"
 
 
 def test_the_decision_takes_an_inherited_binding_back():

@@ -52,9 +52,17 @@ class SideNode:
         executor = SingleThreadedExecutor(context=self.node.context)
         executor.add_node(self.node)
         try:
-            while not self._ending.is_set():
-                executor.spin_once(timeout_sec=_PERIOD)
-        except ExternalShutdownException:
-            return  # The executor of the main node handles it.
+            # After a shutdown of the context, the executor of the main node ends the process.
+            while not self._ending.is_set() and self.node.context.ok():
+                self._serve_once(executor)
         finally:
             executor.shutdown()
+
+    def _serve_once(self, executor: SingleThreadedExecutor) -> None:
+        """Serve one request, if one arrives. An error in its callback must not end the service of stops."""
+        try:
+            executor.spin_once(timeout_sec=_PERIOD)
+        except ExternalShutdownException:
+            return
+        except Exception as error:  # noqa: BLE001 - any error of any callback
+            self.node.get_logger().error(f"a request failed, and has no answer: {error!r}")

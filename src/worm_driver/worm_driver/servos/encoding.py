@@ -35,12 +35,13 @@ def unpack(register: Register, data: bytes) -> int:
 def unpack_from(register: Register, block: bytes, start: int) -> int:
     """Return the raw value of a register in a block of the control table that begins at address ``start``.
 
-    The caller must ensure that ``start`` is at most the address of the register.
-
     Raises:
-        ValueError: The block ends before the end of the register.
+        ValueError: The block does not contain the whole register.
     """
-    return unpack(register, block[register.address - start : register.end - start])
+    offset = register.address - start
+    if offset < 0:
+        raise ValueError(f"{register.name} begins before the block")
+    return unpack(register, block[offset : register.end - start])
 
 
 def to_raw(register: Register, value: float) -> int:

@@ -65,6 +65,16 @@ def save_figure(figure: Figure, path: Path) -> None:
         figure.savefig(path, dpi=DPI, metadata=_UNDATED.get(path.suffix.lower()))
 
 
+def save_png_and_pdf(figure: Figure, stem: Path) -> None:
+    """Write a figure to ``stem``.png and ``stem``.pdf, both with the layout of the first file.
+
+    Computing the layout takes a third of the time of a file.
+    """
+    save_figure(figure, stem.with_name(f"{stem.name}.png"))
+    figure.set_layout_engine("none")
+    save_figure(figure, stem.with_name(f"{stem.name}.pdf"))
+
+
 def symbol(text: str) -> str:
     """Return a symbol such as ``p_sw`` for a label, with its index as a subscript."""
     base, _, index = text.partition("_")

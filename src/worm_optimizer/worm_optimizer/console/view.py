@@ -61,7 +61,7 @@ def state_text(snapshot: Snapshot, *, stopping: bool = False) -> str:
     elif stopping:
         text = f"STOP is not confirmed yet, {driver.state.name.lower()}"
     elif driver.state is Activity.INACTIVE:
-        text = "inactive, torque off"
+        text = f"inactive: {driver.message}" if driver.message else "inactive"
     else:
         text = driver.state.name.lower()
     if driver.state in MOVING and driver.cycle:
@@ -97,10 +97,13 @@ def obstacles(snapshot: Snapshot, hindrance: str) -> dict[str, str]:
     blocked = "the emergency stop is on" if driver.emergency_stop else ""
     fault = "FAULT: remove the cause, then Deactivate" if driver.state is Activity.FAULT else ""
     return {
-        "Home": moving or ("" if off else "the torque is on: Deactivate first"),
-        "Activate": blocked or ("" if off else "the torque is on already"),
-        "Deactivate": "the torque is off already" if off else "",
-        "Run": blocked or moving or fault or ("the torque is off: Activate first" if off else ""),
+        "Home": moving or ("" if off else "the driver is active: Deactivate first"),
+        "Activate": blocked or ("" if off else "the driver is active already"),
+        "Deactivate": "the driver is inactive already" if off else "",
+        "Run": blocked
+        or moving
+        or fault
+        or ("the driver is inactive: Activate first" if off else ""),
     }
 
 

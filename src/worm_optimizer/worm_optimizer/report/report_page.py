@@ -14,7 +14,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from worm_model.analysis.plot_style import save_figure
+from worm_model.analysis.plot_style import save_png_and_pdf
 from worm_model.identification.report.identification_figures import bellows_figure, fin_figure
 from worm_model.parameters import KEYS, PAPER, SYMBOLS, UNITS
 from worm_msgs.conditions import LEVEL
@@ -77,8 +77,7 @@ class _Pictures:
 
     def save(self, name: str, figure: Figure, caption: str) -> Picture:
         """Save one figure as PNG and PDF, without a creation time in the files, and return it for the page."""
-        for ending in (".png", ".pdf"):
-            save_figure(figure, self._folder / f"{name}{ending}")
+        save_png_and_pdf(figure, self._folder / name)
         return _picture((self._folder / f"{name}.png").read_bytes(), caption)
 
 

@@ -29,6 +29,9 @@ def test_a_register_is_found_in_a_block():
     block = bytes(range(120, 147))
     assert unpack_from(COMMON["present_temperature"], block, 120) == 146
     assert unpack_from(COMMON["realtime_tick"], block, 120) == 120 | 121 << 8
+    for name, start in (("torque_enable", 120), ("torque_enable", 65), ("present_temperature", 20)):
+        with pytest.raises(ValueError, match=name):
+            unpack_from(COMMON[name], block, start)
 
 
 @given(st.floats(-1000.0, 1000.0))

@@ -92,6 +92,9 @@ def test_a_common_obstacle_is_the_reason_for_each_action():
 def test_the_state_of_the_driver_as_text():
     assert view.state_text(snapshot(Activity.RUNNING, cycle=2, cycles=5)) == "running, cycle 2 of 5"
     assert view.state_text(snapshot(emergency_stop=True)) == "emergency stop, idle"
+    left_on = "an earlier driver left the torque on"
+    assert view.state_text(snapshot(Activity.INACTIVE)) == "inactive"
+    assert view.state_text(snapshot(Activity.INACTIVE, message=left_on)) == f"inactive: {left_on}"
     assert view.state_text(snapshot(Activity.FAULT, message="servo 2 is silent")) == (
         "fault: servo 2 is silent"
     )

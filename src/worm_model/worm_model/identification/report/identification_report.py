@@ -45,7 +45,7 @@ def write_report(
     Raises:
         FileExistsError: The folder exists.
     """
-    from worm_model.analysis.plot_style import save_figure
+    from worm_model.analysis.plot_style import save_png_and_pdf
     from worm_model.identification.report.identification_figures import all_figures
 
     folder.mkdir(parents=True)
@@ -54,8 +54,7 @@ def write_report(
     names = []
     expected = 3 * len(result.runs) + 3
     for name, figure in all_figures(result):
-        for ending in (".png", ".pdf"):
-            save_figure(figure, pictures / f"{name}{ending}")
+        save_png_and_pdf(figure, pictures / name)
         names.append(name)
         progress(len(names) / expected)
     page = folder / PAGE
