@@ -86,7 +86,7 @@ def test_a_gait_is_run_stopped_found_and_reported(page: "sync_api.Page", console
     expect(state(page)).to_have_text("stopped, holding")
     page.get_by_role("tab", name="Act").click()
     press(page, "Deactivate")
-    expect(state(page)).to_have_text("inactive")
+    expect(state(page)).to_have_text("inactive: the driver is deactivated")
     page.get_by_role("tab", name="Recordings").click()
     row = page.get_by_role("row", name=re.compile("run_"))
     row.get_by_role("checkbox").click()
