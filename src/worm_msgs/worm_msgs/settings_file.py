@@ -131,6 +131,8 @@ def _message(errors: list[ErrorDetails], kind: type[Any]) -> str:
     if first["type"] == "unexpected_keyword_argument":
         unknown = unknown_name("key", str(path[-1]), _known_keys(kind, path[:-1]))
         return f"{_place(path[:-1])}: {unknown}" if path[:-1] else unknown
+    if first["type"] == "json_invalid":
+        return f"{_place(path)} contains text that is not valid Unicode"
     if first["type"] == "missing":
         return f"{_place(path)} is missing"
     if first["type"] == "value_error":

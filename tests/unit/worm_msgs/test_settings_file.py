@@ -64,6 +64,7 @@ def test_a_valid_file_makes_a_dataclass(tmp_path):
         ("[" * 3000, ["nested"]),
         ("moves: yes", ["step_s", "missing"]),
         ("stp_s: 1", ["'stp_s'", "step_s"]),
+        ('{step_s: 1, mode: "\\ud800"}', ["Unicode"]),
         ("step_s: true", ["step_s", "number", "True"]),
         ("step_s: .inf", ["step_s", "finite", "inf"]),
         ("step_s: .nan", ["step_s", "finite", "nan"]),

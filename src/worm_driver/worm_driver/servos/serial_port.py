@@ -66,7 +66,11 @@ def _own_terminals() -> set[int]:
             if os.isatty(descriptor):
                 terminals.add(os.fstat(descriptor).st_rdev)
     with contextlib.suppress(OSError):
-        terminals.add(Path("/dev/tty").stat().st_rdev)
+        # Field tty_nr of proc(5), the fifth after the name; /dev/tty itself has a device number of its own.
+        fields = (
+            Path("/proc/self/stat").read_text(encoding="utf-8", errors="replace").rpartition(")")
+        )
+        terminals.add(int(fields[2].split()[4]))
     return terminals
 
 

@@ -94,7 +94,7 @@ def render(view: View, pitch: float, width: int = 80, trend: Trend = Trend()) ->
     doing = "no driver" if view.activity is None else view.activity.name.lower()
     progress = f"  cycle {view.cycle} of {view.cycles}" if view.cycles else ""
     health = f"twin  {view.health.name.lower()}  {view.message}"
-    cell = min(12, (width - 14) // 3)
+    cell = min(12, (width - 16) // 3)  # after a name of 14 characters, with a space between
     heads = " ".join(
         f"{head:>{cell}}" for head in ("twin", "robot", "difference" if cell >= 10 else "diff")
     )

@@ -7,11 +7,11 @@ import hmac
 import secrets
 from collections import deque
 from collections.abc import Callable, Mapping
-from urllib.parse import urlsplit
+from urllib.parse import SplitResult, urlsplit
 
 SESSION_S = 12 * 3600.0  # duration of a session, s
 LOCAL = ("localhost", "127.0.0.1", "::1")
-# Sign-ins are locked while the latest _FAILURES wrong secrets are all younger than _FAILURES_S (s).
+# An address cannot sign in while its latest _FAILURES wrong secrets are all younger than _FAILURES_S (s).
 _FAILURES, _FAILURES_S = 10, 60.0
 
 
@@ -31,7 +31,16 @@ def same_origin(headers: Mapping[str, str]) -> bool:
     origin = headers.get("origin")
     if origin is None:
         return True
-    return bool(urlsplit(origin).netloc) and urlsplit(origin).netloc == headers.get("host", "")
+    named = _split(origin).netloc
+    return bool(named) and named == headers.get("host", "")
+
+
+def _split(url: str) -> SplitResult:
+    """Return the parts of a URL, which are empty for a malformed one."""
+    try:
+        return urlsplit(url)
+    except ValueError:
+        return urlsplit("")
 
 
 class Access:
@@ -46,7 +55,9 @@ class Access:
         self._secret = secret
         self._clock = clock
         self._ends: dict[str, float] = {}
-        self._failures: deque[float] = deque(maxlen=_FAILURES)
+        self._failures: dict[
+            str, deque[float]
+        ] = {}  # times of the latest wrong secrets, by address
 
     @property
     def needs_secret(self) -> bool:
@@ -68,26 +79,30 @@ class Access:
             return False
         if self._secret:
             return self.is_open(session)
-        return is_local(urlsplit(f"//{headers.get('host', '')}").hostname or "")
+        return is_local(_split(f"//{headers.get('host', '')}").hostname or "")
 
-    def sign_in(self, offered: str) -> str:
-        """Return a new session for the right secret; an empty text for a wrong one, or while sign-ins are locked."""
+    def sign_in(self, offered: str, address: str) -> str:
+        """Return a new session for the right secret; an empty text for a wrong one, or while the address is locked."""
         now = self._clock()
-        if self.lock_s > 0.0:
+        if self.lock_s(address) > 0.0:
             return ""
         if not hmac.compare_digest(offered.encode(), self._secret.encode()):
-            self._failures.append(now)
+            recent = {
+                a: times for a, times in self._failures.items() if now - times[-1] < _FAILURES_S
+            }
+            recent.setdefault(address, deque(maxlen=_FAILURES)).append(now)
+            self._failures = recent
             return ""
         session = secrets.token_urlsafe(32)
         self._ends[session] = now + SESSION_S
         return session
 
-    @property
-    def lock_s(self) -> float:
-        """Time for which sign-ins remain locked after too many wrong secrets, s; 0 if they are not locked."""
-        if len(self._failures) < _FAILURES:
+    def lock_s(self, address: str) -> float:
+        """Return the time for which an address cannot sign in after too many wrong secrets, s; 0 if it can."""
+        failures = self._failures.get(address, ())
+        if len(failures) < _FAILURES:
             return 0.0
-        return max(self._failures[0] + _FAILURES_S - self._clock(), 0.0)
+        return max(failures[0] + _FAILURES_S - self._clock(), 0.0)
 
     def is_open(self, session: str) -> bool:
         """Return True if a session is open. Without a secret, every session is open."""

@@ -37,6 +37,7 @@ class CloserLook:
         self._runs = runs
         first = min(float(run.time_s[0]) for run in runs)
         last = max(float(run.time_s[-1]) for run in runs)
+        start = min(max(first, 0.0), last)
         self._pictures = []
         for run in runs:
             ui.label(run.name)
@@ -45,7 +46,8 @@ class CloserLook:
             self._time = ui.label().classes("line").style("min-width: 7rem")
             # The browser's own slider: screen readers and all keys operate it.
             slider = ui.element("input").classes("w-full")
-            slider.props(f"type=range min={first:.2f} max={last:.2f} step={_SLIDER_STEP_S} value=0")
+            slider.props(f"type=range min={first:.2f} max={last:.2f} step={_SLIDER_STEP_S}")
+            slider.props(f"value={start:.2f}")
             slider.props('aria-label="Time since the onset, s"')
             slider.on(
                 "input",
@@ -60,7 +62,7 @@ class CloserLook:
         self._chart = ui.echart(_options(runs), renderer="svg").classes("w-full chart")
         self._chart.props('role=img aria-label="Length, power and position over time"')
         self._chart.style(f"height: {len(_CHARTS) * (_HEIGHT + _GAP) + 60}px")
-        self._show(0.0)
+        self._show(start)
 
     def _on_slider(self, event: events.GenericEventArguments) -> None:
         self._show(float(event.args))

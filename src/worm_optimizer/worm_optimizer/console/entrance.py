@@ -78,11 +78,12 @@ class Guard:
             offered = "".join(parse_qs(await _body(request)).get("token", []))
         elif not offered:
             return HTMLResponse(_FORM.format("Sign in."), headers=_OWN)
-        opened = self._access.sign_in(offered)
+        address = request.client.host if request.client else ""
+        opened = self._access.sign_in(offered, address)
         if not opened:
             wrong = "Wrong token or password: the console prints the token when it starts."
-            if self._access.lock_s > 0.0:
-                wrong = f"Too many wrong attempts: try again in {math.ceil(self._access.lock_s)} s."
+            if lock_s := self._access.lock_s(address):
+                wrong = f"Too many wrong attempts: try again in {math.ceil(lock_s)} s."
             return HTMLResponse(_FORM.format(wrong), HTTPStatus.FORBIDDEN, _OWN)
         response = RedirectResponse("/", HTTPStatus.SEE_OTHER, _OWN)
         response.set_cookie(COOKIE, opened, round(SESSION_S), httponly=True, samesite="strict")

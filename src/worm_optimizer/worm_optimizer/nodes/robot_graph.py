@@ -27,9 +27,9 @@ class RobotGraph:
     def wait_for_nodes(self, names: Iterable[str]) -> None:
         """Wait until nodes exist in this namespace. Raises `OperatorError`, with the name of a missing node."""
         expected = set(names)
-        if not self._node.wait(lambda: expected <= self._node_names(), NODES_TIMEOUT_S):
-            missing = min(expected - self._node_names())
-            raise OperatorError(f"no node {missing} within {NODES_TIMEOUT_S:g} s")
+        self._node.wait(lambda: expected <= self._node_names(), NODES_TIMEOUT_S)
+        if missing := expected - self._node_names():
+            raise OperatorError(f"no node {min(missing)} within {NODES_TIMEOUT_S:g} s")
 
     def has_node(self, name: str) -> bool:
         """Wait up to `NODE_S` for a node in this namespace; return True if it exists."""
@@ -81,11 +81,12 @@ class RobotGraph:
             topics = self._topics_without(name)
             return [topic for topic in topics if not (excluded and re.search(excluded, topic))]
 
-        if not self._node.wait(lambda: not missing(), DISCOVERY_TIMEOUT_S):
-            raise OperatorError(f"{name} does not subscribe to {missing()[0]}")
+        self._node.wait(lambda: not missing(), DISCOVERY_TIMEOUT_S)
+        if topics := missing():
+            raise OperatorError(f"{name} does not subscribe to {topics[0]}")
 
     def _topics_without(self, subscriber: str) -> list[str]:
-        node, prefix = self._node, self._node.get_namespace() + "/"
+        node, prefix = self._node, self._node.get_namespace().rstrip("/") + "/"
         return [
             topic
             for topic, _ in node.get_topic_names_and_types()

@@ -3,6 +3,8 @@ import array
 import errno
 import fcntl
 import os
+import subprocess
+import sys
 
 import pytest
 
@@ -84,6 +86,29 @@ def test_a_file_that_is_no_port_is_rejected_before_it_is_opened_in_one_line_with
             ServoBus.open(port, 1_000_000)
         assert "set the parameter port" in str(rejected.value)
         assert "\n" not in str(rejected.value)
+
+
+def test_the_controlling_terminal_is_rejected_although_no_stream_uses_it():
+    master, slave = os.openpty()
+    name = os.ttyname(slave)
+    script = (
+        "import os, sys\n"
+        "from worm_driver.servos import serial_port\n"
+        "os.open(sys.argv[1], os.O_RDWR)\n"  # the first terminal of a session becomes its controlling terminal
+        "print(serial_port.why_no_port(sys.argv[1]))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script, name],
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        start_new_session=True,
+        check=True,
+    )
+    os.close(master)
+    os.close(slave)
+    assert name in done.stdout
+    assert "terminal" in done.stdout
 
 
 def test_the_terminal_of_the_driver_itself_is_rejected(monkeypatch):

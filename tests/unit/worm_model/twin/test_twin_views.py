@@ -34,7 +34,7 @@ def text(view: View, width: int = 80) -> list[str]:
     return [ANSI.sub("", line) for line in render(view, PAPER.pitch, width)]
 
 
-@pytest.mark.parametrize("width", [40, 60, 80, 120])
+@pytest.mark.parametrize("width", [*range(40, 61), 80, 120])
 @pytest.mark.parametrize("view", [View(), VIEW])
 def test_no_line_is_wider_than_the_terminal(view, width):
     lines = text(view, width)

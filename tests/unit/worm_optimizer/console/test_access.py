@@ -51,15 +51,15 @@ def test_with_a_secret_only_sessions_have_access(clock: Clock):
     access = Access("right", clock)
     assert not access.admits({"host": "robot"}, "")
     assert not access.admits({"host": "robot"}, "invented")
-    assert access.sign_in("wrong") == ""
-    session = access.sign_in("right")
+    assert access.sign_in("wrong", "10.0.0.1") == ""
+    session = access.sign_in("right", "10.0.0.1")
     assert access.admits({"host": "robot"}, session)
     assert not access.admits({"host": "robot", "origin": "http://evil.example"}, session)
 
 
 def test_sessions_end(clock: Clock):
     access = Access("right", clock)
-    first, second = access.sign_in("right"), access.sign_in("right")
+    first, second = access.sign_in("right", "10.0.0.1"), access.sign_in("right", "10.0.0.1")
     access.sign_out(first)
     assert not access.is_open(first)
     clock.now = SESSION_S - 1.0
@@ -71,17 +71,23 @@ def test_sessions_end(clock: Clock):
 def test_ten_wrong_secrets_lock_sign_ins_for_a_minute(clock: Clock):
     access = Access("right", clock)
     for _ in range(10):
-        assert access.lock_s == 0.0
-        access.sign_in("wrong")
+        assert access.lock_s("10.0.0.1") == 0.0
+        access.sign_in("wrong", "10.0.0.1")
     clock.now += 20.0
-    assert access.lock_s == 40.0
+    assert access.lock_s("10.0.0.1") == 40.0
+    assert access.sign_in("right", "10.0.0.2"), "others are not locked"
     for _ in range(10):  # attempts during the lock do not extend it
-        assert access.sign_in("right") == ""
+        assert access.sign_in("right", "10.0.0.1") == ""
     clock.now += 40.0
-    assert access.lock_s == 0.0
-    assert access.sign_in("right")
+    assert access.lock_s("10.0.0.1") == 0.0
+    assert access.sign_in("right", "10.0.0.1")
 
 
 def test_what_is_local():
     assert is_local("127.0.0.1")
     assert not is_local("0.0.0.0")
+
+
+@pytest.mark.parametrize("headers", [{"host": "["}, {"host": "localhost", "origin": "http://["}])
+def test_a_malformed_host_or_origin_is_not_admitted(clock: Clock, headers: dict[str, str]):
+    assert not Access("", clock).admits(headers, "")

@@ -36,7 +36,7 @@ class SqliteFile(StoredFile):
             )
         try:
             readable = self._columns("messages")
-        except sqlite3.DatabaseError:
+        except BagError:
             readable = set()
         if not readable:
             raise BagError(f"{self.path} has no table of messages that SQLite can read")

@@ -35,6 +35,7 @@ from worm_model.bags.formats.bag_writer import BagFiles, WriteOptions
 from worm_model.bags.formats.mcap_records import LARGEST_CHUNK, MAGIC
 from worm_model.bags.formats.mcap_walk import DAMAGED, Walk, is_intact_chunk
 from worm_model.bags.formats.message_block import Topic
+from worm_model.bags.formats.sqlite_file import SqliteFile
 from worm_model.bags.opening import open_bag
 from worm_model.bags.recovery.recovery import recover
 from worm_model.commands import bags
@@ -507,6 +508,15 @@ def test_a_cut_sqlite3_file_keeps_what_sqlite_can_read(sqlite_bag: Path, share: 
     (damage,) = report.damaged
     assert not damage.is_closed
     assert (report.undeclared or {})["/a"] == 5000 - report.messages
+
+
+def test_a_file_in_which_sqlite_finds_no_table_is_not_said_to_be_recoverable(sqlite_bag: Path):
+    file = next(sqlite_bag.glob("*.db3"))
+    data = bytearray(file.read_bytes())
+    data[16:18] = b"\xff\xff"  # no size of a page
+    file.write_bytes(data)
+    with pytest.raises(BagError, match="no table of messages"):
+        SqliteFile(file)
 
 
 def test_a_journal_is_read_too(tmp_path: Path):
