@@ -99,8 +99,8 @@ class Access:
 
     def lock_s(self, address: str) -> float:
         """Return the time for which an address cannot sign in after too many wrong secrets, s; 0 if it can."""
-        failures = self._failures.get(address, ())
-        if len(failures) < _FAILURES:
+        failures = self._failures.get(address)
+        if failures is None or len(failures) < _FAILURES:
             return 0.0
         return max(failures[0] + _FAILURES_S - self._clock(), 0.0)
 
