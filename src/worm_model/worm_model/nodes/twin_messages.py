@@ -6,7 +6,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
@@ -15,6 +15,7 @@ from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from worm_model.loads import under
+from worm_model.nodes.message_stamps import nanoseconds
 from worm_model.parameters import Parameters, load_parameters
 from worm_model.twin import scene
 from worm_model.twin.data.records import (
@@ -29,6 +30,7 @@ from worm_model.twin.data.samples import (
     VALUES,
     SampleKind,
 )
+from worm_model.twin.forecast import Forecast
 from worm_model.twin.twin_settings import TwinSettings
 from worm_msgs.conditions import CONDITION_ROWS, Conditions
 from worm_msgs.msg import (
@@ -44,14 +46,6 @@ from worm_msgs.msg import (
 )
 from worm_msgs.msg import Gait as GaitMessage
 from worm_msgs.parameter_rows import ParameterRow
-
-if TYPE_CHECKING:  # the import of the twin would lengthen the start of `operate`
-    from worm_model.twin.forecast import Forecast
-
-
-def nanoseconds(stamp: Any) -> int:
-    """Return the nanoseconds of a builtin_interfaces/Time."""
-    return stamp.sec * NANOSECONDS + stamp.nanosec
 
 
 def time_message(stamp_ns: int) -> Time:

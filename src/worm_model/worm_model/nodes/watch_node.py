@@ -23,7 +23,7 @@ from worm_model.gait import (
     gait_of,
 )
 from worm_model.nodes.keyboard import keys_of_terminal, pressed
-from worm_model.nodes.twin_messages import nanoseconds
+from worm_model.nodes.message_stamps import nanoseconds
 from worm_model.parameters import load_parameters
 from worm_model.run import Activity, LengthSource
 from worm_model.twin.data.records import Health

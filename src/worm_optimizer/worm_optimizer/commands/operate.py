@@ -238,11 +238,14 @@ def _run(node: OperatorNode, options: argparse.Namespace) -> int:
 def _conditions(node: OperatorNode, options: argparse.Namespace, say: ProgressLog) -> Conditions:
     """Send the conditions in the options to twin and optimizer, and return the conditions of the optimizer.
 
-    Without an optimizer, send nothing and return the conditions in the options.
+    Without an optimizer, send nothing and return the conditions in the options. Do not search for one if neither a
+    recording nor a requested gait depends on the conditions.
     """
     stated = {
         name: value for name in CONDITION_ROWS if (value := getattr(options, name)) is not None
     }
+    if not stated and options.record is None and options.stroke is not None:
+        return LEVEL
     if not node.graph.has_node(OPTIMIZER):
         say("no optimizer is running: the recording contains the conditions of the options")
         return Conditions(**stated)

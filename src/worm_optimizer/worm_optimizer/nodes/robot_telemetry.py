@@ -12,7 +12,7 @@ from typing import Any
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
-from worm_model.nodes.twin_messages import nanoseconds
+from worm_model.nodes.message_stamps import nanoseconds
 from worm_model.run import Activity, LengthSource
 from worm_model.twin.data.records import Health, ResidualRecord, StateRecord
 from worm_model.twin.scene import PositionSample
