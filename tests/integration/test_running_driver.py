@@ -1,0 +1,460 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A driver that goes on: tests that share one and its virtual robot, and leave it unconfigured and without faults."""
+
+import itertools
+import math
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from commander import (
+    ABORTED,
+    CANCELED,
+    EVERY_ANSWER,
+    SUCCEEDED,
+    Commander,
+    goal_client,
+    parameters,
+    run_into_a_gait,
+    stamp,
+    torques,
+)
+from diagnostic_msgs.msg import DiagnosticStatus
+from harness import LATCHED, NAMESPACE, TIMEOUT_S, Processes
+from lifecycle_msgs.msg import State, Transition
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool
+from std_srvs.srv import Trigger
+
+from worm_msgs.action import RunGait
+from worm_msgs.msg import BodyLength, Gait, GaitState, Power
+from worm_optimizer.operation.processes import Process
+
+# one process runs all, so that they share one driver
+pytestmark = pytest.mark.xdist_group("running driver")
+
+
+class Robot:
+    """Virtual robot and its driver, which starts with the first test that needs it."""
+
+    def __init__(self, processes: Processes, directory: Path) -> None:
+        self.processes, self.directory = processes, directory
+        robot = processes.start_node("worm_driver", "virtual_robot", "--directory", str(directory))
+        robot.wait_for_line("^ready: ", TIMEOUT_S)
+
+    def driver(self) -> Process:
+        running = self.processes.processes.get("driver_node")
+        return running or self.processes.start_node(
+            "worm_driver", "driver_node", **parameters(self.directory)
+        )
+
+
+@pytest.fixture(scope="module")
+def robot(module_domain: int, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Robot]:
+    folder = tmp_path_factory.mktemp("logs")
+    with Processes(folder) as group:
+        yield Robot(group, folder / "robot")
+
+
+@pytest.fixture
+def ros_domain(robot: Robot, module_domain: int) -> int:
+    """Let probe and processes of each test join the shared robot."""
+    return module_domain
+
+
+@pytest.fixture
+def directory(robot: Robot) -> Path:
+    return robot.directory
+
+
+@pytest.fixture
+def commander(probe) -> Commander:
+    return Commander(probe)
+
+
+@pytest.fixture
+def driver(robot: Robot, commander: Commander) -> Iterator[Process]:
+    """Return the driver, unconfigured. Afterwards bring it to this state again."""
+    yield robot.driver()
+    commander.inject(name="clear")
+    state = commander.lifecycle_state()
+    if state == State.PRIMARY_STATE_ACTIVE:
+        assert commander.change(Transition.TRANSITION_DEACTIVATE)
+    if state != State.PRIMARY_STATE_UNCONFIGURED:
+        assert commander.change(Transition.TRANSITION_CLEANUP)
+
+
+def start_other(
+    processes: Processes, directory: Path, namespace: str = "/other", **changes: object
+) -> Process:
+    """Start a further driver on the robot."""
+    ros = ["--ros-args", "-r", f"__ns:={namespace}"]
+    for key, value in parameters(directory, **changes).items():
+        ros += ["-p", f"{key}:={value}"]
+    return processes.start_executable("worm_driver", "driver_node", *ros, name="other")
+
+
+# --- wrong configuration ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        ({"port": "/dev/no_worm"}, "/dev/no_worm does not exist"),
+        ({"i2c_bus": "/dev/i2c-77"}, "I2C bus /dev/i2c-77 does not exist"),
+        ({"i2c_address": "69"}, "0x45 .*does not acknowledge"),
+        ({"cable_servos.ids": "[9]"}, "servo 9 does not answer .* id"),
+        ({"baud_rate": "115200"}, "does not answer .* at 115200 baud"),
+        ({"cable_servos.signs": "[2]"}, "sign of cable servo 1 must be 1 or -1"),
+        ({"cable_servos.ids": "[1, 2]"}, "one entry per servo"),
+    ],
+    ids=["port", "bus", "address", "id", "baud rate", "sign", "lengths"],
+)
+def test_a_wrong_configuration_is_reported_in_one_line(processes, directory, change, expected):
+    driver = start_other(processes, directory, **{"autostart": "true", **change})
+    assert driver.wait(TIMEOUT_S) in (1, 2)
+    driver.wait_for_line(f"^driver: .*{expected}", TIMEOUT_S)
+    assert "Traceback" not in driver.output()
+
+
+def test_simulated_time_is_rejected_at_the_start(processes, directory):
+    driver = start_other(processes, directory, use_sim_time=True)
+    assert driver.wait(TIMEOUT_S) == 2
+    assert "use_sim_time" in driver.last_line()
+
+
+def test_a_parameter_out_of_its_range_is_rejected_in_one_line(processes, directory):
+    driver = start_other(processes, directory, **{"limits.max_stroke_m": -1.0})
+    assert driver.wait(TIMEOUT_S) == 2
+    driver.wait_for_line("^driver: .*limits.max_stroke_m", TIMEOUT_S)
+
+
+# --- one driver for all ---------------------------------------------------------------------------------
+
+
+def test_a_gait_from_rest_to_figures(driver, commander, probe):
+    feedback = []
+    commander.activate()
+    commander.wait_for_state(GaitState.IDLE, "activation")
+    goal = commander.send(cycles=2, feedback=lambda m: feedback.append(m.feedback))
+    answer = commander.result(goal)
+    result = answer.result
+    assert answer.status == SUCCEEDED
+    assert result.success
+    assert (result.cycles_completed, result.cycles_averaged) == (2, 2)
+    assert result.idle_power == pytest.approx(0.84, abs=0.1)
+    assert result.power > result.idle_power + 0.1
+    assert math.isfinite(result.speed)
+    seen = [state.state for state in commander.states]
+    order = [GaitState.RESTING, GaitState.RUNNING, GaitState.IDLE]
+    assert [state for state in dict.fromkeys(seen) if state in order[:2]] == order[:2]
+    assert feedback[0].elapsed <= 0.0
+    assert feedback[-1].cycle == 2
+    assert math.isfinite(feedback[-1].distance)
+    assert math.isfinite(feedback[-1].power)
+
+
+def test_every_cycle_is_published_with_its_stamp(driver, commander, probe):
+    topics = {
+        "joint_states": probe.collect(JointState, "joint_states"),
+        "body_length/cable": probe.collect(BodyLength, "body_length/cable"),
+        "body_length/commanded": probe.collect(BodyLength, "body_length/commanded"),
+        "power": probe.collect(Power, "power"),
+    }
+    commander.activate()
+    probe.wait_for(lambda: all(len(found) > 200 for found in topics.values()), "two seconds")
+    for name, messages in topics.items():
+        stamps = [stamp(message) for message in messages]
+        assert stamps == sorted(set(stamps)), name
+        assert stamps[-1] <= probe.node.get_clock().now().nanoseconds * 1e-9
+
+    def cycles() -> int:
+        """Return the number of cycles in the driver's latest report."""
+        statuses = [s for report in commander.reports for s in report.status]
+        timings = [s for s in statuses if s.name == "worm/driver: timing"]
+        return max((int({v.key: v.value for v in s.values}["cycles"]) for s in timings), default=0)
+
+    made = probe.wait_for(lambda: cycles() >= 200 and cycles(), "200 cycles")
+    probe.wait_for(lambda: len(topics["joint_states"]) >= made, "one message per cycle")
+    assert topics["joint_states"][0].name == ["cable_1", "fin_11", "fin_12"]
+    assert {m.source for m in topics["body_length/cable"]} == {BodyLength.CABLE}
+    assert {m.source for m in topics["body_length/commanded"]} == {BodyLength.COMMANDED}
+    assert topics["body_length/cable"][-1].length == pytest.approx(0.2952, abs=1e-3)
+
+
+def test_diagnostics_name_every_part(driver, commander, probe):
+    commander.activate()
+
+    def latest() -> dict[str, DiagnosticStatus]:
+        return {
+            status.name: status for report in commander.reports[-1:] for status in report.status
+        }
+
+    parts = (
+        "gait",
+        "servo bus",
+        "timing",
+        "servo 1",
+        "servo 11",
+        "servo 12",
+        "power sensor",
+        "network",
+    )
+    names = {f"worm/driver: {part}" for part in parts}
+    probe.wait_for(lambda: set(latest()) == names, "report on every part")
+    for part in ("gait", "servo 1", "servo 11", "servo 12", "power sensor"):
+        commander.wait_for_report(f"worm/driver: {part}", DiagnosticStatus.OK, "")
+    timing = {value.key: value.value for value in latest()["worm/driver: timing"].values}
+    assert {"p99_period_error_s", "missed_deadlines", "mean_period_s"} <= set(timing)
+
+
+def test_goals_that_cannot_be_played_are_rejected_with_the_reason(driver, commander, probe):
+    assert "not configured" in probe.rejection(commander.send())
+    commander.activate()
+    for stroke, frequency, expected in (
+        (math.nan, 0.2, "stroke: nan"),
+        (0.07, -0.2, "frequency: -0.2"),
+        (0.5, 0.2, "limits.max_stroke_m"),
+    ):
+        assert expected in probe.rejection(commander.send(stroke, frequency))
+    for name, value in (
+        ("pretension", -0.01),
+        ("contraction_share", math.nan),
+        ("profile", 7),
+        ("ramp_share", 0.0),
+    ):
+        assert name in probe.rejection(commander.send(**{name: value}))
+    first = commander.send(cycles=1)
+    assert "running already" in probe.rejection(commander.send(cycles=1))
+    assert commander.result(first).status == SUCCEEDED
+
+
+def test_cancel_ends_at_rest(driver, commander, probe):
+    lengths = probe.collect(BodyLength, "body_length/commanded")
+    commander.activate()
+    goal = commander.send(cycles=20)
+    commander.wait_for_state(GaitState.RUNNING, "running gait")
+    probe.result(goal.cancel_goal_async(), "answer to the cancellation")
+    answer = commander.result(goal)
+    assert answer.status == CANCELED
+    assert answer.result.cycles_completed == 1
+    assert "cancelled, at rest after 1 cycles" in answer.result.message
+    probe.wait_for(lambda: lengths[-1].length_change == 0.0, "rest")
+
+
+def test_a_gait_right_after_another_leaves_both_their_results(driver, commander, probe):
+    """The first result waits for camera samples slightly longer than its motion lasts."""
+    commander.activate()
+    first = commander.send(cycles=1)
+    commander.wait_for_state(GaitState.RUNNING, "first gait")
+    commander.wait_for_state(GaitState.IDLE, "end of the first gait")
+    second = commander.send(cycles=1)
+    assert commander.result(second).status == SUCCEEDED
+    assert commander.result(first).status == SUCCEEDED
+
+
+def test_stop_holds_at_once_and_the_next_gait_returns_to_rest_first(driver, commander, probe):
+    lengths = probe.collect(BodyLength, "body_length/commanded")
+    commander.activate()
+    goal = commander.send(stroke=0.06, cycles=5)
+    contracted = lambda: lengths and lengths[-1].length_change < -0.02  # noqa: E731
+    probe.wait_for(contracted, "contraction")
+    assert commander.trigger("stop").success
+    answer = commander.result(goal)
+    assert answer.status == ABORTED
+    assert "stopped: the service stop was called" in answer.result.message
+    held = commander.wait_for_state(GaitState.IDLE, "hold")
+    assert "stop was called" in held.message
+    assert lengths[-1].length_change < -0.015
+    assert commander.result(commander.send(cycles=1)).status == SUCCEEDED
+    probe.wait_for(lambda: lengths[-1].length_change == 0.0, "rest")
+
+
+SHAPED = {
+    "pretension": 0.012,
+    "contraction_share": 0.6,
+    "profile": Gait.TRAPEZOID,
+    "ramp_share": 0.2,
+}
+
+
+def test_a_shaped_gait_is_stopped_and_then_played_to_its_end(driver, commander, probe):
+    commanded = probe.collect(BodyLength, "body_length/commanded")
+    commander.activate()
+    probe.wait_for(lambda: commanded, "first command")
+    stopped = commander.send(stroke=0.05, cycles=5, **SHAPED)
+    running = commander.wait_for_state(GaitState.RUNNING, "shaped gait")
+    played = {name: getattr(running.gait, name) for name in SHAPED}
+    assert played == pytest.approx(SHAPED)
+    onset = running.onset.sec + running.onset.nanosec * 1e-9
+    probe.wait_for(lambda: commanded[-1].length_change < -0.03, "contraction")
+    assert commander.trigger("stop").success
+    assert commander.result(stopped).status == ABORTED
+    probe.wait_for(lambda: stamp(commanded[-1]) > onset + 1.0, "commands of a second")
+    tensioned = [m.length_change for m in commanded if onset - 0.8 <= stamp(m) < onset]
+    assert set(tensioned) == {-0.012}
+
+    begin = len(commanded)
+    goal = commander.send(stroke=0.05, cycles=1, **SHAPED)
+    answer = commander.result(goal)
+    assert answer.status == SUCCEEDED
+    assert answer.result.cycles_completed == 1
+    assert math.isfinite(answer.result.idle_power)
+    probe.wait_for(lambda: commanded[-1].length_change == 0.0, "return to rest")
+    changes = [m.length_change for m in commanded[begin:]]
+    assert min(changes) == pytest.approx(-0.062, abs=2e-4)
+    commander.wait_for_state(GaitState.IDLE, "rest")
+
+
+def test_during_an_emergency_stop_a_deactivation_does_not_move_the_robot(driver, commander, probe):
+    cable = probe.collect(BodyLength, "body_length/cable")
+    commander.activate()
+    assert commander.send(stroke=0.03, cycles=200, pretension=0.02).accepted
+    probe.wait_for(lambda: cable and cable[-1].length_change < -0.03, "contraction")
+    button = probe.node.create_publisher(Bool, "emergency_stop", LATCHED)
+    button.publish(Bool(data=True))
+    probe.wait_for(lambda: commander.states[-1].emergency_stop, "emergency stop")
+    commander.wait_for_state(GaitState.IDLE, "hold")
+    assert not commander.change(Transition.TRANSITION_DEACTIVATE)
+    assert commander.lifecycle_state() == State.PRIMARY_STATE_ACTIVE
+    cable.clear()
+    probe.wait_for(lambda: len(cable) > 50, "half a second")
+    assert max(message.length_change for message in cable) < -0.015
+    button.publish(Bool(data=False))
+    reset = Trigger.Request()
+    probe.wait_for(lambda: probe.call(Trigger, "reset_emergency_stop", reset).success, "reset")
+    assert commander.change(Transition.TRANSITION_DEACTIVATE)
+    assert commander.lifecycle_state() == State.PRIMARY_STATE_INACTIVE
+
+
+def test_deactivation_brings_the_gait_to_rest_and_releases(driver, commander, probe, directory):
+    run_into_a_gait(commander, probe)
+    assert commander.change(Transition.TRANSITION_DEACTIVATE)
+    assert commander.lifecycle_state() == State.PRIMARY_STATE_INACTIVE
+    assert commander.change(Transition.TRANSITION_CLEANUP)
+    assert torques(directory) == [0, 0, 0]
+    commander.activate()
+
+
+def test_no_goal_that_was_received_before_a_stop_is_played_after_it(driver, commander, probe):
+    run_into_a_gait(commander, probe)
+    client = goal_client(probe)
+    stop = probe.node.create_client(Trigger, "stop")
+    probe.meet("stop")
+    goal = RunGait.Goal(gait=Gait(stroke=0.05, frequency=0.4, direction=1), cycles=1)
+    sent = [client.send_goal_async(goal) for _ in range(50)]
+    stopped = stop.call_async(Trigger.Request())
+    assert probe.result(stopped, "answer to stop").success
+    probe.wait_for(lambda: all(future.done() for future in sent), "answer to every goal")
+    accepted = [future.result() for future in sent if future.result().accepted]
+    results = [probe.result(handle.get_result_async(), "result") for handle in accepted]
+    assert all(result.status == ABORTED for result in results)
+    # the state has another topic than the results: it may arrive after them
+    probe.wait_for(
+        lambda: commander.states[-1].message == "the service stop was called",
+        "state after the stop",
+    )
+    assert {state.run for state in commander.states} == {0, 1}
+    # a goal that is sent afterwards is played
+    assert commander.result(commander.send(cycles=1)).status == SUCCEEDED
+
+
+def test_a_driver_accepts_its_own_parameters_as_ros2_param_load_sets_them(driver, commander, probe):
+    """All parameters have their present values, including read-only ones and those that only a cleanup would permit."""
+    commander.activate()
+    names = probe.call(ListParameters, "driver/list_parameters", ListParameters.Request())
+    get = GetParameters.Request(names=names.result.names)
+    values = probe.call(GetParameters, "driver/get_parameters", get).values
+    assert len(values) == len(get.names) > 30
+    own = [ParameterMessage(name=n, value=v) for n, v in zip(get.names, values, strict=True)]
+    request = SetParameters.Request(parameters=own)
+    results = probe.call(SetParameters, "driver/set_parameters", request).results
+    assert [n for n, r in zip(get.names, results, strict=True) if not r.successful] == []
+
+
+def test_faults_of_the_power_sensor_are_samples_without_a_value(driver, commander, probe):
+    samples = probe.collect(Power, "power")
+    commander.activate()
+
+    def seen(status: int):
+        return lambda: [sample for sample in samples if sample.status == status]
+
+    for name, status, expected in (
+        ("i2c_nack", Power.BUS_ERROR, "bus error"),
+        ("ina219_overflow", Power.OVERFLOW, "overflow"),
+        ("ina219_reset", Power.SENSOR_RESET, "sensor reset"),
+    ):
+        commander.inject(name=name)
+        found = probe.wait_for(seen(status), f"sample with {expected}")
+        assert all(math.isnan(sample.power) for sample in found)
+        commander.wait_for_report("worm/driver: power sensor", DiagnosticStatus.WARN, expected)
+    count = len(seen(Power.VALID)())
+    probe.wait_for(lambda: len(seen(Power.VALID)()) > count + 10, "valid samples")
+
+
+def test_a_failed_configuration_leaves_the_node_unconfigured_and_can_be_repeated(
+    driver, commander, directory, probe
+):
+    commander.inject(name="i2c_nack", duration=3600.0)
+    assert not commander.change(Transition.TRANSITION_CONFIGURE)
+    assert commander.lifecycle_state() == State.PRIMARY_STATE_UNCONFIGURED
+    commander.wait_for_report("worm/driver: gait", DiagnosticStatus.ERROR, "does not acknowledge")
+    commander.inject(name="clear")
+    commander.activate()
+
+
+def test_a_second_driver_in_the_namespace_ends_before_it_serves_anything(
+    driver, processes, commander, directory
+):
+    """It needs no discovery: here it cannot discover any other process."""
+    commander.activate()
+    processes._env["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "OFF"
+    second = start_other(processes, directory, NAMESPACE, autostart="true", port="/dev/none")
+    assert second.wait(TIMEOUT_S) == 2
+    second.wait_for_line(f"/worm has a driver already, process {driver.pid} ", TIMEOUT_S)
+    assert commander.lifecycle_state() == State.PRIMARY_STATE_ACTIVE
+
+
+def test_a_second_driver_on_the_same_port_is_rejected(driver, processes, commander, directory):
+    commander.activate()
+    second = start_other(processes, directory, autostart="true")
+    assert second.wait(TIMEOUT_S) == 1
+    second.wait_for_line("in use by another program", TIMEOUT_S)
+
+
+def test_stop_answers_every_call_of_a_flood(driver, commander, probe):
+    commander.activate()
+    client = probe.node.create_client(Trigger, "stop", qos_profile=EVERY_ANSWER)
+    probe.meet("stop")
+    calls = [client.call_async(Trigger.Request()) for _ in range(1000)]
+    probe.wait_for(lambda: all(call.done() for call in calls), "answer to every stop")
+    assert all(call.result().success for call in calls)
+
+
+def test_diagnostics_report_which_computers_can_discover_the_driver(driver, commander):
+    commander.wait_for_report("worm/driver: network", DiagnosticStatus.OK, "this machine only")
+
+
+def test_on_a_busy_machine_no_deadline_is_missed_and_no_servo_is_blamed(
+    driver, commander, processes, probe
+):
+    """With the default limits, and more work than processors: the robot's time waits."""
+    for number in range(4):
+        processes.start(f"work_{number}", [sys.executable, "-c", "while True: pass"])
+    commander.activate()
+    joints = probe.collect(JointState, "joint_states")
+    assert commander.result(commander.send(cycles=1), 100.0).status == SUCCEEDED
+    # Activation takes time of the robot between two samples, and the first of them may arrive only now.
+    accepted = stamp(next(state for state in commander.states if state.run == 1))
+    stamps = [time for time in map(stamp, joints) if time >= accepted]
+    periods = [after - before for before, after in itertools.pairwise(stamps)]
+    assert len(periods) > 300
+    assert periods == pytest.approx([0.01] * len(periods), abs=1e-4)
+    commander.reports.clear()
+    timing = commander.wait_for_report("worm/driver: timing", DiagnosticStatus.OK, "")
+    values = {value.key: value.value for value in timing.values}
+    assert values["missed_deadlines"] == "0"
+    assert "virtual" in values["real_time_priority"]
