@@ -204,7 +204,9 @@ def test_it_starts_again_at_the_end_until_it_is_stopped(
     processes: Processes, probe: Probe, bag: Path
 ):
     clocks = probe.collect(Clock, "/clock")
+    probe.node.create_publisher(Tracker, "tracker", 1)  # another source of positions
     player = processes.start_executable("worm_model", "play", str(bag), "--rate", "20", "--loop")
+    player.wait_for_line("/tracker is also published by ", TIMEOUT_S)
 
     def jumps() -> int:
         times = [clock(m) for m in clocks]

@@ -174,6 +174,7 @@ class PlayNode(Node):
         wall = time.monotonic()
         begins = self._timeline.paused and self._wanted
         if begins and not self._is_awaiting(wall) and self._is_connected(wall):
+            self._report_other_publishers()
             self._timeline = self._timeline.resume(wall)
         now_ns = self._timeline.at(wall)
         while not self._timeline.paused and self._pending and self._pending.log_time <= now_ns:
@@ -185,6 +186,18 @@ class PlayNode(Node):
         if self._pending is not None:
             due = min(due, self._timeline.wall_at(self._pending.log_time))
         return due
+
+    def _report_other_publishers(self) -> None:
+        """Log the played topics that other nodes publish as well, such as those of a running driver."""
+        own = self.get_name(), self.get_namespace()
+        for topic in self._publishers_by_topic:
+            publishers = self.get_publishers_info_by_topic(topic)
+            others = {(info.node_name, info.node_namespace) for info in publishers} - {own}
+            for name, space in sorted(others):
+                self.get_logger().warning(
+                    f"{topic} is also published by {space.rstrip('/')}/{name}: subscribers receive both, and cannot "
+                    "distinguish them"
+                )
 
     def _is_connected(self, wall: float) -> bool:
         """Return True if the number of subscribers has not changed for the time of --delay.

@@ -207,19 +207,19 @@ class _Watch:
         for name in self._optional.keys() & self._group.processes.keys():
             process = self._group.processes[name]
             if process.exit_code is not None:
-                self._restart(name, process.last_line())
-        for name, process in self._group.processes.items():
+                self._restart(name, process.report())
+        for process in self._group.processes.values():
             if process.exit_code is not None:
-                raise ProcessError(f"{name} has ended: {process.last_line()}")
+                raise ProcessError(process.report())
 
-    def _restart(self, name: str, last_line: str) -> None:
+    def _restart(self, name: str, report: str) -> None:
         self._optional[name] -= 1
         if self._optional[name] < 0:
             self._group.forget(name)
-            self._say(f"{name} has ended: {last_line}; the other nodes continue without it")
+            self._say(f"{report}; the other nodes continue without it")
         else:
             self._group.restart(name)
-            self._say(f"{name} has ended: {last_line}; it starts again")
+            self._say(f"{report}; it starts again")
 
 
 def start_nodes(group: ProcessGroup, system: System, say: Say, check: Check = lambda: None) -> None:
