@@ -16,7 +16,7 @@ def leave_runs_unrendered(monkeypatch: pytest.MonkeyPatch) -> None:
         if stem.name.startswith("run_"):
             assert figure.axes
             for ending in (".png", ".pdf"):
-                stem.with_name(stem.name + ending).write_bytes(b"not rendered")
+                Path(f"{stem}{ending}").write_bytes(b"not rendered")
         else:
             save_png_and_pdf(figure, stem)
 

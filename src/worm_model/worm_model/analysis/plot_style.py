@@ -70,9 +70,9 @@ def save_png_and_pdf(figure: Figure, stem: Path) -> None:
 
     Computing the layout takes a third of the time of a file.
     """
-    save_figure(figure, stem.with_name(f"{stem.name}.png"))
+    save_figure(figure, Path(f"{stem}.png"))
     figure.set_layout_engine("none")
-    save_figure(figure, stem.with_name(f"{stem.name}.pdf"))
+    save_figure(figure, Path(f"{stem}.pdf"))
 
 
 def symbol(text: str) -> str:

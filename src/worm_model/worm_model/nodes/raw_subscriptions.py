@@ -36,6 +36,7 @@ from worm_model.bags.formats.message_types import installed_definition
 from worm_model.bags.recording.message_loss import LossCounter
 from worm_model.bags.recording.topic_selection import TopicSelection
 from worm_model.bags.worm_topics import GAIT_STATE, TWIN_EVENT
+from worm_model.nodes.message_stamps import nanoseconds
 from worm_model.run import SAME_ONSET_NS, Activity
 from worm_msgs.node_command import declare_none
 
@@ -332,7 +333,7 @@ class RecordNode(Node):
         A different onset makes it another run even with the same number, because a restarted driver counts from 1. The
         onset of one run may differ slightly between states.
         """
-        onset = state.onset.sec * 10**9 + state.onset.nanosec
+        onset = nanoseconds(state.onset)
         same_onset = not self._onset or abs(onset - self._onset) <= SAME_ONSET_NS
         known = self._reported and state.run == self._run and same_onset
         self._reported, self._run, self._onset = True, state.run, onset
@@ -368,6 +369,6 @@ def _describe_gait(state: Any) -> dict[str, str]:
     gait = {key: repr(getattr(state.gait, key)) for key in state.gait.get_fields_and_field_types()}
     return gait | {
         "cycles": str(state.cycles),
-        "onset_ns": str(state.onset.sec * 10**9 + state.onset.nanosec),
+        "onset_ns": str(nanoseconds(state.onset)),
         "run": str(state.run),
     }

@@ -55,9 +55,8 @@ class Access:
         self._secret = secret
         self._clock = clock
         self._ends: dict[str, float] = {}
-        self._failures: dict[
-            str, deque[float]
-        ] = {}  # times of the latest wrong secrets, by address
+        # Times of the latest wrong secrets, by address
+        self._failures: dict[str, deque[float]] = {}
 
     @property
     def needs_secret(self) -> bool:
