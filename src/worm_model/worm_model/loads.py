@@ -16,8 +16,8 @@ def under(conditions: Conditions, parameters: Parameters) -> Parameters:
     also increases by the pull of the tether at the start. With the density ρ and the velocity U of the water, the drag
     of a module with the velocity x′ is ρ/2·C_dA·(U + x′)·|U + x′|. The derivative of the drag at x′ = 0, ρ·C_dA·|U|, is
     added to the viscous friction. The remaining part of the drag, ρ/2·C_dA·x′², the growth of the tether during a run,
-    and buoyancy are neglected. So a drag area in still water, or a tether of length 0 that pulls only by its length,
-    leaves the parameters unchanged.
+    and buoyancy are neglected. A drag area in still water, or a pull per metre of a tether whose length and
+    constant pull are 0, thus leaves the parameters unchanged.
 
     Raises `ParameterError` if a load or the friction is then outside its range.
     """

@@ -85,7 +85,7 @@ class Conditions:
         return STANDARD_GRAVITY * math.sin(math.radians(self.slope_deg))
 
     def tether(self, travelled: float = 0.0) -> float:
-        """Return the pull of the tether in N. Behind the start of the robot, the pull is the same as at its start.
+        """Return the pull of the tether in N. If the robot is behind its start, return the pull at its start.
 
         Args:
             travelled: distance of the rear module from the start, m.

@@ -140,7 +140,7 @@ class Gait:
         return peak * self.stroke * self.frequency / faster
 
     def length_change(self, time: float) -> float:
-        """Return u_cmd in m (≤ 0) at ``time``, s since the onset. The driver calls it in each cycle, without NumPy."""
+        """Return u_cmd in m (≤ 0) at ``time``, s since the onset. It needs no NumPy, for the driver's control loop."""
         phase = self.frequency * time % 1.0
         if phase < self.contraction_share:
             contracted = self._progress(phase / self.contraction_share)
@@ -164,7 +164,10 @@ class Gait:
         return (part - 0.5 * ramp) / (1.0 - ramp)
 
     def command(self, time: Any) -> Any:
-        """Return u_cmd in m for an array of times, like `length_change` up to the rounding of a trapezoid."""
+        """Return u_cmd in m for an array of times.
+
+        The values equal those of `length_change`, with a trapezoidal profile except for floating-point rounding.
+        """
         import numpy as np  # Imported here, because driver and --help need no NumPy.
 
         phase, share = np.mod(self.frequency * time, 1.0), self.contraction_share

@@ -17,7 +17,7 @@ _REASON = (
     "(./worm operate emergency_stop off)"
 )
 _VIRTUAL = "emergency_stop_virtual"
-#: Number of stored publishers from which on a new message makes `StopPublishers.note` forget the absent ones.
+#: If at least so many publishers are stored, `StopPublishers.note` removes those that are absent.
 _MANY = 1000
 
 
@@ -79,14 +79,14 @@ class EmergencyLatch:
         self.on = False
 
     def restriction(self, environment: Mapping[str, str]) -> str:
-        """Return a message if only drivers of the same user find a stop of this robot, else an empty string."""
+        """Return a message if only drivers of the same user find a stop of this real robot, else an empty string."""
         virtual = all(path.name.startswith(_VIRTUAL) for path in self._paths)
         home = environment.get("HOME", "/tmp")
         if virtual or self.folder == SHARED_FOLDER or not self.folder.is_relative_to(home):
             return ""
         return (
-            f"an emergency stop is stored in {self.folder}, where a driver of another user does not find it: "
-            f"sudo install -d -m 2775 -g dialout {SHARED_FOLDER}"
+            f"emergency stops of this robot are stored in {self.folder}, where a driver of another user does not find "
+            f"them; create the shared folder: sudo install -d -m 2775 -g dialout {SHARED_FOLDER}"
         )
 
     def adopt(self, names: Iterable[str]) -> str:
@@ -178,9 +178,9 @@ class StopPublishers:
     def stopping(self, present: Collection[bytes]) -> set[bytes]:
         """Return the present publishers whose last message is true.
 
-        An absent publisher does not count: its stop is latched, and it cannot publish false any more. Some middleware
-        identifies publishers differently in messages and in the graph. In this case all stored publishers count as
-        present while the graph shows any publisher.
+        They prevent a reset. An absent publisher does not, because it cannot publish false any more; its stop remains
+        on until the reset. Some middleware identifies publishers differently in messages and in the graph. In this case
+        all stored publishers count as present while the graph shows any publisher.
         """
         stopping = {publisher for publisher, last in self._last.items() if last.stops}
         if self._identified:

@@ -33,6 +33,7 @@ from worm_driver.power.ina219 import PowerSample
 from worm_msgs.action import RunGait
 from worm_msgs.goal_rejections import GoalRejections
 from worm_msgs.msg import Heartbeat
+from worm_msgs.robot_parameters import RobotParameters
 
 #: s, time between two feedback messages
 _FEEDBACK_PERIOD = 0.2
@@ -51,6 +52,7 @@ class _Current:
         number: number of the run.
         done: future of the ended run, or of the reason why there is no result.
         record: measurements of the run.
+        body: body of the robot that plays the run.
         end: requested end of the run.
         owner: monitor of the heartbeats of the client that sent the goal.
         goal: the goal, once rclpy has accepted it; None before.
@@ -65,6 +67,7 @@ class _Current:
     number: int
     done: Future
     record: RunRecord
+    body: RobotParameters
     end: RunEnd
     owner: HeartbeatMonitor
     goal: ServerGoalHandle | None = None
@@ -165,21 +168,21 @@ class RunGaitAction:
         return CancelResponse.ACCEPT
 
     def _judge(self, current: _Current) -> None:
-        """End a run by grooves or distance if it has reached its end or makes no progress, by the latest sample."""
+        """End a run of given grooves or distance if the latest tracker sample shows their end or no progress."""
         run, hardware = current.run, self._hardware()
         if run is None or run.onset is None or not is_near_cycle_end(run, current.record):
             return
         current.judged = run.cycle(current.record.positions[-1][0])
         if hardware is None or not current.end.needs_tracker or current.end_requested:
             return
-        if current.end.is_reached(run, current.record, hardware.settings.body.pitch):
+        if current.end.is_reached(run, current.record, current.body.pitch):
             current.end_requested = True
             hardware.loop.submit(hardware.robot.finish, lifetime=math.inf)
-        elif makes_no_progress(run, current.record, hardware.settings.body.pitch):
+        elif makes_no_progress(run, current.record, current.body.pitch):
             self._end_early(current, "ended, as the robot gains no groove with this gait")
 
     def _end_unseen(self, current: _Current, run: Run, now: float) -> None:
-        """End a run by grooves or distance if the tracker did not see the end of its last cycle."""
+        """End a run of given grooves or distance if the tracker did not see the end of its last cycle."""
         cycle = unseen_cycle(run, current.judged, now) if current.end.needs_tracker else 0
         if cycle:
             self._end_early(
@@ -239,7 +242,8 @@ class RunGaitAction:
             return hardware.robot.start(now, gait, cycles)
 
         number = hardware.loop.run(start, undo=hardware.robot.cancel)
-        self._runs.append(_Current(goal_id, number, Future(), RunRecord(), end, owner))
+        body = hardware.settings.body
+        self._runs.append(_Current(goal_id, number, Future(), RunRecord(), body, end, owner))
 
     def _heartbeat_timeout(self, requested: float) -> float:
         """Return the heartbeat timeout of a run, s. Raises RejectedError."""
@@ -254,12 +258,8 @@ class RunGaitAction:
         if isinstance(outcome, str):
             goal.abort()
             return _no_result(outcome)
-        hardware = self._hardware()
-        body = hardware.settings.body if hardware is not None else None
-        if body is None:
-            goal.abort()
-            return _no_result("the driver was closed during the run; its measurements are lost")
-        result = _result(outcome, run_metrics(outcome, current.record, body), body.pitch)
+        metrics = run_metrics(outcome, current.record, current.body)
+        result = _result(outcome, metrics, current.body.pitch)
         if outcome.ending is Ending.COMPLETED:
             goal.succeed()
         elif outcome.ending is Ending.CANCELLED and goal.is_cancel_requested:
@@ -274,14 +274,13 @@ class RunGaitAction:
         if current.goal is None or now < current.next_feedback:
             return
         current.next_feedback = now + _FEEDBACK_PERIOD
-        record, hardware = current.record, self._hardware()
+        record = current.record
         travelled = distance(run, record)
-        pitch = math.nan if hardware is None else hardware.settings.body.pitch
         current.goal.publish_feedback(
             RunGait.Feedback(
                 cycle=run.cycle(now),
                 elapsed=_elapsed(run, snapshot),
-                grooves=travelled / pitch,
+                grooves=travelled / current.body.pitch,
                 distance=travelled,
                 power=record.latest_power(),
             )

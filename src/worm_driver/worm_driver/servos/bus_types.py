@@ -49,7 +49,7 @@ class BusCounters:
 
     Attributes:
         exchanges: requests to servos, including group writes and broadcasts, which have no answer.
-        timeouts: requests that a single servo does not answer, and sync reads in which a usable answer is missing.
+        timeouts: requests to one servo without an answer, and sync reads in which a usable answer is missing.
         corrupt: garbled or contradictory answers, and answers of a wrong length; in sync reads also answers of servos
             that were not requested.
         errors: answers with an error number.

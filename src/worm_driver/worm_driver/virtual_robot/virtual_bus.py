@@ -23,7 +23,7 @@ from worm_driver.virtual_robot.wire.packet import (
 
 #: Register present_position. Its address is the same in every model.
 _POSITION = XM430_W350.registers["present_position"]
-#: bytes of data, more than any control table, for which a servo sends a fast answer; its length has 16 bits
+#: Largest sum of requested bytes for which a fast answer is sent, because the length field of a packet has 16 bits
 _LONGEST = 0x7FFF
 _FAST = (Instruction.FAST_SYNC_READ, Instruction.FAST_BULK_READ)
 #: s, longest gap between the bytes of a packet; 1.5 ms on a real line, but a pseudo-terminal is read when the scheduler
@@ -317,10 +317,13 @@ def _writes(packet: Packet) -> list[tuple[int, int, bytes]]:
             return []
         address, length = _range(parameters, exactly=False)
         items = [parameters[i : i + length + 1] for i in range(4, len(parameters), length + 1)]
-        return [(item[0], address, item[1:]) for item in items if len(item) == length + 1]
+        writes = [(item[0], address, item[1:]) for item in items]
+        return writes if all(len(data) == length for _, _, data in writes) else []
     writes = []
     while len(parameters) >= 5:
         address, length = _range(parameters[1:], exactly=False)
+        if len(parameters) < 5 + length:
+            return []
         writes.append((parameters[0], address, parameters[5 : 5 + length]))
         parameters = parameters[5 + length :]
-    return writes
+    return [] if parameters else writes

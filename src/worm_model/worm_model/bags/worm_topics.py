@@ -58,6 +58,8 @@ SERIES: Mapping[str, tuple[str, type[Any]]] = {
 }
 
 LATCHED = frozenset({"gait_state", "twin/memory"})  # a later subscriber receives the last message
+# Of the events, a later subscriber receives the last ten.
+_TRANSIENT_LOCAL = LATCHED | {"twin/events"}
 TWIN_INPUTS = (
     "gait_state",
     "body_length/commanded",
@@ -81,7 +83,7 @@ def offered_qos(name: str) -> str:
         "- history: keep_last\n"
         f"  depth: {1 if name in LATCHED else 10}\n"
         "  reliability: reliable\n"
-        f"  durability: {'transient_local' if name in LATCHED else 'volatile'}\n"
+        f"  durability: {'transient_local' if name in _TRANSIENT_LOCAL else 'volatile'}\n"
         f"  deadline: {forever}\n"
         f"  lifespan: {forever}\n"
         "  liveliness: automatic\n"

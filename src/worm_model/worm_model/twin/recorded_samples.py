@@ -30,8 +30,9 @@ class RecordedSamples:
     """Samples of a recording, ordered by stamp, so that none is late.
 
     If the stamps of a topic go back by more than ``jump_back_ns`` and stay there, the clock has jumped. All samples
-    after the jump then follow all samples before the jump. The constructor and each call of `rows` read the parts once.
-    `rows` keeps in memory one part, and those earlier samples that a sample of a later part may have to precede.
+    after the jump then follow all samples before the jump. Each call of `rows` reads the parts once, and so does the
+    constructor (twice if the stamps of the command go back). `rows` keeps in memory one part, and those earlier samples
+    that a sample of a later part may have to precede.
 
     Args:
         parts: returns the recording in parts, in the order of reception.
@@ -182,7 +183,7 @@ def _last_of(samples: LengthSamples) -> LengthSamples:
 
 
 def _impossible_steps(commanded: LengthSamples) -> NDArray[np.int64]:
-    """Return the stamps (n, 2) before and after each step of the command that is faster than `IMPOSSIBLE_SPEED`."""
+    """Return the stamps (n, 2) before and after each step of the command over 1 mm beyond `IMPOSSIBLE_SPEED`."""
     order = np.argsort(commanded.stamp, kind="stable")
     stamp, change = commanded.stamp[order], commanded.length_change[order]
     step, duration = np.abs(np.diff(change)), np.diff(stamp) * 1e-9

@@ -54,7 +54,9 @@ FOREVER_NS = 1 << 62
 
 @dataclass
 class TwinState:
-    """State of the twin between two samples, of bounded size; `Twin.advance` updates it in place.
+    """State of the twin between two samples; `Twin.advance` updates it in place.
+
+    Its size is bounded, except for ``unusable`` and ``starts``, which gain an entry per such run.
 
     Attributes:
         memory: memory of the core.

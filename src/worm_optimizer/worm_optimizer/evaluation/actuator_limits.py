@@ -58,8 +58,7 @@ class ActuatorLimits:
     @property
     def need_simulation(self) -> bool:
         """True if a limit is set whose check needs a simulated cycle."""
-        simulated = self.cable_force, self.electrical_power, self.stall_force, self.pushing_force
-        return any(math.isfinite(limit) for limit in simulated)
+        return dataclasses.replace(self, cable_speed=math.inf) != NO_LIMITS
 
     def tightened(self, other: ActuatorLimits) -> ActuatorLimits:
         """Return limits with the smaller value of ``self`` and ``other`` for each quantity."""

@@ -110,7 +110,8 @@ def servo_model(name: str) -> ServoModel | None:
 def load_driver_file(path: str | Path) -> DrivenBy:
     """Return the limits in the driver's parameter file. A former name of a parameter causes a FutureWarning.
 
-    The file is invalid if the driver would reject it, for example because it contains an unknown parameter.
+    Names, types and ranges are checked as by the driver. Whether the parameters agree with each other, such as ids and
+    the lengths of arrays, only the driver checks.
 
     Raises `OptimizerError`, with the path, if the file is invalid.
     """

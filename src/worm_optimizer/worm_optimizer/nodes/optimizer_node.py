@@ -105,11 +105,11 @@ class OptimizerNode(Node):
     The time to compute a front depends on the settings:
 
     - a given margin: about a second,
-    - a margin scan, robustness chance or any_phase, or shaped gaits: some seconds,
+    - a margin scan, the parameter ``robustness`` = ``chance`` or ``any_phase``, or shaped gaits: some seconds,
     - a margin scan of shaped gaits: about a minute.
 
     The forward front is computed at the start, the reverse front at the first request that needs it. Fronts are stored
-    until the settings, the conditions or the parameter file change.
+    until the settings, the conditions or the parameter file change; fronts for other initial lengths only the newest.
 
     Args:
         ended: request to end the process, which also ends a running computation.
@@ -254,7 +254,8 @@ class OptimizerNode(Node):
     def _resting_front(self, front: RobustFront, content: ParameterFile) -> RobustFront:
         """Return the front for the initial length in ``content``.
 
-        With robustness margin, it has the margin of ``front``. Another criterion is applied to the new initial length.
+        With the criterion `Robustness.MARGIN`, it has the margin of ``front``. Any other criterion is evaluated again
+        for the new initial length.
         """
         key = front.direction, round(content.parameters.initial_length / gait_request.SAME_LENGTH)
         if key not in self._resting:

@@ -63,7 +63,7 @@ def with_comparisons(
 
     Under conditions other than level ground, each gait is compared with the corresponding gait that is designed for
     level ground. In a plan of shaped gaits, each gait is compared with the corresponding sinusoid. These gaits are
-    designed with the margin of the plan, or with its other criterion of robustness.
+    designed with the plan's criterion of robustness. If this is the margin, they have the same margin as the plan.
 
     Args:
         plan: plan with three gaits.

@@ -39,7 +39,8 @@ class RecordedGait:
         expected: prediction for the averaged cycles, from the command alone.
         idle_power: power measured at rest, W.
         events: events of the part.
-        early_end: reason why fewer cycles were played than requested; empty if all were played.
+        early_end: remark on a gait that ended early or in FAULT, or was not recorded completely; otherwise
+            empty.
         missing: reasons for measured values that are NaN.
         provenance: origin of the recording, by name.
     """

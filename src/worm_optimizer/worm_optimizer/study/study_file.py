@@ -38,7 +38,7 @@ from worm_optimizer.study import plan
 from worm_optimizer.study.quantities import QUANTITIES, SHAPE_BOUNDS
 
 CLIFF = "cliff"  # value of margin_m that selects the last margin before the cliff of the point's own scan
-_FINEST = 10_000  # largest value of a resolution
+_FINEST = 10_000  # largest number of strokes, frequencies or gaits of a front
 _MOST_VALUES = 100_000  # largest number of values of an axis
 _SCAN, _PLAIN = ScanResolution(), plan.Resolution()
 

@@ -67,6 +67,21 @@ def test_bulk_writes_reach_several_addresses():
     assert (cable.memory["led"], rear.memory["profile_acceleration"]) == (1, 7)
 
 
+@pytest.mark.parametrize(
+    ("instruction", "head"),
+    [(Instruction.SYNC_WRITE, False), (Instruction.BULK_WRITE, True)],
+    ids=["sync", "bulk"],
+)
+@pytest.mark.parametrize("missing", [0, 1, 4])
+def test_a_group_write_with_a_part_that_is_cut_off_writes_nothing(instruction, head, missing):
+    virtual, field = robot(), two_bytes(108) + two_bytes(4)
+    items = [bytes([servo]) + (field if head else b"") + b"\x07\0\0\0" for servo in (CABLE, REAR)]
+    data = (b"" if head else field) + b"".join(items)
+    replies(virtual, instruction_packet(BROADCAST_ID, instruction, data[: len(data) - missing]))
+    written = [servo.memory["profile_acceleration"] for servo in virtual.servos[:2]]
+    assert written == ([0, 0] if missing else [7, 7])
+
+
 @pytest.mark.parametrize("instruction", [Instruction.READ, Instruction.REBOOT + 1, 0x55, 0xA0])
 def test_no_servo_answers_a_broadcast_of_another_instruction(instruction):
     assert replies(robot(), instruction_packet(BROADCAST_ID, instruction, b"\0\0\2\0")) == []

@@ -2,11 +2,13 @@
 """The worm's topics are recognised by the end of their names."""
 
 import pytest
+import yaml
+from interfaces_page import rows_of
 
 from worm_model.bags.formats.bag_errors import BagError
 from worm_model.bags.formats.message_block import Topic
 from worm_model.bags.formats.message_types import topic_of
-from worm_model.bags.worm_topics import JOINT_STATE, find_topic
+from worm_model.bags.worm_topics import JOINT_STATE, TYPES, find_topic, offered_qos
 
 
 def topics(*names: str) -> list[Topic]:
@@ -25,3 +27,12 @@ def test_two_robots_in_a_bag_are_distinguished_by_their_namespace():
     with pytest.raises(BagError, match=r"/left/joint_states, /right/joint_states; choose with"):
         find_topic(both, "joint_states")
     assert find_topic(both, "joint_states", "/right") is both[1]
+
+
+@pytest.mark.parametrize("name", TYPES)
+def test_written_topics_have_the_quality_of_service_of_the_nodes(name: str):
+    """The documentation is compared with the running nodes by an integration test."""
+    (profile,) = yaml.safe_load(offered_qos(name))
+    documented = rows_of("Topics")[name][3]
+    assert documented.startswith(profile["reliability"])
+    assert (profile["durability"] == "transient_local") == ("transient local" in documented)

@@ -189,6 +189,7 @@ def front_under(limits: ActuatorLimits):
         (ActuatorLimits(cable_force=90.0), "force"),
         (ActuatorLimits(electrical_power=12.0), "power"),
         (ActuatorLimits(stall_force=164.0, no_load_speed=0.12), "motor_load"),
+        (ActuatorLimits(no_load_speed=0.06), "motor_load"),
         (ActuatorLimits(pushing_force=15.0), "push"),
     ],
 )

@@ -69,7 +69,7 @@ class Resistance(NamedTuple):
 
 
 class Constants(NamedTuple):
-    """Parameters of a robot, as the kernel uses them, with one part for each set of values that is exchanged alone."""
+    """Parameters of a robot as the kernel uses them. Where grooves differ, only the fins are replaced."""
 
     body: Body
     rear_fin: Fin
