@@ -48,6 +48,7 @@ def action(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> RunGaitAction:
             run.number,
             Future(),
             RunRecord(),
+            rig.settings.body,
             RunEnd(0, 3, 0.0),
             HeartbeatMonitor(0.0, 0.0),
         )
@@ -89,3 +90,18 @@ def test_a_run_at_its_end_by_grooves_is_completed_by_a_late_loop(
     action._judge(current)
     late(rig)
     assert rig.robot.player.run.ending is Ending.COMPLETED
+
+
+def test_a_run_that_ended_before_the_driver_was_closed_keeps_its_measurements(
+    rig: Rig, action: RunGaitAction, monkeypatch: pytest.MonkeyPatch
+):
+    current = action._runs[-1]
+    rig.loop.submit(rig.robot.cancel)
+    ended = rig.run(6.0, until=lambda s: s.player.run.ending is not None).player.run
+    current.ended = ended
+    speed = 0.004
+    current.record.positions += [(ended.onset + 0.1 * k, speed * 0.1 * k) for k in range(80)]
+    monkeypatch.setattr(action, "_hardware", lambda: None)
+    action.abandon("the driver is cleaned up")
+    result = action._finish(MagicMock(), current, current.done.result())
+    assert (result.cycles_completed, result.speed) == (1, pytest.approx(speed))
