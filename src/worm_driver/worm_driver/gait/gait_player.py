@@ -99,10 +99,11 @@ class PlayerState:
 
     Attributes:
         phase: present phase.
-        phase_start: start of the phase, s. A late step of a ramp shifts it, and the command that turns the fins sets it
-            again. It keeps its value when `cancel` changes the phase to STOPPING.
+        phase_start: start of the phase, s. The command that turns the fins sets it again. It keeps its value when
+            `cancel` changes the phase to STOPPING.
         length_change: commanded length change, m.
         ramp_from: commanded length change from which the ramp of the phase starts, if the phase has one, m.
+        ramp_done: fraction of the duration of this ramp that has passed, 0 to 1.
         direction: commanded direction of the fins, 1 or -1; 0 before the first run and after a hold.
         stepped: time of the last step, s.
         still_start: latest time at which a motion was commanded or a fin was not at its goal, s.
@@ -114,6 +115,7 @@ class PlayerState:
     phase_start: float = 0.0
     length_change: float = 0.0
     ramp_from: float = 0.0
+    ramp_done: float = 0.0
     direction: int = 0
     stepped: float = -math.inf
     still_start: float = -math.inf
@@ -199,7 +201,10 @@ def finish(state: PlayerState, now: float) -> PlayerState:
 
 
 def cancel(state: PlayerState, now: float, reason: str) -> PlayerState:
-    """End the run: at its next point of rest in RETURNING and RUNNING, at once in any other phase."""
+    """End the run: at its next point of rest in RETURNING and RUNNING, at once in any other phase.
+
+    In STOPPING, return the state unchanged.
+    """
     run = state.active_run
     if run is None or state.phase is Phase.STOPPING:
         return state
@@ -252,23 +257,11 @@ def step(
     handler = _STEPS.get(state.phase)
     if handler is None:
         return state
-    before, state = state, handler(_delayed(state, now, settings), now, observation, settings)
+    before, state = state, handler(state, now, observation, settings)
     state = replace(state, stepped=now)
     if moving(before) or state.direction != before.direction or not observation.fins_set:
         return replace(state, still_start=now)
     return state
-
-
-def _delayed(state: PlayerState, now: float, settings: PlayerSettings) -> PlayerState:
-    """Shift the start of a ramp in progress if this step is late, so that the cable does not catch up.
-
-    A step is late if more than ``longest_step`` has passed since the previous one; the shift is the excess.
-    """
-    is_ramp = state.phase in (Phase.RETURNING, Phase.TENSIONING) or (
-        state.phase is Phase.STOPPING and state.run is not None and state.run.onset is None
-    )
-    late = now - max(state.stepped, state.phase_start) - settings.longest_step
-    return replace(state, phase_start=state.phase_start + late) if is_ramp and late > 0.0 else state
 
 
 def _returning(
@@ -294,15 +287,19 @@ def _tensioning(
 def _ramp(state: PlayerState, now: float, target: float, settings: PlayerSettings) -> PlayerState:
     """Return the state with the length change that a ramp to a target (m) has reached at the time ``now`` (s).
 
-    The ramp is a half cosine, so that the speed of the cable has no steps.
+    The ramp is a half cosine, so that the speed of the cable has no steps. In each step it advances by the time since
+    the previous step, at most ``longest_step``. So neither a late step nor another return speed makes the cable jump.
     """
     way = state.ramp_from - target
-    duration = math.pi / 2 * abs(way) / settings.return_speed
-    elapsed = now - state.phase_start
-    if abs(way) <= REST_TOLERANCE or elapsed >= duration:
+    if abs(way) <= REST_TOLERANCE:
         return replace(state, length_change=target)
-    value = target + way / 2 * (1.0 + math.cos(math.pi * elapsed / duration))
-    return replace(state, length_change=value)
+    duration = math.pi / 2 * abs(way) / settings.return_speed
+    elapsed = min(now - max(state.stepped, state.phase_start), settings.longest_step)
+    done = state.ramp_done + elapsed / duration
+    if done >= 1.0:
+        return replace(state, length_change=target)
+    value = target + way / 2 * (1.0 + math.cos(math.pi * done))
+    return replace(state, length_change=value, ramp_done=done)
 
 
 def _flipping(
@@ -367,7 +364,9 @@ _STEPS = {
 
 
 def _enter(state: PlayerState, phase: Phase, now: float) -> PlayerState:
-    return replace(state, phase=phase, phase_start=now, ramp_from=state.length_change)
+    return replace(
+        state, phase=phase, phase_start=now, ramp_from=state.length_change, ramp_done=0.0
+    )
 
 
 def _end(
