@@ -166,7 +166,7 @@ class Gait:
     def command(self, time: Any) -> Any:
         """Return u_cmd in m for an array of times.
 
-        The values equal those of `length_change`, with a trapezoidal profile except for floating-point rounding.
+        The values equal those of `length_change`. For a trapezoidal profile they can differ by floating-point rounding.
         """
         import numpy as np  # Imported here, because driver and --help need no NumPy.
 

@@ -19,7 +19,8 @@ from worm_optimizer.operation.system import RESTARTS
 def _parser() -> Parser:
     parser = Parser(
         prog="start",
-        description="Start the node graph and activate the driver. Ctrl-C brings the robot to rest and ends all nodes. "
+        description="Start the node graph and activate the driver. Ctrl-C brings the robot to rest and ends all nodes; "
+        "a second one, more than 1.5 s later, releases the torque at once. "
         "If the driver cannot be activated, for example because it is not homed, print the reason and continue; "
         "`operate activate` then activates it.",
     )
@@ -40,7 +41,7 @@ def _start(options: argparse.Namespace) -> int:
     say(f"the logs of all nodes go to {logs}")
     try:
         with termination_as_interrupt(), session(system, logs, say, RESTARTS) as running:
-            _activate(running)
+            running.say(f"{_activate(running)}; Ctrl-C ends all")
             _keep(running)
     except FAILURES as error:
         print(f"start: the logs are in {logs}\nstart: {error}", file=sys.stderr)  # noqa: T201
@@ -48,19 +49,20 @@ def _start(options: argparse.Namespace) -> int:
     return 0
 
 
-def _activate(running: Session) -> None:
-    """Activate the driver. If this fails, print the reason, so that the operator can activate it later."""
+def _activate(running: Session) -> str:
+    """Activate the driver. Return the state and the next commands. If the activation fails, print the reason."""
     try:
         running.activate()
     except OperatorError as error:
-        running.say(f"{error}. Correct it, then: ./worm operate home, ./worm operate activate")
+        running.say(str(error))
+        return (
+            "ready, but not active: correct this, then ./worm operate home, ./worm operate activate"
+        )
+    return "ready: ./worm operate state, ./worm operate run --objective cruise"
 
 
 def _keep(running: Session) -> None:
     """Run until a signal arrives. Raises `ProcessError` when a required node ends."""
-    running.say(
-        "ready: ./worm operate state, ./worm operate run --objective cruise; Ctrl-C ends all"
-    )
     with counted_interrupts() as interrupts:
         while not interrupts():
             running.node.wait(lambda: interrupts() > 0, 1.0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import time
 from collections.abc import Callable
 from functools import partial
 
@@ -17,7 +18,7 @@ from worm_msgs.gait import FORWARD, GAIT_DEFAULTS, REVERSE, Gait, Profile
 from worm_optimizer.console import page_actions
 from worm_optimizer.console.console_state import ConsoleState
 from worm_optimizer.console.page_chart import chart
-from worm_optimizer.console.view import MOVING, obstacles
+from worm_optimizer.console.view import MOVING, live_twin, obstacles
 from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.nodes.operator_node import OperatorNode
 from worm_optimizer.operation.bring_up import CYCLES
@@ -154,7 +155,7 @@ class ActPage:
             ui.notify(self._state.worker.hindrance, type="warning")
 
     def _read(self) -> None:
-        direction, twin = self._direction.value, self._state.snapshot().twin
+        direction, twin = self._direction.value, live_twin(self._state.snapshot(), time.monotonic())
         length = 0.0 if twin is None else twin.initial_length
 
         def read(node: OperatorNode) -> str:

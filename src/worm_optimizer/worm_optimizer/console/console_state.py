@@ -16,7 +16,7 @@ from worm_optimizer.console.bag_library import BagLibrary
 from worm_optimizer.console.control import ConsoleControl
 from worm_optimizer.console.picture import picture
 from worm_optimizer.console.robot_worker import Notice, RobotWorker
-from worm_optimizer.console.view import History, is_live, sample
+from worm_optimizer.console.view import History, is_live, live_twin, sample
 from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.snapshot import Snapshot
 
@@ -69,7 +69,7 @@ class ConsoleState:
         if snapshot is not self._drawn[0]:
             driver = snapshot.driver
             direction = driver.direction if driver is not None and driver.direction else FORWARD
-            twin = snapshot.twin if is_live(snapshot, "twin/state", time.monotonic()) else None
+            twin = live_twin(snapshot, time.monotonic())
             drawn = picture(twin, snapshot.robot_at_twin, self.parameters, direction)
             self._drawn = (snapshot, drawn)
         return self._drawn[1]
@@ -94,7 +94,7 @@ class ConsoleState:
         newest = sample(snapshot, now)
         names = (source.name.lower() for source in LengthSource)
         lengths = {f"{name} length": _millimetres(getattr(newest, name)) for name in names}
-        twin = snapshot.twin if is_live(snapshot, "twin/state", now) else None
+        twin = live_twin(snapshot, now)
         residuals = snapshot.residuals if is_live(snapshot, "twin/residuals", now) else None
         nan = math.nan
         return {

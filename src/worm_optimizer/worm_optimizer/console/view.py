@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 from worm_model.analysis.run_metrics import END_TOLERANCE_NS
 from worm_model.run import PLAYING, SAME_ONSET_NS, Activity, LengthSource
+from worm_model.twin.data.records import StateRecord
 from worm_model.twin.watch_view import STALE_S
 from worm_optimizer.snapshot import DriverState, Snapshot
 
@@ -29,6 +30,11 @@ def is_live(snapshot: Snapshot, topic: str, now: float) -> bool:
     """Return True if a message of a topic was received within `STALE_S`."""
     received_s = snapshot.received.get(topic)
     return received_s is not None and now - received_s <= STALE_S
+
+
+def live_twin(snapshot: Snapshot, now: float) -> StateRecord | None:
+    """Return the state of the twin; None if it is silent."""
+    return snapshot.twin if is_live(snapshot, "twin/state", now) else None
 
 
 def missing_sources(snapshot: Snapshot, now: float) -> list[str]:
@@ -132,7 +138,7 @@ def sample(snapshot: Snapshot, now: float) -> Sample:
         else math.nan
         for source in LengthSource
     }
-    twin = snapshot.twin if is_live(snapshot, "twin/state", now) else None
+    twin = live_twin(snapshot, now)
     return Sample(
         time=now,
         **lengths,

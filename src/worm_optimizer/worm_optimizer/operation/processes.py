@@ -10,6 +10,7 @@ import re
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -282,16 +283,29 @@ class ProcessGroup:
         self.check()
 
     def stop(self) -> None:
-        """Interrupt the processes in the reverse order of their start and wait for each. Then kill what still runs."""
-        try:
-            for process in reversed(self.processes.values()):
-                if process.exit_code is None:
-                    process.interrupt()
-                    if not process.ends_within(process.grace_s):
-                        process.abort()
-        finally:  # also after a second Ctrl-C
-            for process in self.processes.values():
-                process.release()
+        """Interrupt the processes in the reverse order of their start and wait for each. Then kill what still runs.
+
+        In the main thread, further signals go to the process that is ending. So a second Ctrl-C reaches the driver,
+        which then releases the torque. A driver that is killed leaves the torque on.
+        """
+        ending: list[Process] = []
+
+        def pass_on(number: int, _frame: FrameType | None) -> None:
+            for process in ending[-1:]:
+                process.signal(signal.Signals(number))
+
+        in_main_thread = threading.current_thread() is threading.main_thread()
+        with _handling(pass_on) if in_main_thread else contextlib.nullcontext():
+            try:
+                for process in reversed(self.processes.values()):
+                    if process.exit_code is None:
+                        ending.append(process)
+                        process.interrupt()
+                        if not process.ends_within(process.grace_s):
+                            process.abort()
+            finally:
+                for process in self.processes.values():
+                    process.release()
 
     def __enter__(self) -> ProcessGroup:
         return self

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import textwrap
+import threading
 
 import pytest
 
@@ -33,6 +34,20 @@ DEAF = """
     child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
     print("child", child.pid, flush=True)
     time.sleep(600)
+"""
+
+
+STUBBORN = """
+    import signal, sys, time
+    def end(number, _):
+        print("received", number, flush=True)
+        if number == signal.SIGTERM:
+            sys.exit(0)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, end)
+    print("ready", flush=True)
+    while True:
+        time.sleep(0.1)
 """
 
 
@@ -65,6 +80,25 @@ def test_a_deaf_process_is_killed_with_its_children(tmp_path):
     with pytest.raises(ProcessError, match=place):
         group.check()
     assert wait_for(lambda: not is_running(child), 5.0)
+
+
+def test_a_further_signal_is_passed_on_to_the_process_that_is_ending_and_kills_none(tmp_path):
+    group = ProcessGroup(tmp_path)
+    first, last = (group.start(name, python(STUBBORN)) for name in ("first", "last"))
+    for process in (first, last):
+        process.wait_for_line("^ready", 20.0)
+
+    def interrupt_again() -> None:
+        for process in (last, first):
+            for number in (signal.SIGINT, signal.SIGTERM):
+                process.wait_for_line("^received 2", 20.0)
+                os.kill(os.getpid(), number)
+
+    operator = threading.Thread(target=interrupt_again)
+    operator.start()
+    group.stop()
+    operator.join()
+    assert [process.exit_code for process in (first, last)] == [0, 0]
 
 
 def test_an_ended_process_keeps_its_id_until_the_end_of_the_group(tmp_path):
