@@ -23,8 +23,8 @@ _ALMOST, _OTHER_DIRECTION = 1.5, 0.03
 #: Displacement of a marker in the image above which the marker counts as moved (pixels). It is twenty times the noise
 #: of a marker's centre, and a quarter of a millimetre at 2 pixels per mm.
 _MOVED = 0.5
-#: Number of images averaged for a fixed camera. More images would not help, because the errors of the markers'
-#: positions dominate.
+#: Number of images averaged for each marker of a fixed camera, a power of 2. More images would not help, because the
+#: errors of the markers' positions dominate.
 _AVERAGED = 128
 
 #: Corners (right, up) of a print (a printed marker) with side 1, in the order of `Detection.corners`.
@@ -165,6 +165,9 @@ class FixedCamera:
     """Pose estimator for a stationary camera. It averages the reference markers' positions in the image.
 
     A marker of a new image that is away from its average has moved, or the camera has.
+
+    The pose is estimated again whenever a marker has been averaged over 1, 2, 4, 8, ..., _AVERAGED images, so a new
+    marker counts at once. If the estimate is rejected, each further image repeats it; an older pose is not used.
     """
 
     def __init__(self, setup: TrackerSetup, camera: CameraModel):
@@ -172,7 +175,6 @@ class FixedCamera:
         self._camera = camera
         self._sums: dict[int, Array] = {}
         self._counts: dict[int, int] = {}
-        self._images = 0
         self._pose: CameraPose | None = None
         self._stray: set[int] = set()
 
@@ -190,10 +192,9 @@ class FixedCamera:
             return self._explain(moved, trusted)
         self._average(trusted)
         try:
-            self._improve()
+            return PoseEstimate(self._pose_of_means())
         except PoseError as error:
             return PoseEstimate(None, str(error))
-        return PoseEstimate(self._pose)
 
     def _distance(self, number: int, corners: Array) -> float:
         """Return the distance of a marker's centre from its mean position, pixels; 0 for a new marker."""
@@ -218,27 +219,31 @@ class FixedCamera:
             return PoseEstimate(None, f"reference marker {number} moved", event)
         self._forget()
         self._average(corners_of)
-        cause = "the camera" if not still else "the camera, or these markers,"
         return PoseEstimate(
-            None, "camera moved", f"reference markers moved in the image ({names}): {cause} moved"
+            None,
+            "the camera or reference markers moved",
+            f"reference markers moved in the image ({names}): the camera, or these markers, moved",
         )
 
     def _forget(self) -> None:
-        self._sums, self._counts, self._images, self._pose = {}, {}, 0, None
+        self._sums, self._counts, self._pose = {}, {}, None
 
     def _average(self, corners_of: Corners) -> None:
-        self._images += 1
+        """Add corners to the averages. Discard the pose if it is to be estimated again."""
         for number, corners in corners_of.items():
-            if self._counts.get(number, 0) < _AVERAGED:
+            count = self._counts.get(number, 0) + 1
+            if count <= _AVERAGED:
                 self._sums[number] = self._sums.get(number, 0.0) + corners
-                self._counts[number] = self._counts.get(number, 0) + 1
+                self._counts[number] = count
+                if count & (count - 1) == 0:  # a power of 2
+                    self._pose = None
 
-    def _improve(self) -> None:
-        """Estimate the pose after 1, 2, 4, 8, ..., _AVERAGED images, and whenever it is unknown. Raises PoseError."""
-        due = self._images <= _AVERAGED and self._images & (self._images - 1) == 0
-        if due or self._pose is None:
+    def _pose_of_means(self) -> CameraPose:
+        """Return the pose, and estimate it first if there is none. Raises PoseError."""
+        if self._pose is None:
             means = {n: total / self._counts[n] for n, total in self._sums.items()}
             self._pose = find_pose(self._setup, self._camera, means)
+        return self._pose
 
 
 class MovingCamera:
