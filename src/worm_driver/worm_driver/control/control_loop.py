@@ -149,6 +149,7 @@ class ControlLoop(PeriodicThread):
         self._commands: deque[_Command] = deque()
         self._shutdown_reason: str | None = None
         self._at_once = False
+        self._rejects_all = False
         self.release_problems: list[str] = []
 
     def check(self) -> None:
@@ -168,10 +169,12 @@ class ControlLoop(PeriodicThread):
             lifetime: time after which the loop rejects the action with RejectedError, if the action has not begun, s.
 
         Returns:
-            Future of the action's result.
+            Future of the action's result. It raises DriverError if the thread ends before the action begins.
         """
         command = _Command(action, self._clock() + lifetime, Future())
         self._commands.append(command)
+        if self._rejects_all:
+            self._reject_waiting()
         return command.answer
 
     def run(
@@ -183,7 +186,7 @@ class ControlLoop(PeriodicThread):
         """Submit an action, wait for its result and return it.
 
         If the timeout expires before the action has begun, the action never runs. If the timeout expires later,
-        ``undo`` runs after the action.
+        ``undo`` runs after the action, unless the thread ends before.
 
         Args:
             action: called with the time (s, monotonic).
@@ -191,7 +194,7 @@ class ControlLoop(PeriodicThread):
             undo: action that reverts this one.
 
         Raises:
-            DriverError: The action failed, or its result did not arrive in time.
+            DriverError: The action failed, its result did not arrive in time, or the thread has ended.
         """
         answer = self.submit(action)
         timeout = max(timeout, self._clock.least_timeout)
@@ -205,10 +208,10 @@ class ControlLoop(PeriodicThread):
     def run_without_deadline(self, action: Callable[[float], T], timeout: float = 2.0) -> T:
         """Submit an action, wait for its result and return it, as in `run`, but without ``undo``.
 
-        The action runs even if the timeout expires before the action begins.
+        The action runs even if the timeout expires before the action begins, unless the thread ends before.
 
         Raises:
-            DriverError: The action failed, or its result did not arrive within the timeout (s).
+            DriverError: The action failed, its result did not arrive within the timeout (s), or the thread has ended.
         """
         timeout = max(timeout, self._clock.least_timeout)
         try:
@@ -222,7 +225,8 @@ class ControlLoop(PeriodicThread):
         return DriverError(f"the servo bus thread did not respond within {timeout:g} s")
 
     def _ended(self) -> DriverError:
-        return DriverError(f"the servo bus thread has ended: {self.failure!r}")
+        cause = "the robot was closed" if self.failure is None else repr(self.failure)
+        return DriverError(f"the servo bus thread has ended: {cause}")
 
     def shutdown(self, reason: str) -> None:
         """Request the thread to bring the robot to rest, to release it and to end.
@@ -298,6 +302,14 @@ class ControlLoop(PeriodicThread):
             run_ended = before is not None and self._robot.player.active_run is None
         return served
 
+    def _reject_waiting(self) -> None:
+        """Reject all waiting commands, because the thread has ended. Safe in any thread."""
+        with contextlib.suppress(IndexError):  # there is no further command
+            while True:
+                answer = self._commands.popleft().answer
+                if answer.set_running_or_notify_cancel():
+                    answer.set_exception(self._ended())
+
     def _at_start(self) -> None:
         if self._clock.epoch_ns is not None:
             self.scheduling = VIRTUAL
@@ -309,8 +321,9 @@ class ControlLoop(PeriodicThread):
         if self.scheduling not in (NOT_REQUESTED, VIRTUAL):
             return_to_normal()
         self._clock.close()  # otherwise the time of a virtual robot would stop
-        while self._serve(math.inf):
-            pass  # every command receives an answer
+        # Set the flag first. Then `submit` itself rejects a command that comes too late for the next line.
+        self._rejects_all = True
+        self._reject_waiting()
 
 
 class PowerLoop(PeriodicThread):

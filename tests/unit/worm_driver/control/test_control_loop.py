@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The threads around the robot, with a robot that only counts calls."""
 
+import math
 import threading
 import time
 from types import SimpleNamespace
@@ -236,6 +237,56 @@ def test_a_command_after_the_end_is_answered(robot, loop):
     loop.join(TIMEOUT_S)
     for answer in answers:
         assert answer.result(TIMEOUT_S) == 1 or answer.exception(TIMEOUT_S)
+
+
+@pytest.mark.parametrize("failure", [None, RuntimeError("a bug")])
+def test_a_command_that_waits_at_the_end_is_rejected_with_the_end(robot, loop, failure):
+    """Not as a stale command: a command without a deadline cannot be stale."""
+    waiting, done = [], []
+
+    def release() -> list[str]:
+        waiting.append(loop.submit(done.append, lifetime=math.inf))
+        return []
+
+    robot.release, robot.failure = release, failure
+    loop.release_at_once()
+    assert loop.join(TIMEOUT_S)
+    error = waiting[0].exception(TIMEOUT_S)
+    assert type(error) is DriverError
+    assert "has ended" in str(error)
+    assert (failure is None) == (repr(failure) not in str(error))
+    assert done == []
+
+
+def test_a_command_after_the_end_is_rejected_at_once(loop):
+    loop.shutdown("over")
+    assert loop.join(TIMEOUT_S)
+    answer = loop.submit(lambda _: 1)
+    assert answer.done()
+    assert type(answer.exception()) is DriverError
+    for run in (loop.run, loop.run_without_deadline):
+        with pytest.raises(DriverError, match="has ended"):
+            run(lambda _: 1)
+
+
+def test_commands_that_are_submitted_during_the_end_are_all_answered(robot, loop):
+    answers = []
+
+    def submit_until_the_end() -> None:
+        while loop.alive:
+            answers.append(loop.submit(lambda _: 1, lifetime=math.inf))
+            answers[-1].exception(TIMEOUT_S)
+
+    threads = [threading.Thread(target=submit_until_the_end) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    wait_for(lambda: robot.cycles > 3)
+    loop.shutdown("over")
+    assert loop.join(TIMEOUT_S)
+    for thread in threads:
+        thread.join(TIMEOUT_S)
+    assert all(answer.done() for answer in answers)
+    assert any(answer.exception() is None for answer in answers)
 
 
 def test_waiting_for_the_end_leaves_time_for_something_else(robot, loop):
