@@ -8,9 +8,9 @@ This module corrects the following defects of version 4.1.0 of the SDK:
 - The SDK measures timeouts by the wall clock, spins while it waits, and never stops reading while bytes arrive. See
   ``BusPort``.
 - The SDK mistakes a late answer for the answer to the next request. In this module, an answer must have the requested
-  length, and the next request after a failed exchange waits for a quiet line, on which no late answer can arrive. In
-  addition, ``tick_clock`` compares the servo's clock in an answer with the time of the request, and detects answers
-  that are too old.
+  length, and the next request after a missing or unusable answer waits for a quiet line, on which no late answer can
+  arrive. (An answer with an error number is complete, so the next request does not wait.) In addition, ``tick_clock``
+  compares the servo's clock in an answer with the time of the request, and detects answers that are too old.
 - The SDK's timeout expires even if received bytes are unread. This module first reads such bytes, which exist for
   example after the process was suspended. See ``BusPort.expects``.
 - The SDK's GroupSyncRead drops error and alert bytes, and all answers if one answer is missing. The class also accepts
@@ -285,8 +285,8 @@ class ServoBus:
         """Enter a context for setup, in which exchanges may take longer but fail less often.
 
         A failed request to a single servo is repeated at most ``retries`` times, or ``self.retries`` times if this is
-        more. Before the first request, and before each request after a failure, the bus waits until no older answer can
-        arrive.
+        more. Before the first request, and before each request after a missing or unusable answer, the bus waits until
+        no older answer can arrive. An answer with an error number is complete, so the bus does not wait after it.
         """
         before = self.retries, self._quiet
         self.retries, self._quiet = max(self.retries, retries), _LATEST
@@ -372,7 +372,11 @@ class ServoBus:
 
         The method does not repeat the request; the caller decides on a repetition. A reply with an error number has no
         valid data. Servos answer in the order of the ids in the request, so an answer out of this order is not
-        accepted. If two answers have the same id and different contents, neither is accepted.
+        accepted.
+
+        The method stops reading when every servo has answered. If two answers until then have the same id and different
+        contents, neither is accepted. A later answer is not read. The next request discards it if it has arrived
+        before. Otherwise it counts as an answer to the next request, and only ``tick_clock`` can detect it.
 
         Args:
             start: address of the block.

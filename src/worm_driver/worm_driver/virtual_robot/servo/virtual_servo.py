@@ -2,10 +2,10 @@
 """Virtual servo: power cycle, instructions and shaft.
 
 Times are seconds of the virtual robot's clock and do not decrease. Where the e-manual is silent, the servo behaves as
-follows. Only an intact packet for the servo resets the Bus Watchdog. Such a packet has the servo's id or the broadcast
-id, or is a group read or write whose list contains the servo. After the watchdog has fired, the shaft holds its
-position in all modes until 0 is written to the watchdog's register. The servo answers with the error Result Fail to a
-write that turns the torque on after a shutdown, and to a factory reset while the torque is on.
+follows. Only an intact packet resets the Bus Watchdog. A group read or write resets it for the servos in its list; any
+other packet for the servo with its id, or for all servos with the broadcast id. After the watchdog has fired, the shaft
+holds its position in all modes until 0 is written to the watchdog's register. The servo answers with the error Result
+Fail to a write that turns the torque on after a shutdown, and to a factory reset while the torque is on.
 """
 
 import math
