@@ -22,7 +22,7 @@ HEARTBEAT = "heartbeat_s"
 _LIVE = ("limits.", "rest_duration_s", "return_speed_m_per_s", HEARTBEAT)
 #: Those of `_LIVE` that a configured driver can only lower.
 _BOUNDS = ("limits.", "return_speed_m_per_s")
-#: Parameters that the node reads only once, after its start.
+#: Parameters that the node reads only once, after its start. Later changes would have no effect.
 _AT_START = ("autostart", "stay_on_failure")
 _SIMULATED_TIME = "use_sim_time"
 _ROWS = tuple(
@@ -54,7 +54,7 @@ def _effect(name: str) -> str:
     if name.startswith(_LIVE):
         return "Takes effect at once."
     if name in _AT_START:
-        return "Takes effect only at the start of the driver."
+        return "Read only at the start of the driver, which rejects later changes."
     return "Takes effect at configure; a configured driver rejects changes until cleanup."
 
 
@@ -72,6 +72,11 @@ def why_not_set(node: Node, parameters: Sequence[Parameter], *, configured: bool
         name, value = parameter.name, parameter.value
         if name == _SIMULATED_TIME and value:
             return f"{name}: the driver uses its robot's clock, no other"
+        if name in _AT_START:
+            return (
+                f"{name}: the driver reads it only at its start: set it in the parameter file or on the command line, "
+                "and start the driver again"
+            )
         if not configured or name not in _NAMES:
             continue
         if not name.startswith(_LIVE):
