@@ -53,7 +53,8 @@ class FaultWatch:
     def step(self, now: float) -> str:
         """Record the start of a cycle at a time (s).
 
-        Return a message if more time than the bus watchdog has passed since the previous cycle, else an empty string.
+        Return a message if more time than the bus watchdog has passed since the start of the previous cycle, else an
+        empty string.
         """
         gap = now - self._last_step
         self._last_step = max(now, self._last_step)

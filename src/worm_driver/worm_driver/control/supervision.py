@@ -102,15 +102,15 @@ def watched_time(elapsed: float, period: float) -> float:
 
 
 def lateness(away: float, watchdog: float, load: float) -> str:
-    """Return the message about a loop that sent no packets for longer than the bus watchdog.
+    """Return the message about a loop that was late for the servos' bus watchdog.
 
     Args:
-        away: time without packets, s.
+        away: time between the starts of two consecutive cycles, s.
         watchdog: bus watchdog of the servos, s.
         load: load average of the computer.
     """
     return (
-        f"the control loop was late by {away * 1e3:.0f} ms, and the servos stop by their watchdog after "
+        f"the control loop began no cycle for {away * 1e3:.0f} ms, and the servos stop by their watchdog after "
         f"{watchdog * 1e3:.0f} ms: the computer was busy (load {load:.1f}) or the driver was suspended"
     )
 
