@@ -88,8 +88,9 @@ class Actuators:
         Return None if no cable servo has torque, or if the robot would not spring back without it.
 
         Raises:
-            ConfigurationError: The torque must stay on, but this driver cannot take the robot over: a cable servo is
-                not homed, has other settings than this driver writes, or has no torque while another one has.
+            ConfigurationError: The torque must stay on, but this driver cannot take the robot over: a cable servo with
+                torque is not homed or has other settings than this driver writes, or a cable servo has no torque while
+                another one has.
             BusError: A servo does not answer.
         """
         ticks = [servos.held_position(self._bus, servo) for servo in self.cables]

@@ -211,18 +211,24 @@ def held_position(bus: ServoBus, servo: Servo) -> int | None:
     """Return the position (ticks from home) of a cable servo that was left with its torque on; None if it is off.
 
     Raises:
-        ConfigurationError: The torque is on, but the servo is not homed or not in extended position mode.
+        ConfigurationError: The torque is on, but the servo is not homed, or has another operating mode or drive mode
+            than a cable servo of this driver. The message names the registers.
         BusError: The servo does not answer, or no two readings agree.
     """
     wanted = {"operating_mode": EXTENDED_POSITION_MODE, "drive_mode": 0, "led": 1}
     values = registers(bus, servo, *wanted, "torque_enable", "present_position")
     if not values["torque_enable"]:
         return None
-    if not wanted.items() <= values.items():
+    differing = [
+        f"{name} is {values[name]} instead of {raw}"
+        for name, raw in wanted.items()
+        if values[name] != raw
+    ]
+    if differing:
         raise ConfigurationError(
-            f"servo {servo.number} has its torque on, but is not homed: the body may be contracted, and would spring "
-            "back without torque; switch the torque off with the program that switched it on, or secure the body and "
-            "switch the supply off"
+            f"servo {servo.number} has its torque on, and its position is not known ({', '.join(differing)}; led 1 is "
+            "the mark of a homed servo): the body may be contracted, and would spring back without torque; switch the "
+            "torque off with the program that switched it on, or secure the body and switch the supply off"
         )
     return values["present_position"]
 

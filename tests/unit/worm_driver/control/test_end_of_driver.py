@@ -2,6 +2,7 @@
 """The end of the driver, on the virtual robot's bytes: how a stop, a fault or an operator affects the torque."""
 
 import math
+import re
 from dataclasses import replace
 
 import pytest
@@ -97,14 +98,16 @@ def test_a_driver_with_other_limits_does_not_release_a_robot_that_was_left_contr
     assert rig.restarted_driver(other).robot.actuators.left_on == ""
 
 
-@pytest.mark.parametrize("register", ["led", "operating_mode", "drive_mode"])
-def test_a_torque_without_a_home_is_not_released(register):
+@pytest.mark.parametrize(
+    ("register", "value", "wanted"), [("led", 0, 1), ("operating_mode", 3, 4), ("drive_mode", 1, 0)]
+)
+def test_a_torque_at_an_unknown_position_is_not_released(register, value, wanted):
     rig = left_contracted()
-    rig.cable.memory[register] = 3 if register == "operating_mode" else 0
-    if register == "drive_mode":
-        rig.cable.memory[register] = 1
-    with pytest.raises(ConfigurationError, match="not homed"):
+    rig.cable.memory[register] = value
+    with pytest.raises(ConfigurationError) as caught:
         rig.restarted_driver()
+    registers = re.findall(r"\w+ is \d+ instead of \d+", str(caught.value))
+    assert registers == [f"{register} is {value} instead of {wanted}"]
     assert rig.cable.memory["torque_enable"] == 1
 
 
