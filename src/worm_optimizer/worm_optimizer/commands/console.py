@@ -112,8 +112,8 @@ def _console(options: argparse.Namespace) -> int:
     state = ConsoleState(worker, control, library, parameters, file, notices)
     address = f"http://{_address(options.listen)}:{options.port}/"
     token = f"?token={secret}" if secret and not options.password_file else ""
-    say(f"{address}{token} (Ctrl-C ends it)")
     with counted_interrupts() as interrupts:
+        say(f"{address}{token} (Ctrl-C ends it)")
         try:
             access = Access(secret, time.monotonic)
             serve(state, access, options.listen, options.port, interrupts)

@@ -41,8 +41,7 @@ def _start(options: argparse.Namespace) -> int:
     say(f"the logs of all nodes go to {logs}")
     try:
         with termination_as_interrupt(), session(system, logs, say, RESTARTS) as running:
-            running.say(f"{_activate(running)}; Ctrl-C ends all")
-            _keep(running)
+            _keep(running, _activate(running))
     except FAILURES as error:
         print(f"start: the logs are in {logs}\nstart: {error}", file=sys.stderr)  # noqa: T201
         return FAILED
@@ -61,9 +60,10 @@ def _activate(running: Session) -> str:
     return "ready: ./worm operate state, ./worm operate run --objective cruise"
 
 
-def _keep(running: Session) -> None:
-    """Run until a signal arrives. Raises `ProcessError` when a required node ends."""
+def _keep(running: Session, state: str) -> None:
+    """Print the state and run until a signal arrives. Raises `ProcessError` when a required node ends."""
     with counted_interrupts() as interrupts:
+        running.say(f"{state}; Ctrl-C ends all")
         while not interrupts():
             running.node.wait(lambda: interrupts() > 0, 1.0)
 
