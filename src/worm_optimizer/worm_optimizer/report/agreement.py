@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -15,7 +15,10 @@ from worm_optimizer.report.recorded_gait import RecordedGait
 
 @dataclass(frozen=True)
 class Quantity:
-    """Format of a number of a gait: ``name``, factor ``scale`` from SI to ``unit``, and number of ``decimals``."""
+    """Format of one measured or expected quantity of a gait.
+
+    ``scale`` is the factor from the SI unit to ``unit``, and ``decimals`` the number of printed decimals.
+    """
 
     name: str
     scale: float
@@ -46,8 +49,8 @@ QUANTITIES = {
 # A power or cost of transport with a relative difference of this size or more never counts as agreement. An interval
 # that contains such differences shows that the parameters are poorly known, not that the prediction is good.
 LEAST_DISAGREEMENT = 0.20
-# A measurement can contradict the expected number of grooves only if the probability of this number is at least
-# CERTAIN. Numbers of grooves with a probability below POSSIBLE count as impossible.
+# A gait is fragile if no number of grooves has a probability of CERTAIN or more. A fragile gait never agrees. It
+# disagrees if the measured grooves are outside the range of the numbers with a probability of POSSIBLE or more.
 CERTAIN, POSSIBLE = 0.9, 0.05
 # Prefixes of the names of gaits that a campaign runs for comparison: designed without a margin, for level ground, and
 # with the paper's waveform.
@@ -62,18 +65,20 @@ class Order:
 
     Attributes:
         quantity: key of `QUANTITIES`.
-        expected: names of the gaits by rising expected value.
-        measured: names of the gaits by rising measured value; None if a measured value is NaN.
+        expected: names of the gaits by rising expected value; None if a value is NaN or if two values are equal.
+        measured: the same by measured value.
     """
 
     quantity: str
-    expected: tuple[str, ...]
+    expected: tuple[str, ...] | None
     measured: tuple[str, ...] | None
 
     @property
     def preserved(self) -> bool | None:
-        """True if both orders are the same; None if the measured order is unknown."""
-        return None if self.measured is None else self.measured == self.expected
+        """True if both orders are the same; None if one of them is unknown."""
+        if self.expected is None or self.measured is None:
+            return None
+        return self.measured == self.expected
 
 
 @dataclass(frozen=True)
@@ -99,7 +104,8 @@ class Grooves:
     def agrees(self) -> bool | None:
         """True if the expected number of grooves was measured, False if not.
 
-        None if the gait is fragile (`is_fragile`) and gained a possible number of grooves.
+        For a fragile gait (`is_fragile`), None if the measured grooves are in the range of the possible numbers, and
+        False otherwise. A number is possible if its probability is at least POSSIBLE.
         """
         tolerance = 0.5 / self.cycles
         if not self.is_fragile:
@@ -213,20 +219,27 @@ def grooves_of(gait: RecordedGait) -> Grooves | None:
 def _order(gaits: Sequence[RecordedGait], quantity: str) -> Order:
     expected = {gait.name: getattr(gait.expected.bands, quantity).value for gait in gaits}
     measured = {gait.name: getattr(gait.measured, quantity).value for gait in gaits}
-    known = not any(map(math.isnan, measured.values()))
-    return Order(
-        quantity,
-        tuple(sorted(expected, key=expected.__getitem__)),
-        tuple(sorted(measured, key=measured.__getitem__)) if known else None,
-    )
+    return Order(quantity, _rising(expected), _rising(measured))
+
+
+def _rising(values: Mapping[str, float]) -> tuple[str, ...] | None:
+    """Return the names by rising value; None if a value is NaN or if two values are equal."""
+    different = set(values.values())
+    if len(different) < len(values) or any(map(math.isnan, different)):
+        return None
+    return tuple(sorted(values, key=values.__getitem__))
 
 
 def order_text(order: Order) -> str:
     """Return an order as text."""
     name = f"order by {QUANTITIES[order.quantity].name}"
+    if order.expected is None:
+        return f"{name}: unknown, an expected value is missing or two are equal"
     expected = " < ".join(map(title_of, order.expected))
     if order.measured is None:
-        return f"{name}: unknown, a measured value is missing (expected {expected})"
+        return (
+            f"{name}: unknown, a measured value is missing or two are equal (expected {expected})"
+        )
     if order.preserved:
         return f"{name}: preserved, {expected}"
     measured = " < ".join(map(title_of, order.measured))
@@ -244,7 +257,7 @@ def headline(gaits: Sequence[RecordedGait]) -> str:
     elif away:
         verdict = f"{len(away)} of {len(known)} numbers do not agree with the prediction"
     elif len(known) == 1:
-        verdict = "The one number that was measured agrees with the prediction"
+        verdict = "The one number that could be compared agrees with the prediction"
     else:
         verdict = f"All {len(known)} numbers agree with the prediction"
     fragile = [title_of(row.gait) for row in rows if row.verdict.startswith("fragile")]
