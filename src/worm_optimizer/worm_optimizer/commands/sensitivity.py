@@ -25,7 +25,7 @@ from worm_msgs.conditions import conditions_of
 from worm_msgs.gait import WAVEFORM, gait_of
 from worm_optimizer.study.sensitivity import Sensitivity, sensitivity
 from worm_optimizer.study.sensitivity_figure import sensitivity_figure
-from worm_optimizer.study.sobol import INDEX_HEADS, index_cells, warnings_of
+from worm_optimizer.study.sobol import INDEX_HEADS, NO_INDICES, index_cells, warnings_of
 
 MOST_SAMPLES = 1 << 16  # largest number of base samples
 
@@ -93,7 +93,7 @@ def describe(content: Sensitivity) -> str:
             f"{name}: {scale * indices.mean:.3f} ± {scale * indices.deviation:.3f} {unit} (standard deviation)"
         )
         if np.all(np.isnan(indices.total)):
-            lines.append("  does not vary")
+            lines.append(f"  {NO_INDICES}")
             continue
         rows: list[Sequence[str]] = [heads]
         for k in np.argsort(-indices.total)[:6]:

@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from worm_model.analysis.plot_style import BLUE, LIGHT_GREY, letter, new_figure
 from worm_model.parameters import SYMBOLS
 from worm_optimizer.study.sensitivity import Sensitivity
+from worm_optimizer.study.sobol import NO_INDICES
 
 SHOWN = 10  # number of parameters in the figure; it shows those with the largest total indices
 TITLES = {"speed": "speed", "power": "power", "cliff_margin": "cliff of the margin"}
@@ -20,7 +21,7 @@ def sensitivity_figure(content: Sensitivity) -> Figure:
     panels = figure.subplots(1, len(content.indices))
     for axes, (name, indices) in zip(panels, content.indices.items(), strict=True):
         if np.all(np.isnan(indices.total)):
-            axes.text(0.5, 0.5, "does not vary", ha="center", transform=axes.transAxes)
+            axes.text(0.5, 0.5, NO_INDICES, ha="center", transform=axes.transAxes)
             axes.set(yticks=[])
         else:
             order = np.argsort(-indices.total)[:SHOWN][::-1]
@@ -29,7 +30,8 @@ def sensitivity_figure(content: Sensitivity) -> Figure:
                 (indices.total, indices.total_bounds, LIGHT_GREY, 0.8, "total"),
                 (indices.first, indices.first_bounds, BLUE, 0.4, "alone"),
             ):
-                reach = np.maximum(np.abs(bounds - values)[:, order], 0.0)
+                low, high = bounds
+                reach = np.maximum([values - low, high - values], 0.0)[:, order]
                 axes.barh(place, values[order], height, color=color, label=label, xerr=reach)
             names = [SYMBOLS[content.parameters[k]] for k in order]
             axes.set_yticks(place, names)

@@ -20,13 +20,15 @@ Array = NDArray[np.float64]
 
 #: Heads of the columns that `index_cells` returns.
 INDEX_HEADS = ("alone", "95 % bounds", "with others", "95 % bounds")
+#: Text in place of indices that are NaN, see `Indices`
+NO_INDICES = "no indices: constant, or not finite at a point"
 _LEAST_VARIANCE = 1e-24  # largest variance, in squared units, of a quantity that counts as constant
 _VISIBLE = 5e-4  # smallest difference of two indices that printed percentages show
 
 
 @dataclass(frozen=True)
 class Indices:
-    """Sobol indices of one quantity. They are NaN if the quantity does not vary or is missing at a point.
+    """Sobol indices of one quantity. They are NaN if the quantity is constant, or not finite at a point.
 
     Attributes:
         first, total: first-order and total indices, shape (inputs,).

@@ -10,7 +10,9 @@ from worm_model.gait import Gait, Profile
 from worm_model.parameters import PAPER, ParameterFile
 from worm_model.simulation.simulator import evaluate_gait
 from worm_optimizer.commands import sensitivity as command
-from worm_optimizer.study.sensitivity import sensitivity
+from worm_optimizer.study.sensitivity import Sensitivity, sensitivity
+from worm_optimizer.study.sensitivity_figure import sensitivity_figure
+from worm_optimizer.study.sobol import Indices
 
 GAIT = Gait(0.0755, 0.15)
 EXACT = {key: (value, value) for key, value in PAPER.as_dict().items()}
@@ -43,6 +45,20 @@ def test_what_does_not_vary_has_no_indices():
     found = of(idle_power=0.05)
     assert np.all(np.isnan(found.indices["speed"].total))
     assert found.indices["speed"].deviation == pytest.approx(0.0, abs=1e-12)
+
+
+def test_error_bars_end_at_the_bounds_and_none_points_the_wrong_way():
+    """The bounds of the first input exclude its estimate."""
+    values, bounds = np.array([0.1, 0.5]), np.array([[0.2, 0.4], [0.3, 0.7]])
+    indices = Indices(values, values, bounds, bounds, 1.0, 1.0)
+    found = Sensitivity(GAIT, ("pitch", "idle_power"), {}, {"speed": indices, "power": indices}, 8)
+    axes = sensitivity_figure(found).axes[0]
+    ends = sorted(
+        tuple(map(float, segment[:, 0]))
+        for bars in axes.collections
+        for segment in bars.get_segments()
+    )
+    assert ends == [pytest.approx(e) for e in ((0.1, 0.3), (0.1, 0.3), (0.4, 0.7), (0.4, 0.7))]
 
 
 def test_the_speed_of_a_branch_is_decided_by_the_pitch():
