@@ -12,7 +12,7 @@ from typing import Any
 from worm_model.gait import named_values
 from worm_msgs.conditions import LEVEL, Conditions
 
-CLOSED, OPEN, DAMAGED = "closed", "not closed", "damaged"
+CLOSED, OPEN, DAMAGED, UNREADABLE = "closed", "not closed", "damaged", "unreadable"
 MISSING = "–"
 
 

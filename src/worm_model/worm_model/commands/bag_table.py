@@ -11,10 +11,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from worm_model.bags.formats.finding import bags_below, mark_of, name_below
+from worm_model.bags.formats.finding import METADATA_FILE, bags_below, mark_of, name_below
 from worm_model.bags.recording.run_manifest import ManifestError
 from worm_model.commands import bag_columns
-from worm_model.commands.bag_columns import CLOSED, DAMAGED, MISSING, STATE
+from worm_model.commands.bag_columns import CLOSED, DAMAGED, MISSING, STATE, UNREADABLE
 from worm_model.commands.bag_runs import rows_of_bag, state_of_bag
 from worm_model.errors import InputError
 from worm_model.text_table import text_table
@@ -36,14 +36,16 @@ def bag_rows(
     bags = sorted(copies[-1] if copies else bag for bag, copies in bags_below(folder).items())
     index = _index_file(folder, parameters)
     known = _known(index)
-    marks = {str(bag): mark_of(bag) for bag in bags}
-    todo = [bag for bag in bags if known.get(str(bag), [""])[0] != marks[str(bag)]]
+    # The keys are relative paths, because the index is the same however the path of the folder is given.
+    keys = {bag: str(bag.relative_to(folder)) for bag in bags}
+    marks = {bag: mark_of(bag) for bag in bags}
+    todo = [bag for bag in bags if known.get(keys[bag], [""])[0] != marks[bag]]
     for done, bag in enumerate(todo, 1):
-        known[str(bag)] = [marks[str(bag)], _read(bag, parameters)]
+        known[keys[bag]] = [marks[bag], _read(bag.absolute(), parameters)]
         progress(done / len(todo))
     if todo or len(known) != len(bags):
-        _store(index, {name: known[name] for name in marks})
-    rows = [{"bag": str(bag), **row} for bag in bags for row in known[str(bag)][1]]
+        _store(index, {key: known[key] for key in keys.values()})
+    rows = [{"bag": str(bag), **row} for bag in bags for row in known[keys[bag]][1]]
     return rows, len(todo)
 
 
@@ -65,7 +67,8 @@ def _known(index: Path) -> dict[str, Any]:
 
 
 def _store(index: Path, content: dict[str, Any]) -> None:
-    """Write the index. A failure is ignored, because the next call reads the bags again."""
+    """Write the index without the unreadable bags. The next call reads them again, and all bags if writing fails."""
+    content = {key: entry for key, entry in content.items() if entry[1][0][STATE] != UNREADABLE}
     with suppress(OSError):
         index.parent.mkdir(parents=True, exist_ok=True)
         part = index.with_name(f"{index.name}.{os.getpid()}")
@@ -77,13 +80,19 @@ def _read(bag: Path, parameters: str) -> list[Row]:
     """Return the rows of a bag, or one row with the reason why it cannot be read. The bag is not changed."""
     empty: Row = {column.key: None for column in bag_columns.COLUMNS}
     try:
+        metadata = bag / METADATA_FILE
+        if metadata.exists():
+            metadata.open().close()  # because `state_of_bag` counts a missing permission as damage
         state, reason = state_of_bag(bag)
-        if state != CLOSED:
-            return [{**empty, STATE: state, "notes": reason}]
-        return [{**empty, STATE: CLOSED, **row} for row in rows_of_bag(bag, parameters)]
-    except (InputError, OSError) as error:
-        state = CLOSED if isinstance(error, ManifestError) else DAMAGED
-        return [{**empty, STATE: state, "notes": " ".join(str(error).split())}]
+        if state == CLOSED:
+            return [{**empty, STATE: CLOSED, **row} for row in rows_of_bag(bag, parameters)]
+    except OSError as error:
+        state, reason = UNREADABLE, str(error)
+    except ManifestError as error:
+        state, reason = CLOSED, str(error)
+    except InputError as error:
+        state, reason = DAMAGED, str(error)
+    return [{**empty, STATE: state, "notes": " ".join(reason.split())}]
 
 
 def _without_empty(lines: Sequence[Sequence[str]]) -> list[list[str]]:

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A table of the recordings; parts of bags and joined bags."""
 
+import errno
 import json
+import os
 import shutil
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -70,6 +72,39 @@ def test_what_was_read_once_is_not_read_again(run, monkeypatch):
     monkeypatch.setattr(bag_table, "rows_of_bag", None)
     status, again, error = run("table", SAMPLES, "--json")
     assert (status, again, error) == (0, first, "")
+
+
+def test_the_index_of_a_folder_does_not_depend_on_how_its_path_is_given(run, monkeypatch):
+    monkeypatch.chdir(SAMPLES.parent)
+    rows = json.loads(run("table", "bags", "--json")[1])["runs"]
+    monkeypatch.setattr(bag_table, "rows_of_bag", None)
+    status, absolute, error = run("table", SAMPLES, "--json")
+    assert (status, error) == (0, "")
+    paths = [Path(row.pop("bag")) for row in rows]
+    again = json.loads(absolute)["runs"]
+    assert [Path(row.pop("bag")) for row in again] == [path.absolute() for path in paths]
+    assert again == rows
+
+
+@pytest.mark.parametrize("name", ["metadata.yaml", "forward_0.mcap"])
+def test_a_bag_without_permission_is_unreadable_until_it_has_permission(
+    run, monkeypatch, tmp_path, name
+):
+    shutil.copytree(SAMPLES / "forward", tmp_path / "forward")
+    opened = Path.open
+
+    def denied(path, *arguments, **options):
+        if path.name == name:
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+        return opened(path, *arguments, **options)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "open", denied)
+        (row,) = json.loads(run(tmp_path, "--json")[1])["runs"]
+        assert row["state"] == "unreadable"
+        assert str(tmp_path / "forward" / name) in row["notes"]
+    (row,) = json.loads(run(tmp_path, "--json")[1])["runs"]
+    assert row["state"] == "closed"
 
 
 def test_a_run_of_a_robot_whose_clock_is_slow_starts_by_the_clock_of_its_recorder(run, tmp_path):
