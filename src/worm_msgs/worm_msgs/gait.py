@@ -108,6 +108,7 @@ class Gait:
             raise GaitError(
                 f"direction: {self.direction} is neither {FORWARD} (forward) nor {REVERSE} (reverse)"
             )
+        object.__setattr__(self, "direction", int(self.direction))
         object.__setattr__(self, "profile", Profile(self.profile))
 
     @property
@@ -227,8 +228,21 @@ def gait_of(source: Any) -> Gait:
     """Return a gait whose fields are the items of a mapping, or the attributes of a message or a record.
 
     Stroke and frequency are mandatory; any other field that the source lacks has its default. Raises `GaitError` if a
-    value is not admissible.
+    mandatory field is missing, or if a value is not admissible.
     """
     if not isinstance(source, Mapping):
         source = {name: getattr(source, name) for name in GAIT_UNITS if hasattr(source, name)}
-    return Gait(**{name: GAIT_TYPES[name](source[name]) for name in GAIT_UNITS if name in source})
+    missing = [name for name in GAIT_UNITS if name not in GAIT_DEFAULTS and name not in source]
+    if missing:
+        raise GaitError(f"{missing[0]} is missing")
+    return Gait(**{name: _value(name, source[name]) for name in GAIT_UNITS if name in source})
+
+
+def _value(name: str, value: Any) -> Any:
+    """Return a value of a field, as float if the field is one. `Gait` checks and converts the other fields."""
+    if GAIT_TYPES[name] is not float:
+        return value
+    try:
+        return float(value)
+    except (TypeError, ValueError, OverflowError):
+        raise GaitError(f"{name}: {value!r} is not a number") from None

@@ -16,10 +16,11 @@ class SettingsFileError(InputError):
 
 
 def read_yaml(path: Path, error: type[Exception] = SettingsFileError) -> Any:
-    """Return the content of a YAML file without duplicate keys.
+    """Return the content of a YAML file. Duplicate keys are rejected.
 
     Raises:
-        error: The file is unreadable or is not valid YAML. The message begins with the path.
+        error: The file is unreadable or is not valid YAML, or a mapping has two equal keys. The message begins with the
+            path.
     """
     try:
         return parse_yaml(path.read_text(encoding="utf-8"))
@@ -54,16 +55,16 @@ class _Loader(yaml.SafeLoader):
 
 
 def _unique_mapping(loader: _Loader, node: yaml.MappingNode) -> dict[Hashable, Any]:
-    before = set()
+    before: list[Any] = []  # compared as Python compares keys, for which 1 equals 1.0 and true
     for key_node, _ in node.value:
         if key_node.tag == _MERGE:
             continue
-        name = str(loader.construct_object(key_node, deep=True))
+        name = loader.construct_object(key_node, deep=True)
         if name in before:
             raise yaml.MarkedYAMLError(
                 problem=f"duplicate key {name}", problem_mark=key_node.start_mark
             )
-        before.add(name)
+        before.append(name)
     return yaml.SafeLoader.construct_mapping(loader, node, deep=True)
 
 

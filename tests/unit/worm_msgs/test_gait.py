@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from worm_msgs.gait import FORWARD, REVERSE, Gait, Profile
+from worm_msgs.gait import FORWARD, REVERSE, Gait, GaitError, Profile, gait_of
 from worm_msgs.msg import Gait as GaitMessage
 
 GAITS = st.builds(
@@ -77,6 +77,36 @@ def test_the_default_is_the_papers_gait(stroke, frequency, time):
     expected = -stroke / 2 * (1.0 - math.cos(2 * math.pi * frequency * time))
     assert Gait(stroke, frequency).length_change(time) == pytest.approx(expected, abs=1e-13)
     assert Gait(stroke, frequency).peak_speed == pytest.approx(math.pi * stroke * frequency)
+
+
+@pytest.mark.parametrize(
+    ("changes", "facts"),
+    [
+        ({"stroke": "wide"}, ["stroke", "'wide'"]),
+        ({"frequency": None}, ["frequency", "None"]),
+        ({"margin": [0.001]}, ["margin", "[0.001]"]),
+        ({"stroke": 10**400}, ["stroke"]),
+        ({"direction": 1.7}, ["direction", "1.7"]),
+        ({"direction": math.nan}, ["direction", "nan"]),
+        ({"direction": "forward"}, ["direction", "forward"]),
+    ],
+)
+def test_an_inadmissible_value_is_named_with_its_field(changes, facts):
+    with pytest.raises(GaitError) as error:
+        gait_of({"stroke": 0.07, "frequency": 0.2} | changes)
+    assert [fact for fact in facts if fact not in str(error.value)] == []
+
+
+@pytest.mark.parametrize("name", ["stroke", "frequency"])
+def test_a_gait_without_a_mandatory_field_is_rejected(name):
+    source = {"stroke": 0.07, "frequency": 0.2}
+    del source[name]
+    with pytest.raises(GaitError, match=name):
+        gait_of(source)
+
+
+def test_a_direction_is_an_integer():
+    assert type(gait_of({"stroke": 0.07, "frequency": 0.2, "direction": -1.0}).direction) is int
 
 
 def test_the_constants_are_those_of_the_message():

@@ -60,6 +60,7 @@ def test_a_valid_file_makes_a_dataclass(tmp_path):
         ("[1, 2]", ["mapping", "[1, 2]"]),
         ("step_s: [", ["YAML"]),
         ("step_s: 1\nstep_s: 2", ["YAML", "line 2", "step_s"]),
+        ("step_s: 1\nplaces:\n  1: [1, 2]\n  1.0: [3, 4]", ["YAML", "line 4", "1.0"]),
         ("step_s: 2026-13-41", ["month"]),
         ("[" * 3000, ["nested"]),
         ("moves: yes", ["step_s", "missing"]),

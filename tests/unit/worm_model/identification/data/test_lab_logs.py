@@ -106,6 +106,7 @@ def test_without_a_list_of_gaits_none_is_claimed(folder: Path):
         ("../runs.json", "{}", "lacks 'run_07'"),
         ("../runs.json", '{"run_07": {"stroke_m": 1}}', "lacks 'frequency_Hz'"),
         ("../runs.json", '{"run_07": {"stroke_m": -1, "frequency_Hz": 1}}', "run_07 is invalid"),
+        ("../runs.json", '{"run_07": {"stroke_m": "a", "frequency_Hz": 1}}', "run_07 is invalid"),
         ("../runs.json", "[", "not a list of gaits"),
         ("../runs.json", '{"run_07": 3}', "not a list of gaits"),
     ],
