@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import shutil
 import sys
 import time
@@ -27,7 +28,7 @@ from worm_model.nodes.message_stamps import nanoseconds
 from worm_model.parameters import load_parameters
 from worm_model.run import Activity, LengthSource
 from worm_model.twin.data.records import Health
-from worm_model.twin.watch_view import CLEAR, NAN, Trend, View, render
+from worm_model.twin.watch_view import CLEAR, NAN, STALE_S, Trend, View, render
 from worm_msgs.msg import BodyLength, GaitState, Power, Tracker, TwinResiduals, TwinState
 from worm_msgs.node_command import declare_none
 from worm_msgs.qos import LATCHED
@@ -46,7 +47,7 @@ class WatchNode(Node):
     """Node that stores the newest message of each topic and draws the view several times a second.
 
     Attributes:
-        view: newest values.
+        view: newest values, except for those of tracker and power sensor (`seen` adds them).
         closed: True after the key q.
     """
 
@@ -61,6 +62,7 @@ class WatchNode(Node):
         self._powers: deque[float] = deque(maxlen=MOST_WIDTH)
         self._second = 0
         self._received: dict[str, float] = {}
+        self._stamp = 0  # ns, of the twin's newest state
         # The twin lags by its delay, so the view compares it with measurements of the same time.
         self._seen: deque[tuple[int, tuple[float, float]]] = deque(maxlen=STORED)
         self._measured: deque[tuple[int, float]] = deque(maxlen=STORED)
@@ -73,9 +75,19 @@ class WatchNode(Node):
         self.create_timer(PERIOD_S, self._draw, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def seen(self) -> View:
-        """Return the present view without stale values."""
+        """Return the present view, without the values of silent sources (`View.aged`).
+
+        Measured values are those at the time of the twin's state. Without a live twin, they are the newest.
+        """
         now = time.monotonic()
-        return self.view.aged({name: now - last for name, last in self._received.items()})
+        ages = {name: now - last for name, last in self._received.items()}
+        stamp = self._stamp if ages.get("twin", math.inf) <= STALE_S else None
+        view = replace(
+            self.view,
+            robot=_nearest(self._seen, stamp, (NAN, NAN)),
+            power=(self.view.power[0], _nearest(self._measured, stamp, NAN)),
+        )
+        return view.aged(ages)
 
     def _note(self, source: str) -> None:
         self._received[source] = time.monotonic()
@@ -85,7 +97,7 @@ class WatchNode(Node):
 
     def _on_state(self, message: Any) -> None:
         self._note("twin")
-        stamp = nanoseconds(message.header.stamp)
+        self._stamp = nanoseconds(message.header.stamp)
         self.view = replace(
             self.view,
             source=LengthSource(message.length_source),
@@ -96,8 +108,7 @@ class WatchNode(Node):
             initial_length=message.initial_length,
             groove_phase=message.groove_phase,
             cable_force=message.cable_force,
-            robot=_nearest(self._seen, stamp, (NAN, NAN)),
-            power=(message.power, _nearest(self._measured, stamp, NAN)),
+            power=(message.power, NAN),
             energy=(message.energy, self.view.energy[1]),
         )
 
@@ -155,10 +166,15 @@ class WatchNode(Node):
             self._powers.append(view.power[1])
 
 
-def _nearest(samples: deque[tuple[int, Any]], stamp: int, default: Any) -> Any:
-    """Return the value of the sample whose stamp is nearest to a stamp (ns); ``default`` without samples."""
+def _nearest(samples: deque[tuple[int, Any]], stamp: int | None, default: Any) -> Any:
+    """Return the value of the sample whose stamp is nearest to a stamp (ns); None: the newest sample.
+
+    The result is ``default`` without samples.
+    """
     if not samples:
         return default
+    if stamp is None:
+        return samples[-1][1]
     return min(samples, key=lambda sample: abs(sample[0] - stamp))[1]
 
 

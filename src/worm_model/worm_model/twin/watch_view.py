@@ -20,6 +20,11 @@ HEALTH_COLOURS = {
 STALE_COLOUR = "\033[31m"
 STALE_S = 1.0  # time without input after which a source is silent
 SOURCES = ("driver", "twin", "tracker", "power")
+#: fields of a `View` with values of the twin only
+OF_TWIN = (
+    *("health", "message", "source", "twin", "rear_anchor", "grooves", "length"),
+    *("initial_length", "groove_phase", "cable_force", "energy"),
+)
 RESET = "\033[0m"
 CLEAR = "\033[H\033[J"
 TOP_POWER_W = 15.0  # power at which a bar has its full length
@@ -58,7 +63,7 @@ class View:
     robot: tuple[float, float] = (NAN, NAN)
     rear_anchor: float = NAN
     silent: tuple[str, ...] = ()
-    grooves: tuple[int, int] = (0, 0)
+    grooves: tuple[int, int] | None = None
     length: float = NAN
     initial_length: float = NAN
     groove_phase: float = NAN
@@ -67,9 +72,9 @@ class View:
     energy: tuple[float, float] = (NAN, NAN)  # predicted, measured minus predicted
 
     def aged(self, ages: Mapping[str, float]) -> View:
-        """Return the view with messages on the silent sources, and without their values.
+        """Return the view with messages on the silent sources, and without the values of tracker, power and twin.
 
-        These values are the robot's positions, the measured power, and the twin's health and message.
+        The driver's state stays, because the driver publishes it only when it changes.
 
         ``ages`` contains the time (s) since the last input of each of `SOURCES` that has had an input.
         """
@@ -80,7 +85,8 @@ class View:
         if "power" in silent:
             view = replace(view, power=(view.power[0], NAN))
         if "twin" in silent:
-            view = replace(view, health=Health.UNKNOWN, message="")
+            values = {name: getattr(View, name) for name in OF_TWIN}
+            view = replace(view, power=(NAN, view.power[1]), **values)
         words = tuple(f"{name} silent for {ages[name]:.0f} s" for name in silent)
         return replace(view, silent=words)
 
@@ -120,12 +126,13 @@ def render(view: View, pitch: float, width: int = 80, trend: Trend = Trend()) ->
 
 def _quantities(view: View) -> list[str]:
     """Return length, L0, groove phase, cable force and grooves, each with name and unit."""
+    grooves = "-" if view.grooves is None else "rear {:+d}, front {:+d}".format(*view.grooves)
     return [
         f"length {_value(view.length, 1e3)} mm {_source(view):11}",
         f"L0 {_value(view.initial_length, 1e3)} mm",
         f"groove phase {_value(view.groove_phase, 1e3)} mm",
         f"cable force {_value(view.cable_force, 1.0)} N",
-        f"grooves: rear {view.grooves[0]:+d}, front {view.grooves[1]:+d}",
+        f"grooves: {grooves}",
     ]
 
 
@@ -165,7 +172,7 @@ def pipe(view: View, pitch: float, width: int) -> list[str]:
     """Return three lines centred on the twin: the twin, the ridges of the pipe, the robot."""
     centre = 0.5 * sum(view.twin)
     if not math.isfinite(centre):
-        return ["(no twin yet)", "", ""]
+        return ["(no twin)", "", ""]
     scale = 0.6 / width  # m per character
     left = centre - 0.5 * width * scale
 

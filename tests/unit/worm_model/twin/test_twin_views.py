@@ -88,7 +88,8 @@ def test_what_matters_is_on_the_screen():
 
 def test_missing_data_is_shown_as_missing():
     assert "no driver" in text(View())[0]
-    assert "(no twin yet)" in text(View())
+    assert "(no twin)" in text(View())
+    assert any("grooves: -" in line for line in text(View()))
     unseen = text(replace(VIEW, robot=(float("nan"), float("nan"))))
     assert "#" not in unseen[5]
 
@@ -99,9 +100,11 @@ def test_what_is_stale_is_not_shown_as_the_present():
     old = text(VIEW.aged({"twin": 3.2, "tracker": 4.0, "power": 0.1, "driver": 70.0}))
     assert old[1].split() == ["twin", "unknown"]
     assert old[2] == "driver silent for 70 s, twin silent for 3 s, tracker silent for 4 s"
-    assert "#" in old[3]
-    assert "#" not in old[5]
-    assert "-" in next(line for line in old if line[:2] == "x1").split()
+    assert "(no twin)" in old
+    assert "#" not in "".join(old)
+    assert next(line for line in old if line[:2] == "x1").split() == ["x1", "mm", "-", "-", "-"]
+    alone = text(VIEW.aged({"twin": 3.2}))
+    assert next(line for line in alone if line[:5] == "power").split()[2:] == ["-", "6.00", "-"]
     dark = VIEW.aged({"power": 1.5})
     assert ["measured", "-", "W"] in [line.split() for line in text(dark)]
 
