@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Common parts of all command lines: exit status, one-line errors, no overwritten files.
+"""Common parts of all command lines: exit status and one-line errors.
 
 The exit status is 0 after success, 2 after bad input, and 1 otherwise. After bad input, one line on standard error
 states the mistake and its correction.

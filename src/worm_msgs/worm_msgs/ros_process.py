@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Start and end of a process that uses ROS, the same for every executable. Only this module calls rclpy.init."""
+"""Start and end of the process of a node. Only this module calls rclpy.init.
+
+The commands start, operate, console, demo and campaign do not use `ros_process`. Their ROS context is that of
+`worm_optimizer.nodes.operator_node.operator`.
+"""
 
 from __future__ import annotations
 

@@ -17,7 +17,9 @@ from worm_msgs.robot_parameters import RobotParameters
 _NUMERIC = ("numpy", "scipy", "numba")  # their versions may change the last digits of results
 _MODEL, _OPTIMIZER = Path(worm_model.__file__).parent, Path(__file__).parent
 _MESSAGES = Path(inspect.getfile(RobotParameters)).parent
-# Sources that determine the numbers of a study. Patterns of whole folders include files that are added later.
+# Sources that determine the numbers of a study with given values. The readers of YAML files are not among them, because
+# a store contains the hash of all values that they returned (`study_file.identity_of`). Patterns of whole folders
+# include files that are added later.
 _SOURCES: Mapping[Path, tuple[str, ...]] = {
     _MODEL: (
         "errors.py",
@@ -86,7 +88,7 @@ def identity() -> str:
 def identity_of_all() -> str:
     """Return a hash as `identity`, but of all sources, as they are at the first call. It must be equal on all workers.
 
-    It is for results of recordings, on which also the code of bags, twin and identification has an effect.
+    Use it for results that depend on recordings, because the code of bags, twin and identification also affects them.
     """
     return _hash(_found(_ALL))
 

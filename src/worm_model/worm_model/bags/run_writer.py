@@ -24,7 +24,9 @@ Numbers = Mapping[str, NDArray[Any] | float]
 
 
 def write_run(writer: BagFiles, run: Run, namespace: str = "/worm") -> None:
-    """Append the samples of a run, except joint states, in order of stamp. Publish and log times equal the stamp.
+    """Append the samples of a run, except joint states, in order of stamp.
+
+    The publish time and the log time of each message equal its stamp.
 
     Raises:
         BagError: The definitions of worm_msgs are not installed, or a stamp is before the epoch.
@@ -45,7 +47,9 @@ def write_run(writer: BagFiles, run: Run, namespace: str = "/worm") -> None:
 def stamped_messages(
     topic: Topic, stamp: Stamps, numbers: Numbers, texts: Mapping[str, Any] | None = None
 ) -> list[Message]:
-    """Return messages of a type with a header, in order of stamp. Publish and log times equal the stamp.
+    """Return messages of a type with a header, in order of stamp.
+
+    The publish time and the log time of each message equal its stamp.
 
     Args:
         topic: topic of the messages.

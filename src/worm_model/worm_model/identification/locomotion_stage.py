@@ -51,14 +51,14 @@ USUAL_DRY = 0.3  # N, viscous friction of the paper's robot at 3.5 mm/s; see `if
 SOUGHT = (FRICTION, SWITCHING, PITCH)  # means whose intervals follow from profiles
 # First step of the search for an end of the interval, in addition to the effect of the scatter: N·s/m, m, m
 FIRST_REACH = {FRICTION: 1.0, SWITCHING: 3e-5, PITCH: 5e-6}
-# For a mean: column of the tables of grooves whose scatter makes this mean uncertain
+# Column of the groove tables, by mean: the scatter of this column makes the mean uncertain.
 SCATTERED = {FRICTION: STIFFNESS, SWITCHING: THRESHOLD}
 LEAST_EIGENVALUE = 1e-9  # smaller eigenvalues of a correlation are rounding errors
 # Half-width of the 95 % interval of a normal distribution, in standard deviations
 NORMAL = quantile(np.inf)
 LONGEST_MEMORY = 30  # largest lag of correlated residuals, in samples
 BETTER = 0.5  # another fit replaces the present one if its cost is lower by more than this
-VARIANT_ITERATIONS = 10  # iterations of the fit with changed fin values, which starts from the fit
+VARIANT_ITERATIONS = 10  # iterations of the fit with changed fin values; it starts from the fit
 MOST_RESTARTS = 3  # number of better fits found by the profiles after which the stage fails
 
 
@@ -91,8 +91,9 @@ class LocomotionResult:
             each independent direction of the fin values' covariance, with a change of one standard deviation. Empty
             if the covariance is unknown.
         stiffer: fit with η fixed one standard deviation above its estimate.
-        as_printed: (η, p_sw) that minimise J_loc as the paper prints it, without dry friction and with even grooves.
-            The pitch and the onset are those of the fit with even grooves.
+        without_dry_friction: (η, p_sw) of a local fit without dry friction, which starts from the best fit with even
+            grooves and has its pitch and onset. Unlike in the paper's J_loc, large residuals have less weight (Huber),
+            and L0 and the pose at rest of each run are fitted, too.
     """
 
     viscous_friction: Estimate
@@ -107,7 +108,7 @@ class LocomotionResult:
     fit: GrooveFit
     variants: Variants
     stiffer: GrooveFit
-    as_printed: tuple[float, float]
+    without_dry_friction: tuple[float, float]
 
 
 def identify_locomotion(
@@ -124,11 +125,11 @@ def identify_locomotion(
     """
     landscape = locomotion.search(traverses, known, lambda done: progress(0.3 * done))
     start = locomotion.find_locomotion(traverses, known, landscape)
-    plain = _as_printed(traverses, known, start)
+    plain = _without_dry_friction(traverses, known, start)
     fit = fit_grooves(traverses, known, start)
     progress(0.5)
-    inflation = variance_inflation(traverses, fit.solution)
     for _ in range(MOST_RESTARTS):
+        inflation = variance_inflation(traverses, fit.solution)
         intervals, better = _profiles(traverses, known, fit, inflation)
         if better is None:
             break
@@ -168,7 +169,7 @@ def identify_locomotion(
         fit=fit,
         variants=variants,
         stiffer=_stiffer(traverses, known, fit, friction),
-        as_printed=(float(plain[0]), float(plain[1])),
+        without_dry_friction=(float(plain[0]), float(plain[1])),
     )
 
 
@@ -320,7 +321,7 @@ def deviations_of(covariance: Array) -> Array:
     return deviations
 
 
-def _as_printed(
+def _without_dry_friction(
     traverses: Sequence[locomotion.Traverse], known: locomotion.Known, start: Solution
 ) -> Array:
     """Return (η, p_sw) of a fit without dry friction, with the pitch and the onset of the solution ``start``."""

@@ -277,7 +277,7 @@ def _locomotion_estimates(
     fin stiffness. The friction and the threshold are then not identifiable.
     """
     friction, threshold = locomotion.viscous_friction, locomotion.switching_threshold
-    note = NOT_OF_PAPER.format(locomotion.as_printed[0])
+    note = NOT_OF_PAPER.format(locomotion.without_dry_friction[0])
     dry = [replace(estimate, note=estimate.note or note) for estimate in locomotion.dry_friction]
     if _fin_knowledge(estimates, fin) is None:
         friction = not_identifiable(friction.value, NO_FIN)

@@ -7,7 +7,7 @@ from typing import Any
 
 from nicegui import ui
 
-# Text has the colour of the page; the grid is visible on white and on black.
+# The text of a chart has the text colour of the page; the grid is visible on white and on black.
 STYLE = ".chart svg text { fill: currentColor; stroke: none }"
 _LINES = {"lineStyle": {"color": "#88888855"}}
 

@@ -108,7 +108,8 @@ def virtual_bench(robot: Robot, folder: Path, logs: Path) -> Bench:
         for name, option in (("plant", "--parameters"), ("seed", "--seed")):
             if value := robot.settings.get(name, ""):
                 words += [option, value]
-        # The folder appears when both files are complete: an interrupted campaign is continued without it.
+        # The folder is renamed into place only when both files are complete. If the campaign is interrupted before, the
+        # next call finds no folder and simulates the tests again.
         with TemporaryDirectory(prefix=".bench_tests_", dir=folder) as part:
             with ProcessGroup(logs) as group:
                 made = Path(part) / BENCH

@@ -131,13 +131,13 @@ def every_phase(parameters: Parameters) -> Scenarios:
 
 
 def phase_guard(parameters: Parameters) -> float:
-    """Return the margin (m) that extends the phases of `every_phase` to all phases.
+    """Return the additional margin (m) that covers the phases between those of `every_phase`.
 
     A gait that keeps its grooves with this margin at the phases of `every_phase` keeps them without the margin at any
     phase. The reason holds for slow gaits, whose viscous friction is negligible: the travel c from threshold to
-    threshold determines their grooves (`worm_model.simulation.closed_form.switching_travel`). A phase between two
-    phases of `every_phase` has at most the effect of a c that is longer by the spacing of these phases. A margin δ_m
-    makes c longer by δ_m·(1 + k_dis/k_eng).
+    threshold determines their grooves (`worm_model.simulation.closed_form.switching_travel`). A shift of the phase by
+    less than the spacing of these phases affects the grooves at most as much as an increase of c by the spacing. A
+    margin δ_m increases c by δ_m·(1 + k_dis/k_eng).
     """
     spacing = parameters.pitch / _PHASES
     return spacing / (1.0 + parameters.disengaged_stiffness / parameters.engaged_stiffness)

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""HTML page of a fleet: measured and expected values, parameters that drift, and bags that could not be used."""
+"""HTML page of a table of many bags (`study --bags`).
+
+It contains measured and expected values, parameters that drift, and bags that could not be used.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,7 @@ from worm_optimizer.study.study_plots import Picture, compared_figure, png
 
 
 def write_fleet_page(table: Path, parameters: str, page: Path) -> None:
-    """Write the page of a fleet's table.
+    """Write the page of a table of many bags (`study --bags`).
 
     The limits of the control charts come from the intervals in the parameter file ``parameters``. For a parameter
     without an interval, they come from the bags.
@@ -37,7 +40,10 @@ def write_fleet_page(table: Path, parameters: str, page: Path) -> None:
     charts, names = fleet_charts(read, load_parameter_file(parameters))
     images = []
     if read:
-        caption = "Measured values of each gait over those that the model expects from its command."
+        caption = (
+            "Measured values (vertical) against the values that the model expects from the command (horizontal), "
+            "one point for each gait."
+        )
         images.append(Picture(png(compared_figure(read)), caption))
     if names:
         caption = "Parameters estimated from each bag alone, in the order of time."

@@ -193,7 +193,9 @@ def test_commands_that_never_reach_the_slack_do_not_determine_it():
     assert result.gain.identifiable
 
 
-def test_a_fit_that_never_settles_is_rejected(monkeypatch):
+@pytest.fixture
+def fitted(monkeypatch):
+    """Return runs and the groove fit from which the stage starts, without a search."""
     runs = traverses(camera_noise=1e-4)
     solution = locomotion_stage.solve(
         locomotion.locomotion_problem(runs, KNOWN),
@@ -204,6 +206,29 @@ def test_a_fit_that_never_settles_is_rejected(monkeypatch):
     monkeypatch.setattr(locomotion, "search", lambda *_: None)
     monkeypatch.setattr(locomotion, "find_locomotion", lambda *_: solution)
     monkeypatch.setattr(locomotion_stage, "fit_grooves", lambda *_: fit)
+    return runs, fit
+
+
+def test_the_variances_are_inflated_by_the_residuals_of_the_final_fit(fitted, monkeypatch):
+    runs, fit = fitted
+    better = replace(fit.solution, residuals=tuple(2.0 * r for r in fit.solution.residuals))
+    used = []
+
+    def profiles(_runs, _known, present, inflation):
+        used.append(inflation)
+        value = present.means[list(locomotion_stage.SOUGHT)]
+        ends = list(zip(0.9 * value, 1.1 * value, strict=True))
+        return (ends, None) if present.solution is better else ([], better)
+
+    monkeypatch.setattr(locomotion_stage, "_profiles", profiles)
+    result = locomotion_stage.identify_locomotion(runs, KNOWN)
+    assert result.fit.solution is better
+    assert used[1] > used[0]
+    assert result.inflation == used[1] == locomotion_stage.variance_inflation(runs, better)
+
+
+def test_a_fit_that_never_settles_is_rejected(fitted, monkeypatch):
+    runs, fit = fitted
     monkeypatch.setattr(locomotion_stage, "_profiles", lambda *_: ([], fit.solution))
     with pytest.raises(IdentificationError, match="viscous_friction, switching_threshold"):
         locomotion_stage.identify_locomotion(runs, KNOWN)

@@ -10,8 +10,8 @@ refines the deepest valleys. The nuisance parameters are:
   (D1 + D2)/(k_eng + k_dis) from the pose in which the bent fins balance each other
 - the pitch: the front fin starts L0/d ≈ 17 grooves ahead of the rear one, so that an error of 0.05 mm in d moves the
   start of the front fin by almost 1 mm
-- the parameter ``onset``: ΔL starts with a finite rate (eq:slack_clip), and this parameter determines how the modules
-  share the rate. The paper's assumption v1(0) = 0 shifts the centre of mass by 0.1 mm
+- the parameter ``onset``: at the onset the rate of ΔL jumps to a finite value (eq:slack_clip). 0: the centre of mass
+  stays at rest. 1: the rear module does, v1(0) = 0 as in the paper. The difference shifts the centre of mass by 0.1 mm
 
 The kernel computes x1 without time steps. The length is given by cubics between every fourth sample (`KNOTS`).
 """
@@ -162,7 +162,7 @@ class Worm(NamedTuple):
     onset: float = 0.0
 
     def begun(self, places: NDArray[np.intp], values: Array, own: Array, onset: float) -> Worm:
-        """Return the robot with other values of the parameters at ``places`` (see `places_of`) before a run.
+        """Return a copy for one run, in which the parameters at ``places`` (see `places_of`) have the ``values``.
 
         ``own`` are the nuisance parameters of the run: L0 and the pose at rest, m.
         """

@@ -169,9 +169,10 @@ def _number(form: str, value: float) -> str:
 def nuisance_text(result: Identification) -> str:
     """Return the text on nuisance parameters, with a table of each run's values."""
     locomotion, scatter = result.locomotion, result.locomotion.fit.scatter
+    friction, threshold = locomotion.without_dry_friction
     head = (
-        "Without dry friction, as J_loc is printed, "
-        f"η = {locomotion.as_printed[0]:.1f} N·s/m and p_sw = {locomotion.as_printed[1] * 1e3:.2f} mm. "
+        "A local fit without dry friction and with even grooves yields "
+        f"η = {friction:.1f} N·s/m and p_sw = {threshold * 1e3:.2f} mm. "
         f"The standard deviations between grooves are {scatter.threshold * 1e3:.3f} mm "
         f"of the threshold and {scatter.stiffness * 100:.1f} % of the stiffness. When the slack is taken up, the rear "
         f"module has {1.0 - locomotion.onset:.2f} of its share of the initial rate (1: the centre of mass is at rest; "

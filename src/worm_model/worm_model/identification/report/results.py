@@ -91,7 +91,11 @@ def nuisances(result: Identification) -> dict[str, Any]:
     locomotion = result.locomotion
     return {
         "without_dry_friction": dict(
-            zip(("viscous_friction", "switching_threshold"), locomotion.as_printed, strict=True)
+            zip(
+                ("viscous_friction", "switching_threshold"),
+                locomotion.without_dry_friction,
+                strict=True,
+            )
         ),
         "onset": locomotion.onset,
         "threshold_scatter": locomotion.fit.scatter.threshold,

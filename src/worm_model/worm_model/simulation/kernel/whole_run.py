@@ -28,9 +28,9 @@ SLIDES = 2.0  # value of the entry FAILURE of the totals: the fins do not hold t
 REACHED, CABLE_WORK, SWITCHED = range(3)
 BOUNDARY_COLUMNS = 3
 
-#: s; duration of a change of the length, and also of the decay of the motion after this change
+#: s; `rest_at` changes the length over this time, and then waits as long again for the motion to decay.
 SETTLING_TIME = 1.0
-# m, m/s; states that differ by at most this count as equal. It is the accuracy with which events are located.
+# m, m/s; two states count as equal if they differ by at most this value, the accuracy with which events are located.
 STEADY = 1e-14
 
 
@@ -38,7 +38,8 @@ STEADY = 1e-14
 def constants_of(p: Any, direction: float, margin: float) -> mode.Constants:
     """Return the constants of a parameter row for a direction (±1) and a margin in m.
 
-    In the forward direction, a fin is stiff below its clearance, where it is when its module is pushed backward.
+    In the forward direction, a fin is stiff for deflections below −δ_c/2, which occur when its module is pushed
+    backward.
     """
     mass = p.rear_mass + p.front_mass
     below, above = p.engaged_stiffness, p.disengaged_stiffness
@@ -343,9 +344,8 @@ def run_from_rest(
         direction: direction of the fins, ±1.
         deflection: distance in m by which both modules are at first displaced from the position that `rest_at` returns.
             Dry friction or a load may hold them there.
-        onset: distribution over the modules of the initial rate of ΔL, which is a step. 0: the modules share the rate
-            so that their centre of mass stays at rest. 1: the rear module stays at rest, as in the paper's initial
-            values.
+        onset: ΔL begins with a step of its rate. This value determines how the modules share the rate. 0: their
+            centre of mass stays at rest. 1: the rear module stays at rest, as in the paper's initial values.
         rear_grooves: grooves of the rear module, see `Grooves`.
         front_grooves: grooves of the front module, see `Grooves`.
         samples: see `march`.
