@@ -55,16 +55,18 @@ class _Loader(yaml.SafeLoader):
 
 
 def _unique_mapping(loader: _Loader, node: yaml.MappingNode) -> dict[Hashable, Any]:
-    before: list[Any] = []  # compared as Python compares keys, for which 1 equals 1.0 and true
+    before: set[Hashable] = set()  # keys are compared as Python compares them: 1 equals 1.0 and true
     for key_node, _ in node.value:
         if key_node.tag == _MERGE:
             continue
         name = loader.construct_object(key_node, deep=True)
+        if not isinstance(name, Hashable):
+            continue  # rejected below
         if name in before:
             raise yaml.MarkedYAMLError(
                 problem=f"duplicate key {name}", problem_mark=key_node.start_mark
             )
-        before.append(name)
+        before.add(name)
     return yaml.SafeLoader.construct_mapping(loader, node, deep=True)
 
 
