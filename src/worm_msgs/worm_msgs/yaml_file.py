@@ -55,7 +55,7 @@ class _Loader(yaml.SafeLoader):
 
 
 def _unique_mapping(loader: _Loader, node: yaml.MappingNode) -> dict[Hashable, Any]:
-    before: set[Hashable] = set()  # keys are compared as Python compares them: 1 equals 1.0 and true
+    before: set[Hashable] = set()  # for Python, 1 equals 1.0 and true
     for key_node, _ in node.value:
         if key_node.tag == _MERGE:
             continue
