@@ -58,7 +58,7 @@ class Lab:
 
     def __init__(self, processes: Processes, probe: Probe, folder: Path) -> None:
         self.processes, self.probe, self.folder = processes, probe, folder
-        worm = VirtualWorm(processes, probe, folder, rate="2")
+        worm = VirtualWorm(processes, probe, folder)
         # `operate run` would search for a missing optimizer for seconds; it records by itself
         nodes = tuple(node for node in worm.system.nodes if node.name != "recorder")
         worm.system = replace(worm.system, nodes=nodes)
@@ -149,6 +149,7 @@ def test_ten_gaits_in_a_row_are_healthy_live_in_the_table_and_replayed(
     rows = printed(bags.main, capsys, monkeypatch, "table", str(tmp_path / "bags"))["runs"]
     by_bag = {Path(row["bag"]).name: row for row in rows}
     assert len(by_bag) == len(SESSION)
+    compared = 0
     for step, bag in zip(SESSION, made, strict=True):
         row = by_bag[bag.name]
         assert row["health"] == "healthy", (step, row)
@@ -162,8 +163,10 @@ def test_ten_gaits_in_a_row_are_healthy_live_in_the_table_and_replayed(
         assert not [cycle["not_judged"] for cycle in whole if cycle["not_judged"]]
         # On a busy machine, samples of the tracker can be late at the end of a cycle. Its count is then unknown.
         measured = [cycle for cycle in whole if cycle["measured_grooves"] is not None]
-        assert bool(measured) is not step.hidden
+        assert not (measured and step.hidden)
+        compared += len(measured)
         for cycle in measured:
             # The first cycle begins with fins that the gait before has deflected by up to a third of a pitch.
             off = abs(cycle["grooves"] - cycle["measured_grooves"])
             assert off < (0.75 if cycle["number"] == 1 else 0.25), (step, cycle)
+    assert compared

@@ -3,11 +3,13 @@
 
 A claim is a listening socket in Linux's abstract socket namespace. The kernel allows one socket per name, for all
 users, and removes the socket when its process ends, for whatever reason. So a claim is never stale. Other computers do
-not see a claim. To find drivers on other computers, the driver searches the ROS graph.
+not see a claim, nor do containers that have a network of their own. To find drivers on other computers, the driver
+searches the ROS graph.
 """
 
 from __future__ import annotations
 
+import ctypes
 import errno
 import hashlib
 import socket
@@ -21,6 +23,8 @@ DRIVER_SERVICE = "run_gait/_action/send_goal"
 #: s, time after which a killed driver is no longer in the ROS graph. DDS removes a participant 20 s after its last sign
 #: of life; the other 5 s are reserve
 ANNOUNCED_S = 25.0
+_strtoul = ctypes.CDLL(None).strtoul
+_strtoul.restype = ctypes.c_ulong
 _CREDENTIALS = struct.Struct("3i")  # pid, uid, gid: struct ucred, unix(7)
 
 
@@ -68,10 +72,9 @@ def claim_graph(namespace: str, domain: int) -> socket.socket:
 def domain_of(environment: Mapping[str, str]) -> int:
     """Return the ROS domain that an environment selects with ROS_DOMAIN_ID.
 
-    Return 0 if the variable is missing, and also if its value is not a number. ROS rejects such a value later.
+    The text is read with strtoul, as ROS does: 0x5 is 5. Return 0 if the variable is missing or no number.
     """
-    text = environment.get("ROS_DOMAIN_ID", "")
-    return int(text) if text.isdecimal() else 0
+    return int(_strtoul(environment.get("ROS_DOMAIN_ID", "").encode(), None, 0))
 
 
 def _address(role: str, namespace: str, domain: int) -> bytes:

@@ -92,7 +92,9 @@ def test_a_long_namespace_fits():
         claim(DRIVER, name, DOMAIN)
 
 
-@pytest.mark.parametrize(("text", "domain"), [("", 0), ("7", 7), ("seven", 0)])
+@pytest.mark.parametrize(
+    ("text", "domain"), [("", 0), ("7", 7), ("seven", 0), ("0x5", 5), ("010", 8)]
+)
 def test_the_domain_of_an_environment(text, domain):
     assert domain_of({"ROS_DOMAIN_ID": text}) == domain
     assert domain_of({}) == 0

@@ -106,7 +106,8 @@ def _parser() -> Parser:
     source.add_argument(
         "--video",
         metavar="FILE",
-        help=f"a video of the board, or a camera such as /dev/video0; it is read until {_MOST_VIEWS} views differ",
+        help="a video of the board, or a camera such as /dev/video0; reading ends after "
+        f"{_MOST_VIEWS} views, each moved from the one before",
     )
     parser.add_argument("--output", type=new_file, required=True, metavar="FILE.yaml")
     parser.add_argument(
@@ -137,8 +138,8 @@ def _run(options: argparse.Namespace) -> None:
     calibration = calibrate(views, size, options.model)
     if not calibration.error < _BAD:
         raise ImageError(
-            f"no camera model fits: the reprojection error is {calibration.error:.1f} px. Check that the board is flat "
-            "and printed completely"
+            f"the model {options.model} does not fit: the reprojection error is {calibration.error:.1f} px. Check that "
+            "the board is flat and printed completely, and that the model suits the lens (--model)"
         )
     with options.output.open("x", encoding="utf-8") as stream:
         stream.write(camera_info_text(options.name, calibration.camera))

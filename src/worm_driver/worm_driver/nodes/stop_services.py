@@ -110,7 +110,12 @@ class StopServices:
 
     def _on_emergency(self, publisher: bytes, sent_ns: int, stops: bool) -> None:  # noqa: FBT001
         """Turn the emergency stop on if a message is true: the robot holds. A false message does not turn it off."""
-        if not self._publishers.note(publisher, sent_ns, stops, self._present()) or not stops:
+        try:
+            present = self._present()
+        except Exception as error:  # noqa: BLE001 (the stop must not depend on the graph)
+            present = {}
+            self._logger.error(f"unknown publishers of {_EMERGENCY}: {error!r}")  # noqa: TRY400
+        if not self._publishers.note(publisher, sent_ns, stops, present) or not stops:
             return
         self._reject_goals()
         if not self._emergency.on:

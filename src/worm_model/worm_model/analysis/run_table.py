@@ -30,7 +30,8 @@ class RunTable:
     sample at that moment are NaN, or None for texts. The first columns are
 
     - ``time_s``: time since the onset of the row's gait; without any gait, since the first sample;
-    - ``gait``: number of the gait in the recording, from 1; 0 without a gait. A gait includes the rest before it;
+    - ``gait``: number of the gait in the recording, from 1; 0 without a gait. A gait includes the rest before it
+      and the time after it. A gait with inadmissible values has no rows, but a number;
     - ``cycle``: number of the cycle, from 1; 0 before the gait and after its end;
     - ``stamp_ns``: acquisition stamp, ns since the epoch.
     """

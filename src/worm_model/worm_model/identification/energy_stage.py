@@ -30,7 +30,13 @@ from worm_model.parameters import Parameters
 LEAST_FREQUENCY_RATIO = 1.4
 FEWEST_RUNS = 2
 LEAST_SCATTER = 1e-6  # J, lower bound of the root mean square of a run's energy residuals
-NO_POWER = "no run has power samples over its five ridges: record the power until the run ends"
+NO_POWER = (
+    "no run has power samples from the onset until the rear module has passed five ridges: record the power until the "
+    "run ends"
+)
+NOT_SEPARATED = (
+    "the interval of {} is unknown or wider than half the value on either side, so the data do not separate c_b from α_P"
+)
 
 
 @dataclass(frozen=True)
@@ -68,8 +74,8 @@ def identify_energy(
     Args:
         runs: the runs.
         frequencies: gait frequency of each run, Hz.
-        forces: function that draws the static forces (N) of all runs within their uncertainty. Each array begins like
-            `PowerRun.static_force`, but extends to the end of the run.
+        forces: function that draws the static forces (N) of all runs within their uncertainty. Each array has the
+            times of `PowerRun.static_force`, continued to the end of the run.
         parameters: source of c_b if c_b is not identifiable, and of α_P if there are no runs.
         random: generator for the bootstrap.
         hindrance: reason why no interval of c_b and α_P would be valid; empty if there is no such reason.
@@ -97,9 +103,10 @@ def identify_energy(
     refits = both[:, 0]
     inherited = both[:, 1].var(axis=0) / refits.var(axis=0)
     damping, factor = estimates(np.array([fit.damping, fit.factor]), refits, len(runs))
-    identifiable = [e.spread <= VAGUE * e.value for e in (damping, factor)]  # False for NaN as well
-    if not all(identifiable):
-        return _given(runs, parameters, "its interval is wider than half its value on either side")
+    named = {"c_b": damping, "α_P": factor}
+    vague = [name for name, e in named.items() if not e.spread <= VAGUE * e.value]  # also for NaN
+    if vague:
+        return _given(runs, parameters, NOT_SEPARATED.format(" and of ".join(vague)))
     shares = (min(float(inherited[0]), 1.0), min(float(inherited[1]), 1.0))
     return EnergyResult(damping, factor, correlation(refits), shares, fit, _clocks(runs, fit))
 

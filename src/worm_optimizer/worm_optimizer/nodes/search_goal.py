@@ -48,7 +48,7 @@ class SearchGoal(ActionGoal):
             rejected = SearchResult(success=False, message=self.rejection)
             self._end(rejected if self.rejected else _result_of(self._message()))
         elif self.rejected:
-            return  # `done` follows with the reason, or after `REASON_S`
+            return  # The reason has not arrived. Then, or without it after `REASON_S`, `done` becomes True.
         elif self.answered and not self.possible:
             self._end(SearchResult(success=False, message="the optimizer has ended"))
 

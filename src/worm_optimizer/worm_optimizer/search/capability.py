@@ -44,7 +44,8 @@ class Capability:
         full_load: largest load on the rear module with which every averaged cycle gains at least as many grooves as the
             worst averaged cycle without this load, N; 0 for a gait that does not move.
         closed_form_largest_load: ``largest_load`` by a closed form for slow gaits, which neglects viscous friction, N;
-            NaN for a gait that does not move according to this closed form.
+            NaN for a gait that, by this closed form, does not move without loads, and negative for one that does not
+            move under the loads of the robot's parameters.
     """
 
     gait: Gait

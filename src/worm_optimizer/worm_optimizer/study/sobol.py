@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 INDEX_HEADS = ("alone", "95 % bounds", "with others", "95 % bounds")
 #: Text in place of indices that are NaN, see `Indices`
 NO_INDICES = "no indices: constant, or not finite at a point"
-_LEAST_VARIANCE = 1e-24  # largest variance, in squared units, of a quantity that counts as constant
+_CONSTANT = 1e-24  # largest variance, in squared units, of a quantity that counts as constant
 _VISIBLE = 5e-4  # smallest difference of two indices that printed percentages show
 
 
@@ -61,9 +61,9 @@ def indices_of(values: Array, inputs: int, seed: int) -> Indices:
     from scipy.stats import sobol_indices  # here, because the import takes a second
 
     rows = values.reshape(-1, inputs + 2)
-    plain = rows[:, :2]  # the rows A and B, which are independent points
+    plain = rows[:, :2]  # the points A and B of each base sample, which are independent
     mean, deviation = float(np.mean(plain)), float(np.std(plain))
-    if not (np.all(np.isfinite(rows)) and deviation**2 > _LEAST_VARIANCE):
+    if not (np.all(np.isfinite(rows)) and deviation**2 > _CONSTANT):
         unknown = np.full(inputs, np.nan)
         pair = np.stack([unknown, unknown])
         return Indices(unknown, unknown, pair, pair, mean, deviation)

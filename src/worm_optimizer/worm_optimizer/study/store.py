@@ -226,7 +226,11 @@ def _blank(name: str) -> Any:
 
 
 def open_result(path: str | Path) -> xarray.Dataset:
-    """Return the dataset of a study, which reads values on access. The results of unfinished points are NaN."""
+    """Return the dataset of a study, which reads values on access.
+
+    The results of points that were not computed are NaN. A block that a killed process was writing may be incomplete
+    until the study is continued.
+    """
     return xarray.open_zarr(str(path), consolidated=True)
 
 
@@ -349,12 +353,14 @@ def _attributes(path: Path) -> dict[str, Any]:
     """Return the attributes of a store.
 
     Raises:
-        StoreError: The path contains no study, or one that an earlier version of the code began.
+        StoreError: The path contains no study, or one that an earlier version of the code began, or it is damaged.
     """
     try:
         content = json.loads((path / ".zattrs").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    except OSError:
         raise _no_study(path) from None
+    except ValueError:
+        raise StoreError(f"{path}: the description of the study is damaged") from None
     if not isinstance(content, dict) or not {_STUDY, _HASH, _CODE} <= set(content):
         raise _no_study(path)
     if _BLOCK not in content:
@@ -363,15 +369,17 @@ def _attributes(path: Path) -> dict[str, Any]:
 
 
 def _make(path: Path, study: Study) -> bool:
-    """Create an empty store under a temporary name and rename it, so that no incomplete store remains.
+    """Create an empty store under a temporary name and rename it, so that none is ever incomplete under its own name.
 
-    Return False if another process has created the store, which is then used.
+    Return False if another process has created the store, which is then used. Raises `StoreError` if that fails.
     """
     check_folder(path)
     with _template(path, study, block_shape(study)) as part:
         try:
             part.rename(path)
-        except OSError:
+        except OSError as error:
+            if not path.exists():
+                raise StoreError(f"{path}: cannot be created: {error.strerror}") from None
             return False
     return True
 

@@ -306,6 +306,25 @@ def test_a_study_of_an_earlier_version_is_named_so(tmp_path):
         pass
 
 
+def test_a_damaged_description_is_reported_as_such(tmp_path):
+    (tmp_path / ".zgroup").write_text('{"zarr_format": 2}')
+    (tmp_path / ".zattrs").write_text("{")
+    with pytest.raises(StoreError, match="damaged"), locked_store(tmp_path, STUDY):
+        pass
+
+
+def test_a_store_that_cannot_be_created_is_reported_with_the_reason(tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "rename", full)
+    with (
+        pytest.raises(StoreError, match="No space left"),
+        locked_store(tmp_path / "study.zarr", STUDY),
+    ):
+        pass
+
+
 def test_the_result_opens_with_names_units_and_provenance(tmp_path):
     path = tmp_path / "study.zarr"
     finish(path, most=2)

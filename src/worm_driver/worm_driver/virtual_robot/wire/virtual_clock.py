@@ -3,9 +3,9 @@
 
 The page contains the ROS time at which the clock shows 0 (int64, ns) and the clock's time (float64, s). Once a thread
 has connected as a client, simulated time advances only while the thread waits. The thread requests each wait from the
-server (`Wait`). The byte counts in the request matter because a pseudo-terminal on a busy machine delivers bytes late,
-and no simulated time may pass while bytes are in transit. The server reports the end of a wait by
-sending its number, unless bytes from the device end the wait.
+server (`Wait`). The request states how many bytes the client has written to and read from the serial line. With these
+counts the server stops the time while bytes are still in the pseudo-terminal, which delivers late on a busy machine.
+The server reports the end of a wait by sending its number, unless bytes from the device end the wait.
 """
 
 import contextlib
