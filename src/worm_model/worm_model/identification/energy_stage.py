@@ -35,7 +35,8 @@ NO_POWER = (
     "run ends"
 )
 NOT_SEPARATED = (
-    "the interval of {} is unknown or wider than half the value on either side, so the data do not separate c_b from α_P"
+    "the interval of {} is unknown or wider than half the value on either side, so the "
+    "data do not separate c_b from α_P"
 )
 
 
