@@ -58,7 +58,8 @@ LEAST_EIGENVALUE = 1e-9  # smaller eigenvalues of a correlation are rounding err
 NORMAL = quantile(np.inf)
 LONGEST_MEMORY = 30  # largest lag of correlated residuals, in samples
 BETTER = 0.5  # another fit replaces the present one if its cost is lower by more than this
-VARIANT_ITERATIONS = 10  # iterations of the fit with changed fin values; it starts from the fit
+# Iterations of the fit with changed fin values; it starts from the solution with the given fin values.
+VARIANT_ITERATIONS = 10
 MOST_RESTARTS = 3  # number of better fits found by the profiles after which the stage fails
 
 
