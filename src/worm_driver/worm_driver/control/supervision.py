@@ -87,13 +87,13 @@ def silence(counts: Counts, silent: Iterable[int], watched: float) -> Counts:
     Args:
         counts: counts before the reading.
         silent: ids of the servos without a state.
-        watched: time that the reading stands for, s, see `watched_time`.
+        watched: time by which the silence of a servo without a state grows, s, see `watched_time`.
     """
     return replace(counts, silence={s: counts.silence.get(s, 0.0) + watched for s in silent})
 
 
 def watched_time(elapsed: float, period: float) -> float:
-    """Return the time (s) that a reading of the servos stands for, if it ended ``elapsed`` s after the previous one.
+    """Return the time (s) by which a silence grows with a reading that ended ``elapsed`` s after the previous one.
 
     Even if no servo answers, two readings of a punctual driver are at most two periods apart. Any further time is the
     driver's own lateness, in which it sent no request.
@@ -169,7 +169,10 @@ def fault_in_counts(
                 "cable is blocked or overloaded"
             )
     if counts.following >= limits.following_cycles:
-        return f"the cable is more than {limits.following_error * 1e3:g} mm off its command: it is blocked"
+        return (
+            f"the cable is more than {limits.following_error * 1e3:g} mm off its command: it is blocked, its servo is "
+            "too weak, or its position is wrong"
+        )
     return None
 
 

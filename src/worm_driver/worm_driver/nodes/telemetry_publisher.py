@@ -130,6 +130,7 @@ class TelemetryPublisher:
         if is_fault and not self._faulty:
             self._logger.error(
                 f"FAULT: {player.message}. The robot holds, as far as its servos have torque. Remove the cause, then "
-                "deactivate and activate; after a hardware error deactivate, reboot, home, activate"
+                "deactivate and activate; after a hardware error deactivate, reboot, home, activate. deactivate "
+                "releases the torque at once: a contracted robot springs back"
             )
         self._faulty = is_fault

@@ -129,7 +129,8 @@ class RobotServer:
         self.time.begin(self._clock())
         self._page: virtual_clock.Page | None = None
         self._clients: dict[socket.socket, ClockClient] = {}  # clients of the clock
-        # Numbers of bytes over the serial line since a client connected; -inf and inf if they are no longer counted.
+        # Numbers of bytes sent and received on the serial line since a client connected. After `_cut_line` they are
+        # -inf and inf, so that no wait depends on them.
         self._bytes_sent = self._bytes_received = 0.0
         self._selector = selectors.SelectSelector()  # epoll would round timeouts up to 1 ms
         self._serial: PtyPort | None = None

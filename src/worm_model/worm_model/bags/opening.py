@@ -112,7 +112,7 @@ def _named_files(path: Path, content: dict[str, Any]) -> list[Path]:
     if missing:
         raise BagError(
             f"{path} lacks {', '.join(missing)}, which its {METADATA_FILE} names; save the other files with: "
-            f"worm_model recover {path}"
+            f"./worm run worm_model recover {path}"
         )
     return [path / name for name in names]
 
@@ -168,7 +168,7 @@ def _recovered(path: Path, notify: Notify) -> Bag:
     except UnwritableError as error:
         raise BagError(
             f"{path} was not closed, or is damaged, and {error}; "
-            f"recover it elsewhere: worm_model recover {path} --output FOLDER"
+            f"recover it elsewhere: ./worm run worm_model recover {path} --output FOLDER"
         ) from None
     return _instead(path, target, notify, f"{report.messages} messages were recovered")
 

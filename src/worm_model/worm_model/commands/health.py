@@ -150,8 +150,8 @@ def _remarks(bags: Sequence[BagEstimates], charts: Sequence[Chart]) -> list[str]
     few = [chart.key for chart in charts if chart.state is State.TOO_FEW]
     if few:
         remarks.append(
-            f"too few bags for limits of {', '.join(few)}: give at least {FEWEST_BAGS}, or a parameter file with "
-            "their intervals (worm_model identify writes one)"
+            f"too few bags for limits of {', '.join(few)}: give at least {FEWEST_BAGS} bags that determine them, or a "
+            "parameter file with their intervals (identify writes one)"
         )
     if len({bag.gait for bag in bags}) > 1:
         remarks.append(

@@ -54,7 +54,7 @@ from worm_model.twin.twin import Output, residual_messages
 
 # The twin requires at least one of these topics.
 DRIVES = ("body_length/commanded", "body_length/measured")
-# ns; the twin may return an event after states with newer stamps, and these stamps are newer by at most this
+# ns; longest time by which an event can be older than states that the twin returned before it
 DISORDER_NS = 10 * NANOSECONDS
 _notify = notifier("replay")
 
@@ -240,7 +240,7 @@ def _total_lines(report: ReplayReport) -> list[str]:
         + (
             text.format(scale * value, scale * mean)
             if math.isfinite(value)
-            else f"not compared: {_SOURCES[name]} during the gait"
+            else f"not compared: {_SOURCES[name]} during a gait"
         )
         for name, value, text, scale, mean in rows
     ]

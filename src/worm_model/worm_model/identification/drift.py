@@ -122,19 +122,23 @@ class Chart:
             return State.TRENDING
         if rules:
             return State.OUT
-        if self.limits is None:
-            return State.TOO_FEW
-        return State.WITHIN if np.isfinite(self.value).any() else State.NOT_IDENTIFIABLE
+        if not np.isfinite(self.value).any():
+            return State.NOT_IDENTIFIABLE
+        return State.TOO_FEW if self.limits is None else State.WITHIN
 
     @property
     def began(self) -> int | None:
         """Index of the bag at which the latest drift began; None without a violation.
 
         A drift also moves the mean of the bags, so that earlier bags can violate the opposite limit. Only violations in
-        the latest ``direction`` count.
+        the latest ``direction`` count, back to the first one before which a bag without a violation lies.
         """
-        moved = [signal.first for signal in self.signals if signal.direction == self.direction]
-        return min(moved, default=None)
+        moved = [signal for signal in self.signals if signal.direction == self.direction]
+        began: int | None = None
+        for signal in sorted(moved, key=lambda signal: -signal.last):
+            if began is None or signal.last >= began - 1:
+                began = signal.first if began is None else min(began, signal.first)
+        return began
 
     @property
     def direction(self) -> int:

@@ -348,7 +348,7 @@ def _report(
         notify(f"{session.failed} was removed while it was recorded: {lost} messages are lost")
     elif error is not None:
         notify(
-            f"{session.failed} could not be written: {error}. Recover the written part: worm_model recover "
+            f"{session.failed} could not be written: {error}. Recover the written part: ./worm run worm_model recover "
             f"{session.failed}"
         )
     return command_line.DONE if error is None else command_line.FAILED

@@ -37,9 +37,9 @@ _LEVELS = {
 def _quiet_message(state: TwinState, health: Health) -> str:
     """Return the message for a health without a warning."""
     if health is Health.HEALTHY:
-        return "the robot moves as expected"
+        return "the robot behaves as expected"
     if not state.record["start_known"]:
-        return "nothing to compare with before the first cycle has ended, because the state of the fins is unknown"
+        return "nothing to compare with: the state of the fins is unknown until a cycle has been evaluated"
     return "nothing to compare with"
 
 

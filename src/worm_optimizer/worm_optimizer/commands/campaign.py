@@ -60,8 +60,8 @@ def _parser() -> Parser:
         prog="campaign",
         description="Run the minimum-power, cruising and maximum-speed gaits of the robust front, five cycles each, "
         "on the virtual robot or on a real one, record them, and compare measurements with predictions. With "
-        "conditions in the pipe, each gait is followed by its counterpart for level ground. With shaped gaits, by its "
-        "sinusoid.",
+        "conditions in the pipe, each gait is followed by its counterpart for level ground. If the gaits have other "
+        "waveforms, each is followed by a gait with the paper's sinusoid.",
     )
     add = parser.add_argument
     parser.add_argument(

@@ -121,9 +121,9 @@ class RobotWorker:
         return True
 
     def stop(self) -> None:
-        """Request the stop thread to hold the robot where it is, and cancel the present command."""
+        """Request the stop thread to hold the robot where it is, and end a run. Other commands continue."""
         self.cancellation = STOP_PRESSED
-        self.busy = self.busy and f"{STOP_PRESSED}: the command ends"
+        self.busy = self.busy and f"{STOP_PRESSED}: a run ends"
         self.stopping = True
         self._stop_requested.set()
 
@@ -224,7 +224,10 @@ class RobotWorker:
         try:
             self._notify(Notice(node.stop()))
         except FAILURES as error:
-            text = f"{error}: STOP is not confirmed; a run ends as heartbeats stop"
+            text = (
+                f"STOP is not confirmed ({error}). The console sends no more heartbeats, so its run ends at the next "
+                "point of rest. If the robot moves, use the switch in the supply"
+            )
             self._notify(Notice(text, good=False))
         finally:
             self.stopping = self._stop_requested.is_set()

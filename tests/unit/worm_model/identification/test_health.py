@@ -245,6 +245,15 @@ def test_few_bags_are_reported_and_a_file_of_intervals_helps(tmp_path: Path, cap
     assert "slack: too few bags" in out
 
 
+def test_a_drift_begins_after_the_last_bag_within_the_limits():
+    """An outlier before them is no part of the drift."""
+    rows = [(1, 1, 1), (9, 16, 1), (12, 12, 1), (2, 4, -1)]
+    signals = [drift.Signal(drift.Rule.LIMIT, *row) for row in rows]
+    nothing = np.zeros(0)
+    chart = drift.Chart("gain", nothing, nothing, nothing, None, tuple(signals))
+    assert chart.began == 9
+
+
 def test_a_parameter_that_no_bag_identifies_is_not_within_its_limits():
     known = replace(PAPER_FILE, intervals={"gain": (0.94, 0.96)})
     chart = drift.chart_of("gain", [not_identifiable(0.95, "constant")] * drift.ONE_SIDE, known)

@@ -106,7 +106,7 @@ def test_a_twin_without_input_does_not_call_itself_well():
     state = twin.start()
     newest = twin.advance(state, rows_of(samples), to_the_end=True).residuals[-1]
     assert report(state, newest, 0.5).level is Severity.INFO
-    assert "before the first cycle" in report(state, newest, 0.5).message
+    assert "state of the fins is unknown" in report(state, newest, 0.5).message
     state.record["start_known"], newest["health"] = 1, Health.HEALTHY
     assert "as expected" in report(state, newest, 0.5).message
     assert report(twin.start(), None).message == "no length yet"

@@ -205,7 +205,7 @@ class Bag:
         if count != expected:
             raise BagError(
                 f"{self.path} holds {count} messages, but its summary declares {expected}; save the messages "
-                f"with: worm_model recover {self.path}"
+                f"with: ./worm run worm_model recover {self.path}"
             )
 
 

@@ -95,7 +95,9 @@ def read_metadata(directory: Path) -> dict[str, Any]:
             raise ValueError(f"it has {path.stat().st_size} bytes, more than {LARGEST_YAML}")
         document = load_yaml(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        raise BagError(f"{path} is missing; create it: worm_model recover {directory}") from None
+        raise BagError(
+            f"{path} is missing; create it: ./worm run worm_model recover {directory}"
+        ) from None
     except (OSError, UnicodeDecodeError, yaml.YAMLError, ValueError, RecursionError) as error:
         reason = " ".join(str(error).split())
         raise BagError(f"{path} cannot be read: {reason}") from None

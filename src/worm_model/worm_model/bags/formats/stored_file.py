@@ -39,7 +39,7 @@ def explained(path: Path) -> Iterator[None]:
     except (*DAMAGE, sqlite3.Error) as error:
         reason = " ".join(str(error).split()) or type(error).__name__
         raise BagError(
-            f"{path} is damaged ({reason}); save its intact part with: worm_model recover {path}"
+            f"{path} is damaged ({reason}); save its intact part with: ./worm run worm_model recover {path}"
         ) from None
 
 
