@@ -9,7 +9,7 @@ from pathlib import Path, PurePath
 from typing import Any
 
 from worm_model.bags.formats.bag import Bag, Notify
-from worm_model.bags.formats.bag_errors import BagError, ExistsError, UnwritableError
+from worm_model.bags.formats.bag_errors import RECOVER, BagError, ExistsError, UnwritableError
 from worm_model.bags.formats.bag_metadata import custom_data, read_metadata
 from worm_model.bags.formats.finding import (
     METADATA_FILE,
@@ -112,7 +112,7 @@ def _named_files(path: Path, content: dict[str, Any]) -> list[Path]:
     if missing:
         raise BagError(
             f"{path} lacks {', '.join(missing)}, which its {METADATA_FILE} names; save the other files with: "
-            f"./worm run worm_model recover {path}"
+            f"{RECOVER} {path}"
         )
     return [path / name for name in names]
 
@@ -168,7 +168,7 @@ def _recovered(path: Path, notify: Notify) -> Bag:
     except UnwritableError as error:
         raise BagError(
             f"{path} was not closed, or is damaged, and {error}; "
-            f"recover it elsewhere: ./worm run worm_model recover {path} --output FOLDER"
+            f"recover it elsewhere: {RECOVER} {path} --output FOLDER"
         ) from None
     return _instead(path, target, notify, f"{report.messages} messages were recovered")
 

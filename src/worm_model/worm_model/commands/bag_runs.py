@@ -14,6 +14,7 @@ import numpy as np
 
 from worm_model.analysis import run_metrics
 from worm_model.analysis.replay_metrics import RunReport, report_replay
+from worm_model.bags.formats.bag_errors import RECOVER
 from worm_model.bags.formats.bag_metadata import read_metadata
 from worm_model.bags.formats.finding import METADATA_FILE
 from worm_model.bags.opening import are_sound, is_unfinished, open_bag
@@ -34,7 +35,7 @@ from worm_model.simulation.simulator import cost_of_transport
 from worm_model.twin.offline_replay import Replay, replay_run
 from worm_msgs.conditions import Conditions
 
-RECOVER = "./worm run worm_model recover writes its readable messages to a new bag"
+_SAVE = f"{RECOVER} writes its readable messages to a new bag"
 
 
 def state_of_bag(path: Path) -> tuple[str, str]:
@@ -42,11 +43,11 @@ def state_of_bag(path: Path) -> tuple[str, str]:
     if path.is_dir() and (
         not (path / METADATA_FILE).is_file() or is_unfinished(read_metadata(path))
     ):
-        return OPEN, f"it is being recorded, or its recorder was killed: {RECOVER}"
+        return OPEN, f"it is being recorded, or its recorder was killed: {_SAVE}"
     is_compressed = path.is_dir() and bool(read_metadata(path).get("compression_mode"))
     if is_compressed or are_sound(storage_files(path)):
         return CLOSED, ""
-    return DAMAGED, f"parts of it are damaged: {RECOVER}"
+    return DAMAGED, f"parts of it are damaged: {_SAVE}"
 
 
 def rows_of_bag(path: Path, parameters: str) -> list[dict[str, Any]]:

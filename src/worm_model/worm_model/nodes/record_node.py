@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
-from worm_model.bags.formats.bag_errors import BagError, UnwritableError
+from worm_model.bags.formats.bag_errors import RECOVER, BagError, UnwritableError
 from worm_model.bags.formats.bag_writer import COMPRESSIONS, WriteOptions
 from worm_model.bags.formats.finding import TIME_FIELD, dated
 from worm_model.bags.formats.message_block import Message
@@ -348,7 +348,7 @@ def _report(
         notify(f"{session.failed} was removed while it was recorded: {lost} messages are lost")
     elif error is not None:
         notify(
-            f"{session.failed} could not be written: {error}. Recover the written part: ./worm run worm_model recover "
+            f"{session.failed} could not be written: {error}. Recover the written part: {RECOVER} "
             f"{session.failed}"
         )
     return command_line.DONE if error is None else command_line.FAILED

@@ -15,7 +15,7 @@ import numpy as np
 import zstandard
 from zstandard import ZstdDecompressor
 
-from worm_model.bags.formats.bag_errors import BagError
+from worm_model.bags.formats.bag_errors import RECOVER, BagError
 from worm_model.bags.formats.cdr import check_length
 from worm_model.bags.formats.contents import AttachedFile, Extent
 from worm_model.bags.formats.mcap_records import LARGEST_CHUNK
@@ -205,7 +205,7 @@ class Bag:
         if count != expected:
             raise BagError(
                 f"{self.path} holds {count} messages, but its summary declares {expected}; save the messages "
-                f"with: ./worm run worm_model recover {self.path}"
+                f"with: {RECOVER} {self.path}"
             )
 
 

@@ -5,6 +5,9 @@ from __future__ import annotations
 
 from worm_model.errors import InputError
 
+#: command that saves the readable messages of a bag, to be followed by its path
+RECOVER = "./worm run worm_model recover"
+
 
 class BagError(InputError):
     """Bag that cannot be read or written; the message is one line with the reason and the remedy."""

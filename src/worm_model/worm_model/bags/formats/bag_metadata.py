@@ -15,7 +15,7 @@ from typing import Any
 import yaml
 from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
 
-from worm_model.bags.formats.bag_errors import BagError
+from worm_model.bags.formats.bag_errors import RECOVER, BagError
 from worm_model.bags.formats.finding import METADATA_FILE
 from worm_model.bags.formats.message_block import Topic
 
@@ -95,9 +95,7 @@ def read_metadata(directory: Path) -> dict[str, Any]:
             raise ValueError(f"it has {path.stat().st_size} bytes, more than {LARGEST_YAML}")
         document = load_yaml(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        raise BagError(
-            f"{path} is missing; create it: ./worm run worm_model recover {directory}"
-        ) from None
+        raise BagError(f"{path} is missing; create it: {RECOVER} {directory}") from None
     except (OSError, UnicodeDecodeError, yaml.YAMLError, ValueError, RecursionError) as error:
         reason = " ".join(str(error).split())
         raise BagError(f"{path} cannot be read: {reason}") from None

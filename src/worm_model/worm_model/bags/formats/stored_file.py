@@ -17,7 +17,7 @@ from typing import BinaryIO, cast
 import zstandard
 from zstandard import ZstdDecompressor
 
-from worm_model.bags.formats.bag_errors import BagError
+from worm_model.bags.formats.bag_errors import RECOVER, BagError
 from worm_model.bags.formats.contents import AttachedFile, Contents, Extent
 from worm_model.bags.formats.finding import COMPRESSED, check_readable
 from worm_model.bags.formats.mcap_records import DAMAGE
@@ -39,7 +39,7 @@ def explained(path: Path) -> Iterator[None]:
     except (*DAMAGE, sqlite3.Error) as error:
         reason = " ".join(str(error).split()) or type(error).__name__
         raise BagError(
-            f"{path} is damaged ({reason}); save its intact part with: ./worm run worm_model recover {path}"
+            f"{path} is damaged ({reason}); save its intact part with: {RECOVER} {path}"
         ) from None
 
 
