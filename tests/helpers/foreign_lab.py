@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lab with a robot that the model does not contain: the logs of ten runs and two bench tests, as `identify` reads them."""
+"""Lab with a robot that the model does not contain: runs and bench tests, in the files that `identify` reads."""
 
 from __future__ import annotations
 
@@ -26,6 +26,7 @@ PLAN = (
     (Gait(0.08, 0.24), 5),
     (Gait(0.09, 0.15), 4),
 )
+USUAL_CAMERA = Camera()
 SPOOL_M = 0.012
 TICKS = 4096  # per turn
 FORCE_NOISE_N = 0.15
@@ -35,7 +36,7 @@ BELLOWS_HYSTERESIS_N = 0.4
 def write_foreign_lab(
     folder: Path,
     robot: ForeignRobot,
-    camera: Camera = Camera(),
+    camera: Camera = USUAL_CAMERA,
     plan: Sequence[tuple[Gait, int]] = PLAN,
 ) -> Path:
     """Write the folder of a lab: one run per gait of the plan, all from the same grooves, and the bench tests."""

@@ -4,13 +4,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 from scipy.special import stdtrit
 
 from worm_model.arrays import Array
+from worm_msgs.robot_parameters import ROWS
 
 CONFIDENCE = 0.95
 MOST_STEPS = 12  # largest number of evaluations of a profile
@@ -61,6 +62,12 @@ def half_of_mean(values: Array) -> float:
 def not_identifiable(value: float, note: str) -> Estimate:
     """Return an estimate without bounds; ``note`` states why."""
     return Estimate(value, float("nan"), float("nan"), False, note)
+
+
+def admissible(key: str, estimate: Estimate) -> Estimate:
+    """Return the estimate of a parameter with its interval cut to the parameter's admissible range."""
+    low, high = np.clip((estimate.low, estimate.high), ROWS[key]["low"], ROWS[key]["high"])
+    return replace(estimate, low=float(low), high=float(high))
 
 
 def if_identifiable(estimate: Estimate, usual: float = 0.0, note: str = LEFT_OPEN) -> Estimate:

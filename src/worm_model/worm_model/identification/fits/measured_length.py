@@ -155,9 +155,7 @@ def _smoothed(
     return _bridged(smoothed.value), _bridged(smoothed.rate)
 
 
-def _initial_spread(
-    recording: Recording, fit: ActuationFit, outliers: NDArray[np.bool_]
-) -> float:
+def _initial_spread(recording: Recording, fit: ActuationFit, outliers: NDArray[np.bool_]) -> float:
     """Return the standard deviation of L0, m."""
     rest = recording.length[recording.at_rest & ~outliers]
     spread = float(max(rest.std(ddof=1), 1e-6) / np.sqrt(rest.size))
