@@ -334,7 +334,7 @@ def _estimate(
         widening = quantile((grooves - 1) / max(share, 1e-3) ** 2) / NORMAL
     from_reference = _from_reference(fit, entry, variants)
     low, high = (float(np.hypot((end - value) * widening, from_reference)) for end in interval)
-    return admissible(locomotion.SHARED[entry], Estimate(value, value - low, value + high))
+    return Estimate(value, value - low, value + high)
 
 
 def _variants(
