@@ -18,7 +18,7 @@ from worm_model.identification.actuation_stage import identify_actuation
 from worm_model.identification.data.identification_errors import IdentificationError
 from worm_model.identification.data.observed_run import Recording
 from worm_model.identification.data.strides import check_pitch
-from worm_model.identification.fits.estimate import Estimate
+from worm_model.identification.fits.estimate import Estimate, admissible
 from worm_model.identification.fits.locomotion import Known, traverse_of
 from worm_model.identification.fits.measured_length import measured_length
 from worm_model.identification.fits.quality import LONGEST_GAP, remarks, usable
@@ -139,6 +139,7 @@ def estimate_bag(recording: Recording, start: int, parameters: Parameters) -> Ba
         "slack": actuation.slack,
         "idle_power": _idle_power(recording),
     }
+    estimates = {key: admissible(key, estimate) for key, estimate in estimates.items()}
     notes = tuple(remarks(recording, length, traverse))
     return BagEstimates(recording.name, start, recording.gait, estimates, notes)
 

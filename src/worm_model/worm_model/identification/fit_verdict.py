@@ -168,7 +168,7 @@ def _of_power(offset: Array) -> list[str]:
     if not offset.size or abs(delay := 1e3 * float(np.median(offset))) <= DELAY_MS:
         return []
     return [
-        f"delay: the camera's length follows the power by {delay:+.0f} ms (100 ms at most are fitted). Check the stamps "
+        f"delay: the camera's length follows the power by {delay:+.0f} ms (fitted up to 100 ms). Check the stamps "
         "of camera and power sensor; a compliant cable looks alike. The error is in c_b and α_P"
     ]
 
