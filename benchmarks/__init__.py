@@ -6,6 +6,5 @@ from pathlib import Path
 
 import worm_model  # noqa: F401 (before NumPy, as in the executables: it leaves small matrices to one thread)
 
-sys.path.append(
-    str(Path(__file__).resolve().parents[1] / "tests/helpers")
-)  # helpers import each other
+# The helpers of the tests import each other by their names.
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests/helpers"))
