@@ -19,16 +19,13 @@ from worm_model.arrays import Array
 from worm_model.identification.fits import locomotion
 from worm_model.identification.fits.block_least_squares import (
     Solution,
-    evaluate,
     inverse,
     normal_equations,
     solve,
     with_fixed,
 )
 from worm_model.identification.fits.estimate import (
-    LEFT_OPEN,
     Estimate,
-    admissible,
     follow_profile,
     if_identifiable,
     not_identifiable,
@@ -37,8 +34,8 @@ from worm_model.identification.fits.estimate import (
 from worm_model.identification.fits.grooves import (
     MEANS,
     GrooveFit,
-    Scatter,
     fit_grooves,
+    given_fit,
     groove_problem,
     held,
     tables_of,
@@ -166,12 +163,11 @@ def identify_locomotion(
         _estimate(fit, entry, interval, variants)
         for entry, interval in zip(SOUGHT, intervals or [(-np.inf, np.inf)] * 3, strict=True)
     )
-    note = trouble or LEFT_OPEN
     progress(1.0)
     return LocomotionResult(
-        viscous_friction=if_identifiable(friction, PAPER.viscous_friction, note),
-        switching_threshold=if_identifiable(threshold, PAPER.switching_threshold, note),
-        pitch=if_identifiable(pitch, note=note),
+        viscous_friction=if_identifiable(friction, PAPER.viscous_friction, trouble),
+        switching_threshold=if_identifiable(threshold, PAPER.switching_threshold, trouble),
+        pitch=if_identifiable(pitch, note=trouble),
         dry_friction=(
             _dry_estimate(fit, REAR_DRY, deviation[REAR_DRY], variants),
             _dry_estimate(fit, FRONT_DRY, deviation[FRONT_DRY], variants),
@@ -195,21 +191,16 @@ def _unexplained(
     landscape: locomotion.Landscape,
 ) -> LocomotionResult:
     """Return the result of runs that no friction and threshold explain, with the given values."""
-    given = known.parameters
-    means = np.array([getattr(given, key) for key in locomotion.SHARED[:ONSET]])
-    shared = np.append(means, locomotion.FIRST_ONSET)
-    places, scatter = np.empty((0, 3), np.int64), Scatter(np.nan, np.nan)
-    problem = groove_problem(traverses, known, places, scatter)
-    fit = GrooveFit(evaluate(problem, shared, locomotion.first_own(traverses)), places, scatter)
+    fit = given_fit(traverses, known)
     friction, threshold, rear, front, pitch = (
-        not_identifiable(float(value), UNEXPLAINED) for value in means
+        not_identifiable(float(value), UNEXPLAINED) for value in fit.means[:ONSET]
     )
     return LocomotionResult(
         viscous_friction=friction,
         switching_threshold=threshold,
         pitch=pitch,
         dry_friction=(rear, front),
-        onset=locomotion.FIRST_ONSET,
+        onset=float(fit.means[ONSET]),
         initial_length=fit.solution.own[:, 0],
         inflation=float("inf"),
         correlation=np.full((MEANS, MEANS), np.nan),
@@ -229,8 +220,7 @@ def _dry_estimate(fit: GrooveFit, entry: int, deviation: float, variants: Varian
     """
     value = float(fit.means[entry])
     reach = float(np.hypot(NORMAL * deviation, _from_reference(fit, entry, variants)))
-    estimate = admissible(locomotion.SHARED[entry], Estimate(value, value - reach, value + reach))
-    return if_identifiable(estimate, USUAL_DRY)
+    return if_identifiable(Estimate(value, max(value - reach, 0.0), value + reach), USUAL_DRY)
 
 
 def _from_reference(fit: GrooveFit, entry: int, variants: Variants) -> float:

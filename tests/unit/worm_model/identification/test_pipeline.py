@@ -335,17 +335,6 @@ def test_naming_the_softer_side_as_engaging_is_worth_a_warning(campaigns):
     assert "--fin-engages" in bench_warnings(wrong)[0]
 
 
-def test_an_implausible_fin_test_is_named_where_nothing_fits(campaigns, monkeypatch):
-    def fail(*_):
-        raise IdentificationError("nothing fits")
-
-    inputs = campaigns[0].inputs
-    engages = fit_fin(inputs.fin.x, inputs.fin.y).engages
-    monkeypatch.setattr("worm_model.identification.stages.identify_locomotion", fail)
-    with pytest.raises(IdentificationError, match=r"nothing fits; fin test: .*--fin-engages"):
-        identify(inputs, campaigns[0].reference, 0, -engages)
-
-
 def test_the_initial_length_is_a_mean_with_the_scatter_of_the_runs(campaigns, results):
     for result in results:
         lengths = np.array([run.length.initial_length for run in result.runs])

@@ -70,17 +70,16 @@ def admissible(key: str, estimate: Estimate) -> Estimate:
     return replace(estimate, low=float(low), high=float(high))
 
 
-def if_identifiable(estimate: Estimate, usual: float = 0.0, note: str = LEFT_OPEN) -> Estimate:
+def if_identifiable(estimate: Estimate, usual: float = 0.0, note: str = "") -> Estimate:
     """Return the estimate, marked as not identifiable if its interval is open or too wide.
 
     An interval is too wide if its half-width exceeds half the value, or half the ``usual`` value if that is larger: a
-    slack of 0 ± 0.1 mm is identifiable.
+    slack of 0 ± 0.1 mm is identifiable. ``note`` is the reason for an open interval, if it is known.
     """
     # The comparison is False if the spread is infinite or NaN.
-    narrow = estimate.spread <= VAGUE * max(abs(estimate.value), usual)
-    return (
-        estimate if narrow or not estimate.identifiable else not_identifiable(estimate.value, note)
-    )
+    if estimate.spread <= VAGUE * max(abs(estimate.value), usual) or not estimate.identifiable:
+        return estimate
+    return not_identifiable(estimate.value, note or LEFT_OPEN)
 
 
 def follow_profile(

@@ -132,6 +132,15 @@ def fit_grooves(
     return GrooveFit(solve(problem, shared, own, iterations=6), places, scatter)
 
 
+def given_fit(traverses: Sequence[locomotion.Traverse], known: locomotion.Known) -> GrooveFit:
+    """Return the solution with the given parameters and even grooves, without a fit."""
+    given = [getattr(known.parameters, key) for key in locomotion.SHARED[:-1]]
+    shared = np.array([*given, locomotion.FIRST_ONSET])
+    places, scatter = np.empty((0, 3), np.int64), Scatter(np.nan, np.nan)
+    problem = groove_problem(traverses, known, places, scatter)
+    return GrooveFit(evaluate(problem, shared, locomotion.first_own(traverses)), places, scatter)
+
+
 def _scanned(problem: Problem, solution: Solution, places: NDArray[np.int64]) -> Solution:
     """Return the best solution after trying other thresholds of single grooves.
 
