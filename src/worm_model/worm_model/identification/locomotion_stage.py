@@ -38,7 +38,6 @@ from worm_model.identification.fits.grooves import (
     given_fit,
     groove_problem,
     held,
-    tables_of,
 )
 from worm_model.parameters import PAPER, Parameters
 from worm_model.simulation.kernel.grooves import STIFFNESS, THRESHOLD
@@ -236,11 +235,10 @@ def holding_forces(
 
     For H see `worm_model.identification.fits.energy`.
     """
-    grooves = tables_of(fit.solution.shared[MEANS:], fit.places)
     forces = []
     for traverse, own in zip(traverses, fit.solution.own, strict=True):
         worm = locomotion.with_means(locomotion.worm_of(parameters), fit.means, own)
-        samples = locomotion.follow(traverse, worm, traverse.length.time, *grooves)
+        samples = locomotion.follow(traverse, worm, traverse.length.time, *fit.tables)
         assert samples is not None, "the fitted motion switches endlessly"
         forces.append(samples[:, FORCE])
     return tuple(forces)

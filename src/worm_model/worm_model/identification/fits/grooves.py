@@ -71,6 +71,11 @@ class GrooveFit:
         """(η, p_sw, rear and front dry friction, pitch, onset) of a `groove_problem`."""
         return self.solution.shared[:MEANS]
 
+    @property
+    def tables(self) -> tuple[Array, Array]:
+        """Tables of grooves, see `tables_of`."""
+        return tables_of(self.solution.shared[MEANS:], self.places)
+
 
 # Function that returns the problem for places and scatter
 Build = Callable[[NDArray[np.int64], Scatter], Problem]
