@@ -121,8 +121,8 @@ def estimate_bag(recording: Recording, start: int, parameters: Parameters) -> Ba
     """Estimate, from a recording, the parameters that may drift. ``start`` is the start of its bag, ns since the epoch.
 
     Raises:
-        IdentificationError: A marker was hidden for too long, the body did not follow its command, the strides
-            contradict the pitch, or the model does not fit the motion.
+        IdentificationError: A marker was hidden for too long, the body did not follow its command, or the strides
+            contradict the pitch.
     """
     _check_seen(recording)
     length = measured_length(recording)

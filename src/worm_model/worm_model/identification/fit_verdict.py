@@ -81,9 +81,14 @@ class FitVerdict:
     @property
     def text(self) -> str:
         """The verdict as a paragraph, followed by a list of the causes."""
+        x1 = "unknown, as it needs at least two runs"
+        if np.isfinite(self.x1_held_out):
+            x1 = (
+                f"{1e3 * self.x1_held_out:.2f} mm (median of the runs; with the paper's table "
+                f"{1e3 * self.x1_paper:.2f} mm)"
+            )
         facts = (
-            f"Held-out error of x1: {1e3 * self.x1_held_out:.2f} mm (median of the runs; with the paper's table "
-            f"{1e3 * self.x1_paper:.2f} mm). Residuals increase the variances by a factor of {self.inflation:.1f}. The "
+            f"Held-out error of x1: {x1}. Residuals increase the variances by a factor of {self.inflation:.1f}. The "
             f"threshold varies by {1e3 * self.groove_scatter:.2f} mm from groove to groove."
         )
         return "\n".join([f"{SENTENCES[self.verdict]} {facts}", *(f"- {c}" for c in self.causes)])
@@ -157,8 +162,8 @@ def _of_length(
         )
     if abs(delay := 1e3 * float(np.median(-offset))) > DELAY_MS:
         causes.append(
-            f"delay: the length follows the command {delay:+.0f} ms later than its time constant explains. Check the "
-            "servo's delay, and the stamps of camera and driver"
+            f"delay: the length follows the command {delay:+.0f} ms later than its time constant explains (fitted up to "
+            "100 ms). Check the servo's delay, and the stamps of camera and driver"
         )
     return causes
 
