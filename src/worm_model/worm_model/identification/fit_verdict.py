@@ -162,8 +162,8 @@ def _of_length(
         )
     if abs(delay := 1e3 * float(np.median(-offset))) > DELAY_MS:
         causes.append(
-            f"delay: the length follows the command {delay:+.0f} ms later than its time constant explains (fitted up to "
-            "100 ms). Check the servo's delay, and the stamps of camera and driver"
+            f"delay: the length follows the command {delay:+.0f} ms later than its time constant explains (fitted to "
+            "100 ms at most). Check the servo's delay, and the stamps of camera and driver"
         )
     return causes
 
