@@ -137,9 +137,9 @@ def _slower(known: _Knowledge, last: Gait, probability: float, limits: GaitLimit
     if _gain_of_front(known, gait) > _WORTHWHILE_M:
         stroke = min(gait.stroke, limits.largest_stroke(gait))
         return _run(known, replace(gait, stroke=stroke), reason)
-    stroke = _rear_stroke(known, last, probability, limits)
-    if stroke is not None and stroke > last.stroke + _SAME_M:
-        return _run(known, replace(last, stroke=stroke), _margins(known, last))
+    longer = _rear_stroke(known, last, probability, limits)
+    if longer is not None and longer > last.stroke + _SAME_M:
+        return _run(known, replace(last, stroke=longer), _margins(known, last))
     return Tuning(
         TuneState.IMPOSSIBLE,
         last,
@@ -209,15 +209,17 @@ def _knowledge(runs: Sequence[RunMargin], parameters: Parameters) -> _Knowledge:
         margins = [run.margins(fin) for run in runs]
         terms = [
             np.tile(_terms(fin, run.gait, about, corner), (margin.size, 1))
-            for run, (margin, _) in zip(runs, margins, strict=True)
+            for run, (margin, _, _) in zip(runs, margins, strict=True)
         ]
-        slope, sd = _REAR_BY_FREQUENCY if fin is Fin.REAR else _FRONT_BY_FREQUENCY
+        slope, slope_sd = _REAR_BY_FREQUENCY if fin is Fin.REAR else _FRONT_BY_FREQUENCY
+        margin, sds, place = (np.concatenate(columns) for columns in zip(*margins, strict=True))
         models[fin] = MarginModel(
-            np.concatenate([margin for margin, _ in margins]),
-            np.concatenate([sds for _, sds in margins]),
+            margin,
+            sds,
+            place,
             np.concatenate(terms),
             np.array([0.0, slope, *expected]),
-            np.array([_MEASURED_OFFSET_M, sd, *spread]),
+            np.array([_MEASURED_OFFSET_M, slope_sd, *spread]),
         )
     return _Knowledge(models, about, corner)
 
