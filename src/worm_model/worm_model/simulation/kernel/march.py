@@ -251,6 +251,7 @@ def _antiderivative(stage: Stage, b: Basis, wave: Wave) -> float:
         stage.length_rate.position,
         stage.force.position,
         b,
+        b.t1 - stage.offset,
         wave,
         stage.mode.roots,
     )
@@ -263,6 +264,12 @@ def _open_work(
     active = wave.q != 0.0 and cable_power_of(force_side, rate_side, c.body.one_sided_cable) > 0.0
     mark = _antiderivative(stage, b, wave) if active else 0.0
     return PositiveWork(force_side, rate_side, active, mark)
+
+
+@inlined
+def _work_since(work: PositiveWork, stage: Stage, b: Basis, wave: Wave) -> float:
+    """Return the positive cable work in J since ``work`` was opened. Rounding does not make it negative."""
+    return max(work.mark - _antiderivative(stage, b, wave), 0.0)
 
 
 @inlined
@@ -334,7 +341,7 @@ def _write_samples(
         _write_sample(samples[at], stage, motion, b, segment.wave, c)
         samples[at, WORK] = totals[WORK_DONE]
         if work.active:
-            samples[at, WORK] += work.mark - _antiderivative(stage, b, segment.wave)
+            samples[at, WORK] += _work_since(work, stage, b, segment.wave)
         at += 1
     totals[SAMPLED] = at
 
@@ -380,7 +387,7 @@ def _follow_mode(
         if totals[SAMPLED] < samples.shape[0]:
             _write_samples(s, stage, work, segment, motion, c, totals, samples)
         if work.active:
-            totals[WORK_DONE] += work.mark - _antiderivative(stage, b, wave)
+            totals[WORK_DONE] += _work_since(work, stage, b, wave)
         if totals[STEPS] > MOST_STEPS and ahead.stop != guard.END:
             return s, guard.NOTHING, b
         if ahead.stop == guard.FORCE_SIGN:
