@@ -267,12 +267,6 @@ def _open_work(
 
 
 @inlined
-def _work_since(work: PositiveWork, stage: Stage, b: Basis, wave: Wave) -> float:
-    """Return the positive cable work in J since ``work`` was opened. Rounding does not make it negative."""
-    return max(work.mark - _antiderivative(stage, b, wave), 0.0)
-
-
-@inlined
 def _crossed(motion: Motion, stop: int, y: float, y_rate: float, c: Constants) -> Motion:
     """Return the motion after a fin has left its region for the neighbouring one or the next groove (eq:A1_switch)."""
     front = stop in (guard.FRONT_HIGH, guard.FRONT_LOW)
@@ -341,7 +335,7 @@ def _write_samples(
         _write_sample(samples[at], stage, motion, b, segment.wave, c)
         samples[at, WORK] = totals[WORK_DONE]
         if work.active:
-            samples[at, WORK] += _work_since(work, stage, b, segment.wave)
+            samples[at, WORK] += work.mark - _antiderivative(stage, b, segment.wave)
         at += 1
     totals[SAMPLED] = at
 
@@ -387,7 +381,7 @@ def _follow_mode(
         if totals[SAMPLED] < samples.shape[0]:
             _write_samples(s, stage, work, segment, motion, c, totals, samples)
         if work.active:
-            totals[WORK_DONE] += _work_since(work, stage, b, wave)
+            totals[WORK_DONE] += work.mark - _antiderivative(stage, b, wave)
         if totals[STEPS] > MOST_STEPS and ahead.stop != guard.END:
             return s, guard.NOTHING, b
         if ahead.stop == guard.FORCE_SIGN:
