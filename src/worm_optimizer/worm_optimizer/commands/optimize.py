@@ -24,6 +24,7 @@ from worm_optimizer.commands.search_options import (
     chosen_settings,
     gait_table,
     shape_lines,
+    success_lines,
 )
 from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.report.front_plots import front_and_map_figure, front_figure
@@ -74,6 +75,7 @@ def front_json(front: RobustFront, nominal: dict[str, Prediction]) -> dict[str, 
         **{name: asdict(gait) for name, gait in front.three.items()},
         "nominal": {name: asdict(gait) for name, gait in nominal.items()},
         "verification": front.exact.verification,
+        "warning": front.warning(front.three.values()),
     }
 
 
@@ -117,8 +119,7 @@ def describe(
             gait_table(front.three, nominal),
             *shape_lines(front.three),
             "",
-            f"success: share of draws of the parameters ({uncertainty}) in which the robot gains the predicted grooves "
-            "in every averaged cycle; any φ: the same at an unknown groove phase",
+            success_lines(uncertainty, front.warning(front.three.values())),
         ]
     )
 

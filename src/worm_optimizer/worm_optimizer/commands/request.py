@@ -21,9 +21,11 @@ from worm_optimizer.commands.search_options import (
     chosen_settings,
     gait_table,
     shape_lines,
+    success_lines,
 )
 from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.report.front_plots import front_figure
+from worm_optimizer.robustness.uncertainty import description
 from worm_optimizer.search.front import make_front
 from worm_optimizer.search.gait_request import RequestStatus, select
 
@@ -40,10 +42,11 @@ def _parser() -> Parser:
     return parser
 
 
-def describe(gait: Prediction) -> str:
-    """Return a gait as text, with the groove phase for which its speed holds."""
+def describe(gait: Prediction, uncertainty: str, warning: str) -> str:
+    """Return a gait as text, with the groove phase for which its speed holds, and what its probabilities mean."""
     phase = f"groove phase {1e3 * gait.groove_phase:+.2f} mm; the speed holds for this phase"
-    return "\n".join([gait_table({"gait": gait}, {}), *shape_lines({"gait": gait}), phase])
+    lines = [gait_table({"gait": gait}, {}), *shape_lines({"gait": gait}), phase]
+    return "\n".join([*lines, success_lines(uncertainty, warning)])
 
 
 def _request(options: argparse.Namespace) -> None:
@@ -54,14 +57,17 @@ def _request(options: argparse.Namespace) -> None:
     answer = select(front, request)
     gait = answer.prediction
     assert gait is not None
+    uncertainty, warning = description(content), front.warning([gait])
+    text = describe(gait, uncertainty, warning)
     unreachable = answer.status is not RequestStatus.DONE
     if figure is not None:
         save_figure(front_figure(front, {"nearest" if unreachable else "gait": gait}), figure)
     if unreachable:
         rejection = {"error": answer.message, "nearest": asdict(gait)}
-        print_result(options, rejection, f"the nearest gait:\n{describe(gait)}")
+        print_result(options, rejection, f"the nearest gait:\n{text}")
         raise InputError(answer.message)
-    print_result(options, asdict(gait), describe(gait))
+    figures = {**asdict(gait), "uncertainty": uncertainty, "warning": warning}
+    print_result(options, figures, text)
 
 
 main = executable(_parser, _request)

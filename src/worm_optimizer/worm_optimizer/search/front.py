@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +26,8 @@ from worm_optimizer.search.price_of_robustness import PriceOfRobustness, price_o
 from worm_optimizer.search.search_settings import Robustness, Settings, Waveform
 from worm_optimizer.search.shaped import ShapedTask
 
+_THIN_MARGIN = 1e-3  # m; robots differ from the model by more, see `worm_model.travel_error.PRIOR`
+_LOW_SUCCESS = 0.9
 _CHANCE_SCENARIOS = 200  # draws of the parameters in the search with Robustness.CHANCE
 _PROMISE_COLUMNS = 41  # largest number of frequencies in the survey of a PromiseTask
 _PROMISE_ZOOM = Zoom(points=9, rounds=6)
@@ -71,10 +73,43 @@ class RobustFront:
         """The paper's three gaits by name."""
         return {"min_power": self.min_power, "cruise": self.cruise, "max_speed": self.max_speed}
 
+    @property
+    def margin_described(self) -> str:
+        """Margin with its reason, as text."""
+        return f"margin {1e3 * self.margin:.2f} mm, {self.reason}"
+
+    def warning(self, gaits: Iterable[Prediction]) -> str:
+        """Return `thin_margin_warning` of gaits of the front with complete predictions."""
+        success = min(gait.success_probability for gait in gaits)
+        return thin_margin_warning(self.settings.robustness, self.margin, success)
+
     def predicted(self, points: Points) -> tuple[Prediction, ...]:
         """Predict gaits of the front with all fields of `Prediction`."""
         margins = _margins(self.nominal, self.settings, self.margin, points)
         return _predicted(self.nominal, self.content, self.settings, points, margins)
+
+
+def thin_margin_warning(robustness: Robustness, margin: float, success: float = 1.0) -> str:
+    """Return a warning if gaits with a margin (m) or a success probability probably lose grooves; empty if not.
+
+    The default margin is between 0.3 and 8 mm, depending on the groove phase alone.
+    """
+    reasons = {
+        f"the margin is only {1e3 * margin:.2f} mm": margin < _THIN_MARGIN,
+        f"the success probability is only {success:.2f}": success < _LOW_SUCCESS,
+    }
+    found = " and ".join(reason for reason, holds in reasons.items() if holds)
+    if not found:
+        return ""
+    any_phase = (
+        "" if robustness is Robustness.ANY_PHASE else "search with robustness any_phase, or "
+    )
+    return f"{found}: {any_phase}measure the margin on the robot and adapt the gait (tune)"
+
+
+def price_warning(price: PriceOfRobustness) -> str:
+    """Return `thin_margin_warning` of the margin that a scan chooses."""
+    return thin_margin_warning(Robustness.MARGIN, price.margin) if price.moves else ""
 
 
 def task_of(content: ParameterFile, settings: Settings, direction: int) -> MarginTask:

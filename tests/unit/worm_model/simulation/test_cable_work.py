@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Work of the cable, compared with a quadrature, where roots of the motion are zero or nearly zero."""
 
+import itertools
 import math
 
 import numpy as np
@@ -76,7 +77,7 @@ def test_work_agrees_with_a_quadrature_for_zero_and_slow_roots(
     borders = np.concatenate([[0.0], near])
     nodes, weights = np.polynomial.legendre.leggauss(12)
     total = size = 0.0
-    for low, high in zip(borders[:-1], borders[1:], strict=True):
+    for low, high in itertools.pairwise(borders):
         for node, weight in zip(nodes, weights, strict=True):
             b = basis(0.5 * (low + high) + 0.5 * (high - low) * node)
             power = 0.5 * (high - low) * weight * value(force, b) * value(rate, b)

@@ -16,7 +16,9 @@ import numpy as np
 from worm_model.simulation.kernel.compiled import inlined
 from worm_model.simulation.kernel.linear import Basis, Coefficients, Roots, Wave
 
-_SLOW = -1.0  # 1/s; root above which integration by parts, which divides by its square, loses digits
+_SLOW = (
+    -1.0
+)  # 1/s; root above which integration by parts, which divides by its square, loses digits
 
 
 def cable_power(force: Any, rate: Any, one_sided_cable: Any) -> Any:
