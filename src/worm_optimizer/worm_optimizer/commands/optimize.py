@@ -13,6 +13,7 @@ from worm_model.commands.command_line import (
     InputError,
     Parser,
     ProgressLine,
+    elapsed,
     executable,
     figure_file,
     print_result,
@@ -143,12 +144,13 @@ def _optimize(options: argparse.Namespace) -> None:
             "--method nsga2 searches the paper's gaits only: use it with --waveform sinusoid"
         )
     search = Nsga2Settings(**given, seed=settings.seed)
-    front = make_front(content, settings, options.direction)
+    with elapsed("front"):
+        front = make_front(content, settings, options.direction)
+        nominal = nominal_gaits(content, settings, options.direction)
     comparison = None
     if options.method == NSGA2:
         comparison = _searched(front, search)
         front = replaced(front, comparison.front)
-    nominal = nominal_gaits(content, settings, options.direction)
     if figure is not None:
         draw = front_figure if settings.waveform is Waveform.SHAPED else front_and_map_figure
         save_figure(draw(front, front.three), figure)

@@ -10,6 +10,7 @@ from worm_model.analysis.plot_style import save_figure
 from worm_model.commands.command_line import (
     InputError,
     Parser,
+    elapsed,
     executable,
     figure_file,
     print_result,
@@ -53,8 +54,9 @@ def _request(options: argparse.Namespace) -> None:
     content = load_parameter_file(options.parameters)
     settings, request = chosen_settings(options), request_of_options(options)
     figure = figure_file(options)
-    front = make_front(content, settings, options.direction)
-    answer = select(front, request)
+    with elapsed("front"):
+        front = make_front(content, settings, options.direction)
+        answer = select(front, request)
     gait = answer.prediction
     assert gait is not None
     uncertainty, warning = description(content), front.warning([gait])

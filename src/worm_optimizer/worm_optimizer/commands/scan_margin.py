@@ -7,7 +7,13 @@ import argparse
 from typing import Any
 
 from worm_model.analysis.plot_style import save_figure
-from worm_model.commands.command_line import Parser, executable, figure_file, print_result
+from worm_model.commands.command_line import (
+    Parser,
+    elapsed,
+    executable,
+    figure_file,
+    print_result,
+)
 from worm_model.parameters import load_parameter_file
 from worm_model.text_table import labelled, text_table
 from worm_optimizer.commands.search_options import add_scan_options, chosen_settings
@@ -68,7 +74,8 @@ def describe(price: PriceOfRobustness) -> str:
 def _scan(options: argparse.Namespace) -> None:
     content = load_parameter_file(options.parameters)
     settings, figure = chosen_settings(options), figure_file(options)
-    price = scanned_price(content, settings, options.direction)
+    with elapsed("margins"):
+        price = scanned_price(content, settings, options.direction)
     if figure is not None:
         save_figure(price_figure(price), figure)
     print_result(options, price_json(price), describe(price))

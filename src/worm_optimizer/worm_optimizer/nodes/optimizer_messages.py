@@ -102,7 +102,7 @@ def optimize_result(front: RobustFront) -> OptimizeGaits.Result:
     three = {name: prediction_message(gait) for name, gait in front.three.items()}
     return OptimizeGaits.Result(
         success=True,
-        message=with_warning(front.margin_described, front.warning(front.three.values())),
+        message=with_warning(front.described, front.warning(front.three.values())),
         margin=front.margin,
         front=[prediction_message(gait) for gait in front.gaits],
         **three,

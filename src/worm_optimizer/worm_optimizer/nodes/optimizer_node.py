@@ -183,7 +183,7 @@ class OptimizerNode(Node):
         self._fronts[front.direction] = front
         self.get_logger().info(
             f"optimizer ready, {_NAMES[front.direction]}: front of {len(front.gaits)} gaits, "
-            f"{front.margin_described}"
+            f"{front.described}"
         )
         if warning := front.warning(front.three.values()):
             self.get_logger().warning(warning)
@@ -252,7 +252,7 @@ class OptimizerNode(Node):
             return answer
         assert answer.prediction is not None
         warning = front.warning([answer.prediction])
-        message = optimizer_messages.with_warning(front.margin_described, warning)
+        message = optimizer_messages.with_warning(front.described, warning)
         return dataclasses.replace(answer, message=message)
 
     def _resting_front(self, front: RobustFront, content: ParameterFile) -> RobustFront:

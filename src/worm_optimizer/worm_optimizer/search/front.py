@@ -20,7 +20,12 @@ from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.robustness.chance import PromiseTask, tolerated_margins
 from worm_optimizer.robustness.prediction import outline, predict
-from worm_optimizer.robustness.uncertainty import every_phase, phase_guard, phase_known
+from worm_optimizer.robustness.uncertainty import (
+    every_phase,
+    phase_guard,
+    phase_known,
+    travel_described,
+)
 from worm_optimizer.search.exact import ExactFront, Resolution, Zoom, exact_front
 from worm_optimizer.search.price_of_robustness import PriceOfRobustness, price_of_robustness
 from worm_optimizer.search.search_settings import Robustness, Settings, Waveform
@@ -74,9 +79,10 @@ class RobustFront:
         return {"min_power": self.min_power, "cruise": self.cruise, "max_speed": self.max_speed}
 
     @property
-    def margin_described(self) -> str:
-        """Margin with its reason, as text."""
-        return f"margin {1e3 * self.margin:.2f} mm, {self.reason}"
+    def described(self) -> str:
+        """Margin with its reason, and the condition under which the success probabilities hold, as text."""
+        condition = travel_described(self.content)
+        return f"margin {1e3 * self.margin:.2f} mm, {self.reason}; success: {condition}"
 
     def warning(self, gaits: Iterable[Prediction]) -> str:
         """Return `thin_margin_warning` of gaits of the front with complete predictions."""
