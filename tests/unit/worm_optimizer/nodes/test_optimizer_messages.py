@@ -141,5 +141,6 @@ def test_the_result_of_a_scan():
 def test_the_result_warns_of_a_thin_margin_and_states_the_condition_of_its_probabilities():
     thin, usual = (optimizer_messages.optimize_result(small_front(m)) for m in (5e-4, 3.4e-3))
     assert "any_phase" in thin.message
-    assert "warning" not in usual.message
+    assert "any_phase" not in usual.message
+    assert "max_push_force" in usual.message  # of the fastest gait
     assert "if the model is right" in usual.message

@@ -15,7 +15,13 @@ from worm_optimizer.commands.search_options import gait_table
 from worm_optimizer.evaluation.actuator_limits import ActuatorLimits
 from worm_optimizer.evaluation.task import Bounds, MarginTask
 from worm_optimizer.optimizer_errors import OptimizerError
-from worm_optimizer.search.front import make_front, nominal_gaits, thin_margin_warning, thinned
+from worm_optimizer.search.front import (
+    make_front,
+    nominal_gaits,
+    pushing_warning,
+    thin_margin_warning,
+    thinned,
+)
 from worm_optimizer.search.search_settings import Robustness
 
 FILE = ParameterFile()
@@ -101,6 +107,13 @@ def test_a_thin_margin_or_a_low_success_probability_is_a_warning(
     assert bool(warning) == bool(facts)
     assert all(fact in warning for fact in facts)
     assert ("any_phase" in warning) == ("any_phase" in facts)
+
+
+def test_a_gait_that_needs_a_pushing_cable_is_a_warning():
+    slow, fast = Gait(0.0755, 0.15), Gait(0.0755, 0.3)
+    assert pushing_warning([slow], PAPER) == ""
+    assert "0.300 Hz" in pushing_warning([slow, fast], PAPER)
+    assert "31 N" in pushing_warning([fast], PAPER)
 
 
 def test_limits_hold_for_all_of_the_front():
