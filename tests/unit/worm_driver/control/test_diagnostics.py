@@ -16,7 +16,7 @@ from worm_driver.servos.registers import XL430_W250, XM430_W350
 from worm_driver.servos.servo_setup import Servo
 from worm_driver.servos.servo_state import SILENT, ServoState
 
-SERVO = Servo(1, XM430_W350, 48, 4.8, (9.5, 16.0), 80.0)
+SERVO = Servo(1, XM430_W350, 48, 4.8, (9.5, 16.0), 80.0, (0, 4095))
 STATE = ServoState(0, 0.1, 0.2, 0.3, 12.0, 30.0, 1.0)
 
 
