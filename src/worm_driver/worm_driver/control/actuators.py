@@ -58,7 +58,7 @@ class Actuators:
         with bus.retrying():
             self.cables = tuple(servos.identify(bus, spool.servo) for spool in settings.spools)
             self.fins = tuple(servos.identify(bus, fin.servo) for fin in settings.fins)
-            self.track = PositionTrack({s.number: s.fastest for s in self.servos})
+            self.track = PositionTrack({s.number: s.velocity_limit for s in self.servos})
             self._goals = GoalGate(bus, self.track)
             self._set_up()
 

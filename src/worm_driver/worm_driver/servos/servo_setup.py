@@ -53,7 +53,7 @@ class Servo:
         number: id on the bus.
         model: model with its control table.
         firmware: firmware version.
-        velocity_limit: value of the register velocity_limit, rad/s.
+        velocity_limit: value of the register velocity_limit, or the factory value if this is less, rad/s.
         voltage_range: smallest and largest supply voltage that its registers allow, V.
         temperature_limit: temperature above which the servo shuts down, degC.
         position_range: smallest and largest goal of a fin servo, ticks.
@@ -69,12 +69,6 @@ class Servo:
 
     def __getitem__(self, name: str) -> Register:
         return self.model[name]
-
-    @property
-    def fastest(self) -> float:
-        """Velocity limit, rad/s, but at most that of a new servo of its model."""
-        factory = from_raw(self["velocity_limit"], self.model.factory["velocity_limit"])
-        return min(self.velocity_limit, factory)
 
 
 def identify(bus: ServoBus, number: int) -> Servo:
@@ -106,6 +100,7 @@ def identify(bus: ServoBus, number: int) -> Servo:
     for name, raw in checked.items():
         if values[name] != raw:
             raise _unsuitable(number, name, values[name], raw)
+    values["velocity_limit"] = min(values["velocity_limit"], model.factory["velocity_limit"])
     speed, low, high = (from_raw(model[name], values[name]) for name in limits)
     temperature = from_raw(model["temperature_limit"], values["temperature_limit"])
     ticks = values[ends[0]], values[ends[1]]
@@ -164,7 +159,7 @@ def registers(bus: ServoBus, servo: Servo, *names: str) -> Mapping[str, int]:
 
 def _registers(
     bus: ServoBus, number: int, model: ServoModel, names: Sequence[str]
-) -> Mapping[str, int]:
+) -> dict[str, int]:
     rows = [model[name] for name in names]
     start, end = min(row.address for row in rows), max(row.end for row in rows)
 

@@ -91,7 +91,7 @@ def test_timing_warns_from_two_milliseconds_on():
     ],
 )
 def test_the_power_sensor(counts, level, expected):
-    report = diagnostics.power_report(counts, "INA219 0x40 on 1")
+    report = diagnostics.power_report(counts, "INA219 0x40 on 1", "")
     assert report.level is level
     assert expected in report.message
 
