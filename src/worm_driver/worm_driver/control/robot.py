@@ -187,12 +187,14 @@ class Robot:
             BusError: A request cannot be sent.
         """
         before = math.nan
+        seen: dict[int, str] = {}
         for _ in range(_ATTEMPTS):
             cable = self.actuators.length_change(self._reader.read()[1])
+            seen |= self._reader.problems
             if abs(cable - before) <= _AGREE:
                 return cable
             before = cable
-        problems = "; ".join(f"servo {servo} {why}" for servo, why in self._reader.problems.items())
+        problems = "; ".join(f"servo {servo} {why}" for servo, why in seen.items())
         raise NoReplyError(
             f"cannot measure the length of the cable: {problems or 'its servo reports another position each time'}"
         )

@@ -8,7 +8,7 @@ from worm_driver.servos.bus_types import Reply, error_text
 from worm_driver.servos.encoding import from_raw, unpack_from
 from worm_driver.servos.position_track import PositionTrack
 from worm_driver.servos.registers import COMMON, WATCHDOG_EXPIRED
-from worm_driver.servos.servo_bus import SILENCE_REMEDY, ServoBus
+from worm_driver.servos.servo_bus import ServoBus
 from worm_driver.servos.servo_setup import Servo
 from worm_driver.servos.servo_state import SILENT, STATE_SIZE, STATE_START, ServoState, decode
 from worm_driver.servos.tick_clock import TickClock
@@ -145,15 +145,13 @@ class StateReader:
             if servo.number not in ids:
                 self.problems[servo.number] = "reported a position that it cannot have reached"
             elif reply is None:
-                self.problems[servo.number] = (
-                    f"does not answer, or its answers are garbled: {SILENCE_REMEDY}"
-                )
+                self.problems[servo.number] = self._bus.why_no_answer(servo.number)
             elif reply.error:
                 self.problems[servo.number] = error_text(reply.error)
             else:
                 state = decode(servo.model, reply.data)
                 if not self._is_fresh(servo.number, requested_at, reply.received, state.tick):
-                    self.problems[servo.number] = "answers late"
+                    self.problems[servo.number] = self._bus.why_no_answer(servo.number)
                 elif not self._track.record_if_plausible(servo.number, state.ticks, reply.received):
                     self._note_implausible(servo.number, state.ticks)
                 else:
@@ -177,8 +175,9 @@ class StateReader:
             self._suspects.add(servo)
             return False
         self._clocks[servo] = clock = tick_clock.update(clock, tick, received)
-        if tick_clock.age(clock, tick, requested_at) > tick_clock.RESOLUTION:
-            self._bus.count_stale()
+        age = tick_clock.age(clock, tick, requested_at)
+        if age > tick_clock.RESOLUTION:
+            self._bus.count_stale(servo, received - requested_at + age)
             return False
         return True
 

@@ -248,6 +248,19 @@ def test_a_silent_servo_is_named_with_the_remedy(line):
         line.bus.ping(7)
 
 
+def test_two_servos_with_one_id_are_a_possible_cause_of_garbled_answers(line):
+    """Both transmit at once: the line is low if one of them pulls it low."""
+
+    def collide(data, now):
+        (answer,) = line.robot.receive(data, now)
+        other = status_packet(1, 0, (4711).to_bytes(4, "little"))
+        return [(now, bytes(a & b for a, b in zip(answer.data, other, strict=True)))]
+
+    line.wire._answer = collide
+    with pytest.raises(CorruptReplyError, match="no other servo has its id"):
+        line.bus.read(1, POSITION)
+
+
 def test_bytes_that_keep_coming_do_not_hang_the_bus():
     """The SDK checks its timeout only when bytes are missing."""
     clock = Clock()
