@@ -469,8 +469,11 @@ class ServoBus:
         self._late[servo] = self.now(), delay
         self._settled = False
 
-    def why_no_answer(self, servo: int) -> str:
-        """Return what the bus received instead of an answer of a servo to the last request, and the remedy."""
+    def why_no_answer(self, servo: int, where: str = "") -> str:
+        """Return what the bus received instead of an answer of a servo to the last request, and the remedy.
+
+        ``where`` describes the bus, with a leading space.
+        """
         arrival, delay = self._late.get(servo, (-math.inf, 0.0))
         if self.now() - arrival < _REMEMBERED:
             return f"answers late ({delay * 1e3:.0f} ms after a request): {_LATE_REMEDY}"
@@ -480,8 +483,8 @@ class ServoBus:
             return f"does not answer, or its answers are garbled: check its power, its cable, and {_SHARED_ID}"
         waited = self.now() - self._unanswered.get(servo, self.now())
         return (
-            f"does not answer (nothing arrived for {waited * 1e3:.0f} ms): {_SILENCE_REMEDY}, and whether its answers "
-            "are later than that"
+            f"does not answer{where} (nothing arrived for {waited * 1e3:.0f} ms): {_SILENCE_REMEDY}, and "
+            "whether its answers are later than that"
         )
 
     def count_implausible(self) -> None:
@@ -521,8 +524,8 @@ class ServoBus:
                 if answer is not None and answer[_ID] == servo:
                     self._note_answers((servo,))
                     return self._content(servo, self._reply(answer), size)
-        where = f"{self.port.port_name} at {self.port.baudrate} baud"
-        reason = f"servo {servo} {self.why_no_answer(servo)} ({where})"
+        where = f" on {self.port.port_name} at {self.port.baudrate} baud"
+        reason = f"servo {servo} {self.why_no_answer(servo, where)}"
         if self._garbled:
             raise CorruptReplyError(reason)
         self._count(timeouts=1)

@@ -131,7 +131,7 @@ class StateReader:
             for name in ("realtime_tick", *names)
         }
         tick = from_raw(servo["realtime_tick"], values["realtime_tick"])
-        return values if self._is_fresh(servo.number, requested_at, reply.received, tick) else None
+        return None if self._why_stale(servo.number, requested_at, reply.received, tick) else values
 
     def _request(self) -> tuple[float, Mapping[int, ServoState]]:
         ids = self._ids
@@ -150,8 +150,8 @@ class StateReader:
                 self.problems[servo.number] = error_text(reply.error)
             else:
                 state = decode(servo.model, reply.data)
-                if not self._is_fresh(servo.number, requested_at, reply.received, state.tick):
-                    self.problems[servo.number] = self._bus.why_no_answer(servo.number)
+                if why := self._why_stale(servo.number, requested_at, reply.received, state.tick):
+                    self.problems[servo.number] = why
                 elif not self._track.record_if_plausible(servo.number, state.ticks, reply.received):
                     self._note_implausible(servo.number, state.ticks)
                 else:
@@ -163,8 +163,8 @@ class StateReader:
         self._implausible[servo] = ticks
         self.problems[servo] = f"reports a position that it cannot have reached ({ticks} ticks)"
 
-    def _is_fresh(self, servo: int, requested_at: float, received: float, tick: float) -> bool:
-        """Return True if the servo's clock shows that an answer belongs to the present request.
+    def _why_stale(self, servo: int, requested_at: float, received: float, tick: float) -> str:
+        """Return why an answer may not belong to the present request; empty if the servo's clock shows that it does.
 
         The first answer of a servo starts the estimate of its clock. A jump of the clock shows that the servo has
         restarted, and starts the estimate again. Neither the first answer nor the answer with the jump counts as fresh.
@@ -173,13 +173,13 @@ class StateReader:
         if clock is None or abs(tick_clock.jump(clock, tick, received)) >= tick_clock.RESTART:
             self._clocks[servo] = tick_clock.begin(tick, received)
             self._suspects.add(servo)
-            return False
+            return f"has restarted, or answers at least {tick_clock.RESTART * 1e3:.0f} ms late"
         self._clocks[servo] = clock = tick_clock.update(clock, tick, received)
         age = tick_clock.age(clock, tick, requested_at)
         if age > tick_clock.RESOLUTION:
             self._bus.count_stale(servo, received - requested_at + age)
-            return False
-        return True
+            return self._bus.why_no_answer(servo)
+        return ""
 
     def _note_alerts(self, replies: Mapping[int, Reply]) -> None:
         for servo, reply in replies.items():

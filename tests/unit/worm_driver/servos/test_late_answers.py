@@ -97,7 +97,7 @@ def test_lateness_in_a_gait_is_called_lateness(late, duration):
 
 
 #: s, delays around the wait for an answer, the period of the cycle, and the timeout of a silent servo
-LASTING = [0.006, 0.008, 0.012, 0.016, 0.020, 0.030, 0.045, 0.080, 0.100, 0.150, 0.200, 0.300]
+LASTING = [0.006, 0.008, 0.012, 0.016, 0.020, 0.030, 0.045, 0.080, 0.100, 0.150, 0.200, 0.290]
 
 
 @pytest.mark.parametrize("late", LASTING)
@@ -121,8 +121,7 @@ def test_answers_that_stay_late_are_called_late_in_a_gait(late):
     fault = rig.run(1.0, until=lambda s: s.player.phase is Phase.FAULT).player.message
     assert "answers late" in fault or ("nothing arrived" in fault and late > 0.04)
     rig.run(0.5)
-    found = {
-        int(re.search(r"answers late \((\d+) ms", why)[1]) for why in rig.robot.problems.values()
-    }
-    assert all(abs(delay - late * 1e3) <= 7 for delay in found)
-    assert found
+    assert rig.robot.problems
+    for why in rig.robot.problems.values():
+        delay = re.search(r"answers late \((\d+) ms", why)
+        assert abs(int(delay[1]) - late * 1e3) <= 7

@@ -244,7 +244,9 @@ def test_an_answer_of_another_length_is_none():
 
 
 def test_a_silent_servo_is_named_with_the_remedy(line):
-    with pytest.raises(NoReplyError, match=r"servo 7 does not answer .* 1000000 baud: check .* id"):
+    with pytest.raises(
+        NoReplyError, match=r"servo 7 does not answer .* 1000000 baud .*check .* id"
+    ):
         line.bus.ping(7)
 
 
