@@ -109,8 +109,8 @@ def identify(bus: ServoBus, number: int) -> Servo:
 
 def _unsuitable(number: int, name: str, stored: int, needed: int) -> ConfigurationError:
     return ConfigurationError(
-        f"servo {number} has {name} {stored} instead of {needed} ({RULES[name].why}): set it to {needed} with "
-        "Dynamixel Wizard"
+        f"servo {number} has {name} {stored} instead of {needed}: {RULES[name].why}. Set it to {needed} with Dynamixel "
+        "Wizard"
     )
 
 
