@@ -39,9 +39,7 @@ class Rule:
     value: int | None = None
 
 
-_FULL_PWM = (
-    "a lower value makes the servo slow and weak (limits.max_servo_current_a limits a cable)"
-)
+_FULL_PWM = "a lower value makes the servo slow and weak"
 _POSITION_CONTROL = "position control of the servo"
 _FIN_ANGLE = "the angles of a fin must lie within the limits; a cable servo's mode ignores them"
 _BY_PING = "a servo with another value answers no ping"
@@ -65,7 +63,9 @@ RULES: Mapping[str, Rule] = MappingProxyType(
             "part of a cable's home mark; a fin's angles count from its encoder's 0",
         ),
         "moving_threshold": Rule(Treatment.IRRELEVANT, "threshold of the register moving"),
-        "temperature_limit": Rule(Treatment.CHECKED, "protection of the servo", 80),
+        "temperature_limit": Rule(
+            Treatment.CHECKED, "the servo protects itself at the factory value", 80
+        ),
         "max_voltage_limit": Rule(Treatment.CHECKED, "the supply must lie within both limits"),
         "min_voltage_limit": Rule(Treatment.CHECKED, "the supply must lie within both limits"),
         "pwm_limit": Rule(Treatment.CHECKED, _FULL_PWM, 885),
@@ -76,7 +76,7 @@ RULES: Mapping[str, Rule] = MappingProxyType(
         "max_position_limit": Rule(Treatment.CHECKED, _FIN_ANGLE),
         "min_position_limit": Rule(Treatment.CHECKED, _FIN_ANGLE),
         "startup_configuration": Rule(Treatment.WRITTEN, "a restarted servo has no torque", 0),
-        "shutdown": Rule(Treatment.CHECKED, "protection of the servo", 52),
+        "shutdown": Rule(Treatment.CHECKED, "the servo protects itself at the factory value", 52),
         "torque_enable": Rule(Treatment.RESET, "off, unless it holds a contracted robot"),
         "led": Rule(Treatment.RESET, "part of a cable's home mark"),
         "status_return_level": Rule(Treatment.RESET, "the servo must answer all requests", 2),
