@@ -209,9 +209,8 @@ class Actuators:
                 servos.reset_control(self._bus, servo, speed, limit)
             for servo in self.fins:
                 servos.reset_control(self._bus, servo, settings.fin_speed)
-            for servo in (
-                self.servos
-            ):  # only now, as servos with torque must not wait longer than their watchdog
+            # Servos that have torque already must not wait for the others longer than their watchdog.
+            for servo in self.servos:
                 servos.arm_watchdog(self._bus, servo, settings.watchdog)
             positions = {servo.number: self._enable(servo) for servo in self.servos}
         self.track.begin(positions)
@@ -348,13 +347,12 @@ class Actuators:
             for spool, servo, state in zip(self.settings.spools, self.cables, states, strict=False)
         )
 
-    def fins_set(self, states: tuple[ServoState, ...], direction: int) -> bool:
-        """Return True if every fin stands still at its position for a direction (1 or -1). Return False for 0."""
-        if direction == 0:
-            return False
-        return all(
-            state is not SILENT
-            and abs(state.ticks - fin.ticks(direction)) <= _FIN_TOLERANCE
-            and abs(state.velocity) <= _FIN_STILL
+    def unset_fins(self, states: tuple[ServoState, ...], direction: int) -> tuple[int, ...]:
+        """Return the ids of the fin servos that do not stand still at their positions for a direction (1 or -1)."""
+        return tuple(
+            fin.servo
             for fin, state in zip(self.settings.fins, states[len(self.cables) :], strict=True)
+            if state is SILENT
+            or abs(state.ticks - fin.ticks(direction)) > _FIN_TOLERANCE
+            or abs(state.velocity) > _FIN_STILL
         )

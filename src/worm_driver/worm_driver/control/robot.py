@@ -381,10 +381,12 @@ class Robot:
             self.fail(now, late)
         before = self.player
         samples = self._valid_power_samples()
-        fins_set = self.actuators.fins_set(self._states, before.direction)
+        unset = self.actuators.unset_fins(self._states, before.direction)
+        fins_set = before.direction != 0 and not unset
         if fins_set:
             self._fins_set_for = before.direction
-        observation = Observation(fins_set, samples - self._idle_from, self._tracker_ready())
+        idle_samples = samples - self._idle_from
+        observation = Observation(fins_set, idle_samples, self._tracker_ready(), unset)
         settings = replace(self.settings.player, longest_step=self.settings.period)
         self._adopt(gait_player.step(self.player, now, observation, settings))
         if self.player.phase is Phase.RESTING and before.phase is not Phase.RESTING:
