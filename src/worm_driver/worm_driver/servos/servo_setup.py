@@ -21,7 +21,6 @@ from worm_driver.errors import BusError, ConfigurationError, CorruptReplyError, 
 from worm_driver.servos.encoding import from_raw, to_raw, unpack_from
 from worm_driver.servos.register_rules import RULES, Treatment, required
 from worm_driver.servos.registers import (
-    COMMON,
     EXTENDED_POSITION_MODE,
     MODELS,
     POSITION_MODE,
@@ -92,7 +91,7 @@ def identify(bus: ServoBus, number: int) -> Servo:
             f"update it to {model.minimum_firmware} or later with Dynamixel Wizard"
         )
     # A servo may be set to answer pings only. A group write has no answer on which this could fail.
-    bus.sync_write(COMMON["status_return_level"], {number: 2})
+    bus.sync_write(model["status_return_level"], {number: 2})
     checked = required(model, Treatment.CHECKED)
     limits = ("velocity_limit", "min_voltage_limit", "max_voltage_limit")
     ends = ("min_position_limit", "max_position_limit")
