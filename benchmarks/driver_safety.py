@@ -121,7 +121,7 @@ def _metres(ticks: float) -> float:
 def _moved(rig: Rig, deed: Deed, duration: float = LOOKED) -> float:
     """Return the largest distance (m) of the cable from its initial position."""
     rig.positions.clear()
-    here = rig.cable.motor.position
+    here = rig.cable.shaft.position
     deed(rig)
     rig.run(duration)
     return max(_metres(position - here) for _, position in rig.positions)
@@ -188,7 +188,7 @@ def _stopped_while_closing(moment: float) -> tuple[float, float, int]:
     rig.end()
     rig.advance(rig.clock.now + 1.0)
     stood = max((time for time, speed in rig.speeds if speed > STILL), default=begin) - begin
-    contracted = _metres(rig.cable.motor.position - rig.home_ticks)
+    contracted = _metres(rig.cable.shaft.position - rig.home_ticks)
     return stood, contracted, rig.cable.memory["torque_enable"]
 
 
@@ -200,7 +200,7 @@ def _flip_stopped(moment: float) -> tuple[float, float]:
     rig.run(1.0, until=lambda snapshot: snapshot.player.phase is Phase.FLIPPING)
     rig.run(moment)
     fins, begin = rig.virtual.servos[1:], rig.clock.now
-    before = [fin.shaft_angle for fin in fins]
+    before = [fin.motor_angle for fin in fins]
     rig.robot.stop(begin, "the emergency stop is on")
     last, farthest = begin, 0.0
     while rig.clock.now < begin + LOOKED:
@@ -208,7 +208,7 @@ def _flip_stopped(moment: float) -> tuple[float, float]:
         if any(abs(fin.motor.velocity) > 10.0 for fin in fins):
             last = rig.clock.now
         farthest = max(
-            farthest, *(abs(f.shaft_angle - b) for f, b in zip(fins, before, strict=True))
+            farthest, *(abs(f.motor_angle - b) for f, b in zip(fins, before, strict=True))
         )
     return last - begin, farthest
 

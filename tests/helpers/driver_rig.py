@@ -257,14 +257,14 @@ class Rig:
         while self.virtual.time + step <= time + 1e-9:
             self.virtual.advance(self.virtual.time + step)
             self.speeds.append((self.virtual.time, self.cable_speed))
-            self.positions.append((self.virtual.time, self.cable.motor.position))
+            self.positions.append((self.virtual.time, self.cable.shaft.position))
 
     def _answer(self, data: bytes, now: float) -> list[tuple[float, bytes]]:
         self.advance(now)
         servos = {servo.servo_id: servo for servo in self.virtual.servos}
         for packet in self._reader.feed(data, now):
             for number, ticks in goals_in(packet):
-                shaft = servos[number]._encoder.raw(servos[number].motor.position)
+                shaft = servos[number]._encoder.raw(servos[number].shaft.position)
                 self.goals.append(WrittenGoal(now, number, ticks, shaft))
         return [(t.time, t.data) for t in self.virtual.receive(data, now)]
 
@@ -304,7 +304,7 @@ class Rig:
 
     @property
     def cable_speed(self) -> float:
-        """Speed in m/s at which the virtual servo moves the cable."""
+        """Speed in m/s at which the virtual servo moves the cable, without the yield of its loaded shaft."""
         return abs(self.cable.motor.velocity) * 2 * math.pi / 4096 * 0.025
 
     def run(self, duration: float, until: Callable[[Snapshot], bool] | None = None) -> Snapshot:

@@ -113,10 +113,10 @@ def test_wrong_samples_while_idle_are_a_fault_and_move_nothing(jump, count):
 def test_wrong_samples_during_a_gait_stop_it_where_it_is(jump):
     rig = moving()
     rig.inject("wrong_position", target=CABLE, value=jump, duration=1e6)
-    here = rig.cable.motor.position
+    here = rig.cable.shaft.position
     assert rig.time_to_stop(1.0) < 0.100
     assert rig.robot.player.phase is Phase.FAULT
-    travelled = abs(GIVEN.spools[0].length_change(rig.cable.motor.position - here))
+    travelled = abs(GIVEN.spools[0].length_change(rig.cable.shaft.position - here))
     assert travelled < 0.010  # at 88 mm/s
     check_goals(rig)
 
@@ -140,7 +140,7 @@ def test_wrong_samples_are_not_published():
 )
 def test_sequences_of_wrong_samples(errors, in_motion):
     rig = moving() if in_motion else idle()
-    here = rig.cable.motor.position
+    here = rig.cable.shaft.position
     for cycles, jump, count in errors:
         rig.inject("wrong_position", target=CABLE, count=count, value=jump)
         if cycles:
@@ -148,7 +148,7 @@ def test_sequences_of_wrong_samples(errors, in_motion):
     rig.run(0.5)
     check_goals(rig)
     if not in_motion:
-        assert abs(GIVEN.spools[0].length_change(rig.cable.motor.position - here)) < 0.006
+        assert abs(GIVEN.spools[0].length_change(rig.cable.shaft.position - here)) < 0.006
 
 
 def test_a_wrong_sample_followed_by_a_real_fault_holds():
@@ -163,10 +163,10 @@ def test_a_wrong_sample_at_a_stop_does_not_move_the_hold():
     rig = moving()
     rig.inject("wrong_position", target=CABLE, count=1, value=1000)
     rig.run(GIVEN.period)
-    here = rig.cable.motor.position
+    here = rig.cable.shaft.position
     rig.robot.stop(rig.clock.now, "stop")
     assert rig.time_to_stop(0.5) < 0.100
-    assert abs(GIVEN.spools[0].length_change(rig.cable.motor.position - here)) < 0.005
+    assert abs(GIVEN.spools[0].length_change(rig.cable.shaft.position - here)) < 0.005
     check_goals(rig)
 
 
@@ -299,7 +299,7 @@ def test_a_wrong_sample_while_homing_does_not_move_the_home(number, jump):
     except DriverError:
         assert not rig.robot.actuators.homed
     else:
-        shaft = rig.cable._encoder.raw(rig.cable.motor.position)
+        shaft = rig.cable._encoder.raw(rig.cable.shaft.position)
         assert abs(shaft) <= 10
 
 
@@ -332,11 +332,11 @@ def two_cables() -> Rig:
 def test_a_wrong_position_of_one_of_two_cable_servos_stops_both(servo, jump):
     rig = two_cables()
     rig.inject("wrong_position", target=servo, value=jump, duration=1e6)
-    here = [s.motor.position for s in rig.virtual.servos]
+    here = [s.shaft.position for s in rig.virtual.servos]
     rig.run(1.0)
     assert rig.robot.player.phase is Phase.FAULT
     for shaft, virtual in zip(here, rig.virtual.servos, strict=True):
-        assert abs(GIVEN.spools[0].length_change(virtual.motor.position - shaft)) < 0.010
+        assert abs(GIVEN.spools[0].length_change(virtual.shaft.position - shaft)) < 0.010
     assert all(goal.distance <= REACH for goal in rig.goals)
 
 
@@ -380,7 +380,7 @@ def test_a_stop_stops_the_fins_too(deed):
     stopped = fin_positions(rig)
     rig.run(1.0)
     assert fin_positions(rig) == pytest.approx(stopped, abs=5)
-    assert all(abs(servo.shaft_angle - 3.927) > 0.3 for servo in rig.virtual.servos[1:])
+    assert all(abs(servo.motor_angle - 3.927) > 0.3 for servo in rig.virtual.servos[1:])
 
 
 def test_after_a_stop_during_a_flip_the_next_gait_sets_the_fins_at_rest():
@@ -390,7 +390,7 @@ def test_after_a_stop_during_a_flip_the_next_gait_sets_the_fins_at_rest():
     rig.start(0.03, 0.4, cycles=1, direction=-1)
     rig.run(6.0, until=lambda s: s.player.phase is Phase.RUNNING)
     for servo in rig.virtual.servos[1:]:
-        assert servo.shaft_angle == pytest.approx(3.927, abs=0.07)
+        assert servo.motor_angle == pytest.approx(3.927, abs=0.07)
 
 
 @pytest.mark.parametrize("ticks_per_cycle", [-60, 3, 60])

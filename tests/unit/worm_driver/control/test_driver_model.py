@@ -390,7 +390,7 @@ class Life(RuleBasedStateMachine):
     def contraction(self) -> float:
         """Contraction (m) of the body from its home, by the shaft, which no fault of the bus affects."""
         servo = self.virtual.servos[0]
-        return -QUICK.spools[0].length_change(servo._encoder.raw(servo.motor.position))
+        return -QUICK.spools[0].length_change(servo._encoder.raw(servo.shaft.position))
 
     def check_goals(self, seen: float) -> None:
         """Assert that each goal is within the stroke, and within reach of the cable's last valid position.
