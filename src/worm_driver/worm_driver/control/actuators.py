@@ -5,7 +5,6 @@ import math
 from collections.abc import Mapping
 
 from worm_driver.control.driver_settings import DriverSettings
-from worm_driver.control.slip import Slip
 from worm_driver.control.supervision import CableLength, fault_level, own_limit
 from worm_driver.errors import ConfigurationError, HomingError
 from worm_driver.servos import servo_setup as servos
@@ -25,9 +24,12 @@ _FIN_STILL = 0.1
 _SPRINGS_BACK = 2e-3
 #: Smallest ratio of the effort of a blocked cable servo to its `fault_level`. Gaits need less.
 _STRAIN = 0.85
-#: Largest distance of a servo from the present point of its profile if it can follow its profile, ticks. A servo with
-#: the factory gain 800/128 is at full output (885) at a distance of 142 ticks.
+#: Largest distance of a servo from the present point of its profile, ticks. A servo with the factory gain 800/128 is at
+#: full output (885) at a distance of 142 ticks.
 _FOLLOWS = 160
+#: Largest distance by which a load holds a servo back, ticks. A weak servo is farther behind its profile, and stops
+#: later there.
+_YIELD = 100
 #: Distance by which the cable may be beyond either end of the stroke range in an activation or a hold, m.
 PAYOUT_TOLERANCE = 0.01
 
@@ -63,7 +65,6 @@ class Actuators:
         self._has_torque = False
         self._held: Mapping[int, int] = {}
         self._shares: Mapping[int, float] = {}  # see `_hold_at`
-        self._slips: Mapping[int, Slip] = {}
         self._longest_stroke = settings.max_stroke
         with bus.retrying():
             self.cables = tuple(servos.identify(bus, spool.servo) for spool in settings.spools)
@@ -218,7 +219,6 @@ class Actuators:
                 servos.limit_motion(self._bus, servo, settings.fin_speed, settings.watchdog)
             positions = {servo.number: self._enable(servo, points) for servo in self.servos}
         self.track.begin(positions)
-        self._slips = {servo.number: Slip() for servo in self.cables}
         return self._hold_at(self._last_goals())
 
     def _enable(self, servo: Servo, points: Mapping[int, int]) -> PositionSample:
@@ -349,21 +349,20 @@ class Actuators:
     def _hold_point(self, servo: Servo, state: ServoState, goal: int) -> int:
         """Return the goal (ticks) with which a cable servo stays where it is.
 
-        This is the present point of its profile. A load that holds the shaft behind this point does not change it, so
-        that repeated stops do not move the cable. Two exceptions:
+        This is the present point of its profile, near which a load holds the shaft. So repeated holds do not move the
+        cable. Exceptions:
 
-        - A servo that cannot follow its profile, because it is blocked or too weak, holds its measured position, if
-          its own speed confirms this position.
-        - If the state is missing, or the position is not confirmed, the servo keeps its goal.
+        - A servo that works nearly at its limit, as with a blocked cable, holds its measured position.
+        - If the state is missing, or the position is too far from the profile and therefore probably wrong, the servo
+          keeps its goal.
         """
         if state is SILENT:
             return goal
-        behind = state.trajectory - state.ticks
+        ahead = state.trajectory - state.ticks
         strongest = _STRAIN * fault_level(servo, self.settings.limits)
-        strains = behind * state.effort > 0.0 and abs(state.effort) >= strongest
-        if abs(behind) <= _FOLLOWS and not strains:
-            return state.trajectory
-        return state.ticks if self._slips[servo.number].confirms else goal
+        if ahead * state.effort > 0.0 and abs(state.effort) >= strongest:
+            return state.ticks
+        return state.ticks + _limited(ahead, _YIELD) if abs(ahead) <= _FOLLOWS else goal
 
     def _last_goals(self) -> dict[int, int]:
         goals = ((servo.number, self._goals.last_sent(servo.number)) for servo in self.servos)
@@ -390,13 +389,6 @@ class Actuators:
 
     # --- evaluation of states ----------------------------------------------------------------------
 
-    def observe(self, states: tuple[ServoState, ...]) -> None:
-        """Compare the positions of the cable servos with their own speeds. Call this method once per cycle."""
-        self._slips = {
-            servo.number: self._slips.get(servo.number, Slip()).after(state)
-            for servo, state in zip(self.cables, states, strict=False)
-        }
-
     def cable_lengths(
         self, states: tuple[ServoState, ...], length_change: float = 0.0
     ) -> Mapping[int, CableLength]:
@@ -418,7 +410,7 @@ class Actuators:
         Return NaN before homing, and if a cable servo is silent.
         """
         lengths = [cable.measured for cable in self.cable_lengths(states).values()]
-        return sum(lengths) / len(lengths)
+        return math.nan if any(map(math.isnan, lengths)) else math.fsum(lengths) / len(lengths)
 
     def fins_set(self, states: tuple[ServoState, ...], direction: int) -> bool:
         """Return True if every fin stands still at its position for a direction (1 or -1). Return False for 0."""
@@ -430,3 +422,7 @@ class Actuators:
             and abs(state.velocity) <= _FIN_STILL
             for fin, state in zip(self.settings.fins, states[len(self.cables) :], strict=True)
         )
+
+
+def _limited(value: int, most: int) -> int:
+    return max(-most, min(value, most))

@@ -382,7 +382,6 @@ class Robot:
             if self.active:
                 self._send_goals()
             read_time, self._states = self._reader.read()
-            self.actuators.observe(self._states)
             self._supervise(now)
         except BusError as error:
             self._states = (SILENT,) * len(self.actuators.servos)
