@@ -369,6 +369,26 @@ class Rig:
         return max((time for time, speed in self.speeds if speed > 0.002), default=begin) - begin
 
 
+def two_spools(virtual: RobotSettings | None = None, **changes: object) -> Rig:
+    """Return a rig with two spools of opposite signs (ids 1 and 2) and no fins."""
+    usual = virtual or installed_robot()
+    cables = tuple(
+        replace(usual.cable_servos[0], id=number, sign=sign) for number, sign in ((1, 1), (2, -1))
+    )
+    robot = VirtualRobot(replace(usual, cable_servos=cables, fin_servos=()))
+    spools = (Spool(1, 1, 0.025), Spool(2, -1, 0.025))
+    return Rig(settings(spools=spools, fins=(), **changes), robot)
+
+
+def shaft_lengths(rig: Rig) -> list[float]:
+    """Return the length change (m) of each cable by the shaft of its servo, which no fault of the bus affects."""
+    lengths = []
+    for spool in rig.settings.spools:
+        servo = next(s for s in rig.virtual.servos if s.servo_id == spool.servo)
+        lengths.append(spool.length_change(servo._encoder.raw(servo.shaft.position)))
+    return lengths
+
+
 @cache
 def _idle() -> Rig:
     rig = Rig()
