@@ -9,7 +9,7 @@ import copyreg
 import errno
 import math
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import cache
@@ -304,8 +304,9 @@ class Rig:
 
     @property
     def cable_speed(self) -> float:
-        """Speed in m/s at which the virtual servo moves the cable, without the yield of its loaded shaft."""
-        return abs(self.cable.motor.velocity) * 2 * math.pi / 4096 * 0.025
+        """Highest speed (m/s) at which a servo moves its cable, without the yield of its loaded shaft."""
+        cables = self.virtual.servos[: len(self.settings.spools)]
+        return max(abs(servo.motor.velocity) for servo in cables) * 2 * math.pi / 4096 * 0.025
 
     def run(self, duration: float, until: Callable[[Snapshot], bool] | None = None) -> Snapshot:
         """Run cycles for a duration (s), or until a snapshot fulfils a condition.
@@ -369,15 +370,20 @@ class Rig:
         return max((time for time, speed in self.speeds if speed > 0.002), default=begin) - begin
 
 
-def two_spools(virtual: RobotSettings | None = None, **changes: object) -> Rig:
-    """Return a rig with two spools of opposite signs (ids 1 and 2) and no fins."""
-    usual = virtual or installed_robot()
-    cables = tuple(
-        replace(usual.cable_servos[0], id=number, sign=sign) for number, sign in ((1, 1), (2, -1))
-    )
-    robot = VirtualRobot(replace(usual, cable_servos=cables, fin_servos=()))
-    spools = (Spool(1, 1, 0.025), Spool(2, -1, 0.025))
-    return Rig(settings(spools=spools, fins=(), **changes), robot)
+#: two spools of opposite signs
+SPOOLS = (Spool(1, 1, 0.025), Spool(2, -1, 0.025))
+
+
+def robot_with_spools(spools: Sequence[Spool]) -> VirtualRobot:
+    """Return the installed virtual robot with these spools."""
+    (cable,) = installed_robot().cable_servos
+    cables = tuple(replace(cable, id=spool.servo, sign=spool.sign) for spool in spools)
+    return VirtualRobot(replace(installed_robot(), cable_servos=cables))
+
+
+def two_spools(**changes: object) -> Rig:
+    """Return a rig with two spools."""
+    return Rig(settings(spools=SPOOLS, **changes), robot_with_spools(SPOOLS))
 
 
 def shaft_lengths(rig: Rig) -> list[float]:

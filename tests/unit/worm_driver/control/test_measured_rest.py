@@ -234,11 +234,11 @@ def test_activation_rejects_cables_that_differ(distance):
     before = shaft_lengths(rig)
     with pytest.raises(HomingError) as caught:
         rig.robot.activate(rig.clock.now)
-    named = re.findall(r"servo (\d) is at (-?[\d.]+) mm", str(caught.value))
+    named = re.findall(r"servo (\d) (?:is )?at (-?[\d.]+) mm", str(caught.value))
     assert [servo for servo, _ in named] == ["1", "2"]
     assert [float(length) * 1e-3 for _, length in named] == pytest.approx(before, abs=2e-4)
-    assert torques(rig) == [0, 0]
-    assert shaft_lengths(rig) == before
+    assert torques(rig) == [0, 0, 0, 0]
+    assert shaft_lengths(rig) == pytest.approx(before, abs=5e-4)
 
 
 @pytest.mark.parametrize("index", [0, 1])
@@ -265,7 +265,9 @@ def test_after_a_stop_each_servo_holds_where_it_is(index, lag):
     begin, before, last = rig.clock.now, shaft_lengths(rig), rig.clock.now
     while rig.clock.now < begin + 2.0:
         rig.clock.now += 0.005
-        if any(abs(s.motor.velocity) * 0.025 * math.tau / 4096 > STILL for s in rig.virtual.servos):
+        if any(
+            abs(s.motor.velocity) * 0.025 * math.tau / 4096 > STILL for s in rig.virtual.servos[:2]
+        ):
             last = rig.clock.now
         rig.run(0.005)
     assert last - begin <= STOP
@@ -296,7 +298,7 @@ def test_servos_that_hold_at_different_lengths_return_to_rest_together():
     rig.start(0.03, 0.3, cycles=1)
     rig.run(10.0, until=lambda s: s.player.phase is Phase.RUNNING)
     rig.run(1.0)
-    ticks = [goal.ticks for goal in rig.goals[-2:]]
+    ticks = [goal.ticks for goal in rig.goals[-4:-2]]
     assert ticks[0] == -ticks[1]
 
 
