@@ -27,8 +27,7 @@ _STRAIN = 0.85
 #: Largest distance of a servo from the present point of its profile, ticks. A servo with the factory gain 800/128 is at
 #: full output (885) at a distance of 142 ticks.
 _FOLLOWS = 160
-#: Largest distance by which a load holds a servo back, ticks. A weak servo is farther behind its profile, and stops
-#: later there.
+#: Largest distance from a moving servo to the point where it holds, ticks. A weak servo takes longer for a larger one.
 _YIELD = 100
 #: Distance by which the cable may be beyond either end of the stroke range in an activation or a hold, m.
 PAYOUT_TOLERANCE = 0.01
@@ -300,11 +299,10 @@ class Actuators:
     @property
     def contraction_text(self) -> str:
         """Clause with the measured contraction of each cable that would spring back."""
-        each = " and ".join(
-            f"by {length * 1e3:.1f} mm at servo {servo}"
-            for servo, length in self.contracted.items()
-        )
-        return f"the robot is contracted {each}"
+        each = [
+            f"{length * 1e3:.1f} mm at servo {servo}" for servo, length in self.contracted.items()
+        ]
+        return f"the robot is contracted by {' and '.join(each) or 'at most 2 mm'}"
 
     def send(self, length_change: float, direction: int) -> None:
         """Send the goals of all servos in one packet.
@@ -355,6 +353,7 @@ class Actuators:
         - A servo that works nearly at its limit, as with a blocked cable, holds its measured position.
         - If the state is missing, or the position is too far from the profile and therefore probably wrong, the servo
           keeps its goal.
+        - A servo far behind a profile that has not ended, as a weak one, holds a point nearer to its position.
         """
         if state is SILENT:
             return goal
@@ -362,7 +361,9 @@ class Actuators:
         strongest = _STRAIN * fault_level(servo, self.settings.limits)
         if ahead * state.effort > 0.0 and abs(state.effort) >= strongest:
             return state.ticks
-        return state.ticks + _limited(ahead, _YIELD) if abs(ahead) <= _FOLLOWS else goal
+        if abs(ahead) > _FOLLOWS or state.trajectory == goal:
+            return goal
+        return state.ticks + max(-_YIELD, min(ahead, _YIELD))
 
     def _last_goals(self) -> dict[int, int]:
         goals = ((servo.number, self._goals.last_sent(servo.number)) for servo in self.servos)
@@ -422,7 +423,3 @@ class Actuators:
             and abs(state.velocity) <= _FIN_STILL
             for fin, state in zip(self.settings.fins, states[len(self.cables) :], strict=True)
         )
-
-
-def _limited(value: int, most: int) -> int:
-    return max(-most, min(value, most))
