@@ -287,14 +287,20 @@ class Actuators:
     def _contraction(self, spool: Spool) -> float:
         """Return the contraction (m) at the last plausible position, infinite if there is none.
 
-        A servo that has not been measured for `limits.max_silence` may have moved on to its goal.
+        A servo that was not measured recently may have moved on to its goal.
         """
         position, goal = self.track.last(spool.servo), self._goals.last_sent(spool.servo)
         if position is None:
             return math.inf
-        silent = self._bus.now() - position.time > self.settings.limits.max_silence
-        places = [position.ticks, goal] if silent and goal is not None else [position.ticks]
-        return max(-spool.length_change(ticks) for ticks in places)
+        at = -spool.length_change(position.ticks)
+        if goal is None or self._is_recent(position):
+            return at
+        return max(at, -spool.length_change(goal))
+
+    def _is_recent(self, position: PositionSample | None) -> bool:
+        """Return True if a position was received in one of the last two cycles, or within `limits.max_silence`."""
+        longest = max(self.settings.limits.max_silence, 2 * self.settings.period)
+        return position is not None and self._bus.now() - position.time <= longest
 
     @property
     def contraction_text(self) -> str:
@@ -351,11 +357,11 @@ class Actuators:
         cable. Exceptions:
 
         - A servo that works nearly at its limit, as with a blocked cable, holds its measured position.
-        - If the state is missing, or the position is too far from the profile and therefore probably wrong, the servo
-          keeps its goal.
+        - If the state is missing or old, or the position is too far from the profile and therefore probably wrong, the
+          servo keeps its goal.
         - A servo far behind a profile that has not ended, as a weak one, holds a point nearer to its position.
         """
-        if state is SILENT:
+        if state is SILENT or not self._is_recent(self.track.last(servo.number)):
             return goal
         ahead = state.trajectory - state.ticks
         strongest = _STRAIN * fault_level(servo, self.settings.limits)
