@@ -19,8 +19,8 @@ from worm_model.arrays import Array
 from worm_model.margin.cycle_margin import SHARED_SD_M
 
 # Prior of the scatter, from robots that are not the model: its median in m, and the standard deviation of its logarithm
-_SCATTER_M, _LOG_SCATTER_SD = 0.0006, 0.4
-_SCATTERS = _SCATTER_M * np.exp(np.linspace(-3.0, 4.0, 22) * _LOG_SCATTER_SD)
+_SCATTER_M, _LOG_SCATTER_SD = 0.0004, 0.3
+_SCATTERS = _SCATTER_M * np.exp(np.linspace(-3.0, 6.0, 24) * _LOG_SCATTER_SD)
 _NODES = ndtri((np.arange(24) + 0.5) / 24)  # of a normal distribution, of equal weight
 
 
@@ -57,6 +57,17 @@ class MarginBelief:
     def expected_scatter(self) -> float:
         """Expected scatter, m."""
         return float(self.weight @ self.scatter)
+
+    @property
+    def chance(self) -> float:
+        """Probability that the next margin is positive."""
+        kept, weight = self.keeps()
+        return float(kept @ weight)
+
+    @property
+    def chance_if_known(self) -> float:
+        """Probability that the next margin is positive if the mean were known to be the expected one."""
+        return float(self.weight @ ndtr(self.mean / self.scatter))
 
     def keeps(self) -> tuple[Array, Array]:
         """Return the probabilities that a margin is positive, and their weights, shape (n,) each."""
