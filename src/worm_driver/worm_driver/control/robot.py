@@ -207,15 +207,17 @@ class Robot:
             BusError: A request cannot be sent.
         """
         before: Mapping[int, float] = {}
+        seen: dict[int, str] = {}
         for _ in range(_ATTEMPTS):
             cables = self.actuators.cable_lengths(self._reader.read()[1])
+            seen |= self._reader.problems
             lengths = {servo: cable.measured for servo, cable in cables.items()}
             if all(
                 abs(length - before.get(n, math.nan)) <= _AGREE for n, length in lengths.items()
             ):
                 return lengths
             before = lengths
-        problems = "; ".join(f"servo {servo} {why}" for servo, why in self._reader.problems.items())
+        problems = "; ".join(f"servo {servo} {why}" for servo, why in seen.items())
         raise NoReplyError(
             f"cannot measure the length of the cable: {problems or 'its servo reports another position each time'}"
         )
@@ -407,13 +409,15 @@ class Robot:
             self.fail(now, late)
         before = self.player
         samples = self._valid_power_samples()
-        fins_set = self.actuators.fins_set(self._states, before.direction)
+        unset = self.actuators.unset_fins(self._states, before.direction)
+        fins_set = before.direction != 0 and not unset
         if fins_set:
             self._fins_set_for = before.direction
         observation = Observation(
             fins_set,
             samples - self._idle_from,
             self._tracker_ready(),
+            unset,
             at_rest=not self.actuators.contracted,
         )
         settings = replace(
