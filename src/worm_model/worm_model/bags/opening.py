@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path, PurePath
 
 from worm_model.bags.formats.bag import Bag, Notify
@@ -106,10 +107,7 @@ def _report(bag: Bag) -> None:
         bag.notify(f"{bag.path}: {line}")
     if recovery := bag.metadata.get(RECOVERY_RECORD):
         bag.notify(f"{bag.path} was recovered from {recovery.get(SOURCE)}: {recovery.get(LOSS)}")
-    gaps = [
-        (after[0] - before[1]) / 3.6e12
-        for before, after in zip(bag.spans, bag.spans[1:], strict=False)
-    ]
+    gaps = [(after[0] - before[1]) / 3.6e12 for before, after in pairwise(bag.spans)]
     if gaps:
         bag.notify(
             f"{bag.path}: its log times leave {len(gaps)} gaps of more than {LONGEST_GAP_NS / 3.6e12:g} h "

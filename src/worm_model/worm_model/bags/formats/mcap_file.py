@@ -74,6 +74,8 @@ _MESSAGE_BODY = _HEAD.itemsize - _RECORD.size  # bytes before the payload
 _CHUNK = struct.Struct("<QQQII")
 # beginning of the record of a chunk; the length of the name of its compression algorithm precedes the name
 _BEGINNING = re.compile(rb"(?s)\x06(?=.{36}(?:\0{4}|\x04\0{3}zstd|\x03\0{3}lz4))")
+_BEGINNING_BYTES = 45
+_CONTAINERS = (Opcode.ATTACHMENT, Opcode.MESSAGE)  # may contain any bytes
 _FOOTER = struct.Struct("<QQI")  # start of the summary, start of the summary's offsets, checksum
 _MESSAGE = Opcode.MESSAGE.value
 _READERS: dict[int, Callable[[ReadDataStream], Any]] = {
@@ -287,6 +289,13 @@ def _chunk_records(body: Buffer) -> Buffer:
     return records
 
 
+def _is_intact_chunk(body: Buffer) -> bool:
+    """Return True for the body of a chunk with a correct checksum, whose opcode is damaged if it is not that of one."""
+    with suppress(*DAMAGE):
+        return _chunk(body).checksum != 0 and _chunk_records(body) is not None
+    return False
+
+
 def _from_zstd(data: Buffer, size: int) -> bytes:
     if zstandard.frame_content_size(data) > LARGEST_CHUNK:
         raise ValueError("a chunk decompresses to too many bytes")
@@ -337,6 +346,7 @@ class _Survey:
         self._data = data
         self._intact = len(MAGIC)  # bytes of intact records
         self._is_closed = False
+        self._is_protected = False  # the chunks have checksums
         self._altered = False  # the checksum of the data section is wrong
         self._summary: list[Any] | None = None  # records after the data section
         self._read_all()
@@ -353,7 +363,7 @@ class _Survey:
                 self._add_messages(run, place)
                 run = place
             if end is None:
-                place = run = self._next_chunk(place)
+                place = run = self._next_chunk(place, len(self._data))
                 continue
             if self._data[place] != _MESSAGE:
                 with suppress(*DAMAGE):
@@ -366,14 +376,17 @@ class _Survey:
     def _end(self, place: int) -> int | None:
         """Return the end of the record at a place; None if there is none, or its length is wrong.
 
-        After a record of the right length, another one begins, or the file ends. Of an intact chunk, the length of its
-        content counts.
+        Another record or the end of the file follows a record of the right length, which contains no chunk. An intact
+        chunk ends where its content ends.
         """
-        end, size = self._declared_end(place), len(self._data)
-        is_last = end is not None and size - _RECORD.size < end <= size
-        if is_last or (end is not None and self._declared_end(end) is not None):
-            return end
-        if self._data[place] == Opcode.CHUNK:
+        opcode, size = self._data[place], len(self._data)
+        end = self._declared_end(place)
+        if end is not None and end <= size:
+            is_last = end > size - _RECORD.size or self._data[end : end + len(MAGIC)] == MAGIC
+            is_followed = is_last or self._declared_end(end) is not None
+            if is_followed and (opcode in _CONTAINERS or self._next_chunk(place, end) == end):
+                return end
+        if opcode == Opcode.CHUNK:
             with suppress(*DAMAGE):
                 body = self._data[place + _RECORD.size :]
                 _chunk_records(body)
@@ -386,21 +399,26 @@ class _Survey:
         opcode, length = _RECORD.unpack_from(self._data, place)
         return place + _RECORD.size + length if opcode and length < _LONGEST else None
 
-    def _next_chunk(self, place: int) -> int:
-        """Return the location of the next intact chunk, or the end of the file."""
-        for match in _BEGINNING.finditer(self._data, place + 1):
-            end = self._end(match.start())
-            if end is not None:
-                with suppress(*DAMAGE):
-                    _chunk_records(self._data[match.start() + _RECORD.size : end])
-                    return match.start()
-        return len(self._data)
+    def _next_chunk(self, place: int, limit: int) -> int:
+        """Return the location of the next intact chunk after a place; ``limit`` if none begins before it.
+
+        If the place is that of a chunk, the search begins after its content.
+        """
+        with suppress(*DAMAGE):
+            if self._data[place] == Opcode.CHUNK:
+                place = min(place + _chunk(self._data[place + _RECORD.size : limit]).last, limit)
+        for match in _BEGINNING.finditer(self._data, place + 1, limit + _BEGINNING_BYTES):
+            with suppress(*DAMAGE):
+                _chunk_records(self._data[match.start() + _RECORD.size :])
+                return min(match.start(), limit)
+        return limit
 
     def _add(self, place: int, end: int) -> None:
         """Add a record that is not a message; raise one of DAMAGE if it is damaged."""
         opcode, body = self._data[place], self._data[place + _RECORD.size : end]
-        if opcode == Opcode.CHUNK:
+        if opcode == Opcode.CHUNK or _is_intact_chunk(body):
             self._add_extent(_chunk_records(body), place, end)
+            self._is_protected |= _chunk(body).checksum != 0
         elif opcode == Opcode.ATTACHMENT:
             fields = _Fields(body)
             Attachment.read(fields)
@@ -420,14 +438,10 @@ class _Survey:
                 self._register(record)
             else:
                 self._summary.append(record)
-        else:
-            with suppress(*DAMAGE):
-                if _chunk(body).checksum:  # a chunk whose opcode is damaged
-                    self._add_extent(_chunk_records(body), place, end)
 
     def _add_messages(self, first: int, last: int) -> None:
-        """Add successive messages outside of chunks."""
-        if last > first:
+        """Add successive messages outside of chunks, unless they can only be damaged indexes between the chunks."""
+        if last > first and not self._is_protected:
             with suppress(*DAMAGE):
                 self._add_extent(self._data[first:last], first, last)
                 self._intact += last - first
