@@ -22,11 +22,11 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 
 from worm_model.bags.formats.bag import Bag
-from worm_model.bags.formats.bag_errors import BagError, DefinitionError
+from worm_model.bags.formats.bag_errors import BagError
 from worm_model.bags.formats.bag_metadata import first_qos_profile
-from worm_model.bags.formats.cdr import types_of
+from worm_model.bags.formats.cdr import Converter
 from worm_model.bags.formats.message_block import Message, Topic
-from worm_model.bags.formats.message_types import topic_of
+from worm_model.bags.formats.message_types import topic_of, with_definition
 from worm_model.bags.opening import open_bag
 from worm_model.bags.recording.recording_session import is_latched
 from worm_model.commands.command_line import InputError, Parser, not_negative, number, run_command
@@ -66,18 +66,6 @@ def play_qos(topic: Topic) -> QoSProfile:
     )
 
 
-def _playable(channel: Topic) -> type:
-    """Return the class of a channel's messages.
-
-    Raises:
-        BagError: The type is not installed, is not the one in the bag, or is encoded in another way.
-    """
-    kind = message_class(channel.type_name)
-    if types_of(channel) != types_of(topic_of(channel.name, channel.type_name)):
-        raise DefinitionError(f"the installed {channel.type_name} is not the one in the bag")
-    return kind
-
-
 class PlayNode(Node):
     """Node that plays a bag.
 
@@ -92,7 +80,8 @@ class PlayNode(Node):
         self._bag = bag
         self._options = options
         self._first_ns = bag.time_at(options.start)
-        self._played: set[Topic] = set()
+        self._converters: dict[Topic, Converter] = {}
+        self._skipped: set[str] = set()  # topics with messages that could not be converted
         self._publishers_by_topic = self._advertise()
         self._clock_publisher = self.create_publisher(Clock, "/clock", 10)
         self._clock_due = 0.0
@@ -113,7 +102,8 @@ class PlayNode(Node):
         publishers: dict[str, Publisher] = {}
         for channel in self._selected():
             try:
-                kind = _playable(channel)
+                kind = message_class(channel.type_name)
+                converter = self._converter(channel)
                 known = publishers.get(channel.name)
                 if known is not None and known.msg_type is not kind:
                     raise BagError(f"it is played as another type; {channel.type_name} is left out")
@@ -124,10 +114,21 @@ class PlayNode(Node):
                 reason = str(error).splitlines()[0]
                 self.get_logger().warning(f"{channel.name!r} is not played: {reason}")
                 continue
-            self._played.add(channel)
+            self._converters[channel] = converter
         if not publishers:
             raise InputError(f"{self._bag.path}: none of the selected topics can be played")
         return publishers
+
+    def _converter(self, channel: Topic) -> Converter:
+        """Return a converter from the message type in the bag to the installed one, and log the fields that it adds."""
+        installed = topic_of(channel.name, channel.type_name)
+        converter = Converter(with_definition(channel), installed)
+        if converter.added:
+            added = ", ".join(converter.added)
+            self.get_logger().warning(
+                f"{channel.name}: the bag is from before {channel.type_name} had {added}; played with default values"
+            )
+        return converter
 
     def _selected(self) -> Iterator[Topic]:
         wanted, exclude = self._options.topic, self._options.exclude
@@ -224,9 +225,19 @@ class PlayNode(Node):
         return bool(self._awaited)
 
     def _publish(self, message: Message) -> None:
-        if message.channel in self._played:
-            self._publishers_by_topic[message.topic].publish(message.data)
-            self.published += 1
+        if message.channel not in self._converters:
+            return
+        try:
+            data = self._converters[message.channel](message.data)
+        except BagError as error:
+            if message.topic not in self._skipped:
+                self.get_logger().warning(
+                    f"{message.topic} is played without the messages that cannot be converted: {error}"
+                )
+            self._skipped.add(message.topic)
+            return
+        self._publishers_by_topic[message.topic].publish(data)
+        self.published += 1
 
     def _publish_clock(self, now_ns: int) -> None:
         if self._options.clock:
