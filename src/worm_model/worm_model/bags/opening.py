@@ -78,6 +78,8 @@ def _file_names(path: Path, notify: Notify) -> Sequence[str]:
     try:
         content = read_metadata(path)
     except BagError as error:
+        if not present:
+            raise
         notify(f"{error}; all files of the folder are read")
         return present
     if is_unfinished(content):

@@ -450,7 +450,10 @@ class _Survey:
         _, heads, others = _sorted_out(records)
         for opcode, start, end in others:
             if opcode in _READERS:
-                self._register(_READERS[opcode](_Fields(records[start:end])))
+                try:
+                    self._register(_READERS[opcode](_Fields(records[start:end])))
+                except DAMAGE:
+                    self.remarks.append("a definition of a topic is not complete, or not UTF-8")
         if len(heads):
             times = heads["log_time"]
             self.counts.update(heads["channel"].tolist())
