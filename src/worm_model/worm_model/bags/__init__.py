@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reading, writing, recording and recovery of bags in MCAP and other rosbag2 formats.
+"""Reading, writing and recording of bags in MCAP and other rosbag2 formats.
 
 Only these modules depend on the file formats; all other packages use typed arrays and records.
 

@@ -38,6 +38,7 @@ LONGEST_WAIT_S = 0.005  # between two polls of the services
 REMINDER_S = 10.0  # between two log lines that name the awaited nodes
 MATCHING_S = 3.0  # timeout for a subscriber that cannot be connected
 ACKNOWLEDGED_S = 2.0  # timeout for the last messages to reach their subscribers
+LATEST_S = 2**31 - 1  # s since the epoch, the latest time of a message (year 2038)
 VOLATILE_DEPTH = 1000  # samples that may wait for a slow subscriber
 
 
@@ -87,9 +88,8 @@ class PlayNode(Node):
         self._clock_due = 0.0
         self._pending: Message | None = None
         self._messages: Iterator[Message] = iter(())
-        self._begin = (
-            math.inf
-        )  # wall time (monotonic, s) of the first message, once the subscribers are connected
+        # wall time of the first message (monotonic, s), once the subscribers are connected
+        self._begin = math.inf
         self._subscribers: dict[str, tuple[int, int]] = {}
         self._changed = time.monotonic()  # time of the last change of the subscribers
         self._awaited: list[str] = list(options.wait_for)
@@ -241,7 +241,7 @@ class PlayNode(Node):
 
     def _publish_clock(self, now_ns: int) -> None:
         if self._options.clock:
-            stamp = Time(sec=now_ns // 10**9, nanosec=now_ns % 10**9)
+            stamp = Time(sec=min(now_ns // 10**9, LATEST_S), nanosec=now_ns % 10**9)
             self._clock_publisher.publish(Clock(clock=stamp))
 
     def _end(self, wall: float) -> None:

@@ -203,39 +203,30 @@ class _Fields(ReadDataStream):
         return bytes(self._body[self._count - length : self._count])
 
 
-def _records_in(data: Buffer) -> Iterator[tuple[int, int, int]]:
-    """Yield (opcode, start, end) of each record of a chunk; its body extends from start to end (exclusive).
-
-    Raises:
-        ValueError, struct.error: A record is longer than the data.
-    """
-    unpack, size, position = _RECORD.unpack_from, len(data), 0
-    while position < size:
-        opcode, length = unpack(data, position)
-        start = position + _RECORD.size
-        position = start + length
-        if position > size:
-            raise ValueError("a record is longer than the data that contains it")
-        yield opcode, start, position
-
-
 def _sorted_out(
     records: Buffer,
 ) -> tuple[NDArray[np.int64], NDArray[np.void], list[tuple[int, int, int]]]:
     """Return the messages among records and the other records.
 
     Returns:
-        (offsets of the messages in bytes, their heads, each (messages,); `_records_in` of all other records)
+        (offsets of the messages in bytes, their heads, each (messages,); opcode, first and last byte of the body of
+        each other record, the last byte exclusive)
 
     Raises one of DAMAGE.
     """
+    unpack, size, place = _RECORD.unpack_from, len(records), 0
     starts, others = [], []
-    for record in _records_in(records):
-        if record[0] == _MESSAGE:
-            starts.append(record[1])
+    while place < size:
+        opcode, length = unpack(records, place)
+        first = place + _RECORD.size
+        if opcode == _MESSAGE:
+            starts.append(place)
         else:
-            others.append(record)
-    offset = np.array(starts, np.int64) - _RECORD.size
+            others.append((opcode, first, first + length))
+        place = first + length
+    if place > size:
+        raise ValueError("a record is longer than the data that contains it")
+    offset = np.array(starts, np.int64)
     if len(offset) and offset[-1] > len(records) - _HEAD.itemsize:
         raise ValueError("a message is shorter than its head")
     cells = np.ndarray(max(len(records) - _HEAD.itemsize + 1, 0), "V31", records, strides=(1,))
@@ -408,9 +399,11 @@ class _Survey:
             if self._data[place] == Opcode.CHUNK:
                 place = min(place + _chunk(self._data[place + _RECORD.size : limit]).last, limit)
         for match in _BEGINNING.finditer(self._data, place + 1, limit + _BEGINNING_BYTES):
+            if match.start() >= limit:
+                break
             with suppress(*DAMAGE):
                 _chunk_records(self._data[match.start() + _RECORD.size :])
-                return min(match.start(), limit)
+                return match.start()
         return limit
 
     def _add(self, place: int, end: int) -> None:
@@ -456,7 +449,8 @@ class _Survey:
                     self.remarks.append("a definition of a topic is not complete, or not UTF-8")
         if len(heads):
             times = heads["log_time"]
-            self.counts.update(heads["channel"].tolist())
+            numbers, counts = np.unique(heads["channel"], return_counts=True)
+            self.counts.update(dict(zip(numbers.tolist(), counts.tolist(), strict=True)))
             self.spans += spans_of(times)
             self.extents.append(Extent(int(times.min()), int(times.max()), first, last))
 
