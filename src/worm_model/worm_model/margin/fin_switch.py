@@ -30,6 +30,7 @@ _SURE = 5.0  # log evidence above which there is a switch
 _TEMPLATE_ERROR_M = 0.0001  # standard deviation of the motion of a healthy robot from the template
 # Standard deviations of the priors: of the slopes (1), also after the turning point; of the jump (relative); offset (m)
 _SLOPE, _TURNED, _JUMP, _OFFSET = 0.15, 0.5, 0.25, 0.05
+_BENT = 0.4  # the same of a change of slope without a switch, as when the holding fin engages
 
 
 @dataclass(frozen=True)
@@ -76,25 +77,42 @@ class Evidence:
         self._noise = float(np.hypot(0.8 * motion.noise, _TEMPLATE_ERROR_M))
 
     def at(self, time: float, low: float, high: float) -> float:
-        """Return the log evidence of a switch at a time from the samples between two times, 0 without any."""
-        rows = slice(*np.searchsorted(self._time, (low, high)))
-        at = self._time[rows]
-        if at.size < 5:
+        """Return the log evidence of a switch at a time from the samples between two times, 0 without any.
+
+        Without a switch, the slope may change at this time, as when the holding fin engages.
+        """
+        terms, values = self._terms(time, low, high)
+        if values.size < 5:
             return 0.0
-        travel = self._travel[rows]
+        without = self._log_evidence(
+            terms[:-1], values, [0.0, self._law.slope, 0.0, 0.0], [_OFFSET, _SLOPE, _TURNED, _BENT]
+        )
+        return self._switched(terms, values) - without
+
+    def of_time(self, time: float, low: float, high: float) -> float:
+        """Return the log likelihood of the time of a switch that is known to be between two times."""
+        return self._switched(*self._terms(time, low, high))
+
+    def _switched(self, terms: Array, values: Array) -> float:
+        law = self._law
+        return self._log_evidence(
+            terms,
+            values,
+            [0.0, law.slope, 0.0, law.slope, law.jump],
+            [_OFFSET, _SLOPE, _TURNED, _SLOPE, _JUMP * law.jump],
+        )
+
+    def _terms(self, time: float, low: float, high: float) -> tuple[Array, Array]:
+        """Return the terms (5, n) of the template, the jump last, and the position of the holding module (n,), m."""
+        rows = slice(*np.searchsorted(self._time, (low, high)))
+        at, travel = self._time[rows], self._travel[rows]
         now = np.interp(time, self._time, self._travel)
         after = at > time
-        law = self._law
         turned = np.where(at > self._turn[0], travel - self._turn[1], 0.0)
-        without = np.stack([np.ones(at.size), now - travel, turned])
-        jump = np.where(after, 1.0 - np.exp(-np.maximum(at - time, 0.0) / law.time_constant), 0.0)
-        with_switch = np.stack([*without, jump, np.where(after, travel - now, 0.0)])
-        centred = self._holding[rows] - self._holding[rows].mean()
-        expected = [0.0, law.slope, 0.0, law.jump, law.slope]
-        spread = [_OFFSET, _SLOPE, _TURNED, _JUMP * law.jump, _SLOPE]
-        return self._log_evidence(with_switch, centred, expected, spread) - self._log_evidence(
-            without, centred, expected[:3], spread[:3]
-        )
+        bent = np.where(after, travel - now, 0.0)
+        elapsed = np.maximum(at - time, 0.0) / self._law.time_constant
+        terms = np.stack([np.ones(at.size), now - travel, turned, bent, -np.expm1(-elapsed)])
+        return terms, self._holding[rows] - self._holding[rows].mean() if at.size else at
 
     def _log_evidence(
         self, terms: Array, values: Array, expected: list[float], spread: list[float]
@@ -150,7 +168,7 @@ def find_switches(
     coarse, window = grid[rows[-1]], windows[rows[-1]]
     fine = np.arange(coarse - _AROUND_S, coarse + _AROUND_S, _FINE_S)
     span = max(coarse - window, half.start), min(coarse + window, end)
-    log = np.array([evidence.at(time, *span) for time in fine])
+    log = np.array([evidence.of_time(time, *span) for time in fine])
     weight = np.exp(log - log.max())
     weight /= weight.sum()
     mean = float(weight @ fine)
@@ -185,4 +203,7 @@ def _comb(
             total[row] += max(float(gain[best]), -_SURE)
             earlier[row].insert(0, int(rows_before[best]))
     best = int(np.argmax(total))
-    return [*earlier[best], best] if total[best] > _SURE and score[best] > 0.0 else []
+    least = (
+        _SURE if count is None else 0.0
+    )  # of a fin that is known to have switched, the best time counts
+    return [*earlier[best], best] if total[best] > least else []
