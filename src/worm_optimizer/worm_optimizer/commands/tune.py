@@ -114,7 +114,10 @@ def described(tuning: Tuning) -> str:
     """Return a step of a tuning as a line."""
     gait, keeps = tuning.gait, tuning.keeps
     what = f"{tuning.state.value}: {gait.stroke * 1e3:.2f} mm, {gait.frequency:g} Hz"
-    return f"{what}; a cycle keeps its grooves with {keeps.value:.3f} ({keeps.low:.3f} to {keeps.high:.3f}); {tuning.reason}"
+    chance = (
+        f"a cycle keeps its grooves with {keeps.value:.3f} ({keeps.low:.3f} to {keeps.high:.3f})"
+    )
+    return f"{what}; {chance}; {tuning.reason}"
 
 
 def _tune(options: argparse.Namespace) -> None:
