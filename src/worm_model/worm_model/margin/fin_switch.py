@@ -26,6 +26,7 @@ _WINDOW_S = (0.15, 0.45)  # shortest and longest half window
 _WINDOW_TRAVEL = 0.4  # of a pitch; half window as a travel
 _LEAST_TRAVEL = 0.6  # of p_sw + δ_c/2, before which no fin can switch
 _SPACING = 0.0007  # m, standard deviation of the travel between two switches about a pitch
+_FEWEST_SAMPLES = 5  # about a switch
 _SURE = 5.0  # log evidence above which there is a switch
 _TEMPLATE_ERROR_M = 0.0001  # standard deviation of the motion of a healthy robot from the template
 # Standard deviations of the priors: of the slopes (1), also after the turning point; of the jump (relative); offset (m)
@@ -75,37 +76,46 @@ class Evidence:
         # The smoothed length adds a part of its own noise to that of the mean of both modules.
         self._noise = float(np.hypot(0.8 * motion.noise, _TEMPLATE_ERROR_M))
 
-    def at(self, time: float, low: float, high: float) -> float:
-        """Return the log evidence of a switch at a time from the samples between two times, 0 without any."""
-        rows = slice(*np.searchsorted(self._time, (low, high)))
-        at = self._time[rows]
-        if at.size < 5:
-            return 0.0
-        travel = self._travel[rows]
-        now = np.interp(time, self._time, self._travel)
-        after = at > time
-        law = self._law
-        turned = np.where(at > self._turn[0], travel - self._turn[1], 0.0)
-        without = np.stack([np.ones(at.size), now - travel, turned])
-        jump = np.where(after, 1.0 - np.exp(-np.maximum(at - time, 0.0) / law.time_constant), 0.0)
-        with_switch = np.stack([*without, jump, np.where(after, travel - now, 0.0)])
-        centred = self._holding[rows] - self._holding[rows].mean()
-        expected = [0.0, law.slope, 0.0, law.jump, law.slope]
-        spread = [_OFFSET, _SLOPE, _TURNED, _JUMP * law.jump, _SLOPE]
-        return self._log_evidence(with_switch, centred, expected, spread) - self._log_evidence(
-            without, centred, expected[:3], spread[:3]
-        )
+    def at(self, time: Array, low: Array, high: Array) -> Array:
+        """Return the log evidence of a switch at each time (n,), from the samples between two times (n,) each.
 
-    def _log_evidence(
-        self, terms: Array, values: Array, expected: list[float], spread: list[float]
-    ) -> float:
-        """Return the log evidence of a linear model with normal priors, without terms common to all models."""
-        rest = (values - np.array(expected) @ terms) / self._noise
-        scaled = terms * np.array(spread)[:, np.newaxis] / self._noise
-        precision = np.eye(len(expected)) + scaled @ scaled.T
-        moment = scaled @ rest
-        explained = moment @ np.linalg.solve(precision, moment)
-        return float(-0.5 * (rest @ rest - explained) - 0.5 * np.linalg.slogdet(precision)[1])
+        It is 0 with fewer than five samples.
+        """
+        first, last = np.searchsorted(self._time, low), np.searchsorted(self._time, high)
+        rows = first[:, np.newaxis] + np.arange(max(int((last - first).max(initial=0)), 1))
+        used = rows < last[:, np.newaxis]
+        rows = np.minimum(rows, self._time.size - 1)
+        at, travel = self._time[rows], self._travel[rows]
+        moment = time[:, np.newaxis]
+        now = np.interp(moment, self._time, self._travel)
+        after, law = at > moment, self._law
+        turned = np.where(at > self._turn[0], travel - self._turn[1], 0.0)
+        jump = np.where(after, 1.0 - np.exp(-np.maximum(at - moment, 0.0) / law.time_constant), 0.0)
+        since = np.where(after, travel - now, 0.0)
+        terms = used[:, np.newaxis] * np.stack(
+            [np.ones(at.shape), now - travel, turned, jump, since], axis=1
+        )
+        holding = self._holding[rows]
+        mean = (holding * used).sum(axis=1) / np.maximum(used.sum(axis=1), 1)
+        centred = used * (holding - mean[:, np.newaxis])
+        expected = np.array([0.0, law.slope, 0.0, law.jump, law.slope])
+        spread = np.array([_OFFSET, _SLOPE, _TURNED, _JUMP * law.jump, _SLOPE])
+        with_switch = self._log_evidence(terms, centred, expected, spread)
+        without = self._log_evidence(terms[:, :3], centred, expected[:3], spread[:3])
+        return np.where(last - first < _FEWEST_SAMPLES, 0.0, with_switch - without)
+
+    def _log_evidence(self, terms: Array, values: Array, expected: Array, spread: Array) -> Array:
+        """Return the log evidence (n,) of linear models with normal priors, without terms common to all models.
+
+        ``terms`` (n, p, m) are the terms at the samples, ``values`` (n, m) the samples.
+        """
+        rest = (values - np.einsum("p,npm->nm", expected, terms)) / self._noise
+        scaled = terms * (spread / self._noise)[:, np.newaxis]
+        precision = np.eye(expected.size) + scaled @ scaled.transpose(0, 2, 1)
+        moment = scaled @ rest[:, :, np.newaxis]
+        explained = (moment * np.linalg.solve(precision, moment)).sum(axis=(1, 2))
+        determinant = np.linalg.slogdet(precision)[1]
+        return np.asarray(0.5 * (explained - (rest**2).sum(axis=1) - determinant))
 
 
 def find_switches(
@@ -135,12 +145,7 @@ def find_switches(
         return NONE
     windows = _half_windows(grid, travel, p.pitch)
     end = last + _AFTER_TURN_S
-    score = np.array(
-        [
-            evidence.at(time, max(time - half_window, half.start), min(time + half_window, end))
-            for time, half_window in zip(grid, windows, strict=True)
-        ]
-    )
+    score = evidence.at(grid, np.maximum(grid - windows, half.start), np.minimum(grid + windows, end))
     if usual is not None:
         off = np.abs(travel - np.reshape(usual[0], (-1, 1))).min(axis=0)
         score -= 0.5 * (off / usual[1]) ** 2
@@ -149,8 +154,10 @@ def find_switches(
         return NONE
     coarse, window = grid[rows[-1]], windows[rows[-1]]
     fine = np.arange(coarse - _AROUND_S, coarse + _AROUND_S, _FINE_S)
-    span = max(coarse - window, half.start), min(coarse + window, end)
-    log = np.array([evidence.at(time, *span) for time in fine])
+    span = np.full(fine.size, max(coarse - window, half.start)), np.full(
+        fine.size, min(coarse + window, end)
+    )
+    log = evidence.at(fine, *span)
     weight = np.exp(log - log.max())
     weight /= weight.sum()
     mean = float(weight @ fine)
