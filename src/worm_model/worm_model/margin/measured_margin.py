@@ -35,9 +35,6 @@ _SHAPE_ERROR_M = (
     0.0002  # of a length, because a robot differs from the template; standard deviation
 )
 _AT_SWITCH_S = 0.15  # half window of the length at a switch
-_UNUSUAL_M = (
-    0.003  # difference of a last switch from the usual travel that is checked with this knowledge
-)
 _TURNING_ERROR = 0.3  # of the noise of the length; standard deviation of a turning point
 
 
@@ -213,7 +210,8 @@ def _lacking(lengths: dict[Fin, tuple[Release, float]], grooves: int) -> dict[Fi
 def _remaining(motion: Motion, half: HalfCycle, time: float, release: Release) -> float:
     """Return the travel (m) between a switch at a time (s) and the turning point."""
     travel = half.travel(motion.front - motion.rear) - release.travel(motion.time - time)
-    now = float(smooth(motion.time, travel, [time], _AT_SWITCH_S, _AT_SWITCH_S).value[0])
+    window = max(_AT_SWITCH_S, motion.least_window)
+    now = float(smooth(motion.time, travel, [time], window, window).value[0])
     return float(half.travel(np.asarray(half.end_length))) - now
 
 
