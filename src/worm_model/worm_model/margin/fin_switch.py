@@ -20,6 +20,7 @@ from worm_model.margin.half_cycles import HalfCycle, Motion
 from worm_model.parameters import Parameters
 
 _COARSE_S, _FINE_S = 0.01, 0.003
+_MOST_TIMES = 800  # of the coarse search, for slow gaits
 _AROUND_S = 0.12  # range of the refined time about the coarse one
 _AFTER_TURN_S = 0.12  # a fin can switch shortly after the turning point, and its jump takes 0.1 s
 _WINDOW_S = (0.15, 0.45)  # shortest and longest half window
@@ -137,7 +138,7 @@ def find_switches(
     p = parameters
     evidence = Evidence(motion, half, FinLaw.of(p))
     last = min(half.end + _AFTER_TURN_S, motion.time[-1])
-    grid = np.arange(half.start, last, _COARSE_S)
+    grid = np.arange(half.start, last, max(_COARSE_S, (last - half.start) / _MOST_TIMES))
     travel = half.travel(motion.length_at(grid))
     possible = travel > _LEAST_TRAVEL * (p.switching_threshold + 0.5 * p.clearance)
     grid, travel = grid[possible], travel[possible]
@@ -145,7 +146,9 @@ def find_switches(
         return NONE
     windows = _half_windows(grid, travel, p.pitch)
     end = last + _AFTER_TURN_S
-    score = evidence.at(grid, np.maximum(grid - windows, half.start), np.minimum(grid + windows, end))
+    score = evidence.at(
+        grid, np.maximum(grid - windows, half.start), np.minimum(grid + windows, end)
+    )
     if usual is not None:
         off = np.abs(travel - np.reshape(usual[0], (-1, 1))).min(axis=0)
         score -= 0.5 * (off / usual[1]) ** 2
@@ -154,8 +157,9 @@ def find_switches(
         return NONE
     coarse, window = grid[rows[-1]], windows[rows[-1]]
     fine = np.arange(coarse - _AROUND_S, coarse + _AROUND_S, _FINE_S)
-    span = np.full(fine.size, max(coarse - window, half.start)), np.full(
-        fine.size, min(coarse + window, end)
+    span = (
+        np.full(fine.size, max(coarse - window, half.start)),
+        np.full(fine.size, min(coarse + window, end)),
     )
     log = evidence.at(fine, *span)
     weight = np.exp(log - log.max())
@@ -179,17 +183,18 @@ def _comb(
     ``ascending`` (n,) is True before the turning point: only the last switch can be after it.
     """
     total = score.copy()
-    earlier: list[list[int]] = [[] for _ in score]
-    longest = count or int(travel.max() / pitch) + 1
     rows_before = np.flatnonzero(ascending)
-    for row in range(score.size):
-        for step in range(1, longest):
-            distance = (travel[rows_before] - (travel[row] - step * pitch)) / (_SPACING * step**0.5)
-            gain = score[rows_before] - 0.5 * distance**2
-            best = int(np.argmax(gain)) if gain.size else -1
-            if best < 0 or (count is None and gain[best] < _SURE):
-                break
-            total[row] += max(float(gain[best]), -_SURE)
-            earlier[row].insert(0, int(rows_before[best]))
-    best = int(np.argmax(total))
-    return [*earlier[best], best] if total[best] > _SURE and score[best] > 0.0 else []
+    earlier: list[NDArray[np.int64]] = []
+    goes_on = np.full(score.size, rows_before.size > 0)
+    for step in range(1, count or int(travel.max() / pitch) + 1):
+        distance = travel[rows_before] - (travel[:, np.newaxis] - step * pitch)
+        gain = score[rows_before] - 0.5 * (distance / (_SPACING * step**0.5)) ** 2
+        best = gain.argmax(axis=1) if rows_before.size else np.zeros(score.size, np.int64)
+        value = gain.max(axis=1, initial=-np.inf)
+        goes_on &= (value >= _SURE) | (count is not None)
+        total += np.where(goes_on, np.maximum(value, -_SURE), 0.0)
+        earlier.insert(0, np.where(goes_on, rows_before[best] if rows_before.size else -1, -1))
+    last = int(np.argmax(total))
+    if total[last] <= _SURE or score[last] <= 0.0:
+        return []
+    return [*(int(rows[last]) for rows in earlier if rows[last] >= 0), last]

@@ -101,6 +101,24 @@ class RunMargin:
         known = [each for each in beliefs if each is not None]
         return keeps_probability(*known) if len(known) == len(beliefs) else None
 
+    def __str__(self) -> str:
+        """Return the margins of both fins and the probability to keep the grooves in one line."""
+        fins = []
+        for fin in Fin:
+            belief = self.belief(fin)
+            if belief is None:
+                fins.append(f"{fin.value} not measured")
+            else:
+                spare = f"{1e3 * belief.expected:.1f} ± {1e3 * belief.expected_scatter:.1f} mm"
+                fins.append(f"{fin.value} {spare}")
+        keeps = self.keeps
+        chance = (
+            f"; a cycle keeps its grooves with {keeps.value:.3f} ({keeps.low:.3f} to {keeps.high:.3f})"
+            if keeps
+            else ""
+        )
+        return f"{self.grooves} grooves, to spare: {', '.join(fins)}{chance}"
+
     def as_json(self) -> dict[str, Any]:
         """Return the run as a JSON object, in SI units; None where something was not measured."""
         beliefs = {fin: self.belief(fin) for fin in Fin}
@@ -144,16 +162,22 @@ def measure(run: Run, parameters: Parameters, grooves: int | None = None) -> Run
         return None
     states = run.gait_state
     gait, onset = states.gait(int(rows[0][0])), int(states.onset[rows[0]].min())
-    motion = motion_of(run, gait, onset, _played_cycles(run, gait, onset))
+    cycles = _played_cycles(run, gait, onset)
+    return measure_cycles(run, gait, onset, cycles, parameters, grooves)
+
+
+def measure_cycles(
+    run: Run,
+    gait: Gait,
+    onset: int,
+    cycles: int,
+    parameters: Parameters,
+    grooves: int | None = None,
+) -> RunMargin:
+    """Return the measured margins of a number of cycles from an onset (ns since the epoch) on; see `measure`."""
+    motion = motion_of(run, gait, onset, cycles)
     if motion is None:
         return RunMargin(gait, grooves or 0, (), "")
-    return margins_of(motion, gait, parameters, grooves)
-
-
-def margins_of(
-    motion: Motion, gait: Gait, parameters: Parameters, grooves: int | None = None
-) -> RunMargin:
-    """Return the measured margins of a motion; see `measure`."""
     halves = half_cycles(motion, gait, round(motion.end * gait.frequency))
     found = run_switches(motion, halves, parameters)
     moved = moved_grooves(motion, halves, parameters)[::2]
