@@ -58,6 +58,12 @@ class MarginBelief:
         """Expected scatter, m."""
         return float(self.weight @ self.scatter)
 
+    @property
+    def expected_sd(self) -> float:
+        """Standard deviation of the expected margin, m."""
+        variance = self.weight @ (self.sd**2 + (self.mean - self.expected) ** 2)
+        return math.sqrt(float(variance))
+
     def keeps(self) -> tuple[Array, Array]:
         """Return the probabilities that a margin is positive, and their weights, shape (n,) each."""
         means = self.mean[:, np.newaxis] + self.sd[:, np.newaxis] * _NODES

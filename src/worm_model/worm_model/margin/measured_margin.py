@@ -191,11 +191,11 @@ def measure_cycles(
         ]
         for fin, (release, _) in lengths.items()
     }
-    cycles = tuple(
+    measured = tuple(
         CycleMargin(cycle, *row)
         for cycle, row in enumerate(zip(moved, fins[Fin.REAR], fins[Fin.FRONT], strict=True), 1)
     )
-    return RunMargin(gait, grooves or gained, cycles, "tracker" if cycles else "")
+    return RunMargin(gait, grooves or gained, measured, "tracker" if measured else "")
 
 
 def _played_cycles(run: Run, gait: Gait, onset: int) -> int:

@@ -62,8 +62,8 @@ def _of_fin(
     for k, (half, count) in enumerate(zip(halves, counts, strict=True)):
         expected = half.travel(np.asarray(_length(half, usual)))
         # a fin that moved by the most grooves missed none, so its last switch is at the usual length
-        missed = np.arange(1 if count is None or count == most else _MOST_MISSED + 1)
-        usual_places = usual - pitch * missed
+        missed: Array = np.arange(1.0 if count is None or count == most else _MOST_MISSED + 1.0)
+        usual_places: Array = usual - pitch * missed
         if _off(places[k], usual_places) < _UNUSUAL_M or not math.isfinite(expected):
             continue
         again = find_switches(

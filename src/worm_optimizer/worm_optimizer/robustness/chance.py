@@ -203,10 +203,11 @@ def tolerated_margins(task: MarginTask, front: Points) -> Array:
     promised = front.count[:, np.newaxis] // AVERAGED
 
     def kept(margins: Array) -> Mask:
-        columns = (
-            np.broadcast_to(x[:, np.newaxis], margins.shape)
-            for x in (front.stroke, front.frequency)
+        stroke, frequency = (
+            np.broadcast_to(values[:, np.newaxis], margins.shape)
+            for values in (front.stroke, front.frequency)
         )
-        return task.grooves(*columns, margins, shape=front.shape[:, np.newaxis]) >= promised
+        gained = task.grooves(stroke, frequency, margins, shape=front.shape[:, np.newaxis])
+        return gained >= promised
 
     return largest_margins(kept, len(front))
