@@ -28,8 +28,8 @@ from worm_model.parameters import load_parameter_file
 def _parser() -> Parser:
     parser = Parser(
         prog="health",
-        description="Estimate friction, switching threshold, gain, slack and idle power from each bag alone, measure its "
-        "margin, and report which of them drift over the bags, since when, and what to check.",
+        description="Estimate friction, switching threshold, gain, slack, idle power and measured margin from each "
+        "bag alone, and report which of them drift over the bags, since when, and what to check.",
     )
     parser.add_argument("bags", nargs="+", type=Path, metavar="BAG", help="one run each, any order")
     parser.add_figure()

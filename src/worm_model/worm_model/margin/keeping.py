@@ -125,4 +125,6 @@ def keeps_probability(*fins: MarginBelief) -> Probability:
     order = np.argsort(value)
     total = np.cumsum(weight[order])
     low, high = (float(value[order][np.searchsorted(total, q)]) for q in (0.025, 0.975))
-    return Probability(float(value @ weight), low, high)
+    mean = min(float(value @ weight), 1.0)
+    # A long tail can move the mean beyond a quantile.
+    return Probability(mean, min(low, mean), max(high, mean))
