@@ -12,11 +12,13 @@ import numpy as np
 import pytest
 from foreign_robot import EPOCH, Camera, ForeignRobot, crawl, some_robot
 
+from worm_driver.virtual_robot.offline_run import run_offline
+from worm_driver.virtual_robot.virtual_settings import load_settings
 from worm_model.gait import REVERSE, Gait
 from worm_model.margin.half_cycles import Fin, half_cycles, motion_of
 from worm_model.margin.measured_margin import RunMargin, measure, measure_cycles
 from worm_model.margin.predicted_margin import predicted_margin
-from worm_model.parameters import PAPER
+from worm_model.parameters import KEYS, PAPER
 from worm_model.run import Run, TrackerSamples
 from worm_model.simulation.simulator import simulate
 
@@ -72,11 +74,13 @@ def length_errors(robot: ForeignRobot, gait: Gait, camera: Camera) -> dict[Fin, 
     return errors
 
 
-@pytest.mark.parametrize("frequency", [0.1, 0.2, 0.23])
-def test_the_least_margin_of_a_run_is_the_increase_of_the_threshold_that_loses_a_groove(frequency):
+@pytest.mark.parametrize(("frequency", "robots"), [(0.1, 1), (0.2, 2), (0.23, 2)])
+def test_the_least_margin_of_a_run_is_the_increase_of_the_threshold_that_loses_a_groove(
+    frequency, robots
+):
     gait = Gait(0.075, frequency)
     errors = []
-    for robot in map(some_robot, range(2)):
+    for robot in map(some_robot, range(robots)):
         found = measured(robot, gait)
         for fin in Fin:
             true = least_true_margin(robot, gait, fin)
@@ -222,6 +226,17 @@ def test_on_the_model_itself_the_predicted_margin_is_measured(groove_phase):
     least = min(found.margins(fin)[0].mean() for fin in Fin)
     predicted = predicted_margin(gait, robot, found.grooves)
     assert least == pytest.approx(predicted, abs=0.0007)
+
+
+def test_on_the_virtual_robot_the_predicted_margin_is_measured():
+    settings = load_settings()
+    seen = run_offline(settings, GAIT.length_change, CYCLES * GAIT.period)
+    stamps = np.rint((seen.tracker_time - seen.onset) * 1e9).astype(np.int64)
+    run = Run(tracker=TrackerSamples(stamps, seen.rear_position, seen.front_position))
+    truth = PAPER.replace(**{key: getattr(seen.truth, key) for key in KEYS})
+    found = measure_cycles(run, GAIT, 0, CYCLES, PAPER)
+    least = min(found.margins(fin)[0].mean() for fin in Fin)
+    assert least == pytest.approx(predicted_margin(GAIT, truth, found.grooves), abs=0.0007)
 
 
 def test_the_predicted_margin_counts_from_the_requested_grooves():
