@@ -152,6 +152,15 @@ def shape_lines(gaits: Mapping[str, Prediction]) -> list[str]:
     return labelled(shapes).splitlines()
 
 
+def success_lines(uncertainty: str, warning: str) -> str:
+    """Return the meaning of the columns of probabilities, with a warning on a further line if it is not empty."""
+    meaning = (
+        f"success: share of draws of the parameters ({uncertainty}) in which the robot gains the predicted grooves in "
+        "every averaged cycle; any φ: the same at an unknown groove phase"
+    )
+    return f"{meaning}\nwarning: {warning}" if warning else meaning
+
+
 def _row(name: str, gait: Prediction) -> Sequence[str]:
     return (
         name,
