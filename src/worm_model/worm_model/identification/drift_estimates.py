@@ -19,7 +19,7 @@ from worm_model.identification.data.identification_errors import IdentificationE
 from worm_model.identification.data.observed_run import Recording
 from worm_model.identification.data.strides import check_pitch
 from worm_model.identification.drift import MARGIN
-from worm_model.identification.fits.estimate import Estimate, not_identifiable
+from worm_model.identification.fits.estimate import Estimate, admissible, not_identifiable
 from worm_model.identification.fits.locomotion import Known, traverse_of
 from worm_model.identification.fits.measured_length import measured_length
 from worm_model.identification.fits.quality import LONGEST_GAP, remarks, usable
@@ -135,8 +135,8 @@ def estimate_bag(recording: Recording, start: int, parameters: Parameters) -> Ba
     """Estimate, from a recording, the parameters that may drift. ``start`` is the start of its bag, ns since the epoch.
 
     Raises:
-        IdentificationError: A marker was hidden for too long, the body did not follow its command, the strides
-            contradict the pitch, or the model does not fit the motion.
+        IdentificationError: A marker was hidden for too long, the body did not follow its command, or the strides
+            contradict the pitch.
     """
     _check_seen(recording)
     length = measured_length(recording)
@@ -152,8 +152,9 @@ def estimate_bag(recording: Recording, start: int, parameters: Parameters) -> Ba
         "gain": actuation.gain,
         "slack": actuation.slack,
         "idle_power": _idle_power(recording),
-        MARGIN: margin_estimate(recording, parameters),
     }
+    estimates = {key: admissible(key, estimate) for key, estimate in estimates.items()}
+    estimates[MARGIN] = margin_estimate(recording, parameters)
     notes = tuple(remarks(recording, length, traverse))
     return BagEstimates(recording.name, start, recording.gait, estimates, notes)
 

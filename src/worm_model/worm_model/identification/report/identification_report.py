@@ -66,6 +66,7 @@ def text_of(result: Identification, advice: str, figures: list[str]) -> str:
     """Return the page as Markdown."""
     parts = [
         "# Identification",
+        result.fit.text,
         _summary(result),
         "## Parameters\n\n" + parameter_table(result.estimates),
         _open_ends(result, advice),
@@ -191,15 +192,7 @@ def nuisance_text(result: Identification) -> str:
             f"| {run.name} | {length * 1e3:.2f} | {run.idle.value:.3f} | {camera} | {power} | "
             f"{reached} |"
         )
-    return head + "\n".join([*lines, "", delay_text(result.camera_delay)])
-
-
-def delay_text(delay: Estimate) -> str:
-    """Return the text on the tracker's delay."""
-    if not delay.identifiable:
-        return f"Delay of the camera: not identified; {delay.note}."
-    low, value, high = (1e3 * x for x in (delay.low, delay.value, delay.high))
-    return f"Delay of the camera: {value:.1f} ms ({low:.1f} … {high:.1f}); {delay.note}."
+    return head + "\n".join(lines)
 
 
 def _milliseconds(offset: float, deviation: float) -> str:

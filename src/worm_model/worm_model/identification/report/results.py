@@ -39,6 +39,7 @@ def parameter_file(result: Identification, inputs: Inputs) -> ParameterFile:
         FORM: result.parameters.one_sided_cable,
         "code": code_version(),
         "seed": result.seed,
+        "fit": result.fit.verdict.value,
         "given": result.reference.source,
         "not_identified": {
             key: e.note for key, e in result.estimates.items() if not e.identifiable
@@ -55,6 +56,7 @@ def parameter_file(result: Identification, inputs: Inputs) -> ParameterFile:
 def summary(result: Identification) -> dict[str, Any]:
     """Return the result as a JSON object; unknown numbers are NaN or None."""
     return {
+        "fit": result.fit.as_dict(),
         "parameters": {key: e.as_dict() for key, e in result.estimates.items()},
         FORM: result.parameters.one_sided_cable,
         "runs": {name: asdict(error) for name, error in result.held_out.items()}
@@ -64,7 +66,6 @@ def summary(result: Identification) -> dict[str, Any]:
         "clock_offsets": {
             run.name: _clocks(result, index) for index, run in enumerate(result.runs)
         },
-        "camera_delay": result.camera_delay.as_dict(),
         "nuisances": nuisances(result),
         "correlations": [
             {"parameters": [a, b], "correlation": rho} for a, b, rho in correlations(result)
