@@ -21,7 +21,7 @@ from worm_model.run import GaitStates, LengthSamples, PowerSamples, Run, Tracker
 STEP_S = 1e-4
 REST_S, AFTER_S = 2.0, 1.0
 COMMAND_HZ, POWER_HZ = 100, 100
-GROOVES = 128
+GROOVES = 512
 EPOCH = 1_700_000_000_000_000_000
 RESTING, RUNNING, IDLE = 2, 3, 1
 

@@ -28,7 +28,7 @@ _TAUT_M = 0.012  # travel after which the cable pulls
 # m by which the fin's deflection falls short at the turning point, because the modules and the fins have dry friction
 # that the model lacks; SHARED_SD_M is the standard deviation of this and other errors that all cycles of a run share
 _SHORTFALL_M = 0.0003
-SHARED_SD_M = 0.0003
+SHARED_SD_M = 0.0002
 # s, time constants with which a released body comes to rest: (c_b/(k_b + k_cable)) with a taut cable, and longer with
 # a slack one, as in an extension
 _SETTLING_S = {Fin.REAR: 0.12, Fin.FRONT: 0.3}

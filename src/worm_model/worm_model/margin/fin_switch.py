@@ -32,6 +32,7 @@ _SURE = 5.0  # log evidence above which there is a switch
 _TEMPLATE_ERROR_M = 0.0001  # standard deviation of the motion of a healthy robot from the template
 # Standard deviations of the priors: of the slopes (1), also after the turning point; of the jump (relative); offset (m)
 _SLOPE, _TURNED, _JUMP, _OFFSET = 0.15, 0.5, 0.25, 0.05
+_BENT = 0.4  # the same of a change of slope without a switch, as when the holding fin engages
 
 
 @dataclass(frozen=True)
@@ -80,30 +81,48 @@ class Evidence:
     def at(self, time: Array, low: Array, high: Array) -> Array:
         """Return the log evidence of a switch at each time (n,), from the samples between two times (n,) each.
 
-        It is 0 with fewer than five samples.
+        Without a switch, the slope may change at this time, as when the holding fin engages. The result is 0 with fewer
+        than five samples.
+        """
+        terms, values, count = self._terms(time, low, high)
+        expected = np.array([0.0, self._law.slope, 0.0, 0.0])
+        spread = np.array([_OFFSET, _SLOPE, _TURNED, _BENT])
+        without = self._log_evidence(terms[:, :-1], values, expected, spread)
+        evidence = self._switched(terms, values) - without
+        return np.where(count < _FEWEST_SAMPLES, 0.0, evidence)
+
+    def of_time(self, time: Array, low: float, high: float) -> Array:
+        """Return the log likelihood of the times (n,) of a switch that is known to be between two times."""
+        terms, values, _ = self._terms(time, np.full(time.size, low), np.full(time.size, high))
+        return self._switched(terms, values)
+
+    def _switched(self, terms: Array, values: Array) -> Array:
+        law = self._law
+        expected = np.array([0.0, law.slope, 0.0, law.slope, law.jump])
+        spread = np.array([_OFFSET, _SLOPE, _TURNED, _SLOPE, _JUMP * law.jump])
+        return self._log_evidence(terms, values, expected, spread)
+
+    def _terms(
+        self, time: Array, low: Array, high: Array
+    ) -> tuple[Array, Array, NDArray[np.int64]]:
+        """Return the terms (n, 5, m) of the template, the jump last, the holding module's position (n, m) in m, counts.
+
+        There are as many samples m as the longest window has. The terms of missing samples are 0.
         """
         first, last = np.searchsorted(self._time, low), np.searchsorted(self._time, high)
         rows = first[:, np.newaxis] + np.arange(max(int((last - first).max(initial=0)), 1))
         used = rows < last[:, np.newaxis]
         rows = np.minimum(rows, self._time.size - 1)
-        at, travel = self._time[rows], self._travel[rows]
+        at, travel, holding = self._time[rows], self._travel[rows], self._holding[rows]
         moment = time[:, np.newaxis]
         now = np.interp(moment, self._time, self._travel)
-        after, law = at > moment, self._law
         turned = np.where(at > self._turn[0], travel - self._turn[1], 0.0)
-        jump = np.where(after, 1.0 - np.exp(-np.maximum(at - moment, 0.0) / law.time_constant), 0.0)
-        since = np.where(after, travel - now, 0.0)
-        terms = used[:, np.newaxis] * np.stack(
-            [np.ones(at.shape), now - travel, turned, jump, since], axis=1
-        )
-        holding = self._holding[rows]
-        mean = (holding * used).sum(axis=1) / np.maximum(used.sum(axis=1), 1)
-        centred = used * (holding - mean[:, np.newaxis])
-        expected = np.array([0.0, law.slope, 0.0, law.jump, law.slope])
-        spread = np.array([_OFFSET, _SLOPE, _TURNED, _JUMP * law.jump, _SLOPE])
-        with_switch = self._log_evidence(terms, centred, expected, spread)
-        without = self._log_evidence(terms[:, :3], centred, expected[:3], spread[:3])
-        return np.where(last - first < _FEWEST_SAMPLES, 0.0, with_switch - without)
+        bent = np.where(at > moment, travel - now, 0.0)
+        jump = -np.expm1(-np.maximum(at - moment, 0.0) / self._law.time_constant)
+        terms = np.stack([np.ones(at.shape), now - travel, turned, bent, jump], axis=1)
+        count = used.sum(axis=1)
+        mean = (holding * used).sum(axis=1) / np.maximum(count, 1)
+        return terms * used[:, np.newaxis], used * (holding - mean[:, np.newaxis]), count
 
     def _log_evidence(self, terms: Array, values: Array, expected: Array, spread: Array) -> Array:
         """Return the log evidence (n,) of linear models with normal priors, without terms common to all models.
@@ -157,11 +176,7 @@ def find_switches(
         return NONE
     coarse, window = grid[rows[-1]], windows[rows[-1]]
     fine = np.arange(coarse - _AROUND_S, coarse + _AROUND_S, _FINE_S)
-    span = (
-        np.full(fine.size, max(coarse - window, half.start)),
-        np.full(fine.size, min(coarse + window, end)),
-    )
-    log = evidence.at(fine, *span)
+    log = evidence.of_time(fine, max(coarse - window, half.start), min(coarse + window, end))
     weight = np.exp(log - log.max())
     weight /= weight.sum()
     mean = float(weight @ fine)
@@ -195,6 +210,7 @@ def _comb(
         total += np.where(goes_on, np.maximum(value, -_SURE), 0.0)
         earlier.insert(0, np.where(goes_on, rows_before[best] if rows_before.size else -1, -1))
     last = int(np.argmax(total))
-    if total[last] <= _SURE or score[last] <= 0.0:
+    # Of a fin that is known to have switched, the best time counts.
+    if total[last] <= (_SURE if count is None else 0.0):
         return []
     return [*(int(rows[last]) for rows in earlier if rows[last] >= 0), last]

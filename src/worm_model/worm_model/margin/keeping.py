@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Probability that a cycle keeps its grooves, from the margins of a few cycles.
 
-The margin of a cycle is normal about a mean that depends linearly on the gait, with a scatter from groove to groove.
-Mean and scatter are uncertain after five cycles. So the probability is integrated over their posterior, and its 95 %
-interval is that of the posterior. `SHARED_SD_M` is an error of the measurement that does not average out.
+The margin of a cycle is normal about a mean that depends linearly on the gait, with a scatter along the pipe. It
+depends on the distance between the grooves of both fins, the sum of the pitches below the body. So cycles at nearby
+places have similar margins, and a run of five cycles knows the margin at its place better than along the pipe. Mean and
+scatter are uncertain, so the probability is integrated over their posterior, and its 95 % interval is that of the
+posterior.
+`SHARED_SD_M` is an error of the measurement that does not average out.
 """
 
 from __future__ import annotations
@@ -18,9 +21,14 @@ from scipy.special import ndtr, ndtri
 from worm_model.arrays import Array
 from worm_model.margin.cycle_margin import SHARED_SD_M
 
-# Prior of the scatter, from robots that are not the model: its median in m, and the standard deviation of its logarithm
-_SCATTER_M, _LOG_SCATTER_SD = 0.0006, 0.4
-_SCATTERS = _SCATTER_M * np.exp(np.linspace(-3.0, 4.0, 22) * _LOG_SCATTER_SD)
+# Prior of the scatter: its median in m, and the standard deviation of its logarithm. A pitch that varies by 1 % gives
+# 0.5 mm, one that varies by 1.5 % gives 0.8 mm.
+_SCATTER_M, _LOG_SCATTER_SD = 0.00045, 0.35
+_OF_CYCLE = (
+    0.2  # share of the variance that differs from cycle to cycle, such as that of the threshold
+)
+_BODY_M = 0.26  # distance from which margins are independent: the usual length of the body
+_SCATTERS = _SCATTER_M * np.exp(np.linspace(-3.0, 6.0, 24) * _LOG_SCATTER_SD)
 _NODES = ndtri((np.arange(24) + 0.5) / 24)  # of a normal distribution, of equal weight
 
 
@@ -64,6 +72,17 @@ class MarginBelief:
         variance = self.weight @ (self.sd**2 + (self.mean - self.expected) ** 2)
         return math.sqrt(float(variance))
 
+    @property
+    def chance(self) -> float:
+        """Probability that the next margin is positive."""
+        kept, weight = self.keeps()
+        return float(kept @ weight)
+
+    @property
+    def chance_if_known(self) -> float:
+        """Probability that the next margin is positive if the mean were known to be the expected one."""
+        return float(self.weight @ ndtr(self.mean / self.scatter))
+
     def keeps(self) -> tuple[Array, Array]:
         """Return the probabilities that a margin is positive, and their weights, shape (n,) each."""
         means = self.mean[:, np.newaxis] + self.sd[:, np.newaxis] * _NODES
@@ -76,11 +95,13 @@ class MarginBelief:
 class MarginModel:
     """Margins of cycles (n,) in m with standard deviations, and terms (n, p) on which they depend linearly.
 
-    ``expected`` and ``spread`` (p,) are the priors of the coefficients.
+    ``place`` (n,) is the position of the rear module in each cycle, m. ``expected`` and ``spread`` (p,) are the priors
+    of the coefficients.
     """
 
     margin: Array
     sd: Array
+    place: Array
     terms: Array
     expected: Array
     spread: Array
@@ -89,31 +110,35 @@ class MarginModel:
         """Return the posterior for the terms (p,) of one gait."""
         wanted = np.asarray(terms, dtype=float)
         rest = self.margin - self.terms @ self.expected
+        scaled = self.terms * self.spread
+        own = wanted * self.spread
+        apart = np.abs(self.place[:, np.newaxis] - self.place)
+        alike = (1.0 - _OF_CYCLE) * np.maximum(1.0 - apart / _BODY_M, 0.0)
+        alike += _OF_CYCLE * np.eye(rest.size)
         log_weight = -0.5 * (np.log(_SCATTERS / _SCATTER_M) / _LOG_SCATTER_SD) ** 2
         mean, sd = np.empty(_SCATTERS.size), np.empty(_SCATTERS.size)
-        scaled = self.terms * self.spread
         for k, scatter in enumerate(_SCATTERS):
-            variance = scatter**2 + self.sd**2
-            precision = np.eye(wanted.size) + (scaled.T / variance) @ scaled
-            moment = scaled.T @ (rest / variance)
+            noise = scatter**2 * alike + np.diag(self.sd**2)
+            weighted = np.linalg.solve(noise, np.column_stack([scaled, rest]))
+            precision = np.eye(wanted.size) + scaled.T @ weighted[:, :-1]
+            moment = scaled.T @ weighted[:, -1]
             solved = np.linalg.solve(precision, moment)
             log_weight[k] -= 0.5 * (
-                np.log(variance).sum()
+                np.linalg.slogdet(noise)[1]
                 + np.linalg.slogdet(precision)[1]
-                + (rest**2 / variance).sum()
+                + rest @ weighted[:, -1]
                 - moment @ solved
             )
-            own = wanted * self.spread
             mean[k] = wanted @ self.expected + own @ solved
             sd[k] = math.sqrt(own @ np.linalg.solve(precision, own) + SHARED_SD_M**2)
         weight = np.exp(log_weight - log_weight.max())
         return MarginBelief(_SCATTERS, weight / weight.sum(), mean, sd)
 
 
-def belief_of(margin: Array, sd: Array) -> MarginBelief:
-    """Return the posterior for the margins (n,) of cycles of one gait with standard deviations, m."""
+def belief_of(margin: Array, sd: Array, place: Array) -> MarginBelief:
+    """Return the posterior for the margins (n,) of cycles of one gait, their standard deviations and places, m."""
     one = np.ones((margin.size, 1))
-    return MarginModel(margin, sd, one, np.zeros(1), np.array([0.1])).at([1.0])
+    return MarginModel(margin, sd, place, one, np.zeros(1), np.array([0.1])).at([1.0])
 
 
 def keeps_probability(*fins: MarginBelief) -> Probability:

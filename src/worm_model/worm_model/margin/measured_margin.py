@@ -53,10 +53,14 @@ NOT_MEASURED = FinMargin()
 
 @dataclass(frozen=True)
 class CycleMargin:
-    """Measurements of both fins in a cycle, numbered from 1, and the grooves that the rear module gained in it."""
+    """Measurements of both fins in a cycle, numbered from 1.
+
+    ``grooves`` is the number that the rear module gained, ``place`` its position along the pipe in m.
+    """
 
     cycle: int
     grooves: int
+    place: float
     rear: FinMargin
     front: FinMargin
 
@@ -77,22 +81,21 @@ class RunMargin:
     cycles: tuple[CycleMargin, ...]
     source: str
 
-    def margins(self, fin: Fin) -> tuple[Array, Array]:
-        """Return the measured margins of a fin and their standard deviations, m, shape (n,) each.
+    def margins(self, fin: Fin) -> tuple[Array, Array, Array]:
+        """Return the measured margins of a fin, their standard deviations and their places, m, shape (n,) each.
 
         The first contraction begins from rest, and the last extension ends in rest, so they are left out.
         """
         cycles = self.cycles[1:] if fin is Fin.REAR else self.cycles[:-1]
-        fins = [cycle.rear if fin is Fin.REAR else cycle.front for cycle in cycles]
-        measured = [each for each in fins if math.isfinite(each.margin)]
-        return np.array([each.margin for each in measured]), np.array(
-            [each.margin_sd for each in measured]
-        )
+        fins = [(cycle.rear if fin is Fin.REAR else cycle.front, cycle.place) for cycle in cycles]
+        rows = [(m.margin, m.margin_sd, place) for m, place in fins if math.isfinite(m.margin)]
+        margin, sd, place = np.array(rows).reshape(-1, 3).T
+        return margin, sd, place
 
     def belief(self, fin: Fin) -> MarginBelief | None:
         """Return the posterior of the margin of a fin, None if fewer than two cycles were measured."""
-        margin, sd = self.margins(fin)
-        return belief_of(margin, sd) if margin.size >= FEWEST_CYCLES else None
+        margin, sd, place = self.margins(fin)
+        return belief_of(margin, sd, place) if margin.size >= FEWEST_CYCLES else None
 
     @property
     def keeps(self) -> Probability | None:
@@ -181,6 +184,7 @@ def measure_cycles(
     halves = half_cycles(motion, gait, round(motion.end * gait.frequency))
     found = run_switches(motion, halves, parameters)
     moved = moved_grooves(motion, halves, parameters)[::2]
+    places = [float(np.interp(half.end, motion.time, motion.rear)) for half in halves[::2]]
     gained = max(moved[1:], default=0)
     lengths = {fin: _lengths(motion, found[fin], gait, parameters) for fin in Fin}
     lacking = _lacking(lengths, (grooves or gained) - gained)
@@ -193,7 +197,9 @@ def measure_cycles(
     }
     measured = tuple(
         CycleMargin(cycle, *row)
-        for cycle, row in enumerate(zip(moved, fins[Fin.REAR], fins[Fin.FRONT], strict=True), 1)
+        for cycle, row in enumerate(
+            zip(moved, places, fins[Fin.REAR], fins[Fin.FRONT], strict=True), 1
+        )
     )
     return RunMargin(gait, grooves or gained, measured, "tracker" if measured else "")
 

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 from worm_model.analysis.plot_style import save_figure
 from worm_model.commands.command_line import (
-    InputError,
     Parser,
     ProgressLine,
     elapsed,
@@ -18,6 +17,7 @@ from worm_model.commands.command_line import (
     figure_file,
     print_result,
 )
+from worm_model.errors import InputError
 from worm_model.parameters import load_parameter_file
 from worm_model.text_table import labelled
 from worm_optimizer.commands.search_options import (
