@@ -20,6 +20,9 @@ from worm_model.simulation.smoothing import smooth
 LENGTH_WINDOW_S = 0.06  # half window of the smoothed length; a jump of a module takes 0.1 s
 _TURNING_S = 0.22  # half window of the parabola through a turning point
 _SEARCH = (0.2, 0.35)  # of a period, before and after the command's turning point
+# A robot differs from the templates of the fits by errors that successive samples share. So more samples per second do
+# not show more.
+_DISTINCT_HZ = 30.0
 FEWEST_RATE_HZ = 8.0  # of the tracker; slower ones show no switch
 
 
@@ -38,7 +41,8 @@ class Motion:
         time: s since the onset, ascending, shape (n,).
         rear, front: positions of the modules, m, shape (n,).
         length: smoothed body length, m, shape (n,).
-        noise: standard deviation of a position, m.
+        noise: standard deviation of a position, m, of a camera with at most 30 Hz; a faster one with this standard
+            deviation would show as much.
         end: end of the gait, s since the onset.
     """
 
@@ -104,7 +108,9 @@ def motion_of(run: Run, gait: Gait, onset: int, cycles: int) -> Motion | None:
     half = max(LENGTH_WINDOW_S, _least_window(time))
     length = smooth(time, front - rear, time, half, half).value
     whole = np.isfinite(length)
-    noise = float(np.hypot(_noise(rear), _noise(front)) / np.sqrt(2.0))
+    step = float(np.median(np.diff(time)))
+    alike = max(1.0 / (_DISTINCT_HZ * step), 1.0)  # samples with the same error of the template
+    noise = float(np.hypot(_noise(rear), _noise(front)) * np.sqrt(0.5 * alike))
     return Motion(time[whole], rear[whole], front[whole], length[whole], noise, end)
 
 

@@ -74,7 +74,7 @@ class RunPositions:
 def _record(run: RunMargin) -> MarginRecord:
     values: dict[str, float] = {}
     for fin in Fin:
-        margin, _ = run.margins(fin)
+        margin = run.margins(fin)[0]
         belief = run.belief(fin)
         values[f"last_{fin.value}_margin"] = float(margin[-1]) if margin.size else math.nan
         if belief is not None:

@@ -7,13 +7,25 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.special import ndtr
 
-from worm_model.margin.keeping import MarginModel, belief_of, keeps_probability
+from worm_model.margin.keeping import (
+    MarginBelief,
+    MarginModel,
+    Probability,
+    belief_of,
+    keeps_probability,
+)
 
 SD = 0.0003  # m, of a measured margin
 
 
-def keeps(*margins: float):
-    return keeps_probability(belief_of(np.array(margins), np.full(len(margins), SD)))
+def belief(*margins: float) -> MarginBelief:
+    """Return the posterior from successive cycles of two grooves."""
+    count = len(margins)
+    return belief_of(np.array(margins), np.full(count, SD), 0.0346 * np.arange(count))
+
+
+def keeps(*margins: float) -> Probability:
+    return keeps_probability(belief(*margins))
 
 
 margins = st.lists(st.floats(-0.004, 0.012), min_size=2, max_size=12)
@@ -48,7 +60,7 @@ def test_two_cycles_leave_the_probability_open():
 @settings(max_examples=20)
 @given(margins, margins)
 def test_both_fins_keep_their_grooves_less_often_than_one(rear, front):
-    fins = [belief_of(np.array(each), np.full(len(each), SD)) for each in (rear, front)]
+    fins = [belief(*each) for each in (rear, front)]
     both = keeps_probability(*fins).value
     one, other = (keeps_probability(fin).value for fin in fins)
     assert both == pytest.approx(one * other, abs=1e-9)
@@ -72,7 +84,8 @@ def test_a_linear_model_finds_the_slope_of_the_margin():
     stroke = np.repeat([0.071, 0.073, 0.075], 5)
     margin = 0.001 + 0.8 * (stroke - 0.071) + 0.0004 * random.standard_normal(stroke.size)
     terms = np.stack([np.ones(stroke.size), stroke - 0.073], 1)
+    place = 0.0346 * np.arange(stroke.size)
     model = MarginModel(
-        margin, np.full(stroke.size, SD), terms, np.array([0.0, 0.8]), np.array([0.1, 0.3])
+        margin, np.full(stroke.size, SD), place, terms, np.array([0.0, 0.8]), np.array([0.1, 0.3])
     )
     assert model.at([1.0, 0.004]).expected == pytest.approx(0.001 + 0.8 * 0.006, abs=0.0006)
