@@ -115,11 +115,7 @@ class RunMargin:
                 spare = f"{1e3 * belief.expected:.1f} ± {1e3 * belief.expected_scatter:.1f} mm"
                 fins.append(f"{fin.value} {spare}")
         keeps = self.keeps
-        chance = (
-            f"; a cycle keeps its grooves with {keeps.value:.3f} ({keeps.low:.3f} to {keeps.high:.3f})"
-            if keeps
-            else ""
-        )
+        chance = f"; a cycle keeps its grooves with {keeps}" if keeps else ""
         return f"{self.grooves} grooves, to spare: {', '.join(fins)}{chance}"
 
     def as_json(self) -> dict[str, Any]:
