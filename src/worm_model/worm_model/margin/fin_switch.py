@@ -204,11 +204,13 @@ def _comb(
     for step in range(1, count or int(travel.max() / pitch) + 1):
         distance = travel[rows_before] - (travel[:, np.newaxis] - step * pitch)
         gain = score[rows_before] - 0.5 * (distance / (_SPACING * step**0.5)) ** 2
+        gain[rows_before >= np.arange(score.size)[:, np.newaxis]] = -np.inf
         best = gain.argmax(axis=1) if rows_before.size else np.zeros(score.size, np.int64)
         value = gain.max(axis=1, initial=-np.inf)
         goes_on &= (value >= _SURE) | (count is not None)
         total += np.where(goes_on, np.maximum(value, -_SURE), 0.0)
-        earlier.insert(0, np.where(goes_on, rows_before[best] if rows_before.size else -1, -1))
+        known = goes_on & np.isfinite(value)
+        earlier.insert(0, np.where(known, rows_before[best] if rows_before.size else -1, -1))
     last = int(np.argmax(total))
     # Of a fin that is known to have switched, the best time counts.
     if total[last] <= (_SURE if count is None else 0.0):
