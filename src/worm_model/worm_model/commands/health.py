@@ -18,16 +18,16 @@ from worm_model.commands.command_line import (
     executable,
     print_result,
 )
-from worm_model.identification.drift import ADVICE, FEWEST_BAGS, Chart, State, chart_of
+from worm_model.identification.drift import ADVICE, FEWEST_BAGS, LABELS, Chart, State, chart_of
 from worm_model.identification.drift_estimates import BagEstimates, ExcludedBag, estimate_bags
-from worm_model.parameters import UNITS, load_parameter_file
+from worm_model.parameters import load_parameter_file
 
 
 def _parser() -> Parser:
     parser = Parser(
         prog="health",
-        description="Estimate friction, switching threshold, gain, slack and idle power from each bag alone, and "
-        "report which of them drift over the bags, since when, and what to check.",
+        description="Estimate friction, switching threshold, gain, slack, idle power and measured margin from each "
+        "bag alone, and report which of them drift over the bags, since when, and what to check.",
     )
     parser.add_argument("bags", nargs="+", type=Path, metavar="BAG", help="one run each, any order")
     parser.add_definitions()
@@ -114,7 +114,8 @@ def describe(
 
 
 def _lines(chart: Chart, bags: Sequence[BagEstimates]) -> list[str]:
-    unit = "" if UNITS[chart.key] == "1" else f" {UNITS[chart.key]}"
+    unit = LABELS[chart.key][0]
+    unit = "" if unit == "1" else f" {unit}"
     head = f"{chart.key}: {chart.state.value}"
     if chart.began is not None:
         head += f" since {bags[chart.began].name}"

@@ -27,6 +27,7 @@ from worm_model.identification.report.advice import advise
 from worm_model.identification.report.identification_report import (
     error_table,
     parameter_table,
+    travel_text,
     write_report,
 )
 from worm_model.identification.report.results import parameter_file, summary
@@ -168,6 +169,7 @@ def _describe(result: Identification, advice: str) -> str:
         "Held-out errors, in brackets with the paper's table:\n"
         + error_table(result.held_out, result.paper),
     ]
+    parts.append(travel_text(result))
     if result.validation:
         parts.append("Errors of the validation runs:\n" + error_table(result.validation, {}))
     return "\n\n".join([*parts, f"Recommended measurement: {advice}."])

@@ -37,6 +37,7 @@ from worm_model.identification.locomotion_stage import (
     LocomotionResult,
     identify_locomotion,
 )
+from worm_model.identification.recorded_margin import compared_margin
 from worm_model.identification.reference_values import ReferenceValues
 from worm_model.identification.run_selection import (
     Run,
@@ -45,6 +46,8 @@ from worm_model.identification.run_selection import (
     prepared_validation,
 )
 from worm_model.parameters import FITTED_WITH_FORM, KEYS, Parameters
+from worm_model.travel_error import travel_error
+from worm_msgs.robot_parameters import TravelError
 
 Progress = Callable[[str, float], None]
 
@@ -81,6 +84,7 @@ class Identification:
         held_out: errors of each run with the parameters fitted to the other runs; empty with one run.
         paper: errors of each run with the parameters of the paper's table.
         validation: errors of the validation runs with ``parameters``.
+        margins: measured and predicted margin (m) of each run, NaN where it was not measured.
         warnings: remarks on data and results.
         seed: seed of the bootstrap.
     """
@@ -99,8 +103,15 @@ class Identification:
     held_out: Mapping[str, Errors]
     paper: Mapping[str, Errors]
     validation: Mapping[str, Errors]
+    margins: Mapping[str, tuple[float, float]]
     warnings: tuple[str, ...]
     seed: int
+
+    @property
+    def travel_error(self) -> TravelError | None:
+        """Measured minus predicted margin, None if no run shows its margin."""
+        measured, predicted = np.array(list(self.margins.values())).T
+        return travel_error(measured, predicted) if np.isfinite(measured).any() else None
 
     def power_clock(self, name: str) -> tuple[float, float]:
         """Return the clock offset of the power sensor in a run, and the standard deviation of the offset, s.
@@ -199,6 +210,7 @@ def identify(
         held_out=held_out,
         paper=paper,
         validation={run.name: run_errors(run, parameters, offset) for run in checked},
+        margins={run.name: compared_margin(run, parameters) for run in runs},
         warnings=(*inputs.remarks, *failed, *bench_warnings(fin), *warnings, *observed),
         seed=seed,
     )

@@ -2,7 +2,7 @@
 """Identification of a robot that the model does not contain."""
 
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -17,7 +17,10 @@ from worm_model.identification.data.strides import check_pitch, uneven_pitch
 from worm_model.identification.fits.contraction_fit import fit_contractions
 from worm_model.identification.fits.measured_length import measured_length
 from worm_model.identification.fits.quality import follows_command, usable
-from worm_model.parameters import load_parameter_file
+from worm_model.identification.recorded_margin import recorded_margin
+from worm_model.margin.half_cycles import Fin
+from worm_model.margin.measured_margin import measure
+from worm_model.parameters import PAPER, load_parameter_file
 
 ROBOT = ForeignRobot(pipe=3)
 PLAN = ((Gait(0.07, 0.15), 6), (Gait(0.08, 0.18), 4), (Gait(0.08, 0.24), 5), (Gait(0.09, 0.15), 4))
@@ -37,6 +40,15 @@ def recordings(runs):
 @pytest.fixture(scope="module")
 def lengths(recordings):
     return [measured_length(recording) for recording in recordings]
+
+
+def test_the_margin_of_a_recording_is_that_of_its_run(runs, recordings):
+    for run, recording in zip(runs, recordings, strict=True):
+        whole, found = measure(run.run, PAPER), recorded_margin(recording, PAPER)
+        assert whole is not None
+        assert found.grooves == whole.grooves
+        rear, expected = found.margins(Fin.REAR)[0], whole.margins(Fin.REAR)[0]
+        assert rear == pytest.approx(expected, abs=0.0005)
 
 
 def test_the_measured_length_is_that_of_the_body(runs, lengths):
@@ -103,4 +115,8 @@ def test_a_foreign_lab_gets_a_file_a_report_and_a_verdict(tmp_path, capsys, monk
     assert len(found["runs"]) == len(PLAN)
     assert found["fit"]["inflation"] > 3.0
     assert load_parameter_file(file).intervals["bellows_stiffness"]
+    travel_error = load_parameter_file(file).travel_error
+    assert travel_error is not None
+    assert found["travel_error"] == asdict(travel_error)
+    assert abs(travel_error.value) < 0.003
     assert "cannot push" in (report / "report.md").read_text()

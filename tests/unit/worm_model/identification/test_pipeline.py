@@ -199,6 +199,16 @@ def test_the_outputs_agree_with_each_other(campaigns, results):
     assert np.isfinite(found["runs"]["run_1"]["energy_error"])
 
 
+def test_robots_of_the_model_have_hardly_a_travel_error(campaigns, results):
+    for campaign, result in zip(campaigns, results, strict=True):
+        measured = np.array([margin for margin, _ in result.margins.values()])
+        assert np.isfinite(measured).any()
+        file = parameter_file(result, campaign.inputs)
+        assert file.travel_error == result.travel_error
+        assert abs(file.travel_error.value) < 0.001
+        assert summary(result)["travel_error"]["value"] == file.travel_error.value
+
+
 def test_a_cable_that_cannot_push_is_identified_as_such_and_reported(tmp_path):
     truth = parameters.PAPER.replace(one_sided_cable=True, bellows_damping=950.0, power_factor=2.9)
     recordings = tuple(

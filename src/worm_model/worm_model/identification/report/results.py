@@ -18,6 +18,7 @@ from worm_model.identification.fits.run_prediction import Errors
 from worm_model.identification.inputs import Inputs
 from worm_model.identification.stages import Identification
 from worm_model.parameters import FORM, KEYS, MADE_BY, ParameterFile
+from worm_model.travel_error import PRIOR
 
 CORRELATED = 0.8  # smallest magnitude of a reported correlation
 
@@ -50,7 +51,14 @@ def parameter_file(result: Identification, inputs: Inputs) -> ParameterFile:
     }
     lengths = [run.length.initial_length for run in result.runs]
     spread = {"initial_length": float(np.std(lengths, ddof=1))} if len(lengths) > 1 else {}
-    return ParameterFile(result.parameters, intervals, provenance, _of_parameters(result), spread)
+    return ParameterFile(
+        result.parameters,
+        intervals,
+        provenance,
+        _of_parameters(result),
+        spread,
+        result.travel_error,
+    )
 
 
 def summary(result: Identification) -> dict[str, Any]:
@@ -58,6 +66,11 @@ def summary(result: Identification) -> dict[str, Any]:
     return {
         "fit": result.fit.as_dict(),
         "parameters": {key: e.as_dict() for key, e in result.estimates.items()},
+        "travel_error": asdict(result.travel_error or PRIOR),
+        "margins": {
+            name: {"measured_m": measured, "predicted_m": predicted}
+            for name, (measured, predicted) in result.margins.items()
+        },
         FORM: result.parameters.one_sided_cable,
         "runs": {name: asdict(error) for name, error in result.held_out.items()}
         or {run.name: dict.fromkeys(error.name for error in fields(Errors)) for run in result.runs},
