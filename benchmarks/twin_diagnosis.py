@@ -197,7 +197,7 @@ def _drawn(outcome: Outcome, fault: Fault, signs: Signatures, draw: np.random.Ge
     for cycle, value in zip(blank, seen, strict=True):
         history = replace(history, cycles=(*history.cycles, replace(cycle, values=value)))
         weighed = weigh_causes(history.cycles, history.reported, signs, length_seen=False)
-        history, findings = judge_causes(history, cycle.number, weighed)
+        history, findings = judge_causes(history, cycle.number, weighed, signs.edge)
         if findings:
             return replace(
                 outcome, reported=findings[0].code.code, late=float(cycle.number - fault.cycle)

@@ -116,6 +116,12 @@ CLOCK_JUMP = EventCode(
 GAP = EventCode(
     "gap", "a gap in the data", "a time without data about the robot has ended", "stamps"
 )
+NEAR_EDGE = EventCode(
+    "near_edge",
+    "an edge of the grooves per cycle",
+    "for information: a healthy robot gains either of two numbers of grooves, so whole grooves are not judged",
+    "gait and L0",
+)
 AMBIGUOUS = EventCode(
     "ambiguous",
     "several causes",
@@ -281,7 +287,7 @@ LASTING = {
 MISSED_BY_FIN = {"rear": MISSED_REAR, "front": MISSED_FRONT}
 
 _OTHERS = (MISSED, MISSED_REAR, MISSED_FRONT, GAINED, ROBOT_MOVED, CAMERA_MOVED)
-_LAST = (INITIAL_LENGTH, CLOCK_JUMP, GAP, AMBIGUOUS)
+_LAST = (INITIAL_LENGTH, CLOCK_JUMP, GAP, NEAR_EDGE, AMBIGUOUS)
 #: all codes of TwinEvent
 EVENT_CODES = tuple(
     dict.fromkeys(

@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -64,11 +64,13 @@ class ReportedCause:
             attributed to a fin.
         cycle: cycle in which the cause begins.
         phase: phase of the cycle at which the cause begins, 0 to 1.
+        gained: grooves that the robot gained in addition to the predicted ones; 0 for a cause other than a groove.
     """
 
     name: str
     cycle: int
     phase: float = 0.0
+    gained: int = 0
 
 
 class Candidate(NamedTuple):
@@ -82,6 +84,7 @@ class Candidate(NamedTuple):
         phase: phase of the first cycle at which the cause begins, 0 to 1.
         cycles: number of cycles that the cause lasts, 0 without an end.
         fact: True if the size is not estimated, but known to be 1, as for a groove.
+        healthy: True if a healthy robot near an edge gains these grooves.
         variant: index of the signature among those of the name.
         error: amount to be added to the twin's L0, m.
         weight: posterior probability divided by that of a healthy robot.
@@ -96,6 +99,7 @@ class Candidate(NamedTuple):
     phase: float = 0.0
     cycles: int = 0
     fact: bool = False
+    healthy: bool = False
     variant: int = 0
     error: float = 0.0
     weight: float = 0.0
@@ -332,20 +336,34 @@ def _grooves(
 ) -> Iterator[Candidate]:
     """Yield candidates for grooves that a fin missed or gained in consecutive cycles.
 
-    Cycles are excluded if the tracker saw that no groove was missed or gained, or if one was already reported.
+    Near an edge a healthy robot misses or gains grooves more often. Cycles are excluded if the tracker saw that no
+    groove was missed or gained, or if one was already reported.
     """
     settled = {cycle.number for cycle in cycles if cycle.step is not None and not cycle.gained}
     settled |= {event.cycle for event in reported if event.name in ("missed", "gained")}
     last = cycles[-1].number
-    kinds = [(MISSED_BY_FIN[fin], fin, MISS) for fin in signs.missed]
-    kinds += [(GAINED, fin, 2.0 * GAIN / len(signs.gained)) for fin in signs.gained]
-    for code, fin, chance in kinds:
+    kinds = [(MISSED_BY_FIN[fin], fin, MISS, 1.0 / len(signs.missed)) for fin in signs.missed]
+    kinds += [
+        (GAINED, fin, 2.0 * GAIN / len(signs.gained), 1.0 / len(signs.gained))
+        for fin in signs.gained
+    ]
+    predicted = {
+        cycle.number: cycle.predicted for cycle in (*cycles, replace(cycles[-1], number=last + 1))
+    }
+    for code, fin, chance, share in kinds:
+        gained = 1 if code == GAINED else -1
+        at_edge = {n: signs.edge.chance(p, p + gained) for n, p in predicted.items()}
         for first in range(cycles[0].number, last + 2):
+            log_prior, healthy = math.log(chance + share * at_edge[first]), True
             for count in range(1, last + 3 - first):
-                if first + count - 1 in settled:
+                number = first + count - 1
+                if number in settled:
                     break
-                prior = math.log(chance) + (count - 1) * math.log(AGAIN)
-                yield Candidate(code, fin, first, prior, cycles=count, fact=True)
+                log_prior += math.log(max(AGAIN, at_edge[number])) if count > 1 else 0.0
+                healthy = healthy and at_edge[number] > 0.0
+                yield Candidate(
+                    code, fin, first, log_prior, cycles=count, fact=True, healthy=healthy
+                )
 
 
 def _lengths(cycles: Sequence[CycleData], signs: Signatures) -> Iterator[tuple[Candidate, Array]]:
@@ -360,6 +378,7 @@ def _lengths(cycles: Sequence[CycleData], signs: Signatures) -> Iterator[tuple[C
             if cycle.step is None:
                 continue
             usual = RIGHT if cycle.gained == 0 else (AGAIN if before else 2.0 * MISS)
+            usual = max(usual, signs.edge.chance(cycle.predicted, cycle.predicted + cycle.gained))
             prior += math.log(RIGHT if cycle.gained == length.gained else 1.0 - RIGHT)
             prior -= math.log(usual)
             before = cycle.gained

@@ -64,6 +64,7 @@ class CycleData:
         step: the step, of size ≈ 0 if the position agrees; None without a tracker, or while a step is in progress.
         watched: True if a tracker saw the end of the cycle.
         gained: whole grooves of the step along the gait's direction.
+        predicted: grooves that the twin gained in the cycle, along the gait's direction.
     """
 
     number: int
@@ -72,6 +73,7 @@ class CycleData:
     step: Step | None
     watched: bool = False
     gained: int = 0
+    predicted: int = 0
 
 
 def cycle_data(

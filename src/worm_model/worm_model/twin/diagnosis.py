@@ -51,6 +51,7 @@ from worm_model.twin.cycle_data import (
     cycle_data,
     without_step,
 )
+from worm_model.twin.edges import Edge
 from worm_model.twin.findings import (
     INFORMATION,
     Finding,
@@ -100,6 +101,7 @@ class CycleSeen:
         length_seen: True if an instrument measured L0.
         blind_s: part of the cycle without data about the length, s.
         joined: True if the twin joined the run in this cycle.
+        predicted: grooves that the twin gained in the cycle, along the gait's direction.
     """
 
     number: int
@@ -110,6 +112,7 @@ class CycleSeen:
     length_seen: bool = False
     blind_s: float = 0.0
     joined: bool = False
+    predicted: int = 0
 
 
 @dataclass(frozen=True)
@@ -167,6 +170,7 @@ def judge_cycle(history: History, cycle: CycleSeen) -> tuple[History, list[Findi
         data = replace(data, step=Step(0.0))
     data = without_step(data)
     step = data.step
+    data = replace(data, predicted=cycle.predicted)
     if step is not None and not step.is_none:
         data = replace(data, gained=_whole(step.size, cycle) * cycle.gait.direction)
     history = replace(history, cycles=(*history.cycles, data)[-REMEMBERED:])
@@ -178,10 +182,10 @@ def judge_cycle(history: History, cycle: CycleSeen) -> tuple[History, list[Findi
         history = replace(history, slight=False)
     else:
         shares = _shares_of_step(cycle, step, weighed, signs)
-        history, finding = _settle(history, cycle, step, shares)
+        history, finding = _settle(history, cycle, step, shares, signs.edge)
         findings += [finding] if finding is not None else []
         weighed = _weigh(history, cycle, signs)
-    history, others = judge_causes(history, cycle.number, weighed)
+    history, others = judge_causes(history, cycle.number, weighed, signs.edge)
     return history, findings + others
 
 
@@ -285,9 +289,16 @@ def _whole(size: float, cycle: CycleSeen) -> int:
 
 
 def _settle(
-    history: History, cycle: CycleSeen, step: Step, shares: Mapping[EventCode, float]
+    history: History,
+    cycle: CycleSeen,
+    step: Step,
+    shares: Mapping[EventCode, float],
+    edge: Edge,
 ) -> tuple[History, Finding | None]:
-    """Return the history with the cause of a step, and the finding; None if the step is not reported (yet)."""
+    """Return the history with the cause of a step, and the finding; None if the step is not reported (yet).
+
+    Near an edge the twin silently follows the grooves that a healthy robot gains.
+    """
     best = max(shares, key=lambda code: shares[code])
     if best == NO_STEP:
         return replace(history, slight=False), None
@@ -296,15 +307,41 @@ def _settle(
     finding = _explain(cycle, step, shares)
     gained = finding.grooves * cycle.gait.direction
     name = _NAMES.get(finding.code, "")
-    reported = (*history.reported, causes.ReportedCause(name, cycle.number))[-REMEMBERED:]
+    usual = bool(edge.chance(cycle.predicted, cycle.predicted + gained))
+    if usual:
+        name = "missed" if gained < 0 else "gained"
+        finding = replace(finding, silent=True)
+    elif name:
+        finding = _again(finding, history.reported, gained, cycle.predicted)
+    cause = causes.ReportedCause(name, cycle.number, gained=gained)
+    reported = (*history.reported, cause)[-REMEMBERED:]
     history = replace(history, slight=False, reported=reported)
-    if name:
+    if name and not usual:
         history = replace(
             history,
             missed=history.missed + max(-gained, 0),
             extra=history.extra + max(gained, 0),
         )
     return history, finding
+
+
+def _again(
+    finding: Finding, reported: Iterable[causes.ReportedCause], gained: int, predicted: int
+) -> Finding:
+    """Return the finding about grooves that were missed or gained in the previous cycle, too.
+
+    The second cycle in a row is reported as another number of grooves per cycle, and further cycles are silent.
+    """
+    same = {cause.cycle for cause in reported if cause.gained == gained}
+    if finding.cycle - 1 not in same:
+        return finding
+    facts = {"since": finding.cycle - 1, "gained": predicted + gained, "predicted": predicted}
+    return replace(
+        finding,
+        sentence=Sentence.GROOVES_AGAIN,
+        facts=facts,
+        silent=finding.cycle - 2 in same,
+    )
 
 
 def _explain(cycle: CycleSeen, step: Step, shares: Mapping[EventCode, float]) -> Finding:
@@ -361,12 +398,9 @@ def _shares_of_step(
         whole = _normal(step.size - grooves * pitch, WHOLE_M)
         shares[ROBOT_MOVED] = MOVED / (2 * MOST_GROOVES) * whole * swift["robot"]
         missed = gained < 0
-        chance = (
-            whole
-            * swift["fin"]
-            * 2.0
-            * (causes.MISS * MORE ** (-gained - 1) if missed else causes.GAIN)
-        )
+        usual = causes.MISS * MORE ** (-gained - 1) if missed else causes.GAIN
+        at_edge = signs.edge.chance(cycle.predicted, cycle.predicted + gained)
+        chance = whole * swift["fin"] * (2.0 * usual + at_edge)
         changes = signs.missed if missed else signs.gained
         if (missed and -gained <= max(signs.grooves, 1)) or gained == 1:
             shares[MISSED if missed else GAINED] = ANY_TIME * chance
@@ -435,7 +469,7 @@ def _length(
 
 
 def judge_causes(
-    history: History, number: int, weighed: Sequence[causes.Candidate]
+    history: History, number: int, weighed: Sequence[causes.Candidate], edge: Edge
 ) -> tuple[History, list[Finding]]:
     """Return the updated history, and the findings if the robot is probably not healthy.
 
@@ -444,9 +478,11 @@ def judge_causes(
     total = 1.0 + sum(c.weight for c in weighed)
     if 1.0 / total > HEALTHY_AT_MOST:
         return replace(history, doubt=False), []
-    findings = _grooves_by_power(history.cycles, weighed, total)
-    missed = sum(finding.code != GAINED for finding in findings)
-    reported = [causes.ReportedCause(_NAMES[finding.code], finding.cycle) for finding in findings]
+    history, findings = _grooves_by_power(history, weighed, total, edge)
+    healthy = 1.0 + sum(c.weight for c in weighed if c.healthy)
+    if healthy / total > HEALTHY_AT_MOST:
+        return replace(history, doubt=False), findings
+    reported: list[causes.ReportedCause] = []
     for group in _by_code([c for c in weighed if c.name in LASTING]).values():
         share, best = _share(group, total), max(group, key=lambda c: c.weight)
         if share < SURE or (best.cycle >= number and best.phase >= LASTED):
@@ -455,26 +491,20 @@ def judge_causes(
         if not _is_known(history.reported, best, names):
             findings.append(_lasting(best, share))
         reported += [causes.ReportedCause(name, best.cycle, best.phase) for name in sorted(names)]
-    if reported:
-        history = replace(
-            history,
-            reported=(*history.reported, *reported)[-REMEMBERED:],
-            missed_by_power=history.missed_by_power + missed,
-            doubt=False,
-            doubted=False,
-        )
-        return history, findings
+    if reported or findings:
+        reported = [*history.reported, *reported][-REMEMBERED:]
+        return replace(history, reported=tuple(reported), doubt=False, doubted=False), findings
     if not history.doubt or history.doubted:
         return replace(history, doubt=True), []
     return replace(history, doubted=True), _doubt(number, weighed, total)
 
 
 def _grooves_by_power(
-    cycles: Iterable[CycleData], weighed: Sequence[causes.Candidate], total: float
-) -> list[Finding]:
-    """Return findings for the grooves missed or gained in cycles whose end no tracker saw."""
-    findings = []
-    for cycle in cycles:
+    history: History, weighed: Sequence[causes.Candidate], total: float, edge: Edge
+) -> tuple[History, list[Finding]]:
+    """Return the history and findings for the grooves missed or gained in cycles whose end no tracker saw."""
+    findings, missed = [], history.missed_by_power
+    for cycle in history.cycles:
         if cycle.watched:
             continue
         covering = [c for c in weighed if c.cycle <= cycle.number < c.cycle + c.cycles]
@@ -487,8 +517,17 @@ def _grooves_by_power(
         if max(missed, shares[GAINED]) >= SURE:
             best, share = (best, shares[best]) if shares[best] >= SURE else (MISSED, missed)
             facts = {"cause": best.phrase, "percent": 100 * share}
-            findings.append(Finding(best, Sentence.BY_POWER, cycle.number, facts, share))
-    return findings
+            finding = Finding(best, Sentence.BY_POWER, cycle.number, facts, share)
+            gained = 1 if best == GAINED else -1
+            if edge.chance(cycle.predicted, cycle.predicted + gained):
+                finding = replace(finding, silent=True)
+            else:
+                finding = _again(finding, history.reported, gained, cycle.predicted)
+                missed += int(best != GAINED)
+            findings.append(finding)
+            cause = causes.ReportedCause(_NAMES[best], cycle.number, gained=gained)
+            history = replace(history, reported=(*history.reported, cause)[-REMEMBERED:])
+    return replace(history, missed_by_power=missed), findings
 
 
 def _is_known(

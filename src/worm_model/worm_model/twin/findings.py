@@ -37,6 +37,10 @@ class Sentence(enum.Enum):
         "the robot gained {grooves} too many (position {off_mm:+.1f} mm off, beginning "
         "{since_s:.1f} s into the cycle); the twin corrects its anchors"
     )
+    GROOVES_AGAIN = (
+        "since cycle {since} the robot gains {gained} instead of {predicted} grooves per cycle; the twin does not "
+        "report further cycles like these"
+    )
     ROBOT_MOVED = (
         "the robot was moved by {grooves} {way} the direction of its gait (position {off_mm:+.1f} mm "
         "off, beginning {since_s:.1f} s into the cycle); the twin corrects its anchors"
@@ -74,6 +78,7 @@ class Finding:
         shift: shift of the twin's origin in the tracker's frame, m.
         initial_length: new L0, m; NaN if L0 stays.
         explains_position: True if the result explains the earlier position residuals, which then no longer count.
+        silent: True if the twin adapts without an event.
     """
 
     code: EventCode
@@ -85,6 +90,7 @@ class Finding:
     shift: float = 0.0
     initial_length: float = math.nan
     explains_position: bool = False
+    silent: bool = False
 
     @property
     def text(self) -> str:
