@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -347,20 +347,18 @@ def _grooves(
         (GAINED, fin, 2.0 * GAIN / len(signs.gained), 1.0 / len(signs.gained))
         for fin in signs.gained
     ]
-    predicted = {
-        cycle.number: cycle.predicted for cycle in (*cycles, replace(cycles[-1], number=last + 1))
-    }
     for code, fin, chance, share in kinds:
-        gained = 1 if code == GAINED else -1
-        at_edge = {n: signs.edge.chance(p, p + gained) for n, p in predicted.items()}
+        at_edge = {c.number: c.at_edge(1 if code == GAINED else -1) for c in cycles}
+        at_edge[last + 1] = at_edge[last]
         for first in range(cycles[0].number, last + 2):
-            log_prior, healthy = math.log(chance + share * at_edge[first]), True
+            log_prior, healthy = math.log(chance + share * at_edge.get(first, 0.0)), True
             for count in range(1, last + 3 - first):
                 number = first + count - 1
                 if number in settled:
                     break
-                log_prior += math.log(max(AGAIN, at_edge[number])) if count > 1 else 0.0
-                healthy = healthy and at_edge[number] > 0.0
+                usual = at_edge.get(number, 0.0)
+                log_prior += math.log(max(AGAIN, usual)) if count > 1 else 0.0
+                healthy = healthy and usual > 0.0
                 yield Candidate(
                     code, fin, first, log_prior, cycles=count, fact=True, healthy=healthy
                 )
@@ -378,7 +376,7 @@ def _lengths(cycles: Sequence[CycleData], signs: Signatures) -> Iterator[tuple[C
             if cycle.step is None:
                 continue
             usual = RIGHT if cycle.gained == 0 else (AGAIN if before else 2.0 * MISS)
-            usual = max(usual, signs.edge.chance(cycle.predicted, cycle.predicted + cycle.gained))
+            usual = max(usual, cycle.at_edge(cycle.gained))
             prior += math.log(RIGHT if cycle.gained == length.gained else 1.0 - RIGHT)
             prior -= math.log(usual)
             before = cycle.gained

@@ -65,6 +65,7 @@ class CycleData:
         watched: True if a tracker saw the end of the cycle.
         gained: whole grooves of the step along the gait's direction.
         predicted: grooves that the twin gained in the cycle, along the gait's direction.
+        fewer, more: probabilities that a healthy robot near an edge gains one groove less or more than predicted.
     """
 
     number: int
@@ -74,6 +75,12 @@ class CycleData:
     watched: bool = False
     gained: int = 0
     predicted: int = 0
+    fewer: float = 0.0
+    more: float = 0.0
+
+    def at_edge(self, gained: int) -> float:
+        """Return the probability that a healthy robot near an edge gains other grooves than predicted, by number."""
+        return {-1: self.fewer, 1: self.more}.get(gained, 0.0)
 
 
 def cycle_data(

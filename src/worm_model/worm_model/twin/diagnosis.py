@@ -42,7 +42,13 @@ from worm_model.twin.cause_table import (
     ROBOT_MOVED,
     EventCode,
 )
-from worm_model.twin.core.memory import LENGTH_COUNT, POSITION, POSITION_COUNT, POSITION_SUM
+from worm_model.twin.core.memory import (
+    LENGTH_COUNT,
+    LENGTH_SUM,
+    POSITION,
+    POSITION_COUNT,
+    POSITION_SUM,
+)
 from worm_model.twin.cycle_data import (
     STEP_M,
     WINDOW,
@@ -51,7 +57,7 @@ from worm_model.twin.cycle_data import (
     cycle_data,
     without_step,
 )
-from worm_model.twin.edges import Edge
+from worm_model.twin.edges import Edge, edge_of, edge_of_body
 from worm_model.twin.findings import (
     INFORMATION,
     Finding,
@@ -170,7 +176,11 @@ def judge_cycle(history: History, cycle: CycleSeen) -> tuple[History, list[Findi
         data = replace(data, step=Step(0.0))
     data = without_step(data)
     step = data.step
-    data = replace(data, predicted=cycle.predicted)
+    fewer, more = (
+        max(edge.chance(cycle.predicted, cycle.predicted + one) for edge in edges_of(cycle))
+        for one in (-1, 1)
+    )
+    data = replace(data, predicted=cycle.predicted, fewer=fewer, more=more)
     if step is not None and not step.is_none:
         data = replace(data, gained=_whole(step.size, cycle) * cycle.gait.direction)
     history = replace(history, cycles=(*history.cycles, data)[-REMEMBERED:])
@@ -181,12 +191,21 @@ def judge_cycle(history: History, cycle: CycleSeen) -> tuple[History, list[Findi
     if step is None or step.is_none:
         history = replace(history, slight=False)
     else:
-        shares = _shares_of_step(cycle, step, weighed, signs)
-        history, finding = _settle(history, cycle, step, shares, signs.edge)
+        shares = _shares_of_step(cycle, data, step, weighed, signs)
+        history, finding = _settle(history, cycle, step, shares)
         findings += [finding] if finding is not None else []
         weighed = _weigh(history, cycle, signs)
-    history, others = judge_causes(history, cycle.number, weighed, signs.edge)
+    history, others = judge_causes(history, cycle.number, weighed)
     return history, findings + others
+
+
+def edges_of(cycle: CycleSeen) -> tuple[Edge, Edge]:
+    """Return the edges near the commanded stroke, and near the stroke that the body performed."""
+    count = cycle.sums[:, LENGTH_COUNT]
+    residuals = np.full_like(count, np.nan)
+    np.divide(cycle.sums[:, LENGTH_SUM], count, out=residuals, where=count > 0)
+    commanded = edge_of(cycle.gait, cycle.parameters)
+    return commanded, edge_of_body(cycle.gait, cycle.parameters, residuals)
 
 
 def explains(history: History, cycle: CycleSeen) -> bool:
@@ -289,11 +308,7 @@ def _whole(size: float, cycle: CycleSeen) -> int:
 
 
 def _settle(
-    history: History,
-    cycle: CycleSeen,
-    step: Step,
-    shares: Mapping[EventCode, float],
-    edge: Edge,
+    history: History, cycle: CycleSeen, step: Step, shares: Mapping[EventCode, float]
 ) -> tuple[History, Finding | None]:
     """Return the history with the cause of a step, and the finding; None if the step is not reported (yet).
 
@@ -307,7 +322,7 @@ def _settle(
     finding = _explain(cycle, step, shares)
     gained = finding.grooves * cycle.gait.direction
     name = _NAMES.get(finding.code, "")
-    usual = bool(edge.chance(cycle.predicted, cycle.predicted + gained))
+    usual = history.cycles[-1].at_edge(gained) > 0.0
     if usual:
         name = "missed" if gained < 0 else "gained"
         finding = replace(finding, silent=True)
@@ -385,7 +400,11 @@ def _explain(cycle: CycleSeen, step: Step, shares: Mapping[EventCode, float]) ->
 
 
 def _shares_of_step(
-    cycle: CycleSeen, step: Step, weighed: Sequence[causes.Candidate], signs: Signatures
+    cycle: CycleSeen,
+    data: CycleData,
+    step: Step,
+    weighed: Sequence[causes.Candidate],
+    signs: Signatures,
 ) -> dict[EventCode, float]:
     """Return the probability of each code that can explain a step."""
     pitch, grooves = cycle.parameters.pitch, _whole(step.size, cycle)
@@ -399,8 +418,7 @@ def _shares_of_step(
         shares[ROBOT_MOVED] = MOVED / (2 * MOST_GROOVES) * whole * swift["robot"]
         missed = gained < 0
         usual = causes.MISS * MORE ** (-gained - 1) if missed else causes.GAIN
-        at_edge = signs.edge.chance(cycle.predicted, cycle.predicted + gained)
-        chance = whole * swift["fin"] * (2.0 * usual + at_edge)
+        chance = whole * swift["fin"] * (2.0 * usual + data.at_edge(gained))
         changes = signs.missed if missed else signs.gained
         if (missed and -gained <= max(signs.grooves, 1)) or gained == 1:
             shares[MISSED if missed else GAINED] = ANY_TIME * chance
@@ -469,7 +487,7 @@ def _length(
 
 
 def judge_causes(
-    history: History, number: int, weighed: Sequence[causes.Candidate], edge: Edge
+    history: History, number: int, weighed: Sequence[causes.Candidate]
 ) -> tuple[History, list[Finding]]:
     """Return the updated history, and the findings if the robot is probably not healthy.
 
@@ -478,7 +496,7 @@ def judge_causes(
     total = 1.0 + sum(c.weight for c in weighed)
     if 1.0 / total > HEALTHY_AT_MOST:
         return replace(history, doubt=False), []
-    history, findings = _grooves_by_power(history, weighed, total, edge)
+    history, findings = _grooves_by_power(history, weighed, total)
     healthy = 1.0 + sum(c.weight for c in weighed if c.healthy)
     if healthy / total > HEALTHY_AT_MOST:
         return replace(history, doubt=False), findings
@@ -500,10 +518,10 @@ def judge_causes(
 
 
 def _grooves_by_power(
-    history: History, weighed: Sequence[causes.Candidate], total: float, edge: Edge
+    history: History, weighed: Sequence[causes.Candidate], total: float
 ) -> tuple[History, list[Finding]]:
     """Return the history and findings for the grooves missed or gained in cycles whose end no tracker saw."""
-    findings, missed = [], history.missed_by_power
+    findings = []
     for cycle in history.cycles:
         if cycle.watched:
             continue
@@ -519,15 +537,16 @@ def _grooves_by_power(
             facts = {"cause": best.phrase, "percent": 100 * share}
             finding = Finding(best, Sentence.BY_POWER, cycle.number, facts, share)
             gained = 1 if best == GAINED else -1
-            if edge.chance(cycle.predicted, cycle.predicted + gained):
+            if cycle.at_edge(gained):
                 finding = replace(finding, silent=True)
             else:
                 finding = _again(finding, history.reported, gained, cycle.predicted)
-                missed += int(best != GAINED)
+                count = history.missed_by_power + (best != GAINED)
+                history = replace(history, missed_by_power=count)
             findings.append(finding)
             cause = causes.ReportedCause(_NAMES[best], cycle.number, gained=gained)
             history = replace(history, reported=(*history.reported, cause)[-REMEMBERED:])
-    return replace(history, missed_by_power=missed), findings
+    return history, findings
 
 
 def _is_known(

@@ -2,7 +2,8 @@
 """Edges of the stroke: where a gait begins to gain another number of grooves per cycle.
 
 Healthy robots lie on both sides of an edge that the model puts near their stroke. The twin therefore does not judge
-whole grooves there.
+whole grooves there. The stroke is the commanded one and, where an instrument measures the length, also the one that the
+body performs: a compliant cable makes it shorter.
 """
 
 from __future__ import annotations
@@ -12,15 +13,20 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
+from worm_model.arrays import Array
 from worm_model.gait import Gait, GaitError
 from worm_model.parameters import Parameters
+from worm_model.simulation.actuation import length_change_of_command
 from worm_model.simulation.batch import evaluate_gaits
+from worm_model.twin.core.memory import PHASES
 from worm_msgs.gait import SHAPE
 
 SCATTER_M = 0.00065  # standard deviation of the edge's stroke between healthy robots
 NEAR = 2.0  # standard deviations of the stroke within which an edge is near
 STEP_M = 0.00005  # resolution of the stroke
+EXTREME = 0.1  # parts of a cycle whose length is within this share of the span from an extreme count as extreme
 
 
 @dataclass(frozen=True)
@@ -59,19 +65,48 @@ class Edge:
         side = "below" if self.distance > 0.0 else "above"
         least, most = sorted((self.grooves, self.beyond))
         return (
-            f"the stroke is {1e3 * abs(self.distance):.1f} mm {side} the edge to {self.beyond} grooves per cycle: a "
-            f"healthy robot gains {least} or {most}, so whole grooves are not judged"
+            f"{1e3 * abs(self.distance):.1f} mm {side} the edge to {self.beyond} grooves per cycle: a healthy robot "
+            f"gains {least} or {most}, so whole grooves are not judged"
         )
 
 
 def edge_of(gait: Gait, parameters: Parameters) -> Edge:
     """Return the edge near a gait without its margin, for a robot with the run's L0."""
-    # A rounded L0 makes runs share their cached edges. It moves the edge by at most 0.06 mm.
+    # Rounded lengths make cycles and runs share their cached edges. They move the edge by at most 0.1 mm.
+    rounded = replace(gait, stroke=round(gait.stroke, 4), margin=0.0)
     length = round(parameters.initial_length, 4)
-    return _edge_of(replace(gait, margin=0.0), parameters.replace(initial_length=length))
+    return _edge_of(rounded, parameters.replace(initial_length=length))
+
+
+def edge_of_body(gait: Gait, parameters: Parameters, residuals: Array) -> Edge:
+    """Return the edge near the stroke that the body performs in a cycle.
+
+    ``residuals`` (PHASES,) are the residuals of the length in m, measured minus computed from the command, and NaN
+    where nothing was measured. Without measurements at both extremes, the edge is that of the commanded stroke.
+    """
+    shorter = sum(
+        sign * np.nanmean(residuals[where]) if np.isfinite(residuals[where]).any() else np.nan
+        for sign, where in zip(
+            (1.0, -1.0), _extremes(replace(gait, margin=0.0), parameters), strict=True
+        )
+    )
+    if not np.isfinite(shorter):
+        return edge_of(gait, parameters)
+    return edge_of(replace(gait, stroke=gait.stroke - float(shorter) / parameters.gain), parameters)
 
 
 @lru_cache(maxsize=32)
+def _extremes(gait: Gait, parameters: Parameters) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return masks (PHASES,) of the phases of a cycle at which the body is shortest, and longest."""
+    times = (
+        (np.arange(2 * PHASES) + 0.5) / PHASES * gait.period
+    )  # after one cycle the response repeats itself
+    change = length_change_of_command(times, gait.command(times), parameters)[PHASES:]
+    share = (change - change.min()) / np.ptp(change)
+    return share <= EXTREME, share >= 1.0 - EXTREME
+
+
+@lru_cache(maxsize=64)
 def _edge_of(gait: Gait, parameters: Parameters) -> Edge:
     count = math.ceil(NEAR * SCATTER_M / STEP_M)
     steps = np.arange(-count, count + 1)

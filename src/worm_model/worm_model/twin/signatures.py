@@ -23,7 +23,6 @@ from worm_model.simulation.actuation import length_change_of_command
 from worm_model.simulation.simulator import LoadError, Locomotion, SimulationError, simulate
 from worm_model.twin.cause_table import LASTING, Cause, Effect
 from worm_model.twin.core.memory import CHANNELS, LENGTH, PHASES, POSITION, POWER
-from worm_model.twin.edges import Edge, edge_of
 
 BINS = 25  # of a cycle
 SETTLED = 5  # cycles after which a gait repeats itself
@@ -72,7 +71,6 @@ class Signatures:
 
     Attributes:
         grooves: grooves per cycle.
-        edge: edge of the grooves per cycle near the stroke.
         power: predicted power, W, shape (BINS,).
         lasting: changes by lasting causes at their usual size, by name. Shape (1 + k, CHANNELS, BINS): from a small
             change, and from k large changes that keep the grooves per cycle.
@@ -85,7 +83,6 @@ class Signatures:
     """
 
     grooves: int
-    edge: Edge
     power: Array
     lasting: Mapping[str, Array]
     missed: Mapping[str, Array]
@@ -117,7 +114,6 @@ def signatures(gait: Gait, parameters: Parameters, *, driven: bool) -> Signature
     model = _Model(gait, parameters, driven)
     return Signatures(
         grooves=model.grooves,
-        edge=edge_of(gait, parameters),
         power=model.seen[POWER],
         lasting={name: _lasting(model, cause) for name, cause in LASTING.items()},
         missed=_switches(model, {"": NEVER_M}, -1),

@@ -39,8 +39,15 @@ from worm_model.twin.core.memory import (
 )
 from worm_model.twin.data.records import Event, Health, Severity, residual_message
 from worm_model.twin.data.samples import SampleRows
-from worm_model.twin.diagnosis import CycleSeen, History, explains, judge_cycle, off_at_end
-from worm_model.twin.edges import edge_of
+from worm_model.twin.diagnosis import (
+    CycleSeen,
+    History,
+    edges_of,
+    explains,
+    judge_cycle,
+    off_at_end,
+)
+from worm_model.twin.edges import Edge, edge_of
 from worm_model.twin.findings import INFORMATION, Finding, Sentence
 from worm_model.twin.run_start import DriverState, begin_run, driver_state_of, is_new_run
 from worm_model.twin.start_estimate import EstimatedStart, Start, estimate_start
@@ -313,20 +320,17 @@ class _Call:
         state.clock_set = state.clock_set and driver.gait is None
         # At the onset the twin resets its position to the tracker's, so earlier position residuals no longer count.
         m["channel_ns"][POSITION] = m["channel_level"][POSITION] = 0
-        self._look_for_edge(start)
+        m["edge_slack"] = 0.0
+        if state.gait is not None:
+            self._report_edge(start, edge_of(state.gait, twin.effective_parameters(state)))
         rules, c, a, p = self.model()
         estimator.begin_track(state.memory, start, rules, c, a, p, self.room)
 
-    def _look_for_edge(self, stamp: int) -> None:
-        """Report an edge near the stroke of the run, within which whole grooves do not affect the health."""
-        state, m, gait = self.state, self.state.record, self.state.gait
-        m["edge_slack"] = 0.0
-        if gait is None:
-            return
-        parameters = self.twin.effective_parameters(state)
-        edge = edge_of(gait, parameters)
-        m["edge_slack"] = abs(edge.beyond - edge.grooves) * parameters.pitch
-        if edge.is_near:
+    def _report_edge(self, stamp: int, edge: Edge) -> None:
+        """Report an edge once per run. From then on, a whole groove does not affect the health."""
+        m = self.state.record
+        if edge.is_near and not m["edge_slack"]:
+            m["edge_slack"] = self.twin.parameters.pitch
             self.events.append(
                 Event(stamp, Severity.INFO, edge.text, NEAR_EDGE.code, run=int(m["run"]))
             )
@@ -372,6 +376,8 @@ class _Call:
         )
         not_judged = self._unusable
         if not not_judged:
+            for edge in edges_of(cycle):
+                self._report_edge(stamp, edge)
             findings, not_judged = self._judge(cycle)
             for finding in findings:
                 self._follow(finding, stamp, gait)
@@ -453,7 +459,6 @@ class _Call:
             m["channel_ns"][POSITION] = m["channel_level"][POSITION] = 0
         if np.isfinite(finding.initial_length):
             m["initial_length"], m["length_fitted"] = finding.initial_length, 1
-            self._look_for_edge(stamp)
         if finding.silent:
             return
         code, text = finding.code.code, finding.text
