@@ -216,9 +216,11 @@ class Data:
         variance *= _excess(values, variance)[None, :, None]
         self.seen = values.reshape(len(cycles), -1)
         self.weight = 1.0 / variance.reshape(self.seen.shape)
-        scatter = np.tile(np.array(SCATTER)[:, None], BINS)
-        scatter[POWER] += POWER_SHARE * signs.power
-        self.offsets = scatter.ravel()
+        # Of a robot that the parameters do not describe, only changes count: its offsets are free.
+        error = (
+            np.max([c.error for c in cycles], axis=0) if cycles[0].is_misfit else np.ones(CHANNELS)
+        )
+        self.offsets = (_offsets(signs) * error[:, None]).ravel()
         nuisances = [*self._of_the_run(), *self._of_a_cycle(), *self._reported(reported)]
         self.nuisances = np.moveaxis(np.array(nuisances), 0, -1)
 
@@ -300,6 +302,40 @@ class Data:
                 if cycle in self.numbers:
                     whole[self.numbers.index(cycle)] += change.ravel()
         return whole
+
+
+def _offsets(signs: Signatures) -> Array:
+    """Return the standard deviations of the offsets that are the same in all cycles, shape (CHANNELS, BINS)."""
+    scatter = np.tile(np.array(SCATTER)[:, None], BINS)
+    scatter[POWER] += POWER_SHARE * signs.power
+    return scatter
+
+
+def model_error(cycle: CycleData, signs: Signatures) -> tuple[float, ...]:
+    """Return the root mean square of the residuals that no lasting cause explains, by channel, at least 1.
+
+    It is relative to the offsets of a healthy robot. A robot that the model does not contain, for example with a
+    compliant cable, deviates by the same large amounts in every cycle. Power alone cannot distinguish this from a
+    cause, so that no cause explains it then.
+    """
+    offsets = _offsets(signs)
+    variance = cycle.variance + offsets**2
+    some = np.isfinite(variance)
+    root = 1.0 / np.sqrt(variance[some])
+    shifts = np.diag(np.array(SCATTER) * SHIFT).repeat(BINS, axis=1).reshape(-1, CHANNELS, BINS)
+    usual = [change[some] for change in (*signs.healthy.values(), *shifts)]
+    tracked = some[:POWER].any()
+    changes = np.concatenate(list(signs.lasting.values())) if tracked else shifts[:0]
+    seen, unexplained = root * cycle.values[some], []
+    for cause in (np.zeros_like(offsets), *(BROAD * changes)):
+        design = root * np.array([*usual, cause[some]])
+        inner = np.eye(len(design)) + design @ design.T
+        unexplained.append(seen - np.linalg.solve(inner, design @ seen) @ design)
+    least = min(unexplained, key=lambda rest: float(rest @ rest))
+    left = np.zeros_like(offsets)
+    left[some] = (least / root) ** 2 - cycle.variance[some]
+    ratio = left.sum(axis=1) / np.maximum(some.sum(axis=1), 1) / np.mean(offsets**2, axis=1)
+    return tuple(np.sqrt(np.maximum(ratio, 1.0)).tolist())
 
 
 def _excess(values: Array, variance: Array) -> Array:

@@ -180,7 +180,11 @@ def judge_cycle(history: History, cycle: CycleSeen) -> tuple[History, list[Findi
         max(edge.chance(cycle.predicted, cycle.predicted + one) for edge in edges_of(cycle))
         for one in (-1, 1)
     )
-    data = replace(data, predicted=cycle.predicted, fewer=fewer, more=more)
+    error = causes.model_error(data, signs)
+    data = replace(data, predicted=cycle.predicted, error=error, fewer=fewer, more=more)
+    if not history.cycles:
+        data, misfits = _first(data)
+        findings += misfits
     if step is not None and not step.is_none:
         data = replace(data, gained=_whole(step.size, cycle) * cycle.gait.direction)
     history = replace(history, cycles=(*history.cycles, data)[-REMEMBERED:])
@@ -197,6 +201,18 @@ def judge_cycle(history: History, cycle: CycleSeen) -> tuple[History, list[Findi
         weighed = _weigh(history, cycle, signs)
     history, others = judge_causes(history, cycle.number, weighed)
     return history, findings + others
+
+
+def _first(data: CycleData) -> tuple[CycleData, list[Finding]]:
+    """Return the first remembered cycle, and a finding if the parameters do not describe the robot.
+
+    The transient of such a robot differs, too, so that the causes are weighed without this cycle.
+    """
+    if not data.is_misfit:
+        return data, []
+    facts = {"ratio": max(data.error)}
+    unknown = replace(data, variance=np.full_like(data.variance, np.inf))
+    return unknown, [Finding(INFORMATION, Sentence.MISFIT, data.number, facts)]
 
 
 def edges_of(cycle: CycleSeen) -> tuple[Edge, Edge]:

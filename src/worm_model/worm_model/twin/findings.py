@@ -23,6 +23,10 @@ class Sentence(enum.Enum):
         "the gait began with bent fins, the rear module {offset_mm:+.1f} mm off its groove, "
         "according to the positions"
     )
+    MISFIT = (
+        "the parameters do not describe this robot: its residuals are up to {ratio:.0f} times the usual ones, and no "
+        "single cause explains them; the twin reports only changes after this cycle"
+    )
     NOT_JUDGED = "is not judged: {reason}"
     NOT_JUDGED_RESET = "is not judged: {reason}; the twin resets its position to the tracker's"
     AFTER_GAP = (
