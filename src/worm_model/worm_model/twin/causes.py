@@ -25,6 +25,7 @@ import numpy as np
 
 from worm_model.arrays import Array
 from worm_model.twin.cause_table import (
+    CAMERA_MOVED,
     GAINED,
     INITIAL_LENGTH,
     LASTING,
@@ -150,6 +151,12 @@ def weigh_causes(
     weights[
         [_is_impossible(*c) for c in zip(candidates, weighed.size, weighed.deviation, strict=True)]
     ] = 0.0
+    # The first two cycles of a robot that the parameters do not describe only show how it differs. Power alone cannot
+    # distinguish a cause that exists from the start from such a difference.
+    since = cycles[0].number + (2 if cycles[0].is_misfit else 0 if tracked else 1)
+    weights[
+        [c.cycle < since and c.code not in (INITIAL_LENGTH, CAMERA_MOVED) for c in candidates]
+    ] = 0.0
     return [
         *(
             c._replace(code=_code(c, s), weight=w, size=s, deviation=d)
@@ -171,6 +178,7 @@ def weigh_causes(
                 weight=w,
             )
             for n, w in zip(data.numbers, np.exp(unexplained).tolist(), strict=True)
+            if n >= since
         ),
     ]
 
@@ -325,9 +333,10 @@ def model_error(cycle: CycleData, signs: Signatures) -> tuple[float, ...]:
     shifts = np.diag(np.array(SCATTER) * SHIFT).repeat(BINS, axis=1).reshape(-1, CHANNELS, BINS)
     usual = [change[some] for change in (*signs.healthy.values(), *shifts)]
     tracked = some[:POWER].any()
-    changes = np.concatenate(list(signs.lasting.values())) if tracked else shifts[:0]
+    changes = BROAD * np.concatenate(list(signs.lasting.values()))
+    single = [*changes, *(length.change for length in signs.lengths)] if tracked else []
     seen, unexplained = root * cycle.values[some], []
-    for cause in (np.zeros_like(offsets), *(BROAD * changes)):
+    for cause in (np.zeros_like(offsets), *single):
         design = root * np.array([*usual, cause[some]])
         inner = np.eye(len(design)) + design @ design.T
         unexplained.append(seen - np.linalg.solve(inner, design @ seen) @ design)
