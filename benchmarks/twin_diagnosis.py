@@ -31,6 +31,7 @@ from worm_model.twin.cause_table import EVENT_CODES, GAINED, LASTING, MISSED_BY_
 from worm_model.twin.causes import SCATTER, Candidate, Data, weigh_causes
 from worm_model.twin.core.memory import CHANNELS, POWER
 from worm_model.twin.cycle_data import FIRST, POWER_SHARE, CycleData
+from worm_model.twin.data.records import Health, Severity
 from worm_model.twin.diagnosis import History, judge_causes
 from worm_model.twin.signatures import BINS, Signatures, signatures
 from worm_model.twin.twin import Twin
@@ -158,7 +159,7 @@ def followed(gait: int, seen_by: str) -> list[Outcome]:
         rows = robots.rows(k, tracker=seen_by == TRACKER)
         events = twin.advance(twin.start(), rows, to_the_end=True).events
         outcome = Outcome(gait, kind, place, seen_by)
-        coded = next((event for event in events if event.code), None)
+        coded = next((event for event in events if event.severity > Severity.INFO), None)
         if coded is not None:
             late = (coded.stamp_ns - ONSET) * 1e-9 / played.period - fault.cycle
             outcome = replace(outcome, reported=coded.code, late=late)
@@ -197,7 +198,7 @@ def _drawn(outcome: Outcome, fault: Fault, signs: Signatures, draw: np.random.Ge
     for cycle, value in zip(blank, seen, strict=True):
         history = replace(history, cycles=(*history.cycles, replace(cycle, values=value)))
         weighed = weigh_causes(history.cycles, history.reported, signs, length_seen=False)
-        history, findings = judge_causes(history, cycle.number, weighed, signs.edge)
+        history, findings = judge_causes(history, cycle.number, weighed)
         if findings:
             return replace(
                 outcome, reported=findings[0].code.code, late=float(cycle.number - fault.cycle)

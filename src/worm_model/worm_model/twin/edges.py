@@ -64,9 +64,10 @@ class Edge:
         """Message for the operator."""
         side = "below" if self.distance > 0.0 else "above"
         least, most = sorted((self.grooves, self.beyond))
+        beyond = f"{self.beyond} groove{'' if self.beyond == 1 else 's'}"
         return (
-            f"{1e3 * abs(self.distance):.1f} mm {side} the edge to {self.beyond} grooves per cycle: a healthy robot "
-            f"gains {least} or {most}, so whole grooves are not judged"
+            f"{1e3 * abs(self.distance):.1f} mm {side} the edge to {beyond}: a healthy robot gains {least} or {most}, "
+            "so whole grooves are not judged"
         )
 
 
