@@ -201,7 +201,7 @@ class Healthy:
 
 
 def at_phase(phase: float) -> list[Healthy]:
-    """Return the runs of healthy robots with a groove phase (m), far from and near edges, and with a compliant cable."""
+    """Return runs of healthy robots with a groove phase (m), far from and near edges, and with a compliant cable."""
     count = round((PAPER.initial_length - phase) / PAPER.pitch)
     parameters = PAPER.replace(initial_length=count * PAPER.pitch + phase)
     found = [

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Edges of the stroke: where a gait begins to gain another number of grooves per cycle.
+"""Edges: strokes, or thresholds of the fins, at which a gait begins to gain another number of grooves per cycle.
 
-Healthy robots lie on both sides of an edge that the model puts near their stroke. The twin therefore does not judge
-whole grooves there. The stroke is the commanded one and, where an instrument measures the length, also the one that the
-body performs: a compliant cable makes it shorter.
+Healthy robots lie on both sides of an edge that the model puts near them. The twin therefore does not judge whole
+grooves there. A longer stroke and a lower threshold bring the rear fin to the same edge. The edge of the front fin (the
+margin's cliff) does not depend on the stroke. The stroke is the commanded one and, where an instrument measures the
+length, also the one that the body performs: a compliant cable makes it shorter.
 """
 
 from __future__ import annotations
@@ -38,11 +39,14 @@ class Edge:
         beyond: grooves per cycle beyond the nearest edge; equal to ``grooves`` if no edge is near.
         distance: stroke from the gait to this edge, m, positive if the edge is at a longer stroke; infinite if no edge
             is near.
+        of_threshold: True if only another threshold of the fins reaches the edge. The distance is that of a stroke with
+            the same effect on the rear fin.
     """
 
     grooves: int
     beyond: int
     distance: float = math.inf
+    of_threshold: bool = False
 
     @property
     def is_near(self) -> bool:
@@ -62,13 +66,13 @@ class Edge:
     @property
     def text(self) -> str:
         """Message for the operator."""
-        side = "below" if self.distance > 0.0 else "above"
         least, most = sorted((self.grooves, self.beyond))
-        beyond = f"{self.beyond} groove{'' if self.beyond == 1 else 's'}"
-        return (
-            f"{1e3 * abs(self.distance):.1f} mm {side} the edge to {beyond}: a healthy robot gains {least} or {most}, "
-            "so whole grooves are not judged"
-        )
+        usual = f": a healthy robot gains {least} or {most}, so whole grooves are not judged"
+        beyond = f"the edge to {self.beyond} groove{'' if self.beyond == 1 else 's'}"
+        if self.of_threshold:
+            return f"the thresholds of the fins are near {beyond} at this groove phase{usual}"
+        side = "below" if self.distance > 0.0 else "above"
+        return f"{1e3 * abs(self.distance):.1f} mm {side} {beyond}{usual}"
 
 
 def edge_of(gait: Gait, parameters: Parameters) -> Edge:
@@ -110,19 +114,31 @@ def _extremes(gait: Gait, parameters: Parameters) -> tuple[NDArray[np.bool_], ND
 @lru_cache(maxsize=64)
 def _edge_of(gait: Gait, parameters: Parameters) -> Edge:
     count = math.ceil(NEAR * SCATTER_M / STEP_M)
-    steps = np.arange(-count, count + 1)
-    strokes = gait.stroke + steps * STEP_M
+    shifts = STEP_M * np.arange(-count, count + 1)
+    yielding = 1.0 + parameters.disengaged_stiffness / parameters.engaged_stiffness
+    threshold = parameters.switching_threshold - shifts * parameters.gain / yielding
     shape = {name: getattr(gait, name) for name in SHAPE}
     try:
         table = evaluate_gaits(
-            strokes, gait.frequency, direction=gait.direction, parameters=parameters, **shape
+            np.array([gait.stroke + shifts, np.full_like(shifts, gait.stroke)]),
+            gait.frequency,
+            direction=gait.direction,
+            parameters=parameters,
+            overrides={
+                "switching_threshold": [
+                    np.full_like(shifts, parameters.switching_threshold),
+                    threshold,
+                ]
+            },
+            **shape,
         )
     except GaitError:  # the body is too short for a stroke as long as this
         return Edge(0, 0)
-    counts = np.nan_to_num(table.min_grooves).round().astype(int)
-    own = int(counts[count])
-    others = steps[counts != own]
-    if not others.size:
-        return Edge(own, own)
-    nearest = int(others[np.argmin(np.abs(others))])
-    return Edge(own, int(counts[count + nearest]), float(nearest * STEP_M))
+    grooves = np.nan_to_num(table.min_grooves).round().astype(int)
+    own = int(grooves[0, count])
+    for axis, counts in enumerate(grooves):
+        others = np.flatnonzero(counts != own)
+        if others.size:
+            nearest = others[np.argmin(np.abs(shifts[others]))]
+            return Edge(own, int(counts[nearest]), float(shifts[nearest]), bool(axis))
+    return Edge(own, own)
