@@ -51,7 +51,8 @@ REPEATS = 4  # of each fault and size with each gait
 SOUND = 60  # runs with each gait
 DRAWS = 3  # from the likelihood for each run
 SEED = 11
-PHASES_M = (-0.0075, -0.0051, -0.003, -0.001, 0.0011, 0.0035, 0.0055, 0.008)  # groove phases
+PHASES_M = (-0.0075, -0.0051, -0.001, 0.0011, 0.002, 0.0035, 0.0055, 0.008)  # groove phases
+CLIFF_M = -0.003  # groove phase at which the front fin is at its edge with every stroke
 AT_PHASE = 8  # healthy robots at each phase, with each gait and kind of instruments
 FROM_EDGE_M = (0.0002, 0.0005, 0.001, 0.002)  # distances of the stroke from an edge
 AT_EDGE = 4  # healthy robots at each phase, distance, side and kind of instruments
@@ -204,10 +205,11 @@ def at_phase(phase: float) -> list[Healthy]:
     """Return runs of healthy robots with a groove phase (m), far from and near edges, and with a compliant cable."""
     count = round((PAPER.initial_length - phase) / PAPER.pitch)
     parameters = PAPER.replace(initial_length=count * PAPER.pitch + phase)
+    where = "front fin at its edge" if phase == CLIFF_M else "away from edges"
     found = [
         run
         for usual in GAITS
-        for run in _healthy("away from edges", _far(usual, parameters), parameters, AT_PHASE)
+        for run in _healthy(where, _far(usual, parameters), parameters, AT_PHASE)
     ]
     edge = _edges(GAITS[0], parameters)[-1]
     for distance in FROM_EDGE_M:
@@ -435,7 +437,7 @@ def _said(outcome: Outcome) -> str:
 def measure_healthy() -> list[Healthy]:
     """Return the runs of healthy robots at all phases, computed on all cores."""
     with ProcessPoolExecutor(os.cpu_count(), get_context("spawn")) as pool:
-        return [run for part in pool.map(at_phase, PHASES_M) for run in part]
+        return [run for part in pool.map(at_phase, (*PHASES_M, CLIFF_M)) for run in part]
 
 
 def run() -> list[Row]:

@@ -158,6 +158,7 @@ class Cause:
         trials: sizes that the benchmark simulates, relative or in the SI unit; each row is (small, middle, large).
         large: sizes, as multiples of ``size``, that have their own signatures, because the effect is not proportional
             to the size.
+        alone: cause that power alone does not distinguish from this one.
     """
 
     name: str
@@ -171,6 +172,7 @@ class Cause:
     hint: str
     trials: tuple[tuple[float, float, float], ...]
     large: tuple[float, ...] = ()
+    alone: str = ""
 
     @property
     def least(self) -> float:
@@ -228,7 +230,8 @@ LASTING = {
             unit="N",
             scale=1.0,
             description="the load on the rear module changed by {}",
-            hint="tether; from power alone the twin cannot distinguish this from a slipped cable",
+            hint="tether",
+            alone="a slipped cable",
             trials=((1.0, 3.0, 6.0), (-1.0, -2.0, -4.0)),
             large=(-2.5, -2.0, -1.0, 1.0, 2.0, 3.0),
         ),
@@ -241,7 +244,8 @@ LASTING = {
             unit="N",
             scale=1.0,
             description="the load on both modules together changed by {}",
-            hint="slope of the pipe, or flow; from power alone the twin cannot distinguish this from a slipped cable",
+            hint="slope of the pipe, or flow",
+            alone="a slipped cable",
             trials=((1.0, 3.0, 6.0), (-1.0, -2.0, -4.0)),
             large=(-2.5, -2.0, -1.0, 1.0, 2.0, 3.0),
         ),

@@ -523,7 +523,8 @@ def judge_causes(
             continue
         names = {candidate.name for candidate in group}
         if not _is_known(history.reported, best, names):
-            findings.append(_lasting(best, share))
+            tracked = any(cycle.step is not None for cycle in history.cycles)
+            findings.append(_lasting(group, best, share, tracked=tracked))
         reported += [causes.ReportedCause(name, best.cycle, best.phase) for name in sorted(names)]
     if reported or findings:
         reported = [*history.reported, *reported][-REMEMBERED:]
@@ -583,8 +584,17 @@ def _share(candidates: Iterable[causes.Candidate], total: float) -> float:
     return sum(c.weight for c in candidates) / total
 
 
-def _lasting(candidate: causes.Candidate, share: float) -> Finding:
-    change = LASTING[candidate.name].describe(candidate.size, candidate.deviation)
+def _lasting(
+    group: Sequence[causes.Candidate], candidate: causes.Candidate, share: float, *, tracked: bool
+) -> Finding:
+    """Return the finding about a lasting cause, with the other explanations that the data leave open."""
+    row, total = LASTING[candidate.name], sum(c.weight for c in group)
+    change = row.describe(candidate.size, candidate.deviation)
+    names = {c.name for c in group} - {row.name}
+    shares = {name: _share((c for c in group if c.name == name), total) for name in names}
+    others = [LASTING[name].hint for name in sorted(shares) if shares[name] > LIKELY]
+    others += [row.alone] if row.alone and not tracked else []
+    change += f", or {' or '.join(others)}" if others else ""
     facts = {"change": change, "percent": 100 * share}
     return Finding(candidate.code, Sentence.LASTING, candidate.cycle, facts, share)
 
