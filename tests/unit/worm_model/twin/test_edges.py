@@ -46,7 +46,8 @@ def test_near_an_edge_whole_grooves_are_not_judged(offset: float):
         (event,) = [event for event in output.events if event.code]
         assert (event.code, event.severity, event.cycle) == ("near_edge", Severity.INFO, 0)
         # The twin follows the grooves that the robot gained.
-        assert output.states["rear_groove"][-1] == robots.grooves[:, k].sum()
+        residuals = output.residuals["rear_position"]
+        assert abs(residuals[np.isfinite(residuals)][-1]) < 0.3 * PAPER.pitch
 
 
 def test_a_robot_that_stands_still_near_an_edge_is_faulty():
