@@ -20,6 +20,7 @@ EXECUTABLES: list[str] = [  # "executable = module:function", each is installed 
     "replay = worm_model.commands.replay:main",
     "twin_node = worm_model.nodes.executables:twin_node",
     "health = worm_model.commands.health:main",
+    "margin = worm_model.commands.margin:main",
     "watch = worm_model.nodes.executables:watch",
 ]
 # Dependencies that pip installs without rosdep, for example for a worker of a study; requirements*.txt pin versions.

@@ -21,7 +21,7 @@ from worm_model.run import GaitStates, LengthSamples, PowerSamples, Run, Tracker
 STEP_S = 1e-4
 REST_S, AFTER_S = 2.0, 1.0
 COMMAND_HZ, POWER_HZ = 100, 100
-GROOVES = 128
+GROOVES = 512
 EPOCH = 1_700_000_000_000_000_000
 RESTING, RUNNING, IDLE = 2, 3, 1
 
@@ -50,13 +50,15 @@ class ForeignRobot:
     hysteresis_N: float = 0.3  # of each fin
     threshold: float = 0.0175
     threshold_scatter: float = 0.0002
+    rear_excess: float = 0.0  # m, added to the threshold of the rear fin in every groove
+    front_excess: float = 0.0
     pitch: float = 0.0173
     pitch_scatter: float = 0.015  # relative, from groove to groove
     idle_power: float = 0.82
     power_factor: float = 3.2
     pipe: int = 0  # seed of the grooves
 
-    def grooves(self) -> tuple[np.ndarray, np.ndarray]:
+    def places(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the positions and the thresholds of the grooves, shape (GROOVES,); x1 begins in the middle one."""
         random = np.random.default_rng([self.pipe, 7])
         pitches = self.pitch * (1.0 + self.pitch_scatter * random.standard_normal(GROOVES))
@@ -132,8 +134,9 @@ def crawl(
     command = np.where(time <= 0.0, gait.point_of_rest * begin, command)
     command = np.where(time >= cycles * gait.period, gait.point_of_rest, command)
     delayed = command[np.maximum(np.arange(time.size) - round(robot.delay_s / STEP_S), 0)]
-    places, thresholds = robot.grooves()
-    motion = _integrate(_values(robot), places, thresholds, delayed)
+    places, thresholds = robot.places()
+    fins = thresholds + robot.rear_excess, thresholds + robot.front_excess
+    motion = _integrate(_values(robot), places, *fins, delayed)
     return ForeignRun(
         *_after_onset(time, motion),
         _recording(gait, cycles, time, command, motion, robot, camera, seed),
@@ -168,7 +171,7 @@ def _fin(x, v, place, half, stiff, soft, hysteresis, bend, h):
 
 
 @njit(cache=True)
-def _integrate(values, places, thresholds, command):
+def _integrate(values, places, rear_thresholds, front_thresholds, command):
     (mass, free, initial, kb, cb, eta, kc, slack, _delay, lag, backlash, coulomb, breakaway, stribeck,
      stiff, soft, clearance, hysteresis) = values  # fmt: skip
     h, half = STEP_S, 0.5 * clearance
@@ -189,13 +192,13 @@ def _integrate(values, places, thresholds, command):
         pulled = min(spool, -slack) if taken else spool
         tension = max(preload + kc * (x2 - x1 - initial - pulled), 0.0)
         inner = tension + kb * (x2 - x1 - free) + cb * (v2 - v1)
-        if x1 - places[rear] > thresholds[rear]:
+        if x1 - places[rear] > rear_thresholds[rear]:
             rear, bend1 = rear + 1, 0.0
-        elif x1 - places[rear] < -thresholds[rear]:
+        elif x1 - places[rear] < -rear_thresholds[rear]:
             rear, bend1 = rear - 1, 0.0
-        if x2 - places[front] > thresholds[front]:
+        if x2 - places[front] > front_thresholds[front]:
             front, bend2 = front + 1, 0.0
-        elif x2 - places[front] < -thresholds[front]:
+        elif x2 - places[front] < -front_thresholds[front]:
             front, bend2 = front - 1, 0.0
         f1, bend1 = _fin(x1, v1, places[rear], half, stiff, soft, hysteresis, bend1, h)
         f2, bend2 = _fin(x2, v2, places[front], half, stiff, soft, hysteresis, bend2, h)

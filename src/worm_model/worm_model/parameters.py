@@ -20,7 +20,7 @@ from typing import Any
 import yaml
 
 from worm_model.errors import InputError
-from worm_msgs.robot_parameters import ParameterFileContent, RobotParameters, rows_of
+from worm_msgs.robot_parameters import ParameterFileContent, RobotParameters, TravelError, rows_of
 from worm_msgs.settings_file import settings_of
 from worm_msgs.yaml_file import SettingsFileError, read_yaml
 
@@ -122,7 +122,7 @@ class ParameterFile:
     """Content of a parameter file: the values, their 95 % intervals and their provenance.
 
     For the meaning and the units of the mappings see `worm_msgs.robot_parameters.ParameterFileContent`. The keys of
-    ``correlations`` are pairs of parameter keys. A mapping is empty if the file lacks it.
+    ``correlations`` are pairs of parameter keys. A mapping is empty if the file lacks it, and ``travel_error`` is None.
     """
 
     parameters: Parameters = PAPER
@@ -130,6 +130,7 @@ class ParameterFile:
     provenance: Mapping[str, Any] = field(default_factory=dict)
     correlations: Mapping[tuple[str, str], float] = field(default_factory=dict)
     run_to_run: Mapping[str, float] = field(default_factory=dict)
+    travel_error: TravelError | None = None
 
 
 def _unknown_key(key: str) -> str:
@@ -175,7 +176,14 @@ def parse_parameter_file(content: Any) -> ParameterFile:
     parameters = Parameters(**{name: getattr(file, name) for name in (*KEYS, FORM)})
     _check_form(parameters, content, file.provenance)
     correlations = {(first, second): value for first, second, value in file.correlations}
-    return ParameterFile(parameters, file.intervals, file.provenance, correlations, file.run_to_run)
+    return ParameterFile(
+        parameters,
+        file.intervals,
+        file.provenance,
+        correlations,
+        file.run_to_run,
+        file.travel_error,
+    )
 
 
 def load_parameter_file(path: str | Path) -> ParameterFile:
@@ -217,6 +225,8 @@ def format_parameter_file(content: ParameterFile) -> str:
         ]
     if content.run_to_run:
         extra["run_to_run"] = {key: float(value) for key, value in content.run_to_run.items()}
+    if content.travel_error:
+        extra["travel_error"] = dataclasses.asdict(content.travel_error)
     if content.provenance:
         extra["provenance"] = dict(content.provenance)
     text = "\n".join(lines) + "\n"

@@ -91,6 +91,17 @@ _Name = Annotated[str, OneOf(tuple(ROWS))]
 
 
 @dataclass(frozen=True)
+class TravelError:
+    """Measured minus predicted margin (m) of a run, as a normal distribution: its mean and its standard deviation.
+
+    A robot with the travel error e behaves as the model with a switching threshold that is lower by e.
+    """
+
+    value: float
+    sd: Annotated[float, key(ge=0.0)]
+
+
+@dataclass(frozen=True)
 class ParameterFileContent(RobotParameters):
     """Content of a parameter file. A missing key means the default value.
 
@@ -101,6 +112,7 @@ class ParameterFileContent(RobotParameters):
         correlations: (key, key, correlation) of the errors of two keys.
         run_to_run: standard deviation with which the value of a key varies from run to run, by key, in the key's unit.
             The intervals hold for the means over the runs and do not include this variation.
+        travel_error: difference between the measured and the predicted margin; None if no run has measured it.
         provenance: any content, such as bags and their hashes, code version and seed.
     """
 
@@ -108,6 +120,7 @@ class ParameterFileContent(RobotParameters):
     intervals: Mapping[_Name, tuple[float, float]] = field(default_factory=dict)
     correlations: tuple[tuple[_Name, _Name, Annotated[float, key(ge=-1.0, le=1.0)]], ...] = ()
     run_to_run: Mapping[_Name, Annotated[float, key(ge=0.0)]] = field(default_factory=dict)
+    travel_error: TravelError | None = None
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

@@ -22,6 +22,7 @@ from worm_model.parameters import (
     write_parameter_file,
 )
 from worm_model.simulation.simulator import evaluate_gait
+from worm_msgs.robot_parameters import TravelError
 
 ROOT = Path(__file__).parents[3]
 INSTALLED = ROOT / "src/worm_model/config/paper.yaml"
@@ -60,6 +61,7 @@ def test_round_trip_with_correlations_and_what_differs_from_run_to_run(tmp_path:
     content = ParameterFile(
         correlations={("slack", "gain"): 0.93, ("gain", "time_constant"): -0.2},
         run_to_run={"initial_length": 4e-4},
+        travel_error=TravelError(-0.0012, 0.0004),
     )
     write_parameter_file(tmp_path / "p.yaml", content)
     assert load_parameter_file(tmp_path / "p.yaml") == content
@@ -83,6 +85,9 @@ def test_the_form_of_the_power_is_written_and_no_number(tmp_path: Path) -> None:
         ("correlations: [[slack, slack, 0.5]]", "correlations: slack, slack"),
         ("correlations: [[slack, gain, 1.5]]", "less than or equal to 1"),
         ("correlations: [[slack, gain, .nan]]", "finite number"),
+        ("travel_error: -0.001", "travel_error must be"),
+        ("travel_error: {value: -0.001}", "travel_error: sd is missing"),
+        ("travel_error: {value: -0.001, sd: -0.1}", "greater than or equal to 0"),
         ("run_to_run: [slack]", "run_to_run must be .* mapping"),
         ("run_to_run: {slak: 0.1}", "did you mean slack"),
         ("run_to_run: {slack: -0.1}", "slack must be greater than or equal to 0"),

@@ -132,20 +132,27 @@ class DriverNode(LifecycleNode):
         return SetParametersResult(successful=not reason, reason=reason)
 
     def _apply_parameters(self, _: Sequence[Parameter]) -> None:
-        """Apply the parameters that take effect at once."""
-        if self._hardware is None:
+        """Apply the parameters that take effect at once. The file of the robot parameters is not read again."""
+        hardware = self._hardware
+        if hardware is None:
             return
-        warning = self._hardware.apply_settings(driver_parameters.settings(self))
+        try:
+            warning = hardware.apply_settings(
+                driver_parameters.settings(self, hardware.settings.body)
+            )
+        except DriverError as error:
+            self.get_logger().error(f"the new parameters have no effect: {error}")
+            return
         if warning:
             self.get_logger().warning(warning)
-        self.get_logger().info(self._hardware.rest_line())
+        self.get_logger().info(hardware.rest_line())
 
     # --- lifecycle -----------------------------------------------------------------------------
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Open and check the devices. Return FAILURE, with the reason in the log and the diagnostics, on an error."""
         try:
-            settings = driver_parameters.settings(self)
+            settings = driver_parameters.settings(self, driver_parameters.body(self))
             self._adopt_emergency()
             self._sole.require()
             self._hardware = Hardware(settings, self._tracker.is_ready, self._why_not_start)
@@ -221,6 +228,7 @@ class DriverNode(LifecycleNode):
         if hardware is None:
             return []
         problems = hardware.close(reason, self._publish)
+        self._log_spring_back(hardware)
         self._hardware, self.unreleased = None, problems
         self._why_closed = "; ".join((reason, *problems))
         self._tracker.forget()
@@ -302,7 +310,11 @@ class DriverNode(LifecycleNode):
         self._sole.require()
         hardware = self._opened()
         robot = hardware.robot
-        hardware.loop.run(robot.activate, _ACTIVATION, undo=lambda _: robot.shutdown())
+        try:
+            hardware.loop.run(robot.activate, _ACTIVATION, undo=lambda _: robot.shutdown())
+        except DriverError:
+            self._log_spring_back(hardware)
+            raise
 
     def _release(self) -> None:
         """Bring the robot to rest and release the servos. Raises StoppedError, ReleaseError, DriverError."""
@@ -314,17 +326,24 @@ class DriverNode(LifecycleNode):
         while not self._do(lambda hardware, _: hardware.robot.released) and hardware.clock() < end:
             if self._do(lambda hardware, _: hardware.robot.holding):
                 raise StoppedError(
-                    "a stop or a FAULT interrupted the return to rest: the robot holds, with its torque on; "
-                    "deactivate it again to release it"
+                    f"a stop or a FAULT interrupted the return to rest: {hardware.robot.actuators.contraction_text} "
+                    "and keeps its torque; deactivate it again"
                 )
             self._publish()
         if not self._do(lambda hardware, _: hardware.robot.released):
             raise StoppedError(
-                "the robot did not come to rest in time: it keeps its torque; deactivate it again to release it"
+                f"the robot did not come to rest in time: {hardware.robot.actuators.contraction_text} and keeps its "
+                "torque; deactivate it again"
             )
         problems = self._do(lambda hardware, _: hardware.robot.release(), _RELEASE)
+        self._log_spring_back(hardware)
         if problems:
             raise ReleaseError(release_report(problems).message)
+
+    def _log_spring_back(self, hardware: Hardware) -> None:
+        """Log the contraction if the last release made the robot spring back."""
+        if hardware.robot.actuators.sprung_back:
+            self.get_logger().error(hardware.robot.actuators.sprung_back)
 
     # --- services ------------------------------------------------------------------------------
 

@@ -10,8 +10,10 @@ import argparse
 import json
 import math
 import sys
+import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +30,7 @@ __all__ = [
     "InputError",
     "Parser",
     "ProgressLine",
+    "elapsed",
     "executable",
     "notifier",
     "run_command",
@@ -247,6 +250,25 @@ class ProgressLine:
             return ""
         seconds = (self._clock() - begin) * (1.0 - fraction) / (fraction - first)
         return f", {duration(seconds)} left"
+
+
+@contextmanager
+def elapsed(title: str, every_s: float = 2.0) -> Iterator[None]:
+    """Write the time so far to standard error, every ``every_s`` seconds of a computation of unknown duration."""
+    done, start = threading.Event(), time.monotonic()
+
+    def report() -> None:
+        while not done.wait(every_s):
+            sys.stderr.write(f"{title}: computing, {duration(time.monotonic() - start)}\n")
+            sys.stderr.flush()
+
+    thread = threading.Thread(target=report, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        done.set()
+        thread.join()
 
 
 def duration(seconds: float) -> str:

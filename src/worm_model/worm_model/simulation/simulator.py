@@ -180,7 +180,8 @@ def _motions(samples: Array, parameters: Parameters) -> Motions:
     time, force, rate = (samples[:, k] for k in (march.TIME, march.FORCE, march.LENGTH_RATE))
     mechanical = cable_power(force, rate, parameters.one_sided_cable)
     power = parameters.idle_power + parameters.power_factor * mechanical
-    energy = parameters.idle_power * time + parameters.power_factor * samples[:, march.WORK]
+    work = np.maximum(samples[:, march.WORK], 0.0)  # see `run.evaluate`
+    energy = parameters.idle_power * time + parameters.power_factor * work
     rear, front = (samples[:, k].astype(np.int64) for k in (march.REAR_GROOVE, march.FRONT_GROOVE))
     return Motions(
         time=time,

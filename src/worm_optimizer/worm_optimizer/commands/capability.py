@@ -11,6 +11,7 @@ from worm_model.analysis.plot_style import save_figure
 from worm_model.commands.command_line import (
     InputError,
     Parser,
+    elapsed,
     executable,
     figure_file,
     print_result,
@@ -101,14 +102,16 @@ def _capability(options: argparse.Namespace) -> None:
     gaits: dict[str, Gait] = {}
     if options.stroke is not None:
         gaits["given"] = Gait(options.stroke, options.frequency, options.direction)
-    front = make_front(content, settings, options.direction)
+    with elapsed("front"):
+        front = make_front(content, settings, options.direction)
+        best = strongest(task)
     gaits |= {name: each.gait for name, each in front.three.items()}
-    best = strongest(task)
     if best is None:
         raise InputError("no gait of the box moves without a margin: allow longer strokes")
     gaits["best"] = best
-    found = dict(zip(gaits, capabilities(task, list(gaits.values())), strict=True))
-    points = curve(replace(task, margin=0.0), found["best"].largest_load)
+    with elapsed("loads"):
+        found = dict(zip(gaits, capabilities(task, list(gaits.values())), strict=True))
+        points = curve(replace(task, margin=0.0), found["best"].largest_load)
     if figure is not None:
         save_figure(capability_figure(found, points), figure)
     print_result(

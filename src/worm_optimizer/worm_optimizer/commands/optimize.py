@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 from worm_model.analysis.plot_style import save_figure
 from worm_model.commands.command_line import (
-    InputError,
     Parser,
     ProgressLine,
+    elapsed,
     executable,
     figure_file,
     print_result,
 )
+from worm_model.errors import InputError
 from worm_model.parameters import load_parameter_file
 from worm_model.text_table import labelled
 from worm_optimizer.commands.search_options import (
@@ -24,6 +25,7 @@ from worm_optimizer.commands.search_options import (
     chosen_settings,
     gait_table,
     shape_lines,
+    success_lines,
 )
 from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.report.front_plots import front_and_map_figure, front_figure
@@ -74,6 +76,7 @@ def front_json(front: RobustFront, nominal: dict[str, Prediction]) -> dict[str, 
         **{name: asdict(gait) for name, gait in front.three.items()},
         "nominal": {name: asdict(gait) for name, gait in nominal.items()},
         "verification": front.exact.verification,
+        "warning": front.warning(front.three.values()),
     }
 
 
@@ -117,8 +120,7 @@ def describe(
             gait_table(front.three, nominal),
             *shape_lines(front.three),
             "",
-            f"success: share of draws of the parameters ({uncertainty}) in which the robot gains the predicted grooves "
-            "in every averaged cycle; any φ: the same at an unknown groove phase",
+            success_lines(uncertainty, front.warning(front.three.values())),
         ]
     )
 
@@ -142,12 +144,13 @@ def _optimize(options: argparse.Namespace) -> None:
             "--method nsga2 searches the paper's gaits only: use it with --waveform sinusoid"
         )
     search = Nsga2Settings(**given, seed=settings.seed)
-    front = make_front(content, settings, options.direction)
+    with elapsed("front"):
+        front = make_front(content, settings, options.direction)
+        nominal = nominal_gaits(content, settings, options.direction)
     comparison = None
     if options.method == NSGA2:
         comparison = _searched(front, search)
         front = replaced(front, comparison.front)
-    nominal = nominal_gaits(content, settings, options.direction)
     if figure is not None:
         draw = front_figure if settings.waveform is Waveform.SHAPED else front_and_map_figure
         save_figure(draw(front, front.three), figure)

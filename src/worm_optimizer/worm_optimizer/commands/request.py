@@ -10,6 +10,7 @@ from worm_model.analysis.plot_style import save_figure
 from worm_model.commands.command_line import (
     InputError,
     Parser,
+    elapsed,
     executable,
     figure_file,
     print_result,
@@ -21,9 +22,11 @@ from worm_optimizer.commands.search_options import (
     chosen_settings,
     gait_table,
     shape_lines,
+    success_lines,
 )
 from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.report.front_plots import front_figure
+from worm_optimizer.robustness.uncertainty import description
 from worm_optimizer.search.front import make_front
 from worm_optimizer.search.gait_request import RequestStatus, select
 
@@ -40,28 +43,33 @@ def _parser() -> Parser:
     return parser
 
 
-def describe(gait: Prediction) -> str:
-    """Return a gait as text, with the groove phase for which its speed holds."""
+def describe(gait: Prediction, uncertainty: str, warning: str) -> str:
+    """Return a gait as text, with the groove phase for which its speed holds, and what its probabilities mean."""
     phase = f"groove phase {1e3 * gait.groove_phase:+.2f} mm; the speed holds for this phase"
-    return "\n".join([gait_table({"gait": gait}, {}), *shape_lines({"gait": gait}), phase])
+    lines = [gait_table({"gait": gait}, {}), *shape_lines({"gait": gait}), phase]
+    return "\n".join([*lines, success_lines(uncertainty, warning)])
 
 
 def _request(options: argparse.Namespace) -> None:
     content = load_parameter_file(options.parameters)
     settings, request = chosen_settings(options), request_of_options(options)
     figure = figure_file(options)
-    front = make_front(content, settings, options.direction)
-    answer = select(front, request)
+    with elapsed("front"):
+        front = make_front(content, settings, options.direction)
+        answer = select(front, request)
     gait = answer.prediction
     assert gait is not None
+    uncertainty, warning = description(content), front.warning([gait])
+    text = describe(gait, uncertainty, warning)
     unreachable = answer.status is not RequestStatus.DONE
     if figure is not None:
         save_figure(front_figure(front, {"nearest" if unreachable else "gait": gait}), figure)
     if unreachable:
         rejection = {"error": answer.message, "nearest": asdict(gait)}
-        print_result(options, rejection, f"the nearest gait:\n{describe(gait)}")
+        print_result(options, rejection, f"the nearest gait:\n{text}")
         raise InputError(answer.message)
-    print_result(options, asdict(gait), describe(gait))
+    figures = {**asdict(gait), "uncertainty": uncertainty, "warning": warning}
+    print_result(options, figures, text)
 
 
 main = executable(_parser, _request)

@@ -7,12 +7,18 @@ import argparse
 from typing import Any
 
 from worm_model.analysis.plot_style import save_figure
-from worm_model.commands.command_line import Parser, executable, figure_file, print_result
+from worm_model.commands.command_line import (
+    Parser,
+    elapsed,
+    executable,
+    figure_file,
+    print_result,
+)
 from worm_model.parameters import load_parameter_file
 from worm_model.text_table import labelled, text_table
 from worm_optimizer.commands.search_options import add_scan_options, chosen_settings
 from worm_optimizer.report.front_plots import price_figure
-from worm_optimizer.search.front import scanned_price
+from worm_optimizer.search.front import price_warning, scanned_price
 from worm_optimizer.search.price_of_robustness import CLIFF_RULE, PriceOfRobustness
 
 
@@ -41,6 +47,7 @@ def price_json(price: PriceOfRobustness) -> dict[str, Any]:
         "closed_form_cliff_margin": price.closed_form_cliff_margin,
         "groove_phase": price.groove_phase,
         "rule": CLIFF_RULE,
+        "warning": price_warning(price),
     }
 
 
@@ -59,6 +66,7 @@ def describe(price: PriceOfRobustness) -> str:
         else "none among these margins",
         "closed form": f"{1e3 * price.closed_form_cliff_margin:.3f} mm, in the slow limit",
         "rule": CLIFF_RULE,
+        **({"warning": warning} if (warning := price_warning(price)) else {}),
     }
     return f"{text_table(rows)}\n{labelled(found)}"
 
@@ -66,7 +74,8 @@ def describe(price: PriceOfRobustness) -> str:
 def _scan(options: argparse.Namespace) -> None:
     content = load_parameter_file(options.parameters)
     settings, figure = chosen_settings(options), figure_file(options)
-    price = scanned_price(content, settings, options.direction)
+    with elapsed("margins"):
+        price = scanned_price(content, settings, options.direction)
     if figure is not None:
         save_figure(price_figure(price), figure)
     print_result(options, price_json(price), describe(price))

@@ -44,6 +44,14 @@ def add_scan_options(parser: Parser) -> None:
     parser.add_parameters()
 
 
+def add_limit_options(parser: Parser) -> None:
+    """Add the options for the box of gaits and the limits of the robot."""
+    kinds = ("stroke", "frequency", "limits.")
+    _add_settings(
+        parser, tuple(r for r in search_settings.SCAN_SETTINGS if r.parameter.startswith(kinds))
+    )
+
+
 def add_campaign_options(parser: Parser) -> None:
     """Add the options for the settings of a front. `robot_options.add_robot` adds those for the conditions."""
     rows = (*search_settings.SCAN_SETTINGS, *search_settings.FRONT_SETTINGS)
@@ -150,6 +158,15 @@ def shape_lines(gaits: Mapping[str, Prediction]) -> list[str]:
         if not gait.is_sinusoid
     }
     return labelled(shapes).splitlines()
+
+
+def success_lines(uncertainty: str, warning: str) -> str:
+    """Return the meaning of the columns of probabilities, with a warning on a further line if it is not empty."""
+    meaning = (
+        f"success: share of draws of the parameters ({uncertainty}) in which the robot gains the predicted grooves in "
+        "every averaged cycle; any φ: the same at an unknown groove phase"
+    )
+    return f"{meaning}\nwarning: {warning}" if warning else meaning
 
 
 def _row(name: str, gait: Prediction) -> Sequence[str]:

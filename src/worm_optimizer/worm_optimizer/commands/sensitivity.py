@@ -19,11 +19,11 @@ from worm_model.commands.command_line import (
     print_result,
 )
 from worm_model.loads import content_under
-from worm_model.parameters import SYMBOLS, UNITS, load_parameter_file
+from worm_model.parameters import load_parameter_file
 from worm_model.text_table import text_table
 from worm_msgs.conditions import conditions_of
 from worm_msgs.gait import WAVEFORM, gait_of
-from worm_optimizer.study.sensitivity import Sensitivity, sensitivity
+from worm_optimizer.study.sensitivity import SYMBOLS, UNITS, Sensitivity, sensitivity
 from worm_optimizer.study.sensitivity_figure import sensitivity_figure
 from worm_optimizer.study.sobol import INDEX_HEADS, NO_INDICES, index_cells, warnings_of
 

@@ -246,16 +246,19 @@ class OperatorNode(ServiceCaller):
                 raise OperatorError(f"{DRIVER} cannot be configured: {self._reason()}")
 
     def deactivate(self) -> str:
-        """Deactivate the driver if it is active: the robot comes to rest and releases torque. Return a report.
+        """Deactivate the driver if it is active, and return a report with the driver's errors meanwhile.
+
+        The robot comes to rest before the driver releases the torque, except in FAULT.
 
         Raises:
             OperatorError: The driver remains active.
         """
-        if self._state(DRIVER).id == State.PRIMARY_STATE_ACTIVE:
-            self._errors.clear()
-            if not self._change(DRIVER, Transition.TRANSITION_DEACTIVATE):
-                raise OperatorError(f"{DRIVER} does not deactivate: {self._reason()}")
-        return "the robot is at rest, its torque is off"
+        self._errors.clear()
+        if self._state(DRIVER).id == State.PRIMARY_STATE_ACTIVE and not self._change(
+            DRIVER, Transition.TRANSITION_DEACTIVATE
+        ):
+            raise OperatorError(f"{DRIVER} does not deactivate: {self._reason()}")
+        return "; ".join(("the torque is off", *self._errors))
 
     def home(self) -> str:
         """Define the present cable length as ΔL = 0; return the driver's report. Raises `OperatorError`."""

@@ -12,7 +12,7 @@ from worm_msgs.msg import Gait, GaitPrediction
 from worm_msgs.srv import RequestGait
 from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.optimizer_errors import OptimizerError
-from worm_optimizer.search.front import RobustFront
+from worm_optimizer.search.front import RobustFront, price_warning
 from worm_optimizer.search.gait_request import GaitAnswer, RequestStatus
 from worm_optimizer.search.price_of_robustness import CLIFF_RULE, PriceOfRobustness
 from worm_optimizer.search.search_settings import (
@@ -92,12 +92,17 @@ def scan_of_goal(base: Settings, goal: ScanMargin.Goal) -> Settings:
     return dataclasses.replace(base, scan=margins)
 
 
+def with_warning(message: str, warning: str) -> str:
+    """Return a message with a warning, which may be empty, at its end."""
+    return f"{message}; warning: {warning}" if warning else message
+
+
 def optimize_result(front: RobustFront) -> OptimizeGaits.Result:
     """Return the result message of the computation of a front."""
     three = {name: prediction_message(gait) for name, gait in front.three.items()}
     return OptimizeGaits.Result(
         success=True,
-        message=f"margin {1e3 * front.margin:.2f} mm, {front.reason}",
+        message=with_warning(front.described, front.warning(front.three.values())),
         margin=front.margin,
         front=[prediction_message(gait) for gait in front.gaits],
         **three,
@@ -109,7 +114,9 @@ def scan_result(price: PriceOfRobustness) -> ScanMargin.Result:
     cliff = price.cliff
     return ScanMargin.Result(
         success=True,
-        message=CLIFF_RULE if cliff else f"the scan has no cliff: {CLIFF_RULE}",
+        message=with_warning(
+            CLIFF_RULE if cliff else f"the scan has no cliff: {CLIFF_RULE}", price_warning(price)
+        ),
         margins=[point.margin for point in price.points],
         cost_of_transport=[point.cost_of_transport for point in price.points],
         optimal_branch=[point.branch for point in price.points],

@@ -183,8 +183,10 @@ class OptimizerNode(Node):
         self._fronts[front.direction] = front
         self.get_logger().info(
             f"optimizer ready, {_NAMES[front.direction]}: front of {len(front.gaits)} gaits, "
-            f"margin {1e3 * front.margin:.2f} mm, {front.reason}"
+            f"{front.described}"
         )
+        if warning := front.warning(front.three.values()):
+            self.get_logger().warning(warning)
 
     def _forget(self) -> None:
         self._fronts, self._resting, self._failures = {}, {}, {}
@@ -248,7 +250,9 @@ class OptimizerNode(Node):
             )
         if answer.status is not gait_request.RequestStatus.DONE:
             return answer
-        message = f"margin {1e3 * front.margin:.2f} mm, {front.reason}"
+        assert answer.prediction is not None
+        warning = front.warning([answer.prediction])
+        message = optimizer_messages.with_warning(front.described, warning)
         return dataclasses.replace(answer, message=message)
 
     def _resting_front(self, front: RobustFront, content: ParameterFile) -> RobustFront:

@@ -279,6 +279,7 @@ def describe(gaits: Sequence[RecordedGait]) -> str:
     lines.append(text_table(rows))
     phases = {f"{1e3 * gait.expected.nominal.groove_phase:+.2f} mm": None for gait in gaits}
     lines += ["", f"expected without the margin, at a groove phase of {', '.join(phases)}"]
+    lines += {f"intervals at 95 %: {gait.expected.condition}": None for gait in gaits}
     lines += map(order_text, orders(gaits))
     lines += [f"{gait.name}: {reason}" for gait in gaits for reason in gait.missing]
     return "\n".join(lines)

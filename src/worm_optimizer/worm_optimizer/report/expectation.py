@@ -20,7 +20,7 @@ from worm_model.simulation.simulator import (
     cost_of_transport,
     evaluate_gait,
 )
-from worm_optimizer.robustness.uncertainty import phase_known, power_draws
+from worm_optimizer.robustness.uncertainty import phase_known, power_draws, travel_described
 
 SAMPLES = 500  # number of draws of the parameters
 SEED = 1  # seed of these draws
@@ -71,6 +71,7 @@ class Expectation:
             are known, power and cost of transport are those of the draws that gain these grooves, see `_band_given`.
         grooves: grooves per cycle with their probabilities, the most probable first.
         cycles: number of averaged cycles.
+        condition: condition under which intervals and probabilities hold, as text.
     """
 
     nominal: GaitResult
@@ -78,6 +79,7 @@ class Expectation:
     bands: Bands
     grooves: tuple[GrooveShare, ...] = ()
     cycles: int = 0
+    condition: str = ""
 
 
 def expect(
@@ -126,6 +128,7 @@ def expect(
         ),
         _shares(totals, count),
         count,
+        travel_described(content),
     )
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from worm_model.parameters import KEYS, POWER_ONLY, ParameterFile, Parameters
 from worm_model.simulation.closed_form import front_groove, groove_phase
+from worm_model.travel_error import PRIOR
 from worm_msgs.robot_parameters import ROWS
 from worm_optimizer.evaluation.task import Array
 
@@ -38,10 +39,12 @@ POWER_HALF_WIDTHS: Mapping[str, float] = {
     "power_factor": 0.05,
 }
 LENGTH = "initial_length"  # is not drawn itself, but follows from the drawn pitch and groove phase
+TRAVEL = "travel_error"  # is drawn, and subtracted from the drawn switching threshold
 # All parameters that are drawn. Those without a half-width above vary only if the file has an interval or a scatter.
 MOTION_KEYS = (
     *MOTION_HALF_WIDTHS,
     *(k for k in KEYS if k not in {*MOTION_HALF_WIDTHS, *POWER_ONLY, LENGTH}),
+    TRAVEL,
 )
 POWER_KEYS = (*POWER_HALF_WIDTHS, *(k for k in KEYS if k in POWER_ONLY - {*POWER_HALF_WIDTHS}))
 
@@ -68,8 +71,11 @@ def reach_of(content: ParameterFile, key: str) -> tuple[float, float]:
     """Return the 95 % reach of a parameter: how far its interval extends below and above its value, in its unit.
 
     If the file contains no interval, both are the default half-width, or 0 without a default. The scatter from run to
-    run is added in quadrature.
+    run is added in quadrature. The reach of the travel error is that of the file, or of `PRIOR`.
     """
+    if key == TRAVEL:
+        travel = _NORMAL_95 * (content.travel_error or PRIOR).sd
+        return travel, travel
     width = MOTION_HALF_WIDTHS.get(key, POWER_HALF_WIDTHS.get(key, 0.0))
     value = content.parameters.as_dict()[key]
     low, high = content.intervals.get(key, (value * (1.0 - width), value * (1.0 + width)))
@@ -81,7 +87,17 @@ def description(content: ParameterFile) -> str:
     """Return the source of the uncertainty of a parameter file as text."""
     reach = max(reach_of(content, LENGTH))
     phase = f"; φ known to ±{1e3 * reach:.2f} mm in the next run" if reach > 0.0 else ""
-    return _parameters_described(content) + phase
+    return f"{_parameters_described(content)}{phase}; {travel_described(content)}"
+
+
+def travel_described(content: ParameterFile) -> str:
+    """Return the condition on the travel error under which all printed probabilities hold, as text."""
+    reach, _ = reach_of(content, TRAVEL)
+    if content.travel_error is None:
+        return (
+            f"if the model is right to ±{1e3 * reach:.1f} mm of travel, which no run has measured"
+        )
+    return f"measured travel error {1e3 * content.travel_error.value:+.1f} ± {1e3 * reach:.1f} mm"
 
 
 def _parameters_described(content: ParameterFile) -> str:
@@ -186,28 +202,34 @@ def _offset(deviate: Array, reach: tuple[float, float]) -> Array:
 
 
 def values_at(
-    parameters: Parameters,
+    content: ParameterFile,
     reach: Mapping[str, tuple[float, float]],
     deviates: Mapping[str, Array],
 ) -> dict[str, Array]:
-    """Return the values of parameters by key at standard normal deviates (n,), limited to admissible values."""
-    values = parameters.as_dict()
+    """Return the values of parameters by key at standard normal deviates (n,), limited to admissible values.
+
+    The switching threshold is the drawn one minus the drawn travel error, which is not returned.
+    """
+    values = {**content.parameters.as_dict(), TRAVEL: (content.travel_error or PRIOR).value}
     drawn = {
         key: np.maximum(values[key] + _offset(deviates[key], reach[key]), _least(key, values[key]))
         for key in reach
     }
-    if drawn.keys() & {"switching_threshold", "pitch", "clearance"}:
+    if drawn.keys() & {"switching_threshold", "pitch", "clearance", TRAVEL}:
         threshold, pitch, clearance = (
             drawn.get(key, values[key]) for key in ("switching_threshold", "pitch", "clearance")
         )
         # `Parameters` requires p_sw ≥ d/2, so that a fin that switches does not switch back, and p_sw > δ_c/2.
         least = np.maximum(0.5 * pitch, 0.5 * clearance) * 1.001
-        drawn["switching_threshold"] = np.maximum(threshold, least)
+        travel = drawn.pop(TRAVEL, 0.0)
+        drawn["switching_threshold"] = np.maximum(threshold - travel, least)
     return drawn
 
 
 def _least(key: str, value: float) -> float:
     """Return the smallest permitted draw: a tenth of ``value`` if a parameter is never negative, else its low bound."""
+    if key == TRAVEL:
+        return -math.inf
     lowest = float(ROWS[key]["low"])
     return 0.1 * value if lowest >= 0.0 else lowest
 
@@ -220,4 +242,4 @@ def _draws(
     independent = {
         key: _deviates(samples, seed, number) for number, key in enumerate(reach, stream)
     }
-    return values_at(content.parameters, reach, correlated(independent, content.correlations))
+    return values_at(content, reach, correlated(independent, content.correlations))

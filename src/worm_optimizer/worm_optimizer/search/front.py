@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,19 +13,29 @@ from worm_model.gait import Gait
 from worm_model.loads import content_under
 from worm_model.parameters import ParameterFile, Parameters
 from worm_model.simulation.simulator import LoadError, cost_of_transport, evaluate_gait
-from worm_optimizer.evaluation.actuator_limits import NO_LIMITS, describe_limit
-from worm_optimizer.evaluation.command_shape import SHAPE_ROW, shapes_of
+from worm_optimizer.evaluation.actuator_limits import NO_LIMITS, describe_limit, peaks
+from worm_optimizer.evaluation.command_shape import shapes_of_gaits
 from worm_optimizer.evaluation.task import Array, Index, MarginTask, Points, Task
 from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.robustness.chance import PromiseTask, tolerated_margins
 from worm_optimizer.robustness.prediction import outline, predict
-from worm_optimizer.robustness.uncertainty import every_phase, phase_guard, phase_known
+from worm_optimizer.robustness.uncertainty import (
+    every_phase,
+    phase_guard,
+    phase_known,
+    travel_described,
+)
 from worm_optimizer.search.exact import ExactFront, Resolution, Zoom, exact_front
 from worm_optimizer.search.price_of_robustness import PriceOfRobustness, price_of_robustness
 from worm_optimizer.search.search_settings import Robustness, Settings, Waveform
 from worm_optimizer.search.shaped import ShapedTask
 
+_THIN_MARGIN = 1e-3  # m; robots differ from the model by more, see `worm_model.travel_error.PRIOR`
+_LOW_SUCCESS = 0.9
+# N. With the robots of `worm_model.travel_error.PRIOR`, gaits for 95 % were kept by 92 % where the model pushes with
+# 20 N (0.22 Hz), 88 % with 23 N, 54 % with 27 N and 13 % with 31 N (0.3 Hz).
+_MOST_PUSH = 20.0
 _CHANCE_SCENARIOS = 200  # draws of the parameters in the search with Robustness.CHANCE
 _PROMISE_COLUMNS = 41  # largest number of frequencies in the survey of a PromiseTask
 _PROMISE_ZOOM = Zoom(points=9, rounds=6)
@@ -71,10 +81,69 @@ class RobustFront:
         """The paper's three gaits by name."""
         return {"min_power": self.min_power, "cruise": self.cruise, "max_speed": self.max_speed}
 
+    @property
+    def described(self) -> str:
+        """Margin with its reason, and the condition under which the success probabilities hold, as text."""
+        condition = travel_described(self.content)
+        return f"margin {1e3 * self.margin:.2f} mm, {self.reason}; success: {condition}"
+
+    def warning(self, gaits: Iterable[Prediction]) -> str:
+        """Return the warnings about gaits of the front with complete predictions, as text; empty without any."""
+        chosen = list(gaits)
+        success = min(gait.success_probability for gait in chosen)
+        warnings = (
+            thin_margin_warning(self.settings.robustness, self.margin, success),
+            pushing_warning(chosen, self.content.parameters),
+        )
+        return "; ".join(filter(None, warnings))
+
     def predicted(self, points: Points) -> tuple[Prediction, ...]:
         """Predict gaits of the front with all fields of `Prediction`."""
         margins = _margins(self.nominal, self.settings, self.margin, points)
         return _predicted(self.nominal, self.content, self.settings, points, margins)
+
+
+def thin_margin_warning(robustness: Robustness, margin: float, success: float = 1.0) -> str:
+    """Return a warning if gaits with a margin (m) or a success probability probably lose grooves; empty if not.
+
+    The default margin is between 0.3 and 8 mm, depending on the groove phase alone.
+    """
+    reasons = {
+        f"the margin is only {1e3 * margin:.2f} mm": margin < _THIN_MARGIN,
+        f"the success probability is only {success:.2f}": success < _LOW_SUCCESS,
+    }
+    found = " and ".join(reason for reason, holds in reasons.items() if holds)
+    if not found:
+        return ""
+    any_phase = (
+        "" if robustness is Robustness.ANY_PHASE else "search with robustness any_phase, or "
+    )
+    return f"{found}: {any_phase}measure the margin on the robot and adapt the gait (tune)"
+
+
+def pushing_warning(gaits: Sequence[Gait], parameters: Parameters) -> str:
+    """Return a warning if gaits of one direction need a cable that pushes; empty if not.
+
+    No travel error describes a body that the bellows extends too slowly (see `_MOST_PUSH`).
+    """
+    stroke, frequency = (
+        np.array([getattr(g, name) for g in gaits]) for name in ("stroke", "frequency")
+    )
+    push = peaks(
+        stroke, frequency, gaits[0].direction, parameters, shape=shapes_of_gaits(gaits)
+    ).push
+    worst = int(np.argmax(push))
+    if not push[worst] > _MOST_PUSH:
+        return ""
+    return (
+        f"at {frequency[worst]:.3f} Hz the cable pushes with {push[worst]:.0f} N in the model, which no cable can, so "
+        "the success probability does not hold: choose a lower frequency, or bound this force (max_push_force)"
+    )
+
+
+def price_warning(price: PriceOfRobustness) -> str:
+    """Return `thin_margin_warning` of the margin that a scan chooses."""
+    return thin_margin_warning(Robustness.MARGIN, price.margin) if price.moves else ""
 
 
 def task_of(content: ParameterFile, settings: Settings, direction: int) -> MarginTask:
@@ -311,14 +380,10 @@ def predicted_gaits(
         np.array([getattr(gait, name) for gait in gaits.values()])
         for name in ("stroke", "frequency", "margin")
     )
-    shape = shapes_of(
-        len(gaits),
-        **{
-            name: [getattr(gait, name) for gait in gaits.values()] for name in SHAPE_ROW.names or ()
-        },
-    )
     (direction,) = {gait.direction for gait in gaits.values()}
     task = task_of(content, settings, direction)
     drawn = settings.samples, settings.seed
-    predictions = predict(task, content, stroke, frequency, margin, *drawn, shape)
+    predictions = predict(
+        task, content, stroke, frequency, margin, *drawn, shapes_of_gaits(gaits.values())
+    )
     return dict(zip(gaits, predictions, strict=True))

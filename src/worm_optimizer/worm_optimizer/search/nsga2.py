@@ -53,6 +53,8 @@ def generations(
     evaluations = 0
     while algorithm.has_next():
         population = algorithm.ask()
+        if population is None:  # All gaits of the box are known: a bound has one value, or few.
+            return
         offspring = task.points(*population.get("X").T)
         _assign(problem, population, offspring)
         algorithm.tell(infills=population)

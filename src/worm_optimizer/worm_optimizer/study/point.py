@@ -134,7 +134,7 @@ def variables(study: Study) -> dict[str, Variable]:
             ("", "at the known groove phase"),
             ("_any_phase", "at an unknown phase"),
         ):
-            text = f"share of parameter draws in which the predicted grooves are gained, {words}"
+            text = f"share of draws of parameters and travel error that gain the predicted grooves, {words}"
             variables_of[f"success_probability{name}"] = Variable((GAIT,), "1", text)
     if "any_phase" in study.compute:
         variables_of |= {

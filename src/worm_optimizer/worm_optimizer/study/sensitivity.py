@@ -13,6 +13,7 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 from scipy.special import ndtri
 
+from worm_model import parameters
 from worm_model.gait import Gait
 from worm_model.parameters import ParameterFile
 from worm_model.simulation.batch import evaluate_gaits
@@ -22,6 +23,7 @@ from worm_optimizer.robustness.uncertainty import (
     LENGTH,
     MOTION_KEYS,
     POWER_KEYS,
+    TRAVEL,
     reach_of,
     values_at,
 )
@@ -29,6 +31,9 @@ from worm_optimizer.study.plan import SALTELLI, Sample
 from worm_optimizer.study.sobol import Indices, indices_of
 
 FIGURES = ("speed", "power", "cliff_margin")  # quantities whose indices are computed
+#: symbols and units of all inputs
+SYMBOLS = {**parameters.SYMBOLS, TRAVEL: "e"}
+UNITS = {**parameters.UNITS, TRAVEL: "m"}
 
 
 @dataclass(frozen=True)
@@ -87,7 +92,7 @@ def _figures(
     therefore depends only on the draw of L0.
     """
     p = content.parameters
-    drawn = values_at(p, reach, dict(zip(reach, deviates, strict=True)))
+    drawn = values_at(content, reach, dict(zip(reach, deviates, strict=True)))
     longer = front_groove(p) * (drawn.get("pitch", np.full(deviates.shape[1], p.pitch)) - p.pitch)
     drawn[LENGTH] = drawn.get(LENGTH, p.initial_length) + longer
     table = evaluate_gaits(**asdict(replace(gait, margin=0.0)), parameters=p, overrides=drawn)

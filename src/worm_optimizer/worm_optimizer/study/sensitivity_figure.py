@@ -7,8 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from worm_model.analysis.plot_style import BLUE, LIGHT_GREY, letter, new_figure
-from worm_model.parameters import SYMBOLS
-from worm_optimizer.study.sensitivity import Sensitivity
+from worm_optimizer.study.sensitivity import SYMBOLS, Sensitivity
 from worm_optimizer.study.sobol import NO_INDICES
 
 SHOWN = 10  # number of parameters in the figure; it shows those with the largest total indices

@@ -23,6 +23,7 @@ INDEX_HEADS = ("alone", "95 % bounds", "with others", "95 % bounds")
 #: Text in place of indices that are NaN, see `Indices`
 NO_INDICES = "no indices: constant, or not finite at a point"
 _CONSTANT = 1e-24  # largest variance, in squared units, of a quantity that counts as constant
+_OUTSIDE = 5e-3  # distance below 0 or above 1 up to which an index is accepted as 0 or 1
 _VISIBLE = 5e-4  # smallest difference of two indices that printed percentages show
 
 
@@ -45,8 +46,13 @@ class Indices:
 
     @property
     def inconsistent(self) -> NDArray[np.intp]:
-        """Inputs whose total index is below the first-order index, which is impossible with enough samples."""
-        return np.flatnonzero(self.total < self.first - _VISIBLE)
+        """Inputs with indices that are impossible with enough samples.
+
+        An index is below 0 or above 1, or the total index is below the first-order index.
+        """
+        least, most = np.minimum(self.first, self.total), np.maximum(self.first, self.total)
+        outside = (least < -_OUTSIDE) | (most > 1.0 + _OUTSIDE)
+        return np.flatnonzero(outside | (self.total < self.first - _VISIBLE))
 
 
 def indices_of(values: Array, inputs: int, seed: int) -> Indices:
@@ -129,5 +135,5 @@ def warnings_of(name: str, indices: Indices, inputs: Sequence[str]) -> list[str]
         return []
     listed = ", ".join(inputs[k] for k in indices.inconsistent)
     return [
-        f"{name}: the total index of {listed} is below the first-order index: the samples are too few, use more"
+        f"{name}: indices of {listed} are below 0 %, above 100 % or in the wrong order: use more samples"
     ]

@@ -51,7 +51,8 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
 def test_optimize_prints_the_contracts_keys(run):
     status, out, err = run(optimize, *QUICK, "--json")
     reported = json.loads(out)
-    assert (status, err) == (0, "")
+    assert status == 0
+    assert all(line.startswith("front: computing") for line in err.splitlines())
     assert "hypervolume_share" not in reported
     assert all(set(gait) >= GAIT_KEYS - FULL_KEYS for gait in reported["front"])
     assert all(set(reported[name]) >= GAIT_KEYS for name in ("min_power", "cruise", "max_speed"))
@@ -117,6 +118,28 @@ def test_scan_margin_prints_the_contracts_keys(run):
     assert reported["lost_branch"] == 2
     assert reported["closed_form_cliff_margin"] == pytest.approx(0.003419, abs=1e-6)
     assert reported["groove_phase"] == pytest.approx(0.0011)
+
+
+def test_a_thin_margin_is_a_warning_of_each_command(run, tmp_path):
+    thin = ["--samples", "20", *ONE, "--margin", "0.0005"]
+    for command in (optimize, request):
+        assert "any_phase" in json.loads(run(command, *thin, "--json")[1])["warning"]
+        assert re.search("^warning: .*0.50 mm.*any_phase.*tune", run(command, *thin)[1], re.M)
+    assert json.loads(run(request, *QUICK, *ONE, "--json")[1])["warning"] == ""
+    low = ["--highest", "0.0005"]
+    assert "any_phase" in json.loads(run(scan_margin, *low, "--json")[1])["warning"]
+    assert re.search("^warning .*0.50 mm.*tune", run(scan_margin, *low)[1], re.M)
+
+
+def test_probabilities_state_their_condition(run, tmp_path):
+    gait = json.loads(run(request, *QUICK, *ONE, "--json")[1])
+    assert "if the model is right" in gait["uncertainty"]
+    assert "if the model is right" in run(request, *QUICK, *ONE)[1]
+    (tmp_path / "measured.yaml").write_text("travel_error: {value: -0.004, sd: 0.0005}\n")
+    file = "--parameters", str(tmp_path / "measured.yaml")
+    measured = json.loads(run(request, *QUICK, *ONE, *file, "--json")[1])
+    assert "if the model is right" not in measured["uncertainty"]
+    assert measured["success_probability"] < 0.5 < gait["success_probability"]
 
 
 def test_scan_margin_reports_a_missing_cliff(run):

@@ -136,3 +136,11 @@ def test_the_result_of_a_scan():
     without = optimizer_messages.scan_result(PriceOfRobustness(points[:1], None, 1.4e-3, 1.1e-3))
     assert math.isnan(without.cliff_margin)
     assert "no cliff" in without.message
+
+
+def test_the_result_warns_of_a_thin_margin_and_states_the_condition_of_its_probabilities():
+    thin, usual = (optimizer_messages.optimize_result(small_front(m)) for m in (5e-4, 3.4e-3))
+    assert "any_phase" in thin.message
+    assert "any_phase" not in usual.message
+    assert "max_push_force" in usual.message  # of the fastest gait
+    assert "if the model is right" in usual.message

@@ -26,6 +26,7 @@ from worm_model.gait import Gait
 from worm_model.parameters import KEYS, PAPER, ParameterFile, format_parameter_file
 from worm_model.run import GaitStates, Run, TrackerSamples
 from worm_model.simulation.simulator import evaluate_gait
+from worm_msgs.robot_parameters import TravelError
 from worm_optimizer.commands import report as command
 from worm_optimizer.report import agreement
 from worm_optimizer.report.expectation import Band, GrooveShare, expect
@@ -52,14 +53,21 @@ def silent(line: str) -> None:
 
 @pytest.fixture(scope="module")
 def gait(tmp_path_factory: pytest.TempPathFactory) -> RecordedGait:
-    bag = write_bag(tmp_path_factory.mktemp("bags") / "five", simulated_run(CYCLES))
-    return read_one(bag)
+    folder = tmp_path_factory.mktemp("bags")
+    return read_one(write_bag(folder / "five", simulated_run(CYCLES)), measured_model(folder))
 
 
 @pytest.fixture
 def unrendered(monkeypatch: pytest.MonkeyPatch) -> None:
     """Do not render the figures of single gaits. The fixture `page` and the test without a tracker render them."""
     leave_runs_unrendered(monkeypatch)
+
+
+def measured_model(folder: Path) -> str:
+    """Write the paper's parameters, with a travel error that runs have measured, and return the path."""
+    path = folder / "measured.yaml"
+    path.write_text("travel_error: {value: 0.0, sd: 0.0002}\n")
+    return str(path)
 
 
 def read_one(bag: Path, parameters: str = "") -> RecordedGait:
@@ -100,6 +108,7 @@ def test_the_twin_follows_and_the_expectation_holds(gait: RecordedGait):
     assert gait.twin.speed.value == pytest.approx(gait.measured.speed.value, rel=0.02)
     assert gait.expected.nominal == evaluate_gait(GAIT)
     assert all(row.agrees for row in agreement.agreements(gait))
+    assert "measured travel error" in gait.expected.condition
     assert gait.judged.cycles[-1].measured_grooves == pytest.approx(
         gait.expected.nominal.grooves_per_cycle, abs=0.05
     )
@@ -124,7 +133,7 @@ def test_a_recording_that_ends_early_is_averaged_over_its_last_whole_cycles(tmp_
 @pytest.mark.parametrize("cycles", [1, 2, 3, 4])
 def test_a_short_run_is_held_against_the_same_cycles_of_the_model(tmp_path: Path, cycles: int):
     """Its first cycles begin with straight fins and gain other grooves than the later ones."""
-    gait = read(tmp_path / "short", simulated_run(cycles))
+    gait = read(tmp_path / "short", simulated_run(cycles), measured_model(tmp_path))
     assert gait.averaged_cycles == (max(cycles - 2, 1), cycles)
     assert gait.expected.nominal == evaluate_gait(GAIT, PAPER, cycles, min(cycles, 3))
     assert gait.measured.speed.value == pytest.approx(gait.expected.nominal.speed, rel=0.01)
@@ -289,7 +298,8 @@ def test_intervals_hold_the_prediction_and_are_the_same_each_time():
 def test_a_file_with_intervals_of_its_parameters_narrows_the_interval():
     wide = expect(GAIT, ParameterFile()).bands.power
     exact = {key: (value, value) for key, value in PAPER.as_dict().items()}
-    narrow = expect(GAIT, ParameterFile(PAPER, exact)).bands.power
+    known = ParameterFile(PAPER, exact, travel_error=TravelError(0.0, 0.0))
+    narrow = expect(GAIT, known).bands.power
     assert narrow.high - narrow.low < 1e-6 < wide.high - wide.low
 
 
@@ -343,7 +353,8 @@ def test_a_speed_is_whole_grooves_and_its_verdict_can_fail(shares, measured, agr
 
 def test_power_is_expected_for_the_grooves_that_were_measured():
     """The gait is on the edge between one groove and two, which depends on an uncertain threshold."""
-    content = ParameterFile(PAPER, {"switching_threshold": (0.0165, 0.0185)})
+    intervals = {"switching_threshold": (0.0165, 0.0185)}
+    content = ParameterFile(PAPER, intervals, travel_error=TravelError(0.0, 0.0))
     found = {
         measured: expect(EDGE, content, measured_grooves=measured) for measured in (1.0, 4 / 3, 2.0)
     }
@@ -561,7 +572,8 @@ def test_the_newest_recording_is_reported_by_default(
 ):
     monkeypatch.chdir(tmp_path)
     write_bag(tmp_path / "bags" / "mine", simulated_run(CYCLES))
-    assert run_command(monkeypatch, "--without-front", "--json") == 0
+    model = measured_model(tmp_path)
+    assert run_command(monkeypatch, "--without-front", "--json", "--parameters", model) == 0
     content = json.loads(capsys.readouterr().out)
     assert Path(content["page"]) == tmp_path / "bags" / "mine_report" / "report.html"
     assert Path(content["page"]).is_file()

@@ -9,13 +9,16 @@ from hypothesis import strategies as st
 
 from worm_model.parameters import PAPER, ParameterFile
 from worm_model.simulation.closed_form import groove_phase
+from worm_model.travel_error import PRIOR
+from worm_msgs.robot_parameters import TravelError
 from worm_optimizer.evaluation.task import MarginTask
 from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.robustness import uncertainty
 from worm_optimizer.robustness.chance import PromiseTask, tolerated_margins
 from worm_optimizer.robustness.success_probability import stroke_to_ends, success_probability
 
-FILE = ParameterFile()
+EXACT = TravelError(0.0, 0.0)  # a robot that is the model
+FILE = ParameterFile(travel_error=EXACT)
 PITCH = PAPER.pitch
 FEW = 5  # frequencies of a front whose gaits are evaluated in many scenarios
 
@@ -48,8 +51,45 @@ def test_draws_have_the_stated_widths():
         assert low <= inside <= high, key
 
 
+def test_the_travel_error_lowers_the_switching_threshold():
+    plain = uncertainty.phase_known(FILE, 4000, seed=1).overrides
+    weak = ParameterFile(travel_error=TravelError(-0.002, 0.0))
+    changed = uncertainty.phase_known(weak, 4000, seed=1).overrides
+    assert changed["switching_threshold"] == pytest.approx(plain["switching_threshold"] + 0.002)
+    assert all(
+        np.array_equal(changed[key], plain[key]) for key in {*plain} - {"switching_threshold"}
+    )
+    drawn = uncertainty.phase_known(ParameterFile(), 4000, seed=1).overrides
+    added = drawn["switching_threshold"] - plain["switching_threshold"]
+    assert np.std(added) == pytest.approx(PRIOR.sd, rel=0.05)
+    assert abs(np.mean(added)) < 0.05 * PRIOR.sd
+
+
+def test_a_measured_travel_error_decides_the_success_probability():
+    gait = [0.0755], [0.15], [2]
+
+    def success(value: float, sd: float) -> float:
+        file = ParameterFile(travel_error=TravelError(value, sd))
+        return float(
+            success_probability(MarginTask(), *gait, uncertainty.phase_known(file, 400, 1))[0]
+        )
+
+    assert success(-0.006, 0.0005) < 0.05
+    assert success(0.001, 0.0005) > 0.95
+    assert success(0.0, 0.002) < success(0.0, 0.0005)
+
+
+def test_probabilities_state_whether_a_run_has_measured_the_travel_error():
+    assert "if the model is right" in uncertainty.description(ParameterFile())
+    measured = uncertainty.description(ParameterFile(travel_error=TravelError(-0.001, 5e-4)))
+    assert "if the model is right" not in measured
+    assert "-1.0 ± 1.0 mm" in measured
+
+
 def test_a_files_intervals_replace_the_defaults_on_each_side():
-    file = ParameterFile(intervals={"slack": (0.0079, 0.0090), "pitch": (0.0173, 0.0173)})
+    file = ParameterFile(
+        travel_error=EXACT, intervals={"slack": (0.0079, 0.0090), "pitch": (0.0173, 0.0173)}
+    )
     below, above = uncertainty.reach_of(file, "slack")
     assert (below, above) == pytest.approx((1e-4, 1e-3))
     draws = uncertainty.phase_known(file, 4000, seed=1).overrides
@@ -61,18 +101,20 @@ def test_assumed_values_are_distinguished_from_those_of_the_file():
     assert uncertainty.description(FILE).startswith(
         "assumed at 95 %: rear_mass ±1 %, front_mass ±1 %, pitch ±0.5 %"
     )
-    mixed = uncertainty.description(ParameterFile(intervals={"slack": (0.0079, 0.0090)}))
+    mixed = uncertainty.description(
+        ParameterFile(travel_error=EXACT, intervals={"slack": (0.0079, 0.0090)})
+    )
     assert mixed.startswith("the parameter file's 95 % intervals of slack; assumed")
     assert "slack ±" not in mixed
     everything = {key: (0.9 * PAPER.as_dict()[key], 1.1) for key in uncertainty.MOTION_HALF_WIDTHS}
     assert (
-        uncertainty.description(ParameterFile(intervals=everything))
-        == "the parameter file's 95 % intervals"
+        uncertainty.description(ParameterFile(travel_error=EXACT, intervals=everything))
+        == "the parameter file's 95 % intervals; measured travel error +0.0 ± 0.0 mm"
     )
     phase = uncertainty.description(
-        ParameterFile(intervals=everything, run_to_run={"initial_length": 4e-4})
+        ParameterFile(travel_error=EXACT, intervals=everything, run_to_run={"initial_length": 4e-4})
     )
-    assert phase == "the parameter file's 95 % intervals; φ known to ±0.78 mm in the next run"
+    assert "the parameter file's 95 % intervals; φ known to ±0.78 mm in the next run;" in phase
 
 
 def test_the_known_phase_is_held_whatever_the_pitch():
@@ -82,7 +124,7 @@ def test_the_known_phase_is_held_whatever_the_pitch():
 
 
 def test_an_interval_of_the_initial_length_is_one_of_the_phase():
-    file = ParameterFile(intervals={"initial_length": (0.2950, 0.2954)})
+    file = ParameterFile(travel_error=EXACT, intervals={"initial_length": (0.2950, 0.2954)})
     spread = phases_of(uncertainty.phase_known(file, 2000, seed=1)) - groove_phase(PAPER)
     assert np.quantile(spread, [0.025, 0.975]) == pytest.approx([-2e-4, 2e-4], abs=2e-5)
 
@@ -146,7 +188,9 @@ def test_the_same_seed_draws_the_same(seed, samples):
 
 def test_wide_intervals_stay_admissible():
     wide = {key: (0.01 * value, 3.0 * value) for key, value in PAPER.as_dict().items() if value}
-    scenarios = uncertainty.phase_known(ParameterFile(intervals=wide), 300, seed=1)
+    scenarios = uncertainty.phase_known(
+        ParameterFile(travel_error=EXACT, intervals=wide), 300, seed=1
+    )
     probability = success_probability(MarginTask(), [0.08], [0.2], [1], scenarios)
     assert 0.0 < probability[0] < 1.0
 

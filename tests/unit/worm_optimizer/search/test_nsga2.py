@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from gaits_for_tests import coarse_front, random_robot
 
-from worm_optimizer.evaluation.task import MarginTask
+from worm_optimizer.evaluation.task import Bounds, MarginTask
 from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.search.nsga2 import compared, generations, reference_power_of
 from worm_optimizer.search.search_settings import Nsga2Settings
@@ -38,6 +38,13 @@ def test_every_generation_reports_and_the_front_only_grows():
 def test_the_search_may_end_early():
     endless = generations(TASK, Nsga2Settings(population=10, generations=100_000), 10.0)
     assert [step.number for step in itertools.islice(endless, 3)] == [1, 2, 3]
+
+
+def test_a_box_of_one_gait_has_this_gait():
+    task = MarginTask(bounds=Bounds(0.0755, 0.0755, 0.15, 0.15))
+    *_, last = generations(task, SMALL, 10.0)
+    assert last.front.stroke.tolist() == [0.0755]
+    assert last.front.frequency.tolist() == [0.15]
 
 
 def test_all_of_the_front_moves_within_the_bounds():

@@ -9,6 +9,7 @@ import pytest
 from worm_model.gait import Gait, Profile
 from worm_model.parameters import PAPER, ParameterFile
 from worm_model.simulation.simulator import evaluate_gait
+from worm_msgs.robot_parameters import TravelError
 from worm_optimizer.commands import sensitivity as command
 from worm_optimizer.study.sensitivity import Sensitivity, sensitivity
 from worm_optimizer.study.sensitivity_figure import sensitivity_figure
@@ -20,7 +21,8 @@ EXACT = {key: (value, value) for key, value in PAPER.as_dict().items()}
 
 def of(**half_widths):
     own = {k: (getattr(PAPER, k) - w, getattr(PAPER, k) + w) for k, w in half_widths.items()}
-    return sensitivity(GAIT, ParameterFile(PAPER, {**EXACT, **own}), 512, 1)
+    content = ParameterFile(PAPER, {**EXACT, **own}, travel_error=TravelError(0.0, 0.0))
+    return sensitivity(GAIT, content, 512, 1)
 
 
 def test_power_is_idle_power_and_a_factor_times_work():
@@ -66,6 +68,19 @@ def test_the_speed_of_a_branch_is_decided_by_the_pitch():
     speed = dict(zip(found.parameters, found.indices["speed"].total, strict=True))
     assert speed["pitch"] == pytest.approx(1.0, abs=0.1)
     assert speed["idle_power"] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_the_travel_error_decides_the_cliff_of_a_robot_that_no_run_has_measured():
+    found = sensitivity(GAIT, ParameterFile(), 256, 1)
+    assert found.parameters[int(np.argmax(found.indices["cliff_margin"].total))] == "travel_error"
+
+
+def test_the_default_number_of_samples_gives_shares_up_to_100_percent():
+    found = sensitivity(GAIT, ParameterFile(), 1024, 0)
+    for indices in found.indices.values():
+        shares = np.concatenate([indices.first, indices.total])
+        assert shares.min() > -0.005
+        assert shares.max() < 1.0005
 
 
 def test_the_command(monkeypatch, capsys, tmp_path):

@@ -215,4 +215,6 @@ def locate(
         step = gap / rate
         bend = 0.5 * step * value(f.acceleration, b) / rate
         at = min(max(at - step * (1.0 + bend), low), high)
+    else:  # Rounding exceeds the tolerance.
+        b = basis_at(offset + at, at, roots, wave, resonant)
     return at, b

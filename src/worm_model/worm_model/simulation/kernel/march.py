@@ -251,6 +251,7 @@ def _antiderivative(stage: Stage, b: Basis, wave: Wave) -> float:
         stage.length_rate.position,
         stage.force.position,
         b,
+        b.t1 - stage.offset,
         wave,
         stage.mode.roots,
     )

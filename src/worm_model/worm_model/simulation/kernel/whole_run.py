@@ -218,7 +218,8 @@ def evaluate(
     result[LEAST_ADVANCE] = least
     way = boundaries[cycles, REACHED] - boundaries[first, REACHED]
     result[MEAN_ADVANCE] = direction * way / averaged
-    work = boundaries[cycles, CABLE_WORK] - boundaries[first, CABLE_WORK]
+    # Where the motion exceeds double precision, rounding makes the sum of the positive work negative.
+    work = max(boundaries[cycles, CABLE_WORK] - boundaries[first, CABLE_WORK], 0.0)
     result[MEAN_POWER] = p.idle_power + p.power_factor * work * frequency / averaged
 
 

@@ -8,12 +8,17 @@ antiderivative with respect to time (in seconds), evaluated at the moment of the
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
 
 from worm_model.simulation.kernel.compiled import inlined
 from worm_model.simulation.kernel.linear import Basis, Coefficients, Roots, Wave
+
+_SLOW = (
+    -1.0
+)  # 1/s; root above which integration by parts, which divides by its square, loses digits
 
 
 def cable_power(force: Any, rate: Any, one_sided_cable: Any) -> Any:
@@ -113,7 +118,23 @@ def _resonant_products(
 
 
 @inlined
-def _line_times_free(p0: float, p1: float, h1: float, h2: float, b: Basis, roots: Roots) -> float:
+def _line_times_slow(p0: float, p1: float, root: float, s: float) -> float:
+    """Return ∫ (p0 + p1·s)·e^(root·s) from 0 to s, also for a root of 0 or near 0."""
+    x = root * s
+    if abs(x) > 1.0:
+        return (math.exp(x) * (p0 + p1 * s - p1 / root) - p0 + p1 / root) / root
+    constant, linear, term = 0.0, 0.0, 1.0
+    for n in range(1, 20):
+        constant += term / n
+        linear += term / (n + 1.0)
+        term *= x / n
+    return s * (p0 * constant + p1 * s * linear)
+
+
+@inlined
+def _line_times_free(
+    p0: float, p1: float, h1: float, h2: float, b: Basis, s: float, roots: Roots
+) -> float:
     """Return ∫ (p0 + p1·σ) times the free response with the coefficients h1 and h2, by integration by parts."""
     line = p0 + p1 * b.t1
     if roots.joined:
@@ -122,15 +143,14 @@ def _line_times_free(p0: float, p1: float, h1: float, h2: float, b: Basis, roots
         b1, b2 = (roots.gamma * a1 + a2) / det, (roots.discriminant * a1 + roots.gamma * a2) / det
         return (line * a1 - p1 * b1) * b.h1 + (line * a2 - p1 * b2) * b.h2
     total = h2 * b.h2 * (line - p1 / roots.r2) / roots.r2
-    # r1 = 0 if both fins are in their clearance. Then the h1 term is constant, and F_c does not contain it.
-    if roots.r1 != 0.0:
-        total += h1 * b.h1 * (line - p1 / roots.r1) / roots.r1
-    return total
+    if roots.r1 > _SLOW:
+        return total + h1 * _line_times_slow(line - p1 * s, p1, roots.r1, s)
+    return total + h1 * b.h1 * (line - p1 / roots.r1) / roots.r1
 
 
 @inlined
 def _polynomial_products(
-    r: Coefficients, f: Coefficients, b: Basis, wave: Wave, roots: Roots
+    r: Coefficients, f: Coefficients, b: Basis, s: float, wave: Wave, roots: Roots
 ) -> float:
     """Return ∫ of the products of rate and force that `_wave_products` and the others with wave terms do not contain.
 
@@ -143,14 +163,14 @@ def _polynomial_products(
     line = (r.one + r.t1 * t - r.t1 / q) / q
     parabola = t * (f.t1 + f.t2 * t) - (f.t1 + 2.0 * f.t2 * t - 2.0 * f.t2 / q) / q
     total += b.exp * (f.exp * line + r.exp * parabola / q)
-    total += _line_times_free(r.one, r.t1, f.h1, f.h2, b, roots)
+    total += _line_times_free(r.one, r.t1, f.h1, f.h2, b, s, roots)
     if f.res == 0.0:
         return total
     # The term f.res·R is integrated by parts. Let P be the polynomial of the rate, and let G satisfy G′ + q·G = P. With
     # R′ = q·R + S/M (`_resonant_products`), ∫ P·R = G·R − (1/M)·∫ G·S follows.
     gap = roots.r1 - roots.r2
     h1, h2 = (0.0, 1.0) if roots.joined else (1.0 / gap, -1.0 / gap)
-    free = _line_times_free(r.one / q - r.t1 / (q * q), r.t1 / q, h1, h2, b, roots)
+    free = _line_times_free(r.one / q - r.t1 / (q * q), r.t1 / q, h1, h2, b, s, roots)
     return total + f.res * (line * b.res - free / wave.mass)
 
 
@@ -160,10 +180,11 @@ def cable_work(
     rate: Coefficients,
     force: Coefficients,
     b: Basis,
+    s: float,
     wave: Wave,
     roots: Roots,
 ) -> float:
-    """Return an antiderivative of F_c·L̇ in J at the moment of the basis ``b``.
+    """Return an antiderivative of F_c·L̇ in J at the moment of the basis ``b``, ``s`` seconds after the mode's start.
 
     Its constant is arbitrary, so only differences within a mode have a meaning. The length must follow from a gait: the
     function does not apply to a length that is given by cubics.
@@ -179,7 +200,7 @@ def cable_work(
     else:
         total += _separated_products(rate, force, b, wave, roots)
     if rate.one != 0.0 or rate.t1 != 0.0 or force.t1 != 0.0 or force.t2 != 0.0:
-        total += _polynomial_products(rate, force, b, wave, roots)
+        total += _polynomial_products(rate, force, b, s, wave, roots)
     if force.res != 0.0:
         total += _resonant_products(rate, force, b, wave, roots)
     return total

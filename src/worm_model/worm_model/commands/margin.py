@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Command line: the margin of each cycle of recorded runs, measured from the tracker."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from worm_model.analysis.run_parts import parts_of
+from worm_model.bags.opening import open_bag
+from worm_model.bags.recording.run_manifest import recorded_robot
+from worm_model.bags.run_reader import read_run
+from worm_model.bags.worm_topics import REPLAY_INPUTS
+from worm_model.commands.command_line import Parser, executable, notifier, print_result
+from worm_model.margin.half_cycles import Fin
+from worm_model.margin.measured_margin import FinMargin, RunMargin, measure
+from worm_model.text_table import text_table
+
+_notify = notifier("margin")
+
+
+def _parser() -> Parser:
+    parser = Parser(
+        prog="margin",
+        description="Measure what each cycle of a run had to spare before a fin would have missed its groove, and the "
+        "probability that a cycle keeps its grooves.",
+    )
+    parser.add_argument("bags", nargs="+", type=Path, metavar="BAG", help="a recording")
+    parser.add_argument(
+        "--grooves",
+        type=int,
+        metavar="N",
+        help="grooves per cycle to keep (default: the most in any cycle but the first)",
+    )
+    parser.add_parameters("the file in the bag, else the paper's values")
+    parser.add_json()
+    return parser
+
+
+def measured_margins(path: Path, parameters: str, grooves: int | None) -> list[RunMargin]:
+    """Return the measured margins of the runs of a bag, without runs in which nothing was measured.
+
+    Raises:
+        InputError: The bag or the parameter file cannot be read.
+    """
+    with open_bag(path, _notify) as bag:
+        run = read_run(bag, names=REPLAY_INPUTS)
+        values = recorded_robot(bag, parameters).parameters
+    found = [measure(part.run, values, grooves) for part in parts_of(run)]
+    return [each for each in found if each is not None]
+
+
+def _margin(options: argparse.Namespace) -> None:
+    runs = [
+        (path, run)
+        for path in options.bags
+        for run in measured_margins(path, options.parameters, options.grooves)
+    ]
+    result = {"runs": [{"bag": str(path), **run.as_json()} for path, run in runs]}
+    print_result(
+        options, result, "\n\n".join(_described(*pair) for pair in runs) or "no gait was run"
+    )
+
+
+def _described(path: Path, run: RunMargin) -> str:
+    """Return the margins of a run as text."""
+    head = f"{path}: {run.gait.stroke * 1e3:.1f} mm, {run.gait.frequency:g} Hz"
+    if not run.source:
+        return f"{head}: not measured; the tracker must see both modules in most of the run"
+    rows = [
+        [str(c.cycle), str(c.grooves), _both(c.rear, "length"), _both(c.front, "length"),
+         _both(c.rear, "margin"), _both(c.front, "margin")]
+        for c in run.cycles
+    ]  # fmt: skip
+    titles = [
+        "cycle",
+        "grooves",
+        "rear length mm",
+        "front length mm",
+        "rear margin mm",
+        "front margin mm",
+    ]
+    return f"{head}\n{text_table([titles, *rows])}\n{summary(run)}"
+
+
+def summary(run: RunMargin) -> str:
+    """Return the margins of both fins and the probability to keep the grooves in one line."""
+    parts = []
+    for fin in Fin:
+        belief = run.belief(fin)
+        value = (
+            "not measured"
+            if belief is None
+            else f"{belief.expected * 1e3:.1f} ± {belief.expected_scatter * 1e3:.1f} mm"
+        )
+        parts.append(f"{fin.value} {value}")
+    keeps = run.keeps
+    chance = (
+        f"; a cycle keeps its grooves with {keeps.value:.3f} ({keeps.low:.3f} to {keeps.high:.3f})"
+        if keeps
+        else ""
+    )
+    return f"{run.grooves} grooves, to spare: {', '.join(parts)}{chance}"
+
+
+def _both(fin: FinMargin, name: str) -> str:
+    value, sd = getattr(fin, name), getattr(fin, f"{name}_sd")
+    return f"{value * 1e3:.1f} ± {sd * 1e3:.1f}" if value == value else "-"
+
+
+main = executable(_parser, _margin)

@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Margin of a switch in the paper's unit: the increase of the switching threshold that it would still have stood.
+
+Without its switch, the sliding fin would have been deflected further, by the part κ = k_eng/(k_eng + k_dis) of the
+remaining travel of the body. Two effects change this. The module lags behind the body, with the time constant
+2η/(k_eng + k_dis): it moves on for a moment after the turning point. And the released force lets a body with a
+compliant cable travel further, which it would not have done without the switch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+
+import numpy as np
+from numpy.typing import NDArray
+
+from worm_model.arrays import Array
+from worm_model.gait import Gait
+from worm_model.margin.half_cycles import Fin, HalfCycle, Motion
+from worm_model.parameters import Parameters
+
+_AFTER_S = 0.35  # s after the turning point in which a lagging fin is deflected most
+_KINK_WINDOW_S = (0.3, 0.35)
+_STEP_S = 0.01
+_TAUT_M = 0.012  # travel after which the cable pulls
+# m by which the fin's deflection falls short at the turning point, because the modules and the fins have dry friction
+# that the model lacks; SHARED_SD_M is the standard deviation of this and other errors that all cycles of a run share
+_SHORTFALL_M = 0.0003
+SHARED_SD_M = 0.0002
+# s, time constants with which a released body comes to rest: (c_b/(k_b + k_cable)) with a taut cable, and longer with
+# a slack one, as in an extension
+_SETTLING_S = {Fin.REAR: 0.12, Fin.FRONT: 0.3}
+
+
+@dataclass(frozen=True)
+class Release:
+    """Additional rate of travel after a switch, m/s, its standard deviation, and the time constant of its decay, s."""
+
+    rate: float
+    sd: float
+    time_constant: float
+
+    def travel(self, time: Array) -> Array:
+        """Return the additional travel (m) at times after the switch in s."""
+        return self.rate * self.time_constant * _risen(time, self.time_constant)
+
+
+def _risen(time: Array, time_constant: float) -> Array:
+    return np.where(time > 0.0, 1.0 - np.exp(-np.maximum(time, 0.0) / time_constant), 0.0)
+
+
+def release_of(
+    motion: Motion, switches: Sequence[tuple[HalfCycle, float]], gait: Gait, parameters: Parameters
+) -> Release:
+    """Return the release of a fin from the kink of the length at its switches (half cycle, time in s).
+
+    A rigid body has none, a body on bellows alone F/c_b with the released force F. The prior contains both.
+    """
+    p = parameters
+    fin = switches[0][0].fin if switches else Fin.REAR
+    settling = _SETTLING_S[fin]
+    force = p.disengaged_stiffness * (p.switching_threshold - 0.5 * p.clearance)
+    largest = force / p.bellows_damping
+    mean, precision = 0.5 * largest, 1.0 / (0.5 * largest) ** 2
+    moment = mean * precision
+    groups = _taut(motion, switches) if fin is Fin.REAR else _slack(motion, switches)
+    for half, rows, times in groups:
+        at = motion.time[rows]
+        background = (
+            np.stack([np.ones(at.size), gait.command(at), np.gradient(gait.command(at), at)], 1)
+            if fin is Fin.REAR
+            else np.vander(at - times[0], 4)
+        )
+        kink = sum(settling * _risen(at - time, settling) for time in times)
+        # the kink less its part that the background explains, the partial regression of the travel on the kink
+        own = kink - background @ np.linalg.lstsq(background, kink, rcond=None)[0]
+        travel = half.travel(motion.front[rows] - motion.rear[rows])
+        moment += float(own @ travel) / (2.0 * motion.noise**2)
+        precision += float(own @ own) / (2.0 * motion.noise**2)
+    rate = moment / precision
+    return Release(float(np.clip(rate, 0.0, largest)), float(precision**-0.5), settling)
+
+
+_Group = tuple[
+    HalfCycle, NDArray[np.bool_], list[float]
+]  # samples and switches that are fitted together
+
+
+def _taut(motion: Motion, switches: Sequence[tuple[HalfCycle, float]]) -> Iterator[_Group]:
+    """Yield each contraction once the cable pulls: the length then follows the command and its rate."""
+    for half, pairs in groupby(switches, lambda pair: pair[0]):
+        travel = half.travel(motion.length)
+        rows = (motion.time > half.start) & (motion.time < half.end + 0.05) & (travel > _TAUT_M)
+        if np.count_nonzero(rows) >= 8:
+            yield half, rows, [time for _, time in pairs]
+
+
+def _slack(motion: Motion, switches: Sequence[tuple[HalfCycle, float]]) -> Iterator[_Group]:
+    """Yield a window about each switch of an extension, in which the length is nearly a cubic."""
+    for half, time in switches:
+        after = min(_KINK_WINDOW_S[1], half.end - time)
+        rows = (motion.time > time - _KINK_WINDOW_S[0]) & (motion.time < time + after)
+        if after > 0.1 and np.count_nonzero(rows) >= 8:
+            yield half, rows, [time]
+
+
+def threshold_margin(
+    motion: Motion, half: HalfCycle, switch: float, release: Release, parameters: Parameters
+) -> float:
+    """Return the increase of the switching threshold (m) that a switch at a time (s) would still have stood."""
+    p = parameters
+    total = p.engaged_stiffness + p.disengaged_stiffness
+    share, lag = p.engaged_stiffness / total, 2.0 * p.viscous_friction / total
+    until = min(max(half.end, switch) + _AFTER_S, motion.time[-1])
+    time = np.arange(switch - 4.0 * lag, until, _STEP_S)
+    travel = half.travel(motion.length_at(time)) - release.travel(time - switch)
+    rate = np.gradient(travel, time)
+    behind = np.empty(time.size)  # of the module, relative to the equilibrium of the fins' forces
+    behind[0] = -(share - 0.5) * rate[0] * lag
+    decay = np.exp(-_STEP_S / lag)
+    for k in range(1, time.size):
+        behind[k] = decay * behind[k - 1] - (share - 0.5) * rate[k] * lag * (1.0 - decay)
+    deflection = share * travel + behind
+    now = float(np.interp(switch, time, deflection))
+    return float(deflection[time >= switch].max(initial=now)) - now - _SHORTFALL_M
+
+
+def margin_sd(
+    length_sd: float, release: Release, remaining: float, parameters: Parameters
+) -> float:
+    """Return the standard deviation of a margin (m).
+
+    Args:
+        length_sd: standard deviation of the remaining travel, m.
+        release: release of the fin.
+        remaining: time from the switch to the turning point, s.
+        parameters: stiffness of the fins.
+    """
+    share = parameters.engaged_stiffness / (
+        parameters.engaged_stiffness + parameters.disengaged_stiffness
+    )
+    effect = release.time_constant * float(_risen(np.asarray(remaining), release.time_constant))
+    return share * float(np.hypot(length_sd, release.sd * effect))

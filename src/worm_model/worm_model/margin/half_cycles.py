@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Contractions and extensions of a recorded run, between the turning points of the measured body length.
+
+In a contraction the rear fin slides over the ridges and the front one holds; in an extension it is the other way round.
+A run in reverse is the mirror image of one forward, so `motion_of` mirrors it.
+"""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass
+
+import numpy as np
+
+from worm_model.arrays import Array
+from worm_model.gait import REVERSE, Gait
+from worm_model.run import Run, seconds
+from worm_model.simulation.smoothing import smooth
+
+LENGTH_WINDOW_S = 0.06  # half window of the smoothed length; a jump of a module takes 0.1 s
+_TURNING_S = 0.22  # half window of the parabola through a turning point
+_SEARCH = (0.2, 0.35)  # of a period, before and after the command's turning point
+FEWEST_RATE_HZ = 8.0  # of the tracker; slower ones show no switch
+
+
+class Fin(enum.Enum):
+    """Fin that slides: the rear one in a contraction, the front one in an extension."""
+
+    REAR = "rear"
+    FRONT = "front"
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Measured motion of a run in the direction of travel.
+
+    Attributes:
+        time: s since the onset, ascending, shape (n,).
+        rear, front: positions of the modules, m, shape (n,).
+        length: smoothed body length, m, shape (n,).
+        noise: standard deviation of a position, m.
+        end: end of the gait, s since the onset.
+    """
+
+    time: Array
+    rear: Array
+    front: Array
+    length: Array
+    noise: float
+    end: float
+
+    def holding(self, fin: Fin) -> Array:
+        """Return the position of the holding module while ``fin`` slides, m, from the samples of both modules."""
+        half = 0.5 * self.length
+        return 0.5 * (self.rear + self.front) + (half if fin is Fin.REAR else -half)
+
+    def length_at(self, time: float | Array) -> Array:
+        """Return the smoothed length at times in s, m."""
+        return np.asarray(np.interp(time, self.time, self.length))
+
+
+@dataclass(frozen=True)
+class HalfCycle:
+    """Contraction or extension: times (s since the onset) and lengths (m) of its turning points."""
+
+    cycle: int
+    fin: Fin
+    start: float
+    end: float
+    start_length: float
+    end_length: float
+
+    def travel(self, length: Array) -> Array:
+        """Return the distance (m) by which the body has contracted, or extended, at a length."""
+        return self.start_length - length if self.fin is Fin.REAR else length - self.start_length
+
+
+def motion_of(run: Run, gait: Gait, onset: int, cycles: int) -> Motion | None:
+    """Return the motion of a run's gait, or None if the tracker shows too little of both modules.
+
+    Args:
+        run: the recording.
+        gait: its gait.
+        onset: start of the gait, ns since the epoch.
+        cycles: number of played cycles.
+    """
+    tracker = run.tracker
+    time, end = seconds(tracker.stamp, onset), cycles * gait.period
+    order = np.argsort(time, kind="stable")
+    seen = np.isfinite(tracker.rear_position) & np.isfinite(tracker.front_position)
+    used = order[seen[order] & (time[order] > -gait.period) & (time[order] < end + gait.period)]
+    used = used[np.append(True, np.diff(time[used]) > 0.0)] if used.size else used
+    if np.count_nonzero((time[used] > 0.0) & (time[used] < end)) < FEWEST_RATE_HZ * end:
+        return None
+    time = time[used]
+    rear, front = tracker.rear_position[used], tracker.front_position[used]
+    if gait.direction == REVERSE:
+        rear, front = -front, -rear
+    step = float(np.median(np.diff(time)))
+    half = max(LENGTH_WINDOW_S, 2.2 * step)
+    length = smooth(time, front - rear, time, half, half).value
+    whole = np.isfinite(length)
+    noise = float(np.hypot(_noise(rear), _noise(front)) / np.sqrt(2.0))
+    return Motion(time[whole], rear[whole], front[whole], length[whole], noise, end)
+
+
+def half_cycles(motion: Motion, gait: Gait, cycles: int) -> list[HalfCycle]:
+    """Return contraction and extension of each cycle, in order; a cycle that is not recorded to its end has none."""
+    period, share = gait.period, gait.contraction_share
+    found: list[HalfCycle] = []
+    before = -0.2 * period
+    for cycle in range(cycles):
+        turn = (cycle + share) * period
+        shortest = _turning_point(
+            motion, turn - _SEARCH[0] * period, turn + _SEARCH[1] * period, 1, period
+        )
+        if shortest is None:
+            break
+        longest = _turning_point(motion, before, shortest[0], -1, period)
+        following = _turning_point(motion, shortest[0], turn + 0.9 * period, -1, period)
+        if longest is None or following is None:
+            break
+        found.append(
+            HalfCycle(cycle + 1, Fin.REAR, longest[0], shortest[0], longest[1], shortest[1])
+        )
+        found.append(
+            HalfCycle(cycle + 1, Fin.FRONT, shortest[0], following[0], shortest[1], following[1])
+        )
+        before = shortest[0]
+    return found
+
+
+def _turning_point(
+    motion: Motion, low: float, high: float, sign: int, period: float
+) -> tuple[float, float] | None:
+    """Return (time, length) of the shortest (sign 1) or longest (−1) length between two times, or None."""
+    inside = (motion.time >= low) & (motion.time <= min(high, motion.end + 0.6 * period))
+    if np.count_nonzero(inside) < 4 or motion.time[-1] < low + 0.5 * (high - low):
+        return None
+    half = max(_TURNING_S, 2.2 * float(np.median(np.diff(motion.time))))
+    at = motion.time[inside]
+    curve = smooth(motion.time, motion.front - motion.rear, at, half, half)
+    if not np.isfinite(curve.value).any():
+        return None
+    best = int(np.nanargmin(sign * curve.value))
+    return float(at[best]), float(curve.value[best])
+
+
+def _noise(position: Array) -> float:
+    """Return the standard deviation of the noise of a position from its second differences, m."""
+    second = position[:-2] - 2.0 * position[1:-1] + position[2:]
+    return max(float(1.4826 * np.median(np.abs(second)) / np.sqrt(6.0)), 2e-5)

@@ -1,0 +1,246 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Margin of each cycle of a recorded run, measured from the tracker.
+
+The *length* of a cycle is the travel of the body between the last switch of a fin and the turning point. The *margin*
+is the increase of the switching threshold that the cycle would still have stood (`cycle_margin`). A cycle that gained
+fewer grooves than the run is to gain has a negative margin.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from worm_model.arrays import Array
+from worm_model.gait import Gait, named_values
+from worm_model.margin.cycle_margin import Release, margin_sd, release_of, threshold_margin
+from worm_model.margin.fin_switch import Switches
+from worm_model.margin.half_cycles import Fin, HalfCycle, Motion, half_cycles, motion_of
+from worm_model.margin.keeping import (
+    MarginBelief,
+    Probability,
+    belief_of,
+    keeps_probability,
+)
+from worm_model.margin.run_switches import FinSwitches, moved_grooves, run_switches
+from worm_model.parameters import Parameters
+from worm_model.run import PLAYING, Run
+from worm_model.simulation.smoothing import smooth
+
+FEWEST_CYCLES = 2  # that are measured, for a statement on a run
+_SHAPE_ERROR_M = (
+    0.0002  # of a length, because a robot differs from the template; standard deviation
+)
+_AT_SWITCH_S = 0.15  # half window of the length at a switch
+_UNUSUAL_M = (
+    0.003  # difference of a last switch from the usual travel that is checked with this knowledge
+)
+_TURNING_ERROR = 0.3  # of the noise of the length; standard deviation of a turning point
+
+
+@dataclass(frozen=True)
+class FinMargin:
+    """Measurement of one fin in one cycle: lengths and margins in m with standard deviations; NaN: not measured."""
+
+    length: float = math.nan
+    length_sd: float = math.nan
+    margin: float = math.nan
+    margin_sd: float = math.nan
+
+
+NOT_MEASURED = FinMargin()
+
+
+@dataclass(frozen=True)
+class CycleMargin:
+    """Measurements of both fins in a cycle, numbered from 1.
+
+    ``grooves`` is the number that the rear module gained, ``place`` its position along the pipe in m.
+    """
+
+    cycle: int
+    grooves: int
+    place: float
+    rear: FinMargin
+    front: FinMargin
+
+
+@dataclass(frozen=True)
+class RunMargin:
+    """Measured margins of a run.
+
+    Attributes:
+        gait: the gait.
+        grooves: grooves per cycle that the margins refer to.
+        cycles: one entry for each complete cycle.
+        source: "tracker" or "power"; empty if nothing was measured.
+    """
+
+    gait: Gait
+    grooves: int
+    cycles: tuple[CycleMargin, ...]
+    source: str
+
+    def margins(self, fin: Fin) -> tuple[Array, Array, Array]:
+        """Return the measured margins of a fin, their standard deviations and their places, m, shape (n,) each.
+
+        The first contraction begins from rest, and the last extension ends in rest, so they are left out.
+        """
+        cycles = self.cycles[1:] if fin is Fin.REAR else self.cycles[:-1]
+        fins = [(cycle.rear if fin is Fin.REAR else cycle.front, cycle.place) for cycle in cycles]
+        rows = [(m.margin, m.margin_sd, place) for m, place in fins if math.isfinite(m.margin)]
+        margin, sd, place = np.array(rows).reshape(-1, 3).T
+        return margin, sd, place
+
+    def belief(self, fin: Fin) -> MarginBelief | None:
+        """Return the posterior of the margin of a fin, None if fewer than two cycles were measured."""
+        margin, sd, place = self.margins(fin)
+        return belief_of(margin, sd, place) if margin.size >= FEWEST_CYCLES else None
+
+    @property
+    def keeps(self) -> Probability | None:
+        """Probability that a cycle keeps its grooves, None if a fin was not measured in enough cycles."""
+        beliefs = [self.belief(fin) for fin in Fin]
+        known = [each for each in beliefs if each is not None]
+        return keeps_probability(*known) if len(known) == len(beliefs) else None
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the run as a JSON object, in SI units; None where something was not measured."""
+        beliefs = {fin: self.belief(fin) for fin in Fin}
+        means = {
+            f"{fin.value}_margin_m": None if belief is None else belief.expected
+            for fin, belief in beliefs.items()
+        }
+        known = [belief.expected_scatter for belief in beliefs.values() if belief is not None]
+        keeps = self.keeps
+        return {
+            "gait": named_values(self.gait),
+            "grooves_per_cycle": self.grooves,
+            "cycles": [_cycle_json(cycle) for cycle in self.cycles],
+            **means,
+            "scatter_m": max(known) if known else None,
+            "keeps_probability": None if keeps is None else asdict(keeps),
+            "source": self.source,
+        }
+
+
+def _cycle_json(cycle: CycleMargin) -> dict[str, Any]:
+    values = {
+        f"{fin}_{attribute}_m": getattr(getattr(cycle, fin), attribute)
+        for attribute in ("length", "length_sd", "margin", "margin_sd")
+        for fin in ("rear", "front")
+    }
+    numbers = {name: value if math.isfinite(value) else None for name, value in values.items()}
+    return {"cycle": cycle.cycle, "grooves": cycle.grooves, **numbers}
+
+
+def measure(run: Run, parameters: Parameters, grooves: int | None = None) -> RunMargin | None:
+    """Return the measured margins of a recording of one gait, None if it contains no played gait.
+
+    Args:
+        run: the recording.
+        parameters: parameters of the robot; approximate ones suffice.
+        grooves: grooves per cycle that the gait is to gain; by default the largest number in any cycle but the first.
+    """
+    rows = run.gait_state.rows_of_runs()
+    if not rows:
+        return None
+    states = run.gait_state
+    gait, onset = states.gait(int(rows[0][0])), int(states.onset[rows[0]].min())
+    motion = motion_of(run, gait, onset, _played_cycles(run, gait, onset))
+    if motion is None:
+        return RunMargin(gait, grooves or 0, (), "")
+    return margins_of(motion, gait, parameters, grooves)
+
+
+def margins_of(
+    motion: Motion, gait: Gait, parameters: Parameters, grooves: int | None = None
+) -> RunMargin:
+    """Return the measured margins of a motion; see `measure`."""
+    halves = half_cycles(motion, gait, round(motion.end * gait.frequency))
+    found = run_switches(motion, halves, parameters)
+    moved = moved_grooves(motion, halves, parameters)[::2]
+    places = [float(np.interp(half.end, motion.time, motion.rear)) for half in halves[::2]]
+    gained = max(moved[1:], default=0)
+    lengths = {fin: _lengths(motion, found[fin], gait, parameters) for fin in Fin}
+    lacking = _lacking(lengths, (grooves or gained) - gained)
+    fins = {
+        fin: [
+            _fin_margin(motion, *row, release, lacking[fin], parameters)
+            for row in zip(found[fin].halves, found[fin].switches, found[fin].missing, strict=True)
+        ]
+        for fin, (release, _) in lengths.items()
+    }
+    cycles = tuple(
+        CycleMargin(cycle, *row)
+        for cycle, row in enumerate(
+            zip(moved, places, fins[Fin.REAR], fins[Fin.FRONT], strict=True), 1
+        )
+    )
+    return RunMargin(gait, grooves or gained, cycles, "tracker" if cycles else "")
+
+
+def _played_cycles(run: Run, gait: Gait, onset: int) -> int:
+    """Return the number of whole cycles between the onset and the end of the gait, or of the recording."""
+    states = run.gait_state
+    playing = np.isin(states.state, PLAYING) & (states.stamp >= onset - 1)
+    ended = states.stamp[~playing & (states.stamp > onset)]
+    end = int(ended[0]) if ended.size else int(run.tracker.stamp.max(initial=onset))
+    return int((end - onset) * 1e-9 * gait.frequency + 0.1)
+
+
+def _lengths(
+    motion: Motion, found: FinSwitches, gait: Gait, parameters: Parameters
+) -> tuple[Release, float]:
+    """Return the release of a fin and the median of its remaining travel (m), 0 if it never switches."""
+    pairs = list(zip(found.halves, found.switches, strict=True))
+    seen = [(half, time) for half, switches in pairs for time in switches.times]
+    release = release_of(motion, seen, gait, parameters)
+    remaining = [
+        _remaining(motion, half, switches.times[-1], release)
+        for half, switches in pairs
+        if switches.times
+    ]
+    return release, float(np.median(remaining)) if remaining else 0.0
+
+
+def _lacking(lengths: dict[Fin, tuple[Release, float]], grooves: int) -> dict[Fin, int]:
+    """Return how many grooves each fin lacks in every cycle of a run that gains ``grooves`` too few.
+
+    Each groove is gained by the fin that needs the smaller additional travel for it, and the other one follows.
+    """
+    nearer = max(lengths, key=lambda fin: lengths[fin][1])
+    return {fin: max(grooves, 0) if fin is nearer else 0 for fin in Fin}
+
+
+def _remaining(motion: Motion, half: HalfCycle, time: float, release: Release) -> float:
+    """Return the travel (m) between a switch at a time (s) and the turning point."""
+    travel = half.travel(motion.front - motion.rear) - release.travel(motion.time - time)
+    now = float(smooth(motion.time, travel, [time], _AT_SWITCH_S, _AT_SWITCH_S).value[0])
+    return float(half.travel(np.asarray(half.end_length))) - now
+
+
+def _fin_margin(
+    motion: Motion,
+    half: HalfCycle,
+    found: Switches,
+    missing: int,
+    release: Release,
+    lacking: int,
+    parameters: Parameters,
+) -> FinMargin:
+    if not found.times:
+        return NOT_MEASURED
+    time, p = found.times[-1], parameters
+    length = _remaining(motion, half, time, release)
+    near = motion.length_at(np.array([time - 0.05, time + 0.05]))
+    by_time = found.last_sd * abs(near[1] - near[0]) / 0.1
+    length_sd = math.hypot(by_time, _TURNING_ERROR * 1.41 * motion.noise, _SHAPE_ERROR_M)
+    share = p.engaged_stiffness / (p.engaged_stiffness + p.disengaged_stiffness)
+    short = (missing + lacking) * share * p.pitch
+    margin = threshold_margin(motion, half, time, release, p) - short
+    sd = margin_sd(length_sd, release, half.end - time, p)
+    return FinMargin(length, length_sd, margin, sd)

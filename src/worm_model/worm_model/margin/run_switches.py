@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Last switches of both fins in all cycles of a run, made consistent, and the grooves that a fin missed.
+
+A fin switches at the same body length in every cycle, within a millimetre, or at a length that differs by whole
+pitches: it then missed a groove, or the other fin did. So a length that fits neither is searched again with this
+knowledge, and excluded if it still fits neither.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from worm_model.margin.fin_switch import NONE, Switches, find_switches
+from worm_model.margin.half_cycles import Fin, HalfCycle, Motion
+from worm_model.parameters import Parameters
+
+_UNUSUAL_M = 0.003  # difference from the usual length that is searched again
+_USUAL_SD_M = 0.0015  # standard deviation of the length about the usual one in that search
+
+
+@dataclass(frozen=True)
+class FinSwitches:
+    """Half cycles of one fin, its switches in each, and by how many grooves each is short of the run's best."""
+
+    halves: tuple[HalfCycle, ...]
+    switches: tuple[Switches, ...]
+    missing: tuple[int, ...]
+
+
+def run_switches(
+    motion: Motion, halves: Sequence[HalfCycle], parameters: Parameters
+) -> dict[Fin, FinSwitches]:
+    """Return the switches of both fins in the half cycles of a run."""
+    counts = [_known(halves, k, n) for k, n in enumerate(moved_grooves(motion, halves, parameters))]
+    found = {}
+    for fin in Fin:
+        own = [k for k, half in enumerate(halves) if half.fin is fin]
+        found[fin] = _of_fin(motion, [halves[k] for k in own], [counts[k] for k in own], parameters)
+    return found
+
+
+def _of_fin(
+    motion: Motion,
+    halves: Sequence[HalfCycle],
+    counts: Sequence[int | None],
+    parameters: Parameters,
+) -> FinSwitches:
+    pitch = parameters.pitch
+    switches = [
+        find_switches(motion, half, parameters, count)
+        for half, count in zip(halves, counts, strict=True)
+    ]
+    places = [_place(motion, *pair) for pair in zip(halves, switches, strict=True)]
+    usual = _usual([place for place, count in zip(places, counts, strict=True) if count], pitch)
+    for k, half in enumerate(halves):
+        off = places[k] - usual
+        off -= pitch * round(off / pitch) if math.isfinite(off) else 0.0
+        if counts[k] is None or not abs(off) < _UNUSUAL_M:
+            expected = half.travel(np.asarray(_length(half, usual)))
+            if not math.isfinite(expected):
+                continue
+            lattice = expected - pitch * np.arange(3) if counts[k] is not None else expected
+            again = find_switches(motion, half, parameters, counts[k], (lattice, _USUAL_SD_M))
+            switches[k], places[k] = again, _place(motion, half, again)
+            off = places[k] - usual
+            if abs(off - pitch * round(off / pitch) if math.isfinite(off) else 0.0) > _UNUSUAL_M:
+                switches[k], places[k] = NONE, math.nan
+    missing = [
+        max(round((usual - place) / pitch), 0) if math.isfinite(usual - place) else 0
+        for place in places
+    ]
+    return FinSwitches(tuple(halves), tuple(switches), tuple(missing))
+
+
+def moved_grooves(motion: Motion, halves: Sequence[HalfCycle], parameters: Parameters) -> list[int]:
+    """Return by how many grooves the sliding fin moved in each half cycle.
+
+    The module's position is compared at two turning points at which its fin holds. The first contraction begins with
+    the fin at rest in the middle of its groove, and after the last extension the front fin does not hold.
+    """
+    moved = []
+    for index, half in enumerate(halves):
+        module = motion.rear if half.fin is Fin.REAR else motion.front
+        until = halves[min(index + 1, len(halves) - 1)].end
+        distance = np.diff(np.interp([half.start, until], motion.time, module))[0]
+        if index == 0:
+            distance += 0.5 * parameters.clearance
+        moved.append(max(round(float(distance) / parameters.pitch), 0))
+    return moved
+
+
+def _known(halves: Sequence[HalfCycle], index: int, moved: int) -> int | None:
+    """Return the number of grooves if it is certain enough to search for as many switches, else None."""
+    return None if index in (0, len(halves) - 1) else moved
+
+
+def _place(motion: Motion, half: HalfCycle, switches: Switches) -> float:
+    """Return the body length at the last switch, m, negative for the rear fin so that it grows with the travel."""
+    if not switches.times:
+        return math.nan
+    length = float(motion.length_at(switches.times[-1]))
+    return -length if half.fin is Fin.REAR else length
+
+
+def _length(half: HalfCycle, place: float) -> float:
+    return -place if half.fin is Fin.REAR else place
+
+
+def _usual(places: Sequence[float], pitch: float) -> float:
+    """Return the median of those places that are within half a pitch of the farthest, NaN without any."""
+    known = np.array([place for place in places if math.isfinite(place)])
+    if not known.size:
+        return math.nan
+    residual = known - pitch * np.round((known - np.median(known)) / pitch)  # all at one switch
+    agree = known[np.abs(residual - np.median(residual)) < _UNUSUAL_M]
+    return float(np.median(agree[agree > agree.max() - 0.5 * pitch])) if agree.size else math.nan

@@ -1,0 +1,249 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Next gait for a requested probability to keep the grooves, from the measured margins of the runs so far.
+
+The margins of both fins are linear in the gait, about the gaits that were run (`MarginModel`). A longer stroke gives
+the rear fin more margin. It gives the front one none: above some frequency the cable, which cannot push, leaves the
+bellows too little time to extend the body, and only a lower frequency helps. So a tuned gait has the smallest stroke
+with the requested probability, at the frequency of the last run or the highest one below at which the front fin has its
+margin.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from worm_model.gait import FREQUENCY_RANGE, Gait
+from worm_model.margin.half_cycles import Fin
+from worm_model.margin.keeping import (
+    MarginBelief,
+    MarginModel,
+    Probability,
+    keeps_probability,
+)
+from worm_model.margin.measured_margin import RunMargin
+from worm_model.parameters import Parameters
+from worm_optimizer.evaluation.command_shape import shapes_of_gaits
+from worm_optimizer.evaluation.task import MarginTask
+
+_STEP_M = 0.0005  # of the stroke
+_SAME_M = 0.0015  # difference of a stroke from the smallest one below which the run is not repeated
+_RESERVE_M = 0.0005  # of the stroke, so that the next run confirms its probability
+_SLOWER = 0.98  # step of the frequency
+_SLOWEST_STEP = 0.6  # of the frequency from one run to the next
+_WORTHWHILE_M = 0.0005  # increase of the front margin for which a lower frequency is tried
+_MEASURED_OFFSET_M = (
+    0.05  # standard deviation of the prior of the margin of the first gait: it is measured
+)
+# m per unit of ln f, change of the margin with the frequency and its standard deviation. The front margin changes only
+# above the corner, from which the bellows has too little time to extend the body. Values of robots whose cable cannot
+# push, between 0.1 and 0.4 Hz.
+_REAR_BY_FREQUENCY = (-0.001, 0.001)
+_FRONT_BY_FREQUENCY = (-0.010, 0.004)
+_CORNER = 0.18  # corner frequency times c_b/k_b
+_BY_STROKE_SHARE = (
+    0.15  # relative standard deviation of the change of the rear margin with the stroke
+)
+_FRONT_BY_STROKE = (
+    -0.05,
+    0.03,
+)  # change of the front margin with the stroke, and its standard deviation
+_FRONT_BY_PRETENSION = (
+    0.3  # relative standard deviation of the change of the front margin with the pretension
+)
+
+
+class TuneState(enum.Enum):
+    """Outcome: run the gait and measure, the last run's gait has the probability, or no gait has it."""
+
+    RUN = "run"
+    DONE = "done"
+    IMPOSSIBLE = "impossible"
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Outcome of a step: the gait to run, or the last one, its expected probability, and the reason."""
+
+    state: TuneState
+    gait: Gait
+    keeps: Probability
+    reason: str
+
+
+@dataclass(frozen=True)
+class GaitLimits:
+    """Largest stroke (m) as a function of a gait, whose own stroke does not count, and the lowest frequency (Hz)."""
+
+    largest_stroke: Callable[[Gait], float]
+    lowest_frequency: float = FREQUENCY_RANGE[0]
+
+
+def limits_of(task: MarginTask) -> GaitLimits:
+    """Return the limits of a task: its box, and the limits of its actuators."""
+    strokes = np.arange(task.bounds.stroke_low, task.bounds.stroke_high + 1e-9, _STEP_M)
+
+    def largest_stroke(gait: Gait) -> float:
+        tried = strokes[strokes + gait.pretension <= task.bounds.stroke_high + 1e-9]
+        shape = shapes_of_gaits([gait] * tried.size)
+        within = tried[task.excess(tried, np.full(tried.size, gait.frequency), shape) <= 0.0]
+        return float(within.max(initial=0.0))
+
+    return GaitLimits(largest_stroke, task.bounds.frequency_low)
+
+
+@dataclass(frozen=True)
+class _Knowledge:
+    """Margins of all runs as linear models about the gait of the last run."""
+
+    models: dict[Fin, MarginModel]
+    about: Gait
+
+    corner: float  # Hz
+
+    def beliefs(self, gait: Gait) -> dict[Fin, MarginBelief]:
+        return {
+            fin: model.at(_terms(fin, gait, self.about, self.corner))
+            for fin, model in self.models.items()
+        }
+
+    def keeps(self, gait: Gait) -> Probability:
+        return keeps_probability(*self.beliefs(gait).values())
+
+
+def next_gait(
+    runs: Sequence[RunMargin], probability: float, limits: GaitLimits, parameters: Parameters
+) -> Tuning | None:
+    """Return the next step of tuning, None if the last run or a fin of it was not measured.
+
+    Args:
+        runs: measured margins of the runs so far, the last one last, all for the same number of grooves.
+        probability: requested probability that a cycle keeps its grooves.
+        limits: limits of the robot.
+        parameters: parameters of the robot; approximate ones suffice.
+    """
+    if not runs or runs[-1].keeps is None:
+        return None
+    last = runs[-1].gait
+    known = _knowledge(runs, parameters)
+    keeps = known.keeps(last)
+    smallest = _smallest_stroke(known, last, probability, limits)
+    if smallest is not None and keeps.value >= probability:
+        if last.stroke - smallest.stroke <= _SAME_M:
+            return Tuning(TuneState.DONE, last, keeps, _margins(known, last))
+        return _run(known, smallest, "a shorter stroke keeps the grooves, too")
+    if smallest is not None:
+        reserve = min(smallest.stroke + _RESERVE_M, limits.largest_stroke(smallest))
+        return _run(known, replace(smallest, stroke=reserve), _margins(known, last))
+    return _slower(known, last, probability, limits)
+
+
+def _slower(known: _Knowledge, last: Gait, probability: float, limits: GaitLimits) -> Tuning:
+    """Return the gait at the highest lower frequency with the probability, or the next one towards it."""
+    lowest = max(_SLOWEST_STEP * last.frequency, limits.lowest_frequency)
+    reason = f"{_margins(known, last)}; a longer stroke does not help"
+    gait = last
+    while gait.frequency > lowest:
+        gait = replace(gait, frequency=max(_SLOWER * gait.frequency, lowest))
+        found = _smallest_stroke(known, gait, probability, limits)
+        if found is not None:
+            return _run(known, found, reason)
+    if _gain_of_front(known, gait) > _WORTHWHILE_M:
+        stroke = min(gait.stroke, limits.largest_stroke(gait))
+        return _run(known, replace(gait, stroke=stroke), reason)
+    longer = _rear_stroke(known, last, probability, limits)
+    if longer is not None and longer > last.stroke + _SAME_M:
+        return _run(known, replace(last, stroke=longer), _margins(known, last))
+    return Tuning(
+        TuneState.IMPOSSIBLE,
+        last,
+        known.keeps(last),
+        f"{reason} within the limits, nor a slower gait",
+    )
+
+
+def _gain_of_front(known: _Knowledge, gait: Gait) -> float:
+    """Return the increase (m) of the front margin from the last run's gait to another one."""
+    before, after = (known.beliefs(each)[Fin.FRONT].expected for each in (known.about, gait))
+    return after - before
+
+
+def _rear_stroke(
+    known: _Knowledge, gait: Gait, probability: float, limits: GaitLimits
+) -> float | None:
+    """Return the smallest stroke (m) at which the rear fin loses at most half of the cycles that may be lost."""
+    for stroke in np.arange(gait.stroke, limits.largest_stroke(gait) + 1e-9, _STEP_M):
+        rear = known.beliefs(replace(gait, stroke=float(stroke)))[Fin.REAR]
+        if rear.chance >= 0.5 * (1.0 + probability):
+            return float(stroke)
+    return None
+
+
+def _smallest_stroke(
+    known: _Knowledge, gait: Gait, probability: float, limits: GaitLimits
+) -> Gait | None:
+    """Return the gait with the smallest stroke that has the probability, None if no admissible stroke has it."""
+    largest = limits.largest_stroke(gait)
+    for stroke in np.arange(0.3 * gait.stroke, largest + 1e-9, _STEP_M):
+        trial = replace(gait, stroke=float(stroke))
+        beliefs = known.beliefs(trial)
+        if beliefs[Fin.REAR].chance * beliefs[Fin.FRONT].chance >= probability:
+            return trial
+    return None
+
+
+def _run(known: _Knowledge, gait: Gait, reason: str) -> Tuning:
+    gait = replace(gait, stroke=round(gait.stroke, 5), frequency=round(gait.frequency, 4))
+    return Tuning(TuneState.RUN, gait, known.keeps(gait), reason)
+
+
+def _margins(known: _Knowledge, gait: Gait) -> str:
+    """Return the expected margins of both fins as text."""
+    return ", ".join(
+        f"{fin.value} {belief.expected * 1e3:.1f} ± {belief.expected_scatter * 1e3:.1f} mm"
+        for fin, belief in known.beliefs(gait).items()
+    )
+
+
+def _knowledge(runs: Sequence[RunMargin], parameters: Parameters) -> _Knowledge:
+    about = runs[-1].gait
+    p = parameters
+    corner = _CORNER * p.bellows_stiffness / p.bellows_damping
+    by_stroke = p.gain / (1.0 + p.disengaged_stiffness / p.engaged_stiffness)
+    priors = {
+        Fin.REAR: ([by_stroke], [_BY_STROKE_SHARE * by_stroke]),
+        Fin.FRONT: (
+            [_FRONT_BY_STROKE[0], -by_stroke],
+            [_FRONT_BY_STROKE[1], _FRONT_BY_PRETENSION * by_stroke],
+        ),
+    }
+    models = {}
+    for fin, (expected, spread) in priors.items():
+        margins = [run.margins(fin) for run in runs]
+        terms = [
+            np.tile(_terms(fin, run.gait, about, corner), (margin.size, 1))
+            for run, (margin, _, _) in zip(runs, margins, strict=True)
+        ]
+        slope, slope_sd = _REAR_BY_FREQUENCY if fin is Fin.REAR else _FRONT_BY_FREQUENCY
+        margin, sds, place = (np.concatenate(columns) for columns in zip(*margins, strict=True))
+        models[fin] = MarginModel(
+            margin,
+            sds,
+            place,
+            np.concatenate(terms),
+            np.array([0.0, slope, *expected]),
+            np.array([_MEASURED_OFFSET_M, slope_sd, *spread]),
+        )
+    return _Knowledge(models, about, corner)
+
+
+def _terms(fin: Fin, gait: Gait, about: Gait, corner: float) -> list[float]:
+    """Return the terms of a gait on which the margin of a fin depends linearly, zero but the first for ``about``."""
+    if fin is Fin.REAR:
+        return [1.0, math.log(gait.frequency / about.frequency), gait.reach - about.reach]
+    faster = math.log(max(gait.frequency, corner) / max(about.frequency, corner))
+    return [1.0, faster, gait.stroke - about.stroke, gait.pretension - about.pretension]
