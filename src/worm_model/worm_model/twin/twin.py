@@ -24,7 +24,7 @@ from worm_model.simulation.kernel.actuation_law import Actuator
 from worm_model.simulation.kernel.mode import Constants
 from worm_model.simulation.kernel.whole_run import constants_of
 from worm_model.simulation.rows import parameter_rows
-from worm_model.twin.cause_table import CAMERA_MOVED, CLOCK_JUMP, GAP
+from worm_model.twin.cause_table import CAMERA_MOVED, CLOCK_JUMP, GAP, NEAR_EDGE
 from worm_model.twin.core import estimator, sample_buffer
 from worm_model.twin.core.memory import (
     NANOSECONDS,
@@ -39,7 +39,15 @@ from worm_model.twin.core.memory import (
 )
 from worm_model.twin.data.records import Event, Health, Severity, residual_message
 from worm_model.twin.data.samples import SampleRows
-from worm_model.twin.diagnosis import CycleSeen, History, explains, judge_cycle, off_at_end
+from worm_model.twin.diagnosis import (
+    CycleSeen,
+    History,
+    edges_of,
+    explains,
+    judge_cycle,
+    off_at_end,
+)
+from worm_model.twin.edges import Edge, edge_of
 from worm_model.twin.findings import INFORMATION, Finding, Sentence
 from worm_model.twin.run_margins import MarginRecord, RunPositions
 from worm_model.twin.run_start import DriverState, begin_run, driver_state_of, is_new_run
@@ -329,8 +337,20 @@ class _Call:
         state.clock_set = state.clock_set and driver.gait is None
         # At the onset the twin resets its position to the tracker's, so earlier position residuals no longer count.
         m["channel_ns"][POSITION] = m["channel_level"][POSITION] = 0
+        m["edge_slack"] = 0.0
+        if state.gait is not None:
+            self._report_edge(start, edge_of(state.gait, twin.effective_parameters(state)))
         rules, c, a, p = self.model()
         estimator.begin_track(state.memory, start, rules, c, a, p, self.room)
+
+    def _report_edge(self, stamp: int, edge: Edge) -> None:
+        """Report an edge once per run. From then on, a whole groove does not affect the health."""
+        m = self.state.record
+        if edge.is_near and not m["edge_slack"]:
+            m["edge_slack"] = self.twin.parameters.pitch
+            self.events.append(
+                Event(stamp, Severity.INFO, edge.text, NEAR_EDGE.code, run=int(m["run"]))
+            )
 
     def _reject(self, driver: DriverState, reason: str) -> None:
         """Mark a run as not to be judged, and report the reason."""
@@ -369,9 +389,12 @@ class _Call:
             bool(m["length_seen"]),
             float(m["blind_s"]),
             number == state.joined_cycle,
+            gait.direction * int(m["rear_groove"] - m["cycle_groove"]),
         )
         not_judged = self._unusable
         if not not_judged:
+            for edge in edges_of(cycle):
+                self._report_edge(stamp, edge)
             findings, not_judged = self._judge(cycle)
             for finding in findings:
                 self._follow(finding, stamp, gait)
@@ -381,7 +404,7 @@ class _Call:
         self.cycles.append(ClosedCycle(int(m["start_ns"]), number, not_judged))
         state.memory.sums[:] = 0.0
         m["blind_s"] = 0.0
-        m["cycle"] = number + 1
+        m["cycle"], m["cycle_groove"] = number + 1, m["rear_groove"]
         m["cycle_end_ns"] = m["start_ns"] + round((number + 1) * gait.period * NANOSECONDS)
 
     def _judge(self, cycle: CycleSeen) -> tuple[list[Finding], str]:
@@ -456,6 +479,8 @@ class _Call:
             m["channel_ns"][POSITION] = m["channel_level"][POSITION] = 0
         if np.isfinite(finding.initial_length):
             m["initial_length"], m["length_fitted"] = finding.initial_length, 1
+        if finding.silent:
+            return
         code, text = finding.code.code, finding.text
         severity = Severity.WARNING if code else Severity.INFO
         run = int(m["run"])
