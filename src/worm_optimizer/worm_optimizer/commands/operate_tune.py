@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The action `operate tune`: runs of a gait and its successors until the measured margin suffices."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from worm_model.commands.command_line import FAILED, Parser, print_result
+from worm_msgs.gait import Gait
+from worm_optimizer.commands.objective_options import add_objective
+from worm_optimizer.commands.operate_run import attended, conditions_of, own_gait, requested
+from worm_optimizer.commands.tune import (
+    add_tuning_options,
+    described,
+    limits_of_options,
+    measured_step,
+    tuning_json,
+)
+from worm_optimizer.nodes.operator_node import GaitFailedError, OperatorNode
+from worm_optimizer.operation.bring_up import CYCLES, ProgressLog
+from worm_optimizer.operation.campaign_runs import require_tracker
+from worm_optimizer.operation.recorded_run import new_bag, recorded
+from worm_optimizer.operation.tuning_runs import Tuned, tune_gait
+from worm_optimizer.robot_commands import GaitCommand
+from worm_optimizer.robustness.tuning import TuneState, Tuning
+
+
+def add_tune(parser: Parser) -> None:
+    """Add the options of `tune`."""
+    parser.add_gait()
+    add_objective(parser)
+    add_tuning_options(parser)
+    parser.add_conditions(None)
+    parser.add_argument(
+        "--record",
+        type=Path,
+        default=Path("bags"),
+        metavar="FOLDER",
+        help="record each run into a new bag in this folder (default: bags)",
+    )
+    parser.add_parameters()
+
+
+def check_tune(options: argparse.Namespace) -> None:
+    """Raise `InputError` for inadmissible options, before anything is requested."""
+    own_gait(options)
+    limits_of_options(options, options.direction)
+
+
+def tune(node: OperatorNode, options: argparse.Namespace) -> int:
+    """Tune the gait of the options on the robot, and print the last step."""
+    say = ProgressLog("operate")
+    require_tracker(node)
+    conditions = conditions_of(node, options, say)
+    limits = limits_of_options(options, options.direction)
+    gait, grooves = _first(node, options, say)
+
+    def record(gait: Gait, number: int) -> Path:
+        name = f"{os.getpid()}_{number}"
+        bag = new_bag(options.record, "tune")
+        with recorded(node, bag, options.parameters, conditions, name) as path:
+            result = attended(node, GaitCommand(gait, CYCLES), say)
+        if not result.success:
+            raise GaitFailedError(f"run {number}: {result.message}")
+        return path
+
+    def measure(bags: Sequence[Path]) -> Tuning:
+        return measured_step(bags, grooves, options.probability, options.parameters, limits, say)
+
+    return _print(options, tune_gait(gait, record, measure, say))
+
+
+def _first(
+    node: OperatorNode, options: argparse.Namespace, say: ProgressLog
+) -> tuple[Gait, int | None]:
+    """Return the first gait and the grooves per cycle to keep, None for those that its runs gain."""
+    own = own_gait(options)
+    if own is not None:
+        return own, options.grooves
+    answer = requested(node, options, say)
+    return answer.gait, options.grooves or round(answer.grooves_per_cycle)
+
+
+def _print(options: argparse.Namespace, tuned: Tuned) -> int:
+    step = tuned.step
+    content = {**tuning_json(step), "bags": [str(bag) for bag in tuned.bags]}
+    print_result(options, content, "\n".join([*map(str, tuned.bags), described(step)]))
+    if step.state is TuneState.DONE:
+        return 0
+    if step.state is TuneState.RUN:
+        text = f"not done after {len(tuned.bags)} runs; continue with the gait that is printed"
+        print(f"operate: {text}", file=sys.stderr)  # noqa: T201
+    else:
+        print(f"operate: impossible: {step.reason}", file=sys.stderr)  # noqa: T201
+    return FAILED
