@@ -11,6 +11,7 @@ EXECUTABLES: list[str] = [  # "executable = module:function"; each is installed 
     "optimize = worm_optimizer.commands.optimize:main",
     "scan_margin = worm_optimizer.commands.scan_margin:main",
     "request = worm_optimizer.commands.request:main",
+    "tune = worm_optimizer.commands.tune:main",
     "demo = worm_optimizer.nodes.executables:demo",
     "report = worm_optimizer.commands.report:main",
     "start = worm_optimizer.nodes.executables:start",

@@ -23,7 +23,7 @@ from worm_model.margin.cycle_margin import SHARED_SD_M
 
 # Prior of the scatter: its median in m, and the standard deviation of its logarithm. A pitch that varies by 1 % gives
 # 0.5 mm, one that varies by 1.5 % gives 0.8 mm.
-_SCATTER_M, _LOG_SCATTER_SD = 0.00045, 0.35
+_SCATTER_M, _LOG_SCATTER_SD = 0.0004, 0.3
 _OF_CYCLE = (
     0.2  # share of the variance that differs from cycle to cycle, such as that of the threshold
 )
@@ -73,11 +73,6 @@ class MarginBelief:
         """Probability that the next margin is positive."""
         kept, weight = self.keeps()
         return float(kept @ weight)
-
-    @property
-    def chance_if_known(self) -> float:
-        """Probability that the next margin is positive if the mean were known to be the expected one."""
-        return float(self.weight @ ndtr(self.mean / self.scatter))
 
     def keeps(self) -> tuple[Array, Array]:
         """Return the probabilities that a margin is positive, and their weights, shape (n,) each."""

@@ -44,6 +44,14 @@ def add_scan_options(parser: Parser) -> None:
     parser.add_parameters()
 
 
+def add_limit_options(parser: Parser) -> None:
+    """Add the options for the box of gaits and the limits of the robot."""
+    kinds = ("stroke", "frequency", "limits.")
+    _add_settings(
+        parser, tuple(r for r in search_settings.SCAN_SETTINGS if r.parameter.startswith(kinds))
+    )
+
+
 def add_campaign_options(parser: Parser) -> None:
     """Add the options for the settings of a front. `robot_options.add_robot` adds those for the conditions."""
     rows = (*search_settings.SCAN_SETTINGS, *search_settings.FRONT_SETTINGS)

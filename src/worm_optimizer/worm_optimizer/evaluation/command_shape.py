@@ -3,12 +3,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from worm_msgs.gait import GAIT_DEFAULTS, SHAPE, Profile
+from worm_msgs.gait import GAIT_DEFAULTS, SHAPE, Gait, Profile
 
 Array = NDArray[np.float64]
 Shapes = NDArray[np.void]  # structured array with the fields of SHAPE_ROW
@@ -32,6 +33,13 @@ def shapes_of(count: int, **fields: ArrayLike) -> Shapes:
     for name, values in fields.items():
         shape[name] = values
     return shape
+
+
+def shapes_of_gaits(gaits: Iterable[Gait]) -> Shapes:
+    """Return the command shapes of gaits."""
+    chosen = list(gaits)
+    names = SHAPE_ROW.names or ()
+    return shapes_of(len(chosen), **{name: [getattr(g, name) for g in chosen] for name in names})
 
 
 def peak_rate(shape: Shapes) -> Array:

@@ -241,7 +241,7 @@ class MarginTask:
         violation = np.ones(strokes.shape)
         power = table.power.copy()
         gaits = strokes[moving], frequencies[moving], shapes[moving]
-        violation[moving] = self._excess(*gaits)
+        violation[moving] = self.excess(*gaits)
         power[moving] += self.held_power(*gaits)
         return Points(strokes, frequencies, table.speed, power, count, violation, shapes)
 
@@ -283,7 +283,7 @@ class MarginTask:
         peak = peaks(stroke, frequency, self.direction, self.parameters, shape=shape)
         return self.holding_power * peak.mean_force
 
-    def _excess(self, stroke: Array, frequency: Array, shape: Shapes) -> Array:
+    def excess(self, stroke: Array, frequency: Array, shape: Shapes) -> Array:
         """Return the relative excess of moving gaits over the limits; 1 for gaits that cannot be simulated."""
         if self.limits == NO_LIMITS:
             return np.full(stroke.shape, -1.0)

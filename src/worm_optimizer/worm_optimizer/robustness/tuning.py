@@ -27,6 +27,8 @@ from worm_model.margin.keeping import (
 )
 from worm_model.margin.measured_margin import RunMargin
 from worm_model.parameters import Parameters
+from worm_optimizer.evaluation.command_shape import shapes_of_gaits
+from worm_optimizer.evaluation.task import MarginTask
 
 _STEP_M = 0.0005  # of the stroke
 _SAME_M = 0.0015  # difference of a stroke from the smallest one below which the run is not repeated
@@ -46,7 +48,10 @@ _CORNER = 0.18  # corner frequency times c_b/k_b
 _BY_STROKE_SHARE = (
     0.15  # relative standard deviation of the change of the rear margin with the stroke
 )
-_FRONT_BY_STROKE = 0.1  # standard deviation of the change of the front margin with the stroke
+_FRONT_BY_STROKE = (
+    -0.05,
+    0.03,
+)  # change of the front margin with the stroke, and its standard deviation
 _FRONT_BY_PRETENSION = (
     0.3  # relative standard deviation of the change of the front margin with the pretension
 )
@@ -76,6 +81,19 @@ class GaitLimits:
 
     largest_stroke: Callable[[Gait], float]
     lowest_frequency: float = FREQUENCY_RANGE[0]
+
+
+def limits_of(task: MarginTask) -> GaitLimits:
+    """Return the limits of a task: its box, and the limits of its actuators."""
+    strokes = np.arange(task.bounds.stroke_low, task.bounds.stroke_high + 1e-9, _STEP_M)
+
+    def largest_stroke(gait: Gait) -> float:
+        tried = strokes[strokes + gait.pretension <= task.bounds.stroke_high + 1e-9]
+        shape = shapes_of_gaits([gait] * tried.size)
+        within = tried[task.excess(tried, np.full(tried.size, gait.frequency), shape) <= 0.0]
+        return float(within.max(initial=0.0))
+
+    return GaitLimits(largest_stroke, task.bounds.frequency_low)
 
 
 @dataclass(frozen=True)
@@ -168,16 +186,12 @@ def _rear_stroke(
 def _smallest_stroke(
     known: _Knowledge, gait: Gait, probability: float, limits: GaitLimits
 ) -> Gait | None:
-    """Return the gait with the smallest stroke that has the probability, None if no admissible stroke has it.
-
-    What a further run at the same frequency would show counts as known: so the mean margin of the front fin, which the
-    stroke hardly changes, is taken without its uncertainty unless the stroke alone decides.
-    """
+    """Return the gait with the smallest stroke that has the probability, None if no admissible stroke has it."""
     largest = limits.largest_stroke(gait)
     for stroke in np.arange(0.3 * gait.stroke, largest + 1e-9, _STEP_M):
         trial = replace(gait, stroke=float(stroke))
         beliefs = known.beliefs(trial)
-        if beliefs[Fin.REAR].chance * beliefs[Fin.FRONT].chance_if_known >= probability:
+        if beliefs[Fin.REAR].chance * beliefs[Fin.FRONT].chance >= probability:
             return trial
     return None
 
@@ -202,7 +216,10 @@ def _knowledge(runs: Sequence[RunMargin], parameters: Parameters) -> _Knowledge:
     by_stroke = p.gain / (1.0 + p.disengaged_stiffness / p.engaged_stiffness)
     priors = {
         Fin.REAR: ([by_stroke], [_BY_STROKE_SHARE * by_stroke]),
-        Fin.FRONT: ([0.0, -by_stroke], [_FRONT_BY_STROKE, _FRONT_BY_PRETENSION * by_stroke]),
+        Fin.FRONT: (
+            [_FRONT_BY_STROKE[0], -by_stroke],
+            [_FRONT_BY_STROKE[1], _FRONT_BY_PRETENSION * by_stroke],
+        ),
     }
     models = {}
     for fin, (expected, spread) in priors.items():

@@ -14,7 +14,7 @@ from worm_model.loads import content_under
 from worm_model.parameters import ParameterFile, Parameters
 from worm_model.simulation.simulator import LoadError, cost_of_transport, evaluate_gait
 from worm_optimizer.evaluation.actuator_limits import NO_LIMITS, describe_limit, peaks
-from worm_optimizer.evaluation.command_shape import SHAPE_ROW, Shapes, shapes_of
+from worm_optimizer.evaluation.command_shape import shapes_of_gaits
 from worm_optimizer.evaluation.task import Array, Index, MarginTask, Points, Task
 from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.optimizer_errors import OptimizerError
@@ -129,7 +129,9 @@ def pushing_warning(gaits: Sequence[Gait], parameters: Parameters) -> str:
     stroke, frequency = (
         np.array([getattr(g, name) for g in gaits]) for name in ("stroke", "frequency")
     )
-    push = peaks(stroke, frequency, gaits[0].direction, parameters, shape=_shapes(gaits)).push
+    push = peaks(
+        stroke, frequency, gaits[0].direction, parameters, shape=shapes_of_gaits(gaits)
+    ).push
     worst = int(np.argmax(push))
     if not push[worst] > _MOST_PUSH:
         return ""
@@ -137,13 +139,6 @@ def pushing_warning(gaits: Sequence[Gait], parameters: Parameters) -> str:
         f"at {frequency[worst]:.3f} Hz the cable pushes with {push[worst]:.0f} N in the model, which no cable can, so "
         "the success probability does not hold: choose a lower frequency, or bound this force (max_push_force)"
     )
-
-
-def _shapes(gaits: Iterable[Gait]) -> Shapes:
-    """Return the command shapes of gaits."""
-    chosen = list(gaits)
-    names = SHAPE_ROW.names or ()
-    return shapes_of(len(chosen), **{name: [getattr(g, name) for g in chosen] for name in names})
 
 
 def price_warning(price: PriceOfRobustness) -> str:
@@ -388,5 +383,7 @@ def predicted_gaits(
     (direction,) = {gait.direction for gait in gaits.values()}
     task = task_of(content, settings, direction)
     drawn = settings.samples, settings.seed
-    predictions = predict(task, content, stroke, frequency, margin, *drawn, _shapes(gaits.values()))
+    predictions = predict(
+        task, content, stroke, frequency, margin, *drawn, shapes_of_gaits(gaits.values())
+    )
     return dict(zip(gaits, predictions, strict=True))

@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Command line: the next gait for a requested probability to keep the grooves, from the recorded runs so far."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from worm_model.commands.command_line import InputError, Parser, executable, number, print_result
+from worm_model.commands.margin import measured_margins, summary
+from worm_model.gait import named_values
+from worm_model.margin.measured_margin import RunMargin
+from worm_model.parameters import load_parameter_file
+from worm_optimizer.commands.search_options import add_limit_options, chosen_settings
+from worm_optimizer.robustness.tuning import GaitLimits, Tuning, limits_of, next_gait
+from worm_optimizer.search.front import task_of
+
+
+def add_tuning_options(parser: Parser) -> None:
+    """Add the options of a tuning: the probability, the grooves, and the limits of the robot."""
+    parser.add_argument(
+        "--probability",
+        type=number,
+        default=0.99,
+        metavar="P",
+        help="probability that a cycle keeps its grooves (default: 0.99)",
+    )
+    parser.add_argument(
+        "--grooves",
+        type=int,
+        metavar="N",
+        help="grooves per cycle to keep (default: the most in any cycle of the runs but their first)",
+    )
+    add_limit_options(parser)
+
+
+def _parser() -> Parser:
+    parser = Parser(
+        prog="tune",
+        description="Measure the margins of recorded runs of one robot, and print the next gait to run: the smallest "
+        "stroke, or a lower frequency, with which both fins keep their grooves with the requested probability.",
+    )
+    parser.add_argument(
+        "bags",
+        nargs="+",
+        type=Path,
+        metavar="BAG",
+        help="recordings of one gait each, the last one last",
+    )
+    add_tuning_options(parser)
+    parser.add_parameters("the file in the bag, else the paper's values")
+    parser.add_json()
+    return parser
+
+
+def limits_of_options(options: argparse.Namespace, direction: int) -> GaitLimits:
+    """Return the limits that the options describe; raise `InputError` if they or the probability are inadmissible."""
+    if not 0.0 < options.probability < 1.0:
+        raise InputError(f"--probability {options.probability:g}: give a number between 0 and 1")
+    content = load_parameter_file(options.parameters)
+    return limits_of(task_of(content, chosen_settings(options), direction))
+
+
+def runs_of(bags: Sequence[Path], parameters: str, grooves: int | None) -> list[RunMargin]:
+    """Return the last measured run of each bag, all for the same number of grooves.
+
+    Raises:
+        InputError: A bag cannot be read, has no run in which both fins were measured, or the directions differ.
+    """
+    first = [_last_run(bag, parameters, grooves) for bag in bags]
+    wanted = grooves or max(run.grooves for run in first)
+    runs = [
+        run if run.grooves == wanted else _last_run(bag, parameters, wanted)
+        for bag, run in zip(bags, first, strict=True)
+    ]
+    if len({run.gait.direction for run in runs}) > 1:
+        raise InputError("the bags contain runs of both directions: tune each direction by itself")
+    return runs
+
+
+def _last_run(bag: Path, parameters: str, grooves: int | None) -> RunMargin:
+    measured = measured_margins(bag, parameters, grooves)
+    if not measured:
+        raise InputError(f"{bag}: no gait was run")
+    if measured[-1].keeps is None:
+        raise InputError(
+            f"{bag}: the margin was not measured: the tracker must see both modules in at least four whole cycles"
+        )
+    return measured[-1]
+
+
+def tuning_of(runs: Sequence[RunMargin], limits: GaitLimits, options: argparse.Namespace) -> Tuning:
+    """Return the next step of a tuning from its measured runs."""
+    parameters = load_parameter_file(options.parameters).parameters
+    tuning = next_gait(runs, options.probability, limits, parameters)
+    assert tuning is not None  # runs_of returns measured runs only
+    return tuning
+
+
+def tuning_json(tuning: Tuning) -> dict[str, Any]:
+    """Return a step of a tuning as a JSON object."""
+    return {
+        "state": tuning.state.value,
+        "gait": named_values(tuning.gait),
+        "keeps_probability": asdict(tuning.keeps),
+        "reason": tuning.reason,
+    }
+
+
+def described(tuning: Tuning) -> str:
+    """Return a step of a tuning as a line."""
+    gait, keeps = tuning.gait, tuning.keeps
+    what = f"{tuning.state.value}: {gait.stroke * 1e3:.2f} mm, {gait.frequency:g} Hz"
+    return f"{what}; a cycle keeps its grooves with {keeps.value:.3f} ({keeps.low:.3f} to {keeps.high:.3f}); {tuning.reason}"
+
+
+def _tune(options: argparse.Namespace) -> None:
+    runs = runs_of(options.bags, options.parameters, options.grooves)
+    tuning = tuning_of(runs, limits_of_options(options, runs[-1].gait.direction), options)
+    lines = [f"{bag}: {summary(run)}" for bag, run in zip(options.bags, runs, strict=True)]
+    print_result(options, tuning_json(tuning), "\n".join([*lines, described(tuning)]))
+
+
+main = executable(_parser, _tune)
