@@ -7,6 +7,7 @@ import argparse
 import os
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from worm_model.commands.command_line import FAILED, Parser, print_result
@@ -14,11 +15,12 @@ from worm_msgs.gait import Gait
 from worm_optimizer.commands.objective_options import add_objective
 from worm_optimizer.commands.operate_run import attended, conditions_of, own_gait, requested
 from worm_optimizer.commands.tune import (
+    Aim,
     add_tuning_options,
+    aim_of,
     described,
-    limits_of_options,
     measured_step,
-    tuning_json,
+    tuned_json,
 )
 from worm_optimizer.nodes.operator_node import GaitFailedError, OperatorNode
 from worm_optimizer.operation.bring_up import CYCLES, ProgressLog
@@ -48,7 +50,7 @@ def add_tune(parser: Parser) -> None:
 def check_tune(options: argparse.Namespace) -> None:
     """Raise `InputError` for inadmissible options, before anything is requested."""
     own_gait(options)
-    limits_of_options(options, options.direction)
+    aim_of(options, options.direction)
 
 
 def tune(node: OperatorNode, options: argparse.Namespace) -> int:
@@ -56,8 +58,7 @@ def tune(node: OperatorNode, options: argparse.Namespace) -> int:
     say = ProgressLog("operate")
     require_tracker(node)
     conditions = conditions_of(node, options, say)
-    limits = limits_of_options(options, options.direction)
-    gait, grooves = _first(node, options, say)
+    gait, aim = _first(node, options, say)
 
     def record(gait: Gait, number: int) -> Path:
         name = f"{os.getpid()}_{number}"
@@ -69,26 +70,24 @@ def tune(node: OperatorNode, options: argparse.Namespace) -> int:
         return path
 
     def measure(bags: Sequence[Path]) -> Tuning:
-        return measured_step(bags, grooves, options.probability, options.parameters, limits, say)
+        return measured_step(bags, aim, say)
 
     return _print(options, tune_gait(gait, record, measure, say))
 
 
-def _first(
-    node: OperatorNode, options: argparse.Namespace, say: ProgressLog
-) -> tuple[Gait, int | None]:
-    """Return the first gait and the grooves per cycle to keep, None for those that its runs gain."""
+def _first(node: OperatorNode, options: argparse.Namespace, say: ProgressLog) -> tuple[Gait, Aim]:
+    """Return the first gait and the aim. A requested gait is to keep the grooves that the optimizer predicts."""
+    aim = aim_of(options, options.direction)
     own = own_gait(options)
     if own is not None:
-        return own, options.grooves
+        return own, aim
     answer = requested(node, options, say)
-    return answer.gait, options.grooves or round(answer.grooves_per_cycle)
+    return answer.gait, replace(aim, grooves=aim.grooves or round(answer.grooves_per_cycle))
 
 
 def _print(options: argparse.Namespace, tuned: Tuned) -> int:
     step = tuned.step
-    content = {**tuning_json(step), "bags": [str(bag) for bag in tuned.bags]}
-    print_result(options, content, "\n".join([*map(str, tuned.bags), described(step)]))
+    print_result(options, tuned_json(tuned), "\n".join([*map(str, tuned.bags), described(step)]))
     if step.state is TuneState.DONE:
         return 0
     if step.state is TuneState.RUN:

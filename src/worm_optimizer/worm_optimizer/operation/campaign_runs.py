@@ -23,7 +23,7 @@ Prepare = Callable[[Session, str], None]
 
 _ELSEWHERE = "this run may have started at another position and with bent fins"
 _TRACKER = "tracker"
-_NO_TRACKER = "without it no speed can be measured: start the tracker in the robot's namespace"
+_NO_TRACKER = "without it neither speed nor margin can be measured: start the tracker in the robot's namespace"
 
 
 def run_gaits(

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from worm_model.gait import Gait
-from worm_optimizer.operation.bring_up import Say
 from worm_optimizer.robustness.tuning import TuneState, Tuning
 
 MOST_RUNS = 5
@@ -27,7 +26,7 @@ class Tuned:
     bags: tuple[Path, ...]
 
 
-def tune_gait(gait: Gait, record: Record, measure: Measure, say: Say) -> Tuned:
+def tune_gait(gait: Gait, record: Record, measure: Measure, say: Callable[[str], None]) -> Tuned:
     """Run a gait and its successors, at most `MOST_RUNS` in total, until one is done or none is possible.
 
     Args:

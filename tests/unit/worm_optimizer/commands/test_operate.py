@@ -48,7 +48,9 @@ def test_only_the_given_conditions_are_set_and_those_that_hold_are_returned():
 
 def test_without_an_optimizer_the_conditions_are_those_of_the_options():
     robot = Robot(has_optimizer=False)
-    assert operate_run.conditions_of(robot, options_of("--tether", "2"), print) == Conditions(tether_n=2)
+    assert operate_run.conditions_of(robot, options_of("--tether", "2"), print) == Conditions(
+        tether_n=2
+    )
     assert operate_run.conditions_of(robot, options_of(), print) == LEVEL
     assert robot.parameters == {}
 
