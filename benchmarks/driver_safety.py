@@ -13,7 +13,9 @@ from collections.abc import Callable, Mapping
 
 from benchmarks.report import Row
 from tests.helpers.driver_rig import CABLE, Rig, settings
+from worm_driver.errors import ConfigurationError
 from worm_driver.gait.gait_player import Phase
+from worm_driver.virtual_robot.wire.packet import Instruction, instruction_packet
 
 TITLE = "from a fault to a cable that stands still, and what bad data move"
 
@@ -68,7 +70,10 @@ def _cycle(rig: Rig, dice: random.Random | None) -> None:
 
 def _stopping_time(deed: Deed | None, moment: float, dice: random.Random | None) -> float:
     """Return the time (s) from the fault to the last motion of the cable."""
-    rig = Rig()
+    return _time_to_stand(Rig(), deed, moment, dice)
+
+
+def _time_to_stand(rig: Rig, deed: Deed | None, moment: float, dice: random.Random | None) -> float:
     rig.activate()
     rig.start()
     rig.run(5.0, until=lambda snapshot: snapshot.player.phase is Phase.RUNNING)
@@ -294,9 +299,35 @@ def _stops() -> list[Row]:
     ]
 
 
+#: registers of the cable servo that another program left, raw
+LEFT_OVER: Mapping[str, int] = {
+    "profile_acceleration": 5,
+    "goal_pwm": 120,
+    "position_p_gain": 50,
+    "status_return_level": 0,
+    "pwm_limit": 120,
+    "secondary_id": FIN,
+}
+
+
+def _left_over(name: str, value: int) -> Row:
+    """Return a row with what the next driver does about a register."""
+    rig = Rig()
+    row = rig.cable.model.registers[name]
+    data = row.address.to_bytes(2, "little") + row.encode(value)
+    rig.virtual.receive(instruction_packet(CABLE, Instruction.WRITE, data), rig.clock.now)
+    try:
+        rig = rig.restarted_driver()
+    except ConfigurationError as error:
+        return Row(f"another program left {name} {value}", "rejected", "", str(error))
+    stood = _time_to_stand(rig, FAULTS["stop is called"], MOMENTS[1], None)
+    return Row(f"another program left {name} {value}", f"{stood * 1e3:.0f} ms", "", "stop")
+
+
 def run() -> list[Row]:
-    """Measure faults at several moments of a gait, with a punctual and a late loop; then wrong samples and stops."""
+    """Measure wrong samples, stops, left-over registers, and faults in a gait with a punctual and a late loop."""
     rows = _bad_data() + _stops()
+    rows += [_left_over(name, value) for name, value in LEFT_OVER.items()]
     for name, deed in FAULTS.items():
         for load in ("idle", "busy"):
             dice = random.Random(1) if load == "busy" else None

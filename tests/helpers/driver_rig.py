@@ -266,7 +266,7 @@ class Rig:
             for number, ticks in goals_in(packet):
                 shaft = servos[number]._encoder.raw(servos[number].motor.position)
                 self.goals.append(WrittenGoal(now, number, ticks, shaft))
-        return [(t.time, t.data) for t in self.virtual.receive(data, now)]
+        return [(t.time, t.data) for t in self.virtual.receive(data, now, BAUD_RATE)]
 
     def _publish(self, snapshot: Snapshot) -> None:
         self.snapshots.append(snapshot)

@@ -362,9 +362,18 @@ def test_no_goal_that_was_received_before_a_stop_is_played_after_it(driver, comm
     assert commander.result(commander.send(cycles=1)).status == SUCCEEDED
 
 
-def test_a_driver_accepts_its_own_parameters_as_ros2_param_load_sets_them(driver, commander, probe):
-    """All parameters have their present values, including read-only ones and those that only a cleanup would permit."""
+def test_a_driver_accepts_its_own_parameters_as_ros2_param_load_sets_them(
+    driver, commander, probe, tmp_path
+):
+    """All parameters have their present values, including read-only ones and those that only a cleanup would permit.
+
+    The parameter file was read at configure, and may be gone.
+    """
+    file = tmp_path / "parameters.yaml"
+    file.write_text("rear_mass: 0.429\n")
+    assert commander.set_parameter("parameter_file", str(file)).successful
     commander.activate()
+    file.unlink()
     names = probe.call(ListParameters, "driver/list_parameters", ListParameters.Request())
     get = GetParameters.Request(names=names.result.names)
     values = probe.call(GetParameters, "driver/get_parameters", get).values
@@ -373,6 +382,7 @@ def test_a_driver_accepts_its_own_parameters_as_ros2_param_load_sets_them(driver
     request = SetParameters.Request(parameters=own)
     results = probe.call(SetParameters, "driver/set_parameters", request).results
     assert [n for n, r in zip(get.names, results, strict=True) if not r.successful] == []
+    file.write_text("rear_mass: 0.429\n")  # for the next configure of the shared driver
 
 
 def test_faults_of_the_power_sensor_are_samples_without_a_value(driver, commander, probe):

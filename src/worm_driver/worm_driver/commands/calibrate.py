@@ -117,7 +117,7 @@ class Calibration:
         """
         self._require_no_torque(servo)
         with self._bus.retrying():
-            servos.prepare(self._bus, servo, POSITION_MODE)
+            servos.prepare(self._bus, servo, {"operating_mode": POSITION_MODE})
         self._bus.write(servo.number, servo["led"], 1)
         try:
             question = f"servo {servo.number} ({servo.model.name}), its LED is lit"
@@ -243,7 +243,8 @@ class Calibration:
     def _torque_on(self, servo: Servo) -> None:
         """Arm the bus watchdog of a servo, and hold the servo where it is. Questions then reset the watchdog."""
         with self._bus.retrying():
-            servos.limit_motion(self._bus, servo, _SPEED, _WATCHDOG)
+            servos.reset_control(self._bus, servo, _SPEED)
+            servos.arm_watchdog(self._bus, servo, _WATCHDOG)
             position = servos.standing_position(self._bus, servo)
             self._track.record_if_plausible(servo.number, position, self._bus.now())
             self._goals.write(servo.number, position)

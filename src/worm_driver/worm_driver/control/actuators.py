@@ -10,7 +10,7 @@ from worm_driver.errors import ConfigurationError, HomingError
 from worm_driver.servos import servo_setup as servos
 from worm_driver.servos.goal_gate import Bound, GoalGate
 from worm_driver.servos.position_track import PositionSample, PositionTrack
-from worm_driver.servos.registers import COMMON, TICKS_PER_TURN
+from worm_driver.servos.registers import COMMON
 from worm_driver.servos.servo_bus import ServoBus
 from worm_driver.servos.servo_setup import Servo
 from worm_driver.servos.servo_state import SILENT, ServoState
@@ -63,6 +63,7 @@ class Actuators:
             self._set_up()
 
     def _set_up(self) -> None:
+        self._check_registers()
         for servo in self.servos:
             servos.check(self._bus, servo)
         contraction = self._held_contraction()
@@ -81,6 +82,16 @@ class Actuators:
         self.homed = all(servos.is_homed(self._bus, servo) for servo in self.cables)
         if self.settings.home_at_start and not self.homed:
             self.home()
+
+    def _check_registers(self) -> None:
+        """Check that registers which the driver does not write permit the settings. Raises ConfigurationError."""
+        settings = self.settings
+        for spool, servo in zip(settings.spools, self.cables, strict=True):
+            speed = settings.max_cable_speed / spool.radius
+            servos.require_speed(servo, speed, "limits.max_cable_speed_m_per_s")
+        for fin, servo in zip(settings.fins, self.fins, strict=True):
+            servos.require_speed(servo, settings.fin_speed, "fin_servos.speed_rad_per_s")
+            servos.require_fin(self._bus, servo, *sorted((fin.ticks(1), fin.ticks(-1))))
 
     def _held_contraction(self) -> float | None:
         """Return the contraction (m) that the cable servos hold, if an earlier driver left their torque on.
@@ -195,9 +206,12 @@ class Actuators:
             for spool, servo in zip(settings.spools, self.cables, strict=True):
                 limit = own_limit(servo, settings.limits)
                 speed = settings.max_cable_speed / spool.radius
-                servos.limit_motion(self._bus, servo, speed, settings.watchdog, limit)
+                servos.reset_control(self._bus, servo, speed, limit)
             for servo in self.fins:
-                servos.limit_motion(self._bus, servo, settings.fin_speed, settings.watchdog)
+                servos.reset_control(self._bus, servo, settings.fin_speed)
+            # Servos that have torque already must not wait for the others longer than their watchdog.
+            for servo in self.servos:
+                servos.arm_watchdog(self._bus, servo, settings.watchdog)
             positions = {servo.number: self._enable(servo) for servo in self.servos}
         self.track.begin(positions)
         self._held = {number: position.ticks for number, position in positions.items()}
@@ -221,10 +235,10 @@ class Actuators:
 
         A cable goal must lie within the range of the stroke, extended by PAYOUT_TOLERANCE at both ends. Its distance
         from the last plausible position must be at most the limit of the following error, plus the distance that the
-        cable can have moved since this position was received. A fin goal must lie within one turn.
+        cable can have moved since this position was received. A fin goal must lie within the limits of its servo.
         """
         limits = self.settings.limits
-        bounds = {fin.servo: Bound(0, TICKS_PER_TURN - 1) for fin in self.settings.fins}
+        bounds = {servo.number: Bound(*servo.position_range) for servo in self.fins}
         for spool in self.settings.spools:
             ends = (PAYOUT_TOLERANCE, -self._longest_stroke - PAYOUT_TOLERANCE)
             low, high = sorted(spool.ticks(end) for end in ends)
@@ -333,13 +347,12 @@ class Actuators:
             for spool, servo, state in zip(self.settings.spools, self.cables, states, strict=False)
         )
 
-    def fins_set(self, states: tuple[ServoState, ...], direction: int) -> bool:
-        """Return True if every fin stands still at its position for a direction (1 or -1). Return False for 0."""
-        if direction == 0:
-            return False
-        return all(
-            state is not SILENT
-            and abs(state.ticks - fin.ticks(direction)) <= _FIN_TOLERANCE
-            and abs(state.velocity) <= _FIN_STILL
+    def unset_fins(self, states: tuple[ServoState, ...], direction: int) -> tuple[int, ...]:
+        """Return the ids of the fin servos that do not stand still at their positions for a direction (1 or -1)."""
+        return tuple(
+            fin.servo
             for fin, state in zip(self.settings.fins, states[len(self.cables) :], strict=True)
+            if state is SILENT
+            or abs(state.ticks - fin.ticks(direction)) > _FIN_TOLERANCE
+            or abs(state.velocity) > _FIN_STILL
         )

@@ -156,12 +156,13 @@ def _cause_of_lateness(timing: TimingReport, period: float, scheduling: Scheduli
     )
 
 
-def power_report(counts: dict[SampleStatus, int], where: str) -> Report:
+def power_report(counts: dict[SampleStatus, int], where: str, reversed_current: str) -> Report:
     """Return the report on the power sensor.
 
     Args:
         counts: number of samples in the last second, by status.
         where: chip, address and bus of the sensor.
+        reversed_current: see `ina219.reversed_current`.
     """
     total = sum(counts.values())
     bad = {
@@ -182,6 +183,8 @@ def power_report(counts: dict[SampleStatus, int], where: str) -> Report:
     elif counts.get(SampleStatus.VALID, 0) < counts.get(SampleStatus.NOT_READY, 0):
         level = Level.WARN
         message = "the sensor makes few new conversions, or returns identical bits: check its supply and bus"
+    elif reversed_current:
+        level, message = Level.WARN, reversed_current
     else:
         level, message = Level.OK, "ok"
     values = tuple((status.name.lower(), str(counts.get(status, 0))) for status in SampleStatus)

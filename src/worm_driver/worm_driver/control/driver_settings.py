@@ -75,6 +75,12 @@ class DriverSettings:
             if ids.count(number) > 1:
                 raise ConfigurationError(f"two servos have the id {number}")
 
+        if self.period >= self.watchdog:
+            raise ConfigurationError(
+                f"rate_hz is {self.rate:g}: the servos stop by their watchdog (bus_watchdog_s, {self.watchdog:g} s) "
+                f"between two cycles. Use a rate above {1.0 / self.watchdog:g} Hz, or a longer watchdog"
+            )
+
     @property
     def period(self) -> float:
         """Period of the control cycle, s."""

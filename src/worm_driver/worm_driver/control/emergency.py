@@ -3,6 +3,7 @@
 
 import os
 import re
+import tempfile
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -92,8 +93,8 @@ class EmergencyLatch:
     def adopt(self, names: Iterable[str]) -> str:
         """Load the emergency stop from the files with these names, see `latch_names`. Later calls use these files.
 
-        If the stop is on, the missing files are created. Return a message if a file cannot be read or written, else an
-        empty string.
+        If the stop is on, the missing files are created. Return a message if a file cannot be read, or if a stop cannot
+        be stored in the folder, else an empty string.
         """
         self._paths = [self.folder / name for name in names]
         try:
@@ -101,7 +102,19 @@ class EmergencyLatch:
         except OSError as error:  # a folder that this user may not read may hold a stop
             self.on = True
             return f"the emergency stop is on, as its files cannot be read: {error}"
-        return self._store() if self.on else ""
+        return self._store() if self.on else self._why_not_writable()
+
+    def _why_not_writable(self) -> str:
+        """Return why a stop could not be stored, and the next step; empty if it could."""
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=self.folder):
+                return ""
+        except OSError as error:
+            return (
+                f"an emergency stop would not be stored for the next driver ({error}): make {self.folder} writable for "
+                "this user, or set WORM_STATE_DIRECTORY to a writable folder, and start the driver again"
+            )
 
     def latch(self) -> str:
         """Turn the stop on. Return a message if the stop is on but could not be stored, else an empty string."""

@@ -16,7 +16,13 @@ from worm_driver.control.robot import Robot
 from worm_driver.control.snapshot import Snapshot
 from worm_driver.errors import ConfigurationError, DriverError
 from worm_driver.power import i2c
-from worm_driver.power.ina219 import INA219, PowerSample, SampleStatus, calibration_for
+from worm_driver.power.ina219 import (
+    INA219,
+    PowerSample,
+    SampleStatus,
+    calibration_for,
+    reversed_current,
+)
 from worm_driver.servos import serial_port
 from worm_driver.servos.bus_types import BusCounters
 from worm_driver.servos.registers import ServoModel
@@ -27,6 +33,8 @@ from worm_driver.virtual_robot.wire.virtual_clock import I2C, SERIAL, clock_of
 _ANSWERS = 2
 #: Factor by which late cycles may prolong a return to rest, which does not catch up.
 _LATENESS = 2.0
+#: Number of valid power samples after configure whose mean must not be negative.
+_FIRST_SAMPLES = 10
 #: Age of the oldest unread snapshot beyond which the robot enters FAULT, s.
 _LISTENING_TIMEOUT = 3.0
 #: Number of unread snapshots beyond which a virtual robot's time waits for their reader.
@@ -58,6 +66,7 @@ class Hardware:
         loop: control loop.
         snapshots: queue of the snapshots of all cycles, oldest first. The reader removes them; none is ever dropped.
         samples: queue of the power sensor's samples, oldest first. The reader removes them; none is ever dropped.
+        warnings: queue of warnings about the devices, for the log. The reader removes them.
 
     Raises:
         DriverError: A device is missing or does not match the settings. The open devices are closed again.
@@ -74,6 +83,9 @@ class Hardware:
         self._longest_stroke = settings.max_stroke
         self.snapshots: deque[Snapshot] = deque()
         self.samples: deque[PowerSample] = deque()
+        self.warnings: deque[str] = deque()
+        self._first_samples: list[PowerSample] = []
+        self._reversed_current = ""
         self._power_counts: Counter[SampleStatus] = Counter(dict.fromkeys(SampleStatus, 0))
         self._power: PowerLoop | None = None
         with contextlib.ExitStack() as opened:
@@ -208,7 +220,9 @@ class Hardware:
             where = (
                 f"INA219 0x{self.settings.power.i2c_address:02X} on {self.settings.power.i2c_bus}"
             )
-            reports.append(diagnostics.power_report(power - before.power, where))
+            reports.append(
+                diagnostics.power_report(power - before.power, where, self._reversed_current)
+            )
         return reports
 
     def _check_latency(self, latency: float) -> None:
@@ -253,6 +267,16 @@ class Hardware:
     def _on_sample(self, sample: PowerSample) -> None:
         self._power_counts[sample.status] += 1
         self.samples.append(sample)
+        if sample.status is SampleStatus.VALID and len(self._first_samples) < _FIRST_SAMPLES:
+            self._first_samples.append(sample)
+            if len(self._first_samples) == _FIRST_SAMPLES:
+                self._check_current()
+
+    def _check_current(self) -> None:
+        """Queue a warning if the current at rest has the wrong sign."""
+        self._reversed_current = reversed_current(self._first_samples)
+        if self._reversed_current:
+            self.warnings.append(self._reversed_current)
 
 
 def _open_sensor(settings: PowerSettings) -> INA219 | None:

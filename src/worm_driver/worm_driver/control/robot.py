@@ -187,12 +187,14 @@ class Robot:
             BusError: A request cannot be sent.
         """
         before = math.nan
+        seen: dict[int, str] = {}
         for _ in range(_ATTEMPTS):
             cable = self.actuators.length_change(self._reader.read()[1])
+            seen |= self._reader.problems
             if abs(cable - before) <= _AGREE:
                 return cable
             before = cable
-        problems = "; ".join(f"servo {servo} {why}" for servo, why in self._reader.problems.items())
+        problems = "; ".join(f"servo {servo} {why}" for servo, why in seen.items())
         raise NoReplyError(
             f"cannot measure the length of the cable: {problems or 'its servo reports another position each time'}"
         )
@@ -379,10 +381,12 @@ class Robot:
             self.fail(now, late)
         before = self.player
         samples = self._valid_power_samples()
-        fins_set = self.actuators.fins_set(self._states, before.direction)
+        unset = self.actuators.unset_fins(self._states, before.direction)
+        fins_set = before.direction != 0 and not unset
         if fins_set:
             self._fins_set_for = before.direction
-        observation = Observation(fins_set, samples - self._idle_from, self._tracker_ready())
+        idle_samples = samples - self._idle_from
+        observation = Observation(fins_set, idle_samples, self._tracker_ready(), unset)
         settings = replace(self.settings.player, longest_step=self.settings.period)
         self._adopt(gait_player.step(self.player, now, observation, settings))
         if self.player.phase is Phase.RESTING and before.phase is not Phase.RESTING:

@@ -16,7 +16,7 @@ from itertools import pairwise
 import numpy as np
 
 from worm_driver.gait.gait_player import Run
-from worm_driver.power.ina219 import PowerSample, SampleStatus
+from worm_driver.power.ina219 import PowerSample, SampleStatus, reversed_current
 from worm_msgs.robot_parameters import STANDARD_GRAVITY, RobotParameters
 
 AVERAGED_CYCLES = 3
@@ -117,7 +117,11 @@ def run_metrics(run: Run, record: RunRecord, body: RobotParameters) -> RunMetric
     assert run.end is not None
     completed = run.cycles_completed(run.end)
     averaged = min(AVERAGED_CYCLES, completed)
-    idle_power, idle_reason = _idle_power(run, record.power)
+    rest = _rest_samples(run, record.power)
+    idle_power, idle_reason = _idle_power(run, rest)
+    wrong_sign = "" if idle_reason else reversed_current(rest)
+    if wrong_sign:
+        idle_power, idle_reason = math.nan, f"no power: {wrong_sign}"
     if run.onset is None or averaged == 0:
         reasons = _given("no cycle was completed", idle_reason)
         return RunMetrics(completed, 0, *(math.nan,) * 4, idle_power, reasons)
@@ -125,6 +129,8 @@ def run_metrics(run: Run, record: RunRecord, body: RobotParameters) -> RunMetric
     start = end - averaged / run.gait.frequency
     speed, speed_reason = _speed(run, record, start, end)
     power, power_reason = _mean_power(record.power, start, end)
+    if wrong_sign:
+        power, power_reason = math.nan, ""
     cost, cost_reason = _cost_of_transport(power, speed, body)
     reasons = _given(speed_reason, power_reason, cost_reason, idle_reason)
     travelled = run.gait.direction * (record.position_at(end)[0] - record.position_at(run.onset)[0])
@@ -211,17 +217,23 @@ def _cost_of_transport(power: float, speed: float, body: RobotParameters) -> tup
     return power / (body.mass * STANDARD_GRAVITY * abs(speed)), ""
 
 
-def _idle_power(run: Run, samples: Sequence[PowerSample]) -> tuple[float, str]:
-    """Return the mean power (W) of the first ten valid samples at rest (eq:Pidle_est), and a reason if it is NaN."""
+def _rest_samples(run: Run, samples: Sequence[PowerSample]) -> list[PowerSample]:
+    """Return the first ten valid samples at rest, or fewer."""
     if run.rest_start is None:
-        return math.nan, "no idle power: the rest did not begin"
+        return []
     end = math.inf if run.onset is None else run.onset
-    powers = [
-        sample.power
+    return [
+        sample
         for sample in samples
         if run.rest_start <= sample.time < end and sample.status is SampleStatus.VALID
-    ]
-    if len(powers) < IDLE_SAMPLES:
-        reason = f"{len(powers)} valid samples at rest, {IDLE_SAMPLES} are needed"
+    ][:IDLE_SAMPLES]
+
+
+def _idle_power(run: Run, rest: Sequence[PowerSample]) -> tuple[float, str]:
+    """Return the mean power (W) of the samples of `_rest_samples` (eq:Pidle_est), and a reason if it is NaN."""
+    if run.rest_start is None:
+        return math.nan, "no idle power: the rest did not begin"
+    if len(rest) < IDLE_SAMPLES:
+        reason = f"{len(rest)} valid samples at rest, {IDLE_SAMPLES} are needed"
         return math.nan, f"no idle power: {reason}"
-    return math.fsum(powers[:IDLE_SAMPLES]) / IDLE_SAMPLES, ""
+    return math.fsum(sample.power for sample in rest) / IDLE_SAMPLES, ""

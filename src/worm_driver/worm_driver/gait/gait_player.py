@@ -136,11 +136,13 @@ class Observation:
         fins_set: True if the fins have reached their goals.
         idle_samples: number of valid power samples since the rest began.
         tracker_ready: True if the tracker sees the robot at rest, or if there is no tracker.
+        unset_fins: ids of the fin servos that have not reached their goals.
     """
 
     fins_set: bool
     idle_samples: int
     tracker_ready: bool = True
+    unset_fins: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -314,7 +316,11 @@ def _flipping(
     if observation.fins_set and now - state.still_start >= settings.settle_time:
         return _enter(replace(state, run=replace(run, rest_start=now)), Phase.RESTING, now)
     if not observation.fins_set and now - state.phase_start > settings.flip_timeout:
-        reason = f"the fins did not reach their goals within {settings.flip_timeout:g} s"
+        fins = ", ".join(f"servo {number}" for number in observation.unset_fins)
+        reason = (
+            f"these fins did not reach their goals within {settings.flip_timeout:g} s: {fins}. Check whether something "
+            "blocks them"
+        )
         return fault(state, now, state.length_change, reason)
     return state
 

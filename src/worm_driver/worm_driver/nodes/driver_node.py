@@ -132,20 +132,27 @@ class DriverNode(LifecycleNode):
         return SetParametersResult(successful=not reason, reason=reason)
 
     def _apply_parameters(self, _: Sequence[Parameter]) -> None:
-        """Apply the parameters that take effect at once."""
-        if self._hardware is None:
+        """Apply the parameters that take effect at once. The file of the robot parameters is not read again."""
+        hardware = self._hardware
+        if hardware is None:
             return
-        warning = self._hardware.apply_settings(driver_parameters.settings(self))
+        try:
+            warning = hardware.apply_settings(
+                driver_parameters.settings(self, hardware.settings.body)
+            )
+        except DriverError as error:
+            self.get_logger().error(f"the new parameters have no effect: {error}")
+            return
         if warning:
             self.get_logger().warning(warning)
-        self.get_logger().info(self._hardware.rest_line())
+        self.get_logger().info(hardware.rest_line())
 
     # --- lifecycle -----------------------------------------------------------------------------
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Open and check the devices. Return FAILURE, with the reason in the log and the diagnostics, on an error."""
         try:
-            settings = driver_parameters.settings(self)
+            settings = driver_parameters.settings(self, driver_parameters.body(self))
             self._adopt_emergency()
             self._sole.require()
             self._hardware = Hardware(settings, self._tracker.is_ready, self._why_not_start)

@@ -16,6 +16,7 @@ from worm_driver.gait.gait_player import PlayerSettings
 from worm_driver.servos.transmission import Fin, Spool
 from worm_msgs.driver_file import DriverFile
 from worm_msgs.parameter_rows import ParameterRow
+from worm_msgs.robot_parameters import RobotParameters
 
 HEARTBEAT = "heartbeat_s"
 #: Prefixes of the names of the parameters that can be changed while the driver is configured.
@@ -90,8 +91,13 @@ def why_not_set(node: Node, parameters: Sequence[Parameter], *, configured: bool
     return ""
 
 
-def settings(node: Node) -> DriverSettings:
-    """Return the settings from the node's parameters. Raises ConfigurationError."""
+def body(node: Node) -> RobotParameters:
+    """Return the robot parameters in the file that a parameter names. Raises ConfigurationError."""
+    return load_body(node.get_parameter("parameter_file").value)
+
+
+def settings(node: Node, body: RobotParameters) -> DriverSettings:
+    """Return the settings from the node's parameters and those of the robot. Raises ConfigurationError."""
 
     def value(name: str) -> Any:
         return node.get_parameter(name).value
@@ -141,7 +147,7 @@ def settings(node: Node) -> DriverSettings:
             following_error=value("limits.max_following_error_m"),
             max_silence=value("limits.max_silence_s"),
         ),
-        body=load_body(value("parameter_file")),
+        body=body,
     )
 
 

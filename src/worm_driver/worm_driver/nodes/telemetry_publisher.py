@@ -57,8 +57,10 @@ class TelemetryPublisher:
         self.latest: Snapshot | None = None
 
     def publish(self, hardware: Hardware) -> None:
-        """Publish all data since the last call."""
+        """Publish all data, and log the warnings, since the last call."""
         clocks = self._stamps.clocks()
+        while hardware.warnings:
+            self._logger.warning(hardware.warnings.popleft())
         while hardware.samples:
             sample = hardware.samples.popleft()
             self._action.on_power(sample)

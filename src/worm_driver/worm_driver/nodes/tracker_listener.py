@@ -15,6 +15,8 @@ from worm_msgs.msg import Tracker
 _FRESH = 0.2
 #: s, time without any sample after which the driver assumes that there is no tracker; discovery takes up to 3 s
 _DISCOVERY = 5.0
+#: m, a marker farther from the origin counts as hidden, because no pipe is so long
+_FARTHEST = 1e4
 
 
 class TrackerListener:
@@ -49,7 +51,9 @@ class TrackerListener:
 
     def _on_sample(self, message: Tracker) -> None:
         now = self._last_received = self._stamps.monotonic()
-        self._stillness.observe(now, message.rear_position, message.front_position)
-        self._on_position(
-            self._stamps.clocks().monotonic(message.header.stamp), message.rear_position
+        rear, front = (
+            position if abs(position) <= _FARTHEST else math.nan
+            for position in (message.rear_position, message.front_position)
         )
+        self._stillness.observe(now, rear, front)
+        self._on_position(self._stamps.clocks().monotonic(message.header.stamp), rear)

@@ -9,6 +9,7 @@ configuration would change the range of the shunt voltage without any other sign
 
 import enum
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from worm_driver.errors import ConfigurationError, PowerSensorError
@@ -31,6 +32,10 @@ _LEAST_FULL_SCALE_V = 0.0205
 #: number of consecutive samples with identical bits at which the chip counts as frozen. With a quiet supply a few
 #: samples are identical, but seldom so many at a resolution of 4 mV and 0.1 mA (shunt of 0.1 ohm).
 FROZEN = 100
+
+#: mean current of servos at rest below which it must have the wrong sign, A. It is twice the largest offset of the chip
+#: (0.1 mV) with a shunt of 0.01 ohm. With larger shunts, the offset is a smaller current.
+_REVERSED_A = -0.02
 
 _OVERFLOW_BIT = 0b01
 _READY_BIT = 0b10
@@ -156,6 +161,17 @@ class INA219:
         self._repeats = self._repeats + 1 if bits == self._bits else 1
         self._bits = bits
         return self._repeats >= FROZEN
+
+
+def reversed_current(samples: Sequence[PowerSample]) -> str:
+    """Return a message if the mean current of valid samples of a robot at rest is negative, else an empty string."""
+    current = math.fsum(sample.current for sample in samples) / len(samples)
+    if current >= _REVERSED_A:
+        return ""
+    return (
+        f"the current at rest is {current:.2f} A, and servos at rest cannot be a source: exchange IN+ and IN- of the "
+        "INA219"
+    )
 
 
 def calibration_for(shunt_resistance: float, max_current: float) -> int:

@@ -63,6 +63,7 @@ class ServoModel:
         name: name of the model.
         minimum_firmware: oldest firmware that has a bus watchdog.
         registers: control table.
+        factory: factory values of registers in which the models differ, raw, by register name.
         strongest_current: largest value that current_limit accepts, A; NaN without such a register.
         torque_constant: stall torque divided by stall current (e-manual, Specifications), N*m/A; NaN if the servo
             measures no current.
@@ -72,6 +73,7 @@ class ServoModel:
     name: str
     minimum_firmware: int
     registers: Mapping[str, Register] = field(repr=False)
+    factory: Mapping[str, int] = field(repr=False)
     strongest_current: float = math.nan
     torque_constant: float = math.nan
 
@@ -98,6 +100,7 @@ _COMMON = (
     Register("return_delay_time", 9, 1, scale=2e-6, unit="s"),
     Register("drive_mode", 10, 1),
     Register("operating_mode", 11, 1),
+    Register("secondary_id", 12, 1),
     Register("homing_offset", 20, 4, True, _RAD, "rad"),
     Register("temperature_limit", 31, 1, unit="degC"),
     Register("max_voltage_limit", 32, 2, scale=0.1, unit="V"),
@@ -106,11 +109,18 @@ _COMMON = (
     Register("velocity_limit", 44, 4, scale=_RAD_S, unit="rad/s"),
     Register("max_position_limit", 48, 4, scale=_RAD, unit="rad"),
     Register("min_position_limit", 52, 4, scale=_RAD, unit="rad"),
+    Register("startup_configuration", 60, 1),
     Register("shutdown", 63, 1),
     Register("torque_enable", 64, 1),
     Register("led", 65, 1),
     Register("status_return_level", 68, 1),
     Register("hardware_error_status", 70, 1),
+    Register("velocity_i_gain", 76, 2),
+    Register("position_d_gain", 80, 2),
+    Register("position_i_gain", 82, 2),
+    Register("position_p_gain", 84, 2),
+    Register("feedforward_2nd_gain", 88, 2),
+    Register("feedforward_1st_gain", 90, 2),
     Register("bus_watchdog", 98, 1, True, 0.02, "s"),
     Register("goal_pwm", 100, 2, True, _PWM),
     Register("goal_velocity", 104, 4, True, _RAD_S, "rad/s"),
@@ -146,16 +156,16 @@ def _table(*own: Register) -> Mapping[str, Register]:
 
 
 def _model(row: ServoRow) -> ServoModel:
-    name = f"{row.name}-T"
-    if not row.measures_current:
-        return ServoModel(row.number, name, row.minimum_firmware, _table(*_LOAD))
+    given = {**row.initial, "velocity_limit": row.velocity_limit}
+    factory = {name: raw if isinstance(raw, int) else raw[0] for name, raw in given.items()}
     return ServoModel(
         row.number,
-        name,
+        f"{row.name}-T",
         row.minimum_firmware,
-        _table(*_current(row.current_unit)),
-        row.current_limit * row.current_unit,
-        row.stall_torque / row.stall_current,
+        _table(*(_current(row.current_unit) if row.measures_current else _LOAD)),
+        MappingProxyType(factory),
+        row.current_limit * row.current_unit if row.measures_current else math.nan,
+        row.stall_torque / row.stall_current if row.measures_current else math.nan,
     )
 
 

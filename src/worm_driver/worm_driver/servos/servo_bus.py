@@ -21,11 +21,13 @@ This module corrects the following defects of version 4.1.0 of the SDK:
 
 import contextlib
 import errno
+import math
 import os
+import re
 import select
 import termios
 import threading
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import serial
@@ -48,11 +50,17 @@ from worm_driver.servos.registers import COMMON, Register
 BROADCAST = 254
 _HEADER = b"\xff\xff\xfd"  # first three bytes of a packet; the fourth is 0
 
-#: Remedy for a silent servo. The text names all possible causes, because silence does not distinguish them.
-SILENCE_REMEDY = (
+#: Remedies, by what the bus received from a servo. Each text names all causes that the observation permits.
+_SILENCE_REMEDY = (
     "check its power, its cable, its id and the baud rate (of a virtual robot: that it runs, and that no fault was "
     "injected)"
 )
+_SHARED_ID = "that no other servo has its id (connect one servo after the other)"
+_LATE_REMEDY = "check the latency timer of the adapter and the load of the computer"
+#: Time for which a late answer explains a missing one, s.
+_REMEMBERED = 1.0
+#: Head of a status packet: header, reserved byte, id, length, instruction.
+_STATUS = re.compile(rb"\xff\xff\xfd\x00(.)..\x55", re.DOTALL)
 
 #: Timeout of a write, s. A write of pyserial would wait forever for an adapter that accepts no bytes.
 _WRITE_TIMEOUT = 0.05
@@ -152,11 +160,18 @@ class BusPort(PortHandler):
             left = left[count:]
         return len(packet)
 
-    def discard_until_quiet(self, quiet: float, longest: float) -> None:
-        """Discard bytes until the line is quiet for a time (s), for at most ``longest`` s."""
-        end = self._clock() + longest
+    def discard_until_quiet(self, quiet: float, longest: float) -> tuple[bytes, float]:
+        """Read until the line is quiet for a time (s), for at most ``longest`` s.
+
+        Returns:
+            The bytes, and the time at which the last of them were read, s.
+        """
+        arrival = self._clock()
+        end, discarded = arrival + longest, b""
         while self._clock() < end and self._wait(quiet):
-            self._read(4096)
+            arrival = self._clock()
+            discarded += self._read(4096)
+        return discarded, arrival
 
     def _read(self, length: int) -> bytes:
         data: bytes = self.ser.read(length)
@@ -239,8 +254,11 @@ class ServoBus:
     _handler: _PacketHandler = field(default_factory=_PacketHandler)
     _lock: threading.Lock = field(default_factory=threading.Lock)
     _garbled: bool = False
+    _contradictory: set[int] = field(default_factory=set)
     _settled: bool = False
     _quiet: float = 0.0
+    _unanswered: dict[int, float] = field(default_factory=dict)  # time of the oldest request, s
+    _late: dict[int, tuple[float, float]] = field(default_factory=dict)  # arrival and delay, s
 
     @staticmethod
     def open(
@@ -395,7 +413,7 @@ class ServoBus:
         if not servos:
             return self.now(), replies
         with self._question() as handler:
-            requested_at = self.now()
+            requested_at = self._begin(servos)
             self._check_sent(
                 handler.syncReadTx(self.port, start, size, list(servos), len(servos), False)
             )
@@ -415,9 +433,12 @@ class ServoBus:
                 else:
                     replies[servo] = reply
         for servo in doubted:
-            self._count(corrupt=1)
             replies.pop(servo, None)
-        self._count(errors=sum(reply.error != 0 for reply in replies.values()))
+        self._contradictory = doubted
+        self._note_answers(replies)
+        self._count(
+            corrupt=len(doubted), errors=sum(reply.error != 0 for reply in replies.values())
+        )
         if len(replies) < len(servos):
             self._count(timeouts=1)
             self._settled = False
@@ -442,10 +463,29 @@ class ServoBus:
             torque = COMMON["torque_enable"]
             self._check_sent(handler.writeTxOnly(self.port, BROADCAST, torque.address, 1, [0]))
 
-    def count_stale(self) -> None:
-        """Count an answer that is older than its request. The next request waits for a quiet line."""
+    def count_stale(self, servo: int, delay: float) -> None:
+        """Count an answer that is older than its request, by a delay (s). The next request waits for a quiet line."""
         self._count(stale=1)
+        self._late[servo] = self.now(), delay
         self._settled = False
+
+    def why_no_answer(self, servo: int, where: str = "") -> str:
+        """Return what the bus received instead of an answer of a servo to the last request, and the remedy.
+
+        ``where`` describes the bus, with a leading space.
+        """
+        arrival, delay = self._late.get(servo, (-math.inf, 0.0))
+        if self.now() - arrival < _REMEMBERED:
+            return f"answers late ({delay * 1e3:.0f} ms after a request): {_LATE_REMEDY}"
+        if servo in self._contradictory:
+            return f"sends contradictory answers, or answers out of turn: {_LATE_REMEDY}, and {_SHARED_ID}"
+        if self._garbled:
+            return f"does not answer, or its answers are garbled: check its power, its cable, and {_SHARED_ID}"
+        waited = self.now() - self._unanswered.get(servo, self.now())
+        return (
+            f"does not answer{where} (nothing arrived for {waited * 1e3:.0f} ms): {_SILENCE_REMEDY}, and "
+            "whether its answers are later than that"
+        )
 
     def count_implausible(self) -> None:
         """Count a position that its servo cannot have reached."""
@@ -476,21 +516,42 @@ class ServoBus:
 
     def _attempt(self, servo: int, packet: list[int], size: int) -> bytes:
         with self._question() as handler:
+            self._begin((servo,))
             self._check_sent(handler.txPacket(self.port, packet))
             self.port.setPacketTimeout(11 + size)
-            self._garbled = False
             while self.port.expects:
                 answer = self._receive(handler)
                 if answer is not None and answer[_ID] == servo:
+                    self._note_answers((servo,))
                     return self._content(servo, self._reply(answer), size)
+        where = f" on {self.port.port_name} at {self.port.baudrate} baud"
+        reason = f"servo {servo} {self.why_no_answer(servo, where)}"
         if self._garbled:
-            raise CorruptReplyError(
-                f"the answer of servo {servo} on {self.port.port_name} is garbled"
-            )
+            raise CorruptReplyError(reason)
         self._count(timeouts=1)
-        raise NoReplyError(
-            f"servo {servo} does not answer on {self.port.port_name} at {self.port.baudrate} baud: {SILENCE_REMEDY}"
-        )
+        raise NoReplyError(reason)
+
+    def _begin(self, servos: Sequence[int]) -> float:
+        """Record a request to servos, and return its time (s)."""
+        now, self._garbled, self._contradictory = self.now(), False, set()
+        for servo in servos:
+            self._unanswered.setdefault(servo, now)
+        return now
+
+    def _note_answers(self, servos: Iterable[int]) -> None:
+        """Record intact answers to the last request."""
+        for servo in servos:
+            self._unanswered.pop(servo, None)
+            self._late.pop(servo, None)
+
+    def _note_late(self, discarded: bytes, arrival: float) -> None:
+        """Record the servos whose answers arrived too late (s), among the discarded bytes."""
+        for head in _STATUS.finditer(discarded):
+            servo = head[1][0]
+            if servo in self._unanswered:
+                # Only the first late answer certainly belongs to the oldest request.
+                delay = self._late.get(servo, (0.0, arrival - self._unanswered[servo]))[1]
+                self._late[servo] = arrival, delay
 
     def _content(self, servo: int, reply: Reply, size: int) -> bytes:
         if reply.error:
@@ -536,7 +597,7 @@ class ServoBus:
         with self._exchange() as handler:
             if not self._settled:
                 quiet = max(self._quiet, self.port.quiet_time)
-                self.port.discard_until_quiet(quiet, longest=5 * quiet)
+                self._note_late(*self.port.discard_until_quiet(quiet, longest=5 * quiet))
                 self._settled = True
             yield handler
 

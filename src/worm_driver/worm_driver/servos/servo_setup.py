@@ -3,20 +3,23 @@
 
 A line is quiet if no late answer can arrive any more. A value on which a decision depends is read twice on a quiet
 line, because a late answer must not pass for the answer to the present request. There are two exceptions. `identify`
-pings only once. `limit_motion`, `standing_position` and `switch_on`, which belong to the switching on of the torque, do
-not wait for a quiet line before each reading. Values written to the EEPROM, and the home mark, are read back twice on a
+pings only once. `standing_position` and `switch_on`, which belong to the switching on of the torque, do
+not wait for a quiet line before each reading. All other written values are read back twice on a
 quiet line, too. Callers should enter the context `ServoBus.retrying`; `release_all` enters it itself.
+`register_rules` lists what the driver does with each register.
 
-The register led of a cable servo is its home mark: 1 means that position 0 is the cable's home. The register is in RAM.
-A reboot or a power failure reduces the position to a single turn, and always clears the mark.
+The home mark of a cable servo means that position 0 is the cable's home. It consists of led, which is 1, and of
+velocity_i_gain, which is a function of homing_offset. Both registers are in RAM. A reboot or a power failure, which
+reduce the position to a single turn, clear both, and a change of the operating mode resets the gain. A program that
+lights the LED or changes the homing offset leaves no valid mark.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
 
 from worm_driver.errors import BusError, ConfigurationError, CorruptReplyError, HomingError
 from worm_driver.servos.encoding import from_raw, to_raw, unpack_from
+from worm_driver.servos.register_rules import RULES, Treatment, required
 from worm_driver.servos.registers import (
     EXTENDED_POSITION_MODE,
     MODELS,
@@ -37,6 +40,8 @@ _STANDS = 64
 _HOME_TOLERANCE = 10
 #: Largest homing offset that the servos accept, ticks (e-manual, homing offset).
 _HOMING_OFFSET_LIMIT = 1_044_479
+#: Largest value of velocity_i_gain (e-manual). Position control does not use this gain.
+_LARGEST_GAIN = 16_383
 
 
 @dataclass(frozen=True)
@@ -47,9 +52,10 @@ class Servo:
         number: id on the bus.
         model: model with its control table.
         firmware: firmware version.
-        velocity_limit: value of the register velocity_limit, rad/s.
+        velocity_limit: value of the register velocity_limit, or the factory value if this is less, rad/s.
         voltage_range: smallest and largest supply voltage that its registers allow, V.
         temperature_limit: temperature above which the servo shuts down, degC.
+        position_range: smallest and largest goal of a fin servo, ticks.
     """
 
     number: int
@@ -58,17 +64,18 @@ class Servo:
     velocity_limit: float
     voltage_range: tuple[float, float]
     temperature_limit: float
+    position_range: tuple[int, int]
 
     def __getitem__(self, name: str) -> Register:
         return self.model[name]
 
 
 def identify(bus: ServoBus, number: int) -> Servo:
-    """Ping a servo and read its limits.
+    """Ping a servo, make it answer all requests, and check the registers that need the same value in every robot.
 
     Raises:
         BusError: The servo does not answer.
-        ConfigurationError: The model is not supported, or its firmware is too old.
+        ConfigurationError: The model is not supported, its firmware is too old, or a register has another value.
     """
     identity = bus.ping(number)
     model = MODELS.get(identity.model_number)
@@ -83,11 +90,61 @@ def identify(bus: ServoBus, number: int) -> Servo:
             f"servo {number} ({model.name}) has firmware {identity.firmware}, which has no bus watchdog: "
             f"update it to {model.minimum_firmware} or later with Dynamixel Wizard"
         )
+    # A servo may be set to answer pings only. A group write has no answer on which this could fail.
+    bus.sync_write(model["status_return_level"], {number: 2})
+    checked = required(model, Treatment.CHECKED)
+    limits = ("velocity_limit", "min_voltage_limit", "max_voltage_limit")
+    ends = ("min_position_limit", "max_position_limit")
+    values = _registers(bus, number, model, (*checked, *limits, *ends))
+    for name, raw in checked.items():
+        if values[name] != raw:
+            raise _unsuitable(number, name, values[name], raw)
+    values["velocity_limit"] = min(values["velocity_limit"], model.factory["velocity_limit"])
+    speed, low, high = (from_raw(model[name], values[name]) for name in limits)
+    temperature = from_raw(model["temperature_limit"], values["temperature_limit"])
+    ticks = values[ends[0]], values[ends[1]]
+    return Servo(number, model, identity.firmware, speed, (low, high), temperature, ticks)
 
-    names = ("velocity_limit", "min_voltage_limit", "max_voltage_limit", "temperature_limit")
-    values = _registers(bus, number, model, names)
-    speed, low, high, temperature = (from_raw(model[name], values[name]) for name in names)
-    return Servo(number, model, identity.firmware, speed, (low, high), temperature)
+
+def _unsuitable(number: int, name: str, stored: int, needed: int) -> ConfigurationError:
+    return ConfigurationError(
+        f"servo {number} has {name} {stored} instead of {needed}: {RULES[name].why}. Set it to {needed} with Dynamixel "
+        "Wizard"
+    )
+
+
+def require_speed(servo: Servo, speed: float, parameter: str) -> None:
+    """Check that a servo permits a speed (rad/s), or the speed that its model permits when new, if this is less.
+
+    Raises:
+        ConfigurationError: The velocity limit is lower. The message names ``parameter``, from which the speed results.
+    """
+    register, factory = servo["velocity_limit"], servo.model.factory["velocity_limit"]
+    needed = min(int(speed / register.scale), factory)
+    stored = to_raw(register, servo.velocity_limit)
+    if stored < needed:
+        raise ConfigurationError(
+            f"servo {servo.number} has velocity_limit {stored}, and {parameter} needs {needed}: set it to {factory} "
+            "with Dynamixel Wizard, or lower the parameter"
+        )
+
+
+def require_fin(bus: ServoBus, servo: Servo, low: int, high: int) -> None:
+    """Check that a fin servo can reach its angles, ``low`` to ``high`` ticks, counted from its encoder's zero.
+
+    Raises:
+        ConfigurationError: A register excludes an angle or shifts all angles.
+        BusError: The servo does not answer.
+    """
+    smallest, largest = servo.position_range
+    if not smallest <= low <= high <= largest:
+        raise ConfigurationError(
+            f"servo {servo.number} has min_position_limit {smallest} and max_position_limit {largest}, but its fin "
+            f"needs {low} to {high} ticks: set the limits to 0 and 4095 with Dynamixel Wizard"
+        )
+    offset = registers(bus, servo, "homing_offset")["homing_offset"]
+    if offset:
+        raise _unsuitable(servo.number, "homing_offset", offset, 0)
 
 
 def registers(bus: ServoBus, servo: Servo, *names: str) -> Mapping[str, int]:
@@ -101,7 +158,7 @@ def registers(bus: ServoBus, servo: Servo, *names: str) -> Mapping[str, int]:
 
 def _registers(
     bus: ServoBus, number: int, model: ServoModel, names: Sequence[str]
-) -> Mapping[str, int]:
+) -> dict[str, int]:
     rows = [model[name] for name in names]
     start, end = min(row.address for row in rows), max(row.end for row in rows)
 
@@ -134,32 +191,30 @@ def store(bus: ServoBus, servo: Servo, name: str, raw: int) -> None:
 
 
 def check(bus: ServoBus, servo: Servo) -> None:
-    """Check that a servo reports no fault and that its supply is in range.
+    """Check that a servo's supply is in range and that it reports no fault.
 
     Raises:
         BusError: The servo does not answer.
         ConfigurationError: The servo reports a fault, or its supply is out of range.
     """
     values = registers(bus, servo, "hardware_error_status", "present_input_voltage")
+    voltage = from_raw(servo["present_input_voltage"], values["present_input_voltage"])
+    low, high = servo.voltage_range
+    if not low <= voltage <= high:
+        raise ConfigurationError(
+            f"servo {servo.number} ({servo.model.name}) has {voltage:.1f} V, outside its min_voltage_limit {low:.1f} V "
+            f"to max_voltage_limit {high:.1f} V: check the supply and these registers"
+        )
     status = values["hardware_error_status"]
     if status:
         raise ConfigurationError(
             f"servo {servo.number} reports {hardware_error_text(status)}: remove the cause, then call the "
             "service reboot"
         )
-    voltage = from_raw(servo["present_input_voltage"], values["present_input_voltage"])
-    low, high = servo.voltage_range
-    if not low <= voltage <= high:
-        raise ConfigurationError(
-            f"servo {servo.number} ({servo.model.name}) has {voltage:.1f} V, it needs {low:.1f} to "
-            f"{high:.1f} V: check the supply"
-        )
 
 
-def prepare(
-    bus: ServoBus, servo: Servo, mode: int, settings: Mapping[str, int] = MappingProxyType({})
-) -> None:
-    """Switch the torque off and set up the EEPROM: operating mode, drive mode 0, and answers without delay.
+def prepare(bus: ServoBus, servo: Servo, settings: Mapping[str, int]) -> None:
+    """Switch the torque off and set up the EEPROM.
 
     The home mark is cleared before a change of the operating mode or the drive mode, because the servo then reduces
     its position to a single turn. Only values that differ are written, because the EEPROM wears out.
@@ -167,15 +222,13 @@ def prepare(
     Args:
         bus: servo bus.
         servo: the servo.
-        mode: operating mode.
-        settings: values of further registers by name, raw.
+        settings: values of registers in addition to those of `register_rules`, raw by name.
 
     Raises:
         BusError: The servo does not answer, keeps its torque, or stores another value.
     """
     bus.write(servo.number, servo["torque_enable"], 0)
-    bus.write(servo.number, servo["status_return_level"], 2)
-    wanted = {"return_delay_time": 0, "drive_mode": 0, "operating_mode": mode, **settings}
+    wanted = {**required(servo.model, Treatment.WRITTEN), **settings}
     values = registers(bus, servo, "torque_enable", *wanted)
     if values["torque_enable"]:
         raise CorruptReplyError(f"servo {servo.number} keeps its torque: switch its supply off")
@@ -186,25 +239,25 @@ def prepare(
         store(bus, servo, name, raw)
 
 
-def cable_settings(servo: Servo, limit: float) -> dict[str, int]:
-    """Return the settings that a cable servo needs in addition to its mode, raw values by register name.
-
-    A servo that measures its current needs the current limit, ``limit`` in A (see `supervision.own_limit`). Other
-    servos need none.
-    """
+def _mode_and_current(servo: Servo, mode: int, limit: float) -> dict[str, int]:
+    """Return the operating mode and, for a servo that measures its current, the current limit (A), raw by name."""
     if not servo.model.measures_current:
-        return {}
-    return {"current_limit": to_raw(servo["current_limit"], limit)}
+        return {"operating_mode": mode}
+    return {"operating_mode": mode, "current_limit": to_raw(servo["current_limit"], limit)}
 
 
 def prepare_cable(bus: ServoBus, servo: Servo, limit: float) -> None:
-    """Prepare a cable servo: extended position mode, and the settings of `cable_settings`. Raises as `prepare`."""
-    prepare(bus, servo, EXTENDED_POSITION_MODE, cable_settings(servo, limit))
+    """Prepare a cable servo: extended position mode, and a current limit (A, see `supervision.own_limit`).
+
+    Raises as `prepare`.
+    """
+    prepare(bus, servo, _mode_and_current(servo, EXTENDED_POSITION_MODE, limit))
 
 
 def prepare_fin(bus: ServoBus, servo: Servo) -> None:
-    """Prepare a fin servo: position mode. Raises as `prepare`."""
-    prepare(bus, servo, POSITION_MODE)
+    """Prepare a fin servo: position mode, no homing offset, and the largest current limit. Raises as `prepare`."""
+    settings = _mode_and_current(servo, POSITION_MODE, servo.model.strongest_current)
+    prepare(bus, servo, {**settings, "homing_offset": 0})
 
 
 def held_position(bus: ServoBus, servo: Servo) -> int | None:
@@ -215,10 +268,12 @@ def held_position(bus: ServoBus, servo: Servo) -> int | None:
             than a cable servo of this driver. The message names the registers.
         BusError: The servo does not answer, or no two readings agree.
     """
-    wanted = {"operating_mode": EXTENDED_POSITION_MODE, "drive_mode": 0, "led": 1}
-    values = registers(bus, servo, *wanted, "torque_enable", "present_position")
+    names = ("homing_offset", "operating_mode", "drive_mode", "led", "velocity_i_gain")
+    values = registers(bus, servo, *names, "torque_enable", "present_position")
     if not values["torque_enable"]:
         return None
+    wanted = {"operating_mode": EXTENDED_POSITION_MODE, "drive_mode": 0}
+    wanted |= _mark(values["homing_offset"])
     differing = [
         f"{name} is {values[name]} instead of {raw}"
         for name, raw in wanted.items()
@@ -226,23 +281,23 @@ def held_position(bus: ServoBus, servo: Servo) -> int | None:
     ]
     if differing:
         raise ConfigurationError(
-            f"servo {servo.number} has its torque on, and its position is not known ({', '.join(differing)}; led 1 is "
-            "the mark of a homed servo): the body may be contracted, and would spring back without torque; switch the "
-            "torque off with the program that switched it on, or secure the body and switch the supply off"
+            f"servo {servo.number} has its torque on, and its position is not known ({', '.join(differing)}; led and "
+            "velocity_i_gain are the mark of a homed servo): the body may be contracted, and would spring back without "
+            "torque; switch the torque off with the program that switched it on, or secure the body and switch the "
+            "supply off"
         )
     return values["present_position"]
 
 
 def require_cable_settings(bus: ServoBus, servo: Servo, limit: float) -> None:
-    """Check that a cable servo whose torque is on has the settings of `cable_settings`, as they need the torque off.
+    """Check that a cable servo whose torque is on has the EEPROM of `prepare_cable`, which needs the torque off.
 
     Raises:
         ConfigurationError: A setting differs.
         BusError: The servo does not answer, or no two readings agree.
     """
-    wanted = cable_settings(servo, limit)
-    if not wanted:
-        return
+    wanted = required(servo.model, Treatment.WRITTEN)
+    wanted |= _mode_and_current(servo, EXTENDED_POSITION_MODE, limit)
     values = registers(bus, servo, *wanted)
     for name, raw in wanted.items():
         if values[name] != raw:
@@ -254,13 +309,19 @@ def require_cable_settings(bus: ServoBus, servo: Servo, limit: float) -> None:
             )
 
 
+def _mark(homing_offset: int) -> dict[str, int]:
+    """Return the home mark of a cable servo with a homing offset (ticks), raw values by register name."""
+    return {"velocity_i_gain": 1 + homing_offset % _LARGEST_GAIN, "led": 1}
+
+
 def is_homed(bus: ServoBus, servo: Servo) -> bool:
     """Return True if a cable servo's position 0 is the cable's home.
 
     Raises:
         BusError: The servo does not answer.
     """
-    return registers(bus, servo, "led")["led"] == 1
+    values = registers(bus, servo, "homing_offset", "led", "velocity_i_gain")
+    return _mark(values["homing_offset"]).items() <= values.items()
 
 
 def home(bus: ServoBus, cables: Sequence[Servo]) -> None:
@@ -275,13 +336,14 @@ def home(bus: ServoBus, cables: Sequence[Servo]) -> None:
     """
     for servo in cables:
         store(bus, servo, "led", 0)
-    for servo in cables:
-        _set_zero(bus, servo)
-    for servo in cables:
-        store(bus, servo, "led", 1)
+    offsets = [_set_zero(bus, servo) for servo in cables]
+    for servo, offset in zip(cables, offsets, strict=True):
+        for name, raw in _mark(offset).items():
+            store(bus, servo, name, raw)
 
 
-def _set_zero(bus: ServoBus, servo: Servo) -> None:
+def _set_zero(bus: ServoBus, servo: Servo) -> int:
+    """Set the present position to 0 and return the homing offset. Raises as `home`."""
     values = registers(bus, servo, "homing_offset", "present_position")
     offset = values["homing_offset"] - values["present_position"]
     if abs(offset) > _HOMING_OFFSET_LIMIT:
@@ -296,31 +358,43 @@ def _set_zero(bus: ServoBus, servo: Servo) -> None:
             f"servo {servo.number} stands at {values['present_position']} ticks after homing, not at 0: "
             "was the robot moved? Call home again"
         )
+    return offset
 
 
-def limit_motion(
-    bus: ServoBus, servo: Servo, speed: float, watchdog: float, limit: float = 1.0
-) -> None:
-    """Write the limits that a servo enforces itself while its torque is on: speed, output and bus watchdog.
+def reset_control(bus: ServoBus, servo: Servo, speed: float, limit: float = 1.0) -> None:
+    """Write the registers that determine how a servo moves to a goal, and read them back. The watchdog is disarmed.
 
     Args:
         bus: servo bus.
         servo: servo whose torque is off, or was left on by an earlier driver.
         speed: speed limit, rad/s.
-        watchdog: time without packets after which the servo stops, s.
         limit: largest PWM output as a ratio of the maximum, see `supervision.own_limit`. Not used for a servo that
             measures its current.
 
     Raises:
-        BusError: The servo does not answer, or rejects a value.
+        BusError: The servo does not answer, rejects a value, or stores another value.
     """
-    number, profile = servo.number, servo["profile_velocity"]
-    bus.write(number, servo["bus_watchdog"], 0)  # an expired watchdog accepts only 0
-    bus.write(number, servo["bus_watchdog"], to_raw(servo["bus_watchdog"], watchdog))
-    bus.write(number, profile, max(1, to_raw(profile, min(speed, servo.velocity_limit))))
-    if not servo.model.measures_current:
-        most = bus.read(number, servo["pwm_limit"])
-        bus.write(number, servo["goal_pwm"], min(most, to_raw(servo["goal_pwm"], limit)))
+    bus.write(servo.number, servo["bus_watchdog"], 0)  # an expired watchdog lets no goal be written
+    profile, output = servo["profile_velocity"], servo["goal_pwm"]
+    wanted = {
+        **required(servo.model, Treatment.RESET),
+        profile.name: max(1, to_raw(profile, min(speed, servo.velocity_limit))),
+        output.name: to_raw(output, 1.0 if servo.model.measures_current else limit),
+    }
+    for name, raw in wanted.items():
+        bus.write(servo.number, servo[name], raw)
+    stored = registers(bus, servo, *wanted)
+    for name, raw in wanted.items():
+        if stored[name] != raw:
+            raise CorruptReplyError(
+                f"servo {servo.number} has {stored[name]} in {name}, not the {raw} that was written: activate again"
+            )
+
+
+def arm_watchdog(bus: ServoBus, servo: Servo, watchdog: float) -> None:
+    """Set the time without packets (s) after which a servo with torque stops. Raises BusError."""
+    register = servo["bus_watchdog"]
+    bus.write(servo.number, register, to_raw(register, watchdog))
 
 
 def standing_position(bus: ServoBus, servo: Servo) -> int:
@@ -347,7 +421,7 @@ def standing_position(bus: ServoBus, servo: Servo) -> int:
 def switch_on(bus: ServoBus, servo: Servo) -> None:
     """Switch the torque on.
 
-    The bus watchdog must be armed (`limit_motion`), and the goal must be the present position. The function makes
+    The bus watchdog must be armed (`arm_watchdog`), and the goal must be the present position. The function makes
     only two exchanges, because the servos that are already enabled wait for their first goal.
 
     Raises:

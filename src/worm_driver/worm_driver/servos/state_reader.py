@@ -8,7 +8,7 @@ from worm_driver.servos.bus_types import Reply, error_text
 from worm_driver.servos.encoding import from_raw, unpack_from
 from worm_driver.servos.position_track import PositionTrack
 from worm_driver.servos.registers import COMMON, WATCHDOG_EXPIRED
-from worm_driver.servos.servo_bus import SILENCE_REMEDY, ServoBus
+from worm_driver.servos.servo_bus import ServoBus
 from worm_driver.servos.servo_setup import Servo
 from worm_driver.servos.servo_state import SILENT, STATE_SIZE, STATE_START, ServoState, decode
 from worm_driver.servos.tick_clock import TickClock
@@ -131,7 +131,7 @@ class StateReader:
             for name in ("realtime_tick", *names)
         }
         tick = from_raw(servo["realtime_tick"], values["realtime_tick"])
-        return values if self._is_fresh(servo.number, requested_at, reply.received, tick) else None
+        return None if self._why_stale(servo.number, requested_at, reply.received, tick) else values
 
     def _request(self) -> tuple[float, Mapping[int, ServoState]]:
         ids = self._ids
@@ -145,15 +145,13 @@ class StateReader:
             if servo.number not in ids:
                 self.problems[servo.number] = "reported a position that it cannot have reached"
             elif reply is None:
-                self.problems[servo.number] = (
-                    f"does not answer, or its answers are garbled: {SILENCE_REMEDY}"
-                )
+                self.problems[servo.number] = self._bus.why_no_answer(servo.number)
             elif reply.error:
                 self.problems[servo.number] = error_text(reply.error)
             else:
                 state = decode(servo.model, reply.data)
-                if not self._is_fresh(servo.number, requested_at, reply.received, state.tick):
-                    self.problems[servo.number] = "answers late"
+                if why := self._why_stale(servo.number, requested_at, reply.received, state.tick):
+                    self.problems[servo.number] = why
                 elif not self._track.record_if_plausible(servo.number, state.ticks, reply.received):
                     self._note_implausible(servo.number, state.ticks)
                 else:
@@ -165,8 +163,8 @@ class StateReader:
         self._implausible[servo] = ticks
         self.problems[servo] = f"reports a position that it cannot have reached ({ticks} ticks)"
 
-    def _is_fresh(self, servo: int, requested_at: float, received: float, tick: float) -> bool:
-        """Return True if the servo's clock shows that an answer belongs to the present request.
+    def _why_stale(self, servo: int, requested_at: float, received: float, tick: float) -> str:
+        """Return why an answer may not belong to the present request; empty if the servo's clock shows that it does.
 
         The first answer of a servo starts the estimate of its clock. A jump of the clock shows that the servo has
         restarted, and starts the estimate again. Neither the first answer nor the answer with the jump counts as fresh.
@@ -175,12 +173,13 @@ class StateReader:
         if clock is None or abs(tick_clock.jump(clock, tick, received)) >= tick_clock.RESTART:
             self._clocks[servo] = tick_clock.begin(tick, received)
             self._suspects.add(servo)
-            return False
+            return f"has restarted, or answers at least {tick_clock.RESTART * 1e3:.0f} ms late"
         self._clocks[servo] = clock = tick_clock.update(clock, tick, received)
-        if tick_clock.age(clock, tick, requested_at) > tick_clock.RESOLUTION:
-            self._bus.count_stale()
-            return False
-        return True
+        age = tick_clock.age(clock, tick, requested_at)
+        if age > tick_clock.RESOLUTION:
+            self._bus.count_stale(servo, received - requested_at + age)
+            return self._bus.why_no_answer(servo)
+        return ""
 
     def _note_alerts(self, replies: Mapping[int, Reply]) -> None:
         for servo, reply in replies.items():

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from random import Random
 
-from worm_driver.virtual_robot.servo.control_table import BAUD_RATES, XM430_W350
+from worm_driver.virtual_robot.servo.control_table import BAUD_RATES, PROTOCOL_2, XM430_W350
 from worm_driver.virtual_robot.servo.register_memory import RegisterError
 from worm_driver.virtual_robot.servo.virtual_servo import Servo
 from worm_driver.virtual_robot.wire import faults
@@ -84,6 +84,7 @@ class ServoBus:
             servo
             for servo in self._servos
             if servo.answers(time)
+            and servo.memory["protocol_type"] == PROTOCOL_2
             and not self._board.active(faults.VANISHED, time, servo.servo_id)
             and baud_rate in (None, BAUD_RATES[servo.memory["baud_rate"]])
         ]

@@ -16,7 +16,7 @@ from worm_driver.servos.registers import XL430_W250, XM430_W350
 from worm_driver.servos.servo_setup import Servo
 from worm_driver.servos.servo_state import SILENT, ServoState
 
-SERVO = Servo(1, XM430_W350, 48, 4.8, (9.5, 16.0), 80.0)
+SERVO = Servo(1, XM430_W350, 48, 4.8, (9.5, 16.0), 80.0, (0, 4095))
 STATE = ServoState(0, 0.1, 0.2, 0.3, 12.0, 30.0, 1.0)
 
 
@@ -91,7 +91,7 @@ def test_timing_warns_from_two_milliseconds_on():
     ],
 )
 def test_the_power_sensor(counts, level, expected):
-    report = diagnostics.power_report(counts, "INA219 0x40 on 1")
+    report = diagnostics.power_report(counts, "INA219 0x40 on 1", "")
     assert report.level is level
     assert expected in report.message
 

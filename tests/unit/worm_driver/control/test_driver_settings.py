@@ -36,6 +36,15 @@ def test_a_missing_parameter_file_is_rejected(tmp_path):
         load_body(str(tmp_path / "none.yaml"))
 
 
+@pytest.mark.parametrize("rate", [10.0, 12.4])
+def test_a_rate_at_which_the_servos_stop_between_two_cycles_is_rejected(rate):
+    with pytest.raises(
+        ConfigurationError, match=r"rate_hz is 1\d.*bus_watchdog_s, 0\.08 s.*12\.5 Hz"
+    ):
+        settings(rate=rate)
+    assert settings(rate=rate, watchdog=0.2).period == 1.0 / rate
+
+
 def test_a_robot_without_a_cable_servo_is_rejected():
     with pytest.raises(ConfigurationError, match=r"cable_servos\.ids"):
         settings(spools=())

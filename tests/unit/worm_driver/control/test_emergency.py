@@ -106,7 +106,9 @@ def test_the_stop_of_a_port_that_a_parameter_no_longer_names_is_left_to_its_robo
 def test_a_stop_that_cannot_be_stored_holds_all_the_same_and_that_is_reported(tmp_path: Path):
     (tmp_path / "file").touch()
     made = EmergencyLatch(tmp_path / "file" / "state")
-    made.adopt(["one"])
+    at_start = made.adopt(["one"])
+    assert str(made.folder) in at_start
+    assert "WORM_STATE_DIRECTORY" in at_start
     assert "cannot be stored for the next driver" in made.latch()
     assert made.on
 

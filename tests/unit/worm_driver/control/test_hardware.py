@@ -13,6 +13,7 @@ import pytest
 from driver_rig import settings
 
 from worm_driver.control import hardware as hardware_module
+from worm_driver.control.diagnostics import Level
 from worm_driver.control.driver_settings import DriverSettings, PowerSettings
 from worm_driver.control.hardware import Hardware
 from worm_driver.control.supervision import Limits
@@ -171,6 +172,17 @@ def test_without_a_power_sensor_there_are_no_samples_and_no_report_of_one(given)
     assert "driver: power sensor" not in names
     assert not hardware.samples
     hardware.close("over")
+
+
+def test_a_shunt_with_swapped_inputs_is_a_warning_in_log_and_diagnostics(robot, given):
+    robot.board.add(make_fault("ina219_saturation", value=-2.5, duration=math.inf))
+    hardware = Hardware(given)
+    wait_for(lambda: hardware.warnings)
+    (warning,) = hardware.warnings
+    report = next(r for r in hardware.report(hardware.snapshots[-1]) if "power" in r.name)
+    hardware.close("over")
+    assert "IN+ and IN-" in warning
+    assert (report.level, report.message) == (Level.WARN, warning)
 
 
 def test_a_release_that_no_servo_acknowledges_is_reported_until_one_does(hardware, robot):

@@ -798,3 +798,14 @@ def test_a_lower_limit_ends_a_gait_whose_pretension_and_stroke_exceed_it():
     assert rig.robot.player.run.ending is Ending.CANCELLED
     with pytest.raises(RejectedError, match="contract the body by"):
         rig.start(0.06, 0.4, 5, **SHAPED)
+
+
+def test_a_blocked_fin_is_named():
+    rig = Rig()
+    rig.activate()
+    rig.inject("stalled", target=12, duration=60.0)
+    rig.start(0.03, 0.4, cycles=1, direction=-1)
+    fault = rig.run(10.0, until=lambda s: s.player.phase is Phase.FAULT).player.message
+    assert "did not reach" in fault or "servo 12 reports overload" in fault
+    assert "servo 12" in fault
+    assert "servo 11" not in fault

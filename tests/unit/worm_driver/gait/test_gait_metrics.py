@@ -209,6 +209,26 @@ def test_uneven_sampling_does_not_bias_the_mean():
     assert run_metrics(RUN, seen, BODY).power == pytest.approx(6.0, rel=5e-3)
 
 
+def test_a_shunt_with_swapped_inputs_gives_no_power_and_the_remedy():
+    seen = record()
+    seen.power = [replace(sample, current=-sample.current) for sample in seen.power]
+    found = run_metrics(RUN, seen, BODY)
+    assert math.isnan(found.power)
+    assert math.isnan(found.idle_power)
+    assert math.isnan(found.cost_of_transport)
+    (reason,) = found.reasons
+    assert "-0.07 A" in reason
+    assert "IN+ and IN-" in reason
+
+
+def test_noise_around_no_current_is_no_swapped_shunt():
+    seen = record()
+    for index, sample in enumerate(seen.power):
+        if sample.time < ONSET:
+            seen.power[index] = replace(sample, current=-0.015 + 0.01 * (-1) ** index)
+    assert run_metrics(RUN, seen, BODY).power == pytest.approx(6.0, rel=2e-3)
+
+
 def test_a_cancelled_run_averages_what_it_completed():
     cancelled = replace(RUN, stop_cycle=2, end=ONSET + 2 * PERIOD, ending=Ending.CANCELLED)
     found = run_metrics(cancelled, record(), BODY)

@@ -94,3 +94,35 @@ def test_lateness_in_a_gait_is_called_lateness(late, duration):
     assert not FALSE.search(snapshot.player.message), snapshot.player.message
     if snapshot.player.phase is Phase.FAULT:
         assert "has returned no state" in snapshot.player.message
+
+
+#: s, delays around the wait for an answer, the period of the cycle, and the timeout of a silent servo
+LASTING = [0.006, 0.008, 0.012, 0.016, 0.020, 0.030, 0.045, 0.080, 0.100, 0.150, 0.200, 0.290]
+
+
+@pytest.mark.parametrize("late", LASTING)
+def test_answers_that_stay_late_are_called_late_at_configure_and_activate(late):
+    rig = Rig()
+    rig.run(0.1)
+    rig.inject("late", duration=1e6, value=late)
+    for deed in (rig.restarted_driver, lambda: rig.robot.activate(rig.clock.now)):
+        with pytest.raises(DriverError) as caught:
+            deed()
+        silent = "nothing arrived for 2" in str(caught.value) and late > 0.2
+        assert silent or re.search(r"servo 1\d? answers late \(\d+ ms after", str(caught.value))
+        assert silent or "power" not in str(caught.value)
+        assert "another position" not in str(caught.value)
+
+
+@pytest.mark.parametrize("late", LASTING)
+def test_answers_that_stay_late_are_called_late_in_a_gait(late):
+    """A FAULT can report as late only what has arrived by then. Afterwards the diagnostics show the delay."""
+    rig = moving()
+    rig.inject("late", duration=1e6, value=late)
+    fault = rig.run(1.0, until=lambda s: s.player.phase is Phase.FAULT).player.message
+    assert "answers late" in fault or ("nothing arrived" in fault and late > 0.04)
+    rig.run(0.5)
+    assert rig.robot.problems
+    for why in rig.robot.problems.values():
+        delay = re.search(r"answers late \((\d+) ms", why)
+        assert abs(int(delay[1]) - late * 1e3) <= 7

@@ -244,8 +244,23 @@ def test_an_answer_of_another_length_is_none():
 
 
 def test_a_silent_servo_is_named_with_the_remedy(line):
-    with pytest.raises(NoReplyError, match=r"servo 7 does not answer .* 1000000 baud: check .* id"):
+    with pytest.raises(
+        NoReplyError, match=r"servo 7 does not answer .* 1000000 baud .*check .* id"
+    ):
         line.bus.ping(7)
+
+
+def test_two_servos_with_one_id_are_a_possible_cause_of_garbled_answers(line):
+    """Both transmit at once: the line is low if one of them pulls it low."""
+
+    def collide(data, now):
+        (answer,) = line.robot.receive(data, now)
+        other = status_packet(1, 0, (4711).to_bytes(4, "little"))
+        return [(now, bytes(a & b for a, b in zip(answer.data, other, strict=True)))]
+
+    line.wire._answer = collide
+    with pytest.raises(CorruptReplyError, match="no other servo has its id"):
+        line.bus.read(1, POSITION)
 
 
 def test_bytes_that_keep_coming_do_not_hang_the_bus():

@@ -25,6 +25,8 @@ PWM_MODE = 16
 PULSES_PER_TURN = 4096  # a pulse is one count of the position registers; the driver calls it a tick
 EXTENDED_RANGE = 1_048_575  # pulses, +-256 turns
 
+PROTOCOL_2 = 2  # a servo with another protocol_type does not answer packets of Protocol 2.0
+
 BAUD_RATES = (9600, 57600, 115200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
 
 
@@ -102,7 +104,7 @@ _COMMON = (
     Register("drive_mode", 10, 1, 0, high=0x0D),
     Register("operating_mode", 11, 1, POSITION_MODE, high=16),
     Register("secondary_id", 12, 1, 255, high=255),
-    Register("protocol_type", 13, 1, 2, low=2, high=2),
+    Register("protocol_type", 13, 1, 2, low=1, high=2),
     Register("homing_offset", 20, 4, 0, low=-1_044_479, high=1_044_479),
     Register("moving_threshold", 24, 4, 10, high=1023),
     Register("temperature_limit", 31, 1, 80, high=100),

@@ -52,7 +52,7 @@ def motor_command(
         goal if speed is None else speed,
         acceleration,
         velocity,
-        full_speed * abs(memory["goal_pwm"]) / FULL_PWM,
+        full_speed * min(abs(memory["goal_pwm"]), memory["pwm_limit"]) / FULL_PWM,
         _torque_limit(memory, model),
     )
 

@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Servos whose registers another program has changed, byte for byte.
+
+Whatever a program left: the driver resets it, or rejects it with servo, register and value, or the robot moves as
+usual.
+"""
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from driver_rig import CABLE, Rig, installed_robot, settings
+
+from worm_driver.control.supervision import Limits
+from worm_driver.errors import DriverError
+from worm_driver.gait.gait_player import Phase, PlayerSettings
+from worm_driver.servos.register_rules import RULES, Treatment, required
+from worm_driver.servos.registers import MODELS as DRIVER_MODELS
+from worm_driver.servos.transmission import Fin, Spool
+from worm_driver.virtual_robot.servo.control_table import MODELS, ServoModel
+from worm_driver.virtual_robot.virtual_robot import VirtualRobot
+from worm_driver.virtual_robot.wire.packet import Instruction, instruction_packet
+
+FIN = 11
+#: registers by which a servo is found
+FOUND_BY = ("id", "baud_rate", "protocol_type")
+#: registers that mark a cable servo as homed
+HOME_MARK = ("led", "velocity_i_gain")
+EACH_MODEL = pytest.mark.parametrize("model", MODELS.values(), ids=lambda model: model.name)
+
+
+@cache
+def closed(name: str) -> Rig:
+    """Return a homed robot of one model, with a cable servo and a fin servo, whose driver has ended."""
+    model, usual = MODELS[name], installed_robot()
+    virtual = VirtualRobot(
+        replace(
+            usual,
+            cable_servos=(replace(usual.cable_servos[0], model=model, spool_radius=0.01),),
+            fin_servos=(replace(usual.fin_servos[0], id=FIN, model=model),),
+            supply=replace(usual.supply, voltage=model.nominal_voltage),
+        )
+    )
+    driver = settings(
+        spools=(Spool(CABLE, 1, 0.01),),
+        fins=(Fin(FIN, 2.3562, 3.9270),),
+        limits=Limits(max_current=5.0),
+        player=PlayerSettings(
+            rest_duration=0.05, settle_time=0.02, rest_samples=2, rest_timeout=0.2
+        ),
+    )
+    rig = Rig(driver, virtual)
+    rig.activate()
+    rig.run(0.1)
+    assert rig.end() == []
+    return rig
+
+
+def write(rig: Rig, servo: int, name: str, value: int) -> bool:
+    """Write a register as another program does. Return True if the servo accepts and stores the value."""
+    target = next(each for each in rig.virtual.servos if each.servo_id == servo)
+    row = target.model.registers[name]
+    data = row.address.to_bytes(2, "little") + row.encode(value)
+    before = target.memory[name]
+    rig.virtual.receive(instruction_packet(servo, Instruction.WRITE, data), rig.clock.now)
+    return target.memory[name] == value != before
+
+
+def registers(rig: Rig) -> Mapping[tuple[int, str], int]:
+    """Return the raw values of all writable registers, by index of the servo and name."""
+    return {
+        (index, name): servo.memory[name]
+        for index, servo in enumerate(rig.virtual.servos)
+        for name, row in servo.model.registers.items()
+        if row.writable
+    }
+
+
+def motion(rig: Rig) -> np.ndarray:
+    """Return the positions (ticks) of the cable servo in a gait backwards, and that of the fin at its end."""
+    rig.positions.clear()
+    rig.start(0.02, 0.4, cycles=1, direction=-1)
+    rig.run(10.0, until=lambda s: s.player.phase is not Phase.IDLE)
+    rig.run(10.0, until=lambda s: s.player.phase in (Phase.IDLE, Phase.FAULT))
+    return np.array([*(at for _, at in rig.positions), rig.virtual.servos[1].motor.position])
+
+
+@cache
+def healthy(model: str) -> tuple[Mapping[tuple[int, str], int], np.ndarray]:
+    """Return the registers after an activation, and the motion of a gait, of a robot that nobody changed."""
+    rig = closed(model).copy().restarted_driver()
+    rig.activate()
+    return registers(rig), motion(rig)
+
+
+def left_over(model: ServoModel, name: str) -> Iterator[int]:
+    row = model.registers[name]
+    usual = row.initial
+    values = {min(row.low, -1), row.high, usual + 1}
+    yield from sorted(value for value in values if row.low <= value <= row.high)
+
+
+def activated(rig: Rig) -> Rig | DriverError:
+    """Return the next driver on the robot, activated, or the reason why there is none."""
+    try:
+        again = rig.restarted_driver()
+        again.activate()
+    except DriverError as error:
+        return error
+    return again
+
+
+def judge(rig: Rig, model: ServoModel, servo: int, name: str, value: int) -> str:
+    """Return what the driver does with a value that another program left; fail if the driver does nothing useful."""
+    again = activated(rig)
+    if isinstance(again, DriverError):
+        stored = f"{value / 10:.1f}" if name.endswith("voltage_limit") else f"{value}"
+        named = "does not answer" if name in FOUND_BY else f"{name}( is)? {stored}\\b"
+        assert re.match(f"servo {servo} .*{named}", str(again)), (name, value, again)
+        return "rejected"
+    expected, usual = healthy(model.name)
+    if registers(again) == expected:
+        return "reset"
+    np.testing.assert_allclose(motion(again), usual, atol=3.0, err_msg=f"{name} {value}")
+    return "irrelevant"
+
+
+@EACH_MODEL
+def test_each_writable_register_has_a_rule(model):
+    writable = {name for name, row in model.registers.items() if row.writable}
+    assert writable <= RULES.keys()
+    (own,) = (each for each in DRIVER_MODELS.values() if each.number == model.number)
+    for treatment in Treatment:
+        for name, raw in required(own, treatment).items():
+            assert raw in (model.registers[name].initial, 0), name
+
+
+@EACH_MODEL
+@pytest.mark.parametrize("servo", [CABLE, FIN])
+def test_whatever_a_program_left_is_reset_rejected_or_irrelevant(model, servo):
+    allowed = {
+        Treatment.WRITTEN: {"reset"},
+        Treatment.RESET: {"reset"},
+        Treatment.CHECKED: {"rejected", "reset", "irrelevant"},
+        Treatment.IRRELEVANT: {"irrelevant"},
+    }
+    tried = 0
+    for name, row in model.registers.items():
+        if not row.writable:
+            continue
+        for value in left_over(model, name):
+            rig = closed(model.name).copy()
+            if write(rig, servo, name, value):
+                tried += 1
+                outcome = judge(rig, model, servo, name, value)
+                unused = name in HOME_MARK and servo == FIN
+                treatment = Treatment.IRRELEVANT if unused else RULES[name].treatment
+                assert outcome in allowed[treatment], (name, value, outcome)
+    assert tried > 40
