@@ -32,13 +32,12 @@ class Sample:
     cycles: int
     seed: int
     arguments: tuple[str, ...] = ()
-    recording: tuple[str, ...] = ()
     killed_in: int = 0
 
 
 SAMPLES = {
     "forward": Sample(Gait(0.07, 0.25, FORWARD), cycles=4, seed=1),
-    "reverse": Sample(Gait(0.06, 0.30, REVERSE), cycles=3, seed=2, recording=("-d", "5")),
+    "reverse": Sample(Gait(0.06, 0.30, REVERSE), cycles=3, seed=2),
     "faults": Sample(
         Gait(0.08, 0.25, FORWARD),
         cycles=2,
@@ -62,7 +61,7 @@ def make(name: str, sample: Sample, folder: Path) -> None:
         _start_robot(group, sample, Path(place))
         record = [*executable_command("worm_model", "record"), "--regex", TOPICS]
         record += ["--output", str(folder / name), "--seed", str(sample.seed)]
-        record += ["--note", f"made_by=bags/make.py {name}", *sample.recording, *ROS]
+        record += ["--note", f"made_by=bags/make.py {name}", *ROS]
         recorder = group.start("recorder", record)
         recorder.wait_for_line("recording to", TIMEOUT_S)
         with operator("/worm", group.check) as node:

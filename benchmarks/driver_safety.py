@@ -12,7 +12,7 @@ import statistics
 from collections.abc import Callable, Mapping
 
 from benchmarks.report import Row
-from tests.helpers.driver_rig import CABLE, Rig, settings
+from tests.helpers.driver_rig import CABLE, Rig, settings, shaft_lengths, two_spools
 from worm_driver.errors import ConfigurationError
 from worm_driver.gait.gait_player import Phase
 from worm_driver.virtual_robot.wire.packet import Instruction, instruction_packet
@@ -126,7 +126,7 @@ def _metres(ticks: float) -> float:
 def _moved(rig: Rig, deed: Deed, duration: float = LOOKED) -> float:
     """Return the largest distance (m) of the cable from its initial position."""
     rig.positions.clear()
-    here = rig.cable.motor.position
+    here = rig.cable.shaft.position
     deed(rig)
     rig.run(duration)
     return max(_metres(position - here) for _, position in rig.positions)
@@ -193,7 +193,7 @@ def _stopped_while_closing(moment: float) -> tuple[float, float, int]:
     rig.end()
     rig.advance(rig.clock.now + 1.0)
     stood = max((time for time, speed in rig.speeds if speed > STILL), default=begin) - begin
-    contracted = _metres(rig.cable.motor.position - rig.home_ticks)
+    contracted = _metres(rig.cable.shaft.position - rig.home_ticks)
     return stood, contracted, rig.cable.memory["torque_enable"]
 
 
@@ -205,7 +205,7 @@ def _flip_stopped(moment: float) -> tuple[float, float]:
     rig.run(1.0, until=lambda snapshot: snapshot.player.phase is Phase.FLIPPING)
     rig.run(moment)
     fins, begin = rig.virtual.servos[1:], rig.clock.now
-    before = [fin.shaft_angle for fin in fins]
+    before = [fin.motor_angle for fin in fins]
     rig.robot.stop(begin, "the emergency stop is on")
     last, farthest = begin, 0.0
     while rig.clock.now < begin + LOOKED:
@@ -213,7 +213,7 @@ def _flip_stopped(moment: float) -> tuple[float, float]:
         if any(abs(fin.motor.velocity) > 10.0 for fin in fins):
             last = rig.clock.now
         farthest = max(
-            farthest, *(abs(f.shaft_angle - b) for f, b in zip(fins, before, strict=True))
+            farthest, *(abs(f.motor_angle - b) for f, b in zip(fins, before, strict=True))
         )
     return last - begin, farthest
 
@@ -231,6 +231,102 @@ def _fastest_return(dice: random.Random | None) -> float:
         rig.positions, rig.positions[round(0.03 / rig.virtual.settings.step) :], strict=False
     )
     return max(_metres(b[1] - a[1]) / (b[0] - a[0]) for a, b in pairs)
+
+
+#: m/s, limits of the cable speed
+SPEEDS = (0.01, 0.02, 0.03, 0.12)
+#: m, by which one of two cables differs in an activation
+APART = (0.001, 0.002, 0.004)
+
+
+def _released_at(speed: float) -> float:
+    """Return the contraction (m) at which the torque goes off, with a limit of the cable speed (m/s)."""
+    rig = Rig(settings(max_cable_speed=speed))
+    rig.activate()
+    rig.start(0.036, min(0.4, 0.95 * speed / math.pi / 0.036))
+    rig.run(60.0, until=lambda snapshot: snapshot.player.length_change < -0.03)
+    rig.robot.stop(rig.clock.now, "stop")
+    rig.run(0.5)
+    rig.robot.ramp_to_rest(rig.clock.now, "deactivated")
+    rig.run(20.0, until=lambda _: rig.robot.released)
+    return -shaft_lengths(rig)[0]
+
+
+def _repeated_stops() -> float:
+    """Return the motion (m) of a holding, contracted cable during 100 stops."""
+    rig = _running(0.9)
+    rig.robot.stop(rig.clock.now, "stop")
+    rig.run(LOOKED)
+
+    def deed(rig: Rig) -> None:
+        for _ in range(100):
+            rig.robot.stop(rig.clock.now, "stop")
+            rig.run(0.05)
+
+    return _moved(rig, deed)
+
+
+def _activated_apart(distance: float) -> float:
+    """Return the largest motion (m) of two cables, whose lengths differ by a distance (m), in an activation."""
+    rig = two_spools()
+    servo = rig.virtual.servos[1]
+    turned = servo.motor.position + rig.settings.spools[1].ticks(-distance)
+    servo.motor = servo.motor._replace(position=turned)
+    rig.run(0.1)
+    before = shaft_lengths(rig)
+    rig.robot.activate(rig.clock.now)
+    rig.run(LOOKED)
+    return max(abs(b - a) for a, b in zip(before, shaft_lengths(rig), strict=True))
+
+
+def _stopped_apart(index: int) -> tuple[float, float]:
+    """Return the results of a stop in a gait while one of two servos is slow, 6 mm/s.
+
+    They are the time until both stand (s), and their largest motion (m) from 0.1 s after the stop on.
+    """
+    rig = two_spools()
+    rig.activate()
+    rig.start(0.06, 0.3)
+    slow = rig.virtual.servos[index]
+    register = slow.model.registers["profile_velocity"]
+    slow.write(register.address, register.encode(10))
+    rig.run(8.0, until=lambda _: abs(shaft_lengths(rig)[0] - shaft_lengths(rig)[1]) > 0.01)
+    begin = rig.clock.now
+    rig.speeds.clear()
+    rig.robot.stop(begin, "stop")
+    rig.run(0.1)
+    before = shaft_lengths(rig)
+    rig.run(2.0)
+    last = max((time for time, speed in rig.speeds if speed > STILL), default=begin)
+    moved = max(abs(b - a) for a, b in zip(before, shaft_lengths(rig), strict=True))
+    return last - begin, moved
+
+
+def _measured() -> list[Row]:
+    released = [_released_at(speed) for speed in SPEEDS]
+    apart = [_activated_apart(distance) for distance in APART]
+    stops = [_stopped_apart(index) for index in (0, 1)]
+    return [
+        Row(
+            "slow return: contracted when the torque goes off",
+            f"{max(released) * 1e3:.1f} mm",
+            "",
+            f"worst of {len(SPEEDS)} limits of the cable speed, {SPEEDS[0]} to {SPEEDS[-1]} m/s",
+        ),
+        Row("100 stops in a hold: the cable moves", f"{_repeated_stops() * 1e3:.2f} mm", "", ""),
+        Row(
+            "two cables apart, activation: they move",
+            f"{max(apart) * 1e3:.1f} mm",
+            "",
+            f"worst of {len(APART)} distances, {APART[0]} to {APART[-1]} m",
+        ),
+        Row(
+            "two cables apart, stop: time until both stand",
+            f"{max(time for time, _ in stops) * 1e3:.0f} ms",
+            "",
+            f"later they move by {max(moved for _, moved in stops) * 1e3:.1f} mm",
+        ),
+    ]
 
 
 def _bad_data() -> list[Row]:
@@ -326,7 +422,7 @@ def _left_over(name: str, value: int) -> Row:
 
 def run() -> list[Row]:
     """Measure wrong samples, stops, left-over registers, and faults in a gait with a punctual and a late loop."""
-    rows = _bad_data() + _stops()
+    rows = _measured() + _bad_data() + _stops()
     rows += [_left_over(name, value) for name, value in LEFT_OVER.items()]
     for name, deed in FAULTS.items():
         for load in ("idle", "busy"):

@@ -34,10 +34,13 @@ from worm_model.analysis.plot_style import (
 )
 from worm_model.analysis.simulated_run import simulated_run
 from worm_model.gait import FORWARD, STROKE_RANGE, Gait
+from worm_model.margin.half_cycles import Fin, Motion, half_cycles
+from worm_model.margin.run_switches import run_switches
 from worm_model.parameters import PAPER, ParameterFile, Parameters
 from worm_model.simulation.actuation import effective_command
 from worm_model.simulation.closed_form import front_groove, groove_phase
 from worm_model.simulation.simulator import Locomotion, simulate
+from worm_model.simulation.smoothing import smooth
 from worm_model.twin.scene import FREE, HOLDING, YIELDING
 from worm_optimizer.evaluation.task import Bounds
 from worm_optimizer.report.capability_figure import capability_figure
@@ -439,6 +442,64 @@ def capability_picture() -> Figure:
     return capability_figure(found, curve(task, found["best"].largest_load))
 
 
+def measured_margin_picture() -> Figure:
+    """Plot what the measurement of the margin sees: the length, and the saw-tooth of the module that holds."""
+    gait = Gait(stroke=0.077, frequency=0.2)
+    motion, rear, front = _camera(gait, cycles=5)
+    halves = half_cycles(motion, gait, 5)[4:6]  # of the third cycle
+    found = run_switches(motion, half_cycles(motion, gait, 5), p)
+    figure = new_figure(WIDTH, 5.6)
+    length, holding = figure.subplots(2, 1, sharex=True)
+    length.plot(motion.time, MM * motion.length, **MEASURED)
+    for half, module, colour in zip(halves, (front, rear), (BLUE, VERMILION), strict=True):
+        seen = (motion.time > half.start) & (motion.time < half.end)
+        name = "front" if half.fin is Fin.REAR else "rear"
+        own = module[seen] - module[seen][0]
+        holding.plot(
+            motion.time[seen], MM * own, ".", ms=3, color=colour, label=f"{name} module, holds"
+        )
+        times = found[half.fin].switches[2].times
+        for axes in (length, holding):
+            for time in times:
+                axes.axvline(time, color=colour, lw=0.8, ls=":")
+        last = float(motion.length_at(times[-1]))
+        ends = MM * last, MM * half.end_length
+        length.plot([times[-1]] * 2, ends, lw=4, color=colour, solid_capstyle="butt")
+        spare, below = abs(ends[0] - ends[1]), half.fin is Fin.FRONT
+        length.text(
+            times[-1] + 0.1,
+            ends[0] + (-9 if below else 3),
+            f"{half.fin.value}: {spare:.1f} mm left",
+            fontsize="small",
+        )
+    holding.text(
+        halves[0].start + 1.1,
+        -7.0,
+        "a switch of the sliding fin\nreleases the holding module",
+        fontsize="small",
+    )
+    length.set_ylabel("body length (mm)")
+    holding.set_ylabel("holding module (mm)")
+    holding.set_xlabel("time (s)")
+    holding.legend(fontsize="small", frameon=False)
+    holding.set_xlim(halves[0].start, halves[1].end + 0.2)
+    letter((length, holding))
+    return figure
+
+
+def _camera(gait: Gait, cycles: int) -> tuple[Motion, np.ndarray, np.ndarray]:
+    """Return the motion of a gait as a camera with 30 Hz and a noise of 0.15 mm sees it, and both positions."""
+    time = np.arange(0.0, (cycles + 0.5) * gait.period, 1.0 / 30.0)
+    states = simulate(gait, p, cycles + 1).at(time)
+    noise = np.random.default_rng(1).normal(0.0, 0.15e-3, (2, time.size))
+    rear, front = states.x1 + noise[0], states.x2 + noise[1]
+    length = smooth(time, front - rear, time, 0.08, 0.08).value
+    whole = np.isfinite(length)
+    rear, front = rear[whole], front[whole]
+    motion = Motion(time[whole], rear, front, length[whole], 0.15e-3, cycles * gait.period)
+    return motion, rear, front
+
+
 PICTURES: Mapping[str, Callable[[], Figure]] = {
     "robot": robot_picture,
     "stride": stride_picture,
@@ -450,6 +511,7 @@ PICTURES: Mapping[str, Callable[[], Figure]] = {
     "waveforms": waveforms_picture,
     "waveform_gain": waveform_gain_picture,
     "capability": capability_picture,
+    "measured_margin": measured_margin_picture,
 }
 ANIMATION = "gait.gif"
 

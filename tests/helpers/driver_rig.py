@@ -9,7 +9,7 @@ import copyreg
 import errno
 import math
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import cache
@@ -257,14 +257,14 @@ class Rig:
         while self.virtual.time + step <= time + 1e-9:
             self.virtual.advance(self.virtual.time + step)
             self.speeds.append((self.virtual.time, self.cable_speed))
-            self.positions.append((self.virtual.time, self.cable.motor.position))
+            self.positions.append((self.virtual.time, self.cable.shaft.position))
 
     def _answer(self, data: bytes, now: float) -> list[tuple[float, bytes]]:
         self.advance(now)
         servos = {servo.servo_id: servo for servo in self.virtual.servos}
         for packet in self._reader.feed(data, now):
             for number, ticks in goals_in(packet):
-                shaft = servos[number]._encoder.raw(servos[number].motor.position)
+                shaft = servos[number]._encoder.raw(servos[number].shaft.position)
                 self.goals.append(WrittenGoal(now, number, ticks, shaft))
         return [(t.time, t.data) for t in self.virtual.receive(data, now, BAUD_RATE)]
 
@@ -304,8 +304,9 @@ class Rig:
 
     @property
     def cable_speed(self) -> float:
-        """Speed in m/s at which the virtual servo moves the cable."""
-        return abs(self.cable.motor.velocity) * 2 * math.pi / 4096 * 0.025
+        """Highest speed (m/s) at which a servo moves its cable, without the yield of its loaded shaft."""
+        cables = self.virtual.servos[: len(self.settings.spools)]
+        return max(abs(servo.motor.velocity) for servo in cables) * 2 * math.pi / 4096 * 0.025
 
     def run(self, duration: float, until: Callable[[Snapshot], bool] | None = None) -> Snapshot:
         """Run cycles for a duration (s), or until a snapshot fulfils a condition.
@@ -367,6 +368,31 @@ class Rig:
         self.speeds.clear()
         self.run(longest)
         return max((time for time, speed in self.speeds if speed > 0.002), default=begin) - begin
+
+
+#: two spools of opposite signs
+SPOOLS = (Spool(1, 1, 0.025), Spool(2, -1, 0.025))
+
+
+def robot_with_spools(spools: Sequence[Spool]) -> VirtualRobot:
+    """Return the installed virtual robot with these spools."""
+    (cable,) = installed_robot().cable_servos
+    cables = tuple(replace(cable, id=spool.servo, sign=spool.sign) for spool in spools)
+    return VirtualRobot(replace(installed_robot(), cable_servos=cables))
+
+
+def two_spools(**changes: object) -> Rig:
+    """Return a rig with two spools."""
+    return Rig(settings(spools=SPOOLS, **changes), robot_with_spools(SPOOLS))
+
+
+def shaft_lengths(rig: Rig) -> list[float]:
+    """Return the length change (m) of each cable by the shaft of its servo, which no fault of the bus affects."""
+    lengths = []
+    for spool in rig.settings.spools:
+        servo = next(s for s in rig.virtual.servos if s.servo_id == spool.servo)
+        lengths.append(spool.length_change(servo._encoder.raw(servo.shaft.position)))
+    return lengths
 
 
 @cache

@@ -31,6 +31,7 @@ from std_srvs.srv import Trigger
 
 from worm_driver.servos.registers import COMMON
 from worm_driver.servos.servo_bus import ServoBus
+from worm_driver.virtual_robot.virtual_settings import DEFAULT_FILE
 from worm_msgs.action import RunGait
 from worm_msgs.msg import BodyLength, Gait, GaitState, Tracker
 
@@ -127,6 +128,76 @@ def test_a_fault_while_a_deactivation_returns_to_rest_leaves_the_torque_on(
     # accepted in FAULT, as the operator requests it
     assert commander.change(Transition.TRANSITION_DEACTIVATE)
     assert commander.lifecycle_state() == State.PRIMARY_STATE_INACTIVE
+
+
+# --- measured rest, holds, several cable servos ----------------------------------------------------------
+
+
+def test_a_slow_cable_is_at_rest_before_a_deactivation_releases_it(
+    processes, directory, commander, probe
+):
+    slow = parameters(directory, **{"limits.max_cable_speed_m_per_s": 0.02})
+    driver = processes.start_node("worm_driver", "driver_node", **slow)
+    cable = probe.collect(BodyLength, "body_length/cable")
+    commander.activate()
+    commander.send(stroke=0.04, frequency=0.15)
+    probe.wait_for(lambda: cable and cable[-1].length_change < -0.03, "contraction")
+    assert commander.trigger("stop").success
+    assert commander.change(Transition.TRANSITION_DEACTIVATE)
+    released = probe.node.get_clock().now().nanoseconds
+    probe.wait_for(lambda: stamp(cable[-1]) * 1e9 > released - 10**9, "cable after the release")
+    assert cable[-1].length_change > -0.002
+    assert "[ERROR]" not in driver.output()
+
+
+def test_an_emergency_stop_that_is_repeated_moves_nothing(driver, commander, probe):
+    cable = run_into_a_gait(commander, probe)
+    commanded = probe.collect(BodyLength, "body_length/commanded")
+    publisher = probe.node.create_publisher(Bool, "emergency_stop", 10)
+    probe.wait_for(publisher.get_subscription_count, "subscription to the emergency stop")
+    publisher.publish(Bool(data=True))
+    probe.wait_for(lambda: commander.states[-1].holding, "hold")
+    cable.clear()
+    probe.wait_for(lambda: len(cable) > 100, "a second of rest")
+    held = cable[-1].length_change
+    commanded.clear()
+    for _ in range(30):
+        publisher.publish(Bool(data=True))
+        cable.clear()
+        probe.wait_for(lambda: len(cable) > 5, "further samples")
+    assert len({message.length_change for message in commanded}) == 1
+    assert cable[-1].length_change == pytest.approx(held, abs=5e-4)
+
+
+def test_cables_of_different_lengths_are_named_and_not_activated(
+    processes, commander, probe, tmp_path
+):
+    """Another program has turned one spool of two since they were homed."""
+    text = DEFAULT_FILE.read_text()
+    one = "{id: 1, model: XM430-W350, sign: 1, spool_radius_m: 0.025, start_angle_rad: 5.0}"
+    two = one.replace("id: 1", "id: 2")
+    settings = tmp_path / "two_spools.yaml"
+    settings.write_text(text.replace(f"  - {one}", f"  - {one}\n  - {two}"))
+    robot = processes.start_node(
+        "worm_driver", "virtual_robot", "--directory", str(tmp_path), "--parameters", str(settings)
+    )
+    robot.wait_for_line("^ready: ", TIMEOUT_S)
+    spools = {"ids": "[1, 2]", "signs": "[1, 1]", "spool_radius_m": "[0.025, 0.025]"}
+    given = parameters(tmp_path, **{f"cable_servos.{key}": value for key, value in spools.items()})
+    driver = processes.start_node("worm_driver", "driver_node", **given)
+    assert commander.change(Transition.TRANSITION_CONFIGURE)
+    assert commander.change(Transition.TRANSITION_CLEANUP)
+    bus = ServoBus.open(str(tmp_path / "servo_bus"), 1_000_000, latency=0.1)
+    bus.write(2, COMMON["torque_enable"], 1)
+    bus.write(2, COMMON["goal_position"], 208)  # 8 mm
+    probe.wait_for(lambda: bus.read(2, COMMON["present_position"]) > 200, "turn of the spool")
+    bus.write(2, COMMON["torque_enable"], 0)
+    bus.close()
+    assert commander.change(Transition.TRANSITION_CONFIGURE)
+    assert not commander.change(Transition.TRANSITION_ACTIVATE)
+    driver.wait_for_line(
+        r"cannot activate: .*servo 1 is at -?0\.\d mm and servo 2 at -[78]\.\d mm", 5
+    )
 
 
 # --- ways to end --------------------------------------------------------------------------------------

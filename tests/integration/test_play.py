@@ -12,7 +12,6 @@ import pytest
 from harness import LATCHED, Probe, Processes
 from recorded_run import AFTER_S, EPOCH, GAIT, REST_S, simulated_run, write_bag
 from rosgraph_msgs.msg import Clock
-from std_srvs.srv import Trigger
 
 from worm_model.bags.formats.bag_writer import new_bag
 from worm_model.bags.formats.cdr import encode
@@ -49,8 +48,7 @@ def test_everything_is_published_in_order_with_the_bags_time(
     powers = probe.collect(Power, "power")
     states = probe.collect(GaitState, "gait_state", LATCHED)
     clocks = probe.collect(Clock, "/clock")
-    player = processes.start_executable("worm_model", "play", str(bag), "--rate", "5", "--paused")
-    assert probe.call(Trigger, "/player/resume", Trigger.Request()).success
+    player = processes.start_executable("worm_model", "play", str(bag), "--rate", "5")
     probe.wait_for(lambda: player.exit_code is not None, "end of the bag")
     probe.wait_for(lambda: len(powers) == len(RUN.power.stamp), "all power samples")
     probe.wait_for(lambda: len(trackers) == len(RUN.tracker.stamp), "all positions")
@@ -70,29 +68,6 @@ def test_everything_is_published_in_order_with_the_bags_time(
     assert times[-1] <= RUN.power.stamp[-1] + 10**9
 
 
-def test_it_pauses_steps_and_goes_on(processes: Processes, probe: Probe, bag: Path):
-    powers = probe.collect(Power, "power")
-    clocks = probe.collect(Clock, "/clock")
-    player = processes.start_executable(
-        "worm_model", "play", str(bag), "--paused", "--rate", "10", "--topic", "/worm/power"
-    )
-    first = probe.call(Trigger, "/player/step", Trigger.Request())
-    assert (first.success, first.message) == (True, "/worm/power")
-    probe.wait_for(lambda: len(powers) == 1, "the first sample")
-    assert probe.call(Trigger, "/player/step", Trigger.Request()).success
-    probe.wait_for(lambda: len(powers) == 2, "the second sample")
-    seen = len(clocks)
-    probe.wait_for(lambda: len(clocks) > seen + 5, "time that is told while it stands")
-    assert {clock(m) for m in clocks[seen + 1 :]} == {int(RUN.power.stamp[1])}
-    assert probe.call(Trigger, "/player/resume", Trigger.Request()).success
-    probe.wait_for(lambda: len(powers) > 20, "more of them")
-    assert probe.call(Trigger, "/player/pause", Trigger.Request()).success
-    assert probe.call(Trigger, "/player/resume", Trigger.Request()).success
-    probe.wait_for(lambda: player.exit_code is not None, "end of the bag")
-    probe.wait_for(lambda: len(powers) == len(RUN.power.stamp), "the rest")
-    assert [stamp(m) for m in powers] == RUN.power.stamp.tolist()
-
-
 def test_it_starts_in_the_middle_with_what_was_latched(
     processes: Processes, probe: Probe, bag: Path
 ):
@@ -107,9 +82,7 @@ def test_it_starts_in_the_middle_with_what_was_latched(
         "10",
         "--exclude",
         "tracker|length",
-        "--paused",
     )
-    assert probe.call(Trigger, "/player/resume", Trigger.Request()).success
     probe.wait_for(lambda: player.exit_code is not None, "end of the bag")
     expected = RUN.power.stamp[RUN.power.stamp >= EPOCH + 3 * 10**9].tolist()
     probe.wait_for(lambda: len(powers) == len(expected), "the later samples")
@@ -119,18 +92,13 @@ def test_it_starts_in_the_middle_with_what_was_latched(
 def test_a_late_subscriber_gets_the_last_state_of_latched_topics(
     processes: Processes, probe: Probe, bag: Path
 ):
-    """Playing is paused after the last state.
-
-    A late subscriber receives one state; a hundred seconds without messages would follow.
-    """
+    """Playing is so slow that no state follows the last one before the start."""
     clocks = probe.collect(Clock, "/clock")
-    half = ("--rate", "0.5", "--start", "6", "--paused")
-    processes.start_executable("worm_model", "play", str(bag), *half)
+    slow = ("--rate", "0.01", "--start", "6")
+    processes.start_executable("worm_model", "play", str(bag), *slow)
     start = int(RUN.origin) + 6 * 10**9
     probe.wait_for(lambda: clocks, "a clock that stands")
-    assert probe.call(Trigger, "/player/resume", Trigger.Request()).success
     probe.wait_for(lambda: any(clock(m) > start for m in clocks), "the start")
-    assert probe.call(Trigger, "/player/pause", Trigger.Request()).success
     states = probe.collect(GaitState, "gait_state", LATCHED)
     probe.wait_for(lambda: states, "a state")
     reported = len(clocks)
@@ -147,11 +115,9 @@ def test_a_bag_of_an_older_definition_is_played_in_the_installed_layout(
     shutil.copytree(Path(__file__).resolve().parents[2] / "bags" / "forward", bag)
     states = probe.collect(GaitState, "gait_state", LATCHED)
     player = processes.start_executable(
-        *("worm_model", "play", str(bag), "--rate", "20", "--topic", "/worm/gait_state", "--paused")
+        *("worm_model", "play", str(bag), "--rate", "20", "--topic", "/worm/gait_state")
     )
     player.wait_for_line(r"is from before worm_msgs/msg/GaitState had .*\brun, ", TIMEOUT_S)
-    probe.wait_for(lambda: probe.node.count_publishers("gait_state"), "the player")
-    assert probe.call(Trigger, "/player/resume", Trigger.Request()).success
     probe.wait_for(lambda: player.exit_code is not None, "end of the bag", TIMEOUT_S)
     with open_bag(bag) as opened:
         recorded = read_run(opened).gait_state
@@ -169,7 +135,7 @@ def test_messages_that_are_not_what_is_installed_are_not_played(
         writer.write(other, b"\0\1\0\0" + bytes(4), 1, 1)
     player = processes.start_executable("worm_model", "play", str(tmp_path / "bag"))
     assert player.wait(TIMEOUT_S) == 2
-    assert "/worm/power is not played: power of worm_msgs/msg/Power" in player.output()
+    assert "'/worm/power' is not played: power of worm_msgs/msg/Power" in player.output()
 
 
 def test_invalid_topics_are_left_out_and_reported(
@@ -185,14 +151,13 @@ def test_invalid_topics_are_left_out_and_reported(
         writer.write(power, samples[1][:-8], 4, 4)
         writer.write(power, samples[2], 5, 5)
     powers = probe.collect(Power, "power")
-    player = processes.start_executable("worm_model", "play", str(tmp_path / "bag"), "--paused")
-    assert probe.call(Trigger, "/player/resume", Trigger.Request()).success
+    player = processes.start_executable("worm_model", "play", str(tmp_path / "bag"))
     probe.wait_for(lambda: player.exit_code is not None, "end of the bag", TIMEOUT_S)
     probe.wait_for(lambda: len(powers) == 2, "the whole samples")
     assert [m.power for m in powers] == [0.0, 2.0]
     assert player.exit_code == 0
-    assert "/a is not played" in player.output()
-    assert "'/../x' is not played: it is not a valid name of a topic" in player.output()
+    assert "'/a' is not played" in player.output()
+    assert "'/../x' is not played: " in player.output()
     assert (
         "/worm/power is played without the messages that cannot be converted: a message is not as long"
         in player.output()
@@ -222,11 +187,9 @@ def test_the_live_twin_yields_what_the_offline_replay_yields(
 ):
     states = probe.collect(TwinState, "twin/state", 10_000)
     player = processes.start_node(
-        "worm_model", "play", str(bag), "--rate", "2", "--wait-for", "twin", "--paused"
+        "worm_model", "play", str(bag), "--rate", "2", "--wait-for", "twin"
     )
     twin = processes.start_node("worm_model", "twin_node", use_sim_time=True)
-    probe.meet("twin/get_parameters")  # the twin's subscription to the states is connected, too
-    assert probe.call(Trigger, "player/resume", Trigger.Request()).success
     probe.wait_for(lambda: player.exit_code is not None, "end of the bag", TIMEOUT_S)
     offline = replay_run(RUN, PAPER).states
     last = int(offline["stamp_ns"][-1])

@@ -145,7 +145,7 @@ def test_the_player_has_what_its_policy_allows_and_no_more(
     processes: Processes, probe: Probe, tmp_path: Path
 ):
     bag = write_bag(tmp_path / "bag", simulated_run())
-    processes.start_node("worm_model", "play", str(bag), "--paused")
+    processes.start_node("worm_model", "play", str(bag), "--loop")
     other = "/worm/(body_length/.*|joint_states|twin/.*|clock|driver/transition_event)|/diagnostics|/rosout"
     assert lacking(probe, "player", "player", other) == []
 

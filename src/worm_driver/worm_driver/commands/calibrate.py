@@ -45,6 +45,8 @@ _SPEED = 0.5
 _PROBE = 256
 #: ticks, distance from a goal within which the servo has arrived
 _ARRIVED = 20
+#: ticks, largest distance from a goal at which a load can hold a servo with the factory gain, see `control.actuators`
+_YIELD = 142
 #: s, period of reading the position during a motion
 _MOTION_PERIOD = 0.05
 #: s, time without approach to the goal after which a motion has failed. It is shorter than the overload that makes a
@@ -155,9 +157,9 @@ class Calibration:
             readings = []
             for index in range(points):
                 ticks = start + direction * step * index
-                self._reach(servo, ticks)
+                position = self._reach(servo, ticks)
                 question = f"reading {index + 1} of {points}: body length on the ruler, mm: "
-                readings.append(Reading(ticks - start, self._length(question) * 1e-3))
+                readings.append(Reading(position - start, self._length(question) * 1e-3))
             self._reach(servo, start)
         spool, worst = spool_from(servo.number, readings)
         self._say(
@@ -256,15 +258,14 @@ class Calibration:
         with contextlib.suppress(NoReplyError, CorruptReplyError):
             self._bus.read(servo.number, servo["torque_enable"])
 
-    def _reach(self, servo: Servo, ticks: int) -> None:
-        """Move a servo to a position (ticks). A lost answer lets the operator repeat the step. Raises DriverError."""
+    def _reach(self, servo: Servo, ticks: int) -> int:
+        """Move a servo, see `_move`. A lost answer lets the operator repeat the step. Raises DriverError."""
         interrupted = False
         while True:
             try:
                 if interrupted:
                     self._resume(servo)
-                self._move(servo, ticks)
-                return
+                return self._move(servo, ticks)
             except (NoReplyError, CorruptReplyError) as error:
                 interrupted = True
                 self._say(f"{error}; the readings so far are preserved")
@@ -284,8 +285,10 @@ class Calibration:
         if watchdog == WATCHDOG_EXPIRED:
             self._torque_on(servo)
 
-    def _move(self, servo: Servo, ticks: int) -> None:
-        """Move a servo to a position (ticks), and wait until it arrives.
+    def _move(self, servo: Servo, ticks: int) -> int:
+        """Move a servo to a position (ticks), wait until it arrives, and return its position.
+
+        A load holds the servo at a distance from the goal.
 
         Raises:
             DriverError: The servo does not arrive, and now holds where it is; or it does not answer.
@@ -296,11 +299,13 @@ class Calibration:
             position = self._bus.read(servo.number, servo["present_position"])
             distance = abs(position - ticks)
             if distance <= _ARRIVED:
-                return
+                return position
             if distance < nearest - _ARRIVED:
                 nearest, stuck = distance, 0.0
             self._wait(_MOTION_PERIOD)
             stuck += _MOTION_PERIOD
+        if distance <= _YIELD:
+            return position
         self._goals.write(servo.number, position)
         raise DriverError(
             f"servo {servo.number} stopped at {position} ticks on the way to {ticks} ticks: the cable is blocked, or "

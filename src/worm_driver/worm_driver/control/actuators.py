@@ -2,10 +2,10 @@
 """Actuators of a robot: checks, setup and motion of the servos with their spools and fins."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping
 
 from worm_driver.control.driver_settings import DriverSettings
-from worm_driver.control.supervision import fault_level, own_limit
+from worm_driver.control.supervision import CableLength, fault_level, own_limit
 from worm_driver.errors import ConfigurationError, HomingError
 from worm_driver.servos import servo_setup as servos
 from worm_driver.servos.goal_gate import Bound, GoalGate
@@ -14,6 +14,7 @@ from worm_driver.servos.registers import COMMON
 from worm_driver.servos.servo_bus import ServoBus
 from worm_driver.servos.servo_setup import Servo
 from worm_driver.servos.servo_state import SILENT, ServoState
+from worm_driver.servos.transmission import Spool
 
 #: Largest distance of a fin from its goal at which the fin counts as set, ticks.
 _FIN_TOLERANCE = 40
@@ -21,8 +22,13 @@ _FIN_TOLERANCE = 40
 _FIN_STILL = 0.1
 #: Contraction below which a robot without torque does not noticeably spring back, m.
 _SPRINGS_BACK = 2e-3
-#: Smallest ratio of a cable servo's effort to its `fault_level` at which `strains` can return True. Gaits need less.
+#: Smallest ratio of the effort of a blocked cable servo to its `fault_level`. Gaits need less.
 _STRAIN = 0.85
+#: Largest distance of a servo from the present point of its profile, ticks. A servo with the factory gain 800/128 is at
+#: full output (885) at a distance of 142 ticks.
+_FOLLOWS = 160
+#: Largest distance from a moving servo to the point where it holds, ticks. A weak servo takes longer for a larger one.
+_YIELD = 100
 #: Distance by which the cable may be beyond either end of the stroke range in an activation or a hold, m.
 PAYOUT_TOLERANCE = 0.01
 
@@ -40,6 +46,7 @@ class Actuators:
         homed: True if the cable servos count their turns from the initial length.
         unreleased: failures of the last release, one sentence each. If not empty, a servo may still have torque.
         left_on: message about a torque that was left on; empty if there is none.
+        sprung_back: message about the last release, if it made the robot spring back; otherwise empty.
         track: plausible positions of the servos.
 
     Raises:
@@ -52,8 +59,11 @@ class Actuators:
         self.settings = settings
         self.unreleased: list[str] = []
         self.left_on = ""
+        self.sprung_back = ""
         self._bus = bus
-        self._held: dict[int, int] = {}
+        self._has_torque = False
+        self._held: Mapping[int, int] = {}
+        self._shares: Mapping[int, float] = {}  # see `_hold_at`
         self._longest_stroke = settings.max_stroke
         with bus.retrying():
             self.cables = tuple(servos.identify(bus, spool.servo) for spool in settings.spools)
@@ -192,9 +202,11 @@ class Actuators:
     def enable(self) -> float:
         """Enable the torque of every servo at its present position, with its bus watchdog armed.
 
+        Each servo holds its own position, which is read here, because the body may still be springing back. A loaded
+        servo that an earlier driver left with its torque on is behind the point of its profile. It keeps this point.
+
         Returns:
-            Length change at which the servos hold the cable, m. It is read here, because the body may still be
-            springing back.
+            Length change of the cable that is farthest from rest, m.
 
         Raises:
             DriverError: A servo cannot be enabled.
@@ -202,7 +214,13 @@ class Actuators:
         settings = self.settings
         self._longest_stroke = settings.max_stroke
         self._bound_goals()
+        self.sprung_back = ""
+        name = "position_trajectory"
         with self._bus.retrying():
+            points = {
+                servo.number: servos.registers(self._bus, servo, name)[name]
+                for servo in (self.cables if self.left_on else ())
+            }
             for spool, servo in zip(settings.spools, self.cables, strict=True):
                 limit = own_limit(servo, settings.limits)
                 speed = settings.max_cable_speed / spool.radius
@@ -212,15 +230,18 @@ class Actuators:
             # Servos that have torque already must not wait for the others longer than their watchdog.
             for servo in self.servos:
                 servos.arm_watchdog(self._bus, servo, settings.watchdog)
-            positions = {servo.number: self._enable(servo) for servo in self.servos}
+            positions = {servo.number: self._enable(servo, points) for servo in self.servos}
         self.track.begin(positions)
-        self._held = {number: position.ticks for number, position in positions.items()}
-        return self._mean_change([position.ticks for position in positions.values()])
+        return self._hold_at(self._last_goals())
 
-    def _enable(self, servo: Servo) -> PositionSample:
+    def _enable(self, servo: Servo, points: Mapping[int, int]) -> PositionSample:
+        """Enable the torque of a servo where it is. ``points`` of profiles (ticks, by servo id) are kept if near."""
         position = PositionSample(servos.standing_position(self._bus, servo), self._bus.now())
         self.track.record_if_plausible(servo.number, position.ticks, position.time)
-        self._goals.write(servo.number, position.ticks)
+        point = points.get(servo.number, position.ticks)
+        near = abs(point - position.ticks) <= _FOLLOWS
+        self._goals.write(servo.number, point if near else position.ticks)
+        self._has_torque = True
         servos.switch_on(self._bus, servo)
         return position
 
@@ -254,6 +275,11 @@ class Actuators:
         """
         if self.left_on:
             return [self.left_on]
+        if self._has_torque and self.contracted:
+            self.sprung_back = (
+                f"the torque is switched off while {self.contraction_text}: the robot springs back"
+            )
+        self._has_torque = False
         self.unreleased = servos.release_all(self._bus, self.servos)
         self.track.end()
         return self.unreleased
@@ -261,24 +287,42 @@ class Actuators:
     def leave_torque_on(self) -> list[str]:
         """Leave the torque on, because the contracted robot would spring back. Return the message about this."""
         self.left_on = (
-            f"the torque stays on, as the robot is contracted by {self.contraction * 1e3:.1f} mm and would spring "
-            "back: start the driver, activate it, then deactivate it to bring the robot to rest; or "
-            "secure the body and switch the supply off"
+            f"the torque stays on, as {self.contraction_text} and would spring back: start the driver, activate it, "
+            "then deactivate it to bring the robot to rest; or secure the body and switch the supply off"
         )
         return [self.left_on]
 
     @property
-    def contraction(self) -> float:
-        """Contraction of the robot (m) at the last plausible positions; infinite if one is missing."""
-        positions = [self.track.last(servo.number) for servo in self.cables]
-        if any(position is None for position in positions):
+    def contracted(self) -> Mapping[int, float]:
+        """Contractions (m) of the cables that would spring back without torque, by servo id; empty at rest."""
+        contractions = {spool.servo: self._contraction(spool) for spool in self.settings.spools}
+        return {n: length for n, length in contractions.items() if length > _SPRINGS_BACK}
+
+    def _contraction(self, spool: Spool) -> float:
+        """Return the contraction (m) at the last plausible position, infinite if there is none.
+
+        A servo that was not measured recently may have moved on to its goal.
+        """
+        position, goal = self.track.last(spool.servo), self._goals.last_sent(spool.servo)
+        if position is None:
             return math.inf
-        return -self._mean_change([position.ticks for position in positions if position])
+        at = -spool.length_change(position.ticks)
+        if goal is None or self._is_recent(position):
+            return at
+        return max(at, -spool.length_change(goal))
+
+    def _is_recent(self, position: PositionSample | None) -> bool:
+        """Return True if a position was received in one of the last two cycles, or within `limits.max_silence`."""
+        longest = max(self.settings.limits.max_silence, 2 * self.settings.period)
+        return position is not None and self._bus.now() - position.time <= longest
 
     @property
-    def springs_back(self) -> bool:
-        """True if the robot would spring back without torque."""
-        return self.contraction > _SPRINGS_BACK
+    def contraction_text(self) -> str:
+        """Clause with the measured contraction of each cable that would spring back."""
+        each = [
+            f"{length * 1e3:.1f} mm at servo {servo}" for servo, length in self.contracted.items()
+        ]
+        return f"the robot is contracted by {' and '.join(each) or 'at most 2 mm'}"
 
     def send(self, length_change: float, direction: int) -> None:
         """Send the goals of all servos in one packet.
@@ -287,7 +331,8 @@ class Actuators:
         `hold` stored.
 
         Args:
-            length_change: ΔL, m.
+            length_change: ΔL, m. After `enable` and `hold`, until it is 0: ΔL of the cable that is farthest from rest;
+                the others keep their ratio to it.
             direction: direction of the fins, 1 or -1; 0: the fins keep the goals that `enable`, `hold` or `stop_fins`
                 stored.
 
@@ -296,56 +341,97 @@ class Actuators:
             BusError: The packet cannot be sent.
         """
         goals = dict(self._held)
+        if not length_change:
+            self._shares = {}
         if self.homed:
-            goals |= {s.servo: s.ticks(length_change) for s in self.settings.spools}
+            goals |= {s.servo: s.ticks(self._goal(s, length_change)) for s in self.settings.spools}
         if direction:
             goals |= {fin.servo: fin.ticks(direction) for fin in self.settings.fins}
         self._goals.send(goals)
 
-    def hold(self) -> None:
-        """Store the last goals of all servos. `send` repeats a stored goal if it computes no new goal for the servo."""
-        for servo in self.servos:
-            goal = self._goals.last_sent(servo.number)
-            if goal is not None:
-                self._held[servo.number] = goal
+    def _goal(self, spool: Spool, length_change: float) -> float:
+        return length_change * self._shares.get(spool.servo, 1.0)
+
+    def hold(self, states: tuple[ServoState, ...]) -> float:
+        """Hold each cable servo where it is (`_hold_point`), and the fins and cable servos not homed at their goals.
+
+        Returns:
+            Length change of the cable that is farthest from rest, m.
+        """
+        goals = self._last_goals()
+        if self.homed:
+            for servo, state in zip(self.cables, states, strict=False):
+                goals[servo.number] = self._hold_point(servo, state, goals[servo.number])
+        return self._hold_at(goals)
+
+    def _hold_point(self, servo: Servo, state: ServoState, goal: int) -> int:
+        """Return the goal (ticks) with which a cable servo stays where it is.
+
+        This is the present point of its profile, near which a load holds the shaft. So repeated holds do not move the
+        cable. Exceptions:
+
+        - A servo that works nearly at its limit, as with a blocked cable, holds its measured position.
+        - If the state is missing or old, or the position is too far from the profile and therefore probably wrong, the
+          servo keeps its goal.
+        - A servo far behind a profile that has not ended, as a weak one, holds a point nearer to its position.
+        """
+        if state is SILENT or not self._is_recent(self.track.last(servo.number)):
+            return goal
+        ahead = state.trajectory - state.ticks
+        strongest = _STRAIN * fault_level(servo, self.settings.limits)
+        if ahead * state.effort > 0.0 and abs(state.effort) >= strongest:
+            return state.ticks
+        if abs(ahead) > _FOLLOWS or state.trajectory == goal:
+            return goal
+        return state.ticks + max(-_YIELD, min(ahead, _YIELD))
+
+    def _last_goals(self) -> dict[int, int]:
+        goals = ((servo.number, self._goals.last_sent(servo.number)) for servo in self.servos)
+        return {number: goal for number, goal in goals if goal is not None}
+
+    def _hold_at(self, goals: Mapping[int, int]) -> float:
+        """Store goals (ticks by servo id) that `send` repeats while it computes no others.
+
+        Return the length change (m) of the cable that is farthest from rest. The shares of the others in it are stored,
+        so that each servo returns to rest from its own goal, and all arrive at the same time.
+        """
+        self._held = goals
+        changes = {s.servo: s.length_change(goals[s.servo]) for s in self.settings.spools}
+        farthest = max(changes.values(), key=abs)
+        self._shares = {n: change / farthest for n, change in changes.items()} if farthest else {}
+        return farthest
 
     def stop_fins(self) -> None:
         """Replace the stored goals of the fins by their last plausible positions, which stops a flip."""
-        for servo in self.fins:
-            position = self.track.last(servo.number)
-            if position is not None:
-                self._held[servo.number] = position.ticks
+        positions = {servo.number: self.track.last(servo.number) for servo in self.fins}
+        self._held = dict(self._held) | {
+            n: at.ticks for n, at in positions.items() if at is not None
+        }
 
     # --- evaluation of states ----------------------------------------------------------------------
+
+    def cable_lengths(
+        self, states: tuple[ServoState, ...], length_change: float = 0.0
+    ) -> Mapping[int, CableLength]:
+        """Return the length change of each cable, by servo id, with a commanded length change (m) as in `send`.
+
+        The measured length is NaN before homing and for a silent servo.
+        """
+        return {
+            spool.servo: CableLength(
+                math.nan if state is SILENT or not self.homed else spool.length_change(state.ticks),
+                self._goal(spool, length_change),
+            )
+            for spool, state in zip(self.settings.spools, states, strict=False)
+        }
 
     def length_change(self, states: tuple[ServoState, ...]) -> float:
         """Return the mean length change of the cables according to the encoders, m.
 
         Return NaN before homing, and if a cable servo is silent.
         """
-        cables = states[: len(self.cables)]
-        if not self.homed or any(state is SILENT for state in cables):
-            return math.nan
-        return self._mean_change([state.ticks for state in cables])
-
-    def _mean_change(self, ticks: Sequence[int]) -> float:
-        """Return the mean length change (m) for positions of the cable servos (ticks). Further elements are ignored."""
-        changes = [s.length_change(at) for s, at in zip(self.settings.spools, ticks, strict=False)]
-        return math.fsum(changes) / len(changes)
-
-    def strains(self, states: tuple[ServoState, ...], error: float) -> bool:
-        """Return True if a cable servo works nearly at its limit to reduce an error of the length.
-
-        Args:
-            states: states of the servos.
-            error: commanded minus measured length change, m. NaN yields False.
-        """
-        limits = self.settings.limits
-        return any(
-            -spool.sign * state.effort * error > 0.0
-            and abs(state.effort) >= _STRAIN * fault_level(servo, limits)
-            for spool, servo, state in zip(self.settings.spools, self.cables, states, strict=False)
-        )
+        lengths = [cable.measured for cable in self.cable_lengths(states).values()]
+        return math.nan if any(map(math.isnan, lengths)) else math.fsum(lengths) / len(lengths)
 
     def unset_fins(self, states: tuple[ServoState, ...], direction: int) -> tuple[int, ...]:
         """Return the ids of the fin servos that do not stand still at their positions for a direction (1 or -1)."""

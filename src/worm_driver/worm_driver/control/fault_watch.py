@@ -11,6 +11,7 @@ from collections.abc import Callable
 from worm_driver.control import supervision
 from worm_driver.control.actuators import Actuators
 from worm_driver.control.supervision import Counts, Health, fault_level
+from worm_driver.gait.gait_player import PlayerState, moving
 from worm_driver.servos.registers import WATCHDOG_EXPIRED
 from worm_driver.servos.servo_state import SILENT, ServoState
 from worm_driver.servos.state_reader import StateReader
@@ -75,14 +76,14 @@ class FaultWatch:
         self._counts = supervision.silence(self._counts, silent, watched)
         self._last_look = ended
 
-    def fault(self, states: tuple[ServoState, ...], length_change: float) -> str | None:
+    def fault(self, states: tuple[ServoState, ...], player: PlayerState) -> str | None:
         """Return the present fault as a message, or None. Call `note_silence` first.
 
         Args:
             states: states of the servos while the torque is on.
-            length_change: commanded ΔL, m.
+            player: state of the player with the present command.
         """
-        return self.fault_of_servo() or self._fault_in_counts(states, length_change)
+        return self.fault_of_servo() or self._fault_in_counts(states, player)
 
     def fault_of_servo(self) -> str | None:
         """Return a fault that the registers or the position of a servo show, as a message, or None."""
@@ -123,7 +124,7 @@ class FaultWatch:
         robot.homed = robot.homed and not any(servo.number in lost for servo in robot.cables)
         return next((supervision.position_jumped(*jump) for jump in lost.items()), None)
 
-    def _fault_in_counts(self, states: tuple[ServoState, ...], length_change: float) -> str | None:
+    def _fault_in_counts(self, states: tuple[ServoState, ...], player: PlayerState) -> str | None:
         robot, limits = self._actuators, self._actuators.settings.limits
         efforts = {
             servo.number: state.effort
@@ -132,8 +133,10 @@ class FaultWatch:
         }
         levels = {servo.number: fault_level(servo, limits) for servo in robot.cables}
         counts = supervision.overload(self._counts, efforts, levels)
-        error = robot.length_change(states) - length_change
-        self._counts = supervision.following(counts, error, limits)
+        cables = robot.cable_lengths(states, player.length_change)
+        counts = supervision.following(counts, cables, limits)
+        returned = moving(player) and player.length_change == 0.0
+        self._counts = supervision.resting(counts, robot.contracted if returned else ())
         problems = self._reader.problems
         if supervision.fault_in_counts(self._counts, limits, problems) is None:
             return None  # the load average is read only for a fault, not in every cycle

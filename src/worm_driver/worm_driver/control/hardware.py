@@ -133,7 +133,7 @@ class Hardware:
     def release_time(self) -> float:
         """Longest duration of a return to rest and of the release after it, s."""
         travel = self._longest_stroke + 0.02
-        return _LATENESS * math.pi / 2 * travel / self.settings.player.return_speed + 1.0
+        return _LATENESS * math.pi / 2 * travel / self.robot.return_speed + 1.0
 
     def apply_settings(self, settings: DriverSettings) -> str:
         """Apply new limits. Return a message if the present run ends because of them, else an empty string."""

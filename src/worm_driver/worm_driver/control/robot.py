@@ -10,6 +10,7 @@ import os
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from itertools import combinations
 
 from worm_driver.control.actuators import PAYOUT_TOLERANCE, Actuators
 from worm_driver.control.driver_settings import DriverSettings
@@ -35,13 +36,13 @@ from worm_msgs.gait import Gait
 _ATTEMPTS = 5
 #: Phases in which nothing moves until a new command arrives.
 _HOLDS = (Phase.HOLDING, Phase.FAULT)
-#: Largest lag of a freely moving cable behind its command, s.
-_LAG = 0.05
 #: Longest time for which the robot may still move after a stop, s.
 _STANDS = 0.5
 #: Largest difference between two agreeing readings of the cable length, m. It is not 0, because the body may be
 #: springing back.
 _AGREE = 3e-3
+#: Largest difference between the lengths of two cables in an activation, m.
+_SPREAD = 5e-3
 
 
 class Robot:
@@ -115,6 +116,11 @@ class Robot:
         fastest = min(settings.max_cable_speed, self.actuators.fastest_cable)
         return GaitLimits(settings.max_stroke, settings.max_frequency, fastest)
 
+    @property
+    def return_speed(self) -> float:
+        """Peak cable speed of a return to rest, m/s. The servos do not follow a faster one."""
+        return min(self.settings.player.return_speed, self.limits.max_cable_speed)
+
     # --- commands: each between two calls of `cycle` -------------------------------------------
 
     def home(self) -> None:
@@ -146,19 +152,14 @@ class Robot:
         Raises:
             RejectedError: The driver shuts down, an emergency stop or another driver forbids a start, or the position
                 of a servo is out of the bounds of its goals.
-            HomingError: The length of the cable is unknown or out of its range.
+            HomingError: The length of a cable is unknown or out of its range, or the lengths differ too much.
             BusError: A servo does not answer.
             ConfigurationError: A servo is not fit to be enabled.
         """
         self._check_start()
         self.actuators.check()
         self._reader.learn_clocks()
-        cable = self._measured_cable()
-        if not -self.settings.max_stroke - PAYOUT_TOLERANCE <= cable <= PAYOUT_TOLERANCE:
-            raise HomingError(
-                f"the cable is {cable * 1e3:.1f} mm from its initial length, out of its range: bring the "
-                "robot to its initial length manually, then call the service home"
-            )
+        self._check_lengths(self._measured_cables())
         try:
             held = self.actuators.enable()
         except Exception:
@@ -179,21 +180,43 @@ class Robot:
         if reason:
             raise RejectedError(reason)
 
-    def _measured_cable(self) -> float:
-        """Return the length change of the cable (m), read until two consecutive readings agree.
+    def _check_lengths(self, lengths: Mapping[int, float]) -> None:
+        """Raise HomingError if a length change (m, by servo id) is out of range, or if two of them differ too much.
+
+        The cables of a robot that an earlier driver left contracted may differ, for example after a fault of one servo.
+        """
+        remedy = "bring the robot to its initial length manually, then call the service home"
+        for servo, cable in lengths.items():
+            if not -self.settings.max_stroke - PAYOUT_TOLERANCE <= cable <= PAYOUT_TOLERANCE:
+                raise HomingError(
+                    f"the cable of servo {servo} is {cable * 1e3:.1f} mm from its initial length, out of its range: "
+                    f"{remedy}"
+                )
+        for (one, first), (other, second) in combinations(lengths.items(), 2):
+            if abs(first - second) > _SPREAD and not self.actuators.left_on:
+                raise HomingError(
+                    f"the cables differ: servo {one} is at {first * 1e3:.1f} mm and servo {other} at "
+                    f"{second * 1e3:.1f} mm, more than {_SPREAD * 1e3:g} mm apart: {remedy}"
+                )
+
+    def _measured_cables(self) -> Mapping[int, float]:
+        """Return the length change of each cable (m, by servo id), read until two consecutive readings agree.
 
         Raises:
             NoReplyError: No two consecutive readings agree.
             BusError: A request cannot be sent.
         """
-        before = math.nan
+        before: Mapping[int, float] = {}
         seen: dict[int, str] = {}
         for _ in range(_ATTEMPTS):
-            cable = self.actuators.length_change(self._reader.read()[1])
+            cables = self.actuators.cable_lengths(self._reader.read()[1])
             seen |= self._reader.problems
-            if abs(cable - before) <= _AGREE:
-                return cable
-            before = cable
+            lengths = {servo: cable.measured for servo, cable in cables.items()}
+            if all(
+                abs(length - before.get(n, math.nan)) <= _AGREE for n, length in lengths.items()
+            ):
+                return lengths
+            before = lengths
         problems = "; ".join(f"servo {servo} {why}" for servo, why in seen.items())
         raise NoReplyError(
             f"cannot measure the length of the cable: {problems or 'its servo reports another position each time'}"
@@ -251,7 +274,7 @@ class Robot:
             BusError: The goals cannot be sent.
         """
         if self.active:
-            self._adopt(gait_player.stop(self.player, now, self._here(), reason))
+            self._adopt(gait_player.stop(self.player, now, reason))
             self._send_goals()
             if self.player.phase is Phase.FAULT:
                 return f"in FAULT, holding as far as the servos have torque: {self.player.message}"
@@ -261,16 +284,16 @@ class Robot:
 
     def fail(self, now: float, reason: str) -> None:
         """Hold the cable and the fins at their present positions until the next activation."""
-        self._adopt(gait_player.fault(self.player, now, self._here(), reason))
+        self._adopt(gait_player.fault(self.player, now, reason))
 
     def _adopt(self, player: PlayerState) -> None:
         """Store a new state of the player.
 
-        If a hold begins before all fins are set, every fin is stopped where it is. Otherwise the fins keep their last
-        goals. Cable servos that are no longer homed keep theirs, too. Homed ones hold the player's length change.
+        When a hold begins, every servo is held (`Actuators.hold`). If not all fins are set then, every fin is stopped
+        where it is.
         """
         if player.phase in _HOLDS and self.player.phase is not player.phase:
-            self.actuators.hold()
+            player = replace(player, length_change=self.actuators.hold(self._states))
             if self.player.direction not in (0, self._fins_set_for):
                 self.actuators.stop_fins()
         self.player = player
@@ -289,11 +312,16 @@ class Robot:
             StoppedError: The robot holds and would spring back, and no motion may start, as in an emergency stop.
         """
         blocked = self._why_not_start() if self.player.phase is Phase.HOLDING else ""
-        if self.active and blocked and self.actuators.springs_back:
-            raise StoppedError(f"the robot holds, contracted, and may not move: {blocked}")
+        if self.active and blocked and self.actuators.contracted:
+            raise StoppedError(f"{self.actuators.contraction_text}, and may not move: {blocked}")
         self._releases_fault = self.player.phase is Phase.FAULT
         if self.active and not blocked and not self._releases_fault:
             self.player = gait_player.return_to_rest(self.player, now, reason)
+
+    @property
+    def _rests(self) -> bool:
+        """True if the robot is commanded to rest, and is there according to the encoders."""
+        return gait_player.at_rest(self.player) and not self.actuators.contracted
 
     @property
     def released(self) -> bool:
@@ -302,10 +330,10 @@ class Robot:
         This is the case if the torque is off already, if the robot is at rest, or if it holds and would not spring
         back. A holding robot that would spring back may be released only if `ramp_to_rest` was called in FAULT.
         """
-        if not self.active or gait_player.at_rest(self.player):
+        if not self.active or self._rests:
             return True
         permitted = self._releases_fault and self.player.phase is Phase.FAULT
-        return self.holding and (permitted or not self.actuators.springs_back)
+        return self.holding and (permitted or not self.actuators.contracted)
 
     @property
     def holding(self) -> bool:
@@ -315,7 +343,7 @@ class Robot:
     def close(self, now: float, reason: str) -> None:
         """Begin to shut down. Return to rest, or hold if no motion may start, for example in an emergency stop."""
         why_not = self._why_not_start()
-        if why_not and not gait_player.at_rest(self.player):
+        if why_not and not self._rests:
             self.stop(now, why_not)
         else:
             self.ramp_to_rest(now, reason)
@@ -326,14 +354,14 @@ class Robot:
         It may end if the torque is off, if the robot is at rest, or 0.5 s after the robot began to hold.
         """
         stands = self.player.phase in _HOLDS and now - self.player.phase_start >= _STANDS
-        return not self.active or gait_player.at_rest(self.player) or stands
+        return not self.active or self._rests or stands
 
     def shutdown(self) -> list[str]:
         """Release the robot at the end of the driver, unless it would spring back. Return the failures.
 
         Only `release`, at an operator's request, makes a contracted robot spring back.
         """
-        if self.active and not gait_player.at_rest(self.player) and self.actuators.springs_back:
+        if self.active and self.actuators.contracted:
             self.active = False
             return self.actuators.leave_torque_on()
         return self.release()
@@ -385,9 +413,18 @@ class Robot:
         fins_set = before.direction != 0 and not unset
         if fins_set:
             self._fins_set_for = before.direction
-        idle_samples = samples - self._idle_from
-        observation = Observation(fins_set, idle_samples, self._tracker_ready(), unset)
-        settings = replace(self.settings.player, longest_step=self.settings.period)
+        observation = Observation(
+            fins_set,
+            samples - self._idle_from,
+            self._tracker_ready(),
+            unset,
+            at_rest=not self.actuators.contracted,
+        )
+        settings = replace(
+            self.settings.player,
+            longest_step=self.settings.period,
+            return_speed=self.return_speed,
+        )
         self._adopt(gait_player.step(self.player, now, observation, settings))
         if self.player.phase is Phase.RESTING and before.phase is not Phase.RESTING:
             self._idle_from = samples
@@ -404,20 +441,7 @@ class Robot:
         if self.player.phase is Phase.FAULT:
             self._watch.fault_of_servo()  # a servo that restarted is no longer homed
             return
-        reason = self._watch.fault(self._states, self.player.length_change)
+        reason = self._watch.fault(self._states, self.player)
         if reason is not None:
             self.fail(now, reason)
             self._send_goals()
-
-    def _here(self) -> float:
-        """Return the length change at which a hold begins, m: the measured one if confirmed, else the last command.
-
-        A measurement is confirmed if it differs from the command by at most the distance that the cable can move
-        within `_LAG`. It is also confirmed if a cable servo strains towards the command, as with a blocked cable. A
-        missing or implausible sample is not confirmed.
-        """
-        commanded = self.player.length_change
-        cable = self.actuators.length_change(self._states)
-        lags = abs(cable - commanded) <= _LAG * self.settings.max_cable_speed
-        confirmed = lags or self.actuators.strains(self._states, commanded - cable)
-        return cable if confirmed else commanded

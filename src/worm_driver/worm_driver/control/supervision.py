@@ -3,6 +3,7 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 from worm_driver.servos.registers import WATCHDOG_EXPIRED, hardware_error_text
 from worm_driver.servos.servo_setup import Servo
@@ -24,6 +25,8 @@ class Limits:
         overload_cycles: consecutive cycles above max_current or max_load that are a fault.
         following_error: largest distance of the cable from its command, m.
         following_cycles: consecutive cycles beyond following_error that are a fault.
+        rest_cycles: consecutive cycles in which a cable is contracted, although it is commanded to rest, that are a
+            fault.
     """
 
     max_silence: float = DriverFile.max_silence
@@ -32,6 +35,7 @@ class Limits:
     overload_cycles: int = 5
     following_error: float = DriverFile.max_following_error
     following_cycles: int = 5
+    rest_cycles: int = 100
 
 
 def own_limit(servo: Servo, limits: Limits) -> float:
@@ -49,6 +53,13 @@ def fault_level(servo: Servo, limits: Limits) -> float:
     return own_limit(servo, limits) / _HEADROOM
 
 
+class CableLength(NamedTuple):
+    """Length changes of the cable of one servo, m: measured (NaN if unknown) and commanded."""
+
+    measured: float
+    commanded: float
+
+
 @dataclass(frozen=True)
 class Counts:
     """Durations of the present deviations.
@@ -56,12 +67,16 @@ class Counts:
     Attributes:
         silence: time without a state, s, by servo id.
         overload: consecutive cycles with overload, by servo id.
-        following: consecutive cycles with too large a following error.
+        following: consecutive cycles with too large a following error, by servo id.
+        unrested: consecutive cycles in which a cable is contracted, although it is commanded to rest, by servo id.
+        cables: lengths in the present reading, by servo id.
     """
 
     silence: Mapping[int, float] = field(default_factory=dict)
     overload: Mapping[int, int] = field(default_factory=dict)
-    following: int = 0
+    following: Mapping[int, int] = field(default_factory=dict)
+    unrested: Mapping[int, int] = field(default_factory=dict)
+    cables: Mapping[int, CableLength] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -140,11 +155,19 @@ def overload(counts: Counts, efforts: Mapping[int, float], levels: Mapping[int, 
     return replace(counts, overload=now)
 
 
-def following(counts: Counts, error: float, limits: Limits) -> Counts:
-    """Return the counts after a reading of the following error (m). NaN counts as no error."""
-    return replace(
-        counts, following=counts.following + 1 if abs(error) > limits.following_error else 0
+def following(counts: Counts, cables: Mapping[int, CableLength], limits: Limits) -> Counts:
+    """Return the counts after a reading of the cables by servo id. An unknown length counts as no error."""
+    off = (
+        s for s, at in cables.items() if abs(at.measured - at.commanded) > limits.following_error
     )
+    return replace(
+        counts, following={s: counts.following.get(s, 0) + 1 for s in off}, cables=cables
+    )
+
+
+def resting(counts: Counts, contracted: Iterable[int]) -> Counts:
+    """Return the counts after a cycle in which some servos, by id, are contracted although commanded to rest."""
+    return replace(counts, unrested={s: counts.unrested.get(s, 0) + 1 for s in contracted})
 
 
 def fault_in_counts(
@@ -168,12 +191,24 @@ def fault_in_counts(
                 f"servo {servo} is beyond its limit (limits.max_servo_current_a, limits.max_servo_load): the "
                 "cable is blocked or overloaded"
             )
-    if counts.following >= limits.following_cycles:
-        return (
-            f"the cable is more than {limits.following_error * 1e3:g} mm off its command: it is blocked, its servo is "
-            "too weak, or its position is wrong"
-        )
+    for count, longest in (
+        (counts.following, limits.following_cycles),
+        (counts.unrested, limits.rest_cycles),
+    ):
+        for servo, cycles in count.items():
+            if cycles >= longest:
+                return off_command(servo, counts.cables[servo], cycles)
     return None
+
+
+def off_command(servo: int, cable: CableLength, cycles: int) -> str:
+    """Return the message about a cable that has been off its command for some cycles."""
+    off = abs(cable.measured - cable.commanded)
+    return (
+        f"the cable of servo {servo} is {off * 1e3:.1f} mm off its command for {cycles} cycles (at "
+        f"{cable.measured * 1e3:.1f} mm instead of {cable.commanded * 1e3:.1f} mm): it is blocked, its servo is too "
+        "slow or too weak, or its position is wrong"
+    )
 
 
 def fault_in_health(servo: int, health: Health, *, is_cable: bool) -> str | None:

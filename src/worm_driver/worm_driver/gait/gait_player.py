@@ -3,7 +3,7 @@
 
 The phases of a run, and the phase without one:
 
-- RETURNING: the cable returns to delta L = 0. The phase ends at once if the cable is there already.
+- RETURNING: the cable returns to delta L = 0. The phase ends when the encoders show that it is there.
 - FLIPPING: the fins are set, and the robot settles.
 - RESTING: the robot is at rest, and idle power is sampled.
 - RUNNING: the cycles, each from the point of rest (commanded contraction 0, or equal to the pretension) back
@@ -26,7 +26,7 @@ from worm_driver.errors import RejectedError
 from worm_msgs.driver_file import DriverFile
 from worm_msgs.gait import Gait
 
-#: m, distance from delta L = 0 below which the cable is at rest
+#: m, distance from delta L = 0 below which the cable is commanded to rest
 REST_TOLERANCE = 1e-4
 
 
@@ -101,7 +101,8 @@ class PlayerState:
         phase: present phase.
         phase_start: start of the phase, s. The command that turns the fins sets it again. It keeps its value when
             `cancel` changes the phase to STOPPING.
-        length_change: commanded length change, m.
+        length_change: commanded length change, m. In a hold and in the return from it, that of the servo that is
+            farthest from rest, see `Actuators.hold`.
         ramp_from: commanded length change from which the ramp of the phase starts, if the phase has one, m.
         ramp_done: fraction of the duration of this ramp that has passed, 0 to 1.
         direction: commanded direction of the fins, 1 or -1; 0 before the first run and after a hold.
@@ -137,12 +138,14 @@ class Observation:
         idle_samples: number of valid power samples since the rest began.
         tracker_ready: True if the tracker sees the robot at rest, or if there is no tracker.
         unset_fins: ids of the fin servos that have not reached their goals.
+        at_rest: True if no cable is contracted according to the encoders.
     """
 
     fins_set: bool
     idle_samples: int
     tracker_ready: bool = True
     unset_fins: tuple[int, ...] = ()
+    at_rest: bool = True
 
 
 @dataclass(frozen=True)
@@ -218,21 +221,20 @@ def cancel(state: PlayerState, now: float, reason: str) -> PlayerState:
     return _come_to_rest(replace(state, run=run), now, Ending.CANCELLED, now)
 
 
-def stop(state: PlayerState, now: float, length_change: float, reason: str) -> PlayerState:
-    """Hold the cable at once at a length change (m). In the phase FAULT, return the state unchanged."""
+def stop(state: PlayerState, now: float, reason: str) -> PlayerState:
+    """Hold the cable at once. In HOLDING only the message changes, in FAULT nothing."""
     if state.phase is Phase.FAULT:
         return state
-    return _hold(state, now, length_change, Phase.HOLDING, Ending.STOPPED, reason)
+    if state.phase is Phase.HOLDING:
+        return replace(state, message=reason)
+    return _hold(state, now, Phase.HOLDING, Ending.STOPPED, reason)
 
 
-def fault(state: PlayerState, now: float, length_change: float, reason: str) -> PlayerState:
-    """Hold the cable at once at a length change (m), until the driver is activated again.
-
-    A later fault does not replace the reason.
-    """
+def fault(state: PlayerState, now: float, reason: str) -> PlayerState:
+    """Hold the cable at once, until the driver is activated again. A later fault does not replace the reason."""
     if state.phase is Phase.FAULT:
         return state
-    return _hold(state, now, length_change, Phase.FAULT, Ending.FAILED, reason)
+    return _hold(state, now, Phase.FAULT, Ending.FAILED, reason)
 
 
 def return_to_rest(state: PlayerState, now: float, reason: str) -> PlayerState:
@@ -243,7 +245,7 @@ def return_to_rest(state: PlayerState, now: float, reason: str) -> PlayerState:
 
 
 def at_rest(state: PlayerState) -> bool:
-    """Return True in IDLE with the cable at delta L = 0."""
+    """Return True in IDLE with the cable commanded to delta L = 0."""
     return state.phase is Phase.IDLE and abs(state.length_change) <= REST_TOLERANCE
 
 
@@ -270,7 +272,7 @@ def _returning(
     state: PlayerState, now: float, observation: Observation, settings: PlayerSettings
 ) -> PlayerState:
     state = _ramp(state, now, 0.0, settings)
-    if state.length_change != 0.0:
+    if state.length_change != 0.0 or not observation.at_rest:
         return state
     if state.active_run is None:
         return _enter(state, Phase.IDLE, now)
@@ -321,7 +323,7 @@ def _flipping(
             f"these fins did not reach their goals within {settings.flip_timeout:g} s: {fins}. Check whether something "
             "blocks them"
         )
-        return fault(state, now, state.length_change, reason)
+        return fault(state, now, reason)
     return state
 
 
@@ -344,13 +346,14 @@ def _resting(
 
 
 def _running(
-    state: PlayerState, now: float, _: Observation, settings: PlayerSettings
+    state: PlayerState, now: float, observation: Observation, settings: PlayerSettings
 ) -> PlayerState:
     run = state.run
     assert run is not None
     if run.onset is None:  # The run was cancelled during the return to rest.
         state = _ramp(state, now, 0.0, settings)
-        return state if state.length_change else _end(state, now, Ending.CANCELLED, Phase.IDLE)
+        returns = state.length_change != 0.0 or not observation.at_rest
+        return state if returns else _end(state, now, Ending.CANCELLED, Phase.IDLE)
     end = run.onset + run.stop_cycle / run.gait.frequency
     if now >= end:
         ending = Ending.CANCELLED if state.phase is Phase.STOPPING else Ending.COMPLETED
@@ -391,8 +394,6 @@ def _come_to_rest(state: PlayerState, now: float, ending: Ending, end: float) ->
     return _enter(state, Phase.RETURNING, now) if state.length_change else state
 
 
-def _hold(
-    state: PlayerState, now: float, length_change: float, phase: Phase, ending: Ending, reason: str
-) -> PlayerState:
+def _hold(state: PlayerState, now: float, phase: Phase, ending: Ending, reason: str) -> PlayerState:
     state = _end(state, now, ending, phase, reason)
-    return replace(state, length_change=length_change, direction=0, message=reason)
+    return replace(state, direction=0, message=reason)

@@ -228,6 +228,7 @@ class DriverNode(LifecycleNode):
         if hardware is None:
             return []
         problems = hardware.close(reason, self._publish)
+        self._log_spring_back(hardware)
         self._hardware, self.unreleased = None, problems
         self._why_closed = "; ".join((reason, *problems))
         self._tracker.forget()
@@ -309,7 +310,11 @@ class DriverNode(LifecycleNode):
         self._sole.require()
         hardware = self._opened()
         robot = hardware.robot
-        hardware.loop.run(robot.activate, _ACTIVATION, undo=lambda _: robot.shutdown())
+        try:
+            hardware.loop.run(robot.activate, _ACTIVATION, undo=lambda _: robot.shutdown())
+        except DriverError:
+            self._log_spring_back(hardware)
+            raise
 
     def _release(self) -> None:
         """Bring the robot to rest and release the servos. Raises StoppedError, ReleaseError, DriverError."""
@@ -321,17 +326,24 @@ class DriverNode(LifecycleNode):
         while not self._do(lambda hardware, _: hardware.robot.released) and hardware.clock() < end:
             if self._do(lambda hardware, _: hardware.robot.holding):
                 raise StoppedError(
-                    "a stop or a FAULT interrupted the return to rest: the robot holds, with its torque on; "
-                    "deactivate it again to release it"
+                    f"a stop or a FAULT interrupted the return to rest: {hardware.robot.actuators.contraction_text} "
+                    "and keeps its torque; deactivate it again"
                 )
             self._publish()
         if not self._do(lambda hardware, _: hardware.robot.released):
             raise StoppedError(
-                "the robot did not come to rest in time: it keeps its torque; deactivate it again to release it"
+                f"the robot did not come to rest in time: {hardware.robot.actuators.contraction_text} and keeps its "
+                "torque; deactivate it again"
             )
         problems = self._do(lambda hardware, _: hardware.robot.release(), _RELEASE)
+        self._log_spring_back(hardware)
         if problems:
             raise ReleaseError(release_report(problems).message)
+
+    def _log_spring_back(self, hardware: Hardware) -> None:
+        """Log the contraction if the last release made the robot spring back."""
+        if hardware.robot.actuators.sprung_back:
+            self.get_logger().error(hardware.robot.actuators.sprung_back)
 
     # --- services ------------------------------------------------------------------------------
 

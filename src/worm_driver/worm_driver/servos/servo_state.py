@@ -24,6 +24,8 @@ class ServoState:
         voltage: supply voltage, V.
         temperature: temperature, degC.
         tick: time of the servo's own clock (realtime_tick), s.
+        trajectory: present point of the servo's profile (position_trajectory), raw. The servo controls its position to
+            this point. Under a load it remains behind it.
     """
 
     ticks: int
@@ -33,6 +35,7 @@ class ServoState:
     voltage: float
     temperature: float
     tick: float
+    trajectory: int = 0
 
 
 #: State of a servo without a usable answer.
@@ -55,4 +58,5 @@ def decode(model: ServoModel, block: bytes) -> ServoState:
         voltage=value("present_input_voltage"),
         temperature=value("present_temperature"),
         tick=value("realtime_tick"),
+        trajectory=unpack_from(model["position_trajectory"], block, STATE_START),
     )

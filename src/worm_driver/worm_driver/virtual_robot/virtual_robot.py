@@ -156,7 +156,7 @@ class VirtualRobot:
     def cable_change(self) -> float:
         """Displacement of the cable since the start, m; negative when the servos have wound it up."""
         wound = sum(
-            item.sign * (servo.shaft_angle - item.start_angle) * item.spool_radius
+            item.sign * (servo.motor_angle - item.start_angle) * item.spool_radius
             for item, servo in self._cable
         )
         return -wound / len(self._cable)
@@ -174,9 +174,9 @@ class VirtualRobot:
 
     def _fin_law(self, item: FinServoSettings, servo: Servo) -> int:
         tolerance = self.settings.fin_tolerance
-        if abs(servo.shaft_angle - item.forward_angle) <= tolerance:
+        if abs(servo.motor_angle - item.forward_angle) <= tolerance:
             return FORWARD
-        return REVERSE if abs(servo.shaft_angle - item.reverse_angle) <= tolerance else LOOSE
+        return REVERSE if abs(servo.motor_angle - item.reverse_angle) <= tolerance else LOOSE
 
     def _measure_power(self, time: float) -> None:
         supply = self.settings.supply

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reading, writing, recording and recovery of bags in MCAP and other rosbag2 formats.
+"""Reading, writing and recording of bags in MCAP and other rosbag2 formats.
 
 Only these modules depend on the file formats; all other packages use typed arrays and records.
 
@@ -8,9 +8,8 @@ Only these modules depend on the file formats; all other packages use typed arra
 
 - `formats`: MCAP, sqlite3, metadata.yaml, message definitions, CDR. `bag_writer.new_bag` writes a complete bag.
 - `recording`: `recorder.BagRecorder` writes a bag that stays readable if the recorder is killed.
-- `recovery`: `recovery.recover` saves every readable message of a damaged bag.
-- `operations`: cut, join, clean, export, play.
+- `operations`: export as tables, and copies: a part of a bag, or all that can be read of a damaged one.
 
-If a defect prevents reading, the functions raise a `bag_errors.BagError` with a message of one line. They report any
-other defect by calling the caller's `notify` with one line.
+Reading never writes. If a defect prevents reading, the functions raise a `bag_errors.BagError` with a message of one
+line. They report any other defect by calling the caller's `notify` with one line.
 """

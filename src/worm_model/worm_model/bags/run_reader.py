@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from worm_model.bags.formats.bag import Bag
-from worm_model.bags.formats.bag_errors import BagError
+from worm_model.bags.formats.bag_errors import BagError, NoRunError
 from worm_model.bags.formats.cdr import ColumnBuilder, Columns
-from worm_model.bags.formats.message_block import Topic, messages_of
+from worm_model.bags.formats.message_block import Topic
 from worm_model.bags.worm_topics import SERIES, TWIN_INPUTS, TYPES, find_topic, path_of
 from worm_model.run import GaitStates, Run, Stamps, concatenated
 from worm_msgs.gait import GAIT_DEFAULTS
@@ -66,7 +66,7 @@ class RunReader:
 
     def __init__(self, bag: Bag, namespace: str, names: Sequence[str]) -> None:
         self._bag = bag
-        topic_of = {name: find_topic(bag.topics.values(), name, namespace) for name in names}
+        topic_of = {name: find_topic(bag.channels, name, namespace) for name in names}
         self._topics = {name: topic for name, topic in topic_of.items() if topic is not None}
         if not self._topics:
             raise _none_of_the_worms(bag, f" under {namespace}" if namespace else "")
@@ -111,7 +111,7 @@ class RunReader:
             columns = {}
             for topic, messages in block.by_topic():
                 builder, name = ColumnBuilder(), names[topic]
-                builder.add(messages)
+                builder.add(messages.like(self._topics[name]))
                 columns[name] = filters[name].filter(builder.columns())
             series, stamps = {}, []
             for name, (attribute, kind) in SERIES.items():
@@ -151,13 +151,17 @@ def _located(bag: Bag, topic: Topic | None) -> Iterator[None]:
 
 
 def _report_unexpected_topics(bag: Bag, topics: Mapping[str, Topic | None], namespace: str) -> None:
-    """Report topics with the name but not the type of one of the worm's topics, and topics under several namespaces."""
+    """Report channels with the name but not the type of one of the worm's topics, and topics of several namespaces."""
     for name, topic in topics.items():
         ending = f"{namespace.rstrip('/')}/{name}"
-        others = [t for t in bag.topics.values() if t.count and f"/{t.name}".endswith(ending)]
-        for other in others if topic is None else ():
-            kind = other.type_name or "message without a type"
-            bag.notify(f"{bag.path}: {other.name} is not read: it is a {kind}, not {TYPES[name]}")
+        for other in bag.channels:
+            kind = other.type_name or "message without a type", other.encoding
+            is_named = other.name == topic.name if topic else f"/{other.name}".endswith(ending)
+            if other.count and is_named and kind != (TYPES[name], "cdr"):
+                bag.notify(
+                    f"{bag.path}: {other.count} messages of {other.name} are not read: their type is {kind[0]} in "
+                    f"{kind[1] or 'no encoding'}, not {TYPES[name]} in cdr"
+                )
     roots = {topic.name.removesuffix(name) for name, topic in topics.items() if topic is not None}
     if len(roots) > 1:
         bag.notify(
@@ -173,40 +177,41 @@ def namespace_of(bag: Bag) -> str:
         BagError: The bag has several robots, or none.
     """
     for name in RUN_TOPICS:
-        topic = find_topic(bag.topics.values(), name)
+        topic = find_topic(bag.channels, name)
         if topic is not None:
             return topic.name.removesuffix(name).rstrip("/")
     raise _none_of_the_worms(bag)
 
 
-def _none_of_the_worms(bag: Bag, where: str = "") -> BagError:
+def _none_of_the_worms(bag: Bag, where: str = "") -> NoRunError:
     names = ", ".join(bag.topics) or "none"
-    return BagError(f"{bag.path} has none of the worm's topics{where}; it has {names}")
+    return NoRunError(f"{bag.path} has none of the worm's topics{where}; it has {names}")
 
 
 def received_at(bag: Bag, name: str) -> dict[int, int]:
     """Return the log times of the messages of one of the worm's topics, by stamp; both in ns since the epoch."""
     received: dict[int, int] = {}
-    topic = find_topic(bag.topics.values(), name)
+    topic = find_topic(bag.channels, name)
     for block in bag.blocks([topic.name] if topic else []):
-        builder = ColumnBuilder()
-        builder.add(block)
+        builder, messages = ColumnBuilder(), block.like(topic) if topic else block
+        builder.add(messages)
         received.update(
-            zip(stamps_of(builder.columns()).tolist(), block.log_time.tolist(), strict=True)
+            zip(stamps_of(builder.columns()).tolist(), messages.log_time.tolist(), strict=True)
         )
     return received
 
 
 def read_columns(bag: Bag, topics: Sequence[Topic]) -> dict[str, Columns]:
-    """Return all fields of some topics of a bag as columns, by topic name.
+    """Return all fields of some topics of a bag as columns, by topic name; other types of a topic are left out.
 
     Raises:
         BagError: A topic cannot be decoded.
     """
-    builders = {topic.name: ColumnBuilder() for topic in topics}
+    by_name = {topic.name: topic for topic in topics}
+    builders = {name: ColumnBuilder() for name in by_name}
     for block in bag.blocks(builders):
         for name, messages in block.by_topic():
-            builders[name].add(messages)
+            builders[name].add(messages.like(by_name[name]))
     return {name: builder.columns() for name, builder in builders.items()}
 
 
@@ -274,18 +279,19 @@ def stamps_of(columns: Columns, path: str = "header.stamp") -> NDArray[np.int64]
 
 
 def clock_offset(bag: Bag, namespace: str) -> int:
-    """Return log time minus stamp (ns) of a bag's first message with a length, a position or a power.
+    """Return the median of log time minus stamp (ns) of a bag's first lengths, positions or powers.
 
     A difference of at most one second is a normal delay; the function then returns 0. It also returns 0 for a bag
     without such messages.
     """
-    topics = [find_topic(bag.topics.values(), name, namespace) for name in _INSTRUMENTS]
-    names = [topic.name for topic in topics if topic is not None]
-    for message in islice(bag.messages(names), 1):
-        columns = ColumnBuilder()
-        columns.add(messages_of([message]))
-        shift = message.log_time - int(stamps_of(columns.columns())[0])
-        return shift if abs(shift) > _LONGEST_DELAY_NS else 0
+    for name in _INSTRUMENTS:
+        topic = find_topic(bag.channels, name, namespace)
+        for block in islice(bag.blocks([topic.name]) if topic and topic.count else (), 1):
+            builder, messages = ColumnBuilder(), block.like(topic) if topic else block
+            builder.add(messages)
+            late = messages.log_time.astype(np.int64) - stamps_of(builder.columns())
+            shift = int(np.median(late)) if len(late) else 0
+            return shift if abs(shift) > _LONGEST_DELAY_NS else 0
     return 0
 
 

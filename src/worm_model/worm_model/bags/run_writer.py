@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from worm_model.bags.formats.bag_errors import BagError
-from worm_model.bags.formats.bag_writer import BagFiles
+from worm_model.bags.formats.bag_writer import BagWriter
 from worm_model.bags.formats.cdr import encode
 from worm_model.bags.formats.message_block import Message, Topic
 from worm_model.bags.formats.message_types import topic_of
@@ -23,7 +23,7 @@ from worm_model.run import LengthSource, Run, Stamps
 Numbers = Mapping[str, NDArray[Any] | float]
 
 
-def write_run(writer: BagFiles, run: Run, namespace: str = "/worm") -> None:
+def write_run(writer: BagWriter, run: Run, namespace: str = "/worm") -> None:
     """Append the samples of a run, except joint states, in order of stamp.
 
     The publish time and the log time of each message equal its stamp.

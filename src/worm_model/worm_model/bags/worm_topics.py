@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from typing import Any
 
 from worm_model.bags.formats.bag_errors import BagError
@@ -92,11 +93,11 @@ def offered_qos(name: str) -> str:
     )
 
 
-def find_topic(topics: Iterable[Topic], name: str, namespace: str = "") -> Topic | None:
-    """Return the topic with one of the worm's names (a key of TYPES), or None.
+def find_topic(channels: Iterable[Topic], name: str, namespace: str = "") -> Topic | None:
+    """Return the topic with one of the worm's names (a key of TYPES) and its type, or None.
 
     Args:
-        topics: topics of a bag.
+        channels: channels of a bag. Channels of one topic with another type or encoding do not count.
         name: relative name, such as ``body_length/measured``.
         namespace: namespace of the topic, such as ``/worm``; empty: any.
 
@@ -105,17 +106,17 @@ def find_topic(topics: Iterable[Topic], name: str, namespace: str = "") -> Topic
     """
     ending = f"{namespace.rstrip('/')}/{name}" if namespace else f"/{name}"
     longer = tuple(f"/{other}" for other in TYPES if other.endswith(f"/{name}"))
-    matching = [
-        topic
-        for topic in topics
-        if topic.type_name == TYPES[name]
-        and (
-            topic.name.lstrip("/") == ending.lstrip("/")
+    matching: dict[str, Topic] = {}
+    for channel in channels:
+        if (channel.type_name, channel.encoding) == (TYPES[name], "cdr") and (
+            channel.name.lstrip("/") == ending.lstrip("/")
             if namespace
-            else f"/{topic.name}".endswith(ending) and not f"/{topic.name}".endswith(longer)
-        )
-    ]
+            else f"/{channel.name}".endswith(ending) and not f"/{channel.name}".endswith(longer)
+        ):
+            known = matching.get(channel.name)
+            count = channel.count + (known.count if known else 0)
+            matching[channel.name] = replace(channel, count=count)
     if len(matching) > 1:
-        names = ", ".join(sorted(topic.name for topic in matching))
+        names = ", ".join(sorted(matching))
         raise BagError(f"several topics could be {name}: {names}; choose with --namespace")
-    return matching[0] if matching else None
+    return next(iter(matching.values()), None)

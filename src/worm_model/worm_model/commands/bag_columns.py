@@ -13,6 +13,7 @@ from worm_model.gait import named_values
 from worm_msgs.conditions import LEVEL, Conditions
 
 CLOSED, OPEN, DAMAGED, UNREADABLE = "closed", "not closed", "damaged", "unreadable"
+NO_RUN = "no run"  # state of an intact bag without a run of the worm
 MISSING = "–"
 
 

@@ -14,20 +14,19 @@ import numpy as np
 
 from worm_model.analysis import run_metrics
 from worm_model.analysis.replay_metrics import RunReport, report_replay
-from worm_model.bags.formats.bag_errors import RECOVER
-from worm_model.bags.formats.bag_metadata import read_metadata
-from worm_model.bags.formats.finding import METADATA_FILE
-from worm_model.bags.opening import are_sound, is_unfinished, open_bag
+from worm_model.bags.formats.bag import Bag
+from worm_model.bags.formats.bag_errors import RECOVER, BagError, NoRunError
+from worm_model.bags.formats.bag_metadata import is_unclosed
+from worm_model.bags.opening import open_bag
 from worm_model.bags.recording.run_manifest import (
     RUN_RECORD,
     recorded_conditions,
     recorded_robot,
 )
-from worm_model.bags.recovery.recovery import storage_files
 from worm_model.bags.run_reader import clock_offset, read_run
 from worm_model.bags.worm_topics import REPLAY_INPUTS
 from worm_model.commands import bag_columns
-from worm_model.commands.bag_columns import CLOSED, DAMAGED, OPEN
+from worm_model.commands.bag_columns import CLOSED, DAMAGED, NO_RUN, OPEN, STATE
 from worm_model.errors import RecordingError
 from worm_model.parameters import Parameters
 from worm_model.run import Run, utc_of
@@ -38,41 +37,51 @@ from worm_msgs.conditions import Conditions
 _SAVE = f"{RECOVER} writes its readable messages to a new bag"
 
 
-def state_of_bag(path: Path) -> tuple[str, str]:
-    """Return (state of the files, reason for this state). A bag that must first be recovered is not opened."""
-    if path.is_dir() and (
-        not (path / METADATA_FILE).is_file() or is_unfinished(read_metadata(path))
-    ):
-        return OPEN, f"it is being recorded, or its recorder was killed: {_SAVE}"
-    is_compressed = path.is_dir() and bool(read_metadata(path).get("compression_mode"))
-    if is_compressed or are_sound(storage_files(path)):
-        return CLOSED, ""
-    return DAMAGED, f"parts of it are damaged: {_SAVE}"
-
-
 def rows_of_bag(path: Path, parameters: str) -> list[dict[str, Any]]:
-    """Return a row for each run of a closed bag, or a single row that states that the bag contains no run.
+    """Return a row for each run of a closed bag, or a single row that states why there is none.
 
     ``parameters`` is the path of a parameter file; empty: the file in the bag, else the paper's values.
 
     Raises:
         InputError: The bag cannot be read.
+        OSError: The bag must not be read.
     """
+    if path.is_dir():
+        for file in path.iterdir():
+            if file.is_file():
+                file.open("rb").close()
+        if is_unclosed(path):
+            text = f"it is being recorded, or its recorder was killed: {_SAVE}"
+            return [{STATE: OPEN, "notes": text}]
     remarks: list[str] = []
     with open_bag(path, remarks.append) as bag:
-        run = read_run(bag, names=REPLAY_INPUTS)
-        values, conditions = recorded_robot(bag, parameters).parameters, recorded_conditions(bag)
-        record = bag.metadata.get(RUN_RECORD, {})
-        span = (bag.end - bag.start) * 1e-9
-        start = bag.start
-        offset_ns = clock_offset(bag, "")
-    notes = [f"{key[5:]}: {text}" for key, text in record.items() if key.startswith("note.")]
+        if bag.damage:
+            return [{STATE: DAMAGED, "notes": f"{'; '.join(bag.damage)}: {_SAVE}"}]
+        try:
+            rows = _rows_of_runs(bag, parameters, remarks)
+        except NoRunError as error:
+            rows = []
+            remarks.insert(0, str(error))
+        except BagError as error:
+            return [{STATE: CLOSED, "notes": str(error)}]
+        if rows:
+            return [{STATE: CLOSED, **row} for row in rows]
+        start = utc_of(bag.start) if bag.message_count else None
+        notes = "; ".join(remarks)
+        return [{STATE: NO_RUN, "start": start, "duration_s": bag.duration_s, "notes": notes}]
+
+
+def _rows_of_runs(bag: Bag, parameters: str, remarks: list[str]) -> list[dict[str, Any]]:
+    """Return a row for each run. Raises `NoRunError` if the bag contains none."""
+    run = read_run(bag, names=REPLAY_INPUTS)
+    values, conditions = recorded_robot(bag, parameters).parameters, recorded_conditions(bag)
+    record = bag.metadata.get(RUN_RECORD, {})
+    remarks[:0] = [f"{key[5:]}: {text}" for key, text in record.items() if key.startswith("note.")]
     replay = replay_run(run, values)
     reports = report_replay(run, replay, values.pitch).runs
     if not reports:
-        text = "; ".join(["no gait was run", *notes, *remarks])
-        return [{"start": utc_of(start), "duration_s": span, "notes": text}]
-    remarks = [*notes, *remarks]
+        raise NoRunError("no gait was run")
+    offset_ns = clock_offset(bag, "")
     figures = [RunMetrics(run, replay, r, values, conditions, offset_ns, remarks) for r in reports]
     return [{column.key: column.value(f) for column in bag_columns.COLUMNS} for f in figures]
 

@@ -11,17 +11,16 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from worm_model.bags.formats.finding import METADATA_FILE, bags_below, mark_of, name_below
-from worm_model.bags.recording.run_manifest import ManifestError
+from worm_model.bags.formats.finding import bags_below, mark_of, name_below
 from worm_model.commands import bag_columns
-from worm_model.commands.bag_columns import CLOSED, DAMAGED, MISSING, STATE, UNREADABLE
-from worm_model.commands.bag_runs import rows_of_bag, state_of_bag
+from worm_model.commands.bag_columns import DAMAGED, MISSING, STATE, UNREADABLE
+from worm_model.commands.bag_runs import rows_of_bag
 from worm_model.errors import InputError
 from worm_model.text_table import text_table
 
 Row = dict[str, Any]
 
-METRICS_VERSION = 5  # Increase this number when the computation of a metric changes.
+METRICS_VERSION = 6  # Increase this number when the computation of a metric changes.
 
 
 def bag_rows(
@@ -29,11 +28,10 @@ def bag_rows(
 ) -> tuple[list[Row], int]:
     """Return the rows of all runs, and the number of bags that were read because the index lacked their present state.
 
-    ``folder`` is a folder with bags, or a single bag. If a bag has a recovered copy, the copy is listed instead of the
-    bag. ``parameters`` is the path of a parameter file; empty: the file in each bag, else the paper's values. Raises
-    `InputError` if there is no bag.
+    ``folder`` is a folder with bags, or a single bag. ``parameters`` is the path of a parameter file; empty: the file
+    in each bag, else the paper's values. Raises `InputError` if there is no bag.
     """
-    bags = sorted(copies[-1] if copies else bag for bag, copies in bags_below(folder).items())
+    bags = bags_below(folder)
     index = _index_file(folder, parameters)
     known = _known(index)
     # The keys are relative paths, because the index is the same however the path of the folder is given.
@@ -77,22 +75,15 @@ def _store(index: Path, content: dict[str, Any]) -> None:
 
 
 def _read(bag: Path, parameters: str) -> list[Row]:
-    """Return the rows of a bag, or one row with the reason why it cannot be read. The bag is not changed."""
+    """Return the rows of a bag, or one row with the reason why it has none. The bag is not changed."""
     empty: Row = {column.key: None for column in bag_columns.COLUMNS}
     try:
-        metadata = bag / METADATA_FILE
-        if metadata.exists():
-            metadata.open().close()  # because `state_of_bag` counts a missing permission as damage
-        state, reason = state_of_bag(bag)
-        if state == CLOSED:
-            return [{**empty, STATE: CLOSED, **row} for row in rows_of_bag(bag, parameters)]
+        rows = rows_of_bag(bag, parameters)
     except OSError as error:
-        state, reason = UNREADABLE, str(error)
-    except ManifestError as error:
-        state, reason = CLOSED, str(error)
+        rows = [{STATE: UNREADABLE, "notes": str(error)}]
     except InputError as error:
-        state, reason = DAMAGED, str(error)
-    return [{**empty, STATE: state, "notes": " ".join(reason.split())}]
+        rows = [{STATE: DAMAGED, "notes": str(error)}]
+    return [{**empty, **row, "notes": " ".join(row["notes"].split())} for row in rows]
 
 
 def _without_empty(lines: Sequence[Sequence[str]]) -> list[list[str]]:

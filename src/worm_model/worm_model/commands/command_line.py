@@ -127,8 +127,8 @@ class Parser(command_parser.Parser):
             "--definitions",
             type=Path,
             metavar="FOLDER",
-            help=".msg files of worm_msgs from the time of the recording, for topics without a definition in the bag; "
-            "default: the installed files",
+            help=".msg files of worm_msgs from the time of the recording; default: the definitions in the bag, or the "
+            "installed ones for topics without a definition",
         )
 
     def add_json(self) -> None:

@@ -137,7 +137,7 @@ def export(bag: Bag, output: Path, kind: str, topics: list[str], namespace: str 
             exported.rows[file] = table.topic.count
         for table, batch in read_tables(bag, tables):
             writers[table.topic.name].write(batch)
-        if not topics and any(topic.type_name in _RUN_TYPES for topic in bag.topics.values()):
+        if not topics and any(channel.type_name in _RUN_TYPES for channel in bag.channels):
             _export_merged(bag, folder / f"{MERGED}.{kind}", namespace, exported)
     return exported
 

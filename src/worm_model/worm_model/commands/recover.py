@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Command line: recovery of a bag that was not closed or is damaged."""
+"""Command line: copy of all that can be read of a bag that was not closed or is damaged."""
 
 from __future__ import annotations
 
 import argparse
-from dataclasses import asdict
 from pathlib import Path
 
-from worm_model.bags.recovery.recovery import recover
+from worm_model.bags.operations.copies import recover
 from worm_model.commands.command_line import Parser, executable, new_file, print_result
 
 
@@ -25,9 +24,10 @@ def _parser() -> Parser:
 
 
 def _recover(options: argparse.Namespace) -> None:
-    report = recover(options.bag, new_file(options.output) if options.output else None)
-    content = asdict(report) | {"bag": str(report.bag), "loss": report.loss}
-    print_result(options, content, str(report))
+    output = new_file(options.output) if options.output else None
+    bag, count, loss = recover(options.bag, output)
+    text = f"{bag}: {count} messages" + (f"; {loss}" if loss else "")
+    print_result(options, {"bag": str(bag), "messages": count, "loss": loss}, text)
 
 
 main = executable(_parser, _recover)

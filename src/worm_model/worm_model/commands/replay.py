@@ -26,7 +26,7 @@ from worm_model.bags.formats.bag_errors import BagError
 from worm_model.bags.formats.message_block import Message, Topic
 from worm_model.bags.formats.message_types import parse_ahead, topic_of
 from worm_model.bags.opening import open_bag
-from worm_model.bags.operations.cutting import write_copy
+from worm_model.bags.operations.copies import write_copy
 from worm_model.bags.recording.run_manifest import recorded_conditions
 from worm_model.bags.run_reader import RunReader, clock_offset, namespace_of
 from worm_model.bags.run_writer import stamped_messages
@@ -68,7 +68,7 @@ def write_replay(bag: Bag, output: Path, replay: OfflineReplay, namespace: str) 
     Raises:
         BagError: The output exists or cannot be written.
     """
-    found = (find_topic(bag.topics.values(), name, namespace) for name in TWIN_TOPICS)
+    found = (find_topic(bag.channels, name, namespace) for name in TWIN_TOPICS)
     live = {topic.name for topic in found if topic is not None}
     kept = [channel for channel in bag.channels if channel.name not in live]
     topics = {
@@ -81,7 +81,7 @@ def write_replay(bag: Bag, output: Path, replay: OfflineReplay, namespace: str) 
         for _, part in replay.steps()
     )
     own = bag.messages({channel.name for channel in kept})
-    write_copy([bag], output, [own, messages], [*kept, *topics.values()])
+    write_copy(bag, output, [own, messages], [*kept, *topics.values()])
 
 
 def _in_order(batches: Iterable[list[Message]]) -> Iterator[Message]:
@@ -307,7 +307,7 @@ def _replay(options: argparse.Namespace) -> None:
             _notify(event.text)
         if output is not None:
             write_replay(bag, output, replay, options.namespace or namespace_of(bag))
-        duration = (bag.end - bag.start) * 1e-9
+        duration = bag.duration_s
     elapsed = time.perf_counter() - begin
     print_result(
         options,
@@ -318,7 +318,7 @@ def _replay(options: argparse.Namespace) -> None:
 
 def _check_drive(bag: Bag, namespace: str) -> None:
     """Raise BagError if a bag contains neither commanded nor measured lengths; the twin requires one of them."""
-    topics = [find_topic(bag.topics.values(), name, namespace) for name in DRIVES]
+    topics = [find_topic(bag.channels, name, namespace) for name in DRIVES]
     if not any(topic is not None and topic.count for topic in topics):
         raise BagError(
             f"{bag.path} contains neither body_length/commanded nor body_length/measured, one of which the twin "

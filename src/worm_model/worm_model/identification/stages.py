@@ -179,7 +179,7 @@ def identify(
         held_out=held_out,
         paper=paper,
         validation={run.name: run_errors(run, parameters, offset) for run in checked},
-        camera_delay=camera_delay([run.recording for run in runs], actuation),
+        camera_delay=camera_delay([run.recording for run in runs], actuation, parameters),
         warnings=(*inputs.remarks, *bench_warnings(fin), *warnings, *observed),
         seed=seed,
     )

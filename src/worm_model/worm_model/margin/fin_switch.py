@@ -196,14 +196,12 @@ def _comb(
     for row in range(score.size):
         for step in range(1, longest):
             distance = (travel[rows_before] - (travel[row] - step * pitch)) / (_SPACING * step**0.5)
-            gain = score[rows_before] - 0.5 * distance**2
+            gain = np.where(rows_before < row, score[rows_before] - 0.5 * distance**2, -np.inf)
             best = int(np.argmax(gain)) if gain.size else -1
             if best < 0 or (count is None and gain[best] < _SURE):
                 break
             total[row] += max(float(gain[best]), -_SURE)
             earlier[row].insert(0, int(rows_before[best]))
     best = int(np.argmax(total))
-    least = (
-        _SURE if count is None else 0.0
-    )  # of a fin that is known to have switched, the best time counts
+    least = _SURE if count is None else 0.0  # the best time of a fin that is known to switch
     return [*earlier[best], best] if total[best] > least else []

@@ -4,11 +4,11 @@
 from __future__ import annotations
 
 import argparse
+import math
 import re
 import sys
 import time
-from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 
@@ -20,7 +20,6 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
-from std_srvs.srv import Trigger
 
 from worm_model.bags.formats.bag import Bag
 from worm_model.bags.formats.bag_errors import BagError
@@ -29,20 +28,18 @@ from worm_model.bags.formats.cdr import Converter
 from worm_model.bags.formats.message_block import Message, Topic
 from worm_model.bags.formats.message_types import topic_of, with_definition
 from worm_model.bags.opening import open_bag
-from worm_model.bags.operations.play_clock import Timeline
 from worm_model.bags.recording.recording_session import is_latched
 from worm_model.commands.command_line import InputError, Parser, not_negative, number, run_command
-from worm_model.nodes.keyboard import keys_of_terminal, pressed
 from worm_model.nodes.raw_subscriptions import message_class
 from worm_msgs.node_command import declare_none
 from worm_msgs.ros_process import own_arguments, ros_process
 
-LONGEST_WAIT_S = 0.005  # between two polls of services and keys
+LONGEST_WAIT_S = 0.005  # between two polls of the services
 REMINDER_S = 10.0  # between two log lines that name the awaited nodes
 MATCHING_S = 3.0  # timeout for a subscriber that cannot be connected
 ACKNOWLEDGED_S = 2.0  # timeout for the last messages to reach their subscribers
+LATEST_S = 2**31 - 1  # s since the epoch, the latest time of a message (year 2038)
 VOLATILE_DEPTH = 1000  # samples that may wait for a slow subscriber
-HELP = "space: pause and resume, s or right arrow: one message, q: quit"
 
 
 def _latched_depth(topic: Topic) -> int:
@@ -62,7 +59,7 @@ def play_qos(topic: Topic) -> QoSProfile:
     """
     offered = first_qos_profile(topic)
     latched = is_latched(topic) or not offered
-    best_effort = offered.get("reliability") in ("best_effort", 2)
+    best_effort = offered.get("reliability") == "best_effort"
     return QoSProfile(
         depth=_latched_depth(topic) if latched else VOLATILE_DEPTH,
         reliability=ReliabilityPolicy.BEST_EFFORT if best_effort else ReliabilityPolicy.RELIABLE,
@@ -83,76 +80,69 @@ class PlayNode(Node):
         declare_none(self)
         self._bag = bag
         self._options = options
-        self._first_ns = bag.start + round(options.start * 1e9)
+        self._first_ns = bag.time_at(options.start)
         self._converters: dict[Topic, Converter] = {}
-        self._skipped: Counter[str] = Counter()
+        self._skipped: set[str] = set()  # topics with messages that could not be converted
         self._publishers_by_topic = self._advertise()
         self._clock_publisher = self.create_publisher(Clock, "/clock", 10)
         self._clock_due = 0.0
         self._pending: Message | None = None
         self._messages: Iterator[Message] = iter(())
-        self._timeline = Timeline(self._first_ns, time.monotonic(), options.rate, paused=True)
-        self._begun = False
+        # wall time of the first message (monotonic, s), once the subscribers are connected
+        self._begin = math.inf
         self._subscribers: dict[str, tuple[int, int]] = {}
         self._changed = time.monotonic()  # time of the last change of the subscribers
-        self._wanted = not options.paused
         self._awaited: list[str] = list(options.wait_for)
         self._reminder = time.monotonic() + REMINDER_S
         self.finished = False
         self.published = 0
-        for act in (self.pause, self.resume, self.step):
-            self.create_service(Trigger, f"~/{act.__name__}", partial(self._serve, act))
-
-    # --- publishing -------------------------------------------------------------------------------
+        self._rewind()
 
     def _advertise(self) -> dict[str, Publisher]:
-        publishers = {}
-        for topic in self._selected():
-            layouts = [channel for channel in self._bag.channels if channel.name == topic.name]
+        publishers: dict[str, Publisher] = {}
+        for channel in self._selected():
             try:
-                for channel in layouts:
-                    self._converters[channel] = self._converter(channel, topic.type_name)
-            except BagError as error:
-                self.get_logger().warning(f"{topic.name} is not played: {error}")
+                kind = message_class(channel.type_name)
+                converter = self._converter(channel)
+                known = publishers.get(channel.name)
+                if known is not None and known.msg_type is not kind:
+                    raise BagError(f"it is played as another type; {channel.type_name} is left out")
+                if known is None:
+                    qos = play_qos(channel)
+                    publishers[channel.name] = self.create_publisher(kind, channel.name, qos)
+            except (BagError, InvalidTopicNameException) as error:
+                reason = str(error).splitlines()[0]
+                self.get_logger().warning(f"{channel.name!r} is not played: {reason}")
                 continue
-            kind = message_class(topic.type_name)
-            try:
-                publisher = self.create_publisher(kind, topic.name, play_qos(topic))
-            except InvalidTopicNameException:
-                self.get_logger().warning(
-                    f"{topic.name!r} is not played: it is not a valid name of a topic in ROS"
-                )
-                continue
-            publishers[topic.name] = publisher
+            self._converters[channel] = converter
         if not publishers:
             raise InputError(f"{self._bag.path}: none of the selected topics can be played")
         return publishers
 
-    def _converter(self, channel: Topic, type_name: str) -> Converter:
+    def _converter(self, channel: Topic) -> Converter:
         """Return a converter from the message type in the bag to the installed one, and log the fields that it adds."""
-        message_class(type_name)  # Raises an error if the type is not installed.
-        converter = Converter(with_definition(channel), topic_of(channel.name, type_name))
+        installed = topic_of(channel.name, channel.type_name)
+        converter = Converter(with_definition(channel), installed)
         if converter.added:
             added = ", ".join(converter.added)
             self.get_logger().warning(
-                f"{channel.name}: the bag is from before {type_name} had {added}; played with default values"
+                f"{channel.name}: the bag is from before {channel.type_name} had {added}; played with default values"
             )
         return converter
 
-    def _selected(self) -> Iterable[Topic]:
+    def _selected(self) -> Iterator[Topic]:
         wanted, exclude = self._options.topic, self._options.exclude
         unknown = sorted(set(wanted) - self._bag.topics.keys())
         if unknown:
             raise InputError(f"{self._bag.path} has no topic {unknown[0]}")
-        for topic in self._bag.topics.values():
-            chosen = topic.name in wanted if wanted else True
-            excluded = bool(exclude) and re.search(exclude, topic.name)
-            if chosen and not excluded and topic.name != "/clock":
-                yield topic
+        for channel in self._bag.channels:
+            chosen = channel.name in wanted if wanted else True
+            excluded = bool(exclude) and re.search(exclude, channel.name)
+            if chosen and not excluded and channel.name != "/clock":
+                yield channel
 
-    def begin(self) -> None:
-        """Go to the start time, publish the last earlier message of each latched topic, and set the clock."""
-        self._begun = True
+    def _rewind(self) -> None:
+        """Go to the start time: publish the last earlier message of each latched topic, and set the clock."""
         self._messages = self._bag.messages(self._publishers_by_topic)
         self._pending = None
         latched: dict[str, Message] = {}
@@ -161,31 +151,33 @@ class PlayNode(Node):
                 self._pending = message
                 break
             latched[message.topic] = message
-        for topic, message in latched.items():
-            if is_latched(self._bag.topics[topic]):
+        for message in latched.values():
+            if is_latched(message.channel):
                 self._publish(message)
-        self._timeline = self._timeline.jump(self._first_ns, time.monotonic())
         self._publish_clock(self._first_ns)
 
     def advance(self) -> float:
         """Publish the messages that are due, and return the wall time (monotonic, s) at which to call this again."""
-        if not self._begun:
-            self.begin()
         wall = time.monotonic()
-        begins = self._timeline.paused and self._wanted
-        if begins and not self._is_awaiting(wall) and self._is_connected(wall):
+        if self._begin > wall and not self._is_awaiting(wall) and self._is_connected(wall):
             self._report_other_publishers()
-            self._timeline = self._timeline.resume(wall)
-        now_ns = self._timeline.at(wall)
-        while not self._timeline.paused and self._pending and self._pending.log_time <= now_ns:
-            self._publish_next()
-        if self._pending is None and not self._timeline.paused:
-            self._end()
-        self._publish_due_clock(wall)
-        due = min(wall + LONGEST_WAIT_S, self._clock_due if self._options.clock else wall + 1.0)
-        if self._pending is not None:
-            due = min(due, self._timeline.wall_at(self._pending.log_time))
-        return due
+            self._begin = wall
+        while self._pending and self._due(self._pending.log_time) <= wall:
+            self._publish(self._pending)
+            self._pending = next(self._messages, None)
+        if self._pending is None and self._begin <= wall:
+            self._end(wall)
+        if self._options.clock and wall >= self._clock_due:
+            self._clock_due = wall + 1.0 / self._options.clock
+            passed = max(wall - self._begin, 0.0) * self._options.rate
+            self._publish_clock(self._bag.time_at(self._options.start + passed))
+        due = min(wall + LONGEST_WAIT_S, self._clock_due if self._options.clock else math.inf)
+        return min(due, self._due(self._pending.log_time)) if self._pending else due
+
+    def _due(self, log_time: int) -> float:
+        """Return the wall time (monotonic, s) at which a message with a log time (ns) is due."""
+        position = self._bag.position_at(log_time) - self._options.start
+        return self._begin + position / self._options.rate
 
     def _report_other_publishers(self) -> None:
         """Log the played topics that other nodes publish as well, such as those of a running driver."""
@@ -232,37 +224,30 @@ class PlayNode(Node):
             self.get_logger().info(f"waiting for {', '.join(self._awaited)} to subscribe")
         return bool(self._awaited)
 
-    def _publish_next(self) -> None:
-        assert self._pending is not None
-        self._publish(self._pending)
-        self._pending = next(self._messages, None)
-
     def _publish(self, message: Message) -> None:
+        if message.channel not in self._converters:
+            return
         try:
             data = self._converters[message.channel](message.data)
         except BagError as error:
-            self._skipped[message.topic] += 1
-            if self._skipped[message.topic] == 1:
+            if message.topic not in self._skipped:
                 self.get_logger().warning(
                     f"{message.topic} is played without the messages that cannot be converted: {error}"
                 )
+            self._skipped.add(message.topic)
             return
         self._publishers_by_topic[message.topic].publish(data)
         self.published += 1
 
-    def _publish_due_clock(self, wall: float) -> None:
-        if self._options.clock and wall >= self._clock_due:
-            self._clock_due = wall + 1.0 / self._options.clock
-            self._publish_clock(self._timeline.at(wall))
-
     def _publish_clock(self, now_ns: int) -> None:
         if self._options.clock:
-            stamp = Time(sec=now_ns // 10**9, nanosec=now_ns % 10**9)
+            stamp = Time(sec=min(now_ns // 10**9, LATEST_S), nanosec=now_ns % 10**9)
             self._clock_publisher.publish(Clock(clock=stamp))
 
-    def _end(self) -> None:
+    def _end(self, wall: float) -> None:
         if self._options.loop:
-            self.begin()
+            self._rewind()
+            self._begin = wall
         else:
             self.finished = True
 
@@ -271,56 +256,6 @@ class PlayNode(Node):
         deadline = Duration(seconds=ACKNOWLEDGED_S)
         for publisher in self._publishers_by_topic.values():
             publisher.wait_for_all_acked(deadline)
-
-    # --- pause and step ---------------------------------------------------------------------------
-
-    def pause(self) -> str:
-        """Stop the bag's time, and return the new state."""
-        self._wanted = False
-        self._timeline = self._timeline.pause(time.monotonic())
-        return "paused"
-
-    def resume(self) -> str:
-        """Let the bag's time continue as soon as all subscribers are connected, and return the new state."""
-        self._wanted = True
-        return "playing"
-
-    def step(self) -> str:
-        """Pause, publish the next message as soon as all subscribers are connected, and return its topic.
-
-        The result is empty at the end of the bag.
-        """
-        if not self._begun:
-            self.begin()
-        self.pause()
-        while not self._is_connected(time.monotonic()):
-            time.sleep(LONGEST_WAIT_S)
-        if self._pending is None:
-            return ""
-        topic, log_time = self._pending.topic, self._pending.log_time
-        self._timeline = self._timeline.jump(max(log_time, self._timeline.bag_ns), time.monotonic())
-        self._publish_next()
-        self._publish_clock(self._timeline.bag_ns)
-        return topic
-
-    def press(self, keys: str) -> None:
-        """React to keys as described in HELP."""
-        if " " in keys:
-            if self._wanted:
-                self.pause()
-            else:
-                self.resume()
-        if "s" in keys or "\x1b[C" in keys:
-            self.step()
-        if "q" in keys:
-            self.finished = True
-
-    def _serve(
-        self, act: Callable[[], str], _: Trigger.Request, response: Trigger.Response
-    ) -> Trigger.Response:
-        result = act()
-        response.success, response.message = bool(result), result or "the bag is at its end"
-        return response
 
 
 def _positive(text: str) -> float:
@@ -333,8 +268,7 @@ def _positive(text: str) -> float:
 def _parser() -> Parser:
     parser = Parser(
         prog="play",
-        description="Publish a bag with its timing, and its time on /clock for nodes with use_sim_time. "
-        f"Services ~/pause, ~/resume, ~/step; on a terminal {HELP}.",
+        description="Publish a bag with its timing, and its time on /clock for nodes with use_sim_time.",
     )
     parser.add_argument("bag", type=Path, metavar="BAG")
     parser.add_argument(
@@ -348,7 +282,6 @@ def _parser() -> Parser:
         metavar="S",
         help="play from this time on, in s since the start of the bag",
     )
-    parser.add_argument("--paused", action="store_true", help="start paused")
     parser.add_argument(
         "--delay",
         type=not_negative,
@@ -387,7 +320,7 @@ def _play(ended: Callable[[], bool], options: argparse.Namespace) -> None:
             f"--exclude {options.exclude!r} is not a regular expression: {error}"
         ) from None
     with open_bag(options.bag, _notify, options.definitions) as bag:
-        length = (bag.end - bag.start) * 1e-9
+        length = bag.duration_s
         if not bag.message_count:
             raise InputError(f"{options.bag} contains no messages")
         if options.start > length:
@@ -399,8 +332,7 @@ def _play(ended: Callable[[], bool], options: argparse.Namespace) -> None:
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         try:
-            with keys_of_terminal():
-                _spin(node, executor, ended)
+            _spin(node, executor, ended)
         finally:
             sys.stderr.write(f"play: {node.published} messages published\n")
             executor.shutdown()
@@ -411,7 +343,6 @@ def _spin(node: PlayNode, executor: SingleThreadedExecutor, ended: Callable[[], 
     while not (node.finished or ended()):
         due = node.advance()
         executor.spin_once(timeout_sec=0.0)
-        node.press(pressed())
         time.sleep(max(due - time.monotonic(), 0.0))
     node.drain()
 

@@ -9,8 +9,6 @@ Polling does not affect the accuracy of stamps, because they come from the middl
 from __future__ import annotations
 
 import importlib
-import time
-from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -40,120 +38,67 @@ from worm_model.nodes.message_stamps import nanoseconds
 from worm_model.run import SAME_ONSET_NS, Activity
 from worm_msgs.node_command import declare_none
 
-# A `_RawSubscription` may have two subscriptions. This is the number of polls for which the first one stays after the
-# second one has discovered all publishers, because publishers discover the second one later than it discovers them.
-OVERLAP_POLLS = 50
-
-SETTLING_S = 3.0  # A publisher found later than this counts as started after the recorder.
-
-_Identity = tuple[int, int]
+DEPTH = 1000  # messages of a topic that may wait between two polls
 
 
 class _RawSubscription:
-    """Subscription that is polled.
+    """Subscription that is polled. Its quality of service suits the publishers that exist when it is created."""
 
-    If a new publisher is not compatible with the subscription, a second, compatible subscription is created. The first
-    one stays until the second is connected to all publishers, so that no message is lost in between. Messages that both
-    receive are returned once.
-    """
-
-    def __init__(self, node: Node, topic: Topic, message: type, depth: int) -> None:
+    def __init__(self, node: Node, topic: Topic, message: type) -> None:
         self.topic = topic
         self.loss = LossCounter(lambda: node.count_publishers(topic.name))
         self._node = node
         self._message = message
-        self._depth = depth
-        self._recent: deque[_Identity] = deque(maxlen=depth)
-        self._old: Subscription | None = None
-        self._connected_polls = 0
-        self.qos, self._subscription = self._subscribe()
+        self._qos, self._subscription = self._subscribe()
 
     def _subscribe(self) -> tuple[QoSProfile, Subscription]:
         publishers = self._node.get_publishers_info_by_topic(self.topic.name)
-        qos = _subscription_qos([info.qos_profile for info in publishers], self._depth)
+        qos = _subscription_qos([info.qos_profile for info in publishers])
         subscription = self._node.create_subscription(
             self._message, self.topic.name, lambda _: None, qos, raw=True
         )
         return qos, subscription
 
-    def take(self) -> list[Message]:
-        """Return all waiting messages."""
-        if self._old is None:
-            return [self._sample(*taken) for taken in self._waiting(self._subscription)]
-        known = set(self._recent)
-        samples = []
-        for subscription in (self._old, self._subscription):
-            for data, info in self._waiting(subscription):
-                if _identity(info) not in known:
-                    known.add(_identity(info))
-                    samples.append(self._sample(data, info))
-        self._connected_polls += self._is_connected()
-        if self._connected_polls > OVERLAP_POLLS:
-            self._node.destroy_subscription(self._old)
-            self._node.get_logger().info(f"{self.topic.name}: the old subscription is closed")
-            self._old = None
-        return samples
-
-    def _waiting(self, subscription: Subscription) -> Iterator[tuple[bytes, dict[str, int]]]:
-        handle = subscription.handle
+    def take(self) -> Iterator[Message]:
+        """Yield all waiting messages."""
+        handle = self._subscription.handle
         with handle:
             while (taken := handle.take_message(self._message, True)) is not None:
-                yield taken
-
-    def _sample(self, data: bytes, info: dict[str, int]) -> Message:
-        self.loss.observe(info["publication_sequence_number"])
-        self._recent.append(_identity(info))
-        received, sent = info["received_timestamp"], info["source_timestamp"]
-        return Message(self.topic.name, received, data, sent, self.topic)
-
-    def _is_connected(self) -> bool:
-        publishers = self._node.count_publishers(self.topic.name)
-        return self._subscription.get_publisher_count() >= publishers
+                data, info = taken
+                self.loss.observe(info["publication_sequence_number"])
+                received, sent = info["received_timestamp"], info["source_timestamp"]
+                yield Message(self.topic.name, received, data, sent, self.topic)
 
     def is_compatible(self) -> bool:
         """Return True if all present publishers are compatible with this subscription."""
         return all(
-            qos_check_compatible(info.qos_profile, self.qos)[0] != QoSCompatibility.ERROR
+            qos_check_compatible(info.qos_profile, self._qos)[0] != QoSCompatibility.ERROR
             for info in self._node.get_publishers_info_by_topic(self.topic.name)
         )
 
     def resubscribe(self) -> None:
-        """Create a subscription that is compatible with all present publishers, next to the first one."""
-        if self._old is not None:
-            # The first subscription still exists and receives the messages in the meantime.
-            self._node.destroy_subscription(self._subscription)
-        else:
-            self._old = self._subscription
-        self._connected_polls = 0
-        self.qos, self._subscription = self._subscribe()
+        """Replace the subscription by one that is compatible with all present publishers."""
+        self._node.destroy_subscription(self._subscription)
+        self._qos, self._subscription = self._subscribe()
 
 
-def _identity(info: dict[str, int]) -> _Identity:
-    """Return sequence number and time of sending, which identify a message of a topic."""
-    return info["publication_sequence_number"], info["source_timestamp"]
-
-
-def _subscription_qos(offered: Sequence[QoSProfile], depth: int) -> QoSProfile:
+def _subscription_qos(offered: Sequence[QoSProfile]) -> QoSProfile:
     """Return the strictest quality of service that is compatible with every publisher.
 
     A best-effort publisher does not connect to a reliable subscription, and a volatile publisher does not connect to a
     transient-local subscription. A volatile subscription would miss latched messages.
-
-    Args:
-        offered: profiles of the present publishers.
-        depth: messages stored between two polls of the subscription.
     """
     reliable = all(qos.reliability == ReliabilityPolicy.RELIABLE for qos in offered)
     latched = all(qos.durability == DurabilityPolicy.TRANSIENT_LOCAL for qos in offered)
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
-        depth=depth,
+        depth=DEPTH,
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
     )
 
 
-def _describe_qos(publishers: Sequence[TopicEndpointInfo]) -> tuple[Mapping[str, Any], ...]:
+def _describe_qos(publishers: Sequence[TopicEndpointInfo]) -> list[Mapping[str, Any]]:
     """Return the different profiles that a topic's publishers offer, for metadata.yaml."""
     profiles: list[Mapping[str, Any]] = []
     for publisher in publishers:
@@ -172,7 +117,7 @@ def _describe_qos(publishers: Sequence[TopicEndpointInfo]) -> tuple[Mapping[str,
         )
         if profile not in profiles:
             profiles.append(profile)
-    return tuple(profiles)
+    return profiles
 
 
 class RecordNode(Node):
@@ -180,21 +125,19 @@ class RecordNode(Node):
 
     Args:
         selection: the topics; names relative to the node's namespace are resolved.
-        depth: messages of a topic that may wait between two polls.
     """
 
-    def __init__(self, selection: TopicSelection, depth: int) -> None:
+    def __init__(self, selection: TopicSelection) -> None:
         super().__init__("recorder")
         declare_none(self)
         names = frozenset(map(self._full_name, selection.names))
         self._selection = replace(selection, names=names)
-        self._depth = depth
         self._subscriptions_by_name: dict[str, _RawSubscription] = {}
         self._rejected: dict[str, str] = {}  # reason by name of a topic that cannot be recorded
         self._run, self._onset = 0, 0  # number and onset (ns) of the last reported run
         self._reported = False
         self._drivers: dict[str, int] = {}  # last state of each driver, by topic
-        self._settled = time.monotonic() + SETTLING_S
+        self._several: set[str] = set()  # recorded topics that were reported to have several types
 
     def _full_name(self, name: str) -> str:
         try:
@@ -228,15 +171,6 @@ class RecordNode(Node):
                 service.send_response(service.callback(request, kind.Response()), header)
 
     @property
-    def missed(self) -> dict[str, int]:
-        """Number of messages, by topic, that publishers sent before they were connected to the recorder.
-
-        Only publishers that started after the recorder count.
-        """
-        by_name = self._subscriptions_by_name.items()
-        return {name: s.loss.missed for name, s in by_name if s.loss.missed}
-
-    @property
     def lost(self) -> int:
         """Number of messages that publishers sent and that did not arrive."""
         return sum(subscription.loss.lost for subscription in self._subscriptions_by_name.values())
@@ -261,36 +195,44 @@ class RecordNode(Node):
             if not subscription.is_compatible():
                 subscription.resubscribe()
                 self.get_logger().warning(
-                    f"{subscription.topic.name}: adapted the quality of service to a new publisher that offers less"
+                    f"{subscription.topic.name}: subscribed again, because a new publisher offers a lower quality of "
+                    "service; messages may be missing in between"
                 )
         for name, types in self.get_topic_names_and_types():
             new = name not in self._subscriptions_by_name and name not in self._rejected
             if new and self._selection.takes(name) and self.count_publishers(name):
-                self._subscribe(name, types)
-        if time.monotonic() < self._settled:
-            for name, subscription in self._subscriptions_by_name.items():
-                subscription.loss.expect(self.count_publishers(name))
+                self._subscribe(name)
+            if name in self._subscriptions_by_name and len(types) > 1:
+                self._warn_of_types(self._subscriptions_by_name[name].topic, types)
 
-    def _subscribe(self, name: str, types: Sequence[str]) -> None:
+    def _warn_of_types(self, topic: Topic, types: Sequence[str]) -> None:
+        """Log once that a recorded topic has further types."""
+        if topic.name not in self._several:
+            self._several.add(topic.name)
+            others = ", ".join(sorted(set(types) - {topic.type_name}))
+            self.get_logger().warning(
+                f"{topic.name} is also published as {others}: only {topic.type_name} is recorded"
+            )
+
+    def _subscribe(self, name: str) -> None:
+        publishers = self.get_publishers_info_by_topic(name)
+        if not publishers:
+            return  # it has ended in the meantime
+        kind = publishers[0].topic_type
         try:
-            if len(types) != 1:
-                raise DefinitionError(f"it has several types: {', '.join(types)}")
-            definition = installed_definition(types[0])
-            message = message_class(types[0])
+            definition = installed_definition(kind)
+            message = message_class(kind)
         except BagError as error:
             self._rejected[name] = str(error)
             self.get_logger().error(f"{name} is not recorded: {error}")
             return
-        publishers = self.get_publishers_info_by_topic(name)
-        type_hash = str(publishers[0].topic_type_hash) if publishers else ""
-        profiles = _describe_qos(publishers)
         metadata = (
-            ("offered_qos_profiles", dump_yaml(list(profiles)) if profiles else ""),
-            ("topic_type_hash", type_hash),
+            ("offered_qos_profiles", dump_yaml(_describe_qos(publishers))),
+            ("topic_type_hash", str(publishers[0].topic_type_hash)),
         )
-        topic = Topic(name, types[0], 0, definition, "ros2msg", "cdr", metadata)
-        self._subscriptions_by_name[name] = _RawSubscription(self, topic, message, self._depth)
-        self.get_logger().info(f"recording {name} ({types[0]})")
+        topic = Topic(name, kind, 0, definition, "ros2msg", "cdr", metadata)
+        self._subscriptions_by_name[name] = _RawSubscription(self, topic, message)
+        self.get_logger().info(f"recording {name} ({kind})")
 
     def take(self) -> list[Message]:
         """Return all waiting messages of all topics."""

@@ -4,24 +4,16 @@
 from __future__ import annotations
 
 import argparse
-import platform
 import sys
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
-from worm_model.bags.formats.bag_errors import RECOVER, BagError, UnwritableError
-from worm_model.bags.formats.bag_writer import COMPRESSIONS, WriteOptions
+from worm_model.bags.formats.bag_errors import BagError, UnwritableError
 from worm_model.bags.formats.finding import TIME_FIELD, dated
-from worm_model.bags.formats.message_block import Message
-from worm_model.bags.operations.cleaning import Cleaner
 from worm_model.bags.recording.recorder import Manifest
-from worm_model.bags.recording.recording_session import (
-    RecordingSession,
-    SessionOptions,
-    after_crash,
-)
+from worm_model.bags.recording.recording_session import RecordingSession, after_crash
 from worm_model.bags.recording.run_manifest import GAIT_RECORD, is_text, run_manifest
 from worm_model.bags.recording.topic_selection import TopicSelection
 from worm_model.commands import command_line
@@ -35,25 +27,11 @@ DISCOVERY_S = 0.1  # time between two searches for new topics, and between two p
 REPORT_S = 0.5  # time between two updates of the live line
 
 
-SERVICES = ("start", "stop", "pause", "resume", "split", "snapshot")
-
-
-def _whole(text: str) -> int:
-    command_line.not_negative(text)
-    return int(text)
-
-
-def _positive(text: str) -> int:
-    if _whole(text) == 0:
-        raise argparse.ArgumentTypeError("0 is not positive")
-    return int(text)
-
-
 def _parser() -> command_line.Parser:
     parser = command_line.Parser(
         prog="record",
-        description="Record topics to a rosbag2 bag (MCAP). Services of the node: ~/start, ~/stop, ~/pause, "
-        "~/resume, ~/split, ~/snapshot (std_srvs/Trigger).",
+        description="Record topics to a rosbag2 bag (MCAP) until Ctrl-C or another signal. Messages are written to the "
+        "disk twice a second.",
     )
     parser.add_argument("topics", nargs="*", metavar="TOPIC", help="topics to record")
     parser.add_argument(
@@ -74,11 +52,6 @@ def _parser() -> command_line.Parser:
         help="topics that --all and --regex do not select",
     )
     parser.add_argument(
-        "--include-hidden-topics",
-        action="store_true",
-        help="record hidden topics too, such as an action's feedback",
-    )
-    parser.add_argument(
         "-p",
         "--parameters",
         type=Path,
@@ -95,52 +68,13 @@ def _parser() -> command_line.Parser:
         help="entry for the bag's metadata; may be repeated",
     )
     parser.add_argument(
-        "--compression",
-        choices=COMPRESSIONS,
-        default="zstd",
-        help="compression of the chunks (default: zstd)",
-    )
-    parser.add_argument(
-        "-b",
-        "--max-bag-size",
-        type=_whole,
-        default=0,
-        metavar="BYTES",
-        help="begin a new file at this size",
-    )
-    parser.add_argument(
-        "-d",
-        "--max-bag-duration",
-        type=command_line.not_negative,
-        default=0.0,
-        metavar="S",
-        help="begin a new file after this time",
-    )
-    parser.add_argument(
-        "--duration",
-        type=command_line.not_negative,
-        default=0.0,
-        metavar="S",
-        help="end the recording after this time",
-    )
-    parser.add_argument(
-        "--depth",
-        type=_positive,
-        default=1000,
-        help="longest queue of a topic, in messages (default: 1000)",
-    )
-    parser.add_argument(
         "--snapshot",
         type=command_line.not_negative,
         default=0.0,
         metavar="S",
         help="store only the last S seconds, in memory; write them to OUTPUT_snapshot_1 and so on when ~/snapshot "
-        "is called or the twin raises an alarm (an event with a code on twin/events, which must be among the topics)",
-    )
-    parser.add_argument(
-        "--anonymous",
-        action="store_true",
-        help="remove the host's name and absolute paths, also from texts of messages",
+        "(std_srvs/Trigger) is called or the twin raises an alarm (an event with a code on twin/events, which must be "
+        "among the topics)",
     )
     parser.add_argument(
         "--to-rest",
@@ -161,14 +95,10 @@ def _parser() -> command_line.Parser:
 class _Recording:
     """Recorder node and session, with their totals as a live line on standard error."""
 
-    def __init__(
-        self, node: RecordNode, session: RecordingSession, cleaner: Cleaner | None
-    ) -> None:
+    def __init__(self, node: RecordNode, session: RecordingSession) -> None:
         self._node = node
         self._session = session
-        self._cleaner = cleaner
         self._start = time.monotonic()
-        self._uncleaned = 0
         self._end_at_once = False
 
     @property
@@ -190,11 +120,11 @@ class _Recording:
         self.take()  # The driver may have published its state since the last poll.
         return self._end_at_once or not self._node.awaits_rest
 
-    def run(self, ended: Callable[[], bool], duration: float) -> None:
-        """Record messages until the end is requested, ``duration`` (s; 0: no limit) is over, or writing fails."""
+    def run(self, ended: Callable[[], bool]) -> None:
+        """Record messages until the end is requested, or writing fails."""
         live = sys.stderr.isatty()
         discovery = report = time.monotonic()
-        while not (ended() or self._session.error or 0.0 < duration <= self.elapsed):
+        while not (ended() or self._session.error):
             now = time.monotonic()
             if now >= discovery:
                 self._node.discover()
@@ -213,10 +143,10 @@ class _Recording:
         messages = self._node.take()
         if not messages:
             return
-        self._session.offer(self._cleaned(messages))
+        self._session.offer(messages)
         for gait in self._node.new_gaits(messages):
             self._session.note(GAIT_RECORD, gait)
-        alarm = self._node.alarm(messages) if self._session.options.ring_s else ""
+        alarm = self._node.alarm(messages) if self._session.ring_s else ""
         if alarm:
             try:
                 outcome = self._session.snapshot()
@@ -224,28 +154,13 @@ class _Recording:
                 outcome = f"no snapshot: {error}"
             self._node.get_logger().warning(f"the twin raises an alarm ({alarm}): {outcome}")
 
-    def _cleaned(self, messages: Sequence[Message]) -> Sequence[Message]:
-        if self._cleaner is None:
-            return messages
-        self._cleaner.add_topics(message.topic for message in messages)
-        cleaned = []
-        for message in messages:
-            try:
-                cleaned.append(self._cleaner.message(message))
-            except BagError as error:
-                self._uncleaned += 1
-                self._node.get_logger().error(
-                    f"a message is not recorded, because it cannot be cleaned: {error}"
-                )
-        return cleaned
-
     def totals(self) -> dict[str, int | float]:
         """Return the totals so far; ``dropped`` counts messages lost in transit and messages not written."""
         offered, dropped = self._session.offered, self._session.dropped
         return {
             "messages": offered.messages - dropped.messages,
             "bytes": offered.bytes - dropped.bytes,
-            "dropped": self._node.lost + dropped.messages + self._uncleaned,
+            "dropped": self._node.lost + dropped.messages,
             "topics": len(self._node.topics),
             "duration": round(self.elapsed, 3),
         }
@@ -258,33 +173,21 @@ class _Recording:
         sys.stderr.flush()
 
 
-def _session_options(
-    arguments: argparse.Namespace, output: Path, command: Sequence[str], cleaner: Cleaner | None
-) -> SessionOptions:
-    conditions = conditions_of(arguments)
-
+def _session(arguments: argparse.Namespace, command: Sequence[str]) -> RecordingSession:
     def manifest() -> Manifest:
-        content = run_manifest(
+        return run_manifest(
             arguments.parameters,
             arguments.seed,
             arguments.note,
             command,
             time.time_ns(),
-            conditions,
+            conditions_of(arguments),
         )
-        return cleaner.manifest(content) if cleaner else content
 
     manifest()  # An invalid note or file raises its error before a bag is created.
-    return SessionOptions(
-        output=after_crash(output) if arguments.after_crash else output,
-        manifest=manifest,
-        write=WriteOptions(
-            arguments.compression,
-            split_bytes=arguments.max_bag_size,
-            split_s=arguments.max_bag_duration,
-        ),
-        ring_s=arguments.snapshot,
-    )
+    output = dated(arguments.output)
+    output = after_crash(output) if arguments.after_crash else output
+    return RecordingSession(output, manifest, arguments.snapshot)
 
 
 def _run(arguments: argparse.Namespace, command: Sequence[str], ended: ShutdownRequest) -> int:
@@ -293,27 +196,17 @@ def _run(arguments: argparse.Namespace, command: Sequence[str], ended: ShutdownR
         everything=arguments.all,
         regex=arguments.regex,
         exclude=arguments.exclude,
-        hidden=arguments.include_hidden_topics,
     )
-    cleaner = Cleaner(platform.node(), ()) if arguments.anonymous else None
-    output = dated(arguments.output)
-    options = _session_options(arguments, output, command, cleaner)
-    node = RecordNode(selection, arguments.depth)
-    session = RecordingSession(options)
-    for name in SERVICES:
-        node.offer_service(name, getattr(session, name))
-    what = f"the last {options.ring_s:g} s, for snapshots named after" if options.ring_s else "to"
-    if options.output != output:
-        node.get_logger().warning(
-            f"{output} was not closed by its recorder; the recording continues in {options.output}"
-        )
-    node.get_logger().info(f"recording {what} {options.output}")
+    node = RecordNode(selection)
+    session = _session(arguments, command)
+    node.offer_service("snapshot", session.snapshot)
+    what = f"the last {session.ring_s:g} s, for snapshots named after" if session.ring_s else "to"
+    node.get_logger().info(f"recording {what} {session.output}")
     readiness.announce()
-    recording = _Recording(node, session, cleaner)
+    recording = _Recording(node, session)
     ended.again = recording.request_immediate_end
-    end = partial(recording.to_rest, ended) if arguments.to_rest else ended
     try:
-        recording.run(end, arguments.duration)
+        recording.run(partial(recording.to_rest, ended) if arguments.to_rest else ended)
     finally:
         session.close()
     return _report(recording, node, session, arguments)
@@ -329,17 +222,12 @@ def _report(
     notify = command_line.notifier("record")
     for name in node.missing:
         notify(f"{name} is not recorded: {node.why_missing(name)}")
-    for name, count in node.missed.items():
-        notify(
-            f"{name}: the first {count} messages of a publisher that started after the recorder are missing"
-        )
     if arguments.json:
         outcome = {
-            "bag": str(session.options.output),
+            "bag": str(session.output),
             "bags": [str(bag) for bag in session.bags],
             **recording.totals(),
             "missing": node.missing,
-            "missed": node.missed,
         }
         command_line.print_json(outcome)
     error = session.error
@@ -348,8 +236,7 @@ def _report(
         notify(f"{session.failed} was removed while it was recorded: {lost} messages are lost")
     elif error is not None:
         notify(
-            f"{session.failed} could not be written: {error}. Recover the written part: {RECOVER} "
-            f"{session.failed}"
+            f"{session.failed} could not be written: {error}. All commands read the part that was written"
         )
     return command_line.DONE if error is None else command_line.FAILED
 

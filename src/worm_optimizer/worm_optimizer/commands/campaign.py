@@ -27,7 +27,7 @@ from worm_model.text_table import labelled
 from worm_optimizer.commands.campaign_tune import settings_of_campaign, tuned_plan
 from worm_optimizer.commands.robot_options import add_robot, robot_of
 from worm_optimizer.commands.search_options import add_campaign_options
-from worm_optimizer.commands.tune import PROBABILITY
+from worm_optimizer.commands.tuning_options import PROBABILITY
 from worm_optimizer.nodes.service_caller import OperatorError
 from worm_optimizer.operation import identification_runs
 from worm_optimizer.operation.bring_up import CYCLES, FAILURES, ProgressLog, Session, work_folder

@@ -11,7 +11,8 @@ from typing import Any
 from worm_model.gait import Gait
 from worm_model.parameters import load_parameter_file
 from worm_optimizer.commands.search_options import chosen_settings
-from worm_optimizer.commands.tune import PROBABILITY, Aim, measured_step, tuned_json
+from worm_optimizer.commands.tune import Aim, measured_step, tuned_json
+from worm_optimizer.commands.tuning_options import PROBABILITY
 from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.operation.bring_up import ProgressLog
 from worm_optimizer.operation.campaign_plan import Plan

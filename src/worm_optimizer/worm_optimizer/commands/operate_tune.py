@@ -10,47 +10,20 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from worm_model.commands.command_line import FAILED, Parser, print_result
+from worm_model.commands.command_line import FAILED, print_result
 from worm_msgs.gait import Gait
-from worm_optimizer.commands.objective_options import add_objective
 from worm_optimizer.commands.operate_run import attended, conditions_of, own_gait, requested
-from worm_optimizer.commands.tune import (
-    Aim,
-    add_tuning_options,
-    aim_of,
-    described,
-    measured_step,
-    tuned_json,
-)
-from worm_optimizer.nodes.operator_node import GaitFailedError, OperatorNode
+from worm_optimizer.commands.tune import Aim, described, measured_step, tuned_json
+from worm_optimizer.nodes.operator_node import DRIVER, GaitFailedError, OperatorNode
 from worm_optimizer.operation.bring_up import CYCLES, ProgressLog
 from worm_optimizer.operation.campaign_runs import require_tracker
 from worm_optimizer.operation.recorded_run import new_bag, recorded
 from worm_optimizer.operation.tuning_runs import Tuned, tune_gait
 from worm_optimizer.robot_commands import GaitCommand
-from worm_optimizer.robustness.tuning import TuneState, Tuning
+from worm_optimizer.robustness.tuning import GaitLimits, TuneState, Tuning
 
-
-def add_tune(parser: Parser) -> None:
-    """Add the options of `tune`."""
-    parser.add_gait()
-    add_objective(parser)
-    add_tuning_options(parser)
-    parser.add_conditions(None)
-    parser.add_argument(
-        "--record",
-        type=Path,
-        default=Path("bags"),
-        metavar="FOLDER",
-        help="record each run into a new bag in this folder (default: bags)",
-    )
-    parser.add_parameters()
-
-
-def check_tune(options: argparse.Namespace) -> None:
-    """Raise `InputError` for inadmissible options, before anything is requested."""
-    own_gait(options)
-    aim_of(options, options.direction)
+_LIMITS = ("limits.max_stroke_m", "limits.max_cable_speed_m_per_s")
+_ROUNDING = 1e-4  # of a stroke, m
 
 
 def tune(node: OperatorNode, options: argparse.Namespace) -> int:
@@ -77,12 +50,20 @@ def tune(node: OperatorNode, options: argparse.Namespace) -> int:
 
 def _first(node: OperatorNode, options: argparse.Namespace, say: ProgressLog) -> tuple[Gait, Aim]:
     """Return the first gait and the aim. A requested gait is to keep the grooves that the optimizer predicts."""
-    aim = aim_of(options, options.direction)
+    aim = Aim(options.probability, options.grooves, _limits(node), options.parameters)
     own = own_gait(options)
     if own is not None:
         return own, aim
     answer = requested(node, options, say)
     return answer.gait, replace(aim, grooves=aim.grooves or round(answer.grooves_per_cycle))
+
+
+def _limits(node: OperatorNode) -> GaitLimits:
+    """Return the limits of the driver, less the rounding of a tuned gait."""
+    reach, speed = node.numbers(DRIVER, _LIMITS)
+    return GaitLimits(
+        lambda gait: min(reach - gait.pretension, speed * gait.stroke / gait.peak_speed) - _ROUNDING
+    )
 
 
 def _print(options: argparse.Namespace, tuned: Tuned) -> int:

@@ -9,35 +9,16 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from worm_model.commands.command_line import InputError, Parser, executable, number, print_result
+from worm_model.commands.command_line import InputError, Parser, executable, print_result
 from worm_model.commands.margin import measured_margins, summary
 from worm_model.gait import named_values
 from worm_model.margin.measured_margin import RunMargin
 from worm_model.parameters import load_parameter_file
 from worm_optimizer.commands.search_options import add_limit_options, chosen_settings
+from worm_optimizer.commands.tuning_options import add_aim, check_aim
 from worm_optimizer.operation.tuning_runs import Tuned
 from worm_optimizer.robustness.tuning import GaitLimits, Tuning, limits_of, next_gait
 from worm_optimizer.search.front import task_of
-
-PROBABILITY = 0.99  # default of the probability that a cycle keeps its grooves
-
-
-def add_tuning_options(parser: Parser) -> None:
-    """Add the options of a tuning: the probability, the grooves, and the limits of the robot."""
-    parser.add_argument(
-        "--probability",
-        type=number,
-        default=PROBABILITY,
-        metavar="P",
-        help=f"probability that a cycle keeps its grooves (default: {PROBABILITY})",
-    )
-    parser.add_argument(
-        "--grooves",
-        type=int,
-        metavar="N",
-        help="grooves per cycle to keep (default: the most in any cycle of the runs but their first)",
-    )
-    add_limit_options(parser)
 
 
 def _parser() -> Parser:
@@ -53,7 +34,8 @@ def _parser() -> Parser:
         metavar="BAG",
         help="recordings of one gait each, the last one last",
     )
-    add_tuning_options(parser)
+    add_aim(parser)
+    add_limit_options(parser)
     parser.add_parameters("the file in the bag, else the paper's values")
     parser.add_json()
     return parser
@@ -78,8 +60,7 @@ class Aim:
 
 def aim_of(options: argparse.Namespace, direction: int) -> Aim:
     """Return the aim that the options describe. Raises `InputError` if they are inadmissible."""
-    if not 0.0 < options.probability < 1.0:
-        raise InputError(f"--probability {options.probability:g}: give a number between 0 and 1")
+    check_aim(options)
     content = load_parameter_file(options.parameters)
     limits = limits_of(task_of(content, chosen_settings(options), direction))
     return Aim(options.probability, options.grooves, limits, options.parameters)
@@ -153,8 +134,10 @@ def described(tuning: Tuning) -> str:
     """Return a step of a tuning as a line."""
     gait, keeps = tuning.gait, tuning.keeps
     what = f"{tuning.state.value}: {gait.stroke * 1e3:.2f} mm, {gait.frequency:g} Hz"
-    chance = f"{keeps.value:.3f} ({keeps.low:.3f} to {keeps.high:.3f})"
-    return f"{what}; a cycle keeps its grooves with {chance}; {tuning.reason}"
+    chance = (
+        f"a cycle keeps its grooves with {keeps.value:.3f} ({keeps.low:.3f} to {keeps.high:.3f})"
+    )
+    return f"{what}; {chance}; {tuning.reason}"
 
 
 def _tune(options: argparse.Namespace) -> None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from typing import TypeVar
 
@@ -246,16 +246,19 @@ class OperatorNode(ServiceCaller):
                 raise OperatorError(f"{DRIVER} cannot be configured: {self._reason()}")
 
     def deactivate(self) -> str:
-        """Deactivate the driver if it is active: the robot comes to rest and releases torque. Return a report.
+        """Deactivate the driver if it is active, and return a report with the driver's errors meanwhile.
+
+        The robot comes to rest before the driver releases the torque, except in FAULT.
 
         Raises:
             OperatorError: The driver remains active.
         """
-        if self._state(DRIVER).id == State.PRIMARY_STATE_ACTIVE:
-            self._errors.clear()
-            if not self._change(DRIVER, Transition.TRANSITION_DEACTIVATE):
-                raise OperatorError(f"{DRIVER} does not deactivate: {self._reason()}")
-        return "the robot is at rest, its torque is off"
+        self._errors.clear()
+        if self._state(DRIVER).id == State.PRIMARY_STATE_ACTIVE and not self._change(
+            DRIVER, Transition.TRANSITION_DEACTIVATE
+        ):
+            raise OperatorError(f"{DRIVER} does not deactivate: {self._reason()}")
+        return "; ".join(("the torque is off", *self._errors))
 
     def home(self) -> str:
         """Define the present cable length as ΔL = 0; return the driver's report. Raises `OperatorError`."""
@@ -411,10 +414,14 @@ class OperatorNode(ServiceCaller):
 
     def conditions(self) -> Conditions:
         """Return the conditions that the optimizer assumes. Raises `OperatorError` without an optimizer."""
-        request = GetParameters.Request(names=list(CONDITION_ROWS))
-        answer = self.call_twice(GetParameters, f"{OPTIMIZER}/get_parameters", request)
-        values = (value.double_value for value in answer.values)
+        values = self.numbers(OPTIMIZER, CONDITION_ROWS)
         return Conditions(**dict(zip(CONDITION_ROWS, values, strict=True)))
+
+    def numbers(self, node: str, names: Iterable[str]) -> list[float]:
+        """Return parameters of a node that are floating-point numbers. Raises `OperatorError` without an answer."""
+        request = GetParameters.Request(names=list(names))
+        answer = self.call_twice(GetParameters, f"{node}/get_parameters", request)
+        return [value.double_value for value in answer.values]
 
     def follow(
         self, run: GaitRun, progress: Progress, until: Callable[[], bool] = lambda: False

@@ -62,7 +62,7 @@ def events_of(bag: Bag, run: Run, holds: Holds, replay: Replay) -> tuple[Event, 
 
 def _driver_events(bag: Bag, run: Run, holds: Holds) -> Iterator[Event]:
     """Yield an event for each change of the driver's state or message."""
-    columns = _columns(bag, find_topic(bag.topics.values(), "gait_state"))
+    columns = _columns(bag, find_topic(bag.channels, "gait_state"))
     if columns is None:
         return
     shown: tuple[int, str | None] | None = None

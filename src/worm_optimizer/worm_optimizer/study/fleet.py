@@ -214,7 +214,6 @@ class _Fleet:
 
 def _fleet(folder: Path, parameters: str) -> _Fleet:
     load_parameter_file(parameters)  # raises if the file is invalid, before any bag is read
-    # Without recovered copies, because opening a damaged bag opens its copy
     bags = tuple(bags_below(folder))
     marks = tuple(_mark(bag, parameters) for bag in bags)
     whole = hashlib.sha256(" ".join([*marks, identity_of_all()]).encode()).hexdigest()[:24]

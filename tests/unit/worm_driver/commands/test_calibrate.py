@@ -85,7 +85,7 @@ class Bench:
         )
         self.port = SimulatedPort(wire, self.clock)
         self.bus = ServoBus(self.port, retries=0)
-        self.start = self.robot.servos[0].motor.position
+        self.start = self.robot.servos[0].shaft.position
         self.decision = "r"
         self.interrupted_at: str | None = None
         self.output: list[str] = []
@@ -127,7 +127,7 @@ class Bench:
     def wound(self) -> float:
         """Length of cable on the spool, m."""
         self.robot.advance(self.clock.now)
-        turned = (self.robot.servos[0].motor.position - self.start) * 2 * math.pi / 4096
+        turned = (self.robot.servos[0].shaft.position - self.start) * 2 * math.pi / 4096
         return turned * self.radius
 
     @property

@@ -33,7 +33,7 @@ def ended(rig: Rig, longest: float = 10.0) -> list[str]:
 
 def contraction(rig: Rig) -> float:
     """Return the contraction in m."""
-    return (rig.cable.motor.position - rig.home_ticks) * 2 * math.pi / 4096 * 0.025
+    return (rig.cable.shaft.position - rig.home_ticks) * 2 * math.pi / 4096 * 0.025
 
 
 def stop(rig: Rig) -> None:

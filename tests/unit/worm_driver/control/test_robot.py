@@ -73,11 +73,11 @@ def test_a_missing_servo_is_named():
 
 
 def test_activation_holds_the_servos_where_they_stand_with_the_watchdog_armed(rig):
-    before = [servo.motor.position for servo in rig.virtual.servos]
+    before = [servo.shaft.position for servo in rig.virtual.servos]
     rig.activate()
     rig.run(0.5)
-    after = [servo.motor.position for servo in rig.virtual.servos]
-    assert after == pytest.approx(before, abs=2)
+    after = [servo.shaft.position for servo in rig.virtual.servos]
+    assert after == pytest.approx(before, abs=6)  # the pretension of the bellows, 0.2 mm
     for servo in rig.virtual.servos:
         assert servo.memory["torque_enable"] == 1
         assert servo.memory["bus_watchdog"] == 4  # 80 ms
@@ -181,8 +181,10 @@ def test_a_gait_is_played_as_commanded_and_ends_at_rest(rig):
         time = snapshot.command_time - onset
         wanted = -0.03 * (1 - math.cos(2 * math.pi * 0.4 * time))
         assert snapshot.commanded == pytest.approx(wanted, abs=1e-9)
-        assert snapshot.cable == pytest.approx(snapshot.commanded, abs=4e-3)
-    assert min(snapshot.cable for snapshot in played) == pytest.approx(-0.06, abs=1e-3)
+        assert snapshot.cable == pytest.approx(snapshot.commanded, abs=6e-3)
+    assert (
+        -0.06 < min(snapshot.cable for snapshot in played) < -0.057
+    )  # the servo yields to the load
     assert end.commanded == 0.0
 
 
@@ -202,7 +204,7 @@ def test_a_reverse_gait_sets_the_fins_first_and_at_rest(rig):
     rig.start(0.06, 0.4, cycles=1, direction=-1)
     rig.run(5.0, until=lambda s: s.player.phase is Phase.RUNNING)
     for servo in rig.virtual.servos[1:]:
-        assert servo.shaft_angle == pytest.approx(3.927, abs=0.07)
+        assert servo.motor_angle == pytest.approx(3.927, abs=0.07)
     assert all(s.commanded == 0.0 for s in rig.snapshots if s.active)
 
 
@@ -493,9 +495,9 @@ def test_a_position_that_jumps_by_a_turn_is_a_fault():
     snapshot = rig.run(0.02)
     assert snapshot.player.phase is Phase.FAULT
     assert re.search("servo 1 jumped by -40.. ticks", snapshot.player.message)
-    before = rig.cable.motor.position
+    before = rig.cable.shaft.position
     assert rig.time_to_stop(1.0) < STOP
-    assert abs(rig.cable.motor.position - before) < 200
+    assert abs(rig.cable.shaft.position - before) < 250
 
 
 def test_a_home_survives_a_restart_of_the_driver_in_the_middle_of_a_stroke():
@@ -525,15 +527,15 @@ def test_a_body_that_springs_back_is_held_where_it_has_come_to_by_then():
     # when servo 1 has returned its position, and has no torque yet
     before_write(rig, 12, "bus_watchdog", lambda: rig.inject("no_answer", target=12, count=4))
     rig.robot.activate(rig.clock.now)
-    held = rig.cable.motor.position
+    held = rig.cable.shaft.position
     rig.positions.clear()
     rig.run(0.3)
-    assert max(abs(position - held) for _, position in rig.positions) < 5  # 0.2 mm
+    assert max(abs(position - held) for _, position in rig.positions) < 26  # it yields by 1 mm
 
 
 def test_homing_sets_the_position_to_zero_where_the_cable_is(rig):
     assert rig.snapshots == []
-    assert rig.cable.motor.position == pytest.approx(rig.home_ticks, abs=1)
+    assert rig.cable.shaft.position == pytest.approx(rig.home_ticks, abs=1)
     assert rig.run(0.02).servos[0].ticks == pytest.approx(0, abs=1)
 
 
@@ -727,7 +729,7 @@ def test_a_shaped_gait_is_played_between_pretension_and_reach_and_ends_released(
     rig.goals.clear()
     rig.start(0.06, 0.4, 2, **SHAPED)
     rig.run(10.0, until=lambda s: s.player.phase is Phase.RESTING)
-    assert rig.snapshots[-1].cable == pytest.approx(-0.012, abs=5e-4)
+    assert rig.snapshots[-1].cable == pytest.approx(-0.012, abs=1e-3)
     tensioned = len(rig.snapshots)
     rig.run(20.0, until=lambda s: s.player.run.ending is not None)
     run = rig.robot.player.run
@@ -767,9 +769,9 @@ def test_a_stop_holds_in_every_phase_of_a_shaped_gait(phase):
     rig.robot.stop(rig.clock.now, "asked to")
     assert rig.robot.player.phase is Phase.HOLDING
     rig.run(0.2)
-    held = rig.cable.motor.position
+    held = rig.cable.shaft.position
     rig.run(0.5)
-    assert rig.cable.motor.position == pytest.approx(held, abs=2)
+    assert rig.cable.shaft.position == pytest.approx(held, abs=15)  # the force of the body decays
     assert rig.robot.player.active_run is None
 
 

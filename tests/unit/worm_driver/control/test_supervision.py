@@ -5,7 +5,14 @@ import re
 import pytest
 
 from worm_driver.control import supervision
-from worm_driver.control.supervision import Counts, Health, Limits, fault_in_counts, fault_in_health
+from worm_driver.control.supervision import (
+    CableLength,
+    Counts,
+    Health,
+    Limits,
+    fault_in_counts,
+    fault_in_health,
+)
 
 LIMITS = Limits(max_silence=0.035, max_current=2.0, following_error=0.015)
 
@@ -42,14 +49,24 @@ def test_a_peak_of_current_is_no_fault_but_a_blocked_cable_is():
     assert "servo 1 is beyond its limit" in fault_in_counts(blocked, LIMITS, {})
 
 
-def test_a_cable_that_does_not_follow_is_a_fault():
+def test_a_cable_that_does_not_follow_is_a_fault_of_its_servo():
     counts = Counts()
-    for error in (0.016, -0.016, math.nan, 0.016, 0.016, 0.016):
-        counts = supervision.following(counts, error, LIMITS)
+    for error in (0.016, -0.016, math.nan, 0.016, 0.016, 0.016, 0.016, 0.016):
         assert fault_in_counts(counts, LIMITS, {}) is None
-    for _ in range(2):
-        counts = supervision.following(counts, 0.016, LIMITS)
-    assert "15 mm off its command" in fault_in_counts(counts, LIMITS, {})
+        cables = {1: CableLength(-0.02, -0.02), 2: CableLength(-0.02 + error, -0.02)}
+        counts = supervision.following(counts, cables, LIMITS)
+    message = fault_in_counts(counts, LIMITS, {})
+    assert re.search("servo 2 is 16.0 mm off .* -4.0 mm instead of -20.0 mm", message)
+
+
+def test_a_cable_that_does_not_come_to_rest_is_a_fault_of_its_servo():
+    counts = supervision.following(Counts(), {1: CableLength(-0.003, 0.0)}, LIMITS)
+    for _ in range(LIMITS.rest_cycles):
+        assert fault_in_counts(counts, LIMITS, {}) is None
+        counts = supervision.resting(counts, [1])
+    message = fault_in_counts(counts, LIMITS, {})
+    assert re.search("servo 1 is 3.0 mm off .* -3.0 mm instead of 0.0 mm", message)
+    assert fault_in_counts(supervision.resting(counts, []), LIMITS, {}) is None
 
 
 @pytest.mark.parametrize(

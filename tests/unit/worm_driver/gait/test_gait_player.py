@@ -129,9 +129,9 @@ def test_at_any_time_of_a_shaped_gait_it_comes_to_rest_or_holds(when, deed):
     elif deed == "release":
         state = gait_player.return_to_rest(state, now, "deactivated")
     elif deed == "stop":
-        state = gait_player.stop(state, now, here, "asked to")
+        state = gait_player.stop(state, now, "asked to")
     else:
-        state = gait_player.fault(state, now, here, "a servo is gone")
+        state = gait_player.fault(state, now, "a servo is gone")
     after = play(state, now, 10.0)
     lengths = [here, *(s.length_change for _, s in after)]
     if deed in ("cancel", "release"):
@@ -183,7 +183,7 @@ def test_a_late_step_does_not_make_the_tensioning_faster():
 @example([(110, 0.05), (1, 0.02)])
 def test_another_speed_during_a_return_to_rest_does_not_make_the_cable_jump(changes):
     now, state = running()
-    state = gait_player.stop(state, now, -0.07, "asked to")
+    state = replace(gait_player.stop(state, now, "asked to"), length_change=-0.07)
     state = gait_player.return_to_rest(state, now, "deactivated")
     speeds = [speed for steps, speed in changes for _ in range(steps)]
     for speed in [*speeds, *itertools.repeat(changes[-1][1], 10_000)]:
@@ -221,22 +221,35 @@ def test_cancel_at_rest_ends_at_once():
     assert state.run.cycles_completed(now) == 0
 
 
-def test_stop_holds_where_the_cable_is():
+def test_after_a_stop_the_command_does_not_change():
     now, state = running()
     now, state = play(state, now, 0.6)[-1]
-    state = gait_player.stop(state, now, -0.021, "asked to")
-    assert (state.phase, state.run.ending, state.length_change) == (
-        Phase.HOLDING,
-        Ending.STOPPED,
-        -0.021,
-    )
-    assert all(s.length_change == -0.021 for _, s in play(state, now, 2.0))
+    here = state.length_change
+    state = gait_player.stop(state, now, "asked to")
+    assert (state.phase, state.run.ending) == (Phase.HOLDING, Ending.STOPPED)
+    again = gait_player.stop(state, now + 0.1, "emergency stop")
+    assert again == replace(state, message="emergency stop")
+    assert {s.length_change for _, s in play(again, now, 2.0)} == {here}
+
+
+@pytest.mark.parametrize("cancelled", [False, True])
+def test_a_return_lasts_until_the_encoders_show_the_cable_at_rest(cancelled):
+    now, state = running()
+    state = replace(gait_player.stop(state, now, "asked to"), length_change=-0.02)
+    state = gait_player.start(state, now, Gait(0.07, 0.4), 1)
+    if cancelled:
+        state = gait_player.cancel(state, now, "cancelled")
+    returning = state.phase
+    now, state = play(state, now, 5.0, seen=replace(READY, at_rest=False))[-1]
+    assert (state.phase, state.length_change) == (returning, 0.0)
+    now, state = play(state, now, DT)[-1]
+    assert state.phase is (Phase.IDLE if cancelled else Phase.FLIPPING)
 
 
 def test_after_a_stop_a_run_returns_to_rest_before_it_begins():
     now, state = running()
     now, state = play(state, now, 0.6)[-1]
-    state = gait_player.stop(state, now, -0.05, "asked to")
+    state = replace(gait_player.stop(state, now, "asked to"), length_change=-0.05)
     state = gait_player.start(state, now, Gait(0.07, 0.4), 1)
     states = play(state, now, 10.0, until=lambda s: s.phase is Phase.RUNNING)
     lengths = [-0.05, *(s.length_change for _, s in states)]
@@ -255,13 +268,13 @@ def test_a_second_run_is_rejected_with_the_reason():
 
 def test_a_fault_holds_and_rejects_until_the_next_activation():
     now, state = running()
-    state = gait_player.fault(state, now, -0.01, "servo 1 is gone")
+    state = gait_player.fault(state, now, "servo 1 is gone")
     assert state.run.ending is Ending.FAILED
-    assert play(state, now, 1.0)[-1][1].length_change == -0.01
+    assert play(state, now, 1.0)[-1][1].length_change == state.length_change
     with pytest.raises(RejectedError, match="servo 1 is gone"):
         gait_player.start(state, now, Gait(0.07, 0.4), 5)
-    assert gait_player.fault(state, now, 0.0, "another").message == "servo 1 is gone"
-    assert gait_player.stop(state, now, 0.0, "stop").phase is Phase.FAULT
+    assert gait_player.fault(state, now, "another").message == "servo 1 is gone"
+    assert gait_player.stop(state, now, "stop").phase is Phase.FAULT
 
 
 def test_the_fins_are_set_at_rest_before_a_reverse_gait():

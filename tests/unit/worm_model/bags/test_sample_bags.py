@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The bags that come with the project."""
 
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -25,9 +24,8 @@ WHOLE = NAMES[:3]
 
 
 @pytest.fixture
-def bag(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
-    """Copy a bag, so that a recovery leaves no file with the originals."""
-    return Path(shutil.copytree(BAGS / request.param, tmp_path / request.param))
+def bag(request: pytest.FixtureRequest) -> Path:
+    return BAGS / request.param
 
 
 def test_they_are_small_and_each_is_explained():
@@ -98,13 +96,11 @@ def test_power_that_was_not_measured_is_nan(bag: Path):
     assert np.isfinite(power.power[power.status == POWER_VALID]).all()
 
 
-@pytest.mark.parametrize("bag", ["killed"], indirect=True)
-def test_the_killed_one_is_recovered(bag: Path):
+def test_the_killed_one_is_read_as_it_is():
+    before = {path: path.read_bytes() for path in (BAGS / "killed").iterdir()}
     reported: list[str] = []
-    with open_bag(bag, reported.append) as opened:
-        assert opened.path == bag.with_name("killed_recovered")
-        assert opened.message_count > 1000
+    with open_bag(BAGS / "killed", reported.append) as opened:
+        assert opened.message_count == 3206
     assert len(reported) == 1
-    assert {p.name: p.read_bytes() for p in bag.iterdir()} == {
-        p.name: p.read_bytes() for p in (BAGS / "killed").iterdir()
-    }
+    assert {path: path.read_bytes() for path in (BAGS / "killed").iterdir()} == before
+    assert not (BAGS / "killed_recovered").exists()

@@ -18,15 +18,15 @@ def topics(*names: str) -> list[Topic]:
 def test_the_twins_joints_are_not_mistaken_for_the_robots():
     both = topics("/worm/twin/joint_states", "/worm/joint_states")
     robot, twin = find_topic(both, "joint_states"), find_topic(both, "twin/joint_states")
-    assert robot is both[1]
-    assert twin is both[0]
+    assert robot == both[1]
+    assert twin == both[0]
 
 
 def test_two_robots_in_a_bag_are_distinguished_by_their_namespace():
     both = topics("/left/joint_states", "/right/joint_states")
     with pytest.raises(BagError, match=r"/left/joint_states, /right/joint_states; choose with"):
         find_topic(both, "joint_states")
-    assert find_topic(both, "joint_states", "/right") is both[1]
+    assert find_topic(both, "joint_states", "/right") == both[1]
 
 
 @pytest.mark.parametrize("name", TYPES)

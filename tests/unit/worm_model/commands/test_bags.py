@@ -10,10 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from worm_model.bags.formats.bag_errors import BagError
 from worm_model.bags.formats.bag_writer import new_bag
 from worm_model.bags.opening import open_bag
-from worm_model.bags.operations import cutting
 from worm_model.commands import bag_columns, bag_table, bags
 from worm_model.gait import Gait, named_values
 
@@ -156,28 +154,12 @@ def test_a_trimmed_bag_begins_with_the_last_messages_of_latched_topics(run, tmp_
     assert run("trim", SAMPLES / "forward", "--output", tmp_path / "no")[0] == 2
 
 
-def test_what_is_split_and_merged_again_is_the_same(run, tmp_path):
-    assert run("split", SAMPLES / "forward", "--output", tmp_path / "runs")[0] == 0
-    (made,) = (tmp_path / "runs").iterdir()
-    assert run("merge", made, SAMPLES / "reverse", "--output", tmp_path / "both")[0] == 0
-    with open_bag(SAMPLES / "forward") as a, open_bag(SAMPLES / "reverse") as b:
-        count = a.message_count + b.message_count
-    with open_bag(tmp_path / "both") as both:
-        times = [m.log_time for m in both.messages()]
-    assert len(times) == count
-    assert times == sorted(times)
-    rows = json.loads(run(tmp_path / "both", "--json")[1])["runs"]
-    assert [row["gait"]["direction"] for row in rows] == [1, -1]
-
-
-def test_nothing_remains_of_a_split_that_fails(run, tmp_path, monkeypatch):
-    def fail(bag, output, first, last):
-        output.mkdir()
-        raise BagError(f"{output} has no definition of a topic")
-
-    monkeypatch.setattr(cutting, "trim", fail)
-    assert run("split", SAMPLES / "forward", "--output", tmp_path / "runs")[0] == 2
-    assert not list(tmp_path.glob("*runs*"))
+def test_a_run_is_cut_out_by_its_number(run, tmp_path):
+    output = tmp_path / "run"
+    assert run("trim", SAMPLES / "forward", "--run", 1, "--output", output)[0] == 0
+    with open_bag(SAMPLES / "forward") as whole, open_bag(output) as part:
+        assert list(part.messages()) == list(whole.messages())
+    assert run("trim", SAMPLES / "forward", "--run", 2, "--output", tmp_path / "no")[0] == 2
 
 
 def test_a_column_is_a_row_of_the_table_of_columns(run, monkeypatch):

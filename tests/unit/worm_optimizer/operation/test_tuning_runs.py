@@ -97,9 +97,7 @@ def test_a_run_that_ends_early_ends_the_tuning_with_its_reason(tmp_path: Path):
 def test_a_run_without_tracker_ends_the_tuning_with_the_remedy(tmp_path: Path):
     def hidden(run: Run) -> Run:
         nothing = np.full(run.tracker.stamp.size, np.nan)
-        return dataclasses.replace(
-            run, tracker=TrackerSamples(run.tracker.stamp, nothing, nothing)
-        )
+        return dataclasses.replace(run, tracker=TrackerSamples(run.tracker.stamp, nothing, nothing))
 
     operator = Operator(some_robot(1), tmp_path, hidden)
     with pytest.raises(InputError, match="tracker must see both modules"):

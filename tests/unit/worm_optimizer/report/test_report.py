@@ -19,7 +19,7 @@ from recorded_session import joined_session, recorded_session
 from unrendered import leave_runs_unrendered
 
 from worm_model.bags.formats.bag_writer import new_bag
-from worm_model.bags.formats.contents import AttachedFile
+from worm_model.bags.formats.stored_file import AttachedFile
 from worm_model.bags.run_writer import write_run
 from worm_model.commands.command_line import InputError
 from worm_model.gait import Gait

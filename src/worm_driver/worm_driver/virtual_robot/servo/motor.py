@@ -3,6 +3,9 @@
 
 Positions are in pulses of the shaft (4096 per turn, counted over all turns), speeds in pulses/s, torques in N*m. The
 present point of the motor's profile is also called its trajectory, as in the e-manual.
+
+The position of a motor is that of its shaft without load. A loaded shaft is behind it by the yield: position error that
+the controller needs to hold the load.
 """
 
 import math
@@ -42,6 +45,7 @@ class MotorCommand(NamedTuple):
         acceleration, velocity: limits of the profile, pulses/s^2 and pulses/s; inf for none.
         speed_limit: limit by supply voltage and goal PWM, pulses/s.
         torque_limit: limit by goal current, N*m; inf for none, so that the motor holds any load.
+        compliance: position error per load, pulses/(N*m). It is 0 for a controller with an integral part.
     """
 
     kind: int
@@ -50,6 +54,14 @@ class MotorCommand(NamedTuple):
     velocity: float
     speed_limit: float
     torque_limit: float
+    compliance: float = 0.0
+
+
+class Yield(NamedTuple):
+    """Distance (pulses) by which a loaded shaft is behind the position of its motor, and its rate (pulses/s)."""
+
+    distance: float = 0.0
+    rate: float = 0.0
 
 
 def at_rest(position: float) -> MotorState:
@@ -82,6 +94,14 @@ def step(
     velocity = backdrive_velocity(load, motor_torque, model)
     position = state.position + velocity * step_s
     return MotorState(position, velocity, position, 0.0)
+
+
+def step_yield(before: Yield, command: MotorCommand, load: float, step_s: float) -> Yield:
+    """Return the yield one step (s) later. The position loop corrects a change of the load (N*m) only in part."""
+    if command.kind == BLOCKED:
+        return Yield(before.distance)
+    rate = (command.compliance * load - before.distance) / _POSITION_LOOP_TIME
+    return Yield(before.distance + rate * step_s, rate)
 
 
 def load_is_held(load: float, command: MotorCommand, model: ServoModel) -> bool:

@@ -17,7 +17,7 @@ from worm_driver.virtual_robot.servo import measurement, motor
 from worm_driver.virtual_robot.servo.control_table import GOALS, POSITION_MODE, Register, ServoModel
 from worm_driver.virtual_robot.servo.drive import TORQUE_ON_BY_GOAL, direction_of, motor_command
 from worm_driver.virtual_robot.servo.encoder import Encoder, turns_of
-from worm_driver.virtual_robot.servo.motor import PULSES_PER_RADIAN, MotorState
+from worm_driver.virtual_robot.servo.motor import PULSES_PER_RADIAN, MotorState, Yield
 from worm_driver.virtual_robot.servo.register_memory import RegisterError, RegisterMemory
 from worm_driver.virtual_robot.wire.packet import ALERT, Error
 
@@ -53,6 +53,7 @@ class Servo:
     def __post_init__(self) -> None:
         self.memory = RegisterMemory(self.model, self.settings)
         self.motor: MotorState = motor.at_rest(self.start)
+        self._yield = Yield()
         self._time = 0.0
         self._silent_until = 0.0
         self._wear = measurement.Wear()
@@ -86,9 +87,21 @@ class Servo:
         return self.memory["id"]
 
     @property
-    def shaft_angle(self) -> float:
-        """Shaft angle, rad, unfolded."""
+    def motor_angle(self) -> float:
+        """Shaft angle without the yield, rad, unfolded.
+
+        The body follows this angle: its gain and its time constant, which relate its length to the command, contain
+        the yield of the servo.
+        """
         return self.motor.position / PULSES_PER_RADIAN
+
+    @property
+    def shaft(self) -> MotorState:
+        """Motion of the loaded shaft, which the encoder measures."""
+        position, velocity = self.motor.position, self.motor.velocity
+        return self.motor._replace(
+            position=position - self._yield.distance, velocity=velocity - self._yield.rate
+        )
 
     @property
     def return_delay(self) -> float:
@@ -190,7 +203,7 @@ class Servo:
 
     def _fold(self) -> None:
         """Remove the whole turns from Present Position."""
-        self._folded_turns = turns_of(self.motor.position, direction_of(self.memory))
+        self._folded_turns = turns_of(self.shaft.position, direction_of(self.memory))
 
     def _fold_in_position_mode(self) -> None:
         if self.memory["operating_mode"] == POSITION_MODE:
@@ -214,7 +227,11 @@ class Servo:
         command = self._command
         if around.blocked:
             command = command._replace(kind=motor.BLOCKED)
+        if command.kind == motor.LIMP and self._yield.distance:
+            self.motor, self._yield = self.shaft, Yield()
         self.motor = motor.step(self.motor, command, around.load, self.model, step_s)
+        if around.load or self._yield.distance:
+            self._yield = motor.step_yield(self._yield, command, around.load, step_s)
 
     def _stop_by_watchdog(self) -> None:
         for name in ("profile_velocity", "profile_acceleration", "goal_velocity"):
@@ -260,7 +277,7 @@ class Servo:
         memory, around = self.memory, self.surroundings
         noise = self.random.gauss(0.0, 1.0) if memory["torque_enable"] else 0.0
         registers = {
-            **measurement.motion_registers(memory, self._encoder, self.motor, self._command),
+            **measurement.motion_registers(memory, self._encoder, self.shaft, self._command),
             **measurement.torque_registers(memory, self.model, self._torque(), noise),
             "realtime_tick": int((self._time - self._booted_at) * 1000) % _TICK_WRAP,
             "present_input_voltage": measurement.voltage_raw(around),

@@ -1,24 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bag in any supported format, open for reading. Its files are read lazily, in parts (`contents.Extent`)."""
+"""Bag in any supported format, open for reading. Its files are read lazily, in parts (`stored_file.Extent`)."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import groupby
 from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
 import zstandard
-from zstandard import ZstdDecompressor
 
-from worm_model.bags.formats.bag_errors import RECOVER, BagError
-from worm_model.bags.formats.cdr import check_length
-from worm_model.bags.formats.contents import AttachedFile, Extent
-from worm_model.bags.formats.mcap_records import LARGEST_CHUNK
+from worm_model.bags.formats.bag_errors import BagError
+from worm_model.bags.formats.mcap_file import LARGEST_CHUNK
 from worm_model.bags.formats.message_block import (
     Message,
     Messages,
@@ -28,19 +25,11 @@ from worm_model.bags.formats.message_block import (
     messages_of,
 )
 from worm_model.bags.formats.message_types import PACKAGE, with_definition
-from worm_model.bags.formats.stored_file import LATEST_NS, StoredFile
+from worm_model.bags.formats.stored_file import AttachedFile, StoredFile, joined_spans
 
 DECOMPRESSED_BYTES = 16 << 20  # largest size of a block of several decompressed messages
 
 Notify = Callable[[str], None]
-
-
-@dataclass(frozen=True)
-class MetadataRecord:
-    """Named metadata record with one text per key. Several records of a bag may have the same name."""
-
-    name: str
-    values: tuple[tuple[str, str], ...]
 
 
 class Bag:
@@ -50,18 +39,24 @@ class Bag:
         path: directory or file from which the bag was opened.
         files: the open files; closed with the bag.
         notify: called with one line for each inconsistency of the bag.
+        damage: one line for each file of the bag that is missing or cannot be read.
 
     Attributes:
         channels: topics with their layouts; a topic whose layout changes occurs once for each layout.
-        start: smallest log time, ns since the epoch; 0 in an empty bag.
-        end: largest log time, ns since the epoch, without the messages later than LATEST_NS; 0 in an empty bag.
+        topics: topics by name. Each topic has its last layout, and its count includes the messages of all layouts.
         records: metadata records in the order of the files; identical records occur once. A recording has one record
             ``worm_gait`` for each gait that was run.
-        topics: topics by name. Each topic has its last layout, and its count includes the messages of all layouts.
+        spans: first and last log time (ns since the epoch) of each part of the bag without a gap.
+        damage: one line for each file that is not complete.
+        remarks: one line for each inconsistency of a file.
     """
 
     def __init__(
-        self, path: Path, files: Sequence[StoredFile], notify: Notify = lambda _: None
+        self,
+        path: Path,
+        files: Sequence[StoredFile],
+        notify: Notify = lambda _: None,
+        damage: Sequence[str] = (),
     ) -> None:
         self.path = path
         self.notify = notify
@@ -69,75 +64,51 @@ class Bag:
         counts: Counter[Topic] = Counter()
         for file in files:
             for number, topic in file.channels.items():
-                counts[topic] += file.contents.counts[number]
+                counts[topic] += file.counts[number]
         by_name = sorted(counts.items(), key=lambda item: item[0].name)
         self.channels = tuple(replace(topic, count=count) for topic, count in by_name)
         self.topics = _by_name(self.channels)
-        records = (
-            MetadataRecord(record.name, tuple(record.metadata.items()))
-            for file in files
-            for record in file.contents.metadata
-        )
-        self.records = tuple(dict.fromkeys(records))
-        self.start, self.end = self._span()
+        self.records = tuple(dict.fromkeys(r for file in files for r in file.metadata))
+        self.spans = joined_spans(span for file in files for span in file.spans)
+        self.damage = (*damage, *(f"{f.path.name}: {f.damage}" for f in files if f.damage))
+        self.remarks = [f"{f.path.name}: {remark}" for f in files for remark in f.remarks]
         self._given: dict[Topic, Topic] = {}
-
-    def _span(self) -> tuple[int, int]:
-        """Return (smallest log time, largest log time that is at most LATEST_NS) in ns, and report later log times."""
-        extents = [(file, extent) for file in self._files for extent in file.contents.extents]
-        start = min((extent.start for _, extent in extents), default=0)
-        latest = max((extent.end for _, extent in extents), default=0)
-        if latest <= LATEST_NS:
-            return start, latest
-        self.notify(
-            f"{self.path}: a message has the log time {latest * 1e-9:.0f} s, after the year 2262; such messages are "
-            "read last, and the duration does not include them"
-        )
-        return start, max((_plausible_end(file, extent) for file, extent in extents), default=start)
 
     def close(self) -> None:
         """Close the files."""
         for file in self._files:
             file.close()
 
-    def attachments(self) -> Iterator[AttachedFile]:
-        """Yield the files stored inside the bag, such as the parameter file of the run, each once."""
-        attached = (attached for file in self._files for attached in file.attachments())
-        return iter(dict.fromkeys(attached))
-
-    def define(self, definitions: Path | None) -> None:
-        """Set definitions for the topics whose definition the bag lacks, and report these topics.
-
-        Args:
-            definitions: folder with the ``.msg`` files of worm_msgs from the time of the recording. None: the
-                installed definitions are used later, for each topic that is decoded.
-
-        Raises:
-            BagError: A definition in the folder is incomplete, or its type hash differs from the recorded one.
-        """
-        bare = [c for c in self.channels if c.count and not c.definition]
-        defined = [c for c in bare if definitions and _is_defined(c, definitions)]
-        self._given = {channel: with_definition(channel, definitions) for channel in defined}
-        self.channels = tuple(self._given.get(channel, channel) for channel in self.channels)
-        self.topics = _by_name(self.channels)
-        self._report_bare(defined, f"those in {definitions} are used")
-        rest = [c for c in bare if c not in defined]
-        self._report_bare(
-            rest, "the installed definitions are used if type hash and length of the messages match"
-        )
-        if definitions and not defined:
-            self.notify(f"{self.path}: {definitions} is not used: {_why_useless(bare)}")
-
-    def _report_bare(self, channels: Sequence[Topic], remedy: str) -> None:
-        if channels:
-            names = ", ".join(channel.name for channel in channels)
-            self.notify(f"{self.path} contains no definitions of {names}; {remedy}")
-
     def __enter__(self) -> Bag:
         return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    @property
+    def start(self) -> int:
+        """Smallest log time, ns since the epoch; 0 in an empty bag."""
+        return self.spans[0][0] if self.spans else 0
+
+    @property
+    def duration_s(self) -> float:
+        """Duration without gaps, s."""
+        return sum(last - first for first, last in self.spans) * 1e-9
+
+    def time_at(self, position_s: float) -> int:
+        """Return the log time (ns) at a time since the start of the bag (s), which does not include gaps."""
+        rest, time = round(position_s * 1e9), 0
+        for first, last in self.spans:
+            time = first + rest
+            if time <= last:
+                break
+            rest -= last - first
+        return time
+
+    def position_at(self, log_time: int) -> float:
+        """Return the time since the start of the bag at a log time (ns), s, without gaps."""
+        passed = (min(log_time, last) - first for first, last in self.spans if log_time > first)
+        return sum(passed) * 1e-9
 
     @property
     def message_count(self) -> int:
@@ -149,6 +120,33 @@ class Bag:
         """Last metadata record of each name, such as ``worm_run``; empty if the format has no metadata."""
         return {record.name: dict(record.values) for record in self.records}
 
+    def attachments(self) -> Iterator[AttachedFile]:
+        """Yield the files stored inside the bag, such as the parameter file of the run, each once."""
+        return iter(dict.fromkeys(a for file in self._files for a in file.attachments()))
+
+    def define(self, definitions: Path) -> None:
+        """Use definitions of worm_msgs from a folder, for the topics whose type is in it.
+
+        Args:
+            definitions: folder with the ``.msg`` files of worm_msgs from the time of the recording.
+
+        Raises:
+            BagError: The folder has no definition of a type in the bag, a definition is incomplete, or its type hash
+                differs from the recorded one.
+        """
+        self._given = {
+            channel: with_definition(channel, definitions)
+            for channel in self.channels
+            if _is_defined(channel, definitions)
+        }
+        if not self._given:
+            raise BagError(
+                f"{definitions} has no definition of a type in {self.path}; give the folder with the .msg files of "
+                f"{PACKAGE}, such as {PACKAGE}/msg"
+            )
+        self.channels = tuple(self._given.get(channel, channel) for channel in self.channels)
+        self.topics = _by_name(self.channels)
+
     def messages(self, topics: Iterable[str] | None = None) -> Iterator[Message]:
         """Yield the messages in order of log time, lazily, so that memory does not grow with the bag.
 
@@ -156,66 +154,46 @@ class Bag:
             topics: names of the topics to read; None: all.
 
         Raises:
-            BagError: A topic does not exist, a file is damaged, or the bag does not contain as many messages as its
-                summary declares.
+            BagError: A topic does not exist, or a file is damaged.
         """
         for block in self.blocks(topics):
             yield from block
 
     def blocks(self, topics: Iterable[str] | None = None) -> Iterator[Messages]:
-        """Yield the messages in blocks. One after the other, the blocks have the order of `messages`."""
+        """Yield the messages in blocks. One after the other, the blocks have the order of `messages`.
+
+        However long the files are, memory holds only the extents that overlap in time.
+        """
         wanted = frozenset(self.topics if topics is None else topics)
         unknown = sorted(wanted - self.topics.keys())
         if unknown:
             raise BagError(
                 f"{self.path} has no topic {unknown[0]}; it has {', '.join(self.topics) or 'none'}"
             )
-        blocks = self._blocks(wanted) if wanted else iter(())
-        return map(self._defined, blocks) if self._given else blocks
-
-    def _defined(self, block: Messages) -> Messages:
-        """Return a block with the definitions set by `define`.
-
-        Raises BagError if a message does not have the length that its definition requires.
-        """
-        is_given = np.array([channel in self._given for channel in block.channels], bool)
-        channels = tuple(self._given.get(channel, channel) for channel in block.channels)
-        defined = replace(block, channels=channels)
-        for message in defined.select(is_given[block.channel]) if is_given.any() else ():
-            check_length(message.channel, message.data)
-        return defined
-
-    def _blocks(self, topics: frozenset[str]) -> Iterator[Messages]:
-        """Yield the messages of some topics in order of log time.
-
-        However long the files are, memory holds only the extents that overlap in time. Small successive extents are
-        read together (`mcap_file.TOGETHER_BYTES`).
-        """
-        extents = [(file, extent) for file in self._files for extent in file.contents.extents]
+        extents = [(file, extent) for file in self._files for extent in file.extents]
         # Extents with equal times stay in the order of the files.
         extents.sort(key=lambda item: (item[1].start, item[1].end))
-        runs = groupby(extents, key=itemgetter(0))
-        count = 0
+        runs = groupby(extents if wanted else (), key=itemgetter(0))
         for block in merge(
-            block for file, run in runs for block in file.blocks((e for _, e in run), topics)
+            b for file, run in runs for b in file.blocks((e for _, e in run), wanted)
         ):
-            count += len(block)
-            yield from _decompressed(block)
-        expected = sum(channel.count for channel in self.channels if channel.name in topics)
-        if count != expected:
-            raise BagError(
-                f"{self.path} holds {count} messages, but its summary declares {expected}; save the messages "
-                f"with: {RECOVER} {self.path}"
-            )
+            channels = tuple(self._given.get(channel, channel) for channel in block.channels)
+            yield from _decompressed(replace(block, channels=channels))
 
 
-def _plausible_end(file: StoredFile, extent: Extent) -> int:
-    """Return the largest log time of an extent that is not after LATEST_NS."""
-    if extent.end <= LATEST_NS:
-        return extent.end
-    topics = frozenset(channel.name for channel in file.channels.values())
-    times = [block.log_time for _, block in file.blocks([extent], topics)]
-    return max((int(t) for part in times for t in part if t <= LATEST_NS), default=extent.start)
+def _is_defined(channel: Topic, definitions: Path) -> bool:
+    """Return True if a folder with definitions of worm_msgs contains the definition of a topic's type."""
+    package, _, kind = channel.type_name.partition("/msg/")
+    return package == PACKAGE and (definitions / f"{kind}.msg").is_file()
+
+
+def _by_name(channels: Iterable[Topic]) -> dict[str, Topic]:
+    """Return the topics by name, each with its last layout and with the number of its messages in all layouts."""
+    topics: dict[str, Topic] = {}
+    for channel in channels:
+        known = topics.get(channel.name)
+        topics[channel.name] = replace(channel, count=channel.count + (known.count if known else 0))
+    return topics
 
 
 def _decompressed(block: Messages) -> Iterator[Messages]:
@@ -252,28 +230,6 @@ def _payload(message: Message) -> bytes:
     if data.startswith(zstandard.FRAME_HEADER) and message.channel.encoding == "cdr":
         with suppress(zstandard.ZstdError):
             if zstandard.frame_content_size(data) <= LARGEST_CHUNK:
-                return ZstdDecompressor().decompress(data, max_output_size=LARGEST_CHUNK)
+                decompressor = zstandard.ZstdDecompressor()
+                return decompressor.decompress(data, max_output_size=LARGEST_CHUNK)
     return data
-
-
-def _by_name(channels: Iterable[Topic]) -> dict[str, Topic]:
-    """Return the topics by name, each with its last layout and with the number of its messages in all layouts."""
-    topics: dict[str, Topic] = {}
-    for channel in sorted(channels, key=lambda c: c.name):
-        known = topics.get(channel.name)
-        count = channel.count + (known.count if known else 0)
-        topics[channel.name] = replace(channel, count=count)
-    return topics
-
-
-def _is_defined(channel: Topic, definitions: Path) -> bool:
-    """Return True if a folder with definitions of worm_msgs contains the definition of a topic's type."""
-    package, _, kind = channel.type_name.partition("/msg/")
-    return package == PACKAGE and (definitions / f"{kind}.msg").is_file()
-
-
-def _why_useless(bare: Sequence[Topic]) -> str:
-    if not bare:
-        return "the bag contains the definitions of all its topics"
-    missing = ", ".join(sorted({channel.type_name for channel in bare}))
-    return f"the folder has no definition of {missing}"

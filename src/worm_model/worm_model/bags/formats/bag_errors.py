@@ -17,6 +17,10 @@ class ExistsError(BagError):
     """Output path that exists already; it is not overwritten."""
 
 
+class NoRunError(BagError):
+    """Bag that contains no run of the worm."""
+
+
 class DefinitionError(BagError):
     """Message definition that is missing, cannot be read, or does not match a message."""
 

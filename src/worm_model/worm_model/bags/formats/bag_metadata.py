@@ -5,8 +5,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from textwrap import indent
@@ -24,10 +23,15 @@ VERSION = 9
 STATE = "state"  # key in custom_data of a bag that this package records
 UNFINISHED, CLOSED = "being recorded", "closed"  # its values
 LARGEST_YAML = 16 << 20  # bytes; a bag of a thousand files and topics has a tenth of that
-DEEPEST_YAML = 32  # levels; metadata.yaml has eight
-MOST_NODES = 250_000  # a bag of a thousand topics and ten thousand files has fewer
-MOST_ALIASES = 10_000  # a writer that repeats QoS profiles by reference has a few per topic
-_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # the C loader is ten times faster
+
+
+class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc] # C is ten times faster
+    """YAML reader without the merging of keys, by which a small file could grow without limit."""
+
+    def flatten_mapping(self, node: yaml.MappingNode) -> None:
+        """Leave the keys as they are."""
+
+
 _DUMPER: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
 
@@ -57,30 +61,6 @@ class Extent:
 # --- reading --------------------------------------------------------------------------------------
 
 
-def load_yaml(text: str) -> Any:
-    """Return the content of YAML from an untrusted source.
-
-    Raises:
-        yaml.YAMLError, ValueError: The text is not YAML, merges keys (``<<``), or exceeds one of the limits of
-            this module on size, levels, nodes and references. No bag reaches these limits.
-    """
-    if len(text) > LARGEST_YAML:
-        raise ValueError(f"it has {len(text)} characters, more than {LARGEST_YAML}")
-    depth = aliases = nodes = 0
-    for event in yaml.parse(text, Loader=_LOADER):
-        depth += isinstance(event, yaml.CollectionStartEvent)
-        depth -= isinstance(event, yaml.CollectionEndEvent)
-        aliases += isinstance(event, yaml.AliasEvent)
-        if depth > DEEPEST_YAML or aliases > MOST_ALIASES:
-            raise ValueError(f"it has more than {DEEPEST_YAML} levels or {MOST_ALIASES} references")
-        nodes += isinstance(event, yaml.NodeEvent)
-        if nodes > MOST_NODES:
-            raise ValueError(f"it has more than {MOST_NODES} values and keys")
-        if isinstance(event, yaml.ScalarEvent) and event.value == "<<" and event.implicit[0]:
-            raise ValueError("it merges keys (<<), which no bag does")
-    return yaml.load(text, Loader=_LOADER)
-
-
 def read_metadata(directory: Path) -> dict[str, Any]:
     """Return the content of a bag's metadata.yaml below its root key.
 
@@ -93,7 +73,7 @@ def read_metadata(directory: Path) -> dict[str, Any]:
     try:
         if path.stat().st_size > LARGEST_YAML:
             raise ValueError(f"it has {path.stat().st_size} bytes, more than {LARGEST_YAML}")
-        document = load_yaml(path.read_text(encoding="utf-8"))
+        document = yaml.load(path.read_text(encoding="utf-8"), Loader=_Loader)
     except FileNotFoundError:
         raise BagError(f"{path} is missing; create it: {RECOVER} {directory}") from None
     except (OSError, UnicodeDecodeError, yaml.YAMLError, ValueError, RecursionError) as error:
@@ -116,49 +96,23 @@ def custom_data(content: Mapping[str, Any]) -> Mapping[str, Any]:
     return custom if isinstance(custom, dict) else {}
 
 
-def declared_counts(content: Mapping[str, Any]) -> dict[str, int]:
-    """Return the number of messages by topic as declared by metadata.yaml; empty without a declaration."""
-    counts: dict[str, int] = {}
-    for entry in _topics(content):
-        with suppress(KeyError, TypeError, ValueError):
-            name, count = entry["topic_metadata"]["name"], entry["message_count"]
-            counts[str(name)] = counts.get(str(name), 0) + int(count)
-    return counts
+def is_unfinished(content: Mapping[str, Any]) -> bool:
+    """Return True if a bag's metadata shows that its recorder has not closed it."""
+    return custom_data(content).get(STATE) == UNFINISHED
 
 
-def _topics(content: Mapping[str, Any]) -> list[Any]:
-    topics = content.get("topics_with_message_count")
-    return topics if isinstance(topics, list) else []
-
-
-def silent_topics(content: Mapping[str, Any]) -> list[Topic]:
-    """Return the topics for which metadata.yaml declares zero messages, with their types and QoS."""
-    topics = []
-    for entry in _topics(content):
-        with suppress(KeyError, TypeError):
-            description = entry["topic_metadata"]
-            profiles = description.get("offered_qos_profiles") or ""
-            metadata = {
-                "offered_qos_profiles": profiles
-                if isinstance(profiles, str)
-                else dump_yaml(profiles),
-                "topic_type_hash": description.get("type_description_hash") or "",
-            }
-            name, kind, encoding = (
-                description["name"],
-                description["type"],
-                description["serialization_format"],
-            )
-            texts = (name, kind, encoding, *metadata.values())
-            if entry["message_count"] == 0 and all(isinstance(text, str) for text in texts):
-                topics.append(Topic(name, kind, 0, "", "", encoding, tuple(metadata.items())))
-    return topics
+def is_unclosed(path: Path) -> bool:
+    """Return True if a folder is a bag that its recorder has not closed."""
+    try:
+        return is_unfinished(read_metadata(path))
+    except BagError:
+        return any(path.glob("*.mcap"))  # killed before its metadata.yaml was written
 
 
 def qos_profiles(text: str) -> list[Any]:
     """Return the QoS profiles of a channel; empty if its text is not a list of profiles."""
     try:
-        profiles = load_yaml(text)
+        profiles = yaml.load(text, Loader=_Loader)
     except (yaml.YAMLError, ValueError, RecursionError):
         return []
     return profiles if isinstance(profiles, list) else []
@@ -244,13 +198,12 @@ def _describe(topic: Topic) -> dict[str, Any]:
     }
 
 
-def write_metadata(directory: Path, text: str, synchronise: Callable[[int], None]) -> None:
+def write_metadata(directory: Path, text: str) -> None:
     """Replace metadata.yaml atomically: after a crash, either the old or the new file is complete.
 
     Args:
         directory: the bag.
         text: content below the root key.
-        synchronise: writes an open file, given by its descriptor, to the disk.
 
     Raises:
         OSError: The disk is full or missing.
@@ -259,16 +212,16 @@ def write_metadata(directory: Path, text: str, synchronise: Callable[[int], None
     with unfinished.open("w", encoding="utf-8") as stream:
         stream.write(f"{METADATA_ROOT}:\n{indent(text, '  ')}")
         stream.flush()
-        synchronise(stream.fileno())
+        os.fsync(stream.fileno())
     unfinished.replace(directory / METADATA_FILE)
-    sync_directory(directory, synchronise)
+    sync_directory(directory)
 
 
-def sync_directory(directory: Path, synchronise: Callable[[int], None] | None = None) -> None:
+def sync_directory(directory: Path) -> None:
     """Write the names in a directory to the disk, so that they survive a power cut."""
     handle = os.open(directory, os.O_RDONLY | os.O_DIRECTORY)
     try:
-        (synchronise or os.fsync)(handle)
+        os.fsync(handle)
     finally:
         os.close(handle)
 

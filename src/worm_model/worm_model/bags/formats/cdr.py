@@ -22,7 +22,7 @@ from rosbags.interfaces import Nodetype
 from rosbags.serde import SerdeError
 
 from worm_model.bags.formats.bag_errors import BagError, DefinitionError
-from worm_model.bags.formats.message_block import Bytes, Integers, Message, Messages, Topic
+from worm_model.bags.formats.message_block import Bytes, Integers, Messages, Topic
 from worm_model.bags.formats.message_types import (
     REMEDY,
     Types,
@@ -296,35 +296,6 @@ def _setter(message: Any, path: str) -> Callable[[Any], None]:
     if isinstance(before, np.ndarray):
         return lambda value: setattr(message, name, np.asarray(value, before.dtype))
     return lambda value: setattr(message, name, value)
-
-
-def check_length(topic: Topic, data: bytes) -> None:
-    """Check the length of a message against a definition that was not stored with it.
-
-    Raises:
-        BagError: The length contradicts the definition.
-    """
-    store = typestore(topic.type_name, topic.definition, topic.definition_format)
-    try:
-        store.deserialize_cdr(data, topic.type_name)
-    except SerdeError:
-        raise BagError(
-            f"{topic.name} has no definition in the bag; another definition of {topic.type_name} was used, and a "
-            f"message is not as long as it requires; {REMEDY}"
-        ) from None
-
-
-def defined_message(message: Message) -> Message:
-    """Return a message with a definition: its own, or the installed one, which must fit.
-
-    Raises:
-        BagError: The installed definition is missing, has another type hash, or contradicts the message's length.
-    """
-    if message.channel.definition:
-        return message
-    channel = with_definition(message.channel)
-    check_length(channel, message.data)
-    return message._replace(channel=channel)
 
 
 class Converter:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Names of bags, and search for the bags below a folder; recovered bags are matched to their sources by name."""
+"""Names of bags, and search for the bags below a folder."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import os
 import re
 import stat
 import time
-from collections.abc import Sequence
 from pathlib import Path
 
 from worm_model.bags.formats.bag_errors import BagError
@@ -17,7 +16,6 @@ METADATA_FILE = "metadata.yaml"
 STORAGE = (".mcap", ".db3")
 COMPRESSED = ".zstd"
 TIME_FIELD = "{time}"  # placeholder in a bag's name for the time at which its recording begins
-_COPY = re.compile(r"(?P<source>.+)_recovered(?:_(?P<number>\d+))?")
 
 
 def check_readable(path: Path) -> None:
@@ -29,8 +27,7 @@ def check_readable(path: Path) -> None:
     except OSError as error:  # loop of symbolic links, or no permission
         raise BagError(f"{path} cannot be opened: {error.strerror}") from None
     if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
-        kind = "a named pipe" if stat.S_ISFIFO(mode) else "a device or a socket"
-        raise BagError(f"{path} is {kind}; give the folder or the file of a bag")
+        raise BagError(f"{path} is neither a file nor a folder; give the folder or file of a bag")
 
 
 def dated(output: Path) -> Path:
@@ -43,16 +40,16 @@ def is_storage(name: str) -> bool:
     return name.removesuffix(COMPRESSED).endswith(STORAGE)
 
 
-def recovered_path(bag: Path, number: int = 1) -> Path:
-    """Return the path of a bag's recovered copy; ``number`` distinguishes several copies and starts at 1.
+def recovered_path(bag: Path) -> Path:
+    """Return the path of a bag's recovered copy.
 
     Only the ending ``.mcap`` is removed from the name: the copy of ``pipe_0.25Hz`` is ``pipe_0.25Hz_recovered``.
     """
-    return bag.with_name(f"{_plain(bag)}_recovered{'' if number == 1 else f'_{number}'}")
+    return bag.with_name(f"{bag.stem if bag.suffix == '.mcap' else bag.name}_recovered")
 
 
-def bags_below(folder: Path) -> dict[Path, list[Path]]:
-    """Return all bags below a folder, sorted by path, each with its recovered copies, the highest number last.
+def bags_below(folder: Path) -> list[Path]:
+    """Return all bags below a folder, sorted by path.
 
     A bag is a folder with a metadata.yaml, a folder that a killed recorder left without metadata.yaml, or a single
     ``.mcap`` or ``.db3`` file in any other folder. Without metadata.yaml, a folder is a bag if each of its ``.mcap``
@@ -65,7 +62,7 @@ def bags_below(folder: Path) -> dict[Path, list[Path]]:
         raise InputError(
             f"{folder}: holds no bag (a folder with {METADATA_FILE}, or a file *.mcap, *.db3); record one (./worm demo)"
         )
-    return _with_copies(bags)
+    return bags
 
 
 def name_below(folder: Path, bag: Path) -> str:
@@ -92,23 +89,3 @@ def _walked(folder: Path) -> list[Path]:
         else:
             bags += files
     return sorted(bags)
-
-
-def _with_copies(bags: Sequence[Path]) -> dict[Path, list[Path]]:
-    sources = {(bag.parent, _plain(bag)): bag for bag in bags}
-    copies: list[tuple[int, Path, Path]] = []
-    for bag in bags:
-        match = _COPY.fullmatch(bag.name)
-        if match and (source := sources.get((bag.parent, match["source"]))):
-            copies.append((int(match["number"] or 1), source, bag))
-    source_of = {copy: source for _, source, copy in copies}
-    copies_of: dict[Path, list[Path]] = {bag: [] for bag in bags if bag not in source_of}
-    for _, source, copy in sorted(copies):
-        while source in source_of:  # the source is itself a recovered copy
-            source = source_of[source]
-        copies_of[source].append(copy)
-    return copies_of
-
-
-def _plain(bag: Path) -> str:
-    return bag.stem if bag.suffix == ".mcap" else bag.name

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -107,6 +107,16 @@ class Messages:
     def select(self, rows: Integers | slice | NDArray[np.bool_]) -> Messages:
         """Return some of the messages, in the same buffer."""
         return Messages(self.channels, self.buffer, *(column[rows] for column in self._columns))
+
+    def like(self, topic: Topic) -> Messages:
+        """Return the messages with the type and the encoding of a topic."""
+        kind = topic.type_name, topic.encoding
+        return self.within([c for c in self.channels if (c.type_name, c.encoding) == kind])
+
+    def within(self, channels: Collection[Topic]) -> Messages:
+        """Return the messages of some channels."""
+        wanted = np.array([channel in channels for channel in self.channels], bool)
+        return self if wanted.all() else self.select(wanted[self.channel])
 
     def sorted(self) -> Messages:
         """Return the messages in order of log time; messages of equal time keep their order."""

@@ -14,6 +14,7 @@ import os
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from textwrap import shorten
@@ -37,6 +38,13 @@ SEPARATOR = "=" * 80
 REMEDY = "give the definitions of the recording by --definitions FOLDER, or source the workspace that has them"
 REASON_LENGTH = 200  # shown characters of a parser's error, which repeats the definition
 _CONSTANT = re.compile(r"[A-Za-z]\w*\s+[A-Z]\w*\s*=")
+# texts and characters (first group), and comments
+_IDL_TEXT = re.compile(r"""(?s)("(?:\\.|[^"\\])*"|'(?:\\.|[^'\\])')|//[^\n]*|/\*.*?\*/""")
+_IDL_ANNOTATION = re.compile(r"@(?:::)?\w+(?:::\w+)*(?:\s*\((?:[^()]|\([^()]*\))*\))?")
+_IDL_CONSTANT = re.compile(
+    r"\bconst\s+(?!(?:u?int\d+|octet|(?:unsigned\s+)?(?:short|long(?:\s+long)?))\s)[^;]*;"
+)
+_IDL_EMPTY_MODULE = re.compile(r"\bmodule\s+\w+\s*\{\s*\}\s*;")
 _UNREADABLE = (TypesysError, ValueError, KeyError, IndexError, RecursionError)
 
 Fields = list[tuple[str, Any]]
@@ -190,15 +198,28 @@ def typestore(type_name: str, definition: str, definition_format: str) -> Typest
 
 def _parsed(type_name: str, definition: str, definition_format: str) -> dict[str, Any]:
     if definition_format == "ros2idl":
-        types: dict[str, Any] = {}
-        for part in definition.split(f"{SEPARATOR}\n"):
-            idl = part.split("\n", 1)[1] if part.startswith("IDL:") else part
-            types.update(get_types_from_idl(idl) if idl.strip() else {})
-        return types
+        return dict(get_types_from_idl(_plain_idl(definition)))
     try:
         return dict(get_types_from_msg(without_comments(definition), type_name))
     except _UNREADABLE:
         return dict(get_types_from_msg(definition, type_name))
+
+
+def _plain_idl(definition: str) -> str:
+    """Return the parts of an IDL definition as one text that `rosbags` can parse, with the same layout.
+
+    Parts follow the parts that they include. Included files are parts of the definition. Omitted are comments,
+    annotations and constants other than integers, which determine no layout, and modules without content.
+    """
+    parts = definition.split(f"{SEPARATOR}\n")
+    text = "\n".join(re.sub(r"\AIDL:.*", "", part) for part in reversed(parts))
+    text = re.sub(r"(?m)^[ \t]*#.*", "", text)  # includes, and other directives of the preprocessor
+    text = _IDL_TEXT.sub(lambda match: '""' if match[1] else " ", text)
+    for omitted in (_IDL_ANNOTATION, _IDL_CONSTANT):
+        text = omitted.sub(" ", text)
+    while (shorter := _IDL_EMPTY_MODULE.sub(" ", text)) != text:
+        text = shorter
+    return text
 
 
 def without_comments(definition: str) -> str:
@@ -221,32 +242,30 @@ def type_hash(type_name: str, definition: str, definition_format: str) -> str:
 
 
 def with_definition(topic: Topic, definitions: Path | None = None) -> Topic:
-    """Return the topic with a definition: its own, or the installed one if it has none.
+    """Return the topic with a definition: that of a folder, or its own, or the installed one.
 
     Args:
         topic: the topic.
-        definitions: folder of definitions, see `installed_definition`.
+        definitions: folder with the ``.msg`` file of the topic's type; None: no such folder.
 
     Raises:
-        DefinitionError: The topic has no definition, and the installed one is missing or has another type hash.
+        DefinitionError: The definition is missing, or has another type hash than the recorded one.
     """
-    if topic.definition:
+    if topic.definition and definitions is None:
         return topic
     if not topic.type_name:
         raise DefinitionError(f"{topic.name} has neither a type nor a definition")
-    installed = topic_of(topic.name, topic.type_name, definitions=definitions)
-    if topic.type_hash not in ("", installed.type_hash):
+    found = topic_of(topic.name, topic.type_name, definitions=definitions)
+    if topic.type_hash not in ("", found.type_hash):
         raise DefinitionError(
-            f"{topic.name} has no definition, and its type hash differs from that of the {topic.type_name} "
+            f"the type hash of {topic.name} differs from that of the {topic.type_name} "
             f"{'that is installed' if definitions is None else f'in {definitions}'}; {REMEDY}"
         )
-    metadata = dict(installed.metadata) | {"offered_qos_profiles": topic.offered_qos}
-    return Topic(
-        topic.name,
-        topic.type_name,
-        topic.count,
-        installed.definition,
-        "ros2msg",
-        topic.encoding,
-        tuple(metadata.items()),
+    return replace(
+        topic,
+        definition=found.definition,
+        definition_format=found.definition_format,
+        metadata=tuple(
+            (dict(found.metadata) | {"offered_qos_profiles": topic.offered_qos}).items()
+        ),
     )

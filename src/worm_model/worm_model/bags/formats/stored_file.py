@@ -1,46 +1,59 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Open file of a bag, whatever its format."""
+"""File of a bag that is open for reading, whatever its format."""
 
 from __future__ import annotations
 
-import fcntl
-import mmap
-import shutil
-import sqlite3
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
-from tempfile import NamedTemporaryFile, gettempdir
-from typing import BinaryIO, cast
+from tempfile import NamedTemporaryFile
+from typing import BinaryIO, NamedTuple, cast
 
+import numpy as np
 import zstandard
-from zstandard import ZstdDecompressor
 
-from worm_model.bags.formats.bag_errors import RECOVER, BagError
-from worm_model.bags.formats.contents import AttachedFile, Contents, Extent
+from worm_model.bags.formats.bag_errors import BagError
 from worm_model.bags.formats.finding import COMPRESSED, check_readable
-from worm_model.bags.formats.mcap_records import DAMAGE
-from worm_model.bags.formats.message_block import Messages, Topic
+from worm_model.bags.formats.message_block import Messages, Times, Topic
 
-# largest ratio of the decompressed size of a file to its compressed size; that of a recording is about 10
-LARGEST_RATIO = 1000
-# latest supported time, ns since the epoch (year 2262): the largest signed number of 64 bits
-LATEST_NS = (1 << 63) - 1
+# A longer time without a message is a gap: durations do not include it, and the player skips it.
+LONGEST_GAP_NS = 3_600 * 10**9
+
+Span = tuple[int, int]  # first and last log time, ns
 
 
-@contextmanager
-def explained(path: Path) -> Iterator[None]:
-    """Convert the exceptions that readers raise for damaged content to a BagError."""
-    try:
-        yield
-    except BagError:
-        raise
-    except (*DAMAGE, sqlite3.Error) as error:
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise BagError(
-            f"{path} is damaged ({reason}); save its intact part with: {RECOVER} {path}"
-        ) from None
+@dataclass(frozen=True)
+class AttachedFile:
+    """File stored inside a bag."""
+
+    name: str
+    media_type: str
+    data: bytes
+
+
+@dataclass(frozen=True)
+class MetadataRecord:
+    """Named metadata record with one text per key. Several records of a bag may have the same name."""
+
+    name: str
+    values: tuple[tuple[str, str], ...]
+
+
+class Extent(NamedTuple):
+    """Part of a file with messages.
+
+    Attributes:
+        start, end: smallest and largest log time, ns.
+        first, last: location of the part, the last place exclusive: bytes of an MCAP file, log times of a database.
+    """
+
+    start: int
+    end: int
+    first: int
+    last: int
 
 
 class StoredFile(ABC):
@@ -50,44 +63,24 @@ class StoredFile(ABC):
         path: the file.
 
     Attributes:
-        data: bytes of the file, decompressed.
-        contents: what the file contains besides the messages: topics, their counts, and places of messages and damage.
-
-    Raises:
-        BagError: The file is missing or empty, or cannot be read.
+        channels: topics by channel number. Their field ``count`` is not set.
+        counts: number of messages by channel.
+        extents: parts of the file with messages.
+        spans: first and last log time (ns) of each part without a gap, unsorted.
+        metadata: metadata records, in the order of the file.
+        damage: one line on what is missing or damaged; empty for a file that is complete.
+        remarks: one line per inconsistency of the file.
     """
-
-    contents: Contents
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        check_readable(path)
-        try:
-            self._stream = _unpacked(path) if path.suffix == COMPRESSED else path.open("rb")
-            self._map = mmap.mmap(self._stream.fileno(), 0, access=mmap.ACCESS_READ)
-        except BagError:
-            raise
-        except ValueError:
-            self._stream.close()
-            raise BagError(f"{path} is empty: nothing was recorded, or its disk was full") from None
-        except OSError as error:
-            raise BagError(f"{path} cannot be read: {error.strerror}") from None
-        self.data = memoryview(self._map)
-        try:
-            with explained(path):
-                self.contents = self._survey()
-        except BagError:
-            self.close()
-            raise
-
-    @abstractmethod
-    def _survey(self) -> Contents:
-        """Return what the file contains besides the messages, see `contents`."""
-
-    @property
-    @abstractmethod
-    def channels(self) -> Mapping[int, Topic]:
-        """Topics by channel number. Their field ``count`` (number of messages) is not set."""
+        self.channels: dict[int, Topic] = {}
+        self.counts: Counter[int] = Counter()
+        self.extents: list[Extent] = []
+        self.spans: list[Span] = []
+        self.metadata: list[MetadataRecord] = []
+        self.damage = ""
+        self.remarks: list[str] = []
 
     @abstractmethod
     def blocks(
@@ -102,50 +95,44 @@ class StoredFile(ABC):
         """Yield the attached files."""
         return iter(())
 
+    @abstractmethod
     def close(self) -> None:
         """Close the file; arrays that were read from it stay valid."""
-        with suppress(BufferError):  # while arrays refer to the map, it stays open
-            self.data.release()
-            self._map.close()
-        self._stream.close()
-
-    def is_being_written(self) -> bool:
-        """Return True if a recorder has the file open at this moment."""
-        try:
-            fcntl.flock(self._stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        except OSError:
-            return True
-        fcntl.flock(self._stream, fcntl.LOCK_UN)
-        return False
 
 
-def _unpacked(path: Path) -> BinaryIO:
-    """Return the content of a file that rosbag2 has compressed, up to the first damage, in a temporary file.
+def spans_of(times: Times) -> list[Span]:
+    """Return first and last log time (ns) of each part of some messages without a gap."""
+    ordered = np.sort(times)
+    cuts = np.flatnonzero(np.diff(ordered) > LONGEST_GAP_NS) + 1
+    return [(int(part[0]), int(part[-1])) for part in np.split(ordered, cuts) if len(part)]
 
-    Raises:
-        BagError: The content is larger than LARGEST_RATIO times the file, or larger than half of the free space for
-            temporary files (the other half stays free for other processes), or a file that is not empty has no
-            content before its first damage.
+
+def joined_spans(spans: Iterable[Span]) -> Sequence[Span]:
+    """Return spans in order of time; those without a gap between them are joined."""
+    joined: list[Span] = []
+    for start, end in sorted(spans):
+        if joined and start - joined[-1][1] <= LONGEST_GAP_NS:
+            joined[-1] = joined[-1][0], max(end, joined[-1][1])
+        else:
+            joined.append((start, end))
+    return joined
+
+
+def opened(path: Path) -> BinaryIO:
+    """Return an open file. A file that rosbag2 has compressed is decompressed into a temporary one, up to damage.
+
+    Raises BagError if the file does not exist or cannot be opened.
     """
-    free = shutil.disk_usage(gettempdir()).free // 2
-    most, size = min(free, LARGEST_RATIO * path.stat().st_size), 0
+    check_readable(path)
+    try:
+        packed = path.open("rb")
+    except OSError as error:
+        raise BagError(f"{path} cannot be read: {error.strerror}") from None
+    if path.suffix != COMPRESSED:
+        return packed
     unpacked = cast(BinaryIO, NamedTemporaryFile())  # noqa: SIM115 - the caller closes it
-    with path.open("rb") as packed, suppress(zstandard.ZstdError):
-        for piece in ZstdDecompressor().read_to_iter(packed):
-            size += len(piece)
-            if size > most:
-                unpacked.close()
-                limit = (
-                    f"half of the free space in {gettempdir()}; set TMPDIR to a folder with more"
-                    if most == free
-                    else f"{LARGEST_RATIO} times its size; it is damaged or was not written by a recorder"
-                )
-                raise BagError(f"{path} decompresses to more than {most} bytes, {limit}")
+    with packed, suppress(zstandard.ZstdError):
+        for piece in zstandard.ZstdDecompressor().read_to_iter(packed):
             unpacked.write(piece)
-    if not size and path.stat().st_size:
-        unpacked.close()
-        raise BagError(
-            f"{path} decompresses to nothing: it is damaged from its beginning, or nothing was recorded"
-        )
     unpacked.flush()
     return unpacked

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Operations on bags: cut, join, clean, export as tables, play."""
+"""Operations on bags: copies, export as tables."""

@@ -3,15 +3,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from worm_model.bags.formats.bag import Bag
 from worm_model.bags.formats.bag_errors import BagError
-from worm_model.bags.formats.cdr import ColumnBuilder, Columns
+from worm_model.bags.formats.cdr import ColumnBuilder, Columns, types_of
 from worm_model.bags.formats.message_block import Messages, Topic
 
 LOG_TIME = "log_time_ns"
@@ -28,12 +29,14 @@ class Table:
     """Columns of a topic in their order. A time is one column in ns; a short array has one column per element.
 
     Attributes:
-        topic: topic whose messages are the rows.
+        topic: topic whose messages are the rows; its count is the number of rows.
+        channels: channels that can be decoded, including those of other topics.
         kinds: kind of the columns with one value per row, by name.
         lists: kind of the elements of the columns with an array of more than MOST_ELEMENTS per row, by name.
     """
 
     topic: Topic
+    channels: frozenset[Topic]
     kinds: Mapping[str, ColumnKind]
     lists: Mapping[str, ColumnKind]
 
@@ -68,37 +71,62 @@ class _Field:
 
 
 def find_tables(bag: Bag, topics: Iterable[str]) -> tuple[list[Table], dict[str, BagError]]:
-    """Return the tables of the topics that can be decoded, and the errors of the other topics by name.
+    """Return the tables of the topics that can be decoded, and the errors of all that is left out by name.
 
-    Topics without messages have no table. The whole bag is read once, because the length of a sequence may change from
-    message to message.
+    Of a topic with several types or encodings, those that can be decoded are in its table. Topics without messages have
+    no table. The whole bag is read once, because the length of a sequence may change from message to message.
     """
     fields: dict[str, dict[str, _Field]] = {name: {} for name in topics}
-    failed: dict[str, BagError] = {}
+    readable, failed = _readable(bag, fields)
     for block in bag.blocks(fields):
         for name, messages in block.by_topic():
-            if name in failed:
-                continue
             try:
-                read = _fields(messages)
+                read = _fields(messages.within(readable)) if name not in failed else {}
             except BagError as error:
                 failed[name] = error
                 continue
             for path, new in read.items():
                 known = fields[name].get(path)
                 fields[name][path] = new.joined(known or new)
-    tables = [_table(bag.topics[name], fields[name]) for name in fields if name not in failed]
+    counts: Counter[str] = Counter()
+    for channel in readable:
+        counts[channel.name] += channel.count
+    tables = [
+        _table(replace(bag.topics[name], count=counts[name]), readable, fields[name])
+        for name in fields
+        if name not in failed
+    ]
     return [table for table in tables if table.kinds], failed
 
 
-def _table(topic: Topic, fields: Mapping[str, _Field]) -> Table:
+def _readable(bag: Bag, topics: Collection[str]) -> tuple[frozenset[Topic], dict[str, BagError]]:
+    """Return the channels of some topics that can be decoded, and the errors of the others by their names."""
+    channels = [channel for channel in bag.channels if channel.name in topics and channel.count]
+    readable, failed = set(), {}
+    for channel in channels:
+        try:
+            types_of(channel)
+            readable.add(channel)
+        except BagError as error:
+            failed[channel] = error
+    whole = {channel.name for channel in readable}
+    return frozenset(readable), {
+        f"{c.name} ({c.count} messages of {c.type_name} in {c.encoding})"
+        if c.name in whole
+        else c.name: error
+        for c, error in failed.items()
+    }
+
+
+def _table(topic: Topic, channels: frozenset[Topic], fields: Mapping[str, _Field]) -> Table:
     kinds = {
         column: known.kind
         for path, known in fields.items()
         if not known.is_list
         for column, _ in known.columns(path, known.width)
     }
-    return Table(topic, kinds, {p: known.kind for p, known in fields.items() if known.is_list})
+    lists = {path: known.kind for path, known in fields.items() if known.is_list}
+    return Table(topic, channels, kinds, lists)
 
 
 def read_tables(bag: Bag, tables: Iterable[Table]) -> Iterator[tuple[Table, TableRows]]:
@@ -108,6 +136,7 @@ def read_tables(bag: Bag, tables: Iterable[Table]) -> Iterator[tuple[Table, Tabl
         for name, messages in block.by_topic():
             table = by_topic[name]
             columns_read: dict[str, list[Any]] = {}
+            messages = messages.within(table.channels)
             for path, here in _fields(messages).items():
                 width = MOST_ELEMENTS + 1 if path in table.lists else here.width
                 columns_read.update(here.columns(path, width))

@@ -21,26 +21,13 @@ class LossCounter:
 
     Attributes:
         lost: number of missing messages between received messages of the same publisher.
-        missed: number of messages that a publisher sent before its first received message, summed over the publishers
-            that joined during the recording.
     """
 
     def __init__(self, publishers: Callable[[], int]) -> None:
         self._publishers = publishers
-        self._received_from = 0  # number of publishers from which a message was received
-        # Number of publishers that existed before the recording and have not delivered a message yet
-        self._outstanding = 0
         # Last sequence number of each publisher, the least recently received first
         self._last: list[int] = []
         self.lost = 0
-        self.missed = 0
-
-    def expect(self, publishers: int) -> None:
-        """Set the number of publishers that existed when the recording began.
-
-        What they sent before their first received message does not count as missed.
-        """
-        self._outstanding = max(publishers - self._received_from, 0)
 
     def observe(self, sequence: int) -> None:
         """Account for a received message with a sequence number, which its publisher counts from 1."""
@@ -57,9 +44,5 @@ class LossCounter:
         if earlier and len(self._last) >= publishers:
             self.lost += sequence - max(earlier) - 1
             self._last.remove(max(earlier))
-        else:
-            self.missed += 0 if self._outstanding else sequence - 1
-            self._received_from += 1
-            self._outstanding = max(self._outstanding - 1, 0)
         while len(self._last) >= publishers:
             self._last.pop(0)  # the number of a publisher that has ended

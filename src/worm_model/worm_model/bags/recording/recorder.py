@@ -2,8 +2,7 @@
 """Recorder of raw CDR messages into a bag that stays readable if the recorder is killed.
 
 Each call of `sync` closes, flushes and fsyncs the open chunk. ``kill -9`` or a power cut then loses only the messages
-since the last call. A bag has a provisional metadata.yaml from the start; `worm_model recover` completes the bag of a
-killed recorder. Nothing is ever overwritten.
+since the last call. A bag has a provisional metadata.yaml from the start. Nothing is ever overwritten.
 """
 
 from __future__ import annotations
@@ -15,13 +14,13 @@ from pathlib import Path
 
 from worm_model.bags.formats.bag_errors import ExistsError
 from worm_model.bags.formats.bag_metadata import CLOSED, STATE, UNFINISHED, sync_directory
-from worm_model.bags.formats.bag_writer import BagFiles, WriteOptions
-from worm_model.bags.formats.contents import AttachedFile
+from worm_model.bags.formats.bag_writer import BagWriter
+from worm_model.bags.formats.stored_file import AttachedFile
 
 
 @dataclass(frozen=True)
 class Manifest:
-    """Data of a run in addition to its messages, repeated in every file of a bag.
+    """Data of a run in addition to its messages.
 
     Attributes:
         metadata: MCAP metadata records by name, each with text by key.
@@ -32,27 +31,26 @@ class Manifest:
     attachments: tuple[AttachedFile, ...] = ()
 
 
-class BagRecorder(BagFiles):
+class BagRecorder(BagWriter):
     """Bag that is being recorded. Not thread-safe: one thread writes.
 
     Args:
         directory: the bag, a directory that must not exist.
-        manifest: content of every file of the bag.
-        options: options of writing.
+        manifest: data of the run.
 
     Raises:
         ExistsError: The directory exists.
         OSError: The directory cannot be created or written.
     """
 
-    def __init__(self, directory: Path, manifest: Manifest, options: WriteOptions) -> None:
+    def __init__(self, directory: Path, manifest: Manifest) -> None:
         try:
             directory.mkdir(parents=True)
         except FileExistsError:
             raise ExistsError(
                 f"{directory} exists already and is not overwritten; choose another name"
             ) from None
-        super().__init__(directory, directory.name, options, {STATE: UNFINISHED})
+        super().__init__(directory, directory.name, {STATE: UNFINISHED})
         for name, values in manifest.metadata.items():
             self.add_metadata(name, values)
         for attached in manifest.attachments:
@@ -69,7 +67,7 @@ class BagRecorder(BagFiles):
             OSError: The disk is full or missing.
         """
         super().sync()
-        if not self._file.is_there:
+        if not self.is_there:
             raise FileNotFoundError(
                 errno.ENOENT, "it was removed while it was recorded", str(self.directory)
             )
@@ -78,7 +76,7 @@ class BagRecorder(BagFiles):
         """Finish the bag: index, summary and the final metadata.yaml.
 
         Raises:
-            OSError: The disk is full or missing; the bag then requires `worm_model recover`.
+            OSError: The disk is full or missing; the bag then lacks its end.
         """
         self.custom = {STATE: CLOSED}
         self.sync()

@@ -1,69 +1,50 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Commands to a running recorder: start, stop, pause, resume, split, snapshot."""
+"""Recording into a bag, or into snapshots of the last seconds."""
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
 from operator import methodcaller
 from pathlib import Path
 
 from worm_model.bags.formats.bag_errors import BagError
-from worm_model.bags.formats.bag_metadata import first_qos_profile
-from worm_model.bags.formats.bag_writer import WriteOptions
+from worm_model.bags.formats.bag_metadata import first_qos_profile, is_unclosed
 from worm_model.bags.formats.message_block import Message, Topic
-from worm_model.bags.opening import is_unclosed
 from worm_model.bags.recording.recorder import BagRecorder, Manifest
 from worm_model.bags.recording.recording_thread import RecordingThread, Tally
 
 # bytes, largest size of the messages that wait for the disk, and of the ring buffer: rosbag2's default cache size
 BACKLOG_BYTES = 100 * 2**20
-
-
-@dataclass(frozen=True)
-class SessionOptions:
-    """Content and location of a recording.
-
-    Attributes:
-        output: path of the first bag. Later bags end in ``_2`` and so on, snapshots in ``_snapshot_1`` and so on.
-        manifest: returns the manifest of a bag that begins now.
-        write: options of writing.
-        sync_s: longest time between synchronisations, s.
-        ring_s: length of the ring buffer in memory, s. Its messages are written only by `RecordingSession.snapshot`.
-            0: no ring buffer; all messages are written immediately.
-    """
-
-    output: Path
-    manifest: Callable[[], Manifest]
-    write: WriteOptions = field(default_factory=WriteOptions)
-    sync_s: float = 0.5
-    ring_s: float = 0.0
+SYNC_S = 0.5  # longest time between synchronisations of a bag
 
 
 class RecordingSession:
-    """Sequence of the bags of a recorder. Not thread-safe: one thread calls it.
+    """Bags of a recorder. Not thread-safe: one thread calls it.
 
-    The methods `start`, `stop`, `pause`, `resume`, `split` and `snapshot` return a text about the outcome.
+    Args:
+        output: path of the bag. Snapshots end in ``_snapshot_1`` and so on.
+        manifest: returns the manifest of a bag that begins now.
+        ring_s: length of the ring buffer in memory, s. Its messages are written only by `snapshot`. 0: no ring buffer;
+            all messages are written immediately.
 
     Raises:
-        BagError: In the constructor, `start` and `snapshot`, if the new bag exists. In `stop` and `split`, if nothing
-            is being recorded. In `snapshot`, if there is no ring buffer or no new message.
-        OSError: In the constructor, `start` and `snapshot`, if the new bag cannot be created.
+        BagError: In the constructor and `snapshot`, if the new bag exists. In `snapshot`, if there is no ring buffer or
+            no new message.
+        OSError: In the constructor and `snapshot`, if the new bag cannot be created.
     """
 
-    def __init__(self, options: SessionOptions) -> None:
-        self.options = options
-        self.is_paused = False
+    def __init__(self, output: Path, manifest: Callable[[], Manifest], ring_s: float = 0.0) -> None:
+        self.output = output
+        self.ring_s = ring_s
         self.bags: list[Path] = []
+        self._snapshots = 0
+        self._manifest = manifest
         self._threads: list[RecordingThread] = []
-        self._current: RecordingThread | None = None
-        self._ring = _Ring(round(options.ring_s * 1e9))
-        self._numbers = {"": 0, "_snapshot": 0}
+        self._ring = _Ring(round(ring_s * 1e9))
         self._notes: dict[str, Mapping[str, str]] = {}
         self._topics: dict[Topic, None] = {}
-        if not options.ring_s:
-            self.start()
+        self._current = None if ring_s else self._begin(output, BACKLOG_BYTES)
 
     @property
     def error(self) -> Exception | None:
@@ -86,13 +67,11 @@ class RecordingSession:
         return sum((thread.dropped for thread in self._threads), Tally())
 
     def offer(self, messages: Sequence[Message]) -> None:
-        """Record messages, unless the recording is paused or stopped; never block."""
-        if self.is_paused or not messages:
-            return
-        if self.options.ring_s:
-            self._ring.add(messages)
-        elif self._current is not None:
+        """Record messages; never block."""
+        if self._current is not None:
             self._current.offer(messages)
+        elif messages:
+            self._ring.add(messages)
 
     def add_topics(self, topics: Iterable[Topic]) -> None:
         """Add topics; the present and the following bags list them even without messages."""
@@ -108,73 +87,32 @@ class RecordingSession:
         if self._current is not None:
             self._current.act(methodcaller("add_metadata", name, values))
 
-    def start(self) -> str:
-        """Begin a bag, or continue a paused one."""
-        if self.options.ring_s:
-            return self.resume()
-        if self._current is None:
-            self._current = self._begin("")
-        self.is_paused = False
-        return f"recording to {self._current.directory}"
-
-    def stop(self) -> str:
-        """End the bag; `start` begins another one."""
-        if self._current is None:
-            raise BagError("nothing is being recorded")
-        directory = self._current.directory
-        self._current.finish()
-        self._current = None
-        return f"{directory} is closed"
-
-    def pause(self) -> str:
-        """Discard messages until `resume`."""
-        self.is_paused = True
-        return "paused"
-
-    def resume(self) -> str:
-        """Record messages again."""
-        self.is_paused = False
-        return "recording"
-
-    def split(self) -> str:
-        """Continue in a new file of the bag."""
-        if self._current is None:
-            raise BagError("nothing is being recorded")
-        self._current.act(BagRecorder.split)
-        return f"{self._current.directory} continues in a new file"
-
     def snapshot(self) -> str:
-        """Write the content of the ring buffer into a separate bag."""
-        if not self.options.ring_s:
+        """Write the content of the ring buffer into a separate bag, and return a text about the outcome."""
+        if not self.ring_s:
             raise BagError("there is no ring buffer: record with --snapshot S")
         if not self._ring:
             raise BagError("nothing has been received since the last snapshot")
-        thread = self._begin("_snapshot")  # If this fails, the messages stay for the next snapshot.
+        self._snapshots += 1
+        directory = Path(f"{self.output}_snapshot_{self._snapshots}")
+        # If this fails, the messages stay for the next snapshot. A snapshot is queued as a whole.
+        thread = self._begin(directory, 2 * BACKLOG_BYTES)
         thread.offer(self._ring.take())
         thread.finish()
-        return f"the last {self.options.ring_s:g} s are written to {thread.directory}"
+        return f"the last {self.ring_s:g} s are written to {directory}"
 
     def close(self) -> None:
         """End all bags and wait for their threads."""
-        if self._current is not None:
-            self._current.finish()
-            self._current = None
         for thread in self._threads:
             thread.close()
 
-    def _begin(self, kind: str) -> RecordingThread:
-        self._numbers[kind] += 1
-        number = self._numbers[kind]
-        output = self.options.output
-        suffix = kind if number == 1 and not kind else f"{kind}_{number}"
-        directory = Path(f"{output}{suffix}")
-        recorder = BagRecorder(directory, self.options.manifest(), self.options.write)
+    def _begin(self, directory: Path, backlog_bytes: int) -> RecordingThread:
+        recorder = BagRecorder(directory, self._manifest())
         for name, values in self._notes.items():
             recorder.add_metadata(name, values)
         for topic in self._topics:
             recorder.add_topic(topic)
-        limit = BACKLOG_BYTES * (2 if kind else 1)  # a snapshot is queued as a whole
-        thread = RecordingThread(recorder, self.options.sync_s, limit)
+        thread = RecordingThread(recorder, SYNC_S, backlog_bytes)
         self._threads.append(thread)
         self.bags.append(directory)
         return thread
@@ -229,5 +167,4 @@ class _Ring:
 
 def is_latched(topic: Topic) -> bool:
     """Return True if a topic was published with transient-local durability: later subscribers receive it."""
-    durability = first_qos_profile(topic).get("durability")
-    return durability in ("transient_local", 1)  # metadata.yaml contains numbers before version 9
+    return first_qos_profile(topic).get("durability") == "transient_local"

@@ -43,7 +43,7 @@ class RecordingThread:
     Attributes:
         offered: messages passed to `offer`.
         dropped: offered messages that are not in the bag. After an error, messages that were not synchronised count
-            as dropped, although a recovery may find some of them. If the bag was removed, all messages are dropped.
+            as dropped, although some of them may be in the file. If the bag was removed, all messages are dropped.
         error: error that ended the writing early, or None.
     """
 

@@ -16,7 +16,7 @@ import yaml
 
 from worm_model.bags.formats.bag import Bag
 from worm_model.bags.formats.bag_errors import BagError
-from worm_model.bags.formats.contents import AttachedFile
+from worm_model.bags.formats.stored_file import AttachedFile
 from worm_model.bags.recording.recorder import Manifest
 from worm_model.errors import printable
 from worm_model.loads import content_under

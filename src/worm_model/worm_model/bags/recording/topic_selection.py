@@ -16,16 +16,14 @@ class TopicSelection:
     Attributes:
         names: full topic names, always included.
         everything: include all topics that are not hidden.
-        regex: pattern of further topics, searched for anywhere in the full name; empty: none.
+        regex: pattern of further topics that are not hidden, searched for in the full name; empty: none.
         exclude: pattern of topics that `everything` and `regex` do not include, searched for like `regex`; empty: none.
-        hidden: `everything` and `regex` also include hidden topics, such as an action's feedback.
     """
 
     names: frozenset[str] = frozenset()
     everything: bool = False
     regex: str = ""
     exclude: str = ""
-    hidden: bool = False
 
     def __post_init__(self) -> None:
         if not (self.names or self.everything or self.regex):
@@ -40,8 +38,8 @@ class TopicSelection:
         """Return True if a topic with this full name is recorded."""
         if topic in self.names:
             return True
-        if not self.hidden and any(part.startswith("_") for part in topic.split("/")):
-            return False
+        if any(part.startswith("_") for part in topic.split("/")):
+            return False  # hidden topics, such as an action's feedback
         if self.exclude and re.search(self.exclude, topic):
             return False
         return self.everything or bool(self.regex and re.search(self.regex, topic))

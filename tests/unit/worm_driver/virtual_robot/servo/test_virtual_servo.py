@@ -357,6 +357,39 @@ def test_the_current_shows_the_load():
     assert bench.read("present_current") == pytest.approx(expected, abs=5)
 
 
+@pytest.mark.parametrize(("gain", "error"), [(800, 69.0), (1600, 34.5)])
+def test_a_loaded_shaft_is_behind_its_goal_as_there_is_no_integral_gain(gain, error):
+    """The stall torque, 4.1 N*m, needs full output: 885 / (800/128) = 142 pulses."""
+    bench = extended()
+    bench.write("position_p_gain", gain)
+    bench.servo.surroundings.load = 2.0
+    bench.run(0.3)
+    assert 1000 - bench.read("present_position") == pytest.approx(error, abs=1.5)
+    assert bench.read("position_trajectory") == 1000
+    assert bench.read("present_velocity") == 0
+    bench.write("goal_position", bench.read("present_position"))
+    bench.run(0.3)
+    assert 1000 - bench.read("present_position") == pytest.approx(2 * error, abs=3)
+    bench.write("position_i_gain", 10)
+    bench.run(0.3)
+    assert bench.read("present_position") == pytest.approx(1000 - error, abs=3)
+
+
+def test_a_loaded_shaft_stays_where_it_is_when_its_torque_goes_off_or_its_watchdog_fires():
+    bench = extended()
+    bench.servo.surroundings.load = 0.4
+    bench.run(0.3)
+    loaded = bench.read("present_position")
+    bench.write("bus_watchdog", 1)
+    bench.run(0.3)
+    assert bench.read("bus_watchdog") == -1
+    assert bench.read("present_position") == loaded
+    bench.write("bus_watchdog", 0)
+    bench.write("torque_enable", 0)
+    bench.run(0.3)
+    assert bench.read("present_position") == loaded
+
+
 def test_a_limp_shaft_gives_way_to_a_load_that_beats_its_friction():
     bench = Bench()
     bench.servo.surroundings.load = 0.2

@@ -21,7 +21,7 @@ from worm_model.bags.formats.message_types import parse_types
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import read_run
 from worm_model.bags.run_writer import write_run
-from worm_model.commands import export, recover, replay
+from worm_model.commands import export, replay
 from worm_model.run import Run
 
 RUN = simulated_run(cycles=1)
@@ -93,8 +93,14 @@ def test_nothing_is_reported_about_a_valid_bag(tmp_path: Path, recorded: list[Me
 @pytest.mark.parametrize(
     ("change", "expected"),
     [
-        (of_power(type_name="foo_msgs/msg/Power"), f"{POWER} is not read: it is a foo_msgs/msg/"),
-        (of_power(type_name="", definition=""), f"{POWER} is not read: it is a message without a"),
+        (
+            of_power(type_name="foo_msgs/msg/Power"),
+            f"{POWER} are not read: their type is foo_msgs/msg/",
+        ),
+        (
+            of_power(type_name="", definition=""),
+            f"{POWER} are not read: their type is message without a",
+        ),
         (of_power(name="/power"), "topics under /, /worm/ "),
     ],
 )
@@ -208,17 +214,6 @@ def test_a_file_appended_to_a_file_is_reported(tmp_path: Path, recorded: list[Me
     (tmp_path / "both.mcap").write_bytes(one + one)
     reported = reports_of(tmp_path / "both.mcap")
     assert any(f"{len(one)} bytes after its end" in line for line in reported)
-
-
-def test_contradictions_of_metadata_are_part_of_the_outcome_of_recover(
-    tmp_path: Path, whole: Path, monkeypatch, capsys
-):
-    bag = tmp_path / "bag"
-    shutil.copytree(whole, bag)
-    shutil.copy(next(whole.glob("*.mcap")), bag / "other.mcap")
-    monkeypatch.setattr("sys.argv", ["recover", str(bag), "--json"])
-    assert recover.main() == 0
-    assert json.loads(capsys.readouterr().out)["undeclared"][POWER] == -len(RUN.power.stamp)
 
 
 def test_a_definition_that_contains_itself_is_rejected(

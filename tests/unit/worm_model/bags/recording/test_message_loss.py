@@ -52,21 +52,3 @@ def test_a_second_publisher_that_is_far_ahead_has_lost_nothing():
 
 def test_a_restarted_publisher_has_lost_nothing():
     assert observe([1, 2, 3, 1, 2]) == 0
-
-
-def test_messages_before_the_first_received_one_are_missed_and_not_lost():
-    counter = LossCounter(lambda: 1)
-    for sequence in (4, 5):
-        counter.observe(sequence)
-    assert (counter.missed, counter.lost) == (3, 0)
-
-
-def test_what_was_sent_before_the_recording_is_no_concern_of_it():
-    publishers = 1
-    counter = LossCounter(lambda: publishers)
-    counter.expect(1)
-    counter.observe(500)
-    counter.expect(1)
-    publishers = 2
-    counter.observe(3)
-    assert (counter.missed, counter.lost) == (2, 0)

@@ -15,7 +15,6 @@ from worm_model.bags.recording.recorder import Manifest
 from worm_model.bags.recording.recording_session import (
     BACKLOG_BYTES,
     RecordingSession,
-    SessionOptions,
     after_crash,
 )
 
@@ -39,7 +38,7 @@ def message(value: int, topic: Topic = TOPIC, size: int = 8) -> Message:
 
 def session(output: Path, ring_s: float = 0.0) -> RecordingSession:
     manifest = Manifest({"worm_run": {"seed": "4"}})
-    return RecordingSession(SessionOptions(output, lambda: manifest, sync_s=0.02, ring_s=ring_s))
+    return RecordingSession(output, lambda: manifest, ring_s)
 
 
 def seconds(bag: Path) -> list[int]:
@@ -48,63 +47,19 @@ def seconds(bag: Path) -> list[int]:
         return [m.log_time // SECOND for m in opened.messages()]
 
 
-def test_what_comes_in_a_pause_is_not_recorded(tmp_path: Path):
-    recording = session(tmp_path / "bag")
-    recording.offer([message(1)])
-    recording.pause()
-    recording.offer([message(2)])
-    recording.resume()
-    recording.offer([message(3)])
-    recording.close()
-    assert seconds(tmp_path / "bag") == [1, 3]
-    assert recording.offered.messages == 2
-
-
 def test_topics_of_which_nothing_came_are_kept(tmp_path: Path):
     """A topic without messages differs from a topic without a subscription."""
     recording = session(tmp_path / "bag")
     recording.add_topics([TOPIC, LATCHED])
     recording.offer([message(1)])
     recording.add_topics([TOPIC, LATCHED])
-    recording.stop()
-    recording.start()
     recording.close()
     with open_bag(tmp_path / "bag") as bag:
         assert {name: topic.count for name, topic in bag.topics.items()} == {"/a": 1, "/state": 0}
-    with open_bag(tmp_path / "bag_2") as bag:
-        assert {name: topic.count for name, topic in bag.topics.items()} == {"/a": 0, "/state": 0}
-
-
-def test_after_a_stop_a_start_begins_another_bag(tmp_path: Path):
-    recording = session(tmp_path / "bag")
-    recording.offer([message(1)])
-    recording.note("worm_gait", {"stroke": "0.07"})
-    assert "bag is closed" in recording.stop()
-    recording.offer([message(2)])
-    assert "bag_2" in recording.start()
-    recording.offer([message(3)])
-    recording.close()
-    assert [seconds(bag) for bag in recording.bags] == [[1], [3]]
-    with open_bag(tmp_path / "bag_2") as bag:
-        assert bag.metadata["worm_gait"] == {"stroke": "0.07"}
-
-
-def test_a_split_goes_on_in_a_new_file(tmp_path: Path):
-    recording = session(tmp_path / "bag")
-    recording.offer([message(1)])
-    recording.split()
-    recording.offer([message(2)])
-    recording.close()
-    assert len(list((tmp_path / "bag").glob("*.mcap"))) == 2
-    assert seconds(tmp_path / "bag") == [1, 2]
 
 
 def test_impossible_requests_are_rejected(tmp_path: Path):
     recording = session(tmp_path / "bag")
-    recording.stop()
-    for act in (recording.stop, recording.split):
-        with pytest.raises(BagError, match="nothing is being recorded"):
-            act()
     with pytest.raises(BagError, match="no ring"):
         recording.snapshot()
     recording.close()
@@ -119,6 +74,7 @@ def test_a_snapshot_holds_the_last_seconds_and_what_is_latched(tmp_path: Path):
     recording.offer([message(1, LATCHED), message(2, LATCHED)])
     for value in range(3, 20):
         recording.offer([message(value)])
+    recording.note("worm_gait", {"stroke": "0.07"})
     assert "bag_snapshot_1" in recording.snapshot()
     recording.offer([message(20)])
     recording.snapshot()
@@ -126,6 +82,8 @@ def test_a_snapshot_holds_the_last_seconds_and_what_is_latched(tmp_path: Path):
     assert [bag.name for bag in recording.bags] == ["bag_snapshot_1", "bag_snapshot_2"]
     assert [seconds(bag) for bag in recording.bags] == [[2, *range(14, 20)], [2, 20]]
     assert not (tmp_path / "bag").exists()
+    with open_bag(recording.bags[1]) as bag:
+        assert bag.metadata["worm_gait"] == {"stroke": "0.07"}
 
 
 def test_a_snapshot_that_cannot_be_written_keeps_its_messages(tmp_path: Path):

@@ -6,7 +6,6 @@ import threading
 from operator import methodcaller
 from pathlib import Path
 
-from worm_model.bags.formats.bag_writer import WriteOptions
 from worm_model.bags.formats.message_block import Message, Topic
 from worm_model.bags.opening import open_bag
 from worm_model.bags.recording.recorder import BagRecorder, Manifest
@@ -22,7 +21,7 @@ def sample(value: int) -> Message:
 
 
 def recorder(directory: Path) -> BagRecorder:
-    return BagRecorder(directory, Manifest(), WriteOptions())
+    return BagRecorder(directory, Manifest())
 
 
 def test_everything_offered_is_written_in_order(tmp_path: Path):
@@ -43,7 +42,7 @@ class Held(BagRecorder):
     def __init__(self, directory: Path) -> None:
         self.allowed = threading.Event()
         self.synchronised = threading.Event()
-        super().__init__(directory, Manifest(), WriteOptions())
+        super().__init__(directory, Manifest())
 
     def write(self, *arguments) -> None:
         assert self.allowed.wait(DEADLINE_S)
@@ -51,7 +50,7 @@ class Held(BagRecorder):
 
     def sync(self) -> None:
         super().sync()
-        if sum(self.counts.values()):
+        if sum(self._counts.values()):
             self.synchronised.set()
 
 
@@ -80,15 +79,13 @@ class Broken(BagRecorder):
     """Recorder on a disk that is full at the third message."""
 
     def write(self, *arguments) -> None:
-        if sum(self.counts.values()) == 2:
+        if sum(self._counts.values()) == 2:
             raise OSError(errno.ENOSPC, "No space left on device")
         super().write(*arguments)
 
 
 def test_a_full_disk_is_reported_and_later_messages_are_counted_as_dropped(tmp_path: Path):
-    thread = RecordingThread(
-        Broken(tmp_path / "bag", Manifest(), WriteOptions()), sync_s=10.0, backlog_bytes=10**6
-    )
+    thread = RecordingThread(Broken(tmp_path / "bag", Manifest()), sync_s=10.0, backlog_bytes=10**6)
     for i in range(10):
         thread.offer([sample(2 * i), sample(2 * i + 1)])
     thread.close()
@@ -103,11 +100,11 @@ class FullLater(Broken):
 
     def sync(self) -> None:
         super().sync()
-        self.synchronised = sum(self.counts.values())
+        self.synchronised = sum(self._counts.values())
 
 
 def test_what_was_synchronised_before_a_disk_was_full_is_not_counted_as_dropped(tmp_path: Path):
-    broken = FullLater(tmp_path / "bag", Manifest(), WriteOptions())
+    broken = FullLater(tmp_path / "bag", Manifest())
     thread = RecordingThread(broken, sync_s=0.0, backlog_bytes=10**6)
     for i in range(10):
         thread.offer([sample(i)])

@@ -8,9 +8,8 @@ import pytest
 from recorded_run import simulated_run
 
 from worm_model.bags.formats.bag_writer import new_bag
-from worm_model.bags.formats.contents import AttachedFile
+from worm_model.bags.formats.stored_file import AttachedFile
 from worm_model.bags.opening import open_bag
-from worm_model.bags.operations.cutting import merge
 from worm_model.bags.recording.run_manifest import (
     PARAMETER_ATTACHMENT,
     ManifestError,
@@ -94,8 +93,14 @@ def test_a_recorded_robot_has_the_loads_with_its_own_and_with_any_other_paramete
 
 def test_runs_of_different_conditions_are_not_judged_by_one_of_them(tmp_path: Path):
     paths = [_bag_under(tmp_path / "level", LEVEL), _bag_under(tmp_path / "steep", STEEP)]
-    with open_bag(paths[0]) as level, open_bag(paths[1]) as steep:
-        merge([level, steep], tmp_path / "both")
+    with (
+        open_bag(paths[0]) as level,
+        open_bag(paths[1]) as steep,
+        new_bag(tmp_path / "both") as writer,
+    ):
+        for recorded in (level, steep):
+            writer.copy_records(recorded)
+            writer.write_all(recorded.messages())
     with open_bag(tmp_path / "both") as bag, pytest.raises(ManifestError, match="conditions"):
         recorded_robot(bag)
 

@@ -14,7 +14,6 @@ from worm_model.bags.recording.topic_selection import TopicSelection
         ({"everything": True}, {"/worm/power", "/worm/tracker", "/rosout"}),
         ({"everything": True, "exclude": "out$"}, {"/worm/power", "/worm/tracker"}),
         ({"regex": "^/worm/.*er"}, {"/worm/power", "/worm/tracker"}),
-        ({"regex": "feedback", "hidden": True}, {"/worm/run_gait/_action/feedback"}),
         ({"regex": "feedback"}, set()),
         (
             {"names": frozenset({"/worm/run_gait/_action/feedback"}), "exclude": "feedback"},

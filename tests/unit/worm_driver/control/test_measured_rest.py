@@ -1,0 +1,315 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The driver acts on what it measures, servo by servo: rest, holds, and several cable servos. Byte for byte."""
+
+import itertools
+import math
+import re
+
+import pytest
+from driver_rig import CABLE, Rig, moving, settings, shaft_lengths, two_spools
+
+from worm_driver.control.supervision import Limits
+from worm_driver.errors import HomingError
+from worm_driver.gait.gait_player import Phase
+
+#: m, a robot that is contracted by less does not spring back
+REST = 0.002
+#: s, in which every servo must stand after a stop, and m/s, below which it stands
+STOP, STILL = 0.100, 0.002
+#: m, by which a cable moves while the force of its body decays or builds up
+YIELD = 0.0015
+
+
+def contracted(rig: Rig) -> float:
+    """Return the largest contraction (m) of a cable, by the shafts."""
+    return max(-length for length in shaft_lengths(rig))
+
+
+def torques(rig: Rig) -> list[int]:
+    return [servo.memory["torque_enable"] for servo in rig.virtual.servos]
+
+
+def stopped(rig: Rig, length: float) -> Rig:
+    """Contract a robot in a gait as fast as its limit permits, stop it at a length change (m), and return the rig."""
+    stroke = -length * 1.2
+    rig.start(stroke, min(0.4, 0.95 * rig.settings.max_cable_speed / math.pi / stroke))
+    rig.run(60.0, until=lambda s: s.player.length_change < length)
+    rig.robot.stop(rig.clock.now, "stop")
+    rig.run(0.5)
+    return rig
+
+
+def slow(speed: float, **changes: object) -> Rig:
+    """Return an active driver whose cable is limited to a speed (m/s)."""
+    rig = Rig(settings(max_cable_speed=speed, **changes))
+    rig.activate()
+    return rig
+
+
+def slowed(rig: Rig, index: int, speed: float) -> None:
+    """Let another program limit the speed (m/s) of a cable servo."""
+    servo = rig.virtual.servos[index]
+    row = servo.model.registers["profile_velocity"]
+    servo.write(row.address, row.encode(round(speed / 0.025 / (0.229 * math.tau / 60))))
+
+
+# --- rest ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("speed", [0.01, 0.02, 0.03, 0.12])
+@pytest.mark.parametrize("deed", ["deactivate", "shutdown"])
+def test_torque_goes_off_only_at_measured_rest_however_slow_the_cable_is(speed, deed):
+    rig = stopped(slow(speed), -0.03)
+    longest = 2 * math.pi / 2 * 0.035 / min(speed, 0.05) + 2.0
+    if deed == "deactivate":
+        rig.robot.ramp_to_rest(rig.clock.now, "deactivated")
+        rig.run(longest, until=lambda _: rig.robot.released)
+        assert rig.robot.release() == []
+    else:
+        rig.loop.shutdown("the driver ends")
+        rig.run(longest, until=lambda _: rig.ended)
+        assert rig.end() == []
+    assert contracted(rig) <= REST
+    assert rig.robot.actuators.sprung_back == ""
+    assert torques(rig) == [0, 0, 0]
+
+
+def test_a_run_begins_at_measured_rest():
+    rig = stopped(slow(0.02), -0.03)
+    slowed(rig, 0, 0.015)
+    rig.start(0.02, 0.1, cycles=1)
+    rig.run(20.0, until=lambda s: s.player.phase is Phase.FLIPPING)
+    assert contracted(rig) <= REST
+
+
+def held_back() -> Rig:
+    """Return a rig in FAULT: its servo was too slow for a short return to rest."""
+    rig = stopped(slow(0.12), -0.01)
+    slowed(rig, 0, 0.0012)
+    rig.robot.ramp_to_rest(rig.clock.now, "deactivated")
+    rig.run(5.0, until=lambda s: s.player.phase is not Phase.RETURNING)
+    assert rig.robot.player.phase is Phase.FAULT
+    return rig
+
+
+def test_a_cable_that_does_not_come_to_rest_is_a_fault_with_its_measured_length():
+    rig = held_back()
+    assert not rig.robot.released
+    message = rig.robot.player.message
+    (at,) = re.findall(r"servo 1 is .* \(at (-?[\d.]+) mm instead of -?0.0 mm\)", message)
+    assert -float(at) * 1e-3 == pytest.approx(contracted(rig), abs=2e-4)
+    assert "too slow" in message
+
+
+def test_a_driver_that_ends_without_measured_rest_leaves_the_torque_on():
+    rig = held_back()
+    rig.loop.shutdown("the driver ends")
+    rig.run(5.0, until=lambda _: rig.ended)
+    (problem,) = rig.end()
+    assert f"contracted by {contracted(rig) * 1e3:.1f} mm at servo 1" in problem
+    assert torques(rig)[0] == 1
+
+
+@pytest.mark.parametrize("deed", ["deactivate in fault", "second Ctrl-C"])
+def test_a_person_who_releases_a_contracted_robot_gets_the_measured_contraction(deed):
+    rig = held_back() if deed == "deactivate in fault" else moving()
+    before = contracted(rig)
+    if deed == "deactivate in fault":
+        rig.robot.ramp_to_rest(rig.clock.now, "deactivated")
+        assert rig.robot.released
+        assert rig.robot.release() == []
+    else:
+        rig.loop.release_at_once()
+        assert rig.end() == []
+    assert torques(rig) == [0, 0, 0]
+    assert before > REST
+    words = rig.robot.actuators.sprung_back.split()
+    assert float(words[words.index("mm") - 1]) == pytest.approx(before * 1e3, abs=1.0)
+    rig.run(1.0)
+    rig.robot.activate(rig.clock.now)
+    assert rig.robot.actuators.sprung_back == ""
+
+
+def test_a_silent_servo_counts_as_contracted_if_it_may_still_move_there():
+    rig = Rig()
+    rig.activate()
+    rig.start(0.07, 0.4)
+    rig.run(5.0, until=lambda s: s.player.phase is Phase.RUNNING and s.cable < -0.0005)
+    rig.inject("no_answer", target=CABLE, duration=1e6)
+    rig.run(1.0, until=lambda s: s.player.phase is Phase.FAULT)
+    rig.run(0.5)
+    assert contracted(rig) > REST
+    assert rig.robot.actuators.contracted
+    rig.robot.shutdown()
+    assert torques(rig)[0] == 1
+
+
+# --- holds -----------------------------------------------------------------------------------------
+
+
+def test_repeated_stops_change_no_goal_and_move_no_cable():
+    rig = stopped(slow(0.12), -0.05)
+    before, held = contracted(rig), {goal.ticks for goal in rig.goals[-3:]}
+    rig.goals.clear()
+    for _ in range(100):
+        rig.robot.stop(rig.clock.now, "the emergency stop is on")
+        rig.run(0.02)
+    of_cable = {goal.ticks for goal in rig.goals if goal.servo == CABLE}
+    assert of_cable <= held
+    assert len(of_cable) == 1
+    assert contracted(rig) == pytest.approx(before, abs=2e-4)
+
+
+def test_a_stop_in_idle_changes_no_goal():
+    rig = slow(0.12)
+    rig.run(0.2)
+    before = {goal.ticks for goal in rig.goals[-3:]}
+    rig.goals.clear()
+    rig.robot.stop(rig.clock.now, "stop")
+    rig.run(0.2)
+    assert {goal.ticks for goal in rig.goals} == before
+
+
+def test_a_fault_in_a_hold_changes_no_goal():
+    rig = stopped(slow(0.12), -0.05)
+    before = {goal.ticks for goal in rig.goals[-3:]}
+    rig.goals.clear()
+    rig.inject("overload", target=12)
+    rig.run(0.5)
+    assert rig.robot.player.phase is Phase.FAULT
+    assert {goal.ticks for goal in rig.goals if goal.servo == CABLE} <= before
+
+
+def test_a_return_begins_at_the_goal_of_the_hold():
+    rig = stopped(slow(0.12), -0.05)
+    rig.goals.clear()
+    rig.robot.ramp_to_rest(rig.clock.now, "deactivated")
+    rig.run(5.0, until=lambda _: rig.robot.released)
+    goals = [goal.ticks for goal in rig.goals if goal.servo == CABLE]
+    ticks = rig.settings.spools[0].ticks(-0.05 * 0.0101)  # 10 ms at 50 mm/s
+    assert all(0 <= a - b <= ticks for a, b in itertools.pairwise(goals))
+
+
+def test_drivers_that_are_killed_and_take_over_do_not_let_the_cable_down():
+    rig = stopped(slow(0.12), -0.05)
+    before = contracted(rig)
+    for _ in range(10):
+        rig.clock.now += 0.5  # the bus watchdog fires
+        rig = rig.restarted_driver(settings(home_at_start=False))
+        rig.robot.activate(rig.clock.now)
+        rig.run(0.3)
+    assert contracted(rig) == pytest.approx(before, abs=5e-4)
+
+
+# --- several cable servos ----------------------------------------------------------------------------
+
+
+def apart(distance: float) -> Rig:
+    """Return a driver of two spools whose second one was turned by a distance (m) without torque."""
+    rig = two_spools()
+    servo = rig.virtual.servos[1]
+    ticks = rig.settings.spools[1].ticks(-distance)
+    servo.motor = servo.motor._replace(position=servo.motor.position + ticks)
+    rig.run(0.1)
+    return rig
+
+
+@pytest.mark.parametrize("distance", [0.0, 0.002, 0.004, -0.004])
+def test_activation_holds_each_servo_where_it_is(distance):
+    rig = apart(distance)
+    before = shaft_lengths(rig)
+    rig.robot.activate(rig.clock.now)
+    rig.run(1.0)
+    assert rig.robot.player.phase is Phase.IDLE
+    assert shaft_lengths(rig) == pytest.approx(before, abs=3e-4)
+    assert rig.bus.counters.withheld == 0
+    rig.robot.ramp_to_rest(rig.clock.now, "deactivated")
+    rig.run(2.0, until=lambda _: rig.robot.released)
+    assert contracted(rig) <= REST
+
+
+@pytest.mark.parametrize("distance", [0.006, 0.015, 0.031, -0.009])
+def test_activation_rejects_cables_that_differ(distance):
+    rig = apart(distance)
+    before = shaft_lengths(rig)
+    with pytest.raises(HomingError) as caught:
+        rig.robot.activate(rig.clock.now)
+    named = re.findall(r"servo (\d) (?:is )?at (-?[\d.]+) mm", str(caught.value))
+    assert [servo for servo, _ in named] == ["1", "2"]
+    assert [float(length) * 1e-3 for _, length in named] == pytest.approx(before, abs=2e-4)
+    assert torques(rig) == [0, 0, 0, 0]
+    assert shaft_lengths(rig) == pytest.approx(before, abs=5e-4)
+
+
+@pytest.mark.parametrize("index", [0, 1])
+def test_one_lagging_servo_is_a_fault_of_this_servo(index):
+    rig = two_spools()
+    rig.activate()
+    rig.start(0.06, 0.3)
+    slowed(rig, index, 0.006)
+    rig.run(8.0, until=lambda s: s.player.phase is Phase.FAULT)
+    assert f"the cable of servo {index + 1} is" in rig.robot.player.message
+    lengths = shaft_lengths(rig)
+    assert abs(lengths[0] - lengths[1]) < 0.025
+
+
+@pytest.mark.parametrize("lag", [0.004, 0.010])
+@pytest.mark.parametrize("index", [0, 1])
+def test_after_a_stop_each_servo_holds_where_it_is(index, lag):
+    rig = two_spools()
+    rig.activate()
+    rig.start(0.06, 0.3)
+    slowed(rig, index, 0.006)
+    rig.run(8.0, until=lambda _: abs(shaft_lengths(rig)[0] - shaft_lengths(rig)[1]) > lag)
+    rig.robot.stop(rig.clock.now, "stop")
+    begin, before, last = rig.clock.now, shaft_lengths(rig), rig.clock.now
+    while rig.clock.now < begin + 2.0:
+        rig.clock.now += 0.005
+        if any(
+            abs(s.motor.velocity) * 0.025 * math.tau / 4096 > STILL for s in rig.virtual.servos[:2]
+        ):
+            last = rig.clock.now
+        rig.run(0.005)
+    assert last - begin <= STOP
+    assert rig.robot.player.phase is Phase.HOLDING
+    for now, then in zip(shaft_lengths(rig), before, strict=True):
+        assert now == pytest.approx(then, abs=0.005)
+    assert abs(shaft_lengths(rig)[index] - before[index]) < YIELD
+
+
+def test_servos_that_hold_at_different_lengths_return_to_rest_together():
+    rig = two_spools()
+    rig.activate()
+    rig.start(0.06, 0.3)
+    slowed(rig, 1, 0.006)
+    rig.run(8.0, until=lambda _: abs(shaft_lengths(rig)[0] - shaft_lengths(rig)[1]) > 0.010)
+    rig.robot.stop(rig.clock.now, "stop")
+    rig.run(0.5)
+    slowed(rig, 1, 0.12)
+    rig.goals.clear()
+    rig.robot.ramp_to_rest(rig.clock.now, "deactivated")
+    rig.run(5.0, until=lambda _: rig.robot.released)
+    assert contracted(rig) <= REST
+    for spool in rig.settings.spools:
+        lengths = [spool.length_change(g.ticks) for g in rig.goals if g.servo == spool.servo]
+        steps = [b - a for a, b in itertools.pairwise(lengths)]
+        assert min(steps) >= 0.0
+        assert max(steps) <= 0.05 * rig.settings.period * 1.1
+    rig.start(0.03, 0.3, cycles=1)
+    rig.run(10.0, until=lambda s: s.player.phase is Phase.RUNNING)
+    rig.run(1.0)
+    ticks = [goal.ticks for goal in rig.goals[-4:-2]]
+    assert ticks[0] == -ticks[1]
+
+
+def test_one_blocked_servo_of_two_stops_both():
+    rig = two_spools(limits=Limits(following_error=1.0))
+    rig.activate()
+    rig.start(0.06, 0.3)
+    rig.run(8.0, until=lambda s: s.player.phase is Phase.RUNNING)
+    rig.run(0.7)
+    rig.inject("stalled", target=2, duration=1e6)
+    fault = rig.run(1.0, until=lambda s: s.player.phase is Phase.FAULT)
+    assert "servo 2 is beyond its limit" in fault.player.message
+    rig.run(0.3)
+    assert abs(rig.snapshots[-1].servos[1].effort) < 0.5 * rig.settings.limits.max_current

@@ -1,0 +1,284 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Content that other programs leave in bags: IDL, other types on a topic, log times far apart, no run of the worm."""
+
+import json
+import struct
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from mcap.writer import Writer
+from recorded_run import simulated_run, write_bag
+
+from worm_model.bags.formats.bag_errors import DefinitionError
+from worm_model.bags.formats.bag_writer import new_bag
+from worm_model.bags.formats.cdr import ColumnBuilder, encode
+from worm_model.bags.formats.message_block import Message, Topic, messages_of
+from worm_model.bags.formats.message_types import SEPARATOR, parse_types, topic_of
+from worm_model.bags.opening import open_bag
+from worm_model.bags.operations.copies import trim
+from worm_model.bags.run_reader import clock_offset, read_run
+from worm_model.commands import bags, export
+
+RUN = simulated_run(cycles=1)
+HOUR = 3600 * 10**9
+
+
+def text_topic(name: str = "/chatter") -> Topic:
+    return Topic(name, "std_msgs/msg/String", 0, "string data\n", "ros2msg", "cdr")
+
+
+def text_message(time: int, topic: Topic, text: bytes = b"hello\0") -> Message:
+    data = b"\0\1\0\0" + struct.pack("<I", len(text)) + text
+    return Message(topic.name, time, data, time, topic)
+
+
+# --- IDL ----------------------------------------------------------------------------------------------
+
+ROOT = """// generated from rosidl_adapter/resource/msg.idl.em
+// with input from demo_msgs/msg/Arm.msg "of a robot"
+#include "builtin_interfaces/msg/Time.idl"
+#include "demo_msgs/msg/Joint.idl"
+
+module demo_msgs {
+  module msg {
+    typedef demo_msgs::msg::Joint demo_msgs__msg__Joint;
+    typedef demo_msgs__msg__Joint demo_msgs__msg__Joint__2[2];
+    typedef double double__3[3];
+    module Arm_Constants {
+      const uint8 COUNT = 2;
+      const int32 LOWEST = -5;
+      const boolean ON = TRUE;
+      const float HALF = 5e-1;
+      @verbatim (language="comment", text="a; b }" "\\n" "// c")
+      const string NAME = "arm; }";
+      const wstring WIDE = L"x";
+    };
+    @verbatim (language="comment", text=
+      "see http://example.org (or not)" "\\n"
+      "# two lines")
+    struct Arm {
+      builtin_interfaces::msg::Time stamp;
+      @unit (value="m/s")
+      @default (value=(1.0, 2.0, -3.0))
+      double__3 speed;
+      /* of each
+         joint */
+      demo_msgs__msg__Joint__2 joints;
+      @key
+      @default (value="a, b (c)")
+      string<20> label;
+      @range (min=-1, max=demo_msgs::msg::Arm_Constants::COUNT)
+      sequence<unsigned long, 4> codes;
+    };
+  };
+};
+"""
+JOINT = """#ifndef JOINT
+#define JOINT
+module demo_msgs {
+  module msg {
+    module Joint_Constants {
+      const string UNIT = "rad";
+    };
+    struct Joint {
+      boolean is_homed;
+      float angle;
+    };
+  };
+};
+#endif
+"""
+TIME = """module builtin_interfaces {
+  module msg {
+    struct Time { int32 sec; uint32 nanosec; };
+  };
+};
+"""
+
+
+def idl(**parts: str) -> str:
+    texts = (f"{SEPARATOR}\nIDL: {name.replace('__', '/')}\n{text}" for name, text in parts.items())
+    return "".join(texts)
+
+
+DEFINITION = idl(
+    demo_msgs__msg__Arm=ROOT, demo_msgs__msg__Joint=JOINT, builtin_interfaces__msg__Time=TIME
+)
+SAME = (
+    """builtin_interfaces/Time stamp
+float64[3] speed
+demo_msgs/Joint[2] joints
+string<=20 label
+uint32[<=4] codes
+"""
+    + f"{SEPARATOR}\nMSG: demo_msgs/Joint\nbool is_homed\nfloat32 angle\n"
+)
+SAME += f"{SEPARATOR}\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
+
+
+def test_idl_as_rosidl_emits_it_gives_the_fields_of_the_same_messages():
+    found = parse_types("demo_msgs/msg/Arm", DEFINITION, "ros2idl")
+    assert found == parse_types("demo_msgs/msg/Arm", SAME, "ros2msg")
+    arm = Topic("/arm", "demo_msgs/msg/Arm", 0, DEFINITION, "ros2idl", "cdr")
+    (data,) = encode(arm, 1, {"stamp.sec": 7, "speed": [[1.0, 2.0, 3.0]]}, {"label": "left"})
+    builder = ColumnBuilder()
+    builder.add(messages_of([Message("/arm", 0, data, 0, arm)]))
+    columns = builder.columns()
+    assert columns.numbers["speed"].tolist() == [[1.0, 2.0, 3.0]]
+    assert columns.numbers["joints[1].angle"].tolist() == [0.0]
+    assert columns.texts["label"] == ["left"]
+
+
+def test_idl_that_is_none_is_rejected_in_one_line():
+    with pytest.raises(DefinitionError) as error:
+        parse_types("a/msg/B", "#include <x>\nmodule a { union", "ros2idl")
+    assert "\n" not in str(error.value)
+
+
+# --- bags without a run -------------------------------------------------------------------------------
+
+
+def write_no_topic(path: Path) -> None:
+    with new_bag(path):
+        pass
+
+
+def write_parameters(path: Path) -> None:
+    kind = "rcl_interfaces/msg/ParameterEvent"
+    topic = topic_of("/parameter_events", kind)
+    with new_bag(path) as writer:
+        writer.write(topic, encode(topic, 1, {}, {"node": "/a"})[0], 5, 5)
+
+
+def write_other_robot(path: Path) -> None:
+    with path.with_suffix(".mcap").open("xb") as stream:
+        writer = Writer(stream)
+        writer.start("ros2")
+        schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data\n")
+        channel = writer.register_channel("/other/power", "cdr", schema)
+        writer.add_message(channel, 10**18, text_message(0, text_topic()).data, 10**18)
+        writer.finish()
+
+
+def write_silent_worm(path: Path) -> None:
+    with new_bag(path) as writer:
+        writer.add_topic(topic_of("/worm/power", "worm_msgs/msg/Power"))
+
+
+@pytest.mark.parametrize(
+    "write", [write_no_topic, write_parameters, write_other_robot, write_silent_worm]
+)
+def test_an_intact_bag_without_a_run_is_not_called_damaged(tmp_path, monkeypatch, capsys, write):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    (tmp_path / "bags").mkdir()
+    write(tmp_path / "bags" / "one")
+    monkeypatch.setattr("sys.argv", ["bags", str(tmp_path / "bags"), "--json"])
+    assert bags.main() == 0
+    (row,) = json.loads(capsys.readouterr().out)["runs"]
+    assert row["state"] == "no run"
+    assert row["gait"] is None
+    assert row["notes"]
+
+
+# --- log times far from the rest ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("far", [0, 4_294_967_295 * 10**9, 2**64 - 1, None])
+def test_durations_and_positions_leave_out_gaps_of_log_time(tmp_path: Path, far: int | None):
+    """Log times of zero, of the year 2106, and hours before the rest."""
+    begin = 1_700_000_000 * 10**9
+    far = begin - 5 * HOUR if far is None else far
+    topic = text_topic()
+    times = [begin + i * 10**9 for i in range(11)]
+    with new_bag(tmp_path / "bag") as writer:
+        writer.write_all(text_message(time, topic) for time in [*times[:5], far, *times[5:]])
+    reported: list[str] = []
+    with open_bag(tmp_path / "bag", reported.append) as bag:
+        assert bag.duration_s == pytest.approx(10.0)
+        assert [m.log_time for m in bag.messages()] == sorted([far, *times])
+        positions = [bag.position_at(m.log_time) for m in bag.messages()]
+        assert positions == sorted(positions)
+        assert positions[-1] == pytest.approx(10.0)
+        first = bag.time_at(2.5)
+        assert first == begin + 25 * 10**8
+        assert bag.position_at(first) == pytest.approx(2.5)
+        assert trim(bag, tmp_path / "part", first, bag.time_at(4.5)) == 2
+    (line,) = reported
+    assert "gap" in line
+
+
+def test_one_strange_log_time_does_not_move_the_start_of_a_run(tmp_path: Path):
+    with open_bag(write_bag(tmp_path / "a", RUN)) as bag:
+        messages = list(bag.messages())
+    with new_bag(tmp_path / "b") as writer:
+        writer.write_all(m._replace(log_time=0) for m in messages[:3])
+        writer.write_all(messages[3:])
+    with open_bag(tmp_path / "b", lambda _: None) as bag:
+        assert clock_offset(bag, "") == 0
+
+
+# --- a topic with two types or encodings --------------------------------------------------------------
+
+
+def mixed(path: Path, other: Topic) -> Path:
+    """Write a run whose power topic also has three messages of another channel."""
+    with open_bag(write_bag(path.with_name("whole"), RUN)) as bag:
+        messages = list(bag.messages())
+    times = [m.log_time for m in messages]
+    with new_bag(path) as writer:
+        for k, message in enumerate(messages):
+            writer.write_all([message])
+            if k in (10, 20, 30):
+                writer.write_all([text_message(times[k], other)])
+    return path
+
+
+@pytest.mark.parametrize("kind", ["std_msgs/msg/String", "worm_msgs/msg/Power"])
+def test_what_can_be_read_of_a_topic_is_read_and_the_rest_is_named(
+    tmp_path: Path, monkeypatch, capsys, kind: str
+):
+    other = Topic("/worm/power", kind, 0, "string data\n", "ros2msg", "json")
+    path = mixed(tmp_path / "bag", other)
+    reported: list[str] = []
+    with open_bag(path, reported.append) as bag:
+        assert read_run(bag).power.power.tolist() == RUN.power.power.tolist()
+    assert any("3 messages of /worm/power" in line and "json" in line for line in reported)
+    monkeypatch.setattr("sys.argv", ["export", str(path), "--output", str(tmp_path / "out")])
+    assert export.main() == 1
+    assert f"3 messages of {kind} in json" in capsys.readouterr().err
+    rows = (tmp_path / "out" / "worm__power.csv").read_text().splitlines()
+    assert len(rows) == 1 + len(RUN.power.stamp)
+    assert (tmp_path / "out" / "run.csv").exists()
+
+
+def test_a_second_type_that_can_be_decoded_is_in_the_table(tmp_path: Path, monkeypatch):
+    path = mixed(tmp_path / "bag", text_topic("/worm/power"))
+    with open_bag(path, lambda _: None) as bag:
+        assert len(read_run(bag).power.stamp) == len(RUN.power.stamp)
+    monkeypatch.setattr("sys.argv", ["export", str(path), "--output", str(tmp_path / "out")])
+    assert export.main() == 0
+    table = (tmp_path / "out" / "worm__power.csv").read_text()
+    assert table.count(",hello") == 3
+    assert len(table.splitlines()) == 1 + len(RUN.power.stamp) + 3
+
+
+# --- other systems ------------------------------------------------------------------------------------
+
+
+def test_bags_are_read_without_fcntl(tmp_path: Path):
+    """Windows has no such module."""
+    script = (
+        "import sys; sys.modules['fcntl'] = None\n"
+        "from pathlib import Path\n"
+        "from worm_model.bags.opening import open_bag\n"
+        "from worm_model.bags.run_reader import read_run\n"
+        "from worm_model.commands import bags, export, replay\n"
+        "with open_bag(Path(sys.argv[1])) as bag: print(len(read_run(bag).power.stamp))\n"
+    )
+    bag = write_bag(tmp_path / "bag", RUN)
+    run = subprocess.run(
+        [sys.executable, "-c", script, str(bag)], capture_output=True, text=True, check=False
+    )
+    assert (run.stdout, run.stderr) == (f"{len(RUN.power.stamp)}\n", "")
