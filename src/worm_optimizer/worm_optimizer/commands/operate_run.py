@@ -32,7 +32,7 @@ def add_run(parser: Parser) -> None:
     """Add the options of `run`."""
     parser.add_gait()
     add_objective(parser)
-    parser.addconditions_of(None)
+    parser.add_conditions(None)
     ends = parser.add_argument_group("end of the run: the first that is reached")
     ends.add_argument(
         "--cycles", type=int, default=0, metavar="N", help=f"default {CYCLES} if no end is given"
