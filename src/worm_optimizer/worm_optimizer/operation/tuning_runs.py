@@ -38,7 +38,7 @@ def tune_gait(gait: Gait, record: Record, measure: Measure, say: Callable[[str],
     bags: list[Path] = []
     for number in range(1, MOST_RUNS + 1):
         say(
-            f"run {number} of at most {MOST_RUNS}: {1e3 * gait.stroke:.1f} mm, {gait.frequency:g} Hz"
+            f"run {number} of at most {MOST_RUNS}: {1e3 * gait.stroke:.1f} mm, {gait.frequency:.4g} Hz"
         )
         bags.append(record(gait, number))
         step = measure(bags)

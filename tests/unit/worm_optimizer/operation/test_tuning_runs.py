@@ -14,12 +14,17 @@ from worm_model.errors import InputError
 from worm_model.gait import Gait
 from worm_model.run import Run, TrackerSamples
 from worm_optimizer.commands.tune import Aim, measured_step
+from worm_optimizer.operation.campaign_tuning import TUNING, tune_gaits
+from worm_optimizer.operation.system import Robot, load_system_file
 from worm_optimizer.operation.tuning_runs import MOST_RUNS, tune_gait
 from worm_optimizer.robustness.tuning import GaitLimits, TuneState, Tuning
 
 FRAGILE = Gait(0.0713, 0.2)  # loses grooves on most foreign robots
 LARGEST_M = 0.085
 AIM = Aim(0.99, 2, GaitLimits(lambda _: LARGEST_M), "")
+SYSTEM = load_system_file(Path(__file__).parents[4] / "src/worm_optimizer/config/system.yaml")
+NO_NODES = Robot(dataclasses.replace(SYSTEM, nodes={}), "virtual", {})
+NOTHING = (Path("no_logs"), print, lambda _running, _text: None)
 
 
 class Operator:
@@ -34,7 +39,7 @@ class Operator:
     def __call__(self, gait: Gait, number: int) -> Path:
         self.gaits.append(gait)
         run = crawl(self.robot, gait, seed=number).run
-        return write_bag(self.folder / str(number), self.seen(run))
+        return write_bag(self.folder / f"cruise_{number}", self.seen(run))
 
 
 def step_of(aim: Aim, said: list[str]) -> Callable[[Sequence[Path]], Tuning]:
@@ -43,17 +48,19 @@ def step_of(aim: Aim, said: list[str]) -> Callable[[Sequence[Path]], Tuning]:
 
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_fragile_gait_becomes_one_that_keeps_its_grooves(seed: int, tmp_path: Path):
-    operator, said = Operator(some_robot(seed), tmp_path), []
+    operator, said = Operator(some_robot(seed), tmp_path / TUNING), []
     tuned = tune_gait(FRAGILE, operator, step_of(AIM, said), said.append)
     assert tuned.step.state is TuneState.DONE
     assert tuned.step.gait == operator.gaits[-1]
     assert tuned.step.keeps.value >= AIM.probability
-    assert list(tuned.bags) == [tmp_path / str(k + 1) for k in range(len(operator.gaits))]
+    assert {bag.name for bag in tuned.bags} == {bag.name for bag in operator.folder.iterdir()}
     assert len(operator.gaits) <= MOST_RUNS
     assert all(gait.stroke <= LARGEST_M for gait in operator.gaits)
     cycles = crawl(operator.robot, tuned.step.gait, 12, seed=99).grooves(12, FRAGILE.frequency)
     assert set(cycles[1:]) == {2}
-    assert [line for line in said if f"run 1 of at most {MOST_RUNS}: 71.3 mm, 0.2 Hz" in line]
+    assert f"run 1 of at most {MOST_RUNS}: 71.3 mm, 0.2 Hz" in said
+    resumed = tune_gaits(NO_NODES, {"cruise": (FRAGILE, step_of(AIM, []))}, tmp_path, *NOTHING)
+    assert resumed == {"cruise": tuned}  # a campaign that goes on measures its recordings again
 
 
 def test_no_run_exceeds_the_limits_and_an_unattainable_aim_is_impossible(tmp_path: Path):
