@@ -3,7 +3,8 @@
 
 `tests/helpers/faulty_robots.py` integrates the robots in steps. Their parameters differ from the twin's. They have dry
 friction, uneven grooves and noisy instruments. Each fault begins in the second to the fourth of five cycles. The bound
-for power alone is the detection rate on cycles that are drawn from the twin's own likelihood.
+for power alone is the detection rate on cycles that are drawn from the twin's own likelihood. Further healthy robots
+run at eight groove phases, near edges of the grooves per cycle, and with a compliant cable.
 ``python -m benchmarks.twin_diagnosis FOLDER`` also draws the figures.
 """
 
@@ -21,17 +22,25 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmarks.report import Row, print_rows
 from tests.helpers.faulty_robots import ONSET, Fault, Lab, run_robots
+from tests.helpers.virtual_campaign import REST, run_of
+from worm_driver.virtual_robot.offline_run import run_offline
+from worm_driver.virtual_robot.virtual_settings import load_settings
 from worm_model.gait import Gait
-from worm_model.parameters import PAPER
+from worm_model.parameters import PAPER, Parameters
+from worm_model.run import LengthSamples, TrackerSamples
+from worm_model.simulation.batch import evaluate_gaits
 from worm_model.simulation.simulator import evaluate_gait
 from worm_model.twin.cause_table import EVENT_CODES, GAINED, LASTING, MISSED_BY_FIN, Cause
 from worm_model.twin.causes import SCATTER, Candidate, Data, weigh_causes
 from worm_model.twin.core.memory import CHANNELS, POWER
 from worm_model.twin.cycle_data import FIRST, POWER_SHARE, CycleData
+from worm_model.twin.data.records import Event, Health, Severity
 from worm_model.twin.diagnosis import History, judge_causes
+from worm_model.twin.offline_replay import replay_run
 from worm_model.twin.signatures import BINS, Signatures, signatures
 from worm_model.twin.twin import Twin
 
@@ -42,6 +51,12 @@ REPEATS = 4  # of each fault and size with each gait
 SOUND = 60  # runs with each gait
 DRAWS = 3  # from the likelihood for each run
 SEED = 11
+PHASES_M = (-0.0075, -0.0051, -0.001, 0.0011, 0.002, 0.0035, 0.0055, 0.008)  # groove phases
+CLIFF_M = -0.003  # groove phase at which the front fin is at its edge with every stroke
+AT_PHASE = 8  # healthy robots at each phase, with each gait and kind of instruments
+FROM_EDGE_M = (0.0002, 0.0005, 0.001, 0.002)  # distances of the stroke from an edge
+AT_EDGE = 4  # healthy robots at each phase, distance, side and kind of instruments
+CABLE_N_PER_M = 6400.0  # stiffness of the compliant cable
 TRACKER, ALONE, BOUND = "tracker", "power alone", "likelihood of power"
 IN_TIME = (
     1.05  # cycles after the end of that of the fault by which a cause is named within two cycles
@@ -158,12 +173,123 @@ def followed(gait: int, seen_by: str) -> list[Outcome]:
         rows = robots.rows(k, tracker=seen_by == TRACKER)
         events = twin.advance(twin.start(), rows, to_the_end=True).events
         outcome = Outcome(gait, kind, place, seen_by)
-        coded = next((event for event in events if event.code), None)
+        coded = next((event for event in events if event.severity > Severity.INFO), None)
         if coded is not None:
             late = (coded.stamp_ns - ONSET) * 1e-9 / played.period - fault.cycle
             outcome = replace(outcome, reported=coded.code, late=late)
         found.append(outcome)
     return found
+
+
+# --- healthy robots at other groove phases, near edges, and with a compliant cable -----------------------
+
+
+@dataclass(frozen=True)
+class Healthy:
+    """Run of a healthy robot.
+
+    Attributes:
+        where: label of the row.
+        seen_by: instruments.
+        alarms: codes of the reported causes.
+        faulty: True if the health was FAULTY at any time.
+    """
+
+    where: str
+    seen_by: str
+    alarms: tuple[str, ...]
+    faulty: bool
+
+
+def at_phase(phase: float) -> list[Healthy]:
+    """Return runs of healthy robots with a groove phase (m), far from and near edges, and with a compliant cable."""
+    count = round((PAPER.initial_length - phase) / PAPER.pitch)
+    parameters = PAPER.replace(initial_length=count * PAPER.pitch + phase)
+    where = "front fin at its edge" if phase == CLIFF_M else "away from edges"
+    found = [
+        run
+        for usual in GAITS
+        for run in _healthy(where, _far(usual, parameters), parameters, AT_PHASE)
+    ]
+    edge = _edges(GAITS[0], parameters)[-1]
+    for distance in FROM_EDGE_M:
+        for stroke in (edge - distance, edge + distance):
+            gait = replace(GAITS[0], stroke=stroke)
+            found += _healthy(f"{1e3 * distance:g} mm from an edge", gait, parameters, AT_EDGE)
+    return found + _compliant(_far(GAITS[0], parameters), parameters)
+
+
+def _edges(gait: Gait, parameters: Parameters) -> np.ndarray:
+    """Return the strokes (m) at which a gait begins to gain another number of grooves."""
+    strokes = np.arange(0.05, 0.09, 5e-5)
+    table = evaluate_gaits(strokes, gait.frequency, parameters=parameters)
+    return strokes[1:][np.diff(np.round(table.min_grooves)) != 0.0]
+
+
+def _far(gait: Gait, parameters: Parameters) -> Gait:
+    """Return the gait with the nearest stroke that is at least 3 mm from all edges and gains a groove."""
+    edges, strokes = _edges(gait, parameters), np.arange(0.05, 0.09, 5e-4)
+    far = np.abs(strokes[:, None] - edges).min(axis=1) > 3e-3
+    table = evaluate_gaits(strokes, gait.frequency, parameters=parameters)
+    fit = strokes[far & (np.round(table.min_grooves) > 0.0)]
+    return replace(gait, stroke=float(fit[np.argmin(np.abs(fit - gait.stroke))]))
+
+
+def _healthy(where: str, gait: Gait, parameters: Parameters, count: int) -> list[Healthy]:
+    robots = run_robots(gait, [Fault()] * count, seed=SEED, truth=parameters)
+    twin, found = Twin(parameters), []
+    for seen_by in (TRACKER, ALONE):
+        for k in range(count):
+            rows = robots.rows(k, tracker=seen_by == TRACKER)
+            output = twin.advance(twin.start(), rows, to_the_end=True)
+            found.append(_judged(where, seen_by, output.events, output.residuals["health"]))
+    return found
+
+
+def _judged(
+    where: str, seen_by: str, events: Iterable[Event], health: NDArray[np.int64]
+) -> Healthy:
+    alarms = tuple(event.code for event in events if event.severity > Severity.INFO)
+    return Healthy(where, seen_by, alarms, bool(np.any(health == Health.FAULTY)))
+
+
+def _compliant(gait: Gait, parameters: Parameters) -> list[Healthy]:
+    """Return the runs of the virtual robot with a compliant cable."""
+    robot = load_settings()
+    settings = replace(
+        robot,
+        effects=replace(robot.effects, cable_stiffness=CABLE_N_PER_M),
+        body=replace(robot.body, initial_length=parameters.initial_length),
+    )
+    rehearsal = run_offline(settings, gait.length_change, (CYCLES + 0.1) * gait.period, REST)
+    tracked = run_of(rehearsal, gait, settings)
+    length = tracked.tracker.front_position - tracked.tracker.rear_position
+    lengths = LengthSamples(tracked.tracker.stamp, length, length - parameters.initial_length)
+    found = []
+    for seen_by, run in (
+        (TRACKER, replace(tracked, measured=lengths)),
+        (ALONE, replace(tracked, tracker=TrackerSamples())),
+    ):
+        replay = replay_run(run, parameters)
+        health = replay.residuals["health"]
+        found.append(_judged("compliant cable", seen_by, replay.notices, health))
+    return found
+
+
+def healthy_rows(found: Sequence[Healthy]) -> list[Row]:
+    """Return the rows of the table about healthy robots at all phases."""
+    table = []
+    for where in dict.fromkeys(run.where for run in found):
+        for seen_by in (TRACKER, ALONE):
+            mine = [r for r in found if (r.where, r.seen_by) == (where, seen_by)]
+            alarmed = [r for r in mine if r.alarms]
+            codes = Counter(code for r in alarmed for code in r.alarms)
+            faulty = sum(r.faulty for r in mine)
+            goal = "<= 5 % FAULTY" if "from an edge" in where else "no alarm"
+            text = f"{len(alarmed)} of {len(mine)} with an alarm, {faulty} FAULTY"
+            names = ", ".join(f"{code} {n}" for code, n in codes.items())
+            table.append(Row(f"{seen_by}: healthy, {where}", text, goal, names))
+    return table
 
 
 # --- what the likelihood allows -------------------------------------------------------------------------
@@ -308,9 +434,15 @@ def _said(outcome: Outcome) -> str:
     return f"{outcome.reported}{late}"
 
 
+def measure_healthy() -> list[Healthy]:
+    """Return the runs of healthy robots at all phases, computed on all cores."""
+    with ProcessPoolExecutor(os.cpu_count(), get_context("spawn")) as pool:
+        return [run for part in pool.map(at_phase, (*PHASES_M, CLIFF_M)) for run in part]
+
+
 def run() -> list[Row]:
     """Return the rows of the table."""
-    return rows(measure())
+    return rows(measure()) + healthy_rows(measure_healthy())
 
 
 # --- figures --------------------------------------------------------------------------------------------
@@ -384,7 +516,7 @@ def _rates(found: Sequence[Outcome], kind: str, seen_by: str, in_time: float) ->
 
 if __name__ == "__main__":
     outcomes = measure()
-    print_rows(TITLE, rows(outcomes))
+    print_rows(TITLE, rows(outcomes) + healthy_rows(measure_healthy()))
     folder = Path(sys.argv[1])
     draw_confusion(outcomes, folder / "twin_diagnosis.png")
     draw_detection(outcomes, folder / "twin_detection.png")

@@ -119,9 +119,10 @@ SEAMS = {
     "worm_model": {
         "simulation": set(),
         "bags": set(),
-        "twin": {"simulation"},
+        "margin": {"simulation"},
+        "twin": {"margin", "simulation"},
         "analysis": {"simulation", "twin"},
-        "identification": {"analysis", "bags", "simulation"},
+        "identification": {"analysis", "bags", "margin", "simulation"},
     },
     "worm_optimizer": {
         "evaluation": set(),

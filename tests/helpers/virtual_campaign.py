@@ -56,10 +56,18 @@ class VirtualCampaign:
 
 
 def virtual_campaign(
-    seed: int, plan: Sequence[tuple[Gait, float]] = CAMPAIGN, spread: float = SPREAD
+    seed: int,
+    plan: Sequence[tuple[Gait, float]] = CAMPAIGN,
+    spread: float = SPREAD,
+    cable_stiffness: float = 0.0,
 ) -> VirtualCampaign:
-    """Return runs of one robot in one pipe, each with its own noise, and the robot's bench tests."""
-    settings = dataclasses.replace(load_settings(), seed=seed, parameter_spread=spread)
+    """Return runs of one robot in one pipe, each with its own noise, and the robot's bench tests.
+
+    ``cable_stiffness`` (N/m) is that of a compliant cable, which cannot push; 0 means rigid.
+    """
+    usual = load_settings()
+    effects = dataclasses.replace(usual.effects, cable_stiffness=cable_stiffness)
+    settings = dataclasses.replace(usual, seed=seed, parameter_spread=spread, effects=effects)
     recordings, truth = [], PAPER
     for index, (gait, duration) in enumerate(plan):
         run = run_offline(

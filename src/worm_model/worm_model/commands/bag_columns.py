@@ -90,6 +90,10 @@ COLUMNS = (
         Number(1.0, 1),
         "cost of transport",
     ),
+    Column("rear_margin_m", "", lambda run: run.margins["rear_margin_m"]),
+    Column("front_margin_m", "", lambda run: run.margins["front_margin_m"]),
+    Column("keeps_probability", "", lambda run: run.margins["keeps_probability"]),
+    Column("margin_m", "margin mm", lambda run: run.margin, Number(1e3, 1), "margin, mm"),
     Column("health", "health", lambda run: run.report.health.name.lower(), label="health"),
     Column("notes", "", lambda run: run.notes),
 )

@@ -28,6 +28,8 @@ from worm_model.bags.worm_topics import REPLAY_INPUTS
 from worm_model.commands import bag_columns
 from worm_model.commands.bag_columns import CLOSED, DAMAGED, NO_RUN, OPEN, STATE
 from worm_model.errors import RecordingError
+from worm_model.margin.half_cycles import Fin
+from worm_model.margin.measured_margin import measure_cycles
 from worm_model.parameters import Parameters
 from worm_model.run import Run, utc_of
 from worm_model.simulation.simulator import cost_of_transport
@@ -164,6 +166,19 @@ class RunMetrics:
         if not self.speed > 0.0:
             return math.nan
         return float(cost_of_transport(self.speed, self.power, self.parameters.mass))
+
+    @cached_property
+    def margins(self) -> dict[str, Any]:
+        """Measured margins, see `RunMargin.as_json`."""
+        played = self.played
+        measured = measure_cycles(self.run, played.gait, played.onset, self.cycles, self.parameters)
+        return measured.as_json()
+
+    @property
+    def margin(self) -> float:
+        """Smaller mean margin of both fins, m; NaN unless both were measured."""
+        fins = [self.margins[f"{fin.value}_margin_m"] for fin in Fin]
+        return math.nan if None in fins else float(min(fins))
 
     @property
     def notes(self) -> str:

@@ -16,23 +16,20 @@ from worm_model.commands.command_line import (
     Parser,
     ProgressLine,
     executable,
-    figure_file,
     print_result,
 )
-from worm_model.identification.drift import ADVICE, FEWEST_BAGS, Chart, State, chart_of
+from worm_model.identification.drift import ADVICE, FEWEST_BAGS, LABELS, Chart, State, chart_of
 from worm_model.identification.drift_estimates import BagEstimates, ExcludedBag, estimate_bags
-from worm_model.identification.report.drift_figure import draw_health
-from worm_model.parameters import UNITS, load_parameter_file
+from worm_model.parameters import load_parameter_file
 
 
 def _parser() -> Parser:
     parser = Parser(
         prog="health",
-        description="Estimate friction, switching threshold, gain, slack and idle power from each bag alone, and "
-        "report which of them drift over the bags, since when, and what to check.",
+        description="Estimate friction, switching threshold, gain, slack, idle power and measured margin from each "
+        "bag alone, and report which of them drift over the bags, since when, and what to check.",
     )
     parser.add_argument("bags", nargs="+", type=Path, metavar="BAG", help="one run each, any order")
-    parser.add_figure()
     parser.add_definitions()
     parser.add_json()
     parser.add_parameters()
@@ -44,7 +41,6 @@ def _health(options: argparse.Namespace) -> None:
         if not path.exists():
             raise InputError(f"{path}: does not exist")
     known = load_parameter_file(options.parameters)
-    figure = figure_file(options)
     bags, left_out = estimate_bags(
         options.bags, known.parameters, ProgressLine("health"), options.definitions
     )
@@ -54,8 +50,6 @@ def _health(options: argparse.Namespace) -> None:
             f"no bag can be used: {_named(left_out[0])}{more}; give bags with one gait each that begins at rest"
         )
     charts = [chart_of(key, [bag.estimates[key] for bag in bags], known) for key in ADVICE]
-    if figure is not None:
-        draw_health([bag.name for bag in bags], charts, figure)
     print_result(options, health_json(bags, left_out, charts), describe(bags, left_out, charts))
 
 
@@ -120,7 +114,8 @@ def describe(
 
 
 def _lines(chart: Chart, bags: Sequence[BagEstimates]) -> list[str]:
-    unit = "" if UNITS[chart.key] == "1" else f" {UNITS[chart.key]}"
+    unit = LABELS[chart.key][0]
+    unit = "" if unit == "1" else f" {unit}"
     head = f"{chart.key}: {chart.state.value}"
     if chart.began is not None:
         head += f" since {bags[chart.began].name}"

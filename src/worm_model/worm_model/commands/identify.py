@@ -15,7 +15,6 @@ from worm_model.commands.command_line import (
     new_file,
     print_result,
 )
-from worm_model.identification import pull_test
 from worm_model.identification.data.lab_logs import LabSettings
 from worm_model.identification.inputs import EPOCH, Inputs, read_inputs, read_recordings
 from worm_model.identification.paper_procedure import literal
@@ -26,9 +25,9 @@ from worm_model.identification.reference_values import (
 )
 from worm_model.identification.report.advice import advise
 from worm_model.identification.report.identification_report import (
-    delay_text,
     error_table,
     parameter_table,
+    travel_text,
     write_report,
 )
 from worm_model.identification.report.results import parameter_file, summary
@@ -87,11 +86,6 @@ def _parser() -> Parser:
         "--literal",
         action="store_true",
         help="for comparison, run the paper's procedure: its cost functions, no nuisance parameters, no intervals",
-    )
-    parser.add_argument(
-        "--estimate",
-        choices=[pull_test.KEY],
-        help="pull test: estimate only the load of a tether in N, for the known robot of --parameters",
     )
     parser.add_argument(
         "--one-sided-cable",
@@ -168,52 +162,17 @@ def _literal(options: argparse.Namespace, inputs: Inputs, output: Path | None) -
     print_result(options, content, "\n".join(lines))
 
 
-def _pull_test(options: argparse.Namespace, inputs: Inputs, output: Path | None) -> None:
-    """Run the pull test; see `worm_model.identification.pull_test`."""
-    others = {
-        "--literal": options.literal,
-        "--report": options.report,
-        "--validation": options.validation,
-        "--bellows": options.bellows,
-        "--fin": options.fin,
-        "--fin-engages": options.fin_engages,
-    }
-    given = [name for name, value in others.items() if value]
-    if given:
-        raise InputError(f"{given[0]} has no effect with --estimate {pull_test.KEY}; remove it")
-    if not options.parameters:
-        raise InputError(
-            f"--estimate {pull_test.KEY} requires a known robot; give --parameters FILE"
-        )
-    robot = load_parameter_file(options.parameters)
-    result = pull_test.estimate_rear_load(inputs, _reference(options, inputs))
-    if output is not None:
-        write_parameter_file(output, pull_test.loaded_file(result, robot))
-    for warning in result.warnings:
-        sys.stderr.write(f"{warning}\n")
-    load = result.load
-    errors = {
-        run.name: {"x1_rmse": residual}
-        for run, residual in zip(result.runs, result.residuals, strict=True)
-    }
-    text = f"{pull_test.KEY}  {load.value:.3f} N, 95 %: {load.low:.3f} to {load.high:.3f} N"
-    print_result(
-        options,
-        {"parameters": {pull_test.KEY: load.as_dict()}, "runs": errors},
-        "\n".join([text, *([load.note] if load.note else [])]),
-    )
-
-
 def _describe(result: Identification, advice: str) -> str:
     parts = [
+        result.fit.text,
         parameter_table(result.estimates),
         "Held-out errors, in brackets with the paper's table:\n"
         + error_table(result.held_out, result.paper),
     ]
+    parts.append(travel_text(result))
     if result.validation:
         parts.append("Errors of the validation runs:\n" + error_table(result.validation, {}))
-    parts += [delay_text(result.camera_delay), f"Recommended measurement: {advice}."]
-    return "\n\n".join(parts)
+    return "\n\n".join([*parts, f"Recommended measurement: {advice}."])
 
 
 def _run(options: argparse.Namespace) -> None:
@@ -226,9 +185,6 @@ def _run(options: argparse.Namespace) -> None:
     reporter = StageProgress()
     logs = LabSettings(EPOCH, onset=options.onset, spool_radius=options.spool_radius)
     inputs = read_inputs(options.runs, options.bellows, options.fin, options.definitions, logs)
-    if options.estimate:
-        _pull_test(options, inputs, output)
-        return
     if options.literal:
         _literal(options, inputs, output)
         return

@@ -12,7 +12,6 @@ from worm_model.bags.recording.run_manifest import recorded_robot
 from worm_model.bags.run_reader import read_run
 from worm_model.bags.worm_topics import REPLAY_INPUTS
 from worm_model.commands.command_line import Parser, executable, notifier, print_result
-from worm_model.margin.half_cycles import Fin
 from worm_model.margin.measured_margin import FinMargin, RunMargin, measure
 from worm_model.text_table import text_table
 
@@ -80,27 +79,7 @@ def _described(path: Path, run: RunMargin) -> str:
         "rear margin mm",
         "front margin mm",
     ]
-    return f"{head}\n{text_table([titles, *rows])}\n{summary(run)}"
-
-
-def summary(run: RunMargin) -> str:
-    """Return the margins of both fins and the probability to keep the grooves in one line."""
-    parts = []
-    for fin in Fin:
-        belief = run.belief(fin)
-        value = (
-            "not measured"
-            if belief is None
-            else f"{belief.expected * 1e3:.1f} ± {belief.expected_scatter * 1e3:.1f} mm"
-        )
-        parts.append(f"{fin.value} {value}")
-    keeps = run.keeps
-    chance = (
-        f"; a cycle keeps its grooves with {keeps.value:.3f} ({keeps.low:.3f} to {keeps.high:.3f})"
-        if keeps
-        else ""
-    )
-    return f"{run.grooves} grooves, to spare: {', '.join(parts)}{chance}"
+    return f"{head}\n{text_table([titles, *rows])}\n{run}"
 
 
 def _both(fin: FinMargin, name: str) -> str:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from worm_model.arrays import Array
 from worm_model.identification.fits.estimate import Estimate, quantile
-from worm_model.parameters import ParameterFile
+from worm_model.parameters import KEYS, SYMBOLS, UNITS, ParameterFile
 
 FEWEST_BAGS = 5  # smallest number of bags for limits from moving ranges
 # Smallest number of consecutive bags on one side of the parameter's interval that violates `Rule.ONE_SIDE`. If the
@@ -245,6 +245,11 @@ def _stretches(broken: NDArray[np.bool_], least: int) -> list[tuple[int, int]]:
     return [(int(a), int(b)) for a, b in zip(first, last, strict=True) if b - a + 1 >= least]
 
 
+MARGIN = "measured_margin"  # key of the smaller measured margin of both fins
+LABELS: Mapping[str, tuple[str, str]] = {  # unit and symbol by key
+    **{key: (UNITS[key], SYMBOLS[key]) for key in KEYS},
+    MARGIN: ("m", "measured margin"),
+}
 # Likely cause and remedy by key and direction.
 ADVICE: Mapping[str, Mapping[int, str]] = {
     "viscous_friction": {
@@ -266,5 +271,9 @@ ADVICE: Mapping[str, Mapping[int, str]] = {
     "idle_power": {
         1: "something draws power at rest: look for a servo that holds a load, check the sensor's zero",
         -1: "the robot draws less power at rest: look for a device that is off, check the sensor's zero",
+    },
+    MARGIN: {
+        1: "the gait has more to spare than before: check the length of the cable and the scale of the camera",
+        -1: "the gait will lose grooves: inspect cable and fins, and tune the gait",
     },
 }

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,13 +18,15 @@ from worm_model.identification.actuation_stage import identify_actuation
 from worm_model.identification.data.identification_errors import IdentificationError
 from worm_model.identification.data.observed_run import Recording
 from worm_model.identification.data.strides import check_pitch
-from worm_model.identification.fits.estimate import Estimate
+from worm_model.identification.drift import MARGIN
+from worm_model.identification.fits.estimate import Estimate, admissible, not_identifiable
 from worm_model.identification.fits.locomotion import Known, traverse_of
 from worm_model.identification.fits.measured_length import measured_length
 from worm_model.identification.fits.quality import LONGEST_GAP, remarks, usable
 from worm_model.identification.idle import idle_power, idle_power_of
 from worm_model.identification.inputs import read_recordings
 from worm_model.identification.locomotion_stage import identify_locomotion
+from worm_model.identification.recorded_margin import margin_estimate
 from worm_model.parameters import Parameters
 from worm_model.run import utc_of
 from worm_model.simulation.simulator import SimulationError
@@ -103,7 +105,19 @@ def estimate_bags(
                 ExcludedBag(path.name, f"the fit failed ({error}); check the bag's data")
             )
     progress(1.0)
-    return tuple(sorted(by_bag.values(), key=lambda bag: (bag.start, bag.name))), tuple(excluded)
+    bags = sorted(by_bag.values(), key=lambda bag: (bag.start, bag.name))
+    return tuple(_with_margins_of_one_gait(bags)), tuple(excluded)
+
+
+def _with_margins_of_one_gait(bags: Sequence[BagEstimates]) -> list[BagEstimates]:
+    """Return the bags, with a margin only if they have the gait of the last bag, because it depends on the gait."""
+    other = not_identifiable(np.nan, "another gait than that of the last bag")
+    return [
+        bag
+        if bag.gait == bags[-1].gait
+        else replace(bag, estimates={**bag.estimates, MARGIN: other})
+        for bag in bags
+    ]
 
 
 def _content(recording: Recording) -> str:
@@ -121,8 +135,8 @@ def estimate_bag(recording: Recording, start: int, parameters: Parameters) -> Ba
     """Estimate, from a recording, the parameters that may drift. ``start`` is the start of its bag, ns since the epoch.
 
     Raises:
-        IdentificationError: A marker was hidden for too long, the body did not follow its command, the strides
-            contradict the pitch, or the model does not fit the motion.
+        IdentificationError: A marker was hidden for too long, the body did not follow its command, or the strides
+            contradict the pitch.
     """
     _check_seen(recording)
     length = measured_length(recording)
@@ -139,6 +153,8 @@ def estimate_bag(recording: Recording, start: int, parameters: Parameters) -> Ba
         "slack": actuation.slack,
         "idle_power": _idle_power(recording),
     }
+    estimates = {key: admissible(key, estimate) for key, estimate in estimates.items()}
+    estimates[MARGIN] = margin_estimate(recording, parameters)
     notes = tuple(remarks(recording, length, traverse))
     return BagEstimates(recording.name, start, recording.gait, estimates, notes)
 

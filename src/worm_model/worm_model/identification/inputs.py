@@ -32,7 +32,6 @@ EPOCH = 10**9
 LOGS = LabSettings(epoch=EPOCH)
 TOPICS = (
     "body_length/commanded",
-    "body_length/cable",
     "tracker",
     "power",
     "gait_state",

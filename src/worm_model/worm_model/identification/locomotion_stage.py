@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from worm_model.arrays import Array
-from worm_model.identification.data.identification_errors import IdentificationError
 from worm_model.identification.fits import locomotion
 from worm_model.identification.fits.block_least_squares import (
     Solution,
@@ -29,15 +28,16 @@ from worm_model.identification.fits.estimate import (
     Estimate,
     follow_profile,
     if_identifiable,
+    not_identifiable,
     quantile,
 )
 from worm_model.identification.fits.grooves import (
     MEANS,
     GrooveFit,
     fit_grooves,
+    given_fit,
     groove_problem,
     held,
-    tables_of,
 )
 from worm_model.parameters import PAPER, Parameters
 from worm_model.simulation.kernel.grooves import STIFFNESS, THRESHOLD
@@ -57,10 +57,20 @@ LEAST_EIGENVALUE = 1e-9  # smaller eigenvalues of a correlation are rounding err
 # Half-width of the 95 % interval of a normal distribution, in standard deviations
 NORMAL = quantile(np.inf)
 LONGEST_MEMORY = 30  # largest lag of correlated residuals, in samples
-BETTER = 0.5  # another fit replaces the present one if its cost is lower by more than this
+# Another fit replaces the present one if its cost is lower by more than this times the inflation of the variances
+BETTER = 0.5
 # Iterations of the fit with changed fin values; it starts from the solution with the given fin values.
 VARIANT_ITERATIONS = 10
-MOST_RESTARTS = 3  # number of better fits found by the profiles after which the stage fails
+MOST_RESTARTS = 8  # number of better fits found by the profiles after which there are no intervals
+UNSETTLED = (
+    "each fit of the motion found a better solution far from the previous one; a given value may be wrong (check the "
+    "pitch first, then masses and lengths), runs may not have begun in the same grooves with straight fins, or markers "
+    "were hidden for long"
+)
+UNEXPLAINED = (
+    "no friction and threshold explain the motion of x1; the value is the given one; check that all runs show this "
+    "worm in a corrugated pipe, from rest"
+)
 
 
 @dataclass(frozen=True)
@@ -95,6 +105,7 @@ class LocomotionResult:
         without_dry_friction: (η, p_sw) of a local fit without dry friction, which starts from the best fit with even
             grooves and has its pitch and onset. Unlike in the paper's J_loc, large residuals have less weight (Huber),
             and L0 and the pose at rest of each run are fitted, too.
+        trouble: reason why the estimates are not identifiable, if the fit as a whole failed; otherwise empty.
     """
 
     viscous_friction: Estimate
@@ -110,6 +121,7 @@ class LocomotionResult:
     variants: Variants
     stiffer: GrooveFit
     without_dry_friction: tuple[float, float]
+    trouble: str = ""
 
 
 def identify_locomotion(
@@ -121,27 +133,24 @@ def identify_locomotion(
     """Estimate η, p_sw, the dry friction of both modules and the pitch from all runs.
 
     ``known`` contains the given parameters and the uncertainty of the given pitch. ``fin`` contains the uncertainty of
-    the fin parameters. Without ``fin``, the intervals are valid only for exact fin parameters. Raises
-    `IdentificationError` if no fit explains the motion, or if the profiles repeatedly find a better fit.
+    the fin parameters. Without ``fin``, the intervals are valid only for exact fin parameters. If no fit explains the
+    motion, or if the profiles repeatedly find a better fit, the estimates are not identifiable.
     """
     landscape = locomotion.search(traverses, known, lambda done: progress(0.3 * done))
     start = locomotion.find_locomotion(traverses, known, landscape)
+    if locomotion.is_lost(start):
+        return _unexplained(traverses, known, landscape)
     plain = _without_dry_friction(traverses, known, start)
     fit = fit_grooves(traverses, known, start)
     progress(0.5)
+    intervals: list[tuple[float, float]] = []
     for _ in range(MOST_RESTARTS):
         inflation = variance_inflation(traverses, fit.solution)
         intervals, better = _profiles(traverses, known, fit, inflation)
         if better is None:
             break
         fit = replace(fit, solution=better)
-    else:
-        raise IdentificationError(
-            "viscous_friction, switching_threshold have no valid interval: each fit found a better solution far from "
-            "the previous one. A given value may be wrong (check the pitch first, then masses and lengths), runs may "
-            "not have begun in the same grooves with straight fins, or markers were hidden for long. Correct the "
-            "value, exclude such runs, or add runs"
-        )
+    trouble = "" if intervals else UNSETTLED
     progress(0.9)
     variants = _variants(traverses, known, fit, fin)
     matrix, _ = normal_equations(
@@ -151,13 +160,13 @@ def identify_locomotion(
     deviation = np.sqrt(np.maximum(np.diag(covariance), 1e-30))
     friction, threshold, pitch = (
         _estimate(fit, entry, interval, variants)
-        for entry, interval in zip(SOUGHT, intervals, strict=True)
+        for entry, interval in zip(SOUGHT, intervals or [(-np.inf, np.inf)] * 3, strict=True)
     )
     progress(1.0)
     return LocomotionResult(
-        viscous_friction=if_identifiable(friction, PAPER.viscous_friction),
-        switching_threshold=if_identifiable(threshold, PAPER.switching_threshold),
-        pitch=if_identifiable(pitch),
+        viscous_friction=if_identifiable(friction, PAPER.viscous_friction, trouble),
+        switching_threshold=if_identifiable(threshold, PAPER.switching_threshold, trouble),
+        pitch=if_identifiable(pitch, note=trouble),
         dry_friction=(
             _dry_estimate(fit, REAR_DRY, deviation[REAR_DRY], variants),
             _dry_estimate(fit, FRONT_DRY, deviation[FRONT_DRY], variants),
@@ -171,6 +180,35 @@ def identify_locomotion(
         variants=variants,
         stiffer=_stiffer(traverses, known, fit, friction),
         without_dry_friction=(float(plain[0]), float(plain[1])),
+        trouble=trouble,
+    )
+
+
+def _unexplained(
+    traverses: Sequence[locomotion.Traverse],
+    known: locomotion.Known,
+    landscape: locomotion.Landscape,
+) -> LocomotionResult:
+    """Return the result of runs that no friction and threshold explain, with the given values."""
+    fit = given_fit(traverses, known)
+    friction, threshold, rear, front, pitch = (
+        not_identifiable(float(value), UNEXPLAINED) for value in fit.means[:ONSET]
+    )
+    return LocomotionResult(
+        viscous_friction=friction,
+        switching_threshold=threshold,
+        pitch=pitch,
+        dry_friction=(rear, front),
+        onset=float(fit.means[ONSET]),
+        initial_length=fit.solution.own[:, 0],
+        inflation=float("inf"),
+        correlation=np.full((MEANS, MEANS), np.nan),
+        landscape=landscape,
+        fit=fit,
+        variants=(),
+        stiffer=fit,
+        without_dry_friction=(float("nan"), float("nan")),
+        trouble=UNEXPLAINED,
     )
 
 
@@ -197,11 +235,10 @@ def holding_forces(
 
     For H see `worm_model.identification.fits.energy`.
     """
-    grooves = tables_of(fit.solution.shared[MEANS:], fit.places)
     forces = []
     for traverse, own in zip(traverses, fit.solution.own, strict=True):
         worm = locomotion.with_means(locomotion.worm_of(parameters), fit.means, own)
-        samples = locomotion.follow(traverse, worm, traverse.length.time, *grooves)
+        samples = locomotion.follow(traverse, worm, traverse.length.time, *fit.tables)
         assert samples is not None, "the fitted motion switches endlessly"
         forces.append(samples[:, FORCE])
     return tuple(forces)
@@ -227,7 +264,7 @@ def _profiles(
 ) -> tuple[list[tuple[float, float]], Solution | None]:
     """Return the interval (low, high) of each mean of `SOUGHT`, and None.
 
-    If the profiles find a solution with a lower cost, the result is an empty list and this solution.
+    If a profile finds a solution with a lower cost, the result is an empty list and this solution.
     """
     rise = NORMAL**2 * inflation
     quantities = locomotion.shared_quantities(known)
@@ -236,7 +273,7 @@ def _profiles(
     def end(entry: int, sign: float) -> float:
         def cost(value: float) -> float:
             solution = held(traverses, known, fit, entry, value)
-            if solution.cost < fit.solution.cost - BETTER:
+            if solution.cost < fit.solution.cost - BETTER * inflation:
                 met.append(solution)
                 return rise  # end the search: the fit restarts from this solution
             return max(solution.cost - fit.solution.cost, 0.0)
@@ -246,11 +283,13 @@ def _profiles(
         reach = abs((bound.high if sign > 0.0 else bound.low) - value)
         return follow_profile(cost, value, rise, sign * guess, reach)
 
-    ends = [(end(entry, -1.0), end(entry, 1.0)) for entry in SOUGHT]
-    if met:
-        best = min(met, key=lambda solution: solution.cost)
-        problem = groove_problem(traverses, known, fit.places, fit.scatter)
-        return [], solve(problem, best.shared, best.own)
+    ends = []
+    for entry in SOUGHT:
+        ends.append((end(entry, -1.0), end(entry, 1.0)))
+        if met:
+            best = min(met, key=lambda solution: solution.cost)
+            problem = groove_problem(traverses, known, fit.places, fit.scatter)
+            return [], solve(problem, best.shared, best.own)
     return ends, None
 
 

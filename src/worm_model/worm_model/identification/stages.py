@@ -10,28 +10,34 @@ import numpy as np
 
 from worm_model.identification.actuation_stage import ActuationResult, identify_actuation
 from worm_model.identification.bellows import BellowsFit, fit_bellows
-from worm_model.identification.camera_delay import camera_delay
 from worm_model.identification.data.identification_errors import IdentificationError
 from worm_model.identification.data.observed_run import Recording
 from worm_model.identification.data.strides import check_pitch
 from worm_model.identification.energy_stage import EnergyResult, identify_energy
 from worm_model.identification.fin import KEYS as FIN
 from worm_model.identification.fin import FinFit, fit_fin
+from worm_model.identification.fit_verdict import FitVerdict, judge_fit
 from worm_model.identification.fits.actuation_fit import KEYS as ACTUATION
 from worm_model.identification.fits.energy import PowerRun, power_run
-from worm_model.identification.fits.estimate import Estimate, not_identifiable, quantile
+from worm_model.identification.fits.estimate import (
+    Estimate,
+    admissible,
+    not_identifiable,
+    quantile,
+)
 from worm_model.identification.fits.locomotion import Known
-from worm_model.identification.fits.quality import starts_apart
 from worm_model.identification.fits.run_prediction import Errors
 from worm_model.identification.forces import Forces, forces_of
 from worm_model.identification.held_out import leave_one_out, run_errors
 from worm_model.identification.idle import NO_IDLE, idle_power
 from worm_model.identification.inputs import Inputs
 from worm_model.identification.locomotion_stage import (
+    UNEXPLAINED,
     FinKnowledge,
     LocomotionResult,
     identify_locomotion,
 )
+from worm_model.identification.recorded_margin import compared_margin
 from worm_model.identification.reference_values import ReferenceValues
 from worm_model.identification.run_selection import (
     Run,
@@ -40,6 +46,8 @@ from worm_model.identification.run_selection import (
     prepared_validation,
 )
 from worm_model.parameters import FITTED_WITH_FORM, KEYS, Parameters
+from worm_model.travel_error import travel_error
+from worm_msgs.robot_parameters import TravelError
 
 Progress = Callable[[str, float], None]
 
@@ -49,9 +57,10 @@ NOT_OF_PAPER = "not in the paper's model; without it η would be {:.1f} N·s/m"
 NO_BELLOWS = "no bellows test, and c_b and α_P depend on k_b"
 ONE_SIDED = "for a cable that cannot push, not comparable with the paper's value"
 OTHER_FORM = (
-    "these runs do not determine c_b and α_P ({}), and the given values were fitted with the paper's power model. Omit "
-    "--one-sided-cable, or add the missing data"
+    "--one-sided-cable is not applied: these runs do not determine c_b and α_P ({}), and the given values were fitted "
+    "with the paper's power model"
 )
+NOT_USED = "{}; the test is not used"
 NO_FRICTION = "η is not identified, and c_b and α_P depend on it"
 SOFT_FIN = (
     "fin test: the side that --fin-engages names is the softer one ({engaged:.0f} against {disengaged:.0f} N/m), but "
@@ -64,6 +73,7 @@ class Identification:
     """Result of an identification.
 
     Attributes:
+        fit: verdict on the fit.
         estimates: estimates of all keys.
         parameters: the resulting parameters.
         reference: the reference values given to `identify`.
@@ -74,11 +84,12 @@ class Identification:
         held_out: errors of each run with the parameters fitted to the other runs; empty with one run.
         paper: errors of each run with the parameters of the paper's table.
         validation: errors of the validation runs with ``parameters``.
-        camera_delay: part of the delay of the camera's stamps that ``delay_s`` does not correct, s.
+        margins: measured and predicted margin (m) of each run, NaN where it was not measured.
         warnings: remarks on data and results.
         seed: seed of the bootstrap.
     """
 
+    fit: FitVerdict
     estimates: Mapping[str, Estimate]
     parameters: Parameters
     reference: ReferenceValues
@@ -92,9 +103,15 @@ class Identification:
     held_out: Mapping[str, Errors]
     paper: Mapping[str, Errors]
     validation: Mapping[str, Errors]
-    camera_delay: Estimate
+    margins: Mapping[str, tuple[float, float]]
     warnings: tuple[str, ...]
     seed: int
+
+    @property
+    def travel_error(self) -> TravelError | None:
+        """Measured minus predicted margin, None if no run shows its margin."""
+        measured, predicted = np.array(list(self.margins.values())).T
+        return travel_error(measured, predicted) if np.isfinite(measured).any() else None
 
     def power_clock(self, name: str) -> tuple[float, float]:
         """Return the clock offset of the power sensor in a run, and the standard deviation of the offset, s.
@@ -122,8 +139,9 @@ def identify(
 ) -> Identification:
     """Identify all parameters from recordings and bench tests.
 
+    After a failure of a stage, the estimates that depend on it are not identifiable, and all others are valid.
     Equal inputs and seeds produce equal results. c_b and α_P are fitted with the power model that the parameters of
-    ``reference`` select.
+    ``reference`` select; if the runs do not determine them and the given values belong to the other model, with that.
 
     Args:
         inputs: recordings and bench tests.
@@ -134,12 +152,11 @@ def identify(
         progress: called with the name of a step and its completed share, 0 to 1.
 
     Raises:
-        IdentificationError: The data are not sufficient, contradict each other, or do not fit the model.
+        IdentificationError: No run is usable, or the strides contradict the given pitch.
     """
     random = np.random.default_rng(seed)
     estimates = {key: reference.estimate(key) for key in KEYS}
-    bellows = fit_bellows(inputs.bellows.x, inputs.bellows.y) if inputs.bellows else None
-    fin = fit_fin(inputs.fin.x, inputs.fin.y, fin_engages) if inputs.fin else None
+    bellows, fin, failed = _bench_tests(inputs, fin_engages)
     estimates |= _bench_estimates(bellows, fin)
     runs, warnings = fitted_runs(inputs.recordings, reference.parameters.pitch)
     checked, observed = prepared_validation(
@@ -151,14 +168,27 @@ def identify(
     pitch_deviation = estimates["pitch"].spread / quantile(np.inf)
     check_pitch([run.recording for run in runs], reference.parameters.pitch, pitch_deviation)
     known = Known(_with_values(reference.parameters, estimates), pitch_deviation)
-    locomotion = _locomotion(runs, known, _fin_knowledge(estimates, fin), fin, progress)
+    locomotion = identify_locomotion(
+        [run.traverse for run in runs],
+        known,
+        _fin_knowledge(estimates, fin),
+        lambda done: progress("locomotion", done),
+    )
     estimates |= _locomotion_estimates(locomotion, estimates, fin)
     progress("actuation", 0.0)
     actuation = identify_actuation([run.recording for run in runs], random)
     estimates |= {key: getattr(actuation, key) for key in ACTUATION}
     progress("energy", 0.0)
     energy, power_runs = _energy(runs, known.parameters, estimates, locomotion, reference, random)
+    if reference.fitted_otherwise and not energy.power_factor.identifiable:
+        failed.append(OTHER_FORM.format(energy.power_factor.note))
+        reference = reference.with_papers_cable()
+        known = replace(known, parameters=known.parameters.replace(one_sided_cable=False))
+        energy, power_runs = _energy(
+            runs, known.parameters, estimates, locomotion, reference, random
+        )
     estimates |= _energy_estimates(energy, reference)
+    estimates = {key: admissible(key, estimate) for key, estimate in estimates.items()}
     parameters = _with_values(known.parameters, estimates)
     progress("held out", 0.0)
     held_out, paper = leave_one_out(
@@ -166,6 +196,7 @@ def identify(
     )
     offset = float(actuation.fit.clock_offset.mean())
     result = Identification(
+        fit=judge_fit(runs, locomotion, actuation, energy.fit.clock_offset, held_out, paper),
         estimates=estimates,
         parameters=parameters,
         reference=reference,
@@ -179,30 +210,30 @@ def identify(
         held_out=held_out,
         paper=paper,
         validation={run.name: run_errors(run, parameters, offset) for run in checked},
-        camera_delay=camera_delay([run.recording for run in runs], actuation, parameters),
-        warnings=(*inputs.remarks, *bench_warnings(fin), *warnings, *observed),
+        margins={run.name: compared_margin(run, parameters) for run in runs},
+        warnings=(*inputs.remarks, *failed, *bench_warnings(fin), *warnings, *observed),
         seed=seed,
     )
     progress("done", 1.0)
     return result
 
 
-def _locomotion(
-    runs: Sequence[Run],
-    known: Known,
-    fins: FinKnowledge | None,
-    fin: FinFit | None,
-    progress: Progress,
-) -> LocomotionResult:
-    """Run stage 4. An error message also lists possible causes in the bench tests and in the starts of the runs."""
-    traverses = [run.traverse for run in runs]
+def _bench_tests(
+    inputs: Inputs, fin_engages: int
+) -> tuple[BellowsFit | None, FinFit | None, list[str]]:
+    """Return the fits of the bench tests, None without a usable test, and the reasons why a test cannot be used."""
+    bellows, fin, failed = None, None, []
     try:
-        return identify_locomotion(
-            traverses, known, fins, lambda done: progress("locomotion", done)
-        )
+        if inputs.bellows:
+            bellows = fit_bellows(inputs.bellows.x, inputs.bellows.y)
     except IdentificationError as error:
-        apart = starts_apart([run.recording for run in runs])
-        raise IdentificationError("; ".join([str(error), *apart, *bench_warnings(fin)])) from None
+        failed.append(NOT_USED.format(error))
+    try:
+        if inputs.fin:
+            fin = fit_fin(inputs.fin.x, inputs.fin.y, fin_engages)
+    except IdentificationError as error:
+        failed.append(NOT_USED.format(error))
+    return bellows, fin, failed
 
 
 def _energy(
@@ -214,6 +245,9 @@ def _energy(
     random: np.random.Generator,
 ) -> tuple[EnergyResult, list[PowerRun]]:
     """Run stage 7 with the forces of stage 4, for the runs whose power samples cover the traverse."""
+    frequencies = [run.recording.gait.frequency for run in runs if run.has_power]
+    if locomotion.trouble == UNEXPLAINED:  # no force of the fins is known
+        return identify_energy([], [], lambda _: [], reference.parameters, random, NO_FRICTION), []
     powered = [index for index, run in enumerate(runs) if run.has_power]
     stiffness = estimates["bellows_stiffness"]
     forces = forces_of(
@@ -227,7 +261,7 @@ def _energy(
     hindrance = "" if locomotion.viscous_friction.identifiable else NO_FRICTION
     result = identify_energy(
         power_runs,
-        [runs[index].recording.gait.frequency for index in powered],
+        frequencies,
         forces.draw,
         reference.parameters,
         random,
@@ -297,15 +331,10 @@ def _locomotion_estimates(
 
 
 def _energy_estimates(energy: EnergyResult, reference: ReferenceValues) -> dict[str, Estimate]:
-    """Return c_b and α_P.
-
-    Raises IdentificationError if α_P is not identifiable and the given values belong to another power model.
-    """
+    """Return c_b and α_P."""
     fitted = dict(zip(FITTED_WITH_FORM, (energy.bellows_damping, energy.power_factor), strict=True))
     if not reference.parameters.one_sided_cable:
         return fitted
-    if reference.fitted_otherwise and not energy.power_factor.identifiable:
-        raise IdentificationError(OTHER_FORM.format(energy.power_factor.note))
     return {
         key: replace(estimate, note="; ".join(filter(None, (estimate.note, ONE_SIDED))))
         for key, estimate in fitted.items()

@@ -20,12 +20,14 @@ from worm_model.margin.half_cycles import HalfCycle, Motion
 from worm_model.parameters import Parameters
 
 _COARSE_S, _FINE_S = 0.01, 0.003
+_MOST_TIMES = 800  # of the coarse search, for slow gaits
 _AROUND_S = 0.12  # range of the refined time about the coarse one
 _AFTER_TURN_S = 0.12  # a fin can switch shortly after the turning point, and its jump takes 0.1 s
 _WINDOW_S = (0.15, 0.45)  # shortest and longest half window
 _WINDOW_TRAVEL = 0.4  # of a pitch; half window as a travel
 _LEAST_TRAVEL = 0.6  # of p_sw + δ_c/2, before which no fin can switch
 _SPACING = 0.0007  # m, standard deviation of the travel between two switches about a pitch
+_FEWEST_SAMPLES = 5  # about a switch
 _SURE = 5.0  # log evidence above which there is a switch
 _TEMPLATE_ERROR_M = 0.0001  # standard deviation of the motion of a healthy robot from the template
 # Standard deviations of the priors: of the slopes (1), also after the turning point; of the jump (relative); offset (m)
@@ -76,54 +78,64 @@ class Evidence:
         # The smoothed length adds a part of its own noise to that of the mean of both modules.
         self._noise = float(np.hypot(0.8 * motion.noise, _TEMPLATE_ERROR_M))
 
-    def at(self, time: float, low: float, high: float) -> float:
-        """Return the log evidence of a switch at a time from the samples between two times, 0 without any.
+    def at(self, time: Array, low: Array, high: Array) -> Array:
+        """Return the log evidence of a switch at each time (n,), from the samples between two times (n,) each.
 
-        Without a switch, the slope may change at this time, as when the holding fin engages.
+        Without a switch, the slope may change at this time, as when the holding fin engages. The result is 0 with fewer
+        than five samples.
         """
-        terms, values = self._terms(time, low, high)
-        if values.size < 5:
-            return 0.0
-        without = self._log_evidence(
-            terms[:-1], values, [0.0, self._law.slope, 0.0, 0.0], [_OFFSET, _SLOPE, _TURNED, _BENT]
-        )
-        return self._switched(terms, values) - without
+        terms, values, count = self._terms(time, low, high)
+        expected = np.array([0.0, self._law.slope, 0.0, 0.0])
+        spread = np.array([_OFFSET, _SLOPE, _TURNED, _BENT])
+        without = self._log_evidence(terms[:, :-1], values, expected, spread)
+        evidence = self._switched(terms, values) - without
+        return np.where(count < _FEWEST_SAMPLES, 0.0, evidence)
 
-    def of_time(self, time: float, low: float, high: float) -> float:
-        """Return the log likelihood of the time of a switch that is known to be between two times."""
-        return self._switched(*self._terms(time, low, high))
+    def of_time(self, time: Array, low: float, high: float) -> Array:
+        """Return the log likelihood of the times (n,) of a switch that is known to be between two times."""
+        terms, values, _ = self._terms(time, np.full(time.size, low), np.full(time.size, high))
+        return self._switched(terms, values)
 
-    def _switched(self, terms: Array, values: Array) -> float:
+    def _switched(self, terms: Array, values: Array) -> Array:
         law = self._law
-        return self._log_evidence(
-            terms,
-            values,
-            [0.0, law.slope, 0.0, law.slope, law.jump],
-            [_OFFSET, _SLOPE, _TURNED, _SLOPE, _JUMP * law.jump],
-        )
+        expected = np.array([0.0, law.slope, 0.0, law.slope, law.jump])
+        spread = np.array([_OFFSET, _SLOPE, _TURNED, _SLOPE, _JUMP * law.jump])
+        return self._log_evidence(terms, values, expected, spread)
 
-    def _terms(self, time: float, low: float, high: float) -> tuple[Array, Array]:
-        """Return the terms (5, n) of the template, the jump last, and the position of the holding module (n,), m."""
-        rows = slice(*np.searchsorted(self._time, (low, high)))
-        at, travel = self._time[rows], self._travel[rows]
-        now = np.interp(time, self._time, self._travel)
-        after = at > time
+    def _terms(
+        self, time: Array, low: Array, high: Array
+    ) -> tuple[Array, Array, NDArray[np.int64]]:
+        """Return the terms (n, 5, m) of the template, the jump last, the holding module's position (n, m) in m, counts.
+
+        There are as many samples m as the longest window has. The terms of missing samples are 0.
+        """
+        first, last = np.searchsorted(self._time, low), np.searchsorted(self._time, high)
+        rows = first[:, np.newaxis] + np.arange(max(int((last - first).max(initial=0)), 1))
+        used = rows < last[:, np.newaxis]
+        rows = np.minimum(rows, self._time.size - 1)
+        at, travel, holding = self._time[rows], self._travel[rows], self._holding[rows]
+        moment = time[:, np.newaxis]
+        now = np.interp(moment, self._time, self._travel)
         turned = np.where(at > self._turn[0], travel - self._turn[1], 0.0)
-        bent = np.where(after, travel - now, 0.0)
-        elapsed = np.maximum(at - time, 0.0) / self._law.time_constant
-        terms = np.stack([np.ones(at.size), now - travel, turned, bent, -np.expm1(-elapsed)])
-        return terms, self._holding[rows] - self._holding[rows].mean() if at.size else at
+        bent = np.where(at > moment, travel - now, 0.0)
+        jump = -np.expm1(-np.maximum(at - moment, 0.0) / self._law.time_constant)
+        terms = np.stack([np.ones(at.shape), now - travel, turned, bent, jump], axis=1)
+        count = used.sum(axis=1)
+        mean = (holding * used).sum(axis=1) / np.maximum(count, 1)
+        return terms * used[:, np.newaxis], used * (holding - mean[:, np.newaxis]), count
 
-    def _log_evidence(
-        self, terms: Array, values: Array, expected: list[float], spread: list[float]
-    ) -> float:
-        """Return the log evidence of a linear model with normal priors, without terms common to all models."""
-        rest = (values - np.array(expected) @ terms) / self._noise
-        scaled = terms * np.array(spread)[:, np.newaxis] / self._noise
-        precision = np.eye(len(expected)) + scaled @ scaled.T
-        moment = scaled @ rest
-        explained = moment @ np.linalg.solve(precision, moment)
-        return float(-0.5 * (rest @ rest - explained) - 0.5 * np.linalg.slogdet(precision)[1])
+    def _log_evidence(self, terms: Array, values: Array, expected: Array, spread: Array) -> Array:
+        """Return the log evidence (n,) of linear models with normal priors, without terms common to all models.
+
+        ``terms`` (n, p, m) are the terms at the samples, ``values`` (n, m) the samples.
+        """
+        rest = (values - np.einsum("p,npm->nm", expected, terms)) / self._noise
+        scaled = terms * (spread / self._noise)[:, np.newaxis]
+        precision = np.eye(expected.size) + scaled @ scaled.transpose(0, 2, 1)
+        moment = scaled @ rest[:, :, np.newaxis]
+        explained = (moment * np.linalg.solve(precision, moment)).sum(axis=(1, 2))
+        determinant = np.linalg.slogdet(precision)[1]
+        return np.asarray(0.5 * (explained - (rest**2).sum(axis=1) - determinant))
 
 
 def find_switches(
@@ -145,7 +157,7 @@ def find_switches(
     p = parameters
     evidence = Evidence(motion, half, FinLaw.of(p))
     last = min(half.end + _AFTER_TURN_S, motion.time[-1])
-    grid = np.arange(half.start, last, _COARSE_S)
+    grid = np.arange(half.start, last, max(_COARSE_S, (last - half.start) / _MOST_TIMES))
     travel = half.travel(motion.length_at(grid))
     possible = travel > _LEAST_TRAVEL * (p.switching_threshold + 0.5 * p.clearance)
     grid, travel = grid[possible], travel[possible]
@@ -153,11 +165,8 @@ def find_switches(
         return NONE
     windows = _half_windows(grid, travel, p.pitch)
     end = last + _AFTER_TURN_S
-    score = np.array(
-        [
-            evidence.at(time, max(time - half_window, half.start), min(time + half_window, end))
-            for time, half_window in zip(grid, windows, strict=True)
-        ]
+    score = evidence.at(
+        grid, np.maximum(grid - windows, half.start), np.minimum(grid + windows, end)
     )
     if usual is not None:
         off = np.abs(travel - np.reshape(usual[0], (-1, 1))).min(axis=0)
@@ -167,8 +176,7 @@ def find_switches(
         return NONE
     coarse, window = grid[rows[-1]], windows[rows[-1]]
     fine = np.arange(coarse - _AROUND_S, coarse + _AROUND_S, _FINE_S)
-    span = max(coarse - window, half.start), min(coarse + window, end)
-    log = np.array([evidence.of_time(time, *span) for time in fine])
+    log = evidence.of_time(fine, max(coarse - window, half.start), min(coarse + window, end))
     weight = np.exp(log - log.max())
     weight /= weight.sum()
     mean = float(weight @ fine)
@@ -190,18 +198,21 @@ def _comb(
     ``ascending`` (n,) is True before the turning point: only the last switch can be after it.
     """
     total = score.copy()
-    earlier: list[list[int]] = [[] for _ in score]
-    longest = count or int(travel.max() / pitch) + 1
     rows_before = np.flatnonzero(ascending)
-    for row in range(score.size):
-        for step in range(1, longest):
-            distance = (travel[rows_before] - (travel[row] - step * pitch)) / (_SPACING * step**0.5)
-            gain = np.where(rows_before < row, score[rows_before] - 0.5 * distance**2, -np.inf)
-            best = int(np.argmax(gain)) if gain.size else -1
-            if best < 0 or (count is None and gain[best] < _SURE):
-                break
-            total[row] += max(float(gain[best]), -_SURE)
-            earlier[row].insert(0, int(rows_before[best]))
-    best = int(np.argmax(total))
-    least = _SURE if count is None else 0.0  # the best time of a fin that is known to switch
-    return [*earlier[best], best] if total[best] > least else []
+    earlier: list[NDArray[np.int64]] = []
+    goes_on = np.full(score.size, rows_before.size > 0)
+    for step in range(1, count or int(travel.max() / pitch) + 1):
+        distance = travel[rows_before] - (travel[:, np.newaxis] - step * pitch)
+        gain = score[rows_before] - 0.5 * (distance / (_SPACING * step**0.5)) ** 2
+        gain[rows_before >= np.arange(score.size)[:, np.newaxis]] = -np.inf
+        best = gain.argmax(axis=1) if rows_before.size else np.zeros(score.size, np.int64)
+        value = gain.max(axis=1, initial=-np.inf)
+        goes_on &= (value >= _SURE) | (count is not None)
+        total += np.where(goes_on, np.maximum(value, -_SURE), 0.0)
+        known = goes_on & np.isfinite(value)
+        earlier.insert(0, np.where(known, rows_before[best] if rows_before.size else -1, -1))
+    last = int(np.argmax(total))
+    # Of a fin that is known to have switched, the best time counts.
+    if total[last] <= (_SURE if count is None else 0.0):
+        return []
+    return [*(int(rows[last]) for rows in earlier if rows[last] >= 0), last]

@@ -20,6 +20,9 @@ from worm_model.simulation.smoothing import smooth
 LENGTH_WINDOW_S = 0.06  # half window of the smoothed length; a jump of a module takes 0.1 s
 _TURNING_S = 0.22  # half window of the parabola through a turning point
 _SEARCH = (0.2, 0.35)  # of a period, before and after the command's turning point
+# A robot differs from the templates of the fits by errors that successive samples share. So more samples per second do
+# not show more.
+_DISTINCT_HZ = 30.0
 FEWEST_RATE_HZ = 8.0  # of the tracker; slower ones show no switch
 
 
@@ -38,7 +41,8 @@ class Motion:
         time: s since the onset, ascending, shape (n,).
         rear, front: positions of the modules, m, shape (n,).
         length: smoothed body length, m, shape (n,).
-        noise: standard deviation of a position, m.
+        noise: standard deviation of a position, m, of a camera with at most 30 Hz; a faster one with this standard
+            deviation would show as much.
         end: end of the gait, s since the onset.
     """
 
@@ -53,6 +57,11 @@ class Motion:
         """Return the position of the holding module while ``fin`` slides, m, from the samples of both modules."""
         half = 0.5 * self.length
         return 0.5 * (self.rear + self.front) + (half if fin is Fin.REAR else -half)
+
+    @property
+    def least_window(self) -> float:
+        """Half window of a parabola, s, that contains enough samples."""
+        return _least_window(self.time)
 
     def length_at(self, time: float | Array) -> Array:
         """Return the smoothed length at times in s, m."""
@@ -96,11 +105,12 @@ def motion_of(run: Run, gait: Gait, onset: int, cycles: int) -> Motion | None:
     rear, front = tracker.rear_position[used], tracker.front_position[used]
     if gait.direction == REVERSE:
         rear, front = -front, -rear
-    step = float(np.median(np.diff(time)))
-    half = max(LENGTH_WINDOW_S, 2.2 * step)
+    half = max(LENGTH_WINDOW_S, _least_window(time))
     length = smooth(time, front - rear, time, half, half).value
     whole = np.isfinite(length)
-    noise = float(np.hypot(_noise(rear), _noise(front)) / np.sqrt(2.0))
+    step = float(np.median(np.diff(time)))
+    alike = max(1.0 / (_DISTINCT_HZ * step), 1.0)  # samples with the same error of the template
+    noise = float(np.hypot(_noise(rear), _noise(front)) * np.sqrt(0.5 * alike))
     return Motion(time[whole], rear[whole], front[whole], length[whole], noise, end)
 
 
@@ -117,7 +127,7 @@ def half_cycles(motion: Motion, gait: Gait, cycles: int) -> list[HalfCycle]:
         if shortest is None:
             break
         longest = _turning_point(motion, before, shortest[0], -1, period)
-        following = _turning_point(motion, shortest[0], turn + 0.9 * period, -1, period)
+        following = _turning_point(motion, shortest[0], (cycle + 1.4) * period, -1, period)
         if longest is None or following is None:
             break
         found.append(
@@ -137,13 +147,17 @@ def _turning_point(
     inside = (motion.time >= low) & (motion.time <= min(high, motion.end + 0.6 * period))
     if np.count_nonzero(inside) < 4 or motion.time[-1] < low + 0.5 * (high - low):
         return None
-    half = max(_TURNING_S, 2.2 * float(np.median(np.diff(motion.time))))
+    half = max(_TURNING_S, motion.least_window)
     at = motion.time[inside]
     curve = smooth(motion.time, motion.front - motion.rear, at, half, half)
     if not np.isfinite(curve.value).any():
         return None
     best = int(np.nanargmin(sign * curve.value))
     return float(at[best]), float(curve.value[best])
+
+
+def _least_window(time: Array) -> float:
+    return 2.2 * float(np.median(np.diff(time)))
 
 
 def _noise(position: Array) -> float:

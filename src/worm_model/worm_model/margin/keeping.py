@@ -27,9 +27,7 @@ _SCATTER_M, _LOG_SCATTER_SD = 0.0004, 0.3
 _OF_CYCLE = (
     0.2  # share of the variance that differs from cycle to cycle, such as that of the threshold
 )
-_BODY_M = (
-    0.26  # distance along the pipe from which margins are independent: the usual length of the body
-)
+_BODY_M = 0.26  # distance from which margins are independent: the usual length of the body
 _SCATTERS = _SCATTER_M * np.exp(np.linspace(-3.0, 6.0, 24) * _LOG_SCATTER_SD)
 _NODES = ndtri((np.arange(24) + 0.5) / 24)  # of a normal distribution, of equal weight
 
@@ -41,6 +39,9 @@ class Probability:
     value: float
     low: float
     high: float
+
+    def __str__(self) -> str:
+        return f"{self.value:.3f} ({self.low:.3f} to {self.high:.3f})"
 
 
 @dataclass(frozen=True)
@@ -67,6 +68,12 @@ class MarginBelief:
     def expected_scatter(self) -> float:
         """Expected scatter, m."""
         return float(self.weight @ self.scatter)
+
+    @property
+    def expected_sd(self) -> float:
+        """Standard deviation of the expected margin, m."""
+        variance = self.weight @ (self.sd**2 + (self.mean - self.expected) ** 2)
+        return math.sqrt(float(variance))
 
     @property
     def chance(self) -> float:
@@ -141,4 +148,6 @@ def keeps_probability(*fins: MarginBelief) -> Probability:
     order = np.argsort(value)
     total = np.cumsum(weight[order])
     low, high = (float(value[order][np.searchsorted(total, q)]) for q in (0.025, 0.975))
-    return Probability(float(value @ weight), low, high)
+    mean = min(float(value @ weight), 1.0)
+    # A long tail can move the mean beyond a quantile.
+    return Probability(mean, min(low, mean), max(high, mean))

@@ -35,9 +35,6 @@ _SHAPE_ERROR_M = (
     0.0002  # of a length, because a robot differs from the template; standard deviation
 )
 _AT_SWITCH_S = 0.15  # half window of the length at a switch
-_UNUSUAL_M = (
-    0.003  # difference of a last switch from the usual travel that is checked with this knowledge
-)
 _TURNING_ERROR = 0.3  # of the noise of the length; standard deviation of a turning point
 
 
@@ -107,6 +104,20 @@ class RunMargin:
         known = [each for each in beliefs if each is not None]
         return keeps_probability(*known) if len(known) == len(beliefs) else None
 
+    def __str__(self) -> str:
+        """Return the margins of both fins and the probability to keep the grooves in one line."""
+        fins = []
+        for fin in Fin:
+            belief = self.belief(fin)
+            if belief is None:
+                fins.append(f"{fin.value} not measured")
+            else:
+                spare = f"{1e3 * belief.expected:.1f} ± {1e3 * belief.expected_scatter:.1f} mm"
+                fins.append(f"{fin.value} {spare}")
+        keeps = self.keeps
+        chance = f"; a cycle keeps its grooves with {keeps}" if keeps else ""
+        return f"{self.grooves} grooves, to spare: {', '.join(fins)}{chance}"
+
     def as_json(self) -> dict[str, Any]:
         """Return the run as a JSON object, in SI units; None where something was not measured."""
         beliefs = {fin: self.belief(fin) for fin in Fin}
@@ -150,16 +161,22 @@ def measure(run: Run, parameters: Parameters, grooves: int | None = None) -> Run
         return None
     states = run.gait_state
     gait, onset = states.gait(int(rows[0][0])), int(states.onset[rows[0]].min())
-    motion = motion_of(run, gait, onset, _played_cycles(run, gait, onset))
+    cycles = _played_cycles(run, gait, onset)
+    return measure_cycles(run, gait, onset, cycles, parameters, grooves)
+
+
+def measure_cycles(
+    run: Run,
+    gait: Gait,
+    onset: int,
+    cycles: int,
+    parameters: Parameters,
+    grooves: int | None = None,
+) -> RunMargin:
+    """Return the measured margins of a number of cycles from an onset (ns since the epoch) on; see `measure`."""
+    motion = motion_of(run, gait, onset, cycles)
     if motion is None:
         return RunMargin(gait, grooves or 0, (), "")
-    return margins_of(motion, gait, parameters, grooves)
-
-
-def margins_of(
-    motion: Motion, gait: Gait, parameters: Parameters, grooves: int | None = None
-) -> RunMargin:
-    """Return the measured margins of a motion; see `measure`."""
     halves = half_cycles(motion, gait, round(motion.end * gait.frequency))
     found = run_switches(motion, halves, parameters)
     moved = moved_grooves(motion, halves, parameters)[::2]
@@ -174,13 +191,13 @@ def margins_of(
         ]
         for fin, (release, _) in lengths.items()
     }
-    cycles = tuple(
+    measured = tuple(
         CycleMargin(cycle, *row)
         for cycle, row in enumerate(
             zip(moved, places, fins[Fin.REAR], fins[Fin.FRONT], strict=True), 1
         )
     )
-    return RunMargin(gait, grooves or gained, cycles, "tracker" if cycles else "")
+    return RunMargin(gait, grooves or gained, measured, "tracker" if measured else "")
 
 
 def _played_cycles(run: Run, gait: Gait, onset: int) -> int:
@@ -219,7 +236,8 @@ def _lacking(lengths: dict[Fin, tuple[Release, float]], grooves: int) -> dict[Fi
 def _remaining(motion: Motion, half: HalfCycle, time: float, release: Release) -> float:
     """Return the travel (m) between a switch at a time (s) and the turning point."""
     travel = half.travel(motion.front - motion.rear) - release.travel(motion.time - time)
-    now = float(smooth(motion.time, travel, [time], _AT_SWITCH_S, _AT_SWITCH_S).value[0])
+    window = max(_AT_SWITCH_S, motion.least_window)
+    now = float(smooth(motion.time, travel, [time], window, window).value[0])
     return float(half.travel(np.asarray(half.end_length))) - now
 
 

@@ -14,11 +14,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from worm_model.arrays import Array
 from worm_model.margin.fin_switch import NONE, Switches, find_switches
 from worm_model.margin.half_cycles import Fin, HalfCycle, Motion
 from worm_model.parameters import Parameters
 
 _UNUSUAL_M = 0.003  # difference from the usual length that is searched again
+_MOST_MISSED = 2  # grooves in a half cycle
 _USUAL_SD_M = 0.0015  # standard deviation of the length about the usual one in that search
 
 
@@ -56,24 +58,30 @@ def _of_fin(
     ]
     places = [_place(motion, *pair) for pair in zip(halves, switches, strict=True)]
     usual = _usual([place for place, count in zip(places, counts, strict=True) if count], pitch)
-    for k, half in enumerate(halves):
-        off = places[k] - usual
-        off -= pitch * round(off / pitch) if math.isfinite(off) else 0.0
-        if counts[k] is None or not abs(off) < _UNUSUAL_M:
-            expected = half.travel(np.asarray(_length(half, usual)))
-            if not math.isfinite(expected):
-                continue
-            lattice = expected - pitch * np.arange(3) if counts[k] is not None else expected
-            again = find_switches(motion, half, parameters, counts[k], (lattice, _USUAL_SD_M))
-            switches[k], places[k] = again, _place(motion, half, again)
-            off = places[k] - usual
-            if abs(off - pitch * round(off / pitch) if math.isfinite(off) else 0.0) > _UNUSUAL_M:
-                switches[k], places[k] = NONE, math.nan
+    most = max((count for count in counts if count is not None), default=0)
+    for k, (half, count) in enumerate(zip(halves, counts, strict=True)):
+        expected = half.travel(np.asarray(_length(half, usual)))
+        # a fin that moved by the most grooves missed none, so its last switch is at the usual length
+        missed: Array = np.arange(1.0 if count is None or count == most else _MOST_MISSED + 1.0)
+        usual_places: Array = usual - pitch * missed
+        if _off(places[k], usual_places) < _UNUSUAL_M or not math.isfinite(expected):
+            continue
+        again = find_switches(
+            motion, half, parameters, count, (expected - pitch * missed, _USUAL_SD_M)
+        )
+        place = _place(motion, half, again)
+        fits = _off(place, usual_places) < _UNUSUAL_M
+        switches[k], places[k] = (again, place) if fits else (NONE, math.nan)
     missing = [
         max(round((usual - place) / pitch), 0) if math.isfinite(usual - place) else 0
         for place in places
     ]
     return FinSwitches(tuple(halves), tuple(switches), tuple(missing))
+
+
+def _off(place: float, usual: Array) -> float:
+    """Return the distance (m) of a length from the nearest of the usual ones (n,), NaN for NaN."""
+    return float(np.abs(place - usual).min())
 
 
 def moved_grooves(motion: Motion, halves: Sequence[HalfCycle], parameters: Parameters) -> list[int]:

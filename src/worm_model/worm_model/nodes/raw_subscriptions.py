@@ -36,6 +36,7 @@ from worm_model.bags.recording.topic_selection import TopicSelection
 from worm_model.bags.worm_topics import GAIT_STATE, TWIN_EVENT
 from worm_model.nodes.message_stamps import nanoseconds
 from worm_model.run import SAME_ONSET_NS, Activity
+from worm_model.twin.cause_table import NEAR_EDGE
 from worm_msgs.node_command import declare_none
 
 DEPTH = 1000  # messages of a topic that may wait between two polls
@@ -261,13 +262,19 @@ class RecordNode(Node):
         )
 
     def alarm(self, samples: Sequence[Message]) -> str:
-        """Return the text of the twin's last alarm in the messages; empty without an alarm."""
+        """Return the text of the twin's last alarm in the messages; empty without an alarm.
+
+        An event for information is no alarm.
+        """
         events: list[Any] = [
             deserialize_message(sample.data, message_class(TWIN_EVENT))
             for sample in samples
             if sample.channel.type_name == TWIN_EVENT
         ]
-        return next((e.message or e.code for e in reversed(events) if e.code), "")
+        information = ("", NEAR_EDGE.code)
+        return next(
+            (e.message or e.code for e in reversed(events) if e.code not in information), ""
+        )
 
     def _is_known(self, state: Any) -> bool:
         """Return True if a state belongs to the last reported run, and store its run as the last reported one.

@@ -28,6 +28,7 @@ from worm_model.nodes.message_stamps import nanoseconds
 from worm_model.parameters import load_parameters
 from worm_model.run import Activity, LengthSource
 from worm_model.twin.data.records import Health
+from worm_model.twin.run_margins import spare_of
 from worm_model.twin.watch_view import CLEAR, NAN, STALE_S, Trend, View, render
 from worm_msgs.msg import BodyLength, GaitState, Power, Tracker, TwinResiduals, TwinState
 from worm_msgs.node_command import declare_none
@@ -110,6 +111,7 @@ class WatchNode(Node):
             cable_force=message.cable_force,
             power=(message.power, NAN),
             energy=(message.energy, self.view.energy[1]),
+            spare=spare_of(message),
         )
 
     def _on_residuals(self, message: Any) -> None:

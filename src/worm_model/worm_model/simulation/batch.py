@@ -28,6 +28,8 @@ from worm_msgs.gait import GAIT_DEFAULTS, Gait, GaitError, Profile
 
 Array = NDArray[np.float64]
 
+# Largest amount, in pitches, by which the transient may reduce the advance of a cycle below a whole number of grooves
+_TRANSIENT = 0.05
 CHUNK = 256  # gaits in one task of a thread; the task takes some milliseconds
 
 
@@ -48,6 +50,16 @@ class GaitTable:
     min_grooves: Array
     groove_phase: Array
     switches: NDArray[np.int64]
+
+
+def branch_of(table: GaitTable) -> NDArray[np.int64]:
+    """Return the whole number of grooves that each gait of a table gains in its worst averaged cycle, at least 0.
+
+    The advance of the rear module in the table, in pitches, differs from a whole number by the rest of the transient.
+    Gaits that the simulator cannot evaluate (NaN) gain nothing.
+    """
+    advance = np.nan_to_num(table.min_grooves, nan=0.0)
+    return np.floor(np.maximum(advance, 0.0) + _TRANSIENT).astype(np.int64)
 
 
 def _gait_rows(fields: Mapping[str, ArrayLike], shape: tuple[int, ...]) -> Rows:

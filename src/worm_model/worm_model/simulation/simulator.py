@@ -376,11 +376,10 @@ class Locomotion:
     def at_rest(self, time: float = 0.0, length_change: float = 0.0) -> LocomotionState:
         """Return the state at rest at ``time`` (s), after ΔL has moved from 0 to ``length_change`` (m).
 
-        The robot begins in the state of `start`, with ΔL = 0. The change of the length (by a pretension) and a load
-        then deflect the fins. Raises `SimulationError` if a fin chatters.
+        The robot begins in the state of `start`, with ΔL = 0, and moves until its fins are in equilibrium: with each
+        other (beyond δ_c/2 a groove phase deflects the front fin), with a load, and with the change of the length by a
+        pretension. Raises `SimulationError` if a fin chatters.
         """
-        if length_change == 0.0 and not (self.parameters.rear_load or self.parameters.front_load):
-            return self.start(time)
         return self.settled(self.start(time - 2.0 * run.SETTLING_TIME), length_change)
 
     def settled(self, state: LocomotionState, length_change: float) -> LocomotionState:

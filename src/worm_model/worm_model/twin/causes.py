@@ -25,6 +25,7 @@ import numpy as np
 
 from worm_model.arrays import Array
 from worm_model.twin.cause_table import (
+    CAMERA_MOVED,
     GAINED,
     INITIAL_LENGTH,
     LASTING,
@@ -64,11 +65,13 @@ class ReportedCause:
             attributed to a fin.
         cycle: cycle in which the cause begins.
         phase: phase of the cycle at which the cause begins, 0 to 1.
+        gained: grooves that the robot gained in addition to the predicted ones; 0 for a cause other than a groove.
     """
 
     name: str
     cycle: int
     phase: float = 0.0
+    gained: int = 0
 
 
 class Candidate(NamedTuple):
@@ -82,6 +85,7 @@ class Candidate(NamedTuple):
         phase: phase of the first cycle at which the cause begins, 0 to 1.
         cycles: number of cycles that the cause lasts, 0 without an end.
         fact: True if the size is not estimated, but known to be 1, as for a groove.
+        healthy: True if a healthy robot near an edge gains these grooves.
         variant: index of the signature among those of the name.
         error: amount to be added to the twin's L0, m.
         weight: posterior probability divided by that of a healthy robot.
@@ -96,6 +100,7 @@ class Candidate(NamedTuple):
     phase: float = 0.0
     cycles: int = 0
     fact: bool = False
+    healthy: bool = False
     variant: int = 0
     error: float = 0.0
     weight: float = 0.0
@@ -146,6 +151,12 @@ def weigh_causes(
     weights[
         [_is_impossible(*c) for c in zip(candidates, weighed.size, weighed.deviation, strict=True)]
     ] = 0.0
+    # The first two cycles of a robot that the parameters do not describe only show how it differs. Power alone cannot
+    # distinguish a cause that exists from the start from such a difference.
+    since = cycles[0].number + (2 if cycles[0].is_misfit else 0 if tracked else 1)
+    weights[
+        [c.cycle < since and c.code not in (INITIAL_LENGTH, CAMERA_MOVED) for c in candidates]
+    ] = 0.0
     return [
         *(
             c._replace(code=_code(c, s), weight=w, size=s, deviation=d)
@@ -167,6 +178,7 @@ def weigh_causes(
                 weight=w,
             )
             for n, w in zip(data.numbers, np.exp(unexplained).tolist(), strict=True)
+            if n >= since
         ),
     ]
 
@@ -212,9 +224,11 @@ class Data:
         variance *= _excess(values, variance)[None, :, None]
         self.seen = values.reshape(len(cycles), -1)
         self.weight = 1.0 / variance.reshape(self.seen.shape)
-        scatter = np.tile(np.array(SCATTER)[:, None], BINS)
-        scatter[POWER] += POWER_SHARE * signs.power
-        self.offsets = scatter.ravel()
+        # Of a robot that the parameters do not describe, only changes count: its offsets are free.
+        error = (
+            np.max([c.error for c in cycles], axis=0) if cycles[0].is_misfit else np.ones(CHANNELS)
+        )
+        self.offsets = (_offsets(signs) * error[:, None]).ravel()
         nuisances = [*self._of_the_run(), *self._of_a_cycle(), *self._reported(reported)]
         self.nuisances = np.moveaxis(np.array(nuisances), 0, -1)
 
@@ -298,6 +312,41 @@ class Data:
         return whole
 
 
+def _offsets(signs: Signatures) -> Array:
+    """Return the standard deviations of the offsets that are the same in all cycles, shape (CHANNELS, BINS)."""
+    scatter = np.tile(np.array(SCATTER)[:, None], BINS)
+    scatter[POWER] += POWER_SHARE * signs.power
+    return scatter
+
+
+def model_error(cycle: CycleData, signs: Signatures) -> tuple[float, ...]:
+    """Return the root mean square of the residuals that no lasting cause explains, by channel, at least 1.
+
+    It is relative to the offsets of a healthy robot. A robot that the model does not contain, for example with a
+    compliant cable, deviates by the same large amounts in every cycle. Power alone cannot distinguish this from a
+    cause, so that no cause explains it then.
+    """
+    offsets = _offsets(signs)
+    variance = cycle.variance + offsets**2
+    some = np.isfinite(variance)
+    root = 1.0 / np.sqrt(variance[some])
+    shifts = np.diag(np.array(SCATTER) * SHIFT).repeat(BINS, axis=1).reshape(-1, CHANNELS, BINS)
+    usual = [change[some] for change in (*signs.healthy.values(), *shifts)]
+    tracked = some[:POWER].any()
+    changes = BROAD * np.concatenate(list(signs.lasting.values()))
+    single = [*changes, *(length.change for length in signs.lengths)] if tracked else []
+    seen, unexplained = root * cycle.values[some], []
+    for cause in (np.zeros_like(offsets), *single):
+        design = root * np.array([*usual, cause[some]])
+        inner = np.eye(len(design)) + design @ design.T
+        unexplained.append(seen - np.linalg.solve(inner, design @ seen) @ design)
+    least = min(unexplained, key=lambda rest: float(rest @ rest))
+    left = np.zeros_like(offsets)
+    left[some] = (least / root) ** 2 - cycle.variance[some]
+    ratio = left.sum(axis=1) / np.maximum(some.sum(axis=1), 1) / np.mean(offsets**2, axis=1)
+    return tuple(np.sqrt(np.maximum(ratio, 1.0)).tolist())
+
+
 def _excess(values: Array, variance: Array) -> Array:
     """Return the ratio of observed to expected variance between cycles for each channel, at least 1.
 
@@ -332,20 +381,32 @@ def _grooves(
 ) -> Iterator[Candidate]:
     """Yield candidates for grooves that a fin missed or gained in consecutive cycles.
 
-    Cycles are excluded if the tracker saw that no groove was missed or gained, or if one was already reported.
+    Near an edge a healthy robot misses or gains grooves more often. Cycles are excluded if the tracker saw that no
+    groove was missed or gained, or if one was already reported.
     """
     settled = {cycle.number for cycle in cycles if cycle.step is not None and not cycle.gained}
     settled |= {event.cycle for event in reported if event.name in ("missed", "gained")}
     last = cycles[-1].number
-    kinds = [(MISSED_BY_FIN[fin], fin, MISS) for fin in signs.missed]
-    kinds += [(GAINED, fin, 2.0 * GAIN / len(signs.gained)) for fin in signs.gained]
-    for code, fin, chance in kinds:
+    kinds = [(MISSED_BY_FIN[fin], fin, MISS, 1.0 / len(signs.missed)) for fin in signs.missed]
+    kinds += [
+        (GAINED, fin, 2.0 * GAIN / len(signs.gained), 1.0 / len(signs.gained))
+        for fin in signs.gained
+    ]
+    for code, fin, chance, share in kinds:
+        at_edge = {c.number: c.at_edge(1 if code == GAINED else -1) for c in cycles}
+        at_edge[last + 1] = at_edge[last]
         for first in range(cycles[0].number, last + 2):
+            log_prior, healthy = math.log(chance + share * at_edge.get(first, 0.0)), True
             for count in range(1, last + 3 - first):
-                if first + count - 1 in settled:
+                number = first + count - 1
+                if number in settled:
                     break
-                prior = math.log(chance) + (count - 1) * math.log(AGAIN)
-                yield Candidate(code, fin, first, prior, cycles=count, fact=True)
+                usual = at_edge.get(number, 0.0)
+                log_prior += math.log(max(AGAIN, usual)) if count > 1 else 0.0
+                healthy = healthy and usual > 0.0
+                yield Candidate(
+                    code, fin, first, log_prior, cycles=count, fact=True, healthy=healthy
+                )
 
 
 def _lengths(cycles: Sequence[CycleData], signs: Signatures) -> Iterator[tuple[Candidate, Array]]:
@@ -360,6 +421,7 @@ def _lengths(cycles: Sequence[CycleData], signs: Signatures) -> Iterator[tuple[C
             if cycle.step is None:
                 continue
             usual = RIGHT if cycle.gained == 0 else (AGAIN if before else 2.0 * MISS)
+            usual = max(usual, cycle.at_edge(cycle.gained))
             prior += math.log(RIGHT if cycle.gained == length.gained else 1.0 - RIGHT)
             prior -= math.log(usual)
             before = cycle.gained

@@ -24,6 +24,7 @@ SLIPPING_M = 0.0045  # largest such difference if a fin is about to slip or has 
 FEWEST = 3  # smallest number of positions in the window
 STEP_M = 0.0015  # residual at the end of a cycle above which there is a step
 UNDERWAY = 0.15  # a position is on the way between the shares UNDERWAY and 1 − UNDERWAY of a step
+MISFIT = 2.0  # model error, relative to that of a healthy robot, of a robot that the parameters do not describe
 LEAD = 4  # number of bins before the phase of a step in which the step may have begun
 
 # Standard deviation of the residuals of a healthy robot in addition to noise, by channel: m, m, W. POWER_SHARE times
@@ -64,6 +65,9 @@ class CycleData:
         step: the step, of size ≈ 0 if the position agrees; None without a tracker, or while a step is in progress.
         watched: True if a tracker saw the end of the cycle.
         gained: whole grooves of the step along the gait's direction.
+        predicted: grooves that the twin gained in the cycle, along the gait's direction.
+        error: model error of each channel, relative to that of a healthy robot, see `causes.model_error`.
+        fewer, more: probabilities that a healthy robot near an edge gains one groove less or more than predicted.
     """
 
     number: int
@@ -72,6 +76,19 @@ class CycleData:
     step: Step | None
     watched: bool = False
     gained: int = 0
+    predicted: int = 0
+    error: tuple[float, ...] = (1.0,) * memory.CHANNELS
+    fewer: float = 0.0
+    more: float = 0.0
+
+    @property
+    def is_misfit(self) -> bool:
+        """True if the parameters do not describe the robot."""
+        return max(self.error) >= MISFIT
+
+    def at_edge(self, gained: int) -> float:
+        """Return the probability that a healthy robot near an edge gains other grooves than predicted, by number."""
+        return {-1: self.fewer, 1: self.more}.get(gained, 0.0)
 
 
 def cycle_data(

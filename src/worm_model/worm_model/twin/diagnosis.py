@@ -42,7 +42,13 @@ from worm_model.twin.cause_table import (
     ROBOT_MOVED,
     EventCode,
 )
-from worm_model.twin.core.memory import LENGTH_COUNT, POSITION, POSITION_COUNT, POSITION_SUM
+from worm_model.twin.core.memory import (
+    LENGTH_COUNT,
+    LENGTH_SUM,
+    POSITION,
+    POSITION_COUNT,
+    POSITION_SUM,
+)
 from worm_model.twin.cycle_data import (
     STEP_M,
     WINDOW,
@@ -51,6 +57,7 @@ from worm_model.twin.cycle_data import (
     cycle_data,
     without_step,
 )
+from worm_model.twin.edges import Edge, edge_of, edge_of_body
 from worm_model.twin.findings import (
     INFORMATION,
     Finding,
@@ -100,6 +107,7 @@ class CycleSeen:
         length_seen: True if an instrument measured L0.
         blind_s: part of the cycle without data about the length, s.
         joined: True if the twin joined the run in this cycle.
+        predicted: grooves that the twin gained in the cycle, along the gait's direction.
     """
 
     number: int
@@ -110,6 +118,7 @@ class CycleSeen:
     length_seen: bool = False
     blind_s: float = 0.0
     joined: bool = False
+    predicted: int = 0
 
 
 @dataclass(frozen=True)
@@ -167,6 +176,15 @@ def judge_cycle(history: History, cycle: CycleSeen) -> tuple[History, list[Findi
         data = replace(data, step=Step(0.0))
     data = without_step(data)
     step = data.step
+    fewer, more = (
+        max(edge.chance(cycle.predicted, cycle.predicted + one) for edge in edges_of(cycle))
+        for one in (-1, 1)
+    )
+    error = causes.model_error(data, signs)
+    data = replace(data, predicted=cycle.predicted, error=error, fewer=fewer, more=more)
+    if not history.cycles:
+        data, misfits = _first(data)
+        findings += misfits
     if step is not None and not step.is_none:
         data = replace(data, gained=_whole(step.size, cycle) * cycle.gait.direction)
     history = replace(history, cycles=(*history.cycles, data)[-REMEMBERED:])
@@ -177,12 +195,33 @@ def judge_cycle(history: History, cycle: CycleSeen) -> tuple[History, list[Findi
     if step is None or step.is_none:
         history = replace(history, slight=False)
     else:
-        shares = _shares_of_step(cycle, step, weighed, signs)
+        shares = _shares_of_step(cycle, data, step, weighed, signs)
         history, finding = _settle(history, cycle, step, shares)
         findings += [finding] if finding is not None else []
         weighed = _weigh(history, cycle, signs)
     history, others = judge_causes(history, cycle.number, weighed)
     return history, findings + others
+
+
+def _first(data: CycleData) -> tuple[CycleData, list[Finding]]:
+    """Return the first remembered cycle, and a finding if the parameters do not describe the robot.
+
+    The transient of such a robot differs, too, so that the causes are weighed without this cycle.
+    """
+    if not data.is_misfit:
+        return data, []
+    facts = {"ratio": max(data.error)}
+    unknown = replace(data, variance=np.full_like(data.variance, np.inf))
+    return unknown, [Finding(INFORMATION, Sentence.MISFIT, data.number, facts)]
+
+
+def edges_of(cycle: CycleSeen) -> tuple[Edge, Edge]:
+    """Return the edges near the commanded stroke, and near the stroke that the body performed."""
+    count = cycle.sums[:, LENGTH_COUNT]
+    residuals = np.full_like(count, np.nan)
+    np.divide(cycle.sums[:, LENGTH_SUM], count, out=residuals, where=count > 0)
+    commanded = edge_of(cycle.gait, cycle.parameters)
+    return commanded, edge_of_body(cycle.gait, cycle.parameters, residuals)
 
 
 def explains(history: History, cycle: CycleSeen) -> bool:
@@ -287,7 +326,10 @@ def _whole(size: float, cycle: CycleSeen) -> int:
 def _settle(
     history: History, cycle: CycleSeen, step: Step, shares: Mapping[EventCode, float]
 ) -> tuple[History, Finding | None]:
-    """Return the history with the cause of a step, and the finding; None if the step is not reported (yet)."""
+    """Return the history with the cause of a step, and the finding; None if the step is not reported (yet).
+
+    Near an edge the twin silently follows the grooves that a healthy robot gains.
+    """
     best = max(shares, key=lambda code: shares[code])
     if best == NO_STEP:
         return replace(history, slight=False), None
@@ -296,15 +338,41 @@ def _settle(
     finding = _explain(cycle, step, shares)
     gained = finding.grooves * cycle.gait.direction
     name = _NAMES.get(finding.code, "")
-    reported = (*history.reported, causes.ReportedCause(name, cycle.number))[-REMEMBERED:]
+    usual = history.cycles[-1].at_edge(gained) > 0.0
+    if usual:
+        name = "missed" if gained < 0 else "gained"
+        finding = replace(finding, silent=True)
+    elif name:
+        finding = _again(finding, history.reported, gained, cycle.predicted)
+    cause = causes.ReportedCause(name, cycle.number, gained=gained)
+    reported = (*history.reported, cause)[-REMEMBERED:]
     history = replace(history, slight=False, reported=reported)
-    if name:
+    if name and not usual:
         history = replace(
             history,
             missed=history.missed + max(-gained, 0),
             extra=history.extra + max(gained, 0),
         )
     return history, finding
+
+
+def _again(
+    finding: Finding, reported: Iterable[causes.ReportedCause], gained: int, predicted: int
+) -> Finding:
+    """Return the finding about grooves that were missed or gained in the previous cycle, too.
+
+    The second cycle in a row is reported as another number of grooves per cycle, and further cycles are silent.
+    """
+    same = {cause.cycle for cause in reported if cause.gained == gained}
+    if finding.cycle - 1 not in same:
+        return finding
+    facts = {"since": finding.cycle - 1, "gained": predicted + gained, "predicted": predicted}
+    return replace(
+        finding,
+        sentence=Sentence.GROOVES_AGAIN,
+        facts=facts,
+        silent=finding.cycle - 2 in same,
+    )
 
 
 def _explain(cycle: CycleSeen, step: Step, shares: Mapping[EventCode, float]) -> Finding:
@@ -348,7 +416,11 @@ def _explain(cycle: CycleSeen, step: Step, shares: Mapping[EventCode, float]) ->
 
 
 def _shares_of_step(
-    cycle: CycleSeen, step: Step, weighed: Sequence[causes.Candidate], signs: Signatures
+    cycle: CycleSeen,
+    data: CycleData,
+    step: Step,
+    weighed: Sequence[causes.Candidate],
+    signs: Signatures,
 ) -> dict[EventCode, float]:
     """Return the probability of each code that can explain a step."""
     pitch, grooves = cycle.parameters.pitch, _whole(step.size, cycle)
@@ -361,12 +433,8 @@ def _shares_of_step(
         whole = _normal(step.size - grooves * pitch, WHOLE_M)
         shares[ROBOT_MOVED] = MOVED / (2 * MOST_GROOVES) * whole * swift["robot"]
         missed = gained < 0
-        chance = (
-            whole
-            * swift["fin"]
-            * 2.0
-            * (causes.MISS * MORE ** (-gained - 1) if missed else causes.GAIN)
-        )
+        usual = causes.MISS * MORE ** (-gained - 1) if missed else causes.GAIN
+        chance = whole * swift["fin"] * (2.0 * usual + data.at_edge(gained))
         changes = signs.missed if missed else signs.gained
         if (missed and -gained <= max(signs.grooves, 1)) or gained == 1:
             shares[MISSED if missed else GAINED] = ANY_TIME * chance
@@ -444,37 +512,34 @@ def judge_causes(
     total = 1.0 + sum(c.weight for c in weighed)
     if 1.0 / total > HEALTHY_AT_MOST:
         return replace(history, doubt=False), []
-    findings = _grooves_by_power(history.cycles, weighed, total)
-    missed = sum(finding.code != GAINED for finding in findings)
-    reported = [causes.ReportedCause(_NAMES[finding.code], finding.cycle) for finding in findings]
+    history, findings = _grooves_by_power(history, weighed, total)
+    healthy = 1.0 + sum(c.weight for c in weighed if c.healthy)
+    if healthy / total > HEALTHY_AT_MOST:
+        return replace(history, doubt=False), findings
+    reported: list[causes.ReportedCause] = []
     for group in _by_code([c for c in weighed if c.name in LASTING]).values():
         share, best = _share(group, total), max(group, key=lambda c: c.weight)
         if share < SURE or (best.cycle >= number and best.phase >= LASTED):
             continue
         names = {candidate.name for candidate in group}
         if not _is_known(history.reported, best, names):
-            findings.append(_lasting(best, share))
+            tracked = any(cycle.step is not None for cycle in history.cycles)
+            findings.append(_lasting(group, best, share, tracked=tracked))
         reported += [causes.ReportedCause(name, best.cycle, best.phase) for name in sorted(names)]
-    if reported:
-        history = replace(
-            history,
-            reported=(*history.reported, *reported)[-REMEMBERED:],
-            missed_by_power=history.missed_by_power + missed,
-            doubt=False,
-            doubted=False,
-        )
-        return history, findings
+    if reported or findings:
+        reported = [*history.reported, *reported][-REMEMBERED:]
+        return replace(history, reported=tuple(reported), doubt=False, doubted=False), findings
     if not history.doubt or history.doubted:
         return replace(history, doubt=True), []
     return replace(history, doubted=True), _doubt(number, weighed, total)
 
 
 def _grooves_by_power(
-    cycles: Iterable[CycleData], weighed: Sequence[causes.Candidate], total: float
-) -> list[Finding]:
-    """Return findings for the grooves missed or gained in cycles whose end no tracker saw."""
+    history: History, weighed: Sequence[causes.Candidate], total: float
+) -> tuple[History, list[Finding]]:
+    """Return the history and findings for the grooves missed or gained in cycles whose end no tracker saw."""
     findings = []
-    for cycle in cycles:
+    for cycle in history.cycles:
         if cycle.watched:
             continue
         covering = [c for c in weighed if c.cycle <= cycle.number < c.cycle + c.cycles]
@@ -487,8 +552,18 @@ def _grooves_by_power(
         if max(missed, shares[GAINED]) >= SURE:
             best, share = (best, shares[best]) if shares[best] >= SURE else (MISSED, missed)
             facts = {"cause": best.phrase, "percent": 100 * share}
-            findings.append(Finding(best, Sentence.BY_POWER, cycle.number, facts, share))
-    return findings
+            finding = Finding(best, Sentence.BY_POWER, cycle.number, facts, share)
+            gained = 1 if best == GAINED else -1
+            if cycle.at_edge(gained):
+                finding = replace(finding, silent=True)
+            else:
+                finding = _again(finding, history.reported, gained, cycle.predicted)
+                count = history.missed_by_power + (best != GAINED)
+                history = replace(history, missed_by_power=count)
+            findings.append(finding)
+            cause = causes.ReportedCause(_NAMES[best], cycle.number, gained=gained)
+            history = replace(history, reported=(*history.reported, cause)[-REMEMBERED:])
+    return history, findings
 
 
 def _is_known(
@@ -509,8 +584,17 @@ def _share(candidates: Iterable[causes.Candidate], total: float) -> float:
     return sum(c.weight for c in candidates) / total
 
 
-def _lasting(candidate: causes.Candidate, share: float) -> Finding:
-    change = LASTING[candidate.name].describe(candidate.size, candidate.deviation)
+def _lasting(
+    group: Sequence[causes.Candidate], candidate: causes.Candidate, share: float, *, tracked: bool
+) -> Finding:
+    """Return the finding about a lasting cause, with the other explanations that the data leave open."""
+    row, total = LASTING[candidate.name], sum(c.weight for c in group)
+    change = row.describe(candidate.size, candidate.deviation)
+    names = {c.name for c in group} - {row.name}
+    shares = {name: _share((c for c in group if c.name == name), total) for name in names}
+    others = [LASTING[name].hint for name in sorted(shares) if shares[name] > LIKELY]
+    others += [row.alone] if row.alone and not tracked else []
+    change += f", or {' or '.join(others)}" if others else ""
     facts = {"change": change, "percent": 100 * share}
     return Finding(candidate.code, Sentence.LASTING, candidate.cycle, facts, share)
 

@@ -23,6 +23,10 @@ class Sentence(enum.Enum):
         "the gait began with bent fins, the rear module {offset_mm:+.1f} mm off its groove, "
         "according to the positions"
     )
+    MISFIT = (
+        "the parameters do not describe this robot: its residuals are up to {ratio:.0f} times the usual ones, and no "
+        "single cause explains them; the twin reports only changes after this cycle"
+    )
     NOT_JUDGED = "is not judged: {reason}"
     NOT_JUDGED_RESET = "is not judged: {reason}; the twin resets its position to the tracker's"
     AFTER_GAP = (
@@ -36,6 +40,10 @@ class Sentence(enum.Enum):
     GROOVES_GAINED = (
         "the robot gained {grooves} too many (position {off_mm:+.1f} mm off, beginning "
         "{since_s:.1f} s into the cycle); the twin corrects its anchors"
+    )
+    GROOVES_AGAIN = (
+        "since cycle {since} the robot gains {gained} instead of {predicted} grooves per cycle; the twin does not "
+        "report further cycles like these"
     )
     ROBOT_MOVED = (
         "the robot was moved by {grooves} {way} the direction of its gait (position {off_mm:+.1f} mm "
@@ -74,6 +82,7 @@ class Finding:
         shift: shift of the twin's origin in the tracker's frame, m.
         initial_length: new L0, m; NaN if L0 stays.
         explains_position: True if the result explains the earlier position residuals, which then no longer count.
+        silent: True if the twin adapts without an event.
     """
 
     code: EventCode
@@ -85,6 +94,7 @@ class Finding:
     shift: float = 0.0
     initial_length: float = math.nan
     explains_position: bool = False
+    silent: bool = False
 
     @property
     def text(self) -> str:

@@ -152,7 +152,7 @@ def begin_run(
         m["command"], m["answer"] = _joined(driver.gait, late / NANOSECONDS, parameters)
     m["moved"], m["blind_s"], m["warning"], m["warned_until"] = 0, 0.0, 0, 0
     m["instrument_ns"], m["instrument_power"], m["instrument_energy"] = start, math.nan, 0.0
-    m["cycle"] = m["cycle_end_ns"] = 0
+    m["cycle"] = m["cycle_end_ns"] = m["cycle_groove"] = 0
     memory.sums[:] = 0.0
     if driver.gait is not None:
         m["cycle"] = math.floor(late / NANOSECONDS * driver.gait.frequency + 1e-9) + 1

@@ -40,7 +40,7 @@ _STORED_NAMES = {
 # fields that older memories lack, with their values
 _DEFAULTS = {
     **{name: GAIT_DEFAULTS[name] for name in WAVEFORM if name in GAIT_DEFAULTS},
-    **dict.fromkeys(("rest_ns", "pulling", "released_ns"), 0),
+    **dict.fromkeys(("rest_ns", "pulling", "released_ns", "edge_slack", "cycle_groove"), 0),
 }
 # parameters that older memories lack; they were 0
 _ADDED = frozenset(("rear_load", "front_load"))

@@ -10,7 +10,7 @@ state to another `Twin`. L0 of the present run then stays as it is.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import lru_cache
 from typing import Any
 
@@ -24,7 +24,7 @@ from worm_model.simulation.kernel.actuation_law import Actuator
 from worm_model.simulation.kernel.mode import Constants
 from worm_model.simulation.kernel.whole_run import constants_of
 from worm_model.simulation.rows import parameter_rows
-from worm_model.twin.cause_table import CAMERA_MOVED, CLOCK_JUMP, GAP
+from worm_model.twin.cause_table import CAMERA_MOVED, CLOCK_JUMP, GAP, NEAR_EDGE
 from worm_model.twin.core import estimator, sample_buffer
 from worm_model.twin.core.memory import (
     NANOSECONDS,
@@ -39,8 +39,17 @@ from worm_model.twin.core.memory import (
 )
 from worm_model.twin.data.records import Event, Health, Severity, residual_message
 from worm_model.twin.data.samples import SampleRows
-from worm_model.twin.diagnosis import CycleSeen, History, explains, judge_cycle, off_at_end
+from worm_model.twin.diagnosis import (
+    CycleSeen,
+    History,
+    edges_of,
+    explains,
+    judge_cycle,
+    off_at_end,
+)
+from worm_model.twin.edges import Edge, edge_of
 from worm_model.twin.findings import INFORMATION, Finding, Sentence
+from worm_model.twin.run_margins import MarginRecord, RunPositions
 from worm_model.twin.run_start import DriverState, begin_run, driver_state_of, is_new_run
 from worm_model.twin.start_estimate import EstimatedStart, Start, estimate_start
 from worm_model.twin.twin_settings import DEFAULTS, TwinSettings
@@ -66,6 +75,8 @@ class TwinState:
         unusable: reasons why runs cannot be judged, by run number (by onset in ns for runs without a number).
         clock_set: True if the clock was set during a run and no run with a reported gait has begun since.
         starts: estimated starts, by onset in ns.
+        positions: tracker samples from which the margins are measured.
+        margins: measured margins of the run.
     """
 
     memory: Memory
@@ -75,6 +86,8 @@ class TwinState:
     unusable: dict[int, str] = field(default_factory=dict)
     clock_set: bool = False
     starts: dict[int, Start] = field(default_factory=dict)
+    positions: RunPositions = field(default_factory=RunPositions)
+    margins: MarginRecord = field(default_factory=MarginRecord)
 
     @property
     def record(self) -> Any:
@@ -186,6 +199,7 @@ class Twin:
         lag_ns = rules.delay + rules.look_ahead
         call.take(samples, lag_ns)
         call.process(-FOREVER_NS if to_the_end else lag_ns)
+        call.complete_states()
         states, residuals, lengths, _ = room.counts.tolist()
         return Output(
             room.states[:states],
@@ -206,6 +220,7 @@ class _Call:
     room: OutputRows
     events: list[Event] = field(default_factory=list)
     cycles: list[ClosedCycle] = field(default_factory=list)
+    completed: int = 0  # number of states that contain the margins
 
     def model(self) -> tuple[Rules, Constants, Actuator, np.void]:
         """Return settings and parameters of the current run in the form that the core needs."""
@@ -225,7 +240,15 @@ class _Call:
             self._report_events()
             self._cross(boundary)
 
+    def complete_states(self) -> None:
+        """Add the present margins to the states since the last call."""
+        count = int(self.room.counts[0])
+        for name, value in asdict(self.state.margins).items():
+            self.room.states[name][self.completed : count] = value
+        self.completed = count
+
     def _take_batch(self, samples: SampleRows, lag_ns: int) -> None:
+        self.state.positions.add(samples)
         first = 0
         while first < len(samples):
             rules = self.model()[0]
@@ -302,6 +325,8 @@ class _Call:
         start, text = begin_run(state.memory, driver, twin.parameters, twin.settings, state.starts)
         m = state.record
         state.history = History()
+        self.complete_states()
+        state.margins = MarginRecord()
         late = start > driver.onset_ns and not m["origin_known"]
         state.joined_cycle = int(m["cycle"]) if late else 0
         if late:
@@ -312,8 +337,20 @@ class _Call:
         state.clock_set = state.clock_set and driver.gait is None
         # At the onset the twin resets its position to the tracker's, so earlier position residuals no longer count.
         m["channel_ns"][POSITION] = m["channel_level"][POSITION] = 0
+        m["edge_slack"] = 0.0
+        if state.gait is not None:
+            self._report_edge(start, edge_of(state.gait, twin.effective_parameters(state)))
         rules, c, a, p = self.model()
         estimator.begin_track(state.memory, start, rules, c, a, p, self.room)
+
+    def _report_edge(self, stamp: int, edge: Edge) -> None:
+        """Report an edge once per run. From then on, a whole groove does not affect the health."""
+        m = self.state.record
+        if edge.is_near and not m["edge_slack"]:
+            m["edge_slack"] = self.twin.parameters.pitch
+            self.events.append(
+                Event(stamp, Severity.INFO, edge.text, NEAR_EDGE.code, run=int(m["run"]))
+            )
 
     def _reject(self, driver: DriverState, reason: str) -> None:
         """Mark a run as not to be judged, and report the reason."""
@@ -352,16 +389,22 @@ class _Call:
             bool(m["length_seen"]),
             float(m["blind_s"]),
             number == state.joined_cycle,
+            gait.direction * int(m["rear_groove"] - m["cycle_groove"]),
         )
         not_judged = self._unusable
         if not not_judged:
+            for edge in edges_of(cycle):
+                self._report_edge(stamp, edge)
             findings, not_judged = self._judge(cycle)
             for finding in findings:
                 self._follow(finding, stamp, gait)
+        if not self._unusable:
+            self.complete_states()
+            state.margins = state.positions.margins(gait, parameters, int(m["start_ns"]), number)
         self.cycles.append(ClosedCycle(int(m["start_ns"]), number, not_judged))
         state.memory.sums[:] = 0.0
         m["blind_s"] = 0.0
-        m["cycle"] = number + 1
+        m["cycle"], m["cycle_groove"] = number + 1, m["rear_groove"]
         m["cycle_end_ns"] = m["start_ns"] + round((number + 1) * gait.period * NANOSECONDS)
 
     def _judge(self, cycle: CycleSeen) -> tuple[list[Finding], str]:
@@ -436,6 +479,8 @@ class _Call:
             m["channel_ns"][POSITION] = m["channel_level"][POSITION] = 0
         if np.isfinite(finding.initial_length):
             m["initial_length"], m["length_fitted"] = finding.initial_length, 1
+        if finding.silent:
+            return
         code, text = finding.code.code, finding.text
         severity = Severity.WARNING if code else Severity.INFO
         run = int(m["run"])

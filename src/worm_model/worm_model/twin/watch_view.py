@@ -23,7 +23,7 @@ SOURCES = ("driver", "twin", "tracker", "power")
 #: fields of a `View` with values of the twin only
 OF_TWIN = (
     *("health", "message", "source", "twin", "rear_anchor", "grooves", "length"),
-    *("initial_length", "groove_phase", "cable_force", "energy"),
+    *("initial_length", "groove_phase", "cable_force", "energy", "spare"),
 )
 RESET = "\033[0m"
 CLEAR = "\033[H\033[J"
@@ -70,6 +70,7 @@ class View:
     cable_force: float = NAN
     power: tuple[float, float] = (NAN, NAN)  # predicted, measured
     energy: tuple[float, float] = (NAN, NAN)  # predicted, measured minus predicted
+    spare: str = ""  # measured margin
 
     def aged(self, ages: Mapping[str, float]) -> View:
         """Return the view with messages on the silent sources, and without the values of tracker, power and twin.
@@ -133,6 +134,7 @@ def _quantities(view: View) -> list[str]:
         f"groove phase {_value(view.groove_phase, 1e3)} mm",
         f"cable force {_value(view.cable_force, 1.0)} N",
         f"grooves: {grooves}",
+        *([view.spare] if view.spare else []),
     ]
 
 

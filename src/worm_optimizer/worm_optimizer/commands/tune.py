@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from worm_model.commands.command_line import InputError, Parser, executable, print_result
-from worm_model.commands.margin import measured_margins, summary
+from worm_model.commands.margin import measured_margins
 from worm_model.gait import named_values
 from worm_model.margin.measured_margin import RunMargin
 from worm_model.parameters import load_parameter_file
@@ -109,7 +109,7 @@ def measured_step(bags: Sequence[Path], aim: Aim, say: Callable[[str], None]) ->
         InputError: A bag cannot be read, or its margin was not measured.
     """
     runs = runs_of(bags, aim.parameter_file, aim.grooves)
-    say(summary(runs[-1]))
+    say(str(runs[-1]))
     tuning = tuning_of(runs, aim)
     say(described(tuning))
     return tuning
@@ -132,18 +132,15 @@ def tuned_json(tuned: Tuned) -> dict[str, Any]:
 
 def described(tuning: Tuning) -> str:
     """Return a step of a tuning as a line."""
-    gait, keeps = tuning.gait, tuning.keeps
+    gait = tuning.gait
     what = f"{tuning.state.value}: {gait.stroke * 1e3:.2f} mm, {gait.frequency:g} Hz"
-    chance = (
-        f"a cycle keeps its grooves with {keeps.value:.3f} ({keeps.low:.3f} to {keeps.high:.3f})"
-    )
-    return f"{what}; {chance}; {tuning.reason}"
+    return f"{what}; a cycle keeps its grooves with {tuning.keeps}; {tuning.reason}"
 
 
 def _tune(options: argparse.Namespace) -> None:
     runs = runs_of(options.bags, options.parameters, options.grooves)
     tuning = tuning_of(runs, aim_of(options, runs[-1].gait.direction))
-    lines = [f"{bag}: {summary(run)}" for bag, run in zip(options.bags, runs, strict=True)]
+    lines = [f"{bag}: {run}" for bag, run in zip(options.bags, runs, strict=True)]
     print_result(options, tuning_json(tuning), "\n".join([*lines, described(tuning)]))
 
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from worm_model.gait import FORWARD
 from worm_model.parameters import Parameters
 from worm_model.run import LengthSource
+from worm_model.twin.run_margins import spare_of
 from worm_msgs.conditions import LEVEL, Conditions
 from worm_optimizer.console.bag_library import BagLibrary
 from worm_optimizer.console.control import ConsoleControl
@@ -106,6 +107,7 @@ class ConsoleState:
             "residual of power": _watts(nan if residuals is None else residuals.power),
             "groove phase": _millimetres(nan if twin is None else twin.groove_phase),
             "grooves per cycle": ", ".join(map(str, self.history.grooves[-8:])) or "–",
+            "measured margin": ("" if twin is None else spare_of(twin)) or "–",
         }
 
 

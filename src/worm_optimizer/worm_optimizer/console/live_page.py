@@ -25,7 +25,7 @@ _POWERS = {"power": BLUE, "predicted": VERMILION}
 _ROWS = (
     *("commanded length", "cable length", "measured length", "estimated length"),
     *("measured power", "predicted power", "residual of x1", "residual of length"),
-    *("residual of power", "groove phase", "grooves per cycle"),
+    *("residual of power", "groove phase", "grooves per cycle", "measured margin"),
 )
 
 

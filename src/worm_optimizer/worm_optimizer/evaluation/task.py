@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from worm_model.gait import FREQUENCY_RANGE, STROKE_RANGE
 from worm_model.parameters import PAPER, Parameters
-from worm_model.simulation.batch import GaitTable, evaluate_gaits
+from worm_model.simulation.batch import GaitTable, branch_of, evaluate_gaits
 from worm_model.simulation.simulator import AVERAGED
 from worm_msgs.gait import FORWARD, MAX_FREQUENCY, MAX_MARGIN, MAX_STROKE, REVERSE
 from worm_optimizer.evaluation.actuator_limits import NO_LIMITS, ActuatorLimits, Peaks, peaks
@@ -27,8 +27,6 @@ from worm_optimizer.optimizer_errors import OptimizerError
 
 Mask = NDArray[np.bool_]
 
-# Largest amount, in pitches, by which the transient may reduce the advance of a cycle below a whole number of grooves
-_TRANSIENT = 0.05
 EDGE_TOLERANCE = 1e-8  # width of the bracket to which the edge of a branch is bisected, m
 # Length that is added to the stroke at the edge, m. With the exact stroke, rounding on another processor could lose a
 # groove. The addition costs less than a millionth of the power.
@@ -106,16 +104,6 @@ class Points:
         """Return the rows of all parts, in order."""
         names = [row.name for row in dataclasses.fields(Points)]
         return Points(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
-
-
-def branch_of(table: GaitTable) -> Index:
-    """Return the whole number of grooves that each gait of a table gains in its worst averaged cycle, at least 0.
-
-    The advance of the rear module in the table, in pitches, differs from a whole number by the rest of the transient.
-    Gaits that the simulator cannot evaluate (NaN) gain nothing.
-    """
-    advance = np.nan_to_num(table.min_grooves, nan=0.0)
-    return np.floor(np.maximum(advance, 0.0) + _TRANSIENT).astype(np.int64)
 
 
 def gained_of(table: GaitTable) -> Index:

@@ -280,9 +280,17 @@ def describe(gaits: Sequence[RecordedGait]) -> str:
     phases = {f"{1e3 * gait.expected.nominal.groove_phase:+.2f} mm": None for gait in gaits}
     lines += ["", f"expected without the margin, at a groove phase of {', '.join(phases)}"]
     lines += {f"intervals at 95 %: {gait.expected.condition}": None for gait in gaits}
+    lines += [f"{gait.name}: {margin_text(gait)}" for gait in gaits]
     lines += map(order_text, orders(gaits))
     lines += [f"{gait.name}: {reason}" for gait in gaits for reason in gait.missing]
     return "\n".join(lines)
+
+
+def margin_text(gait: RecordedGait) -> str:
+    """Return the measured margins of a gait and the predicted one as text."""
+    if not gait.margin.source:
+        return "margins are not measured; the tracker must see both modules"
+    return f"{gait.margin}; predicted {1e3 * gait.predicted_margin:.1f} mm"
 
 
 def expected_range(row: Agreement) -> str:
@@ -323,6 +331,8 @@ def agreement_json(gaits: Sequence[RecordedGait]) -> dict[str, Any]:
                 "early_end": gait.early_end,
                 "averaged_cycles": list(gait.averaged_cycles),
                 "idle_power": gait.idle_power,
+                "margin": gait.margin.as_json(),
+                "predicted_margin_m": gait.predicted_margin,
             }
             for gait in gaits
         ],

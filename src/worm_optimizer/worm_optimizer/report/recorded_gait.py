@@ -7,11 +7,15 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from worm_model.analysis import run_metrics
 from worm_model.analysis.replay_metrics import ReplayReport, report_replay
 from worm_model.errors import RecordingError
 from worm_model.gait import Gait
-from worm_model.parameters import ParameterFile
+from worm_model.margin.measured_margin import RunMargin, measure
+from worm_model.margin.predicted_margin import predicted_margin
+from worm_model.parameters import ParameterFile, Parameters
 from worm_model.run import Run
 from worm_model.simulation.simulator import cost_of_transport
 from worm_model.twin.offline_replay import Replay
@@ -38,6 +42,8 @@ class RecordedGait:
         twin: the same means and bounds according to the twin, which is driven by the recorded lengths.
         expected: prediction for the averaged cycles, from the command alone.
         idle_power: power measured at rest, W.
+        margin: measured margins.
+        predicted_margin: margin that the model predicts at the groove phase of the run, m; NaN without a measured one.
         events: events of the part.
         early_end: remark on a gait that ended early or in FAULT, or was not recorded completely; otherwise
             empty.
@@ -57,6 +63,8 @@ class RecordedGait:
     twin: Bands
     expected: Expectation
     idle_power: float
+    margin: RunMargin
+    predicted_margin: float
     events: tuple[Event, ...]
     early_end: str
     missing: tuple[str, ...]
@@ -113,6 +121,8 @@ def recorded_gait(
     else:
         measured = Bands(*(Band(math.nan, math.nan, math.nan) for _ in range(3)))
         missing.append("no cycle was completed: speed, power and cost of transport are unavailable")
+    margin = measure(run, content.parameters)
+    assert margin is not None  # the run contains a gait
     grooves = measured.speed.value / (played.gait.frequency * content.parameters.pitch)
     return RecordedGait(
         name=name,
@@ -127,11 +137,23 @@ def recorded_gait(
         twin=_bands(followed, (states["stamp_ns"], states["energy"]), spans, direction, mass, []),
         expected=expect(played.gait, content, averaged, grooves),
         idle_power=run_metrics.idle_power(run, played),
+        margin=margin,
+        predicted_margin=_predicted_margin(margin, content.parameters, replay, played),
         events=events,
         early_end=_early_end(run, played, events),
         missing=tuple(missing),
         provenance=provenance,
     )
+
+
+def _predicted_margin(
+    margin: RunMargin, parameters: Parameters, replay: Replay, played: run_metrics.PlayedGait
+) -> float:
+    rows = np.flatnonzero(replay.states["stamp_ns"] >= played.onset)
+    if not margin.source or not rows.size:
+        return math.nan
+    length = float(replay.states["initial_length"][rows[0]])
+    return predicted_margin(played.gait, parameters.replace(initial_length=length), margin.grooves)
 
 
 def _early_end(run: Run, played: run_metrics.PlayedGait, events: Sequence[Event]) -> str:

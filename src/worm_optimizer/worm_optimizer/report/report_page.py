@@ -101,6 +101,7 @@ def build_report(report: Report, folder: Path) -> Path:
         "title_of": agreement.title_of,
         "percent": agreement.percent,
         "expected_range": agreement.expected_range,
+        "margin_text": agreement.margin_text,
         "symbol": _symbol,
     }
     content = {

@@ -18,8 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from worm_model.margin.predicted_margin import largest_margins
 from worm_model.simulation.simulator import AVERAGED
-from worm_msgs.gait import MAX_MARGIN
 from worm_optimizer.evaluation.command_shape import SINUSOID, Shapes
 from worm_optimizer.evaluation.task import (
     EDGE_ALLOWANCE,
@@ -35,10 +35,6 @@ from worm_optimizer.evaluation.task import (
 from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.robustness.success_probability import grooves_in
 from worm_optimizer.robustness.uncertainty import Scenarios
-
-_MARGIN_STEP = 2.5e-4  # step of the scan for the largest margin that a gait tolerates, m
-_MOST_MARGIN = 2e-2  # end of this scan, m
-_MARGIN_PASSES = 10  # number of bisections of a step of this scan
 
 # Returns the grooves (n,) gained in the worst averaged cycle. Arguments: strokes in m, indices of gaits, and indices of
 # scenarios, (n,) each.
@@ -204,29 +200,14 @@ def tolerated_margins(task: MarginTask, front: Points) -> Array:
     Margins above 20 mm are not searched. The result is 0 for a gait with which the nominal robot does not gain its
     grooves.
     """
-    scanned = np.arange(0.0, min(_MOST_MARGIN, MAX_MARGIN), _MARGIN_STEP)
-    strokes = np.repeat(front.stroke[:, np.newaxis], scanned.size, axis=1)
-    frequencies = np.repeat(front.frequency[:, np.newaxis], scanned.size, axis=1)
-    promised = front.count // AVERAGED
-    kept = _kept(
-        task, strokes, frequencies, scanned, promised[:, np.newaxis], front.shape[:, np.newaxis]
-    )
-    lost = np.argmin(np.column_stack([kept, np.zeros(len(front), dtype=bool)]), axis=1)
-    low = scanned[np.maximum(lost - 1, 0)]
-    high = low + np.where(lost > 0, _MARGIN_STEP, 0.0)
-    for _ in range(_MARGIN_PASSES):
-        middle = 0.5 * (low + high)
-        stays = _kept(task, front.stroke, front.frequency, middle, promised, front.shape)
-        low, high = np.where(stays, middle, low), np.where(stays, high, middle)
-    return low
+    promised = front.count[:, np.newaxis] // AVERAGED
 
+    def kept(margins: Array) -> Mask:
+        stroke, frequency = (
+            np.broadcast_to(values[:, np.newaxis], margins.shape)
+            for values in (front.stroke, front.frequency)
+        )
+        gained = task.grooves(stroke, frequency, margins, shape=front.shape[:, np.newaxis])
+        return gained >= promised
 
-def _kept(
-    task: MarginTask,
-    stroke: Array,
-    frequency: Array,
-    margin: Array,
-    promised: Index,
-    shape: Shapes,
-) -> Mask:
-    return task.grooves(stroke, frequency, margin, shape=shape) >= promised
+    return largest_margins(kept, len(front))

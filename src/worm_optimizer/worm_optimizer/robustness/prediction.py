@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from worm_model.parameters import ParameterFile
-from worm_model.simulation.batch import GaitTable
+from worm_model.simulation.batch import GaitTable, branch_of
 from worm_model.simulation.closed_form import groove_phase
 from worm_model.simulation.simulator import cost_of_transport
 from worm_optimizer.evaluation.command_shape import SINUSOID, Shapes
-from worm_optimizer.evaluation.task import Array, MarginTask, branch_of
+from worm_optimizer.evaluation.task import Array, MarginTask
 from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.robustness.success_probability import stroke_to_ends, success_probability
 from worm_optimizer.robustness.uncertainty import phase_known, phase_unknown

@@ -160,7 +160,7 @@ def test_a_cancelled_conversation_returns_the_cable_before_it_releases_it():
     released_at = watch_release(bench)
     with pytest.raises(KeyboardInterrupt):
         calibrate(bench.calibration, turns=0.3, points=4)
-    assert released_at == [pytest.approx(0.0, abs=5e-4)]
+    assert released_at == [pytest.approx(0.0, abs=1e-3)]  # a loaded servo yields by less
 
 
 def test_a_second_interrupt_releases_a_contracted_robot_at_once():

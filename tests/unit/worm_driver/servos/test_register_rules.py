@@ -70,12 +70,15 @@ def write(rig: Rig, servo: int, name: str, value: int) -> bool:
 
 
 def registers(rig: Rig) -> Mapping[tuple[int, str], int]:
-    """Return the raw values of all writable registers, by index of the servo and name."""
+    """Return the raw values of all writable registers but the goal, by index of the servo and name.
+
+    The driver writes the goal in every cycle. A loaded servo yields, so two activations hold it at different goals.
+    """
     return {
         (index, name): servo.memory[name]
         for index, servo in enumerate(rig.virtual.servos)
         for name, row in servo.model.registers.items()
-        if row.writable
+        if row.writable and name != "goal_position"
     }
 
 

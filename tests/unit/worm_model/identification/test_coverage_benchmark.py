@@ -20,7 +20,9 @@ def coverage(monkeypatch):
 
 def case_of(coverage, seed, estimate):
     keys = coverage.IDENTIFIED
-    return coverage.Case(seed, dict.fromkeys(keys, 2.0), dict.fromkeys(keys, estimate))
+    return coverage.Case(
+        seed, dict.fromkeys(keys, 2.0), dict.fromkeys(keys, estimate), verdict="roughly"
+    )
 
 
 def test_every_robot_counts_once_and_no_row_is_nan(coverage):
@@ -30,11 +32,12 @@ def test_every_robot_counts_once_and_no_row_is_nan(coverage):
         case_of(coverage, 3, not_identifiable(2.0, "why")),
         coverage.Case(4, {}, {}, "nothing explains the motion"),
     ]
-    first, *rows = coverage.rows_of(cases)
+    first, verdicts, *rows = coverage.rows_of(cases, "robots", "fits")
     assert first.value == "1 of 4"
+    assert verdicts.value == "3 roughly"
     assert [row.what for row in rows] == coverage.IDENTIFIED
     assert all(row.value == "1 of 2" and "nan" not in row.how for row in rows)
-    assert coverage.row("gain", cases[2:]).value == "no interval"
+    assert coverage.row("gain", cases[2:], "robots").value == "no interval"
     assert "missed: initial_length" in coverage.comment(cases[1])
     assert "rejected: nothing" in coverage.comment(cases[3])
 

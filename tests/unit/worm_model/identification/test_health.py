@@ -211,10 +211,7 @@ def test_a_falling_gain_is_found_and_what_is_no_bag_of_a_run_left_out(tmp_path: 
     broken = tmp_path / "broken"
     broken.mkdir()
     (broken / "broken_0.mcap").write_bytes(b"no bag")
-    figure = tmp_path / "charts.png"
-    status, out, err = run_health(
-        capsys, *reversed(bags), broken, bags[0], "--json", "--figure", figure
-    )
+    status, out, err = run_health(capsys, *reversed(bags), broken, bags[0], "--json")
     assert status == 0
     found = json.loads(out)
     assert [bag["bag"] for bag in found["bags"]] == [bag.name for bag in bags]
@@ -228,7 +225,6 @@ def test_a_falling_gain_is_found_and_what_is_no_bag_of_a_run_left_out(tmp_path: 
     others = {found["parameters"][key]["verdict"] for key in drift.ADVICE if key != "gain"}
     assert others == {drift.State.WITHIN.value}
     assert found["healthy"] is False
-    assert figure.read_bytes().startswith(b"\x89PNG")
     assert "health: 100%" in err
 
 
@@ -302,17 +298,6 @@ def test_a_bag_whose_markers_were_hidden_for_long_is_left_out(tmp_path: Path, se
     used, left_out = estimate_bags([bag], PAPER)
     assert used == ()
     assert "a marker is hidden" in left_out[0].reason
-
-
-@pytest.mark.parametrize("name", ["charts.png", "charts.txt"])
-def test_a_figure_is_neither_overwritten_nor_of_an_unknown_kind(tmp_path: Path, capsys, name):
-    figure = tmp_path / name
-    if name == "charts.png":
-        figure.write_bytes(b"kept")
-    status, _, err = run_health(capsys, tmp_path, "--figure", figure)
-    assert status == 2
-    assert name in err
-    assert not figure.exists() or figure.read_bytes() == b"kept"
 
 
 def test_charts_without_limits_or_ends_can_be_drawn(tmp_path: Path):

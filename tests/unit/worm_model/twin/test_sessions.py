@@ -23,7 +23,7 @@ from worm_model.bags.worm_topics import REPLAY_INPUTS
 from worm_model.commands import bags
 from worm_model.gait import REVERSE, Gait, Profile
 from worm_model.parameters import PAPER
-from worm_model.twin.data.records import Health
+from worm_model.twin.data.records import Health, Severity
 from worm_model.twin.offline_replay import Replay, replay_run
 from worm_model.twin.stored_memory import read_memory, stored_memory
 from worm_model.twin.twin import Twin
@@ -81,7 +81,13 @@ def replayed(session: Seen, played: Played, *, memory: bool = True) -> tuple[Rep
     run = recording(session.rows, memories, played.begin_ns, played.end_ns)
     replay = replay_run(run, PAPER)
     (report,) = report_replay(run, replay, PAPER.pitch).runs
-    return replay, report
+    return replay, of_causes(report)
+
+
+def of_causes(report: RunReport) -> RunReport:
+    """Return a report without the events for information: most of these gaits are near an edge."""
+    events = tuple(each for each in report.events if each[1].severity > Severity.INFO)
+    return replace(report, events=events)
 
 
 def live_health(session: Seen, played: Played) -> Health:
@@ -157,7 +163,7 @@ def test_a_recording_that_begins_in_a_gait_agrees_from_the_next_cycle_on(late: f
     whole = [cycle for cycle in report.cycles if cycle.complete]
     assert [cycle.grooves for cycle in whole] == list(played.grooves[first:])
     assert not any(cycle.not_judged for cycle in whole)
-    assert not report.events
+    assert not of_causes(report).events
     assert report.health is Health.HEALTHY
 
 
@@ -253,7 +259,7 @@ def test_of_ten_gaits_exactly_the_disturbed_ones_are_flagged_with_the_cause(
         live = [
             (event.code, event.cycle)
             for event in session.live.events
-            if event.code and played.onset_ns <= event.stamp_ns <= played.end_ns
+            if event.severity > Severity.INFO and played.onset_ns <= event.stamp_ns <= played.end_ns
         ]
         assert [(event.code, event.cycle) for _, event in report.events] == live
         assert report.health is live_health(session, played)
@@ -283,7 +289,8 @@ def replay_of(bag: Path) -> tuple[bool, tuple[RunReport, ...]]:
     with open_bag(bag, pytest.fail) as opened:
         run = read_run(opened, names=REPLAY_INPUTS)
     replay = replay_run(run, PAPER)
-    return bool(replay.resumed_ns), report_replay(run, replay, PAPER.pitch).runs
+    reports = report_replay(run, replay, PAPER.pitch).runs
+    return bool(replay.resumed_ns), tuple(map(of_causes, reports))
 
 
 def findings(report: RunReport, first: int = 1) -> tuple[object, ...]:
@@ -363,7 +370,7 @@ def test_live_twin_and_replay_agree_on_the_grooves_of_every_complete_cycle(gaits
         codes = [
             (e.code, e.cycle)
             for e in found.live.events
-            if e.code and played.onset_ns <= e.stamp_ns <= played.end_ns
+            if e.severity > Severity.INFO and played.onset_ns <= e.stamp_ns <= played.end_ns
         ]
         assert [(event.code, event.cycle) for _, event in report.events] == codes
         judged = [not cycle.not_judged for cycle in report.cycles if cycle.complete]

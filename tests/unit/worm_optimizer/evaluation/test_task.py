@@ -8,10 +8,10 @@ import pytest
 
 from worm_model.gait import FORWARD, REVERSE, Gait
 from worm_model.parameters import PAPER
-from worm_model.simulation.batch import evaluate_gaits
+from worm_model.simulation.batch import branch_of, evaluate_gaits
 from worm_model.simulation.simulator import simulate
 from worm_optimizer.evaluation.actuator_limits import ActuatorLimits, peaks
-from worm_optimizer.evaluation.task import Bounds, MarginTask, branch_of
+from worm_optimizer.evaluation.task import Bounds, MarginTask
 from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.search.pareto import front_of
 

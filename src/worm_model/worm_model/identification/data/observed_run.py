@@ -52,7 +52,6 @@ class Recording:
             module at rest before the onset, after a pretension has moved it.
         command_time, command: s and m, shape (m,): u_cmd from the onset on, beginning with its value at rest at time 0.
         power_time, power: s and W, shape (p,); empty if not recorded.
-        cable_time, cable: s and m, shape (k,): length change by the servo's encoder; empty if not recorded.
         sources: SHA-256 by file.
         date: UTC date of the first stamp, empty if unknown.
         remarks: remarks on excluded data and on assumptions.
@@ -69,8 +68,6 @@ class Recording:
     command: Array
     power_time: Array
     power: Array
-    cable_time: Array = field(default_factory=lambda: np.empty(0))
-    cable: Array = field(default_factory=lambda: np.empty(0))
     sources: Mapping[str, str] = field(default_factory=dict)
     date: str = ""
     remarks: tuple[str, ...] = ()
@@ -149,7 +146,6 @@ def _recording(run: Run, row: int, name: str) -> Recording:
 
     commanded, tracked = within(run.commanded.stamp), within(run.tracker.stamp)
     commanded &= np.isfinite(run.commanded.length_change)
-    turned = within(run.cable.stamp) & np.isfinite(run.cable.length_change)
     powered = within(run.power.stamp) & (run.power.status == POWER_VALID)
     powered &= np.isfinite(run.power.power)
     command_time = seconds(run.commanded.stamp[commanded], onset)
@@ -165,8 +161,6 @@ def _recording(run: Run, row: int, name: str) -> Recording:
         command=command,
         power_time=seconds(run.power.stamp[powered], onset) - shift,
         power=run.power.power[powered],
-        cable_time=seconds(run.cable.stamp[turned], onset) - shift,
-        cable=run.cable.length_change[turned],
     )
     _check_sizes(recording)
     return _counted_from_rest(_from_onset(recording))
@@ -241,15 +235,12 @@ def _onset_shift(time: Array, command: Array, gait: Gait, name: str) -> float:
 
 def _from_onset(recording: Recording) -> Recording:
     """Return the recording with commands from the onset on, beginning with the command at rest."""
-    after, turned = recording.command_time > 0.0, recording.cable_time > 0.0
-    first = np.zeros(int(turned.any()))  # a sample at time 0, only if the encoder was recorded
+    after = recording.command_time > 0.0
     rest = 0.0 - recording.gait.pretension
     return replace(
         recording,
         command_time=np.append(0.0, recording.command_time[after]),
         command=np.append(rest, recording.command[after]),
-        cable_time=np.append(first, recording.cable_time[turned]),
-        cable=np.append(first + rest, recording.cable[turned]),
     )
 
 

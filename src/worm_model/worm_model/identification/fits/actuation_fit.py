@@ -137,7 +137,7 @@ def actuation_problem(recordings: Sequence[Recording], known_noise: float = 0.0)
     return Problem(residuals, SHARED, [own for _ in recordings])
 
 
-def _slack_length(recording: Recording) -> float:
+def slack_length(recording: Recording) -> float:
     """Return the start value of L0 (m): the length at rest minus ΔL of the paper's robot under the run's pretension."""
     return float(np.median(recording.length[recording.at_rest])) - resting_change(
         recording.gait, PAPER
@@ -146,7 +146,7 @@ def _slack_length(recording: Recording) -> float:
 
 def fit_actuation(recordings: Sequence[Recording]) -> ActuationFit:
     """Fit slack, gain and time constant to all recordings, starting from the values of the paper."""
-    own = np.array([[_slack_length(r), 0.0, 0.0] for r in recordings])
+    own = np.array([[slack_length(r), 0.0, 0.0] for r in recordings])
     solution = solve(actuation_problem(recordings), np.array(START), own)
     noise = [max(noise_of(r.length), LEAST_NOISE) for r in recordings]
     slack, gain, time_constant = map(float, solution.shared)

@@ -4,13 +4,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 from scipy.special import stdtrit
 
 from worm_model.arrays import Array
+from worm_msgs.robot_parameters import ROWS
 
 CONFIDENCE = 0.95
 MOST_STEPS = 12  # largest number of evaluations of a profile
@@ -63,17 +64,22 @@ def not_identifiable(value: float, note: str) -> Estimate:
     return Estimate(value, float("nan"), float("nan"), False, note)
 
 
-def if_identifiable(estimate: Estimate, usual: float = 0.0, note: str = LEFT_OPEN) -> Estimate:
+def admissible(key: str, estimate: Estimate) -> Estimate:
+    """Return the estimate of a parameter with its interval cut to the parameter's admissible range."""
+    low, high = np.clip((estimate.low, estimate.high), ROWS[key]["low"], ROWS[key]["high"])
+    return replace(estimate, low=float(low), high=float(high))
+
+
+def if_identifiable(estimate: Estimate, usual: float = 0.0, note: str = "") -> Estimate:
     """Return the estimate, marked as not identifiable if its interval is open or too wide.
 
     An interval is too wide if its half-width exceeds half the value, or half the ``usual`` value if that is larger: a
-    slack of 0 ± 0.1 mm is identifiable.
+    slack of 0 ± 0.1 mm is identifiable. ``note`` is the reason for an open interval, if it is known.
     """
     # The comparison is False if the spread is infinite or NaN.
-    narrow = estimate.spread <= VAGUE * max(abs(estimate.value), usual)
-    return (
-        estimate if narrow or not estimate.identifiable else not_identifiable(estimate.value, note)
-    )
+    if estimate.spread <= VAGUE * max(abs(estimate.value), usual) or not estimate.identifiable:
+        return estimate
+    return not_identifiable(estimate.value, note or LEFT_OPEN)
 
 
 def follow_profile(

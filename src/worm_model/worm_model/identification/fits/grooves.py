@@ -71,6 +71,11 @@ class GrooveFit:
         """(η, p_sw, rear and front dry friction, pitch, onset) of a `groove_problem`."""
         return self.solution.shared[:MEANS]
 
+    @property
+    def tables(self) -> tuple[Array, Array]:
+        """Tables of grooves, see `tables_of`."""
+        return tables_of(self.solution.shared[MEANS:], self.places)
+
 
 # Function that returns the problem for places and scatter
 Build = Callable[[NDArray[np.int64], Scatter], Problem]
@@ -96,12 +101,12 @@ def groove_problem(
         robot = locomotion.with_means(worm, values[:MEANS], own)
         return locomotion.x1_residuals(traverses[run], robot, *tables_of(values[MEANS:], places))
 
-    deviations = deviation_quantities(places, scatter, known.parameters.pitch)
+    deviations = _deviation_quantities(places, scatter, known.parameters.pitch)
     shared = [*locomotion.shared_quantities(known), *deviations]
-    return Problem(residuals, shared, locomotion.own_of_unloaded(traverses, known), jumps=True)
+    return Problem(residuals, shared, locomotion.own_quantities(traverses, known), jumps=True)
 
 
-def deviation_quantities(
+def _deviation_quantities(
     places: NDArray[np.int64], scatter: Scatter, pitch: float
 ) -> list[Quantity]:
     """Return the quantities for the deviations of single grooves; the scatter is their prior standard deviation."""
@@ -118,14 +123,7 @@ def fit_grooves(
     traverses: Sequence[locomotion.Traverse], known: locomotion.Known, start: Solution
 ) -> GrooveFit:
     """Estimate scatter, deviations and means, starting from a solution with even grooves."""
-    return fit_uneven(partial(groove_problem, traverses, known), start)
-
-
-def fit_uneven(build: Build, start: Solution) -> GrooveFit:
-    """Estimate scatter, deviations and the other parameters, starting from a solution with even grooves.
-
-    ``build`` returns the problem for given places and scatter; its last shared parameters are the deviations.
-    """
+    build = partial(groove_problem, traverses, known)
     scatter = Scatter(*FIRST_SCATTER)
     places = _passed(build, start)
     shared = np.concatenate([start.shared, np.zeros(len(places))])
@@ -137,6 +135,15 @@ def fit_uneven(build: Build, start: Solution) -> GrooveFit:
         scatter = _learned_scatter(problem, solution, places, scatter)
     problem = build(places, scatter)
     return GrooveFit(solve(problem, shared, own, iterations=6), places, scatter)
+
+
+def given_fit(traverses: Sequence[locomotion.Traverse], known: locomotion.Known) -> GrooveFit:
+    """Return the solution with the given parameters and even grooves, without a fit."""
+    given = [getattr(known.parameters, key) for key in locomotion.SHARED[:-1]]
+    shared = np.array([*given, locomotion.FIRST_ONSET])
+    places, scatter = np.empty((0, 3), np.int64), Scatter(np.nan, np.nan)
+    problem = groove_problem(traverses, known, places, scatter)
+    return GrooveFit(evaluate(problem, shared, locomotion.first_own(traverses)), places, scatter)
 
 
 def _scanned(problem: Problem, solution: Solution, places: NDArray[np.int64]) -> Solution:
@@ -217,15 +224,7 @@ def held(
 ) -> Solution:
     """Return the solution with the mean ``entry`` fixed at a value and all other parameters fitted again."""
     problem = groove_problem(traverses, known, fit.places, fit.scatter)
-    return fixed_at(problem, fit.solution, entry, value)
-
-
-def fixed_at(problem: Problem, solution: Solution, entry: int, value: float) -> Solution:
-    """Return the solution with the shared parameter ``entry`` fixed at a value and all other parameters fitted again.
-
-    ``solution`` contains the start values.
-    """
-    shared = np.delete(solution.shared, entry)
-    found = solve(with_fixed(problem, entry, value), shared, solution.own, iterations=8)
+    shared = np.delete(fit.solution.shared, entry)
+    found = solve(with_fixed(problem, entry, value), shared, fit.solution.own, iterations=8)
     prior = prior_cost([value], [problem.shared[entry]])
     return replace(found, shared=np.insert(found.shared, entry, value), cost=found.cost + prior)

@@ -28,7 +28,6 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from worm_model.arrays import Array
-from worm_model.identification.data.identification_errors import IdentificationError
 from worm_model.identification.data.observed_run import Recording
 from worm_model.identification.fits.block_least_squares import Problem, Quantity, Solution, solve
 from worm_model.identification.fits.measured_length import MeasuredLength
@@ -138,15 +137,15 @@ def traverse_of(recording: Recording, length: MeasuredLength, pitch: float) -> T
     )
 
 
-def places_of(keys: Sequence[str]) -> NDArray[np.intp]:
+def _places_of(keys: Sequence[str]) -> NDArray[np.intp]:
     """Return the places of parameters in the values of a `Worm`, shape (n,)."""
     names = PARAMETER_ROW.names or ()
     return np.array([names.index(key) for key in keys])
 
 
-_MEANS = places_of(SHARED[:-1])
-(_INITIAL_LENGTH,) = places_of(["initial_length"])
-_ABSENT = places_of(
+_MEANS = _places_of(SHARED[:-1])
+(_INITIAL_LENGTH,) = _places_of(["initial_length"])
+_ABSENT = _places_of(
     ["rear_dry_friction", "front_dry_friction", "bellows_stiffness", "bellows_damping"]
 )
 
@@ -160,16 +159,6 @@ class Worm(NamedTuple):
     values: Array
     deflection: float = 0.0
     onset: float = 0.0
-
-    def begun(self, places: NDArray[np.intp], values: Array, own: Array, onset: float) -> Worm:
-        """Return a copy for one run, in which the parameters at ``places`` (see `places_of`) have the ``values``.
-
-        ``own`` are the nuisance parameters of the run: L0 and the pose at rest, m.
-        """
-        changed = self.values.copy()
-        changed[places] = values
-        changed[_INITIAL_LENGTH] = own[0]
-        return Worm(changed, float(own[1]), float(onset))
 
 
 def worm_of(parameters: Parameters) -> Worm:
@@ -190,7 +179,10 @@ def with_means(worm: Worm, means: Array, own: Array) -> Worm:
 
     ``means`` are (η, p_sw, both dry frictions, pitch, onset). ``own`` are L0 and the pose at rest, m.
     """
-    return worm.begun(_MEANS, means[:-1], own, means[-1])
+    values = worm.values.copy()
+    values[_MEANS] = means[:-1]
+    values[_INITIAL_LENGTH] = own[0]
+    return Worm(values, float(own[1]), float(means[-1]))
 
 
 def follow(
@@ -236,28 +228,23 @@ def shared_quantities(known: Known) -> list[Quantity]:
     ]
 
 
-def own_quantities(
-    traverse: Traverse, parameters: Parameters, pose_deviation: float
-) -> list[Quantity]:
-    """Return the nuisance parameters of a run: L0 and the pose at rest.
+def own_quantities(traverses: Sequence[Traverse], known: Known) -> list[list[Quantity]]:
+    """Return the nuisance parameters of each run: L0 and the pose at rest.
 
-    The prior of L0 is the measured value. The pose (m) is `Worm.deflection`. Its prior is 0 with the standard deviation
-    ``pose_deviation`` (m).
+    The prior of L0 is the measured value. The pose (m) is `Worm.deflection`, which is 0 unless a pretension has bent
+    the fins at rest.
     """
-    length, pitch = traverse.length, parameters.pitch
-    return [
-        Quantity(5e-5, 0.0, np.inf, length.initial_length, length.initial_spread),
-        Quantity(5e-5, -pitch, pitch, 0.0, pose_deviation),
-    ]
+    pitch = known.parameters.pitch
 
+    def quantities(traverse: Traverse) -> list[Quantity]:
+        length = traverse.length
+        pose = known.parameters.clearance if traverse.tensioned else LEAST_DEVIATION
+        return [
+            Quantity(5e-5, 0.0, np.inf, length.initial_length, length.initial_spread),
+            Quantity(5e-5, -pitch, pitch, 0.0, pose),
+        ]
 
-def own_of_unloaded(traverses: Sequence[Traverse], known: Known) -> list[list[Quantity]]:
-    """Return the nuisance parameters of runs without load, in which only a pretension bends the fins at rest."""
-    tensioned = known.parameters.clearance
-    return [
-        own_quantities(t, known.parameters, tensioned if t.tensioned else LEAST_DEVIATION)
-        for t in traverses
-    ]
+    return list(map(quantities, traverses))
 
 
 def first_own(traverses: Sequence[Traverse]) -> Array:
@@ -279,14 +266,14 @@ def x1_residuals(
 def locomotion_problem(traverses: Sequence[Traverse], known: Known) -> Problem:
     """Return the problem of x1 with even grooves.
 
-    The parameters that are neither in `shared_quantities` nor in `own_of_unloaded` have the values of ``known``.
+    The parameters that are neither in `shared_quantities` nor in `own_quantities` have the values of ``known``.
     """
     worm = worm_of(known.parameters)
 
     def residuals(run: int, values: Array, own: Array) -> Array:
         return x1_residuals(traverses[run], with_means(worm, values, own))
 
-    own = own_of_unloaded(traverses, known)
+    own = own_quantities(traverses, known)
     return Problem(residuals, shared_quantities(known), own, jumps=True)
 
 
@@ -355,10 +342,7 @@ def valleys(landscape: Landscape, count: int = VALLEYS) -> Array:
 
 
 def find_locomotion(traverses: Sequence[Traverse], known: Known, landscape: Landscape) -> Solution:
-    """Return the best fit with even grooves and all nuisance parameters, of the fits that start in `valleys`.
-
-    Raises `IdentificationError` if the anchors of the best fit switch endlessly in a run.
-    """
+    """Return the best fit with even grooves and all nuisance parameters, of the fits that start in `valleys`."""
     own = first_own(traverses)
     tried = TRIED_PITCHES if known.pitch_deviation > 0.0 else (0.0,)
     pitches = [known.parameters.pitch + z * known.pitch_deviation for z in tried]
@@ -371,9 +355,9 @@ def find_locomotion(traverses: Sequence[Traverse], known: Known, landscape: Land
     near = [solve(problem, start, own, iterations=ROUGH_ITERATIONS) for start in starts]
     near.sort(key=lambda solution: solution.cost)
     solutions = (solve(problem, rough.shared, rough.own) for rough in near[:REFINED])
-    best = min(solutions, key=lambda solution: solution.cost)
-    if max(float(np.sqrt(np.mean(r**2))) for r in best.residuals) >= LOST:
-        raise IdentificationError(
-            "no friction and threshold explain the motion of x1: is this a worm in a corrugated pipe?"
-        )
-    return best
+    return min(solutions, key=lambda solution: solution.cost)
+
+
+def is_lost(solution: Solution) -> bool:
+    """Return True if the anchors switch endlessly in a run of a solution, or if x1 is far from it."""
+    return max(float(np.sqrt(np.mean(r**2))) for r in solution.residuals) >= LOST

@@ -10,53 +10,77 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from worm_model.arrays import Array
 from worm_model.identification.data.identification_errors import IdentificationError
 from worm_model.identification.data.observed_run import SAME_PLACE, Recording
 from worm_model.identification.fits.locomotion import RIDGES, Traverse
-from worm_model.identification.fits.measured_length import MeasuredLength
+from worm_model.identification.fits.measured_length import AVERAGED, MeasuredLength, moving_median
 from worm_model.identification.fits.robust import noise_of
 
 LONGEST_GAP = 1.0  # s; the interpolated length within a longer gap is uncertain
 # Smallest ratio of the range of the measured lengths to that of the commanded ones, if the body follows
 FOLLOWS = 0.4
 POWER_GAP = 8.0  # shortest gap between power samples that is reported, in median intervals
-ASTRAY = 10.0  # largest deviation from the actuation fit, in units of the camera's noise
-LEAST_ASTRAY = 1.5e-3  # m, smallest limit of this deviation, for a camera with little noise
+# Largest change of the length from one cycle to the next: for `AVERAGED` samples, relative to the range of the command;
+# for half a period, m. A missed groove of a compliant robot shows in less than half a period.
+JUMP, SLIP = 0.15, 1.5e-3
+REPEATS = 1e-3  # m, largest change of a command that repeats
 FEWEST_POWER = 10  # smallest number of power samples during the traverse
 POWER_SPAN = 0.9  # smallest share of the traverse's duration that the power samples must span
-AVERAGED = 9  # number of deviations in the window of their moving median
 
 
 def follows_command(recording: Recording, length: MeasuredLength) -> str:
     """Return the reason to exclude a run whose body did not follow its command; empty if the body followed.
 
-    Possible causes are a stuck servo, a slipped cable and a tracker that confuses its markers.
+    Possible causes are a stuck servo, a slipped cable and a tracker that confuses its markers. Each of them changes the
+    length from one cycle to the next. A compliant cable, a cable that cannot push or a slack that is taken up slowly
+    do not: with them, too, the length repeats from the second half of the first cycle on.
     """
     after = (recording.camera_time > 0.0) & np.isfinite(recording.length)
     if not after.any():
         return f"{recording.name}: the tracker measured no length after the gait's onset"
-    realised = float(np.ptp(np.quantile(recording.length[after], [0.02, 0.98])))
+    if length.explained:
+        return ""
+    settled = after & (recording.camera_time > 0.5 * recording.gait.period)
+    realised = float(np.ptp(np.quantile(recording.length[settled], [0.02, 0.98])))
     commanded = float(np.ptp(recording.command))
     if realised < FOLLOWS * commanded:
         return (
             f"{recording.name}: the body length changed by {realised * 1e3:.1f} mm for a command of "
             f"{commanded * 1e3:.1f} mm. Check for a stuck servo, a slipped cable or confused markers"
         )
-    present = np.isfinite(length.misfit)
-    misfit = np.abs(length.misfit[present])
-    window = min(AVERAGED, misfit.size)
-    averaged = np.array(
-        [np.median(misfit[k : k + window]) for k in range(misfit.size - window + 1)]
-    )
-    limit = max(ASTRAY * noise_of(recording.length), LEAST_ASTRAY)
-    astray = np.flatnonzero(averaged > limit)
-    if astray.size:
-        time = float(recording.camera_time[present][astray[0] + window // 2])
-        return (
-            f"{recording.name}: from {time:.1f} s after the onset the body does not follow its command. Check for a "
-            "stuck servo, a slipped cable or confused markers"
-        )
+    time, change = _change_per_cycle(recording)
+    rate = time.size / max(float(np.ptp(time)), recording.gait.period) if time.size else 1.0
+    for window, limit in (
+        (AVERAGED, JUMP * commanded),
+        (int(0.5 * recording.gait.period * rate) + 1, max(SLIP, noise_of(recording.length))),
+    ):
+        astray = np.flatnonzero(np.abs(moving_median(change, window)) > limit)
+        if astray.size:
+            first = int(astray[0]) + min(window, time.size) // 2
+            return (
+                f"{recording.name}: at {time[first]:.1f} s after the onset the body length differs by "
+                f"{change[first] * 1e3:+.1f} mm from that of the previous cycle. Check for a stuck servo, a slipped "
+                "cable or confused markers"
+            )
     return ""
+
+
+def _change_per_cycle(recording: Recording) -> tuple[Array, Array]:
+    """Return times (n,) in s and the change of the length since the previous cycle (n,) in m.
+
+    Only times after which the slack is taken up, and at which the command repeats, are included.
+    """
+    period, time = recording.gait.period, recording.camera_time
+
+    def change(times: Array, values: Array) -> Array:
+        return np.interp(time, times, values) - np.interp(time - period, times, values)
+
+    commanded = change(recording.command_time, recording.command)
+    measured = change(time, recording.length)
+    kept = (time > 1.5 * period) & (time <= recording.end) & np.isfinite(measured)
+    kept &= np.abs(commanded) < REPEATS
+    return time[kept], measured[kept]
 
 
 def usable(

@@ -15,7 +15,7 @@ from worm_model.identification.fits.locomotion import Traverse
 from worm_model.identification.fits.quality import power_missing
 from worm_model.parameters import Parameters
 from worm_model.simulation.quadrature import accumulated
-from worm_model.simulation.simulator import Locomotion
+from worm_model.simulation.simulator import Locomotion, SimulationError
 from worm_model.simulation.smoothing import Smoothed
 
 
@@ -60,6 +60,7 @@ def predict(
 ) -> RunPrediction:
     """Predict a run with the initial length that was measured in it.
 
+    If the anchors switch endlessly with these parameters, x1, power and energy are NaN.
     ``clock_offset`` (s) is positive if the camera's stamps are early, see `ActuationFit`.
     """
     length = traverse.length
@@ -68,13 +69,17 @@ def predict(
     model = Locomotion(values, traverse.direction)
     breaks, coefficients = Smoothed(time, change, rate).cubic()
     start = model.at_rest(float(time[0]), float(change[0]))
-    _, motions = model.follow_polynomial(start, breaks, coefficients, breaks)
+    try:
+        _, motions = model.follow_polynomial(start, breaks, coefficients, breaks)
+        x1, power = motions.x1 - model.x1(start), motions.power
+    except SimulationError:
+        x1 = power = np.full(time.size, np.nan)
     actuation = np.array([values.slack, values.gain, values.time_constant])
     return RunPrediction(
         time=time,
-        x1=motions.x1 - model.x1(start),
-        power=motions.power,
-        energy=accumulated(time, motions.power),
+        x1=x1,
+        power=power,
+        energy=accumulated(time, power),
         length_change=predicted_length_change(
             recording, actuation, recording.camera_time, clock_offset
         ),

@@ -10,8 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from worm_model.analysis import plot_style
-from worm_model.identification.drift import Chart, Rule, State
-from worm_model.parameters import SYMBOLS, UNITS
+from worm_model.identification.drift import LABELS, Chart, Rule, State
 
 MOST_LABELS = 16  # largest number of bag names along the axis
 SCALES = {"m": (1e3, "mm")}  # displayed factor and unit by unit
@@ -40,7 +39,8 @@ def draw_health(names: Sequence[str], charts: Sequence[Chart], path: Path) -> No
 
 
 def _draw(axes: Axes, chart: Chart, names: Sequence[str]) -> None:
-    scale, unit = SCALES.get(UNITS[chart.key], (1.0, UNITS[chart.key]))
+    unit, label = LABELS[chart.key]
+    scale, unit = SCALES.get(unit, (1.0, unit))
     bag = np.arange(chart.value.size)
     _draw_limits(axes, chart, scale)
     bars = scale * np.abs(np.vstack([chart.value - chart.low, chart.high - chart.value]))
@@ -69,7 +69,7 @@ def _draw(axes: Axes, chart: Chart, names: Sequence[str]) -> None:
             mew=1.6,
             zorder=4,
         )
-    axes.set_ylabel(plot_style.symbol(SYMBOLS[chart.key]) + (f" ({unit})" if unit != "1" else ""))
+    axes.set_ylabel(plot_style.symbol(label) + (f" ({unit})" if unit != "1" else ""))
     axes.margins(y=0.15)
     title = f"{chart.key}: {chart.state.value}"
     if chart.began is not None:

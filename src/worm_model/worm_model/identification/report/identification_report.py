@@ -62,10 +62,29 @@ def write_report(
     return page
 
 
+def travel_text(result: Identification) -> str:
+    """Return the travel error, and the margins from which it follows, as text."""
+    error = result.travel_error
+    if error is None:
+        return (
+            "Travel error: not measured; no run shows the switches of both fins in enough cycles."
+        )
+    rows = [
+        f"{name} {1e3 * measured:+.1f} ({1e3 * predicted:+.1f})"
+        for name, (measured, predicted) in result.margins.items()
+        if np.isfinite(measured)
+    ]
+    return (
+        f"Travel error (measured minus predicted margin): {1e3 * error.value:+.1f} ± {1e3 * error.sd:.1f} mm. "
+        f"Measured margins in mm, in brackets the predicted ones: {', '.join(rows)}."
+    )
+
+
 def text_of(result: Identification, advice: str, figures: list[str]) -> str:
     """Return the page as Markdown."""
     parts = [
         "# Identification",
+        result.fit.text,
         _summary(result),
         "## Parameters\n\n" + parameter_table(result.estimates),
         _open_ends(result, advice),
@@ -78,6 +97,7 @@ def text_of(result: Identification, advice: str, figures: list[str]) -> str:
         "scatter of the grooves, and the forces in the energy fit.\n\n"
         + error_table(result.held_out, result.paper),
     ]
+    parts.append("## Margins\n\n" + travel_text(result))
     if result.validation:
         parts.append("## Validation runs\n\n" + error_table(result.validation, {}))
     parts += [
@@ -191,15 +211,7 @@ def nuisance_text(result: Identification) -> str:
             f"| {run.name} | {length * 1e3:.2f} | {run.idle.value:.3f} | {camera} | {power} | "
             f"{reached} |"
         )
-    return head + "\n".join([*lines, "", delay_text(result.camera_delay)])
-
-
-def delay_text(delay: Estimate) -> str:
-    """Return the text on the tracker's delay."""
-    if not delay.identifiable:
-        return f"Delay of the camera: not identified; {delay.note}."
-    low, value, high = (1e3 * x for x in (delay.low, delay.value, delay.high))
-    return f"Delay of the camera: {value:.1f} ms ({low:.1f} … {high:.1f}); {delay.note}."
+    return head + "\n".join(lines)
 
 
 def _milliseconds(offset: float, deviation: float) -> str:

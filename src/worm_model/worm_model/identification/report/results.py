@@ -18,6 +18,7 @@ from worm_model.identification.fits.run_prediction import Errors
 from worm_model.identification.inputs import Inputs
 from worm_model.identification.stages import Identification
 from worm_model.parameters import FORM, KEYS, MADE_BY, ParameterFile
+from worm_model.travel_error import PRIOR
 
 CORRELATED = 0.8  # smallest magnitude of a reported correlation
 
@@ -39,6 +40,7 @@ def parameter_file(result: Identification, inputs: Inputs) -> ParameterFile:
         FORM: result.parameters.one_sided_cable,
         "code": code_version(),
         "seed": result.seed,
+        "fit": result.fit.verdict.value,
         "given": result.reference.source,
         "not_identified": {
             key: e.note for key, e in result.estimates.items() if not e.identifiable
@@ -49,13 +51,26 @@ def parameter_file(result: Identification, inputs: Inputs) -> ParameterFile:
     }
     lengths = [run.length.initial_length for run in result.runs]
     spread = {"initial_length": float(np.std(lengths, ddof=1))} if len(lengths) > 1 else {}
-    return ParameterFile(result.parameters, intervals, provenance, _of_parameters(result), spread)
+    return ParameterFile(
+        result.parameters,
+        intervals,
+        provenance,
+        _of_parameters(result),
+        spread,
+        result.travel_error,
+    )
 
 
 def summary(result: Identification) -> dict[str, Any]:
     """Return the result as a JSON object; unknown numbers are NaN or None."""
     return {
+        "fit": result.fit.as_dict(),
         "parameters": {key: e.as_dict() for key, e in result.estimates.items()},
+        "travel_error": asdict(result.travel_error or PRIOR),
+        "margins": {
+            name: {"measured_m": measured, "predicted_m": predicted}
+            for name, (measured, predicted) in result.margins.items()
+        },
         FORM: result.parameters.one_sided_cable,
         "runs": {name: asdict(error) for name, error in result.held_out.items()}
         or {run.name: dict.fromkeys(error.name for error in fields(Errors)) for run in result.runs},
@@ -64,7 +79,6 @@ def summary(result: Identification) -> dict[str, Any]:
         "clock_offsets": {
             run.name: _clocks(result, index) for index, run in enumerate(result.runs)
         },
-        "camera_delay": result.camera_delay.as_dict(),
         "nuisances": nuisances(result),
         "correlations": [
             {"parameters": [a, b], "correlation": rho} for a, b, rho in correlations(result)

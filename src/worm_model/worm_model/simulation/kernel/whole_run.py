@@ -307,13 +307,11 @@ def rest_at(length_change: float, c: mode.Constants) -> mode.Motion:
     """Return the motion of a robot at rest at a ΔL in m, to which its length has moved from the start at ΔL = 0.
 
     At the start x1 = 0. Loads and dry friction are neglected, so the fins are in equilibrium with each other after the
-    move. For ΔL = 0, the start itself is returned.
+    move.
     """
     groove = int(mode.nearest_groove_of(c.body.initial_length, c.body.pitch))
     front = mode.region_of(c.body.initial_length - groove * c.body.pitch, c.body.half_clearance)
     straight = mode.Motion(0.0, 0.0, 0, groove, mode.CLEAR, front)
-    if length_change == 0.0:
-        return straight
     unloaded = mode.Resistance(0.0, 0.0, 0.0, 0.0)
     fins_alone = mode.Constants(c.body, c.rear_fin, c.front_fin, unloaded)
     coefficients = np.zeros((4, 2))

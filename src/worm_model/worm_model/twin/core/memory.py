@@ -122,11 +122,13 @@ FIELDS = (
     Field("origin_known", np.int64, "1", "1 if the tracker has measured `origin`"),
     Field("pose_x1", np.float64, "m", "x1 before the run, relative to the rear anchor"),
     Field("pose_front", np.int64, "1", "front anchor before the run, in grooves from the rear one"),
+    Field("edge_slack", np.float64, "m", "position residual that does not affect the health"),
     # While this is 0, residuals of position and power do not affect the health.
     Field("start_known", np.int64, "1", "1 if the state of the fins at the onset is known"),
     Field("moved", np.int64, "1", "grooves to add to both anchors, along +x"),
     Field("cycle", np.int64, "1", "number of the cycle, from 1; 0 without a gait"),
     Field("cycle_end_ns", np.int64, "ns", "end of the cycle"),
+    Field("cycle_groove", np.int64, "1", "`rear_groove` at the beginning of the cycle"),
     Field("reported_cycle", np.int64, "1", "cycle in the driver's last message during a gait"),
     Field("blind_s", np.float64, "s", "part of the cycle without data about the length"),
     Field("paused_ns", np.int64, "ns", "stamp at which the last gap was reported"),

@@ -195,7 +195,8 @@ def _judge_position(
         # The model does not describe the motion while the fins are turned before a gait. On a slope, the robot can then
         # move by up to a groove.
         if m.start_known and m.activity != RESTING:
-            observe(memory, POSITION, stamp, residual, rules.position_scale)
+            counted = max(abs(residual) - m.edge_slack, 0.0)
+            observe(memory, POSITION, stamp, counted, rules.position_scale)
         _sum_up(memory, stamp, POSITION_SUM, residual)
         _record(memory, stamp, POSITION, residual, math.nan, rules, out)
     elif stamp - m.rejected_ns >= rules.moved:

@@ -52,6 +52,13 @@ class StateRecord:
     front_fin_force: float
     power: float
     energy: float
+    margin_grooves: int = 0
+    rear_margin: float = math.nan
+    front_margin: float = math.nan
+    rear_margin_scatter: float = math.nan
+    front_margin_scatter: float = math.nan
+    last_rear_margin: float = math.nan
+    last_front_margin: float = math.nan
 
 
 def row_type(record: type, more: Mapping[str, type] | None = None) -> np.dtype[np.void]:

@@ -4,7 +4,13 @@
 import numpy as np
 import pytest
 
-from worm_model.identification.fits.estimate import Estimate, follow_profile, if_identifiable
+from worm_model.identification.fits.estimate import (
+    Estimate,
+    admissible,
+    follow_profile,
+    if_identifiable,
+    not_identifiable,
+)
 from worm_model.identification.fits.resampling import correlation, estimates
 from worm_model.identification.fits.robust import dependence
 from worm_model.identification.locomotion_stage import deviations_of
@@ -14,6 +20,12 @@ from worm_model.identification.locomotion_stage import deviations_of
 def test_a_parabola_is_followed_to_its_rise(guess):
     end = follow_profile(lambda value: (value - 3.0) ** 2, 3.0, 4.0, guess)
     assert end == pytest.approx(3.0 + np.copysign(2.0, guess), rel=0.03)
+
+
+def test_an_interval_stays_inside_the_admissible_range():
+    assert admissible("viscous_friction", Estimate(31.0, -5.0, 67.0)).low == 0.01
+    assert admissible("viscous_friction", Estimate(31.0, 20.0, 67.0)).low == 20.0
+    assert np.isnan(admissible("viscous_friction", not_identifiable(31.0, "why")).low)
 
 
 def test_a_cost_that_never_rises_has_no_end():

@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Measured margins of the running gait, from the tracker samples of its last cycles."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from worm_model.margin.half_cycles import Fin
+from worm_model.margin.measured_margin import RunMargin, measure_cycles
+from worm_model.parameters import Parameters
+from worm_model.run import Run, TrackerSamples
+from worm_model.twin.data.samples import SampleKind, SampleRows
+from worm_msgs.gait import Gait
+
+STORED = 6000  # largest number of stored samples: 200 s of a camera at 30 Hz
+MOST_CYCLES = 8  # that are measured together, so that a long run does not delay the twin
+
+
+@dataclass(frozen=True)
+class MarginRecord:
+    """Measured margins with the names and meanings of the fields of the message TwinState."""
+
+    margin_grooves: int = 0
+    rear_margin: float = math.nan
+    front_margin: float = math.nan
+    rear_margin_scatter: float = math.nan
+    front_margin_scatter: float = math.nan
+    last_rear_margin: float = math.nan
+    last_front_margin: float = math.nan
+
+
+class RunPositions:
+    """Newest tracker samples, bounded in number."""
+
+    def __init__(self) -> None:
+        self._samples: deque[tuple[int, float, float]] = deque(maxlen=STORED)
+
+    def add(self, samples: SampleRows) -> None:
+        """Add the positions among the samples (n,) of SAMPLE."""
+        rows = samples[samples["kind"] == SampleKind.POSITION]
+        self._samples.extend(
+            zip(*(rows[name].tolist() for name in ("stamp", "a", "b")), strict=True)
+        )
+
+    def margins(
+        self, gait: Gait, parameters: Parameters, onset_ns: int, cycles: int
+    ) -> MarginRecord:
+        """Return the margins at the end of a cycle of a run, from at most `MOST_CYCLES` cycles.
+
+        Later samples do not count, so that a replay has the same result as the live twin.
+
+        Args:
+            gait: gait of the run.
+            parameters: parameters of the robot.
+            onset_ns: onset of the run, ns.
+            cycles: number of complete cycles.
+        """
+        left_out = max(cycles - MOST_CYCLES, 0)
+        start, end = (onset_ns + round(k * gait.period * 1e9) for k in (left_out, cycles))
+        used = [sample for sample in self._samples if start <= sample[0] <= end]
+        if not used:
+            return MarginRecord()
+        stamp, rear, front = zip(*used, strict=True)
+        tracker = TrackerSamples(np.array(stamp), np.array(rear), np.array(front))
+        run = Run(tracker=tracker)
+        return _record(measure_cycles(run, gait, start, cycles - left_out, parameters))
+
+
+def _record(run: RunMargin) -> MarginRecord:
+    values: dict[str, float] = {}
+    for fin in Fin:
+        margin = run.margins(fin)[0]
+        belief = run.belief(fin)
+        values[f"last_{fin.value}_margin"] = float(margin[-1]) if margin.size else math.nan
+        if belief is not None:
+            values[f"{fin.value}_margin"] = belief.expected
+            values[f"{fin.value}_margin_scatter"] = belief.expected_scatter
+    return MarginRecord(margin_grooves=run.grooves, **values)
+
+
+def spare_of(state: Any) -> str:
+    """Return the smaller margin of both fins in one line, empty if none was measured.
+
+    ``state`` has the fields of `MarginRecord`.
+    """
+    fins = (
+        (state.rear_margin, state.rear_margin_scatter),
+        (state.front_margin, state.front_margin_scatter),
+    )
+    measured = [fin for fin in fins if math.isfinite(fin[0])]
+    if not measured:
+        return ""
+    margin, scatter = min(measured)
+    grooves = f"{state.margin_grooves} groove" + ("" if state.margin_grooves == 1 else "s")
+    return f"{grooves}, {1e3 * margin:.1f} ± {1e3 * scatter:.1f} mm to spare"

@@ -1,0 +1,254 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Measured margins of a robot that the model does not contain, compared with the true ones.
+
+The true margin of a fin is the increase of its switching threshold after which the robot loses a groove.
+"""
+
+import dataclasses
+import math
+from functools import lru_cache
+
+import numpy as np
+import pytest
+from foreign_robot import EPOCH, Camera, ForeignRobot, crawl, some_robot
+
+from worm_driver.virtual_robot.offline_run import run_offline
+from worm_driver.virtual_robot.virtual_settings import load_settings
+from worm_model.gait import REVERSE, Gait
+from worm_model.margin.half_cycles import Fin, half_cycles, motion_of
+from worm_model.margin.measured_margin import RunMargin, measure, measure_cycles
+from worm_model.margin.predicted_margin import predicted_margin
+from worm_model.parameters import KEYS, PAPER
+from worm_model.run import Run, TrackerSamples
+from worm_model.simulation.simulator import simulate
+
+CYCLES = 5
+GAIT, CAMERA = Gait(0.075, 0.2), Camera()
+EXCESS = {Fin.REAR: "rear_excess", Fin.FRONT: "front_excess"}
+
+
+@lru_cache(maxsize=256)
+def recorded(robot: ForeignRobot, gait: Gait = GAIT, camera: Camera = CAMERA) -> Run:
+    return crawl(robot, gait, CYCLES, camera, seed=robot.pipe).run
+
+
+@lru_cache(maxsize=256)
+def measured(robot: ForeignRobot, gait: Gait = GAIT, camera: Camera = CAMERA) -> RunMargin:
+    found = measure(recorded(robot, gait, camera), PAPER)
+    assert found is not None
+    return found
+
+
+def least_true_margin(robot: ForeignRobot, gait: Gait, fin: Fin) -> float:
+    """Return the largest excess threshold (m) with which no cycle but the first loses a groove."""
+
+    def grooves(excess: float) -> int:
+        changed = dataclasses.replace(robot, **{EXCESS[fin]: excess})
+        return int(crawl(changed, gait, CYCLES).grooves(CYCLES, gait.frequency)[1:].min())
+
+    kept, lost, promised = 0.0, 0.012, grooves(0.0)
+    if grooves(lost) >= promised:
+        return math.nan
+    for _ in range(7):
+        middle = 0.5 * (kept + lost)
+        kept, lost = (middle, lost) if grooves(middle) >= promised else (kept, middle)
+    return 0.5 * (kept + lost)
+
+
+def length_errors(robot: ForeignRobot, gait: Gait, camera: Camera) -> dict[Fin, list[float]]:
+    """Return measured minus true travel (m) between last switch and turning point, for each half cycle of a fin."""
+    truth = crawl(robot, gait, CYCLES, camera, seed=robot.pipe)
+    found = measure(truth.run, PAPER)
+    motion = motion_of(truth.run, gait, EPOCH, CYCLES)
+    assert found is not None
+    assert motion is not None
+    errors: dict[Fin, list[float]] = {fin: [] for fin in Fin}
+    for half in half_cycles(motion, gait, CYCLES)[1:-1]:
+        groove = truth.rear_groove if half.fin is Fin.REAR else truth.front_groove
+        start, end = np.searchsorted(truth.time, np.array([half.start, half.end]) - camera.delay_s)
+        stepped = start - 100 + np.flatnonzero(np.diff(groove[start - 100 : end + 200]))
+        travel = half.travel(truth.front - truth.rear)
+        near = travel[end - 200 : end + 200]
+        true = (near.max() if near.max() > near.min() else near[0]) - travel[stepped[-1]]
+        errors[half.fin].append(getattr(found.cycles[half.cycle - 1], half.fin.value).length - true)
+    return errors
+
+
+@pytest.mark.parametrize(("frequency", "robots"), [(0.1, 1), (0.2, 2), (0.23, 2)])
+def test_the_least_margin_of_a_run_is_the_increase_of_the_threshold_that_loses_a_groove(
+    frequency, robots
+):
+    gait = Gait(0.075, frequency)
+    errors = []
+    for robot in map(some_robot, range(robots)):
+        found = measured(robot, gait)
+        for fin in Fin:
+            true = least_true_margin(robot, gait, fin)
+            errors.append(found.margins(fin)[0].min() - true)
+    assert np.nanmax(np.abs(errors)) < 0.0012
+    assert abs(np.nanmean(errors)) < 0.0005
+
+
+@pytest.mark.parametrize(
+    "camera",
+    [
+        Camera(),
+        Camera(rate_hz=15.0),
+        Camera(rate_hz=120.0),
+        Camera(noise_m=0.0005),
+        Camera(delay_s=0.05),
+    ],
+)
+def test_the_travel_after_the_last_switch_is_measured_in_every_cycle(camera):
+    errors = [length_errors(robot, GAIT, camera) for robot in map(some_robot, range(3))]
+    for fin in Fin:
+        values = np.concatenate([each[fin] for each in errors])
+        assert np.isfinite(values).mean() > 0.85
+        known = values[np.isfinite(values)]
+        assert abs(known.mean()) < 0.0006
+        assert known.std() < 0.001
+        assert np.abs(known).max() < 0.004  # no switch is confused with the one before
+
+
+@pytest.mark.parametrize("fin", list(Fin))
+def test_a_higher_threshold_lowers_the_margin_of_its_fin_only(fin):
+    gait = Gait(0.078, 0.15)
+    other = next(each for each in Fin if each is not fin)
+    changes: dict[Fin, list[float]] = {each: [] for each in Fin}
+    for robot in map(some_robot, range(3)):
+        before = measured(robot, gait)
+        after = measured(dataclasses.replace(robot, **{EXCESS[fin]: 0.0015}), gait)
+        for each in Fin:
+            changes[each].append(after.margins(each)[0].mean() - before.margins(each)[0].mean())
+    assert np.mean(changes[fin]) == pytest.approx(-0.0015, abs=0.0006)
+    assert np.mean(changes[other]) == pytest.approx(0.0, abs=0.0004)
+
+
+@pytest.mark.parametrize("fin", list(Fin))
+def test_lost_grooves_are_negative_margins_of_the_fin_that_lost_them(fin):
+    gait = Gait(0.078, 0.15)
+    other = next(each for each in Fin if each is not fin)
+    robot = dataclasses.replace(some_robot(0), **{EXCESS[fin]: 0.008})
+    found = measure(recorded(robot, gait), PAPER, grooves=2)
+    assert found is not None
+    assert {cycle.grooves for cycle in found.cycles[1:]} == {1}
+    assert found.margins(fin)[0].max() < -0.001
+    assert found.margins(other)[0].min() > 0.0
+    assert found.keeps is not None
+    assert found.keeps.high < 0.2
+
+
+def test_three_grooves_and_shaped_gaits_are_measured():
+    for gait, grooves in (
+        (Gait(0.095, 0.15), 3),
+        (Gait(0.075, 0.15, profile="trapezoid", ramp_share=0.25), 2),
+        (Gait(0.075, 0.15, contraction_share=0.7), 2),
+        (Gait(0.07, 0.15, pretension=0.005), 2),
+    ):
+        found = measured(some_robot(0), gait)
+        assert found.grooves == grooves
+        assert [cycle.grooves for cycle in found.cycles[1:]] == [grooves] * (CYCLES - 1)
+        for fin in Fin:
+            assert found.margins(fin)[0].size >= CYCLES - 2
+            assert 0.0 < found.margins(fin)[0].mean() < 0.006
+
+
+def test_a_run_in_reverse_is_the_mirror_image_of_one_forward():
+    run = recorded(some_robot(1))
+    tracker, states = run.tracker, run.gait_state
+    reverse = dataclasses.replace(
+        run,
+        tracker=TrackerSamples(tracker.stamp, -tracker.front_position, -tracker.rear_position),
+        gait_state=dataclasses.replace(states, direction=0 * states.direction + REVERSE),
+    )
+    found, forward = measure(reverse, PAPER), measured(some_robot(1))
+    assert found is not None
+    assert found.gait.direction == REVERSE
+    assert found.cycles == forward.cycles
+
+
+def test_hidden_markers_leave_the_other_cycles_as_they_are():
+    run = recorded(some_robot(0))
+    hidden = (run.tracker.stamp - EPOCH) * 1e-9
+    rear = np.where((hidden > 11.8) & (hidden < 13.0), np.nan, run.tracker.rear_position)
+    seen = dataclasses.replace(run, tracker=dataclasses.replace(run.tracker, rear_position=rear))
+    found, whole = measure(seen, PAPER), measured(some_robot(0))
+    assert found is not None
+    for cycle in (1, 3):
+        assert found.cycles[cycle].rear.margin == pytest.approx(
+            whole.cycles[cycle].rear.margin, abs=0.0006
+        )
+
+
+def test_without_a_tracker_nothing_is_measured():
+    run = dataclasses.replace(recorded(some_robot(0)), tracker=TrackerSamples())
+    found = measure(run, PAPER)
+    assert found is not None
+    assert (found.source, found.cycles, found.keeps) == ("", (), None)
+    assert found.as_json()["rear_margin_m"] is None
+    assert measure(Run(), PAPER) is None
+
+
+def test_a_single_cycle_states_no_probability():
+    found = measure(crawl(some_robot(0), GAIT, 1).run, PAPER)
+    assert found is not None
+    assert len(found.cycles) == 1
+    assert found.cycles[0].front.length > 0.0
+    assert found.keeps is None
+
+
+def test_a_stopped_run_is_measured_up_to_its_last_whole_cycle():
+    run = recorded(some_robot(0))
+    until = EPOCH + round(3.6 * GAIT.period * 1e9)
+    kept = run.tracker.stamp < until
+    tracker = TrackerSamples(
+        run.tracker.stamp[kept], run.tracker.rear_position[kept], run.tracker.front_position[kept]
+    )
+    found = measure(dataclasses.replace(run, tracker=tracker), PAPER)
+    assert found is not None
+    assert len(found.cycles) == 3
+    assert found.margins(Fin.REAR)[0][0] == pytest.approx(
+        measured(some_robot(0)).margins(Fin.REAR)[0][0], abs=0.0005
+    )
+
+
+@pytest.mark.parametrize("groove_phase", [-0.006, 0.0, 0.0011, 0.004])
+def test_on_the_model_itself_the_predicted_margin_is_measured(groove_phase):
+    gait = Gait(0.078, 0.2)
+    robot = PAPER.replace(initial_length=17 * PAPER.pitch + groove_phase)
+    truth = simulate(gait, robot, cycles=CYCLES)
+    time = np.arange(-1.0, CYCLES * gait.period + 0.5, 1.0 / 30.0)
+    seen = truth.at(np.clip(time, 0.0, CYCLES * gait.period))
+    noise = np.random.default_rng(0).normal(0.0, 0.00025, (2, time.size))
+    stamps = np.rint(time * 1e9).astype(np.int64)
+    run = Run(tracker=TrackerSamples(stamps, seen.x1 + noise[0], seen.x2 + noise[1]))
+    found = measure_cycles(run, gait, 0, CYCLES, robot)
+    least = min(found.margins(fin)[0].mean() for fin in Fin)
+    predicted = predicted_margin(gait, robot, found.grooves)
+    assert least == pytest.approx(predicted, abs=0.0007)
+
+
+def test_on_the_virtual_robot_the_predicted_margin_is_measured():
+    settings = load_settings()
+    seen = run_offline(settings, GAIT.length_change, CYCLES * GAIT.period)
+    stamps = np.rint((seen.tracker_time - seen.onset) * 1e9).astype(np.int64)
+    run = Run(tracker=TrackerSamples(stamps, seen.rear_position, seen.front_position))
+    truth = PAPER.replace(**{key: getattr(seen.truth, key) for key in KEYS})
+    found = measure_cycles(run, GAIT, 0, CYCLES, PAPER)
+    least = min(found.margins(fin)[0].mean() for fin in Fin)
+    assert least == pytest.approx(predicted_margin(GAIT, truth, found.grooves), abs=0.0007)
+
+
+def test_the_predicted_margin_counts_from_the_requested_grooves():
+    one, two, three = (predicted_margin(Gait(0.075, 0.2), PAPER, n) for n in (1, 2, 3))
+    assert one > two > 0.0 > three
+    gained = [
+        simulate(
+            Gait(0.075, 0.2),
+            PAPER.replace(switching_threshold=PAPER.switching_threshold + two + change),
+        )
+        .at(25.0)
+        .x1
+        for change in (-1e-5, 1e-5)
+    ]
+    assert gained[0] > gained[1] + PAPER.pitch

@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Measured margins in the states of the twin."""
+
+import dataclasses
+from functools import lru_cache
+
+import numpy as np
+import pytest
+from foreign_robot import EPOCH, crawl, some_robot
+
+from worm_model.gait import Gait
+from worm_model.margin.half_cycles import Fin
+from worm_model.margin.measured_margin import measure
+from worm_model.parameters import PAPER
+from worm_model.run import Run, TrackerSamples
+from worm_model.twin.data.samples import NO_SAMPLES, topic_rows
+from worm_model.twin.offline_replay import replay_run
+from worm_model.twin.run_margins import STORED, MarginRecord, RunPositions, spare_of
+from worm_model.twin.twin import Twin
+
+GAIT, CYCLES = Gait(0.075, 0.2), 6
+FIELDS = tuple(field.name for field in dataclasses.fields(MarginRecord))
+
+
+@lru_cache
+def recorded() -> Run:
+    return crawl(some_robot(1), GAIT, CYCLES, seed=1).run
+
+
+def live_states(run: Run, samples: int) -> np.ndarray:
+    """Return the states of a twin that receives a few samples at a time."""
+    rows = np.concatenate(list(topic_rows(run).values()))
+    rows = rows[np.argsort(rows["stamp"], kind="stable")]
+    twin = Twin(PAPER)
+    state = twin.start()
+    parts = [
+        twin.advance(state, rows[k : k + samples]).states for k in range(0, len(rows), samples)
+    ]
+    parts.append(twin.advance(state, NO_SAMPLES, to_the_end=True).states)
+    return np.concatenate(parts)
+
+
+def test_the_margins_of_live_twin_and_replay_are_the_same():
+    live, replayed = live_states(recorded(), 20), replay_run(recorded(), PAPER).states
+    for name in FIELDS:
+        assert np.array_equal(live[name], replayed[name], equal_nan=True)
+
+
+def test_the_margins_are_published_from_the_end_of_each_cycle_on():
+    states = replay_run(recorded(), PAPER).states
+    whole = measure(recorded(), PAPER)
+    assert whole is not None
+    for cycle in (3, 4, 5):
+        middle = EPOCH + round((cycle + 0.5) * GAIT.period * 1e9)
+        row = int(np.searchsorted(states["stamp_ns"], middle))
+        shown, found = states["last_rear_margin"][row], whole.cycles[cycle - 1].rear.margin
+        assert shown == pytest.approx(found, abs=0.0005)
+    for fin in Fin:
+        belief = whole.belief(fin)
+        assert belief is not None
+        shown = states[f"{fin.value}_margin"][-1]
+        assert shown == pytest.approx(belief.expected, abs=0.0005)
+    assert states["margin_grooves"][-1] == whole.grooves
+
+
+def test_without_a_tracker_the_margins_are_nan():
+    states = replay_run(dataclasses.replace(recorded(), tracker=TrackerSamples()), PAPER).states
+    assert np.isnan(states["rear_margin"]).all()
+    assert np.isnan(states["last_front_margin"]).all()
+
+
+def test_a_new_run_begins_without_margins():
+    states = replay_run(recorded(), PAPER).states
+    first = states["stamp_ns"] < EPOCH + round(1.9 * GAIT.period * 1e9)
+    assert np.isnan(states["rear_margin"][first]).all()
+
+
+def test_the_number_of_stored_positions_is_bounded():
+    positions = RunPositions()
+    rows = topic_rows(recorded())
+    for _ in range(1 + STORED // len(recorded().tracker.stamp)):
+        for each in rows.values():
+            positions.add(each)
+    assert len(positions.__dict__["_samples"]) == STORED
+
+
+def test_the_line_of_the_cockpit_shows_the_fin_with_the_smaller_margin():
+    record = MarginRecord(2, 0.0019, 0.0031, 0.0008, 0.0005)
+    assert spare_of(record) == "2 grooves, 1.9 ± 0.8 mm to spare"
+    assert spare_of(dataclasses.replace(record, margin_grooves=1)).startswith("1 groove,")
+    assert spare_of(MarginRecord()) == ""
