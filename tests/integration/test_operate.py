@@ -117,6 +117,17 @@ def test_a_run_ends_when_it_has_gained_its_grooves_or_makes_no_progress(lab: Lab
     assert "gains no groove with this gait" in without_progress
 
 
+def test_a_gait_is_tuned_on_the_robot_within_the_limits_of_its_driver(lab: Lab, tmp_path: Path):
+    gait = ("--stroke", "0.0754", "--frequency", "0.3", "--record", str(tmp_path / "bags"))
+    tuned = json.loads(lab.operate("tune", *gait, "--probability", "0.9", "--json"))
+    assert tuned["state"] == "done"
+    assert tuned["keeps_probability"]["value"] >= 0.9
+    assert tuned["gait"]["stroke"] <= 0.09
+    assert sorted(Path(bag) for bag in tuned["bags"]) == sorted((tmp_path / "bags").iterdir())
+    rejected = ("--stroke", "0.5", *gait[2:])
+    assert "outside" in lab.operate("tune", *rejected, status=1)
+
+
 def test_the_emergency_stop_holds_and_rejects_every_start_also_of_the_next_driver(lab: Lab):
     run = lab.run()
     button = lab.probe.node.create_publisher(Bool, "emergency_stop", 1)
@@ -175,6 +186,9 @@ def test_a_missing_driver_is_reported(processes: Processes):
         (("run", "--profile", "trapezoid", "--objective", "cruise"), "--profile needs"),
         (("run", *LONG[:4], "--contraction-share", "1"), "contraction_share"),
         (("run", "--cycles", "-3"), "cycles: -3"),
+        (("tune", "--stroke", "0.05"), "give --stroke and --frequency"),
+        (("tune", "--probability", "1"), "--probability 1"),
+        (("tune", "--grooves", "0"), "--grooves 0"),
         (("dance",), "invalid choice"),
     ],
 )

@@ -8,7 +8,7 @@ import json
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -24,9 +24,10 @@ from worm_model.commands.identify import StageProgress
 from worm_model.errors import InputError
 from worm_model.parameters import load_parameter_file
 from worm_model.text_table import labelled
-from worm_msgs.conditions import Conditions
+from worm_optimizer.commands.campaign_tune import settings_of_campaign, tuned_plan
 from worm_optimizer.commands.robot_options import add_robot, robot_of
-from worm_optimizer.commands.search_options import add_campaign_options, chosen_settings
+from worm_optimizer.commands.search_options import add_campaign_options
+from worm_optimizer.commands.tuning_options import PROBABILITY
 from worm_optimizer.nodes.service_caller import OperatorError
 from worm_optimizer.operation import identification_runs
 from worm_optimizer.operation.bring_up import CYCLES, FAILURES, ProgressLog, Session, work_folder
@@ -39,6 +40,7 @@ from worm_optimizer.operation.campaign_plan import (
     write_promises,
 )
 from worm_optimizer.operation.campaign_runs import Prepare, put_aside, run_gaits
+from worm_optimizer.operation.campaign_tuning import TUNING
 from worm_optimizer.operation.processes import termination_as_interrupt
 from worm_optimizer.operation.spread import Spread, draw_spread, run_names, spread, spread_table
 from worm_optimizer.operation.system import Robot
@@ -104,6 +106,13 @@ def _parser() -> Parser:
         "On a real robot, the "
         "command prompts before each run. --bellows and --fin are the files of the bench tests",
     )
+    add(
+        "--tune",
+        action="store_true",
+        help="first run each of the three gaits, measure its margin, and repeat with the next gait, at most five runs, "
+        f"until a cycle keeps its grooves with --probability (here by default {PROBABILITY}). Then validate the tuned "
+        "gaits",
+    )
     add_identification(parser)
     parser.add_json()
     parser.add_parameters()
@@ -133,14 +142,16 @@ def _campaign(options: argparse.Namespace) -> int:
                     folder / identification_runs.REPORT,
                 ]
                 identification = identification_of(options)
-            plan = _plan(options, robot.conditions)
+            plan = _plan(options, robot)
+            ask = _prompt("Put the robot where it has room") if _prompts(options) else _at_once
+            if options.tune:
+                plan, summary["tuning"] = tuned_plan(options, robot, plan, (folder, work), say, ask)
             _promise(plan, folder)
             names = run_names(tuple(plan.gaits), options.repeats)
             orders = {
                 run: GaitCommand(plan.gaits[name].gait, CYCLES) for run, name in names.items()
             }
             (work / "logs" / "validation").mkdir()
-            ask = _prompt("Put the robot where it has room") if _prompts(options) else _at_once
             run_gaits(robot, orders, folder, work / "logs" / "validation", say, ask)
     except FAILURES as error:
         sys.stderr.write(f"campaign: {error}\n{_hint(options, folder)}")
@@ -167,10 +178,10 @@ def _campaign(options: argparse.Namespace) -> int:
     return 0
 
 
-def _plan(options: argparse.Namespace, conditions: Conditions) -> Plan:
+def _plan(options: argparse.Namespace, robot: Robot) -> Plan:
     """Return the plan of the validation: three gaits of the exact front, and the gaits to compare them with."""
     content = load_parameter_file(options.parameters)
-    settings = replace(chosen_settings(options), conditions=conditions)
+    settings = settings_of_campaign(options, robot)
     plan = make_plan(content, settings, options.direction)
     nominal = options.with_nominal or options.identify
     return with_comparisons(plan, content, settings, options.direction, nominal=nominal)
@@ -259,7 +270,7 @@ def _folder(options: argparse.Namespace) -> Path:
 def _is_begun(options: argparse.Namespace, folder: Path) -> bool:
     """Return True if a folder contains a campaign that can be continued."""
     identified = options.identify and (folder / identification_runs.RUNS).is_dir()
-    return (folder / PROMISES).is_file() or identified
+    return (folder / PROMISES).is_file() or identified or (folder / TUNING).is_dir()
 
 
 def _hint(options: argparse.Namespace, folder: Path) -> str:
@@ -306,7 +317,7 @@ def _print(
         for row, gait in zip(judged["runs"], gaits, strict=True)
     ]
     files = {"recordings": folder, "report": page}
-    if summary:
+    if "parameter_file" in summary:
         files = {"parameters": summary["parameter_file"], **files}
     text = f"{describe(gaits)}\n\n{spread_table(spreads)}\n\n{labelled(files)}"
     print_result(options, content | summary, text)

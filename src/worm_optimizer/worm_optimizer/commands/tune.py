@@ -4,37 +4,21 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
-from dataclasses import asdict
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from worm_model.commands.command_line import InputError, Parser, executable, number, print_result
+from worm_model.commands.command_line import InputError, Parser, executable, print_result
 from worm_model.commands.margin import measured_margins
 from worm_model.gait import named_values
 from worm_model.margin.measured_margin import RunMargin
 from worm_model.parameters import load_parameter_file
 from worm_optimizer.commands.search_options import add_limit_options, chosen_settings
+from worm_optimizer.commands.tuning_options import add_aim, check_aim
+from worm_optimizer.operation.tuning_runs import Tuned
 from worm_optimizer.robustness.tuning import GaitLimits, Tuning, limits_of, next_gait
 from worm_optimizer.search.front import task_of
-
-
-def add_tuning_options(parser: Parser) -> None:
-    """Add the options of a tuning: the probability, the grooves, and the limits of the robot."""
-    parser.add_argument(
-        "--probability",
-        type=number,
-        default=0.99,
-        metavar="P",
-        help="probability that a cycle keeps its grooves (default: 0.99)",
-    )
-    parser.add_argument(
-        "--grooves",
-        type=int,
-        metavar="N",
-        help="grooves per cycle to keep (default: the most in any cycle of the runs but their first)",
-    )
-    add_limit_options(parser)
 
 
 def _parser() -> Parser:
@@ -50,18 +34,36 @@ def _parser() -> Parser:
         metavar="BAG",
         help="recordings of one gait each, the last one last",
     )
-    add_tuning_options(parser)
+    add_aim(parser)
+    add_limit_options(parser)
     parser.add_parameters("the file in the bag, else the paper's values")
     parser.add_json()
     return parser
 
 
-def limits_of_options(options: argparse.Namespace, direction: int) -> GaitLimits:
-    """Return the limits that the options describe; raise `InputError` if they or the probability are inadmissible."""
-    if not 0.0 < options.probability < 1.0:
-        raise InputError(f"--probability {options.probability:g}: give a number between 0 and 1")
+@dataclass(frozen=True)
+class Aim:
+    """Aim of a tuning.
+
+    Attributes:
+        probability: requested probability that a cycle keeps its grooves.
+        grooves: grooves per cycle to keep; None: the most in any cycle of the runs but their first.
+        limits: limits of the robot.
+        parameter_file: parameter file of the robot; empty: the file in the bag, else the paper's values.
+    """
+
+    probability: float
+    grooves: int | None
+    limits: GaitLimits
+    parameter_file: str
+
+
+def aim_of(options: argparse.Namespace, direction: int) -> Aim:
+    """Return the aim that the options describe. Raises `InputError` if they are inadmissible."""
+    check_aim(options)
     content = load_parameter_file(options.parameters)
-    return limits_of(task_of(content, chosen_settings(options), direction))
+    limits = limits_of(task_of(content, chosen_settings(options), direction))
+    return Aim(options.probability, options.grooves, limits, options.parameters)
 
 
 def runs_of(bags: Sequence[Path], parameters: str, grooves: int | None) -> list[RunMargin]:
@@ -92,11 +94,24 @@ def _last_run(bag: Path, parameters: str, grooves: int | None) -> RunMargin:
     return measured[-1]
 
 
-def tuning_of(runs: Sequence[RunMargin], limits: GaitLimits, options: argparse.Namespace) -> Tuning:
+def tuning_of(runs: Sequence[RunMargin], aim: Aim) -> Tuning:
     """Return the next step of a tuning from its measured runs."""
-    parameters = load_parameter_file(options.parameters).parameters
-    tuning = next_gait(runs, options.probability, limits, parameters)
+    parameters = load_parameter_file(aim.parameter_file).parameters
+    tuning = next_gait(runs, aim.probability, aim.limits, parameters)
     assert tuning is not None  # runs_of returns measured runs only
+    return tuning
+
+
+def measured_step(bags: Sequence[Path], aim: Aim, say: Callable[[str], None]) -> Tuning:
+    """Return the next step of a tuning from the bags of its runs; ``say`` gets the last margins and the step as lines.
+
+    Raises:
+        InputError: A bag cannot be read, or its margin was not measured.
+    """
+    runs = runs_of(bags, aim.parameter_file, aim.grooves)
+    say(str(runs[-1]))
+    tuning = tuning_of(runs, aim)
+    say(described(tuning))
     return tuning
 
 
@@ -110,6 +125,11 @@ def tuning_json(tuning: Tuning) -> dict[str, Any]:
     }
 
 
+def tuned_json(tuned: Tuned) -> dict[str, Any]:
+    """Return the last step of a tuning on a robot, and the bags of its runs, as a JSON object."""
+    return {**tuning_json(tuned.step), "bags": [str(bag) for bag in tuned.bags]}
+
+
 def described(tuning: Tuning) -> str:
     """Return a step of a tuning as a line."""
     gait = tuning.gait
@@ -119,7 +139,7 @@ def described(tuning: Tuning) -> str:
 
 def _tune(options: argparse.Namespace) -> None:
     runs = runs_of(options.bags, options.parameters, options.grooves)
-    tuning = tuning_of(runs, limits_of_options(options, runs[-1].gait.direction), options)
+    tuning = tuning_of(runs, aim_of(options, runs[-1].gait.direction))
     lines = [f"{bag}: {run}" for bag, run in zip(options.bags, runs, strict=True)]
     print_result(options, tuning_json(tuning), "\n".join([*lines, described(tuning)]))
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from typing import TypeVar
 
@@ -414,10 +414,14 @@ class OperatorNode(ServiceCaller):
 
     def conditions(self) -> Conditions:
         """Return the conditions that the optimizer assumes. Raises `OperatorError` without an optimizer."""
-        request = GetParameters.Request(names=list(CONDITION_ROWS))
-        answer = self.call_twice(GetParameters, f"{OPTIMIZER}/get_parameters", request)
-        values = (value.double_value for value in answer.values)
+        values = self.numbers(OPTIMIZER, CONDITION_ROWS)
         return Conditions(**dict(zip(CONDITION_ROWS, values, strict=True)))
+
+    def numbers(self, node: str, names: Iterable[str]) -> list[float]:
+        """Return parameters of a node that are floating-point numbers. Raises `OperatorError` without an answer."""
+        request = GetParameters.Request(names=list(names))
+        answer = self.call_twice(GetParameters, f"{node}/get_parameters", request)
+        return [value.double_value for value in answer.values]
 
     def follow(
         self, run: GaitRun, progress: Progress, until: Callable[[], bool] = lambda: False

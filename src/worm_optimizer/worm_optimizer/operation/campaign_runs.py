@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 from worm_model.analysis.run_metrics import last_played_gait
@@ -11,6 +12,7 @@ from worm_model.bags.formats.bag_errors import BagError
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import read_run
 from worm_model.errors import RecordingError
+from worm_optimizer.nodes.operator_node import OperatorNode
 from worm_optimizer.nodes.tracker_watch import TrackerWatch
 from worm_optimizer.operation.bring_up import Say, Session, recording, session
 from worm_optimizer.operation.system import RECORDER, Robot, System
@@ -21,7 +23,7 @@ Prepare = Callable[[Session, str], None]
 
 _ELSEWHERE = "this run may have started at another position and with bent fins"
 _TRACKER = "tracker"
-_NO_TRACKER = "without it no speed can be measured: start the tracker in the robot's namespace"
+_NO_TRACKER = "without it neither speed nor margin can be measured: start the tracker in the robot's namespace"
 
 
 def run_gaits(
@@ -54,21 +56,40 @@ def run_gaits(
             say(f"{name}: recorded already")
     if not missing:
         return
+    with gait_recorder(robot, logs, say, prepare) as record:
+        for name, order in missing.items():
+            record(folder / name, order)
+
+
+@contextmanager
+def gait_recorder(
+    robot: Robot, logs: Path, say: Say, prepare: Prepare
+) -> Iterator[Callable[[Path, GaitCommand], None]]:
+    """Start the robot's nodes, and provide a function that runs a gait and records it as a bag; see `run_gaits`."""
     with session(robot.system(), logs, say) as running:
-        running.node.graph.wait_for_publisher(_TRACKER, _NO_TRACKER)
+        require_tracker(running.node)
         running.activate()
         TrackerWatch(running.node, lambda: running.node.robot_time_s, say)
         others = 0
-        for name, order in missing.items():
-            prepare(running, f"{name}: {order}")
-            put_aside(folder / name, say)
-            _record_gait(running, robot.recording_system(folder / name), name, order)
-            if not is_recorded(folder / name):
-                say(f"{name}: the tracker missed the end of the gait; --resume runs it again")
+
+        def record(bag: Path, order: GaitCommand) -> None:
+            nonlocal others
+            prepare(running, f"{bag.name}: {order}")
+            put_aside(bag, say)
+            _record_gait(running, robot.recording_system(bag), bag.name, order)
+            if not is_recorded(bag):
+                say(f"{bag.name}: the tracker missed the end of the gait; --resume runs it again")
             if running.node.runs_of_others > others:
                 others = running.node.runs_of_others
-                say(f"{name}: another operator ran a gait in the meantime: {_ELSEWHERE}")
+                say(f"{bag.name}: another operator ran a gait in the meantime: {_ELSEWHERE}")
+
+        yield record
         running.release()
+
+
+def require_tracker(node: OperatorNode) -> None:
+    """Wait until a tracker publishes. Raises `OperatorError`, with the remedy, without a tracker."""
+    node.graph.wait_for_publisher(_TRACKER, _NO_TRACKER)
 
 
 def is_recorded(bag: Path) -> bool:

@@ -11,7 +11,7 @@ pytest.importorskip("worm_msgs.msg", reason="worm_msgs is not built")
 
 from worm_msgs.conditions import LEVEL, Conditions
 from worm_msgs.gait import Gait
-from worm_optimizer.commands import operate
+from worm_optimizer.commands import operate, operate_run
 from worm_optimizer.robot_commands import RunResult
 
 
@@ -39,17 +39,19 @@ def options_of(*arguments: str):
 
 def test_only_the_given_conditions_are_set_and_those_that_hold_are_returned():
     robot = Robot(has_optimizer=True)
-    found = operate._conditions(robot, options_of("--slope", "20"), print)
+    found = operate_run.conditions_of(robot, options_of("--slope", "20"), print)
     assert robot.parameters == {"slope_deg": 20.0}
     assert found == Conditions(slope_deg=20.0, tether_n=1.0)
-    operate._conditions(robot, options_of("--slope", "0", "--distance", "0.1"), print)
+    operate_run.conditions_of(robot, options_of("--slope", "0", "--distance", "0.1"), print)
     assert robot.parameters == {"slope_deg": 0.0}
 
 
 def test_without_an_optimizer_the_conditions_are_those_of_the_options():
     robot = Robot(has_optimizer=False)
-    assert operate._conditions(robot, options_of("--tether", "2"), print) == Conditions(tether_n=2)
-    assert operate._conditions(robot, options_of(), print) == LEVEL
+    assert operate_run.conditions_of(robot, options_of("--tether", "2"), print) == Conditions(
+        tether_n=2
+    )
+    assert operate_run.conditions_of(robot, options_of(), print) == LEVEL
     assert robot.parameters == {}
 
 
@@ -66,5 +68,5 @@ def test_a_run_without_a_complete_cycle_names_its_recording():
         ("grooves", "distance", "speed", "power", "cost_of_transport", "idle_power"), math.nan
     )
     result = RunResult(Gait(0.05, 0.2), False, "stopped", 0, 0, **nothing)
-    assert "bags/run" in operate._result_text(result, Path("bags/run"))
-    assert operate._result_text(result, None) == "stopped"
+    assert "bags/run" in operate_run._result_text(result, Path("bags/run"))
+    assert operate_run._result_text(result, None) == "stopped"
