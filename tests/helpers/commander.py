@@ -111,7 +111,8 @@ def stamp(message) -> float:
 def run_into_a_gait(commander, probe) -> list[BodyLength]:
     lengths = probe.collect(BodyLength, "body_length/cable")
     commander.activate()
-    commander.goal = commander.send(stroke=0.06, cycles=20)
+    # slow, so that the robot is still contracted when a busy machine takes seconds for what follows
+    commander.goal = commander.send(stroke=0.06, frequency=0.15, cycles=20)
     probe.wait_for(lambda: lengths and lengths[-1].length_change < -0.02, "contraction")
     return lengths
 

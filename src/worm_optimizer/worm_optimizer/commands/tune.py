@@ -70,7 +70,7 @@ def runs_of(bags: Sequence[Path], parameters: str, grooves: int | None) -> list[
     """Return the last measured run of each bag, all for the same number of grooves.
 
     Raises:
-        InputError: A bag cannot be read, has no run in which both fins were measured, or the directions differ.
+        InputError: A bag cannot be read, has no run, or the directions differ.
     """
     first = [_last_run(bag, parameters, grooves) for bag in bags]
     wanted = grooves or max(run.grooves for run in first)
@@ -87,18 +87,17 @@ def _last_run(bag: Path, parameters: str, grooves: int | None) -> RunMargin:
     measured = measured_margins(bag, parameters, grooves)
     if not measured:
         raise InputError(f"{bag}: no gait was run")
-    if measured[-1].keeps is None:
-        raise InputError(
-            f"{bag}: the margin was not measured: the tracker must see both modules in at least four whole cycles"
-        )
     return measured[-1]
 
 
-def tuning_of(runs: Sequence[RunMargin], aim: Aim) -> Tuning:
-    """Return the next step of a tuning from its measured runs."""
+def tuning_of(runs: Sequence[RunMargin], aim: Aim, last: Path) -> Tuning:
+    """Return the next step of a tuning from its runs; raise `InputError` if the bag ``last`` was not measured."""
     parameters = load_parameter_file(aim.parameter_file).parameters
     tuning = next_gait(runs, aim.probability, aim.limits, parameters)
-    assert tuning is not None  # runs_of returns measured runs only
+    if tuning is None:
+        raise InputError(
+            f"{last}: the margin was not measured: the tracker must see both modules in at least four whole cycles"
+        )
     return tuning
 
 
@@ -110,7 +109,7 @@ def measured_step(bags: Sequence[Path], aim: Aim, say: Callable[[str], None]) ->
     """
     runs = runs_of(bags, aim.parameter_file, aim.grooves)
     say(str(runs[-1]))
-    tuning = tuning_of(runs, aim)
+    tuning = tuning_of(runs, aim, bags[-1])
     say(described(tuning))
     return tuning
 
@@ -139,7 +138,7 @@ def described(tuning: Tuning) -> str:
 
 def _tune(options: argparse.Namespace) -> None:
     runs = runs_of(options.bags, options.parameters, options.grooves)
-    tuning = tuning_of(runs, aim_of(options, runs[-1].gait.direction))
+    tuning = tuning_of(runs, aim_of(options, runs[-1].gait.direction), options.bags[-1])
     lines = [f"{bag}: {run}" for bag, run in zip(options.bags, runs, strict=True)]
     print_result(options, tuning_json(tuning), "\n".join([*lines, described(tuning)]))
 

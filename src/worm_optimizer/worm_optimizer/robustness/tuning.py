@@ -118,7 +118,9 @@ class _Knowledge:
 def next_gait(
     runs: Sequence[RunMargin], probability: float, limits: GaitLimits, parameters: Parameters
 ) -> Tuning | None:
-    """Return the next step of tuning, None if the last run or a fin of it was not measured.
+    """Return the next step of tuning, None if the last run was not measured.
+
+    Both fins must be measured, unless the front one lacks margin, so that a lower frequency is needed anyway.
 
     Args:
         runs: measured margins of the runs so far, the last one last, all for the same number of grooves.
@@ -126,7 +128,8 @@ def next_gait(
         limits: limits of the robot.
         parameters: parameters of the robot; approximate ones suffice.
     """
-    if not runs or runs[-1].keeps is None:
+    front = runs[-1].belief(Fin.FRONT) if runs else None
+    if front is None or (runs[-1].keeps is None and front.expected > 0.0):
         return None
     last = runs[-1].gait
     known = _knowledge(runs, parameters)
@@ -155,9 +158,9 @@ def _slower(known: _Knowledge, last: Gait, probability: float, limits: GaitLimit
     if _gain_of_front(known, gait) > _WORTHWHILE_M:
         stroke = min(gait.stroke, limits.largest_stroke(gait))
         return _run(known, replace(gait, stroke=stroke), reason)
-    longer = _rear_stroke(known, last, probability, limits)
-    if longer is not None and longer > last.stroke + _SAME_M:
-        return _run(known, replace(last, stroke=longer), _margins(known, last))
+    fitting = _rear_stroke(known, last, probability, limits)
+    if fitting is not None and abs(fitting - last.stroke) > _SAME_M:
+        return _run(known, replace(last, stroke=fitting), _margins(known, last))
     return Tuning(
         TuneState.IMPOSSIBLE,
         last,
@@ -176,7 +179,7 @@ def _rear_stroke(
     known: _Knowledge, gait: Gait, probability: float, limits: GaitLimits
 ) -> float | None:
     """Return the smallest stroke (m) at which the rear fin loses at most half of the cycles that may be lost."""
-    for stroke in np.arange(gait.stroke, limits.largest_stroke(gait) + 1e-9, _STEP_M):
+    for stroke in np.arange(0.3 * gait.stroke, limits.largest_stroke(gait) + 1e-9, _STEP_M):
         rear = known.beliefs(replace(gait, stroke=float(stroke)))[Fin.REAR]
         if rear.chance >= 0.5 * (1.0 + probability):
             return float(stroke)
