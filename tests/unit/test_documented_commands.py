@@ -30,7 +30,7 @@ CHEAP: dict[tuple[str, str], tuple[str, ...]] = {
         ("worm_model", name): ()
         for name in (
             *("evaluate_gait", "export", "health", "identify", "import_lab"),
-            *("bags", "phase_map", "recover", "replay", "simulate"),
+            *("bags", "margin", "phase_map", "recover", "replay", "simulate"),
         )
     },
     ("worm_optimizer", "optimize"): SMALL_FRONT,
@@ -54,6 +54,7 @@ ELSEWHERE = {
     ("worm_model", "watch"): "tests/integration/test_watch.py",
     ("worm_optimizer", "start"): "tests/integration/test_start.py",
     ("worm_optimizer", "operate"): "tests/integration/test_operate.py",
+    ("worm_optimizer", "tune"): "tests/unit/worm_optimizer/commands/test_tune.py",
     ("worm_optimizer", "campaign"): "tests/integration/test_campaign.py",
     ("worm_optimizer", "demo"): "tests/integration/test_demo.py",
     ("worm_optimizer", "console"): "tests/integration/console/test_end_of_console.py",

@@ -22,10 +22,13 @@ _MESSAGES = Path(inspect.getfile(RobotParameters)).parent
 # include files that are added later.
 _SOURCES: Mapping[Path, tuple[str, ...]] = {
     _MODEL: (
+        "arrays.py",
         "errors.py",
         "gait.py",
         "loads.py",
         "parameters.py",
+        "travel_error.py",
+        "margin/predicted_margin.py",
         "simulation/**/*.py",
     ),
     _OPTIMIZER: (

@@ -9,7 +9,7 @@ from worm_optimizer.code_version import sources
 
 # Modules that a point imports, and on which no number depends.
 NO_NUMBERS = {
-    *("worm_model", "worm_msgs", "worm_optimizer", "worm_optimizer.study"),
+    *("worm_model", "worm_model.margin", "worm_msgs", "worm_optimizer", "worm_optimizer.study"),
     *("worm_optimizer.optimizer_errors", "worm_optimizer.code_version"),
     *("worm_msgs.input_error", "worm_msgs.parameter_rows"),
     *("worm_msgs.settings_file", "worm_msgs.yaml_file"),

@@ -312,22 +312,6 @@ def whole_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_bag(bag, recording(session.rows, session.live.memories, 0, end))
 
 
-def test_each_part_of_a_split_recording_is_replayed_like_the_whole(
-    whole_bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    _, whole = replay_of(whole_bag)
-    assert [run.health for run in whole[:2]] == [Health.HEALTHY] * 2
-    assert {event.code for _, event in whole[2].events} <= CAUSES[3][1]
-    assert whole[2].events
-    parts = tmp_path / "parts"
-    monkeypatch.setattr("sys.argv", ["bags", "split", str(whole_bag), "--output", str(parts)])
-    assert bags.main() == 0
-    for number, run in enumerate(whole, 1):
-        resumed, (part,) = replay_of(parts / f"run_{number}")
-        assert resumed
-        assert findings(part) == findings(run)
-
-
 @pytest.mark.parametrize(("after_onset_s", "first"), [(-1.0, 1), (5.0, 3), (9.5, 4)])
 def test_a_trimmed_recording_is_replayed_like_the_whole(
     whole_bag: Path,

@@ -56,7 +56,9 @@ def test_a_fragile_gait_becomes_one_that_keeps_its_grooves(seed: int, tmp_path: 
     assert {bag.name for bag in tuned.bags} == {bag.name for bag in operator.folder.iterdir()}
     assert len(operator.gaits) <= MOST_RUNS
     assert all(gait.stroke <= LARGEST_M for gait in operator.gaits)
-    cycles = crawl(operator.robot, tuned.step.gait, 12, seed=99).grooves(12, FRAGILE.frequency)
+    cycles = crawl(operator.robot, tuned.step.gait, 12, seed=99).grooves(
+        12, tuned.step.gait.frequency
+    )
     assert set(cycles[1:]) == {2}
     assert f"run 1 of at most {MOST_RUNS}: 71.3 mm, 0.2 Hz" in said
     resumed = tune_gaits(NO_NODES, {"cruise": (FRAGILE, step_of(AIM, []))}, tmp_path, *NOTHING)
