@@ -254,6 +254,8 @@ def _fin_margin(
         return NOT_MEASURED
     time, p = found.times[-1], parameters
     length = _remaining(motion, half, time, release)
+    if not math.isfinite(length):
+        return NOT_MEASURED  # a marker was hidden at the switch
     near = motion.length_at(np.array([time - 0.05, time + 0.05]))
     by_time = found.last_sd * abs(near[1] - near[0]) / 0.1
     length_sd = math.hypot(by_time, _TURNING_ERROR * 1.41 * motion.noise, _SHAPE_ERROR_M)
