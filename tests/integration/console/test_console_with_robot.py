@@ -2,15 +2,14 @@
 """The console in a real browser, with the virtual robot's whole graph behind it, which the tests share."""
 
 import re
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from console_rig import BAGS, NEEDS_BROWSER, TIMEOUT_S, Console, press, state, status, sync_api
+from console_rig import NEEDS_BROWSER, TIMEOUT_S, Console, press, state, status, sync_api
 from harness import Processes
 
-from worm_model.parameters import ParameterFile, Parameters, write_parameter_file
+from worm_model.parameters import Parameters
 
 pytestmark = [*NEEDS_BROWSER, pytest.mark.xdist_group("console with robot")]
 HEAVIER = Parameters(rear_mass=0.45)
@@ -102,40 +101,6 @@ def test_a_gait_is_run_stopped_found_and_reported(page: "sync_api.Page", console
     row.get_by_role("checkbox").click()
     page.get_by_role("textbox", name="Search").fill("no such run either")
     expect(row).to_have_count(0)
-
-
-def test_gaits_are_searched_and_parameters_identified_in_the_background(
-    page: "sync_api.Page", console: Console
-):
-    expect = sync_api.expect
-    shutil.copytree(BAGS / "forward", console.bags / "forward")
-    write_parameter_file(console.bags / "identified_0.yaml", ParameterFile(HEAVIER))
-    console.open(page)
-    page.get_by_role("tab", name="Studies").click()
-    scan = page.get_by_role("button", name="Scan margins")
-    expect(scan).to_be_disabled()
-    expect(
-        page.get_by_text("Searches and parameters: this page does not have control")
-    ).to_be_visible()
-    press(page, "Take control")
-    expect(scan).to_be_enabled()
-    press(page, "Scan margins")
-    expect(status(page)).to_contain_text("margin scan: the cliff is at 3.42 mm")
-    page.get_by_label("Margin, mm").fill("2.5")
-    press(page, "Compute front")
-    expect(status(page)).to_contain_text("computation of the front: margin 2.50 mm, given")
-    page.get_by_role("tab", name="Recordings").click()
-    page.get_by_role("row", name="forward").get_by_role("checkbox").click()
-    page.get_by_role("tab", name="Studies").click()
-    press(page, "Identify")
-    expect(page.get_by_text(re.compile("identification, .*%"))).to_be_visible()
-    press(page, "Cancel identification")
-    expect(status(page)).to_have_text("identification: cancelled")
-    page.get_by_role("combobox", name="Parameters").click()
-    page.get_by_role("option", name="identified_0.yaml").click()
-    press(page, "Use")
-    press(page, "Yes, use them")
-    expect(page.get_by_text("In use: identified_0.yaml")).to_be_visible()
 
 
 def test_one_page_of_two_consoles_has_control_and_its_end_ends_the_run(
