@@ -76,7 +76,14 @@ def _of_fin(
         max(round((usual - place) / pitch), 0) if math.isfinite(usual - place) else 0
         for place in places
     ]
-    return FinSwitches(tuple(halves), tuple(switches), tuple(missing))
+    # The half cycle with the most grooves may be one that was not measured: then all others are short of it.
+    seen = [
+        count
+        for count, found, short in zip(counts, switches, missing, strict=True)
+        if count is not None and found.times and short == 0
+    ]
+    unseen = most - max(seen, default=most)
+    return FinSwitches(tuple(halves), tuple(switches), tuple(short + unseen for short in missing))
 
 
 def _off(place: float, usual: Array) -> float:
