@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Generator of the tables in interfaces.md and twin.md, and of the constants in TwinEvent.msg.
+"""Generator of the definitions and tables in interfaces.md and twin.md, and of the constants in TwinEvent.msg.
 
 The messages' definitions, the optimizer's settings and the twin's causes are the sources. `./worm docs` runs it; a test
 fails if a file is out of date. Text outside of the marks is written manually.
@@ -21,14 +21,7 @@ PAGE = ROOT / "docs" / "interfaces.md"
 TWIN_PAGE = ROOT / "docs" / "twin.md"
 TWIN_EVENT = ROOT / "src" / "worm_msgs" / "msg" / "TwinEvent.msg"
 KINDS = {"msg": "message", "srv": "service", "action": "action"}
-PARTS = {
-    "msg": ("",),
-    "srv": ("", "→ "),
-    "action": ("", "→ ", "feedback "),
-}  # between the lines ---
-DECLARATION = re.compile(
-    r"^(?P<type>\S+)\s+(?P<name>\w+)(?:\s*=\s*(?P<value>\S+)|\s+(?P<default>[^\s#=]+))?\s*(?:#\s*(?P<comment>.*))?$"
-)
+EVENT_CONSTANTS = re.compile(r"(?m)(^string [A-Z_]+=.*\n)+")
 
 
 def generated(page: str) -> str:
@@ -48,7 +41,7 @@ def generated_message(definition: str) -> str:
     """Return TwinEvent.msg with its constants up to date."""
     width = max(2 * len(row.code) for row in EVENT_CODES) + len('string =""')
     lines = [f"{_constant(row.code):<{width}}  # {row.meaning}\n" for row in EVENT_CODES]
-    return re.sub(r"(?m)(^string [A-Z_]+=.*\n)+", lambda _: "".join(lines), definition, count=1)
+    return EVENT_CONSTANTS.sub(lambda _: "".join(lines), definition, count=1)
 
 
 def _constant(code: str) -> str:
@@ -62,34 +55,13 @@ def _replaced(page: str, name: str, text: str) -> str:
 
 
 def _messages() -> Iterator[str]:
+    """Yield a heading and the definition of each message, service and action; twin.md lists the constants of events."""
     for kind, what in KINDS.items():
         for path in sorted((ROOT / "src" / "worm_msgs" / kind).iterdir()):
-            yield f"### worm_msgs/{path.stem} ({what})\n\n{_definition(path, PARTS[kind])}"
-
-
-def _definition(path: Path, prefixes: tuple[str, ...]) -> str:
-    """Return the comments of a definition, and a row for each field and constant."""
-    remarks: list[str] = []
-    rows = ["| Field | Type | Unit, meaning |", "| --- | --- | --- |"]
-    parts = path.read_text(encoding="utf-8").split("\n---\n")
-    for prefix, part in zip(prefixes, parts, strict=True):
-        for line in filter(None, map(str.strip, part.splitlines())):
-            if line.startswith("#"):
-                remarks.append(line.lstrip("# "))
-                continue
-            found = DECLARATION.match(line)
-            if found is None:
-                raise ValueError(f"{path}: cannot be read: {line}")
-            value = f" = {found['value']}" if found["value"] else ""
-            value += f", default {found['default']}" if found["default"] else ""
-            meaning = _plain(found["comment"] or "")
-            rows.append(f"| {prefix}`{found['name']}`{value} | {found['type']} | {meaning} |")
-    return _plain(" ".join(remarks)) + "\n\n" + "\n".join(rows)
-
-
-def _plain(text: str) -> str:
-    """Return a text with the characters of Markdown escaped."""
-    return re.sub(r"([*|])", r"\\\1", text)
+            definition = path.read_text(encoding="utf-8").strip()
+            if path == TWIN_EVENT:
+                definition = EVENT_CONSTANTS.sub("# Constants: codes of docs/twin.md\n", definition)
+            yield f"### worm_msgs/{path.stem} ({what})\n\n```text\n{definition}\n```"
 
 
 def _settings() -> str:
