@@ -65,11 +65,8 @@ def _messages() -> Iterator[str]:
 
 
 def _settings() -> str:
-    rows = ["| Option | Node parameter | Default | Meaning |", "| --- | --- | --- | --- |"]
-    rows += [
-        f"| {f'`--{row.option}`' if row.option else ''} | `{row.parameter}` | {_default(row)} | {row.meaning} |"
-        for row in SETTINGS
-    ]
+    rows = ["| Option | Node parameter | Default |", "| --- | --- | --- |"]
+    rows += [f"| `--{row.option}` | `{row.parameter}` | {_default(row)} |" for row in SETTINGS]
     return "\n".join(rows)
 
 
