@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Generator of the definitions and tables in interfaces.md and twin.md, and of the constants in TwinEvent.msg.
+"""Generator of the tables in interfaces.md and twin.md, and of the constants in TwinEvent.msg.
 
 The messages' definitions, the optimizer's settings and the twin's causes are the sources. `./worm docs` runs it; a test
 fails if a file is out of date. Text outside of the marks is written manually.
@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 import re
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 from worm_model.twin.cause_table import EVENT_CODES
@@ -20,13 +19,11 @@ ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "interfaces.md"
 TWIN_PAGE = ROOT / "docs" / "twin.md"
 TWIN_EVENT = ROOT / "src" / "worm_msgs" / "msg" / "TwinEvent.msg"
-KINDS = {"msg": "message", "srv": "service", "action": "action"}
-EVENT_CONSTANTS = re.compile(r"(?m)(^string [A-Z_]+=.*\n)+")
 
 
 def generated(page: str) -> str:
     """Return interfaces.md with its marked parts up to date."""
-    page = _replaced(page, "messages", "\n\n".join(_messages()))
+    page = _replaced(page, "messages", _messages())
     return _replaced(page, "settings", _settings())
 
 
@@ -41,7 +38,7 @@ def generated_message(definition: str) -> str:
     """Return TwinEvent.msg with its constants up to date."""
     width = max(2 * len(row.code) for row in EVENT_CODES) + len('string =""')
     lines = [f"{_constant(row.code):<{width}}  # {row.meaning}\n" for row in EVENT_CODES]
-    return EVENT_CONSTANTS.sub(lambda _: "".join(lines), definition, count=1)
+    return re.sub(r"(?m)(^string [A-Z_]+=.*\n)+", lambda _: "".join(lines), definition, count=1)
 
 
 def _constant(code: str) -> str:
@@ -54,14 +51,15 @@ def _replaced(page: str, name: str, text: str) -> str:
     return re.sub(f"(?s){begin}.*?{end}", lambda _: f"{begin}\n\n{text}\n\n{end}", page, count=1)
 
 
-def _messages() -> Iterator[str]:
-    """Yield a heading and the definition of each message, service and action; twin.md lists the constants of events."""
-    for kind, what in KINDS.items():
+def _messages() -> str:
+    """Return a table of all definitions, with the first sentence of their comments."""
+    rows = ["| Definition | Meaning |", "| --- | --- |"]
+    for kind in ("msg", "srv", "action"):
         for path in sorted((ROOT / "src" / "worm_msgs" / kind).iterdir()):
-            definition = path.read_text(encoding="utf-8").strip()
-            if path == TWIN_EVENT:
-                definition = EVENT_CONSTANTS.sub("# Constants: codes of docs/twin.md\n", definition)
-            yield f"### worm_msgs/{path.stem} ({what})\n\n```text\n{definition}\n```"
+            comment = " ".join(re.findall(r"(?m)^# ?(.*)$", path.read_text(encoding="utf-8")))
+            first = comment.split(". ")[0].rstrip(".")
+            rows.append(f"| [{path.name}](../src/worm_msgs/{kind}/{path.name}) | {first} |")
+    return "\n".join(rows)
 
 
 def _settings() -> str:

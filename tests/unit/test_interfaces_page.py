@@ -27,12 +27,12 @@ def test_the_generated_parts_are_up_to_date():
     assert GENERATOR.generated_twin_page(twin_page) == twin_page, "run ./worm docs"
     message = GENERATOR.TWIN_EVENT.read_text(encoding="utf-8")
     assert GENERATOR.generated_message(message) == message, "run ./worm docs"
-    assert "uint8 UNREACHABLE=4" in PAGE
+    assert "| [RunGait.action](../src/worm_msgs/action/RunGait.action) | Run a gait" in PAGE
     assert "| `--margin` | `margin_m` | NaN |" in PAGE
 
 
 def test_a_part_that_is_out_of_date_is_generated_again():
-    stale = PAGE.replace("float64 stroke ", "float32 stride ")
+    stale = PAGE.replace("RunGait.action", "RunStride.action")
     assert stale != PAGE
     assert GENERATOR.generated(stale) == PAGE
 
