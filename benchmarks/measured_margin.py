@@ -82,7 +82,7 @@ def _losses() -> list[Row]:
             found = measure_margin(
                 crawl(some_robot(seed), gait, CYCLES, seed=seed).run, PAPER, GROOVES
             )
-                if found.keeps is not None:
+            if found.keeps is not None:
                 predicted.append(1.0 - found.keeps.value)
             later = crawl(some_robot(seed, pipe=1000 + seed), gait, COUNTED)
             lost.append((later.grooves(COUNTED, frequency)[2:] < GROOVES).mean())
