@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from enum import Enum
+from enum import StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +28,7 @@ SIGMAS = 3.0  # distance of a limit from the centre, in standard deviations
 INDIVIDUALS = 2.66  # the same distance in mean moving ranges (see `limits_of_bags`): SIGMAS / 1.128
 
 
-class State(str, Enum):
+class State(StrEnum):
     """State of a chart."""
 
     WITHIN = "within limits"
@@ -38,7 +38,7 @@ class State(str, Enum):
     NOT_IDENTIFIABLE = "not identifiable"
 
 
-class Rule(str, Enum):
+class Rule(StrEnum):
     """Rule of a control chart."""
 
     LIMIT = "beyond a control limit"

@@ -15,7 +15,7 @@ import math
 import shutil
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from datetime import datetime, timezone
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -103,7 +103,7 @@ def _row_of(gait: RecordedGait) -> Row:
     return {
         "gait": gait.name,
         "state": READ,
-        "start": datetime.fromtimestamp(gait.played.onset * 1e-9, timezone.utc).isoformat(),
+        "start": datetime.fromtimestamp(gait.played.onset * 1e-9, UTC).isoformat(),
         "parameters": gait.parameter_source,
         "notes": "; ".join(filter(None, [gait.early_end, *gait.missing])),
         "stroke_m": played.stroke,
