@@ -23,9 +23,15 @@ from worm_model.parameters import load_parameter_file
 from worm_model.text_table import text_table
 from worm_msgs.conditions import conditions_of
 from worm_msgs.gait import WAVEFORM, gait_of
-from worm_optimizer.study.sensitivity import SYMBOLS, UNITS, Sensitivity, sensitivity
-from worm_optimizer.study.sensitivity_figure import sensitivity_figure
-from worm_optimizer.study.sobol import INDEX_HEADS, NO_INDICES, index_cells, warnings_of
+from worm_optimizer.robustness.sensitivity import SYMBOLS, UNITS, Sensitivity, sensitivity
+from worm_optimizer.robustness.sensitivity_figure import sensitivity_figure
+from worm_optimizer.robustness.sobol import (
+    INDEX_HEADS,
+    NO_INDICES,
+    index_cells,
+    index_json,
+    warnings_of,
+)
 
 MOST_SAMPLES = 1 << 16  # largest number of base samples
 
@@ -61,15 +67,7 @@ def sensitivity_json(content: Sensitivity) -> dict[str, Any]:
         result[name] = {
             "mean": indices.mean,
             "deviation": indices.deviation,
-            "indices": {
-                key: {
-                    "first": indices.first[k],
-                    "first_bounds": indices.first_bounds[:, k],
-                    "total": indices.total[k],
-                    "total_bounds": indices.total_bounds[:, k],
-                }
-                for k, key in enumerate(content.parameters)
-            },
+            "indices": index_json(indices, content.parameters),
         }
     return {**result, "evaluations": content.evaluations, "warnings": _warnings(content)}
 

@@ -43,11 +43,10 @@ from worm_optimizer.search.gait_request import Objective, at_power, at_speed
 from worm_optimizer.search.pareto import hypervolume
 from worm_optimizer.search.price_of_robustness import PriceOfRobustness
 from worm_optimizer.search.search_settings import Settings, Waveform
-from worm_optimizer.study.plan import PARAMETER_FILE, Array, Study
-from worm_optimizer.study.quantities import LIMITS, SHAPE_BOUNDS
+from worm_optimizer.study.plan import LIMITS, PARAMETER_FILE, SHAPE_BOUNDS, Array, Study
 
 FRONT, GAIT, SCAN = "front_gait", "gait", "scan_margin"  # dimensions of the results of one point
-OPEN, DONE, FAILED = 0, 1, 2  # values of the variable "state"
+DONE, FAILED = 1, 2  # values of the variable "state"
 # Default reference power of hypervolumes, W; more than the fastest gait of the paper's robot needs.
 REFERENCE_POWER = 20.0
 THREE_GAITS = (Objective.MIN_POWER, Objective.CRUISE, Objective.MAX_SPEED)
@@ -55,10 +54,6 @@ REQUESTS = {
     "at_power_W": Objective.MAX_SPEED_AT_POWER,
     "at_speed_m_s": Objective.MIN_POWER_AT_SPEED,
 }
-
-
-class PointError(InputError):
-    """A point cannot be computed. The message contains the reason."""
 
 
 @dataclass(frozen=True)
@@ -172,18 +167,18 @@ def compute_block(study: Study, points: Array) -> Results:
         for name, variable in variables(study).items()
     }
     results["state"] = np.full(len(points), DONE, dtype=np.int8)
-    results["reason"] = np.full(len(points), "", dtype=object)
+    reasons = [""] * len(points)
     for row, point in enumerate(points):
         try:
             of_point = compute_point(study, dict(zip(study.varied, point.tolist(), strict=True)))
         except (InputError, SimulationError) as error:
             results["state"][row] = FAILED
-            results["reason"][row] = " ".join(str(error).split())
+            reasons[row] = " ".join(str(error).split())
             continue
         for name, value in of_point.items():
-            # All NaN get the same bits, because the checksum of a block covers the bits of its values.
+            # All NaN get the same bits, so that the results do not depend on the blocks.
             results[name][row] = np.where(np.isnan(value), np.nan, value)
-    return results
+    return {**results, "reason": np.array(reasons)}
 
 
 def compute_point(study: Study, values: Mapping[str, float]) -> dict[str, Any]:
@@ -247,7 +242,7 @@ def content_of(study: Study, given: Mapping[str, float]) -> ParameterFile:
     if "groove_phase_m" in given:
         phase = given["groove_phase_m"]
         if not -0.5 * new.pitch < phase <= 0.5 * new.pitch:
-            raise PointError(
+            raise InputError(
                 f"groove_phase_m: {phase:g} m is not within half a pitch of {new.pitch:g} m"
             )
         new = new.replace(initial_length=front_groove(old) * new.pitch + phase)
@@ -314,7 +309,7 @@ def _driver(plain: DrivenBy, given: Mapping[str, float]) -> DrivenBy:
         return plain
     radius = given["spool_radius_m"]
     if not radius > 0.0:
-        raise PointError(f"spool_radius_m: {radius:g} m is not positive")
+        raise InputError(f"spool_radius_m: {radius:g} m is not positive")
     return dataclasses.replace(plain, spool_radii=(radius,) * len(plain.spool_radii))
 
 

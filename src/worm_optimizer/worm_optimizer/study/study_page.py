@@ -11,12 +11,11 @@ from pathlib import Path
 
 import jinja2
 
+from worm_optimizer.robustness.sobol import INDEX_HEADS, Indices, index_cells
 from worm_optimizer.study.plan import Study
-from worm_optimizer.study.sobol import INDEX_HEADS, Indices, index_cells
-from worm_optimizer.study.store import open_result
-from worm_optimizer.study.study_indices import study_indices
 from worm_optimizer.study.study_plots import label, pictures, shown
-from worm_optimizer.study.summary import Summary, summarise
+from worm_optimizer.study.study_run import open_result
+from worm_optimizer.study.summary import Summary, study_indices, summarise
 
 _BEST = 10  # largest number of rows of the tables of best points and of failures
 # Limit of the model that the page states if the study varies the quantity
@@ -62,7 +61,7 @@ class Source:
 
 
 def write_page(output: Path, study: Study, page: Path) -> None:
-    """Write the HTML page ``page`` about the results that are stored in the folder ``output``.
+    """Write the HTML page ``page`` about the results in the file ``output``.
 
     Raises:
         FileExistsError: The page exists already.
@@ -105,7 +104,7 @@ def render(page: Path, **content: object) -> None:
 def _lead(summary: Summary) -> list[str]:
     failed = sum(summary.failed.values())
     lines = [
-        f"{summary.done} of {summary.points} points are computed"
+        f"{summary.points} points are computed"
         + (f"; {failed} of them failed" if failed else "")
         + (f"; {summary.still} have no {label(summary.figures[0])}" if summary.still else "")
         + "."

@@ -7,8 +7,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from worm_model.analysis.plot_style import BLUE, LIGHT_GREY, letter, new_figure
-from worm_optimizer.study.sensitivity import SYMBOLS, Sensitivity
-from worm_optimizer.study.sobol import NO_INDICES
+from worm_optimizer.robustness.sensitivity import SYMBOLS, Sensitivity
+from worm_optimizer.robustness.sobol import NO_INDICES
 
 SHOWN = 10  # number of parameters in the figure; it shows those with the largest total indices
 TITLES = {"speed": "speed", "power": "power", "cliff_margin": "cliff of the margin"}
