@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import io
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,7 @@ from worm_optimizer.study.summary import Column, Summary
 
 Array = NDArray[np.float64]
 
+_ACROSS = 3  # largest number of panels next to each other
 _LINES = 400  # largest number of lines of parallel coordinates; more are not distinguishable
 _SHOWN = {"m": (1e3, "mm"), "m/s": (1e3, "mm/s")}  # units that are shown instead of SI units
 
@@ -73,11 +75,11 @@ def pictures(summary: Summary) -> list[Picture]:
 
 
 def _over_two(summary: Summary, first: Column, second: Column) -> Figure:
-    columns = [*summary.figures]
-    figure = new_figure(4.2 * len(columns), 3.8)
-    for axes, column in zip(
-        figure.subplots(1, len(columns), squeeze=False)[0], columns, strict=True
-    ):
+    across = min(len(summary.figures), _ACROSS)
+    down = math.ceil(len(summary.figures) / across)
+    figure = new_figure(4.2 * across, 3.8 * down)
+    for place, column in enumerate(summary.figures):
+        axes = figure.add_subplot(down, across, place + 1)
         x, y, z = shown(first), shown(second), shown(column)
         order = np.argsort(-summary.rank)  # of points at the same place, the best is drawn last
         if _is_grid(first, second):

@@ -24,7 +24,7 @@ _OPTIMISED = {"at_power_W": "speed", "at_speed_m_s": "power"}  # result that a r
 _BETTER = {"at_power_W": "highest", "at_speed_m_s": "lowest"}
 _SUCCESS = {
     "success_probability": "success probability",
-    "success_probability_any_phase": "success probability at an unknown phase",
+    "success_probability_any_phase": "success at unknown phase",
 }
 
 
