@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from worm_model.analysis.plot_style import save_figure
 from worm_model.commands.command_line import (
     InputError,
     Parser,
@@ -24,7 +23,6 @@ from worm_model.text_table import text_table
 from worm_msgs.conditions import conditions_of
 from worm_msgs.gait import WAVEFORM, gait_of
 from worm_optimizer.robustness.sensitivity import SYMBOLS, UNITS, Sensitivity, sensitivity
-from worm_optimizer.robustness.sensitivity_figure import sensitivity_figure
 from worm_optimizer.robustness.sobol import (
     INDEX_HEADS,
     NO_INDICES,
@@ -113,6 +111,9 @@ def _run(options: argparse.Namespace) -> None:
     figure = figure_file(options)
     result = sensitivity(gait, content, options.samples, options.seed)
     if figure is not None:
+        from worm_model.analysis.plot_style import save_figure  # here: matplotlib loads slowly
+        from worm_optimizer.report.analysis_figures import sensitivity_figure
+
         save_figure(sensitivity_figure(result), figure)
     print_result(options, sensitivity_json(result), describe(result))
 

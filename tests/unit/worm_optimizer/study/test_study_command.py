@@ -186,11 +186,3 @@ def test_the_page_of_studies_names_every_key():
     page = (ROOT / "docs/studies.md").read_text()
     named = set(re.findall(r"`(\w+)`", page))
     assert {*set(QUANTITIES) - set(KEYS_OF_ROBOT), *COMPUTABLE, *METHODS, *_NAMES} <= named
-
-
-def test_the_help_needs_no_package_of_studies():
-    listing = "import sys; import worm_optimizer.commands.study; print(*sys.modules)"
-    done = subprocess.run(
-        [sys.executable, "-c", listing], capture_output=True, text=True, check=True
-    )
-    assert not {"distributed", "xarray", "scipy", "numba", "matplotlib"} & set(done.stdout.split())
