@@ -135,11 +135,7 @@ def complete(
 
 
 def _folder_of(output: Path) -> Path:
-    """Return the folder of the blocks of an output, which is created if necessary.
-
-    Raises:
-        InputError: The folder of the output does not exist.
-    """
+    """Return the folder of the blocks of an output, which is created if necessary."""
     if not output.parent.is_dir():
         raise InputError(f"{output}: the folder {output.parent} does not exist; create it first")
     folder = output.with_name(f"{output.name}.blocks")

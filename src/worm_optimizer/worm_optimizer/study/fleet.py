@@ -119,11 +119,7 @@ def _hash(bags: np.ndarray) -> bytes:
 
 
 def _counts(output: Path, identity: bytes) -> Counts:
-    """Return the counts of bags in a finished table; ``identity`` is the hash of the expected bags.
-
-    Raises:
-        InputError: The table cannot be read, contains other bags, or was made by another version of the code.
-    """
+    """Return the counts of bags in a finished table; ``identity`` is the hash of the expected bags."""
     try:
         table = parquet.read_table(output, columns=["bag", "state"])
     except (OSError, pa.ArrowException):
@@ -143,9 +139,6 @@ def _bag_block(parameters: str, bags: np.ndarray) -> Block:
     Args:
         parameters: path of a parameter file, or an empty string for the parameters in the bag.
         bags: mark, path and name of the bag, shape (1, 3).
-
-    Raises:
-        InputError: The bag does not exist on the machine of this worker.
     """
     _, path, name = bags[0].tolist()
     if not Path(path).exists():

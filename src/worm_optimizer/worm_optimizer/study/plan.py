@@ -7,7 +7,8 @@ import dataclasses
 import hashlib
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,7 @@ from worm_msgs.gait import (
     RAMP_SHARE_RANGE,
 )
 from worm_msgs.robot_parameters import ROWS
+from worm_msgs.settings_file import key
 from worm_optimizer.code_version import identity
 from worm_optimizer.evaluation.servo_limits import DrivenBy
 from worm_optimizer.robustness.sobol import Sample
@@ -36,6 +38,7 @@ PARAMETER_FILE, SAMPLE = "parameter_file", "sample"
 COMPUTABLE = ("front", "gaits", "cliff", "success", "any_phase")
 _MOST_BLOCKS = 1000  # a killed study loses a thousandth of its time for each worker
 
+_FINEST = 10_000  # largest number of strokes, frequencies or gaits of a front
 _SMALL, _LARGE = 1e-6, 1e6  # bounds of positive quantities, in their units
 
 
@@ -133,16 +136,22 @@ class Resolution:
     """Resolution of the computation of a point.
 
     Attributes:
-        scan: grid of strokes and frequencies on which the search for edges starts.
+        strokes, frequencies: grid on which the search for edges starts, see `scan`.
         front_gaits: number of stored gaits of a front.
         samples: number of draws of a success probability.
         seed: seed of these draws.
     """
 
-    scan: ScanResolution = field(default_factory=ScanResolution)
-    front_gaits: int = 32
-    samples: int = 500
-    seed: int = 1
+    strokes: Annotated[int, key(ge=3, le=_FINEST)] = ScanResolution.strokes
+    frequencies: Annotated[int, key(ge=2, le=_FINEST)] = ScanResolution.frequencies
+    front_gaits: Annotated[int, key(ge=3, le=_FINEST)] = 32
+    samples: Annotated[int, key(ge=1, le=1_000_000)] = 500
+    seed: Annotated[int, key(ge=0, lt=2**32)] = 1
+
+    @property
+    def scan(self) -> ScanResolution:
+        """Grid on which the search for edges starts."""
+        return ScanResolution(self.strokes, self.frequencies)
 
 
 @dataclass(frozen=True)

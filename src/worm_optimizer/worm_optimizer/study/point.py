@@ -20,7 +20,7 @@ from worm_msgs.conditions import CONDITION_ROWS, Conditions
 from worm_msgs.gait import FORWARD, GAIT_MEANINGS, GAIT_UNITS
 from worm_optimizer.evaluation.actuator_limits import ActuatorLimits
 from worm_optimizer.evaluation.command_shape import SHAPE_ROW, Shapes, shapes_of
-from worm_optimizer.evaluation.servo_limits import DrivenBy, limits_of, servo_model
+from worm_optimizer.evaluation.servo_limits import limits_of, servo_model
 from worm_optimizer.evaluation.task import Bounds, MarginTask, Points
 from worm_optimizer.robustness.success_probability import success_probability
 from worm_optimizer.robustness.uncertainty import phase_known, phase_unknown
@@ -54,6 +54,7 @@ REQUESTS = {
     "at_power_W": Objective.MAX_SPEED_AT_POWER,
     "at_speed_m_s": Objective.MIN_POWER_AT_SPEED,
 }
+_COSTS = {"at_power_W": at_power, "at_speed_m_s": at_speed}
 
 
 @dataclass(frozen=True)
@@ -231,9 +232,6 @@ def content_of(study: Study, given: Mapping[str, float]) -> ParameterFile:
     Args:
         study: study.
         given: values of all varied and fixed quantities, by name.
-
-    Raises:
-        InputError: A value, a condition or the groove phase is not admissible, or two values exclude each other.
     """
     content = study.files[int(given.get(PARAMETER_FILE, 0))][1]
     old = content.parameters
@@ -288,7 +286,10 @@ def task_of(study: Study, given: Mapping[str, float], parameters: Parameters) ->
     }
     limits = ActuatorLimits(*(given.get(name, math.inf) for name in LIMITS))
     if study.hardware.driver is not None:
-        driver = _driver(study.hardware.driver, given)
+        driver = study.hardware.driver
+        if "spool_radius_m" in given:
+            radii = (given["spool_radius_m"],) * len(driver.spool_radii)
+            driver = dataclasses.replace(driver, spool_radii=radii)
         box["stroke_high"] = min(box["stroke_high"], driver.max_stroke)
         box["frequency_high"] = min(box["frequency_high"], driver.max_frequency)
         model = servo_model(study.hardware.model)
@@ -301,16 +302,6 @@ def task_of(study: Study, given: Mapping[str, float], parameters: Parameters) ->
         limits=limits,
         holding_power=given.get("holding_power_W_per_N", 0.0),
     )
-
-
-def _driver(plain: DrivenBy, given: Mapping[str, float]) -> DrivenBy:
-    """Return the driver's limits with the spool radius of the point."""
-    if "spool_radius_m" not in given:
-        return plain
-    radius = given["spool_radius_m"]
-    if not radius > 0.0:
-        raise InputError(f"spool_radius_m: {radius:g} m is not positive")
-    return dataclasses.replace(plain, spool_radii=(radius,) * len(plain.spool_radii))
 
 
 def _cliff(price: PriceOfRobustness) -> dict[str, Any]:
@@ -397,15 +388,12 @@ def _chosen(
     if not len(exact.front):
         return columns
     costs: list[Cost] = [power_cost, transport_cost, speed_cost]
-    costs += [_COSTS[objective](given[key]) for key, objective in REQUESTS.items() if key in given]
+    costs += [_COSTS[key](given[key]) for key in REQUESTS if key in given]
     for place, cost in enumerate(costs):
         gait = exact.cheapest(cost)
         for name, value in _figures(study, gait, parameters).items():
             columns[name][place : place + 1] = value if len(gait) else np.nan
     return columns
-
-
-_COSTS = {Objective.MAX_SPEED_AT_POWER: at_power, Objective.MIN_POWER_AT_SPEED: at_speed}
 
 
 def _figures(study: Study, points: Points, parameters: Parameters) -> dict[str, Array]:

@@ -24,26 +24,15 @@ from worm_msgs.settings_file import OneOf, key, settings_of
 from worm_msgs.yaml_file import SettingsFileError, parse_yaml
 from worm_optimizer.evaluation.servo_limits import load_driver_file, servo_model
 from worm_optimizer.robustness.sobol import MOST_POINTS, SALTELLI, Sample
-from worm_optimizer.search.exact import Resolution as ScanResolution
 from worm_optimizer.search.search_settings import ScanSettings, Waveform
 from worm_optimizer.study import plan
 from worm_optimizer.study.plan import QUANTITIES, SHAPE_BOUNDS
 
 CLIFF = "cliff"  # value of margin_m that selects the last margin before the cliff of the point's own scan
-_FINEST = 10_000  # largest number of strokes, frequencies or gaits of a front
 _MOST_VALUES = 100_000  # largest number of values of an axis
-_SCAN, _PLAIN = ScanResolution(), plan.Resolution()
+_RESOLUTION = plan.Resolution()
 
 Quantity = Annotated[str, OneOf(tuple(QUANTITIES))]
-
-
-@dataclass(frozen=True)
-class _ResolutionFile:
-    strokes: Annotated[int, key(ge=3, le=_FINEST)] = _SCAN.strokes
-    frequencies: Annotated[int, key(ge=2, le=_FINEST)] = _SCAN.frequencies
-    front_gaits: Annotated[int, key(ge=3, le=_FINEST)] = _PLAIN.front_gaits
-    samples: Annotated[int, key(ge=1, le=1_000_000)] = _PLAIN.samples
-    seed: Annotated[int, key(ge=0, lt=2**32)] = _PLAIN.seed
 
 
 @dataclass(frozen=True)
@@ -72,7 +61,7 @@ class StudyFile:
     fixed: Mapping[Quantity, Any] = field(default_factory=dict)
     hardware: _HardwareFile | None = None
     compute: Annotated[tuple[Annotated[str, OneOf(plan.COMPUTABLE)], ...], key(min_length=1)]
-    resolution: _ResolutionFile = _ResolutionFile()
+    resolution: plan.Resolution = _RESOLUTION
     scan: _ScanFile = _ScanFile()
     block_points: Annotated[int | None, key(ge=1, le=MOST_POINTS)] = None
     waveform: Annotated[str, OneOf(tuple(kind.value for kind in Waveform))] = (
@@ -106,16 +95,7 @@ def load_study(path: str | Path, parameters: str = "") -> plan.Study:
 
 
 def parse_study(text: str, folder: Path, parameters: str = "") -> plan.Study:
-    """Return the study that a text describes.
-
-    Args:
-        text: content of the study's file.
-        folder: folder to which paths in the text are relative.
-        parameters: parameter file of the robot, if the study names none.
-
-    Raises:
-        InputError: The text, or a file that it names, is invalid.
-    """
+    """Return the study that a text describes; see `load_study`. Paths in it are relative to ``folder``."""
     try:
         content = parse_yaml(text)
         if isinstance(content, Mapping):  # a key without a value means its default
@@ -133,8 +113,6 @@ def parse_study(text: str, folder: Path, parameters: str = "") -> plan.Study:
         for name, value in file.fixed.items()
         if not (at_cliff and name == "margin_m")
     }
-    fine = dataclasses.asdict(file.resolution)
-    scan = ScanResolution(fine.pop("strokes"), fine.pop("frequencies"))
     study = plan.Study(
         title=file.title,
         text=text,
@@ -145,7 +123,7 @@ def parse_study(text: str, folder: Path, parameters: str = "") -> plan.Study:
         margin_at_cliff=at_cliff,
         hardware=_hardware(file.hardware, folder),
         compute=tuple(name for name in plan.COMPUTABLE if name in file.compute),
-        resolution=plan.Resolution(scan, **fine),
+        resolution=file.resolution,
         scan=ScanSettings(**dataclasses.asdict(file.scan)),
         waveform=Waveform(file.waveform),
         most_points=file.block_points,
@@ -207,11 +185,7 @@ def _check(study: plan.Study) -> None:
 
 
 def _quantity(where: str, name: str, value: Any) -> float:
-    """Return the value of a quantity.
-
-    Raises:
-        StudyError: The value is no number or is not admissible.
-    """
+    """Return the value of a quantity. Raises `StudyError` if it is not admissible."""
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     if not (is_number and abs(value) <= sys.float_info.max):
         hint = " (YAML reads 1e-3 as text: write 1.0e-3)" if isinstance(value, str) else ""

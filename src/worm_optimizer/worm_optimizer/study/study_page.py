@@ -52,14 +52,6 @@ class Table:
     words: bool = False
 
 
-@dataclass(frozen=True)
-class Source:
-    """Text that is shown verbatim."""
-
-    title: str
-    text: str
-
-
 def write_page(output: Path, study: Study, page: Path) -> None:
     """Write the HTML page ``page`` about the results in the file ``output``.
 
@@ -70,9 +62,11 @@ def write_page(output: Path, study: Study, page: Path) -> None:
     with open_result(output) as data:
         origin = {key: data.attrs[key] for key in ("study_hash", "code")}
         versions = json.loads(data.attrs["versions"])
-    render(
-        page,
-        title=study.title,
+    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
+    environment.filters["base64"] = lambda content: base64.b64encode(content).decode()
+    template = Path(__file__).with_name("study.html.jinja").read_text(encoding="utf-8")
+    content = environment.from_string(template).render(
+        study=study,
         lead=_lead(summary),
         tables=[
             _best_table(summary),
@@ -81,24 +75,10 @@ def write_page(output: Path, study: Study, page: Path) -> None:
         ],
         images=pictures(summary),
         limits=[*(text for key, text in _COUPLED.items() if key in study.varied), *_ALWAYS],
-        sources=[
-            Source("The study", study.text),
-            Source("Where the numbers come from", json.dumps({**origin, **versions}, indent=1)),
-        ],
+        origin=json.dumps({**origin, **versions}, indent=1),
     )
-
-
-def render(page: Path, **content: object) -> None:
-    """Fill the template and write the page.
-
-    Raises:
-        FileExistsError: The page exists already.
-    """
-    text = (Path(__file__).parent / "study.html.jinja").read_text(encoding="utf-8")
-    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
-    environment.filters["base64"] = lambda content: base64.b64encode(content).decode()
     with page.open("x", encoding="utf-8") as file:
-        file.write(environment.from_string(text).render(**content))
+        file.write(content)
 
 
 def _lead(summary: Summary) -> list[str]:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from matplotlib import colormaps
+from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -80,6 +81,7 @@ def _over_two(summary: Summary, first: Column, second: Column) -> Figure:
     figure = new_figure(4.2 * across, 3.8 * down)
     for place, column in enumerate(summary.figures):
         axes = figure.add_subplot(down, across, place + 1)
+        drawn: ScalarMappable
         x, y, z = shown(first), shown(second), shown(column)
         order = np.argsort(-summary.rank)  # of points at the same place, the best is drawn last
         if _is_grid(first, second):
