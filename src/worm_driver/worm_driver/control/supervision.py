@@ -202,11 +202,11 @@ def fault_in_counts(
 
 
 def _off_command(servo: int, cable: CableLength, when: str, otherwise: str = "") -> str:
-    off = abs(cable.measured - cable.commanded)
+    measured, commanded = cable.measured * 1e3, cable.commanded * 1e3
     return (
-        f"the cable of servo {servo} is {off * 1e3:.1f} mm off its command (at {cable.measured * 1e3:.1f} mm instead of "
-        f"{cable.commanded * 1e3:.1f} mm), {when}: it is blocked, its servo is too slow or too weak, or its position "
-        f"is wrong{otherwise}"
+        f"the cable of servo {servo} is {abs(measured - commanded):.1f} mm off its command (at {measured:.1f} mm "
+        f"instead of {commanded:.1f} mm), {when}: it is blocked, its servo is too slow or too weak, or its position is "
+        f"wrong{otherwise}"
     )
 
 
