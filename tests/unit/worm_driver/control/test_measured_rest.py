@@ -72,6 +72,7 @@ def test_torque_goes_off_only_at_measured_rest_however_slow_the_cable_is(speed, 
     assert contracted(rig) <= REST
     assert rig.robot.actuators.sprung_back == ""
     assert torques(rig) == [0, 0, 0]
+    assert rig.cable.memory["bus_watchdog"] == 0
 
 
 def test_a_run_begins_at_measured_rest():
