@@ -192,21 +192,21 @@ def fault_in_counts(
             )
     for servo, cycles in counts.following.items():
         if cycles >= limits.following_cycles:
-            limit = f"limits.max_following_error_m ({limits.following_error * 1e3:g} mm"
-            when = f"beyond {limit}; a loaded servo yields by up to 4 mm)"
-            return _off_command(servo, counts.cables[servo], when)
+            when = f"beyond limits.max_following_error_m ({limits.following_error * 1e3:g} mm)"
+            why = ", or the limit is too small for a loaded servo at this rate_hz"
+            return _off_command(servo, counts.cables[servo], when, why)
     for servo, duration in counts.unrested.items():
         if duration >= limits.rest_time:
             return _off_command(servo, counts.cables[servo], "although it should be at rest")
     return None
 
 
-def _off_command(servo: int, cable: CableLength, when: str) -> str:
+def _off_command(servo: int, cable: CableLength, when: str, otherwise: str = "") -> str:
     measured, commanded = cable.measured * 1e3, cable.commanded * 1e3
     return (
         f"the cable of servo {servo} is {abs(measured - commanded):.1f} mm off its command (at {measured:.1f} mm "
         f"instead of {commanded:.1f} mm), {when}: it is blocked, its servo is too slow or too weak, or its position is "
-        "wrong"
+        f"wrong{otherwise}"
     )
 
 

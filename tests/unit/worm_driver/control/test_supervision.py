@@ -57,7 +57,7 @@ def test_a_cable_that_does_not_follow_is_a_fault_of_its_servo():
         counts = supervision.following(counts, cables, LIMITS)
     message = fault_in_counts(counts, LIMITS, {})
     assert re.search("servo 2 is 16.0 mm off .* -4.0 mm instead of -20.0 mm", message)
-    assert "limits.max_following_error_m (15 mm" in message
+    assert "limits.max_following_error_m (15 mm)" in message
 
 
 def test_a_cable_that_does_not_come_to_rest_is_a_fault_of_its_servo():
