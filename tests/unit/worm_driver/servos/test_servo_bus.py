@@ -24,7 +24,6 @@ from worm_driver.errors import (
     StatusError,
 )
 from worm_driver.servos.bus_types import Identity
-from worm_driver.servos.encoding import pack
 from worm_driver.servos.registers import COMMON, Register
 from worm_driver.servos.servo_bus import BusPort, ServoBus, stuff, unstuff
 from worm_driver.servos.servo_state import STATE_SIZE, STATE_START
@@ -140,7 +139,7 @@ def test_the_sdk_loses_a_byte_where_this_does_not():
 
 def test_a_value_with_a_header_in_it_arrives(line):
     """The SDK sends it unstuffed, and a servo reads the header as the start of another packet."""
-    assert b"\xff\xff\xfd" in pack(GOAL, -131073)
+    assert b"\xff\xff\xfd" in GOAL.pack(-131073)
     line.bus.write(1, GOAL, -131073)
     assert line.bus.read(1, GOAL) == -131073
 
@@ -153,7 +152,7 @@ def test_a_sync_write_with_a_header_in_it_arrives(line):
 def test_the_sdk_alone_does_not_get_it_through(line):
     """When this fails, the SDK has been corrected, and _PacketHandler may be removed."""
     line.port.packet_timeout = 5.0
-    data = list(pack(GOAL, -131073))
+    data = list(GOAL.pack(-131073))
     result, error = Protocol2PacketHandler().writeTxRx(line.port, 1, GOAL.address, 4, data)
     assert (result, error) != (0, 0)
 
@@ -442,7 +441,7 @@ def _spoil(packet: bytes, dice: random.Random) -> bytes:
 def test_ten_thousand_fuzzed_packets_give_the_truth_or_an_error():
     dice = random.Random(42)
     clock = Clock()
-    truth = pack(POSITION, -131073)
+    truth = POSITION.pack(-131073)
 
     def answer(_, now):
         return [(now, _spoil(status_packet(CABLE, 0, truth), dice))]
