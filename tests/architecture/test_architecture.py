@@ -106,8 +106,8 @@ SEAMS = {
     "worm_driver": {
         "servos": set(),
         "gait": {"power"},
-        "power": {"virtual_robot"},  # its I2C bus and its clock, selected by the name of the device
-        "control": {"gait", "power", "servos", "virtual_robot"},
+        "power": set(),
+        "control": {"gait", "power", "servos"},
         "tracking": {"control"},
     },
     "worm_model": {
