@@ -14,6 +14,7 @@ from traceback import format_exception
 from typing import TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray
+from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock as RosClock
 from rclpy.clock import ClockType
@@ -28,7 +29,6 @@ from worm_driver.control.emergency import EmergencyLatch, state_folder
 from worm_driver.control.hardware import Hardware
 from worm_driver.errors import ConfigurationError, DriverError, ReleaseError, StoppedError
 from worm_driver.nodes import driver_messages, driver_parameters
-from worm_driver.nodes.lifecycle_requests import LifecycleRequests
 from worm_driver.nodes.run_gait_action import RunGaitAction
 from worm_driver.nodes.sole_driver import SoleDriver
 from worm_driver.nodes.stamps import Stamps
@@ -110,11 +110,12 @@ class DriverNode(LifecycleNode):
             self._emergency,
             self._action.stop,
             self._action.on_heartbeat,
-            self._stamps.now,
         )
         for name, action, done in _SERVICES:
             self.create_service(Trigger, name, partial(self._serve, action, done))
-        self._lifecycle = LifecycleRequests(self)
+        self._ends = False
+        self._change_state = self._service_change_state.callback
+        self._service_change_state.callback = self._on_change_state
         steady = RosClock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_PUBLISH_PERIOD, self._publish, clock=steady)
         self.create_timer(1.0, self._publish_diagnostics, clock=steady)
@@ -162,8 +163,6 @@ class DriverNode(LifecycleNode):
         self._failure, self.unreleased = None, []
         for line in self._hardware.description():
             self.get_logger().info(line)
-        if restriction := self._emergency.restriction(os.environ):
-            self.get_logger().warning(restriction)
         return super().on_configure(state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -256,7 +255,7 @@ class DriverNode(LifecycleNode):
 
     def reject_transitions(self) -> None:
         """Reject all further transitions, because the process ends."""
-        self._lifecycle.reject_all()
+        self._ends = True
 
     def begin_shutdown(self) -> None:
         """Begin to bring the robot to rest and to end the control loop. Safe in a signal handler."""
@@ -294,6 +293,22 @@ class DriverNode(LifecycleNode):
             self.get_logger().info(
                 f"waiting for configure: ros2 lifecycle set {name} configure, then activate (autostart: both at once)"
             )
+
+    def _on_change_state(
+        self, request: ChangeState.Request, response: ChangeState.Response
+    ) -> ChangeState.Response:
+        """Execute a transition. Reject an impossible one, for which rclpy (7.1) would raise and end the node."""
+        requested = request.transition
+        possible = {
+            number: label for number, label, *_ in self._state_machine.available_transitions
+        }
+        if not self._ends and (requested.label or requested.id in possible):
+            return self._change_state(request, response)
+        names = ", ".join(sorted(possible.values()))
+        none = f"there is no transition {requested.id} from the present state, only: {names}"
+        self.get_logger().error(f"rejected: {_END if self._ends else none}")
+        response.success = False
+        return response
 
     def _failed(self, transition: str, error: Exception) -> TransitionCallbackReturn:
         self._failure = error
@@ -355,7 +370,6 @@ class DriverNode(LifecycleNode):
 
     def destroy_node(self) -> None:
         """Destroy the node. Also end the services with their own threads, and release the claim of the namespace."""
-        self._lifecycle.close()
         self._stops.close()
         self._sole.close()
         super().destroy_node()

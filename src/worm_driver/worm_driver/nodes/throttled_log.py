@@ -17,9 +17,6 @@ class Logger(Protocol):
     def warning(self, message: str) -> object:
         """Log a warning."""
 
-    def error(self, message: str) -> object:
-        """Log an error."""
-
 
 class ThrottledLog:
     """Logger of at most 5 lines at once, then 1 line a second. A line reports how many were omitted before it.
@@ -40,11 +37,6 @@ class ThrottledLog:
         """Log a warning, or count it as omitted."""
         if line := self._admit(message):
             self._logger.warning(line)
-
-    def error(self, message: str) -> None:
-        """Log an error, or count it as omitted."""
-        if line := self._admit(message):  # rclpy requires one severity for each line of code
-            self._logger.error(line)
 
     def _admit(self, message: str) -> str:
         """Return the line to log; empty if it is omitted."""
