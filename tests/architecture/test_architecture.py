@@ -38,6 +38,7 @@ SHARED = {
     f"worm_msgs.{name}"
     for name in (
         *(
+            "claim",
             "command_parser",
             "conditions",
             "driver_file",
@@ -56,7 +57,7 @@ PROCESSES = [
 CONFINED = {
     "rclpy": [*NODES, *PROCESSES],
     "rcl_interfaces": [*NODES, *PROCESSES],
-    "worm_msgs": [*NODES, *PROCESSES, "worm_optimizer/operation/bring_up.py"],
+    "worm_msgs": [*NODES, *PROCESSES],
     "std_msgs": NODES,
     "std_srvs": NODES,
     "sensor_msgs": NODES,

@@ -35,7 +35,7 @@ from worm_driver.nodes.stamps import Stamps
 from worm_driver.nodes.stop_services import StopServices
 from worm_driver.nodes.telemetry_publisher import TelemetryPublisher
 from worm_driver.nodes.tracker_listener import TrackerListener
-from worm_msgs import network, readiness
+from worm_msgs import network
 from worm_msgs.node_command import declare, run_node
 from worm_msgs.ros_process import ShutdownRequest, freeze_garbage_collection
 
@@ -79,16 +79,20 @@ _SERVICES: tuple[tuple[str, _Action, str], ...] = (
 
 
 class DriverNode(LifecycleNode):
-    """Node of the driver, see the module.
+    """Node of the driver, see the module. It waits for its devices before it offers anything.
+
+    Args:
+        ended: returns True once a signal requests the end.
 
     Attributes:
         unreleased: failures of the last closing. After a failure a servo may still have its torque.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, ended: Callable[[], bool]) -> None:
         super().__init__("driver")
         declare(self, driver_parameters.rows)
         driver_parameters.check_time(self)
+        driver_parameters.wait_for_devices(self, ended)
         self._reach = network.reach(os.environ, get_rmw_implementation_identifier())
         self._sole = SoleDriver(self, on_network=not self._reach.is_local)
         self._hardware: Hardware | None = None
@@ -102,7 +106,8 @@ class DriverNode(LifecycleNode):
             self, self._stamps, lambda: self._hardware, lambda: self._tracker.is_publishing()
         )
         self._tracker = TrackerListener(self, self._stamps, self._action.on_position)
-        self._telemetry = TelemetryPublisher(self, self._stamps, self._action, self._emergency)
+        self._telemetry = TelemetryPublisher(self, self._stamps, self._emergency)
+        self._sinks = (self._telemetry, self._action)  # of snapshots and power samples
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._stops = StopServices(
             self,
@@ -158,6 +163,7 @@ class DriverNode(LifecycleNode):
             self._sole.require()
             self._hardware = Hardware(settings, self._tracker.is_ready, self._why_not_start)
             self._stamps.robot_clock = self._hardware.clock
+            self._telemetry.open(self._hardware)
         except Exception as error:  # noqa: BLE001 (rclpy would drop it silently)
             return self._failed("configure", error)
         self._failure, self.unreleased = None, []
@@ -236,7 +242,7 @@ class DriverNode(LifecycleNode):
         for problem in problems:
             self.get_logger().error(f"on release: {problem}")
         if self.context.ok():
-            self._telemetry.publish(hardware)
+            self._pass_on(hardware)
             self._action.abandon(reason)
             self._publish()
             self._telemetry.deliver()
@@ -400,9 +406,22 @@ class DriverNode(LifecycleNode):
         if not self.context.ok():
             return
         if self._hardware is not None:
-            self._telemetry.publish(self._hardware)
+            self._pass_on(self._hardware)
         else:
             self._telemetry.show_inactive(self._why_closed)
+
+    def _pass_on(self, hardware: Hardware) -> None:
+        """Pass the snapshots and power samples since the last call to all sinks, and log the warnings."""
+        while hardware.warnings:
+            self.get_logger().warning(hardware.warnings.popleft())
+        while hardware.samples:
+            sample = hardware.samples.popleft()
+            for sink in self._sinks:
+                sink.on_power(sample)
+        while hardware.snapshots:
+            snapshot = hardware.snapshots.popleft()
+            for sink in self._sinks:
+                sink.on_snapshot(snapshot)
 
     def _publish_diagnostics(self) -> None:
         hardware, latest = self._hardware, self._telemetry.latest
@@ -438,14 +457,13 @@ def main(args: list[str] | None = None) -> int:
 
 
 def _run(ended: ShutdownRequest) -> int:
-    node = DriverNode()
+    node = DriverNode(ended)
     ended.first, ended.again = node.begin_shutdown, node.release_at_once
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     try:
         freeze_garbage_collection()
         node.wait_until_sole(ended)
-        readiness.announce()
         node.autostart()
         node.log_awaited_transition()
         while not ended():
