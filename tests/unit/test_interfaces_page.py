@@ -12,7 +12,6 @@ from interfaces_page import PAGE, ROOT, rows_of
 from worm_driver.nodes import driver_parameters, tracker_node
 from worm_model.nodes import twin_messages
 from worm_model.twin.twin_settings import DEFAULTS
-from worm_msgs.parameter_rows import RENAMED
 from worm_optimizer.nodes import optimizer_node
 
 _SPEC = importlib.util.spec_from_file_location("generator", ROOT / "docs/generate_interfaces.py")
@@ -58,11 +57,6 @@ def test_the_readmes_drawing_has_the_pages_names_and_types():
     private = {name for name, _ in known if name[0] in "~/" or name.startswith("driver/")}
     missing = {name for name, _ in known} - {name for name, _ in drawn} - private
     assert missing == {"inject_fault"}
-
-
-def test_the_former_names_of_parameters_are_those_that_nodes_accept():
-    rows = rows_of("Former names of parameters")
-    assert {former: cells[0].strip("`") for former, cells in rows.items()} == dict(RENAMED)
 
 
 def test_names_of_parameters_and_keys_are_lower_snake_case_with_the_unit_last():
