@@ -222,13 +222,15 @@ class Data:
             if not event.name and event.cycle in self.numbers:
                 variance[self.numbers.index(event.cycle), POWER] = np.inf
         variance *= _excess(values, variance)[None, :, None]
+        # Of a robot that the parameters do not describe, only changes count: its offsets are free, and its cycles
+        # differ more.
+        error = np.ones(CHANNELS)
+        if cycles[0].is_misfit:
+            error = np.max([cycle.error for cycle in cycles], axis=0)
+        self.offsets = (_offsets(signs) * error[:, None]).ravel()
+        variance += (THRESHOLDS * (error - 1.0)[:, None] * _offsets(signs)) ** 2
         self.seen = values.reshape(len(cycles), -1)
         self.weight = 1.0 / variance.reshape(self.seen.shape)
-        # Of a robot that the parameters do not describe, only changes count: its offsets are free.
-        error = (
-            np.max([c.error for c in cycles], axis=0) if cycles[0].is_misfit else np.ones(CHANNELS)
-        )
-        self.offsets = (_offsets(signs) * error[:, None]).ravel()
         nuisances = [*self._of_the_run(), *self._of_a_cycle(), *self._reported(reported)]
         self.nuisances = np.moveaxis(np.array(nuisances), 0, -1)
 

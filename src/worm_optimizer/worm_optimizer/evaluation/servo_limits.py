@@ -116,8 +116,9 @@ def load_driver_file(path: str | Path) -> DrivenBy:
     from_file = _parameters_of_driver(read_yaml(Path(path), OptimizerError))
     if not from_file:
         raise OptimizerError(f"{path}: contains no ros__parameters of a node named driver")
+
+    own = {name: value for name, value in from_file.items() if not name.startswith(_OF_ROS)}
     try:
-        own = {name: value for name, value in from_file.items() if not name.startswith(_OF_ROS)}
         row = settings_of(own, DriverFile)
     except ValueError as error:
         raise OptimizerError(f"{path}: {error}") from None

@@ -95,19 +95,15 @@ def test_the_same_miss_is_reported_twice_at_most(fin: str, tracker: bool):
 
 
 @pytest.mark.parametrize("tracker", [True, False])
-def test_healthy_robots_outside_of_the_model_hardly_ever_have_a_false_cause(tracker: bool):
-    """In 80 such runs, one had a false load."""
-    alarmed = 0
-    for gait in (FAR, Gait(0.06, 0.3), EDGE):
-        for seed in range(2):
-            run = crawl(some_robot(seed), gait, seed=seed).run
-            if not tracker:
-                run = dataclasses.replace(run, tracker=TrackerSamples(), measured=LengthSamples())
-            replay = replay_run(run, PAPER)
-            faulty = Health.FAULTY in replay.residuals["health"]
-            assert faulty <= bool(alarms(replay.notices))
-            alarmed += faulty
-    assert alarmed <= 1
+@pytest.mark.parametrize("gait", [FAR, Gait(0.06, 0.3), EDGE])
+def test_a_healthy_robot_outside_of_the_model_has_no_false_cause(gait: Gait, tracker: bool):
+    for seed in range(2):
+        run = crawl(some_robot(seed), gait, seed=seed).run
+        if not tracker:
+            run = dataclasses.replace(run, tracker=TrackerSamples(), measured=LengthSamples())
+        replay = replay_run(run, PAPER)
+        assert not alarms(replay.notices)
+        assert Health.FAULTY not in replay.residuals["health"]
 
 
 def test_a_tether_on_the_rear_module_is_not_called_a_slope_alone():
