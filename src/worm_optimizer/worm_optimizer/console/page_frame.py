@@ -15,6 +15,7 @@ _NOT_DELIVERED = "STOP CANNOT BE DELIVERED: use the switch in the supply, or ano
 # The server acknowledges each message. A page without acknowledgements shows that it has no connection. The first
 # message after the connection is restored reports the interruption, so that the server ends the page's control.
 _SCRIPT = f"""<script>
+if (top !== self) document.documentElement.remove();  // no other site may show the page and capture its clicks
 const pageState = {{timeout: Infinity, acknowledged: performance.now(), connected: true, wasAway: false}};
 function showConnection(connected) {{
   if (connected === pageState.connected) return;
@@ -51,7 +52,6 @@ _STYLE = (
     f"<style>{STYLE}"
     + """
 .scene { aspect-ratio: 3.4; max-height: 27vh; width: 100% }
-.closer .scene { max-height: 22vh }
 .scene svg { width: 100%; height: 100%; display: block }
 .worm .pipe { fill: #8d8d99 } .worm .robot { fill: #2659bf } .worm .ghost { fill: #e6b422; opacity: .45 }
 .worm .bellows { opacity: .5 } .worm .ghost.bellows { opacity: .25 } .worm .fins { opacity: .9 }

@@ -6,22 +6,18 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
-from fastapi import Request, Response
+from fastapi import Response
 from fastapi.responses import FileResponse, PlainTextResponse
 from nicegui import Client, app, events, ui
 from starlette.background import BackgroundTask
 
 from worm_model.analysis.plot_style import BLUE
 from worm_model.errors import InputError
-from worm_optimizer.console.access import Access
 from worm_optimizer.console.act_page import ActPage
 from worm_optimizer.console.console_state import ConsoleState
-from worm_optimizer.console.entrance import COOKIE
 from worm_optimizer.console.live_page import LivePage
 from worm_optimizer.console.page_frame import head
 from worm_optimizer.console.recordings_page import RecordingsPage
-from worm_optimizer.console.studies import Studies
-from worm_optimizer.console.studies_page import StudiesPage
 from worm_optimizer.console.view import SAMPLE_S, state_text
 
 REFRESH_S = 0.25
@@ -29,13 +25,12 @@ _SANDBOX = {"content-security-policy": "sandbox"}  # blocks scripts in a report 
 _NO_CONTROL = "this page does not have control"
 
 
-def build(state: ConsoleState, access: Access) -> None:
+def build(state: ConsoleState) -> None:
     """Register the pages with the server."""
-    studies = Studies(state)
 
     @ui.page("/", title="Worm console")
-    def console(request: Request, client: Client) -> None:
-        ConsolePage(state, studies, access, client, request.cookies.get(COOKIE, ""))
+    def console(client: Client) -> None:
+        ConsolePage(state, client)
 
     @app.get("/reports/{name:path}")
     def report(name: str) -> Response:
@@ -61,11 +56,8 @@ def build(state: ConsoleState, access: Access) -> None:
 class ConsolePage:
     """One page in one browser, from its opening to its end."""
 
-    def __init__(
-        self, state: ConsoleState, studies: Studies, access: Access, client: Client, session: str
-    ) -> None:
-        self._state, self._access, self._client = state, access, client
-        self._session, self._id = session, client.id
+    def __init__(self, state: ConsoleState, client: Client) -> None:
+        self._state, self._client, self._id = state, client, client.id
         self._latest_notice = state.notices[-1] if state.notices else None
         ui.add_head_html(head(state.control.timeout_s))
         ui.on("alive", self._on_alive)
@@ -79,17 +71,14 @@ class ConsolePage:
             ui.button(icon="dark_mode", on_click=lambda: _toggle(dark)).props(
                 'flat color=white aria-label="Light or dark"'
             )
-            if access.needs_secret:
-                ui.link("Sign out", "/logout").classes("text-white")
-        self._tabs(studies)
+        self._tabs()
         self._footer()
         ui.timer(REFRESH_S, self._refresh)
 
-    def _tabs(self, studies: Studies) -> None:
+    def _tabs(self) -> None:
         state = self._state
         with ui.tabs().classes("w-full") as tabs:
-            live, act = ui.tab("Live"), ui.tab("Act")
-            recordings, studied = ui.tab("Recordings"), ui.tab("Studies")
+            live, act, recordings = ui.tab("Live"), ui.tab("Act"), ui.tab("Recordings")
         with ui.tab_panels(tabs, value=live).classes("w-full"):
             with ui.tab_panel(live):
                 LivePage(state, lambda: tabs.value == "Live")
@@ -97,8 +86,6 @@ class ConsolePage:
                 ActPage(state, self._why_not)
             with ui.tab_panel(recordings):
                 bags = RecordingsPage(state)
-            with ui.tab_panel(studied):
-                StudiesPage(state, studies, self._why_not, bags.selected)
         tabs.on_value_change(lambda event: bags.read() if event.value == "Recordings" else None)
 
     def _footer(self) -> None:
@@ -123,8 +110,6 @@ class ConsolePage:
     def _why_not(self) -> str:
         """Return the reason why this page may not command the robot; empty if it may."""
         control = self._state.control
-        if not self._access.is_open(self._session):
-            return "the session has ended: sign in"
         if control.is_held_by(self._id):
             return ""
         if control.is_requested_by(self._id):
@@ -133,8 +118,6 @@ class ConsolePage:
 
     def _on_alive(self, event: events.GenericEventArguments) -> None:
         """Handle a message of the page. Its argument is True if the connection was interrupted since the last one."""
-        if not self._access.is_open(self._session):
-            return
         if event.args:
             self._lose_control("this page had no connection")
         self._state.control.on_message(self._id)
@@ -147,7 +130,7 @@ class ConsolePage:
         control = self._state.control
         if control.is_held_by(self._id) or control.is_requested_by(self._id):
             control.release(self._id)
-        elif self._access.is_open(self._session):
+        else:
             control.request(self._id)
         self._refresh()
 
@@ -156,9 +139,8 @@ class ConsolePage:
         self._refresh()
 
     def _stop(self) -> None:
-        if self._access.is_open(self._session):
-            self._state.worker.stop()
-            self._refresh()
+        self._state.worker.stop()
+        self._refresh()
 
     def _control_action(self) -> str:
         """Return the text of the button for control."""
@@ -184,10 +166,6 @@ class ConsolePage:
 
     def _refresh(self) -> None:
         state = self._state
-        if not self._access.is_open(self._session):
-            state.control.release(self._id)
-            ui.navigate.to("/login")
-            return
         snapshot = state.snapshot()
         held = state.control.is_held_by(self._id)
         self._state_label.set_text(state_text(snapshot, stopping=state.worker.stopping))

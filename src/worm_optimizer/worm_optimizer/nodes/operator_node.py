@@ -12,7 +12,6 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from typing import TypeVar
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
@@ -36,12 +35,10 @@ from worm_msgs.qos import LATCHED
 from worm_msgs.ros_process import one_line_of
 from worm_msgs.srv import InjectFault, RequestGait
 from worm_optimizer.gait_prediction import Prediction
-from worm_optimizer.nodes.action_goal import ActionGoal
 from worm_optimizer.nodes.gait_run import GaitRun
 from worm_optimizer.nodes.message_fields import value_of
 from worm_optimizer.nodes.robot_graph import RobotGraph
 from worm_optimizer.nodes.robot_telemetry import Telemetry
-from worm_optimizer.nodes.search_goal import SearchGoal
 from worm_optimizer.nodes.service_caller import (
     CALL_TIMEOUT_S,
     DISCOVERY_TIMEOUT_S,
@@ -50,12 +47,9 @@ from worm_optimizer.nodes.service_caller import (
     ServiceCaller,
 )
 from worm_optimizer.robot_commands import (
-    FrontRequest,
     GaitCommand,
     Progress,
     RunResult,
-    ScanRequest,
-    SearchResult,
 )
 from worm_optimizer.search.gait_request import GaitRequest, Objective
 from worm_optimizer.snapshot import Snapshot, Wish
@@ -69,7 +63,6 @@ _NEXT = {
     State.PRIMARY_STATE_UNCONFIGURED: Transition.TRANSITION_CONFIGURE,
     State.PRIMARY_STATE_INACTIVE: Transition.TRANSITION_ACTIVATE,
 }
-_Goal = TypeVar("_Goal", bound=ActionGoal)
 
 
 class UnreachableError(OperatorError):
@@ -375,16 +368,17 @@ class OperatorNode(ServiceCaller):
             OperatorError: There is no driver, there are several, or the driver does not answer.
         """
         self.graph.require_sole_driver()
-        return self._sent(GaitRun(self, self._heartbeat, command, wanted))
-
-    def search(
-        self, request: ScanRequest | FrontRequest, on_end: Callable[[SearchResult], None]
-    ) -> SearchGoal:
-        """Start a margin scan or the computation of a front. The caller must close the returned handle.
-
-        ``on_end`` is called later with the result, while the node spins. Raises `OperatorError` without an optimizer.
-        """
-        return self._sent(SearchGoal(self, request, on_end))
+        run = GaitRun(self, self._heartbeat, command, wanted)
+        try:
+            if not self.wait(lambda: run.possible, DISCOVERY_TIMEOUT_S):
+                raise OperatorError(f"no server of run_gait within {DISCOVERY_TIMEOUT_S:g} s")
+            run.send()
+            if not self.wait(lambda: run.answered, CALL_TIMEOUT_S):
+                raise NoAnswerError(f"no answer from run_gait within {CALL_TIMEOUT_S:g} s")
+        except BaseException:
+            run.close()
+            raise
+        return run
 
     def set_parameters(self, node: str, values: Mapping[str, str | float]) -> None:
         """Set parameters of a node atomically: if a value is rejected, none is set.
@@ -469,21 +463,6 @@ class OperatorNode(ServiceCaller):
         return result
 
     # --- calls ---------------------------------------------------------------------------------
-
-    def _sent(self, goal: _Goal) -> _Goal:
-        """Send a goal, and return it when the server has accepted or rejected it. If this fails, close the goal."""
-        try:
-            if not self.wait(lambda: goal.possible, DISCOVERY_TIMEOUT_S):
-                raise OperatorError(
-                    f"no server of the action {goal.name} within {DISCOVERY_TIMEOUT_S:g} s"
-                )
-            goal.send()
-            if not self.wait(lambda: goal.answered, CALL_TIMEOUT_S):
-                raise NoAnswerError(f"no answer from {goal.name} within {CALL_TIMEOUT_S:g} s")
-        except BaseException:
-            goal.close()
-            raise
-        return goal
 
     def _trigger(self, name: str) -> str:
         response = self.call_twice(Trigger, name, Trigger.Request())
