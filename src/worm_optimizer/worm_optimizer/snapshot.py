@@ -78,7 +78,7 @@ class Snapshot:
         robot_at_twin: sample of the tracker that is nearest to the stamp of ``twin``.
         lengths: body lengths by source, m.
         power: measured power, W.
-        twin_age: stamp of the latest commanded length minus stamp of ``twin``, in s of the robot's clock.
+        twin_age: newest stamp of tracker, power and commanded length minus stamp of ``twin``, s.
         received: time at which the latest message of each topic was received, s (monotonic clock).
         grooves: one pair for each state of the twin in the last seconds: its stamp (ns), and the grooves that the rear
             anchor has moved along +x since the start of the run.

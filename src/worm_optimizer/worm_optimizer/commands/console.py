@@ -7,7 +7,6 @@ import argparse
 import importlib.util
 import os
 import socket
-import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
@@ -17,13 +16,12 @@ from worm_model.commands.command_line import FAILED, InputError, Parser, executa
 from worm_model.parameters import load_parameters
 from worm_optimizer.commands.robot_options import add_robot, robot_of
 from worm_optimizer.nodes.operator_node import OperatorNode, operator
-from worm_optimizer.operation.bring_up import Check, ProgressLog, Say, session
+from worm_optimizer.operation.bring_up import Check, ProgressLog, Say, session, work_folder
 from worm_optimizer.operation.processes import counted_interrupts
 from worm_optimizer.operation.system import RESTARTS
 
 PORT = 8080
 CONTROL_TIMEOUT_S = 5.0  # default of --control-timeout
-# Longest time (s) without a request for which the driver lets a client keep control
 MAX_CONTROL_TIMEOUT_S = 600.0
 
 
@@ -68,7 +66,7 @@ def _console(options: argparse.Namespace) -> int:
         )
     from worm_optimizer.console.bag_library import BagLibrary
     from worm_optimizer.console.console_state import ConsoleState, new_notices
-    from worm_optimizer.console.control import ConsoleControl
+    from worm_optimizer.console.control import PageControl
     from worm_optimizer.console.robot_worker import Notice, RobotWorker
     from worm_optimizer.console.server import HOST, serve
 
@@ -86,12 +84,11 @@ def _console(options: argparse.Namespace) -> int:
     namespace = "/" + options.namespace.strip("/")
     name = f"console_{os.getpid()}"
     worker = RobotWorker(
-        _robot_opener(options, namespace, name, say),
+        _robot_opener(options, namespace, name),
         lambda check: operator(namespace, check, f"{name}_stop"),
         notify,
     )
-    host = f"{socket.gethostname()}:{options.port}"
-    control = ConsoleControl(host, time.monotonic, worker.request_control, options.control_timeout)
+    control = PageControl(time.monotonic, options.control_timeout)
     library = BagLibrary(options.bags)
     state = ConsoleState(worker, control, library, parameters, file, notices)
     with counted_interrupts() as interrupts:
@@ -106,7 +103,7 @@ def _console(options: argparse.Namespace) -> int:
 
 
 def _robot_opener(
-    options: argparse.Namespace, namespace: str, name: str, note: Say
+    options: argparse.Namespace, namespace: str, name: str
 ) -> Callable[[Say, Check], AbstractContextManager[OperatorNode]]:
     """Return a function that opens an operator node, and with --virtual starts the node graph first.
 
@@ -114,7 +111,6 @@ def _robot_opener(
         options: command line.
         namespace: the robot's namespace.
         name: name of the operator node that connects to a running graph.
-        note: prints a line in the terminal.
     """
     robot = robot_of(options, "virtual" if options.virtual else "robot")
     system = robot.file.system(robot.mode, namespace.strip("/"), **robot.settings)
@@ -122,9 +118,10 @@ def _robot_opener(
     @contextmanager
     def opened(say: Say, check: Check) -> Iterator[OperatorNode]:
         if options.virtual:
-            logs = Path(tempfile.mkdtemp(prefix="worm_console_"))
-            note(f"the logs of all nodes go to {logs}")
-            with session(system, logs, say, RESTARTS, check) as running:
+            with (
+                work_folder("console") as work,
+                session(system, work / "logs", say, RESTARTS, check) as running,
+            ):
                 running.node.configure()
                 say("all nodes run")
                 yield running.node
@@ -136,7 +133,7 @@ def _robot_opener(
 
 
 def _check_control_timeout(timeout_s: float) -> None:
-    """Raise `InputError` if the timeout is longer than the driver permits, or too short for a slow network."""
+    """Raise `InputError` if the timeout is too long for a person to wait, or too short for a slow network."""
     if not 2.0 <= timeout_s <= MAX_CONTROL_TIMEOUT_S:
         raise InputError(
             f"--control-timeout {timeout_s:g}: give 2 to {MAX_CONTROL_TIMEOUT_S:g} seconds"

@@ -20,7 +20,6 @@ class RecordingsPage:
     def __init__(self, state: ConsoleState) -> None:
         self._state = state
         self._rows: list[Row] = []
-        ui.html("Recordings", tag="h2", sanitize=False).classes("text-lg")
         with ui.element("div").classes("w-full") as self._list:
             self._build_list()
         with ui.element("div").classes("w-full") as self._detail:
@@ -45,7 +44,9 @@ class RecordingsPage:
             columns=columns, rows=[], row_key="key", selection="multiple", pagination=20
         ).classes("w-full")
         self._table.style("min-height: 40vh")
-        self._table.props('no-data-label="no run is listed" no-results-label="none"')
+        self._table.props(
+            ':rows-per-page-options="[20]" no-data-label="no run is listed" no-results-label="none"'
+        )
         self._table.add_slot("header-selection", _CHECKBOX.format("'Select all'"))
         self._table.add_slot("body-selection", _CHECKBOX.format("'Select ' + props.row.name"))
 

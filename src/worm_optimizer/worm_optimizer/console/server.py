@@ -10,8 +10,8 @@ from nicegui import app, core, ui
 from nicegui.server import Server
 from starlette.middleware.trustedhost import TrustedHostMiddleware
 
+from worm_optimizer.console.console_page import build
 from worm_optimizer.console.console_state import ConsoleState
-from worm_optimizer.console.pages import build
 
 HOST = "127.0.0.1"
 _LOOK_S = 0.1  # period of the checks for the end, s

@@ -7,6 +7,7 @@ it waits. A running gait is a `GaitRun`, whose heartbeats are sent only while th
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import time
 from collections import deque
@@ -26,11 +27,12 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
-from worm_model.gait import FORWARD
+from worm_model.gait import FORWARD, Gait
 from worm_model.run import Activity
 from worm_msgs import network
 from worm_msgs.conditions import CONDITION_ROWS, Conditions
 from worm_msgs.msg import ControlRequest, Heartbeat
+from worm_msgs.msg import Gait as GaitMessage
 from worm_msgs.qos import LATCHED
 from worm_msgs.ros_process import one_line_of
 from worm_msgs.srv import InjectFault, RequestGait
@@ -54,6 +56,7 @@ from worm_optimizer.robot_commands import (
 from worm_optimizer.search.gait_request import GaitRequest, Objective
 from worm_optimizer.snapshot import Snapshot, Wish
 
+REQUEST_GAIT = "request_gait"
 DRIVER, TWIN, OPTIMIZER = "driver", "twin", "optimizer"  # names of the nodes in system.yaml
 SILENCE_S = 60.0  # timeout for feedback of a running gait, s
 REASON_S = 1.0  # timeout for the driver's log message about a failed transition, s
@@ -114,6 +117,8 @@ class OperatorNode(ServiceCaller):
     Attributes:
         graph: the ROS graph of the robot.
         late_cycles: number of deadlines that the driver has missed since its start, according to its diagnostics.
+        front_description: margin of the front of the latest gait that `request_gait` returned, and warnings about it.
+            The parts are separated by semicolons.
     """
 
     def __init__(
@@ -126,6 +131,7 @@ class OperatorNode(ServiceCaller):
         super().__init__(name, namespace, context, check)
         self.graph = RobotGraph(self)
         self.late_cycles = 0
+        self.front_description = ""
         self._simulated_s: float | None = None  # time of a virtual robot's clock
         self._telemetry = Telemetry(self)
         self._errors: deque[str] = deque(maxlen=20)  # errors in the driver's log
@@ -351,12 +357,38 @@ class OperatorNode(ServiceCaller):
             message.speed = request.value
         elif request.objective is Objective.MAX_SPEED_AT_POWER:
             message.power = request.value
-        response = self.call_twice(RequestGait, "request_gait", message)
+        response = self.call_twice(RequestGait, REQUEST_GAIT, message)
         if response.success:
+            self.front_description = response.message
             return value_of(Prediction, response.prediction.gait, response.prediction)
         if response.status == RequestGait.Response.UNREACHABLE:
             raise UnreachableError(response.message)
         raise OperatorError(f"the optimizer has no gait: {response.message}")
+
+    @property
+    def has_optimizer(self) -> bool:
+        """True if the optimizer was discovered."""
+        return bool(self.named_client(RequestGait, REQUEST_GAIT).service_is_ready())
+
+    def predict_gait(self, gait: Gait, initial_length: float = 0.0) -> tuple[Prediction, str]:
+        """Return the optimizer's prediction of a gait, and its warnings about this gait.
+
+        Args:
+            gait: the gait.
+            initial_length: L0, m; 0 for that of the optimizer's parameters.
+
+        Raises `OperatorError` if the gait cannot be predicted, or without an answer.
+        """
+        message = RequestGait.Request(
+            objective=RequestGait.Request.GIVEN,
+            gait=GaitMessage(**dataclasses.asdict(gait)),
+            initial_length=initial_length,
+        )
+        response = self.call_twice(RequestGait, REQUEST_GAIT, message)
+        if not response.success:
+            raise OperatorError(f"no prediction: {response.message}")
+        prediction = value_of(Prediction, response.prediction.gait, response.prediction)
+        return prediction, response.message
 
     def begin(self, command: GaitCommand, wanted: Callable[[], bool] = lambda: True) -> GaitRun:
         """Start a gait. The caller must close the returned handle.

@@ -48,6 +48,7 @@ _TOPICS: Mapping[str, tuple[type, QoSProfile]] = {
     "twin/residuals": (TwinResiduals, _NEWEST),
     **dict.fromkeys(_LENGTHS.values(), (BodyLength, _NEWEST)),
 }
+_INPUTS = ("tracker", "power", _LENGTHS[LengthSource.COMMANDED])
 _MEASUREMENTS = {"power", "tracker", "twin/state", "twin/residuals"}
 # Topics that every operator needs. They have few messages.
 _LATCHED_TOPICS: Mapping[str, tuple[type, QoSProfile]] = {
@@ -121,19 +122,24 @@ class Telemetry:
             robot_at_twin=_robot_at(newest.get("twin/state"), list(self._sightings)),
             lengths={s: newest[topic].length for s, topic in _LENGTHS.items() if topic in newest},
             power=power.power if power is not None else math.nan,
-            twin_age=_between(
-                newest.get("twin/state"), newest.get(_LENGTHS[LengthSource.COMMANDED])
+            twin_age=_behind(
+                newest.get("twin/state"),
+                [newest[topic] for topic in _INPUTS if topic in newest],
             ),
             received={topic: at for topic, (at, _) in received.items()},
             grooves=tuple(self._grooves.copy()),
         )
 
 
-def _between(earlier: Any, later: Any) -> float:
-    """Return the stamp of the later message minus that of the earlier one, s; NaN if a message is missing."""
-    if earlier is None or later is None:
+def _behind(twin: Any, inputs: list[Any]) -> float:
+    """Return the newest stamp of the inputs minus that of the twin, s; NaN if a message is missing.
+
+    An inactive driver publishes no commanded length, while tracker and power continue.
+    """
+    if twin is None or not inputs:
         return math.nan
-    return 1e-9 * (nanoseconds(later.header.stamp) - nanoseconds(earlier.header.stamp))
+    newest = max(nanoseconds(message.header.stamp) for message in inputs)
+    return 1e-9 * (newest - nanoseconds(twin.header.stamp))
 
 
 def _driver_of(message: Any) -> DriverState | None:

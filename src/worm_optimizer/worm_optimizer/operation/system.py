@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -148,7 +149,7 @@ class SystemFile:
 
     def __post_init__(self) -> None:
         """Raise `SystemFileError` if a node refers to a setting that the file does not contain."""
-        known = ("namespace", *self.settings)
+        known = ("namespace", "domain", *self.settings)
         for name, row in self.nodes.items():
             for used in (*re.findall(r"\{(\w+)\}", repr(row)), row.needs):
                 if used not in (None, *known):
@@ -171,7 +172,7 @@ class SystemFile:
         unknown = sorted(set(settings) - set(self.settings))
         if unknown:
             raise SystemFileError(unknown_name("setting", unknown[0], self.settings))
-        names = {"namespace": namespace}
+        names = {"namespace": namespace, "domain": os.environ.get("ROS_DOMAIN_ID") or "0"}
         defaults = {name: row.default.format_map(names) for name, row in self.settings.items()}
         values: dict[str, str | float] = {**names, **defaults, **settings}
         for name, row in self.settings.items():

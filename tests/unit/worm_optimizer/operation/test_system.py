@@ -104,7 +104,15 @@ def test_a_namespace_of_its_own_reaches_the_recorder_and_the_folder_of_the_robot
     assert not pattern.match("/worm/power")
     assert not pattern.match("/fleet/robot71/power")
     port = system.node("driver").parameters["port"]
-    assert port == "/tmp/fleet/robot7/servo_bus"
+    assert port.startswith("/tmp/fleet/robot7")
+
+
+def test_a_second_virtual_robot_in_another_domain_has_its_own_folder(monkeypatch):
+    def port(domain: str) -> str:
+        monkeypatch.setenv("ROS_DOMAIN_ID", domain)
+        return load_system_file(SHIPPED).system("virtual").node("driver").parameters["port"]
+
+    assert port("1") != port("2")
 
 
 def test_an_argument_without_a_value_is_left_out(tmp_path):
