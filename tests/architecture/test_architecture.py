@@ -91,8 +91,8 @@ CONFINED = {
     "dask": ["worm_optimizer/study/store.py"],
     "distributed": ["worm_optimizer/study/*.py"],
     "nicegui": ["worm_optimizer/console/*page*.py", "worm_optimizer/console/server.py"],
-    "fastapi": ["worm_optimizer/console/pages.py"],
-    "starlette": ["worm_optimizer/console/pages.py", "worm_optimizer/console/entrance.py"],
+    "fastapi": ["worm_optimizer/console/console_page.py"],
+    "starlette": ["worm_optimizer/console/server.py"],
     "xarray": [
         "worm_optimizer/study/results.py",
         "worm_optimizer/study/store.py",

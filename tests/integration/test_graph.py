@@ -27,7 +27,6 @@ BYSTANDERS = ("twin", "optimizer")
 OF_OPERATORS = (
     "heartbeat",
     "emergency_stop",
-    "control/request",
 )  # published by clients that start gaits; this graph has none
 
 

@@ -47,7 +47,7 @@ def test_a_crash_of_the_driver_ends_all_nodes_of_a_robot_in_its_own_folder(
 ):
     start = processes.start_executable("worm_optimizer", "start", "--virtual")
     start.wait_for_line("ready: ", READY_S)
-    assert Path(f"/tmp/worm_domain_{ros_domain}/worm/servo_bus").is_symlink()
+    assert Path(f"/tmp/worm_{ros_domain}/servo_bus").is_symlink()
     os.kill(holder(DRIVER, "worm", ros_domain), signal.SIGKILL)
     assert start.wait(2 * TIMEOUT_S) == 1
     assert start.last_line().startswith("start: driver ended with exit status -9")

@@ -59,11 +59,7 @@ def declare(node: Node, rows: Rows) -> None:
     floats = frozenset(row.name for row in table if _is_float(row.default))
     # Only this private mapping of rclpy contains the parameters of the command line and of the parameter files.
     overrides: dict[str, Parameter] = node._parameter_overrides
-<<<<<<< HEAD
-    overrides.update({name: _as_float(overrides[name]) for name in floats & overrides.keys()})
-=======
     overrides.update({name: _converted(p, floats) for name, p in overrides.items()})
->>>>>>> main
     for row in table:
         try:
             node.declare_parameter(row.name, row.default, row.descriptor())
@@ -83,13 +79,8 @@ def _set_changes_alone(node: Node, floats: frozenset[str]) -> None:
     set_all = node._set_parameters_atomically
 
     def set_changes(parameters: list[Parameter]) -> SetParametersResult:
-<<<<<<< HEAD
-        given = [_as_float(p) if p.name in floats else p for p in parameters]
-        changes = [p for p in given if not _is_set(node, p)]
-=======
         converted = [_converted(p, floats) for p in parameters]
         changes = [p for p in converted if not _is_set(node, p)]
->>>>>>> main
         return set_all(changes) if changes else SetParametersResult(successful=True)
 
     node._set_parameters_atomically = set_changes
@@ -182,14 +173,10 @@ def _is_float(default: Any) -> bool:
     return isinstance(default[0] if isinstance(default, list) and default else default, float)
 
 
-<<<<<<< HEAD
-def _as_float(parameter: Parameter) -> Parameter:
-=======
 def _converted(parameter: Parameter, floats: frozenset[str]) -> Parameter:
     """Return a parameter, with a float in place of an integer if its name is in ``floats``."""
     if parameter.name not in floats:
         return parameter
->>>>>>> main
     value = parameter.value
     if parameter.type_ is Parameter.Type.INTEGER:
         return Parameter(parameter.name, value=float(value))

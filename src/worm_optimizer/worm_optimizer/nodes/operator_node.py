@@ -7,13 +7,13 @@ it waits. A running gait is a `GaitRun`, whose heartbeats are sent only while th
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from functools import cached_property
-from typing import TypeVar
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
@@ -27,20 +27,19 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
-from worm_model.gait import FORWARD
+from worm_model.gait import FORWARD, Gait
 from worm_model.run import Activity
 from worm_msgs import network
 from worm_msgs.conditions import CONDITION_ROWS, Conditions
-from worm_msgs.msg import ControlRequest, Heartbeat
+from worm_msgs.msg import Gait as GaitMessage
+from worm_msgs.msg import Heartbeat
 from worm_msgs.ros_process import one_line_of
 from worm_msgs.srv import InjectFault, RequestGait
 from worm_optimizer.gait_prediction import Prediction
-from worm_optimizer.nodes.action_goal import ActionGoal
 from worm_optimizer.nodes.gait_run import GaitRun
 from worm_optimizer.nodes.message_fields import value_of
 from worm_optimizer.nodes.robot_graph import RobotGraph
 from worm_optimizer.nodes.robot_telemetry import Telemetry
-from worm_optimizer.nodes.search_goal import SearchGoal
 from worm_optimizer.nodes.service_caller import (
     CALL_TIMEOUT_S,
     DISCOVERY_TIMEOUT_S,
@@ -49,16 +48,14 @@ from worm_optimizer.nodes.service_caller import (
     ServiceCaller,
 )
 from worm_optimizer.robot_commands import (
-    FrontRequest,
     GaitCommand,
     Progress,
     RunResult,
-    ScanRequest,
-    SearchResult,
 )
 from worm_optimizer.search.gait_request import GaitRequest, Objective
-from worm_optimizer.snapshot import Snapshot, Wish
+from worm_optimizer.snapshot import Snapshot
 
+REQUEST_GAIT = "request_gait"
 DRIVER, TWIN, OPTIMIZER = "driver", "twin", "optimizer"  # names of the nodes in system.yaml
 SILENCE_S = 60.0  # timeout for feedback of a running gait, s
 REASON_S = 1.0  # timeout for the driver's log message about a failed transition, s
@@ -69,7 +66,6 @@ _NEXT = {
     State.PRIMARY_STATE_UNCONFIGURED: Transition.TRANSITION_CONFIGURE,
     State.PRIMARY_STATE_INACTIVE: Transition.TRANSITION_ACTIVATE,
 }
-_Goal = TypeVar("_Goal", bound=ActionGoal)
 
 
 class UnreachableError(OperatorError):
@@ -121,6 +117,8 @@ class OperatorNode(ServiceCaller):
     Attributes:
         graph: the ROS graph of the robot.
         late_cycles: number of deadlines that the driver has missed since its start, according to its diagnostics.
+        front_description: margin of the front of the latest gait that `request_gait` returned, and warnings about it.
+            The parts are separated by semicolons.
     """
 
     def __init__(
@@ -133,6 +131,7 @@ class OperatorNode(ServiceCaller):
         super().__init__(name, namespace, context, check)
         self.graph = RobotGraph(self)
         self.late_cycles = 0
+        self.front_description = ""
         self._simulated_s: float | None = None  # time of a virtual robot's clock
         self._telemetry = Telemetry(self)
         self._errors: deque[str] = deque(maxlen=20)  # errors in the driver's log
@@ -141,7 +140,6 @@ class OperatorNode(ServiceCaller):
         self.create_subscription(Clock, "clock", self._on_clock, 10)
         self.create_subscription(Log, "/rosout", self._on_log, 100)
         self._heartbeat = self.create_publisher(Heartbeat, "heartbeat", 10)
-        self._control = self.create_publisher(ControlRequest, "control/request", 100)
 
     def _on_log(self, message: Log) -> None:
         own = f"{self.get_namespace()}/{DRIVER}".strip("/").replace("/", ".")
@@ -293,13 +291,6 @@ class OperatorNode(ServiceCaller):
             )
         return "holding; nothing starts before the emergency stop is reset"
 
-    def request_control(self, client: str, wish: Wish, lease_s: float) -> None:
-        """Publish a client's wish to have, hand over or release control. `Snapshot.control` contains the answer.
-
-        ``lease_s`` is the time (s) without a request after which the driver ends the client's control.
-        """
-        self._control.publish(ControlRequest(client=client, wish=wish, lease_s=lease_s))
-
     def reset_emergency_stop(self) -> str:
         """Withdraw the emergency stop and permit starts again; return the driver's report.
 
@@ -371,12 +362,38 @@ class OperatorNode(ServiceCaller):
             message.speed = request.value
         elif request.objective is Objective.MAX_SPEED_AT_POWER:
             message.power = request.value
-        response = self.call_twice(RequestGait, "request_gait", message)
+        response = self.call_twice(RequestGait, REQUEST_GAIT, message)
         if response.success:
+            self.front_description = response.message
             return value_of(Prediction, response.prediction.gait, response.prediction)
         if response.status == RequestGait.Response.UNREACHABLE:
             raise UnreachableError(response.message)
         raise OperatorError(f"the optimizer has no gait: {response.message}")
+
+    @property
+    def has_optimizer(self) -> bool:
+        """True if the optimizer was discovered."""
+        return bool(self.named_client(RequestGait, REQUEST_GAIT).service_is_ready())
+
+    def predict_gait(self, gait: Gait, initial_length: float = 0.0) -> tuple[Prediction, str]:
+        """Return the optimizer's prediction of a gait, and its warnings about this gait.
+
+        Args:
+            gait: the gait.
+            initial_length: L0, m; 0 for that of the optimizer's parameters.
+
+        Raises `OperatorError` if the gait cannot be predicted, or without an answer.
+        """
+        message = RequestGait.Request(
+            objective=RequestGait.Request.GIVEN,
+            gait=GaitMessage(**dataclasses.asdict(gait)),
+            initial_length=initial_length,
+        )
+        response = self.call_twice(RequestGait, REQUEST_GAIT, message)
+        if not response.success:
+            raise OperatorError(f"no prediction: {response.message}")
+        prediction = value_of(Prediction, response.prediction.gait, response.prediction)
+        return prediction, response.message
 
     def begin(self, command: GaitCommand, wanted: Callable[[], bool] = lambda: True) -> GaitRun:
         """Start a gait. The caller must close the returned handle.
@@ -388,16 +405,17 @@ class OperatorNode(ServiceCaller):
             OperatorError: There is no driver, there are several, or the driver does not answer.
         """
         self.graph.require_sole_driver()
-        return self._sent(GaitRun(self, self._heartbeat, command, wanted))
-
-    def search(
-        self, request: ScanRequest | FrontRequest, on_end: Callable[[SearchResult], None]
-    ) -> SearchGoal:
-        """Start a margin scan or the computation of a front. The caller must close the returned handle.
-
-        ``on_end`` is called later with the result, while the node spins. Raises `OperatorError` without an optimizer.
-        """
-        return self._sent(SearchGoal(self, request, on_end))
+        run = GaitRun(self, self._heartbeat, command, wanted)
+        try:
+            if not self.wait(lambda: run.possible, DISCOVERY_TIMEOUT_S):
+                raise OperatorError(f"no server of run_gait within {DISCOVERY_TIMEOUT_S:g} s")
+            run.send()
+            if not self.wait(lambda: run.answered, CALL_TIMEOUT_S):
+                raise NoAnswerError(f"no answer from run_gait within {CALL_TIMEOUT_S:g} s")
+        except BaseException:
+            run.close()
+            raise
+        return run
 
     def set_parameters(self, node: str, values: Mapping[str, str | float]) -> None:
         """Set parameters of a node atomically: if a value is rejected, none is set.
@@ -482,21 +500,6 @@ class OperatorNode(ServiceCaller):
         return result
 
     # --- calls ---------------------------------------------------------------------------------
-
-    def _sent(self, goal: _Goal) -> _Goal:
-        """Send a goal, and return it when the server has accepted or rejected it. If this fails, close the goal."""
-        try:
-            if not self.wait(lambda: goal.possible, DISCOVERY_TIMEOUT_S):
-                raise OperatorError(
-                    f"no server of the action {goal.name} within {DISCOVERY_TIMEOUT_S:g} s"
-                )
-            goal.send()
-            if not self.wait(lambda: goal.answered, CALL_TIMEOUT_S):
-                raise NoAnswerError(f"no answer from {goal.name} within {CALL_TIMEOUT_S:g} s")
-        except BaseException:
-            goal.close()
-            raise
-        return goal
 
     def _trigger(self, name: str) -> str:
         response = self.call_twice(Trigger, name, Trigger.Request())
