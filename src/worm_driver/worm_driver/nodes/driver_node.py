@@ -464,8 +464,9 @@ def _run(ended: ShutdownRequest) -> int:
     try:
         freeze_garbage_collection()
         node.wait_until_sole(ended)
-        node.autostart()
-        node.log_awaited_transition()
+        if not ended():
+            node.autostart()
+            node.log_awaited_transition()
         while not ended():
             executor.spin_once(timeout_sec=0.05)
     finally:

@@ -156,7 +156,7 @@ def session(
             say("stopping the nodes")
     finally:
         _report_torque(group, system)
-    check_ends(group)
+    group.check()
 
 
 def _wait_for_driver(group: ProcessGroup, node: OperatorNode, namespace: str) -> None:
@@ -279,10 +279,3 @@ def load(late_cycles: int) -> str:
     if late_cycles:
         shares.append(f"{late_cycles} cycles of the driver late")
     return f" (the computer was busy: {', '.join(shares)})" if shares else ""
-
-
-def check_ends(group: ProcessGroup) -> None:
-    """Raise `ProcessError` if a process ended with an exit status other than 0."""
-    for process in group.processes.values():
-        if process.exit_code != 0:
-            raise ProcessError(process.report())
