@@ -118,6 +118,17 @@ def open_device(bus: str, address: int) -> I2CDevice:
         raise PowerSensorError(f"I2C bus {bus} cannot be opened: {error}") from error
 
 
+def exists(bus: str) -> bool:
+    """Return True if a bus, as in `open_device`, can be opened or is not wanted ("none" or empty)."""
+    if bus in ("", "none"):
+        return True
+    try:
+        _open_bus(bus).close()
+    except OSError:
+        return False
+    return True
+
+
 def _bus_number(bus: str) -> str:
     """Return the number of a bus that is given as in `open_device`; empty for a virtual robot's socket."""
     if bus.isdecimal():
