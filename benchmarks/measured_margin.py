@@ -10,9 +10,9 @@ import numpy as np
 
 from benchmarks.report import Row, cpu_time
 from tests.helpers.foreign_robot import Camera, ForeignRobot, crawl, some_robot
+from worm_model.analysis.run_metrics import measure_margin
 from worm_model.gait import Gait
 from worm_model.margin.half_cycles import Fin
-from worm_model.margin.measured_margin import measure
 from worm_model.parameters import PAPER
 
 TITLE = (
@@ -56,8 +56,7 @@ def _errors(truth: Sequence[tuple[ForeignRobot, Gait, Margins]], camera: Camera)
     errors: dict[Fin, list[float]] = {fin: [] for fin in Fin}
     for robot, gait, margins in truth:
         run = crawl(robot, gait, CYCLES, camera, seed=robot.pipe).run
-        found = measure(run, PAPER)
-        assert found is not None
+        found = measure_margin(run, PAPER)
         for fin in Fin:
             measured = [getattr(cycle, fin.value).margin for cycle in found.cycles]
             own = np.array(measured[1:] if fin is Fin.REAR else measured[:-1])
@@ -80,8 +79,9 @@ def _losses() -> list[Row]:
     for stroke, frequency in GAITS:
         gait, predicted, lost = Gait(stroke, frequency), [], []
         for seed in range(PIPES):
-            found = measure(crawl(some_robot(seed), gait, CYCLES, seed=seed).run, PAPER, GROOVES)
-            assert found is not None
+            found = measure_margin(
+                crawl(some_robot(seed), gait, CYCLES, seed=seed).run, PAPER, GROOVES
+            )
             if found.keeps is not None:
                 predicted.append(1.0 - found.keeps.value)
             later = crawl(some_robot(seed, pipe=1000 + seed), gait, COUNTED)
@@ -110,6 +110,6 @@ def run() -> list[Row]:
     ]
     rows += [_row(f"camera {name}", _errors(truth, camera)) for name, camera in CAMERAS.items()]
     recorded = crawl(some_robot(0), Gait(STROKE, 0.2), 10).run
-    spent = cpu_time(lambda: measure(recorded, PAPER), 5)
+    spent = cpu_time(lambda: measure_margin(recorded, PAPER), 5)
     how = "processor time of ten cycles at 30 Hz"
     return [*rows, *_losses(), Row("time of a measurement", f"{spent:.2f} s", "0.3 s", how)]

@@ -10,8 +10,9 @@ import numpy as np
 
 from benchmarks.report import Row
 from tests.helpers.foreign_robot import ForeignRobot, ForeignRun, crawl, some_robot
+from worm_model.analysis.run_metrics import measure_margin
 from worm_model.gait import Gait
-from worm_model.margin.measured_margin import RunMargin, measure
+from worm_model.margin.measured_margin import RunMargin
 from worm_model.parameters import PAPER
 from worm_model.run import seconds
 from worm_optimizer.evaluation.task import MarginTask
@@ -51,8 +52,7 @@ def _tune(robot: ForeignRobot, gait: Gait) -> tuple[Tuning | None, Gait, int]:
     limits = limits_of(MarginTask())
     step = None
     for number in range(1, MOST_RUNS + 1):
-        found = measure(crawl(robot, gait, CYCLES, seed=number).run, PAPER, GROOVES)
-        assert found is not None
+        found = measure_margin(crawl(robot, gait, CYCLES, seed=number).run, PAPER, GROOVES)
         runs.append(found)
         step = next_gait(runs, PROBABILITY, limits, PAPER)
         if step is None or step.state is not TuneState.RUN:

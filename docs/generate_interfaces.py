@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 import re
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 from worm_model.twin.cause_table import EVENT_CODES
@@ -20,20 +19,11 @@ ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "interfaces.md"
 TWIN_PAGE = ROOT / "docs" / "twin.md"
 TWIN_EVENT = ROOT / "src" / "worm_msgs" / "msg" / "TwinEvent.msg"
-KINDS = {"msg": "message", "srv": "service", "action": "action"}
-PARTS = {
-    "msg": ("",),
-    "srv": ("", "→ "),
-    "action": ("", "→ ", "feedback "),
-}  # between the lines ---
-DECLARATION = re.compile(
-    r"^(?P<type>\S+)\s+(?P<name>\w+)(?:\s*=\s*(?P<value>\S+)|\s+(?P<default>[^\s#=]+))?\s*(?:#\s*(?P<comment>.*))?$"
-)
 
 
 def generated(page: str) -> str:
     """Return interfaces.md with its marked parts up to date."""
-    page = _replaced(page, "messages", "\n\n".join(_messages()))
+    page = _replaced(page, "messages", _messages())
     return _replaced(page, "settings", _settings())
 
 
@@ -61,43 +51,20 @@ def _replaced(page: str, name: str, text: str) -> str:
     return re.sub(f"(?s){begin}.*?{end}", lambda _: f"{begin}\n\n{text}\n\n{end}", page, count=1)
 
 
-def _messages() -> Iterator[str]:
-    for kind, what in KINDS.items():
+def _messages() -> str:
+    """Return a table of all definitions, with the first sentence of their comments."""
+    rows = ["| Definition | Meaning |", "| --- | --- |"]
+    for kind in ("msg", "srv", "action"):
         for path in sorted((ROOT / "src" / "worm_msgs" / kind).iterdir()):
-            yield f"### worm_msgs/{path.stem} ({what})\n\n{_definition(path, PARTS[kind])}"
-
-
-def _definition(path: Path, prefixes: tuple[str, ...]) -> str:
-    """Return the comments of a definition, and a row for each field and constant."""
-    remarks: list[str] = []
-    rows = ["| Field | Type | Unit, meaning |", "| --- | --- | --- |"]
-    parts = path.read_text(encoding="utf-8").split("\n---\n")
-    for prefix, part in zip(prefixes, parts, strict=True):
-        for line in filter(None, map(str.strip, part.splitlines())):
-            if line.startswith("#"):
-                remarks.append(line.lstrip("# "))
-                continue
-            found = DECLARATION.match(line)
-            if found is None:
-                raise ValueError(f"{path}: cannot be read: {line}")
-            value = f" = {found['value']}" if found["value"] else ""
-            value += f", default {found['default']}" if found["default"] else ""
-            meaning = _plain(found["comment"] or "")
-            rows.append(f"| {prefix}`{found['name']}`{value} | {found['type']} | {meaning} |")
-    return _plain(" ".join(remarks)) + "\n\n" + "\n".join(rows)
-
-
-def _plain(text: str) -> str:
-    """Return a text with the characters of Markdown escaped."""
-    return re.sub(r"([*|])", r"\\\1", text)
+            comment = " ".join(re.findall(r"(?m)^# ?(.*)$", path.read_text(encoding="utf-8")))
+            first = comment.split(". ")[0].rstrip(".")
+            rows.append(f"| [{path.name}](../src/worm_msgs/{kind}/{path.name}) | {first} |")
+    return "\n".join(rows)
 
 
 def _settings() -> str:
-    rows = ["| Option | Node parameter | Default | Meaning |", "| --- | --- | --- | --- |"]
-    rows += [
-        f"| {f'`--{row.option}`' if row.option else ''} | `{row.parameter}` | {_default(row)} | {row.meaning} |"
-        for row in SETTINGS
-    ]
+    rows = ["| Option | Node parameter | Default |", "| --- | --- | --- |"]
+    rows += [f"| `--{row.option}` | `{row.parameter}` | {_default(row)} |" for row in SETTINGS]
     return "\n".join(rows)
 
 

@@ -121,7 +121,7 @@ SEAMS = {
         "bags": set(),
         "margin": {"simulation"},
         "twin": {"margin", "simulation"},
-        "analysis": {"simulation", "twin"},
+        "analysis": {"margin", "simulation", "twin"},
         "identification": {"analysis", "bags", "margin", "simulation"},
     },
     "worm_optimizer": {

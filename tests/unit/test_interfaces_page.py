@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The generated parts of docs/interfaces.md are up to date, and its figure agrees with the README's.
+"""The generated parts of docs/interfaces.md are up to date, and its figure agrees with its tables.
 
 tests/integration/test_graph.py compares the tables of topics, services and actions with the running nodes.
 """
@@ -12,7 +12,6 @@ from interfaces_page import PAGE, ROOT, rows_of
 from worm_driver.nodes import driver_parameters, tracker_node
 from worm_model.nodes import twin_messages
 from worm_model.twin.twin_settings import DEFAULTS
-from worm_msgs.parameter_rows import RENAMED
 from worm_optimizer.nodes import optimizer_node
 
 _SPEC = importlib.util.spec_from_file_location("generator", ROOT / "docs/generate_interfaces.py")
@@ -28,12 +27,12 @@ def test_the_generated_parts_are_up_to_date():
     assert GENERATOR.generated_twin_page(twin_page) == twin_page, "run ./worm docs"
     message = GENERATOR.TWIN_EVENT.read_text(encoding="utf-8")
     assert GENERATOR.generated_message(message) == message, "run ./worm docs"
-    assert "| → `status` | uint8 |" in PAGE
+    assert "| [RunGait.action](../src/worm_msgs/action/RunGait.action) | Run a gait" in PAGE
     assert "| `--margin` | `margin_m` | NaN |" in PAGE
 
 
 def test_a_part_that_is_out_of_date_is_generated_again():
-    stale = PAGE.replace("| `stroke` | float64 |", "| `stride` | float32 |")
+    stale = PAGE.replace("RunGait.action", "RunStride.action")
     assert stale != PAGE
     assert GENERATOR.generated(stale) == PAGE
 
@@ -43,9 +42,8 @@ def test_the_twins_greatest_rate_is_the_pages():
     assert rows_of("Topics")["twin/state"][2] == f"with the length, at most {rate:.0f} Hz"
 
 
-def test_the_readmes_drawing_has_the_pages_names_and_types():
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    drawing = re.search(r"```mermaid\n(.*?)```", readme, re.DOTALL)
+def test_the_drawing_has_the_names_and_types_of_the_tables():
+    drawing = re.search(r"```mermaid\n(.*?)```", PAGE, re.DOTALL)
     assert drawing
     drawn = {
         (name, kind)
@@ -58,11 +56,6 @@ def test_the_readmes_drawing_has_the_pages_names_and_types():
     private = {name for name, _ in known if name[0] in "~/" or name.startswith("driver/")}
     missing = {name for name, _ in known} - {name for name, _ in drawn} - private
     assert missing == {"inject_fault"}
-
-
-def test_the_former_names_of_parameters_are_those_that_nodes_accept():
-    rows = rows_of("Former names of parameters")
-    assert {former: cells[0].strip("`") for former, cells in rows.items()} == dict(RENAMED)
 
 
 def test_names_of_parameters_and_keys_are_lower_snake_case_with_the_unit_last():

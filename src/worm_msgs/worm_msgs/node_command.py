@@ -24,7 +24,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from worm_msgs.command_parser import BAD_INPUT, Parser, one_line
-from worm_msgs.parameter_rows import ParameterRow, present_names
+from worm_msgs.parameter_rows import ParameterRow
 from worm_msgs.ros_process import ShutdownRequest, own_arguments, ros_process
 
 #: Prefixes of parameter names that are accepted although the node does not declare them, because rclpy reads them.
@@ -42,26 +42,24 @@ class ParameterRejectedError(ValueError):
 def declare(node: Node, rows: Rows) -> None:
     """Declare the parameters of a node.
 
-    A parameter of type float accepts an integer. A former name is accepted with a warning. Both rules also apply to
-    later changes. Setting a parameter to its present value succeeds, also if it is read-only.
+    A parameter of type float accepts an integer, also later. Setting a parameter to its present value succeeds, also if
+    it is read-only.
 
     Args:
         node: the node.
         rows: returns the descriptions of the parameters.
 
     Raises:
-        ParameterRejectedError: A value has the wrong type or is out of range, a name is unknown, a parameter is given
-            by its former and its present name, or a parameter file has sections only for other nodes, one of
-            them with a name that is similar to this node's and probably misspelt.
+        ParameterRejectedError: A value has the wrong type or is out of range, a name is unknown, or a parameter file
+            has sections only for other nodes, one of them with a name that is similar to this node's and probably
+            misspelt.
     """
     _check_files(node)
     table = rows()
     floats = frozenset(row.name for row in table if _is_float(row.default))
     # Only this private mapping of rclpy contains the parameters of the command line and of the parameter files.
     overrides: dict[str, Parameter] = node._parameter_overrides
-    given = list(overrides.values())
-    overrides.clear()
-    overrides.update({p.name: p for p in _translated(node, floats, given)})
+    overrides.update({name: _converted(p, floats) for name, p in overrides.items()})
     for row in table:
         try:
             node.declare_parameter(row.name, row.default, row.descriptor())
@@ -69,24 +67,6 @@ def declare(node: Node, rows: Rows) -> None:
             raise ParameterRejectedError(f"parameter {row.name}: {one_line(error)}") from error
     _reject_unknown(node, overrides)
     _set_changes_alone(node, floats)
-
-
-def _translated(
-    node: Node, floats: frozenset[str], parameters: Sequence[Parameter]
-) -> list[Parameter]:
-    """Return the parameters with present names in place of former ones.
-
-    An integer value of a parameter whose name is in ``floats`` becomes a float.
-
-    Raises:
-        ParameterRejectedError: A parameter is given by its former and its present name.
-    """
-    try:
-        named = present_names({p.name: p for p in parameters}, node.get_logger().warning)
-    except ValueError as error:
-        raise ParameterRejectedError(str(error)) from error
-    renamed = [p if p.name == name else _named(name, p) for name, p in named.items()]
-    return [_as_float(p) if p.name in floats else p for p in renamed]
 
 
 def _set_changes_alone(node: Node, floats: frozenset[str]) -> None:
@@ -99,11 +79,8 @@ def _set_changes_alone(node: Node, floats: frozenset[str]) -> None:
     set_all = node._set_parameters_atomically
 
     def set_changes(parameters: list[Parameter]) -> SetParametersResult:
-        try:
-            translated = _translated(node, floats, parameters)
-        except ParameterRejectedError as error:
-            return SetParametersResult(successful=False, reason=str(error))
-        changes = [p for p in translated if not _is_set(node, p)]
+        converted = [_converted(p, floats) for p in parameters]
+        changes = [p for p in converted if not _is_set(node, p)]
         return set_all(changes) if changes else SetParametersResult(successful=True)
 
     node._set_parameters_atomically = set_changes
@@ -196,11 +173,10 @@ def _is_float(default: Any) -> bool:
     return isinstance(default[0] if isinstance(default, list) and default else default, float)
 
 
-def _named(name: str, parameter: Parameter) -> Parameter:
-    return Parameter(name, parameter.type_, parameter.value)
-
-
-def _as_float(parameter: Parameter) -> Parameter:
+def _converted(parameter: Parameter, floats: frozenset[str]) -> Parameter:
+    """Return a parameter, with a float in place of an integer if its name is in ``floats``."""
+    if parameter.name not in floats:
+        return parameter
     value = parameter.value
     if parameter.type_ is Parameter.Type.INTEGER:
         return Parameter(parameter.name, value=float(value))

@@ -13,7 +13,7 @@ from rclpy.node import Node  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 
 from worm_msgs.node_command import declare, declare_none, run_node  # noqa: E402
-from worm_msgs.parameter_rows import RENAMED, ParameterRow, present_names  # noqa: E402
+from worm_msgs.parameter_rows import ParameterRow  # noqa: E402
 
 
 def rows():
@@ -172,38 +172,6 @@ def node_with(*arguments: str) -> Node:
     return node
 
 
-def test_a_former_name_is_accepted_with_a_warning_at_the_start_and_later(capfd):
-    node = node_with("--ros-args", "-p", "rate_Hz:=25")
-    assert node.get_parameter("rate_hz").value == 25.0
-    assert not node.has_parameter("rate_Hz")
-    (later,) = node.set_parameters([Parameter("rate_Hz", value=25.0)])
-    assert later.successful
-    (changed,) = node.set_parameters([Parameter("rate_Hz", value=26.0)])
-    assert not changed.successful  # read-only, under both names
-    assert capfd.readouterr().err.count("parameter rate_Hz is now named rate_hz") == 3
-
-
-def test_a_parameter_by_both_its_names_is_rejected(capsys):
-    arguments = ("--ros-args", "-p", "rate_Hz:=25.0", "-p", "rate_hz:=25.0")
-    line = rejected(capsys, *arguments)
-    assert "rate_hz" in line
-    assert "remove rate_Hz" in line
-
-
-def test_a_former_name_in_a_file_and_the_present_one_on_the_command_line_are_rejected(
-    capsys, tmp_path
-):
-    file = tmp_path / "robot.yaml"
-    file.write_text("machine: {ros__parameters: {rate_Hz: 25.0}}\n")
-    line = rejected(capsys, "--ros-args", "--params-file", str(file), "-p", "rate_hz:=20.0")
-    assert "remove rate_Hz" in line
-
-
-def test_a_former_name_that_this_node_does_not_have_is_unknown(capsys):
-    arguments = ("--ros-args", "-p", "power_scale_w:=1.0")
-    assert "no parameter power_scale_w" in rejected(capsys, *arguments).splitlines()[-1]
-
-
 def test_a_node_takes_its_own_values_and_no_other_for_what_is_read_only():
     node = node_with()
     own = [node.get_parameter(name) for name in node.get_parameters_by_prefix("")]
@@ -213,9 +181,3 @@ def test_a_node_takes_its_own_values_and_no_other_for_what_is_read_only():
     other = Parameter("rate_hz", value=11.0)
     assert not node.set_parameters_atomically([*own, other]).successful
     assert node.get_parameter("rate_hz").value == 10.0
-
-
-def test_no_name_is_both_former_and_present_and_a_present_one_needs_no_warning():
-    assert not set(RENAMED) & set(RENAMED.values())
-    present = dict.fromkeys(RENAMED.values(), 1)
-    assert present_names(present, pytest.fail) == present

@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 from worm_model.arrays import Array, Stamps
 from worm_model.errors import RecordingError
 from worm_model.gait import Gait, GaitError
+from worm_model.margin.measured_margin import RunMargin, measure_cycles
+from worm_model.parameters import Parameters
 from worm_model.run import PLAYING, Activity, GaitStates, Run, state_name
 from worm_model.simulation.quadrature import accumulated
 from worm_model.simulation.simulator import AVERAGED
@@ -132,6 +134,17 @@ def _state_after(states: GaitStates, after: int, stopping: NDArray[np.int64]) ->
     state = int(states.state[after])
     stopped = np.any(states.stamp[stopping] <= states.stamp[after])
     return Activity.STOPPING if stopped and state != Activity.FAULT else state
+
+
+def measure_margin(run: Run, parameters: Parameters, grooves: int | None = None) -> RunMargin:
+    """Return the measured margins of the last gait of a recording, see `measure_cycles`.
+
+    Raises:
+        RecordingError: The recording contains no gait.
+    """
+    played = last_played_gait(run.gait_state)
+    cycles = played.whole_cycles_until(int(run.tracker.stamp.max(initial=played.onset)))
+    return measure_cycles(run, played.gait, played.onset, cycles, parameters, grooves)
 
 
 def completed_cycles(run: Run, played: PlayedGait) -> int:

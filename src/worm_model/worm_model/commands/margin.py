@@ -4,18 +4,27 @@
 from __future__ import annotations
 
 import argparse
+import math
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
+from worm_model.analysis.run_metrics import measure_margin
 from worm_model.analysis.run_parts import parts_of
 from worm_model.bags.opening import open_bag
 from worm_model.bags.recording.run_manifest import recorded_robot
 from worm_model.bags.run_reader import read_run
 from worm_model.bags.worm_topics import REPLAY_INPUTS
-from worm_model.commands.command_line import Parser, executable, notifier, print_result
-from worm_model.margin.measured_margin import FinMargin, RunMargin, measure
+from worm_model.commands.command_line import (
+    InputError,
+    Parser,
+    executable,
+    notifier,
+    print_result,
+)
+from worm_model.errors import RecordingError
+from worm_model.margin.measured_margin import FinMargin, RunMargin
 from worm_model.text_table import text_table
-
-_notify = notifier("margin")
 
 
 def _parser() -> Parser:
@@ -25,35 +34,50 @@ def _parser() -> Parser:
         "probability that a cycle keeps its grooves.",
     )
     parser.add_argument("bags", nargs="+", type=Path, metavar="BAG", help="a recording")
-    parser.add_argument(
-        "--grooves",
-        type=int,
-        metavar="N",
-        help="grooves per cycle to keep (default: the most in any cycle but the first)",
-    )
+    add_grooves(parser, "the most in any cycle but the first")
     parser.add_parameters("the file in the bag, else the paper's values")
     parser.add_json()
     return parser
 
 
-def measured_margins(path: Path, parameters: str, grooves: int | None) -> list[RunMargin]:
-    """Return the measured margins of the runs of a bag, without runs in which nothing was measured.
+def add_grooves(parser: Parser, default: str) -> None:
+    """Add the grooves per cycle that a margin refers to."""
+    parser.add_argument(
+        "--grooves", type=int, metavar="N", help=f"grooves per cycle to keep (default: {default})"
+    )
+
+
+def check_grooves(options: argparse.Namespace) -> None:
+    """Raise `InputError` if the option of `add_grooves` is inadmissible."""
+    if options.grooves is not None and options.grooves < 1:
+        raise InputError(f"--grooves {options.grooves}: give 1 or more")
+
+
+def measured_margins(
+    path: Path, parameters: str, grooves: int | None, notify: Callable[[str], None]
+) -> list[RunMargin]:
+    """Return the measured margins of the runs of a bag; ``notify`` gets what the bag lacks.
 
     Raises:
         InputError: The bag or the parameter file cannot be read.
     """
-    with open_bag(path, _notify) as bag:
+    with open_bag(path, notify) as bag:
         run = read_run(bag, names=REPLAY_INPUTS)
         values = recorded_robot(bag, parameters).parameters
-    found = [measure(part.run, values, grooves) for part in parts_of(run)]
-    return [each for each in found if each is not None]
+    found = []
+    for part in parts_of(run):
+        with suppress(RecordingError):
+            found.append(measure_margin(part.run, values, grooves))
+    return found
 
 
 def _margin(options: argparse.Namespace) -> None:
+    check_grooves(options)
+    notify = notifier("margin")
     runs = [
         (path, run)
         for path in options.bags
-        for run in measured_margins(path, options.parameters, options.grooves)
+        for run in measured_margins(path, options.parameters, options.grooves, notify)
     ]
     result = {"runs": [{"bag": str(path), **run.as_json()} for path, run in runs]}
     print_result(
@@ -84,7 +108,7 @@ def _described(path: Path, run: RunMargin) -> str:
 
 def _both(fin: FinMargin, name: str) -> str:
     value, sd = getattr(fin, name), getattr(fin, f"{name}_sd")
-    return f"{value * 1e3:.1f} ± {sd * 1e3:.1f}" if value == value else "-"
+    return f"{value * 1e3:.1f} ± {sd * 1e3:.1f}" if math.isfinite(value) else "-"
 
 
 main = executable(_parser, _margin)

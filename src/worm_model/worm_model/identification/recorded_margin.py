@@ -8,8 +8,6 @@ import numpy as np
 from worm_model.identification.data.observed_run import Recording
 from worm_model.identification.fits.estimate import Estimate, not_identifiable, quantile
 from worm_model.identification.run_selection import Run as FittedRun
-from worm_model.margin.half_cycles import Fin
-from worm_model.margin.keeping import MarginBelief
 from worm_model.margin.measured_margin import RunMargin, measure_cycles
 from worm_model.margin.predicted_margin import predicted_margin
 from worm_model.parameters import Parameters
@@ -26,17 +24,9 @@ def recorded_margin(recording: Recording, parameters: Parameters) -> RunMargin:
     return measure_cycles(run, recording.gait, 0, cycles, parameters)
 
 
-def least_margin(margin: RunMargin) -> MarginBelief | None:
-    """Return the smaller mean margin of both fins, None unless both were measured."""
-    beliefs = [belief for fin in Fin if (belief := margin.belief(fin)) is not None]
-    if len(beliefs) < len(Fin):
-        return None
-    return min(beliefs, key=lambda belief: belief.expected)
-
-
 def margin_estimate(recording: Recording, parameters: Parameters) -> Estimate:
     """Return the smaller mean margin of both fins, m, with its 95 % interval."""
-    least = least_margin(recorded_margin(recording, parameters))
+    least = recorded_margin(recording, parameters).least
     if least is None:
         return not_identifiable(np.nan, NOT_MEASURED)
     half = quantile(np.inf) * least.expected_sd
@@ -46,7 +36,7 @@ def margin_estimate(recording: Recording, parameters: Parameters) -> Estimate:
 def compared_margin(run: FittedRun, parameters: Parameters) -> tuple[float, float]:
     """Return the measured margin of a run and the predicted one, m; NaN if none was measured."""
     margin = recorded_margin(run.recording, parameters)
-    least = least_margin(margin)
+    least = margin.least
     if least is None:
         return np.nan, np.nan
     known = parameters.replace(initial_length=run.length.initial_length)

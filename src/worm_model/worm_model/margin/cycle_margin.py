@@ -18,8 +18,10 @@ from numpy.typing import NDArray
 
 from worm_model.arrays import Array
 from worm_model.gait import Gait
+from worm_model.margin.fin_switch import step_response
 from worm_model.margin.half_cycles import Fin, HalfCycle, Motion
 from worm_model.parameters import Parameters
+from worm_model.simulation.closed_form import deflected_share, switching_force
 
 _AFTER_S = 0.35  # s after the turning point in which a lagging fin is deflected most
 _KINK_WINDOW_S = (0.3, 0.35)
@@ -44,11 +46,7 @@ class Release:
 
     def travel(self, time: Array) -> Array:
         """Return the additional travel (m) at times after the switch in s."""
-        return self.rate * self.time_constant * _risen(time, self.time_constant)
-
-
-def _risen(time: Array, time_constant: float) -> Array:
-    return np.where(time > 0.0, 1.0 - np.exp(-np.maximum(time, 0.0) / time_constant), 0.0)
+        return self.rate * self.time_constant * step_response(time, self.time_constant)
 
 
 def release_of(
@@ -61,8 +59,7 @@ def release_of(
     p = parameters
     fin = switches[0][0].fin if switches else Fin.REAR
     settling = _SETTLING_S[fin]
-    force = p.disengaged_stiffness * (p.switching_threshold - 0.5 * p.clearance)
-    largest = force / p.bellows_damping
+    largest = switching_force(p) / p.bellows_damping
     mean, precision = 0.5 * largest, 1.0 / (0.5 * largest) ** 2
     moment = mean * precision
     groups = _taut(motion, switches) if fin is Fin.REAR else _slack(motion, switches)
@@ -73,7 +70,7 @@ def release_of(
             if fin is Fin.REAR
             else np.vander(at - times[0], 4)
         )
-        kink = sum(settling * _risen(at - time, settling) for time in times)
+        kink = sum(settling * step_response(at - time, settling) for time in times)
         # the kink less its part that the background explains, the partial regression of the travel on the kink
         own = kink - background @ np.linalg.lstsq(background, kink, rcond=None)[0]
         travel = half.travel(motion.front[rows] - motion.rear[rows])
@@ -83,9 +80,8 @@ def release_of(
     return Release(float(np.clip(rate, 0.0, largest)), float(precision**-0.5), settling)
 
 
-_Group = tuple[
-    HalfCycle, NDArray[np.bool_], list[float]
-]  # samples and switches that are fitted together
+# samples and switches that are fitted together
+_Group = tuple[HalfCycle, NDArray[np.bool_], list[float]]
 
 
 def _taut(motion: Motion, switches: Sequence[tuple[HalfCycle, float]]) -> Iterator[_Group]:
@@ -111,8 +107,8 @@ def threshold_margin(
 ) -> float:
     """Return the increase of the switching threshold (m) that a switch at a time (s) would still have stood."""
     p = parameters
-    total = p.engaged_stiffness + p.disengaged_stiffness
-    share, lag = p.engaged_stiffness / total, 2.0 * p.viscous_friction / total
+    share = deflected_share(p)
+    lag = 2.0 * p.viscous_friction / p.engaged_stiffness * share
     until = min(max(half.end, switch) + _AFTER_S, motion.time[-1])
     time = np.arange(switch - 4.0 * lag, until, _STEP_S)
     travel = half.travel(motion.length_at(time)) - release.travel(time - switch)
@@ -138,8 +134,7 @@ def margin_sd(
         remaining: time from the switch to the turning point, s.
         parameters: stiffness of the fins.
     """
-    share = parameters.engaged_stiffness / (
-        parameters.engaged_stiffness + parameters.disengaged_stiffness
+    effect = release.time_constant * float(
+        step_response(np.asarray(remaining), release.time_constant)
     )
-    effect = release.time_constant * float(_risen(np.asarray(remaining), release.time_constant))
-    return share * float(np.hypot(length_sd, release.sd * effect))
+    return deflected_share(parameters) * float(np.hypot(length_sd, release.sd * effect))

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from worm_model.arrays import Array
 from worm_model.margin.half_cycles import HalfCycle, Motion
 from worm_model.parameters import Parameters
+from worm_model.simulation.closed_form import deflected_share, switching_force
 
 _COARSE_S, _FINE_S = 0.01, 0.003
 _MOST_TIMES = 800  # of the coarse search, for slow gaits
@@ -35,6 +36,11 @@ _SLOPE, _TURNED, _JUMP, _OFFSET = 0.15, 0.5, 0.25, 0.05
 _BENT = 0.4  # the same of a change of slope without a switch, as when the holding fin engages
 
 
+def step_response(time: Array, time_constant: float) -> Array:
+    """Return the response of a first-order system to a unit step at time 0, at times in s."""
+    return np.asarray(-np.expm1(-np.maximum(time, 0.0) / time_constant))
+
+
 @dataclass(frozen=True)
 class FinLaw:
     """Effect of the sliding fin on the holding module: slope (1), jump (m) and time constant of the jump (s)."""
@@ -47,10 +53,9 @@ class FinLaw:
     def of(cls, parameters: Parameters) -> FinLaw:
         """Return the effect for the fins of the model."""
         p = parameters
-        released = p.disengaged_stiffness * (p.switching_threshold - 0.5 * p.clearance)
         return cls(
-            p.disengaged_stiffness / (p.disengaged_stiffness + p.engaged_stiffness),
-            released / p.engaged_stiffness,
+            1.0 - deflected_share(p),
+            switching_force(p) / p.engaged_stiffness,
             2.0 * p.viscous_friction / p.engaged_stiffness,
         )
 
@@ -118,7 +123,7 @@ class Evidence:
         now = np.interp(moment, self._time, self._travel)
         turned = np.where(at > self._turn[0], travel - self._turn[1], 0.0)
         bent = np.where(at > moment, travel - now, 0.0)
-        jump = -np.expm1(-np.maximum(at - moment, 0.0) / self._law.time_constant)
+        jump = step_response(at - moment, self._law.time_constant)
         terms = np.stack([np.ones(at.shape), now - travel, turned, bent, jump], axis=1)
         count = used.sum(axis=1)
         mean = (holding * used).sum(axis=1) / np.maximum(count, 1)
@@ -200,17 +205,18 @@ def _comb(
     total = score.copy()
     rows_before = np.flatnonzero(ascending)
     earlier: list[NDArray[np.int64]] = []
-    goes_on = np.full(score.size, rows_before.size > 0)
+    if not rows_before.size:
+        return []
+    goes_on = np.ones(score.size, dtype=bool)
     for step in range(1, count or int(travel.max() / pitch) + 1):
         distance = travel[rows_before] - (travel[:, np.newaxis] - step * pitch)
         gain = score[rows_before] - 0.5 * (distance / (_SPACING * step**0.5)) ** 2
         gain[rows_before >= np.arange(score.size)[:, np.newaxis]] = -np.inf
-        best = gain.argmax(axis=1) if rows_before.size else np.zeros(score.size, np.int64)
-        value = gain.max(axis=1, initial=-np.inf)
+        value = gain.max(axis=1)
         goes_on &= (value >= _SURE) | (count is not None)
         total += np.where(goes_on, np.maximum(value, -_SURE), 0.0)
         known = goes_on & np.isfinite(value)
-        earlier.insert(0, np.where(known, rows_before[best] if rows_before.size else -1, -1))
+        earlier.insert(0, np.where(known, rows_before[gain.argmax(axis=1)], -1))
     last = int(np.argmax(total))
     # Of a fin that is known to have switched, the best time counts.
     if total[last] <= (_SURE if count is None else 0.0):

@@ -11,6 +11,8 @@ import enum
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 
 from worm_model.arrays import Array
 from worm_model.gait import REVERSE, Gait
@@ -24,6 +26,8 @@ _SEARCH = (0.2, 0.35)  # of a period, before and after the command's turning poi
 # not show more.
 _DISTINCT_HZ = 30.0
 FEWEST_RATE_HZ = 8.0  # of the tracker; slower ones show no switch
+# A position is wrong if it is farther from the median of five than a switch or the fastest module can bring it.
+_JUMP_M, _FASTEST_M_PER_S = 0.005, 0.1
 
 
 class Fin(enum.Enum):
@@ -99,7 +103,9 @@ def motion_of(run: Run, gait: Gait, onset: int, cycles: int) -> Motion | None:
     seen = np.isfinite(tracker.rear_position) & np.isfinite(tracker.front_position)
     used = order[seen[order] & (time[order] > -gait.period) & (time[order] < end + gait.period)]
     used = used[np.append(True, np.diff(time[used]) > 0.0)] if used.size else used
-    if np.count_nonzero((time[used] > 0.0) & (time[used] < end)) < FEWEST_RATE_HZ * end:
+    used = used[_plausible(time[used], tracker.rear_position[used], tracker.front_position[used])]
+    seen_in_gait = np.count_nonzero((time[used] > 0.0) & (time[used] < end))
+    if cycles < 1 or seen_in_gait < FEWEST_RATE_HZ * end:
         return None
     time = time[used]
     rear, front = tracker.rear_position[used], tracker.front_position[used]
@@ -112,6 +118,15 @@ def motion_of(run: Run, gait: Gait, onset: int, cycles: int) -> Motion | None:
     alike = max(1.0 / (_DISTINCT_HZ * step), 1.0)  # samples with the same error of the template
     noise = float(np.hypot(_noise(rear), _noise(front)) * np.sqrt(0.5 * alike))
     return Motion(time[whole], rear[whole], front[whole], length[whole], noise, end)
+
+
+def _plausible(time: Array, *positions: Array) -> NDArray[np.bool_]:
+    """Return False for each sample (n,) in which a position (n,) is an outlier, such as of confused markers."""
+    largest = (
+        max(_JUMP_M, _FASTEST_M_PER_S * float(np.median(np.diff(time)))) if time.size > 1 else 0.0
+    )
+    off = [np.abs(position - median_filter(position, 5)) for position in positions]
+    return np.asarray(np.max(off, axis=0, initial=0.0) <= largest)
 
 
 def half_cycles(motion: Motion, gait: Gait, cycles: int) -> list[HalfCycle]:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,9 +25,8 @@ from worm_model.margin.cycle_margin import SHARED_SD_M
 # Prior of the scatter: its median in m, and the standard deviation of its logarithm. A pitch that varies by 1 % gives
 # 0.5 mm, one that varies by 1.5 % gives 0.8 mm.
 _SCATTER_M, _LOG_SCATTER_SD = 0.0004, 0.3
-_OF_CYCLE = (
-    0.2  # share of the variance that differs from cycle to cycle, such as that of the threshold
-)
+# share of the variance that differs from cycle to cycle, such as that of the threshold
+_OF_CYCLE = 0.2
 _BODY_M = 0.26  # distance from which margins are independent: the usual length of the body
 _SCATTERS = _SCATTER_M * np.exp(np.linspace(-3.0, 6.0, 24) * _LOG_SCATTER_SD)
 _NODES = ndtri((np.arange(24) + 0.5) / 24)  # of a normal distribution, of equal weight
@@ -58,6 +58,9 @@ class MarginBelief:
     weight: Array
     mean: Array
     sd: Array
+
+    def __str__(self) -> str:
+        return f"{1e3 * self.expected:.1f} ± {1e3 * self.expected_scatter:.1f} mm"
 
     @property
     def expected(self) -> float:
@@ -107,18 +110,25 @@ class MarginModel:
     def at(self, terms: ArrayLike) -> MarginBelief:
         """Return the posterior for the terms (p,) of one gait."""
         wanted = np.asarray(terms, dtype=float)
+        weight, coefficients, root = self._posterior
+        mean = coefficients @ wanted
+        sd = np.hypot(np.linalg.norm(root @ wanted, axis=1), SHARED_SD_M)
+        return MarginBelief(_SCATTERS, weight, mean, sd)
+
+    @cached_property
+    def _posterior(self) -> tuple[Array, Array, Array]:
+        """Weight of each scatter (k,), mean (k, p) and root of the covariance (k, p, p) of the coefficients."""
         rest = self.margin - self.terms @ self.expected
         scaled = self.terms * self.spread
-        own = wanted * self.spread
         apart = np.abs(self.place[:, np.newaxis] - self.place)
         alike = (1.0 - _OF_CYCLE) * np.maximum(1.0 - apart / _BODY_M, 0.0)
         alike += _OF_CYCLE * np.eye(rest.size)
         log_weight = -0.5 * (np.log(_SCATTERS / _SCATTER_M) / _LOG_SCATTER_SD) ** 2
-        mean, sd = np.empty(_SCATTERS.size), np.empty(_SCATTERS.size)
+        means, roots = [], []
         for k, scatter in enumerate(_SCATTERS):
             noise = scatter**2 * alike + np.diag(self.sd**2)
             weighted = np.linalg.solve(noise, np.column_stack([scaled, rest]))
-            precision = np.eye(wanted.size) + scaled.T @ weighted[:, :-1]
+            precision = np.eye(self.spread.size) + scaled.T @ weighted[:, :-1]
             moment = scaled.T @ weighted[:, -1]
             solved = np.linalg.solve(precision, moment)
             log_weight[k] -= 0.5 * (
@@ -127,10 +137,10 @@ class MarginModel:
                 + rest @ weighted[:, -1]
                 - moment @ solved
             )
-            mean[k] = wanted @ self.expected + own @ solved
-            sd[k] = math.sqrt(own @ np.linalg.solve(precision, own) + SHARED_SD_M**2)
+            means.append(self.expected + self.spread * solved)
+            roots.append(np.linalg.inv(np.linalg.cholesky(precision)) * self.spread)
         weight = np.exp(log_weight - log_weight.max())
-        return MarginBelief(_SCATTERS, weight / weight.sum(), mean, sd)
+        return weight / weight.sum(), np.array(means), np.array(roots)
 
 
 def belief_of(margin: Array, sd: Array, place: Array) -> MarginBelief:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -27,13 +28,13 @@ from worm_model.margin.keeping import (
 )
 from worm_model.margin.run_switches import FinSwitches, moved_grooves, run_switches
 from worm_model.parameters import Parameters
-from worm_model.run import PLAYING, Run
+from worm_model.run import Run
+from worm_model.simulation.closed_form import deflected_share
 from worm_model.simulation.smoothing import smooth
 
 FEWEST_CYCLES = 2  # that are measured, for a statement on a run
-_SHAPE_ERROR_M = (
-    0.0002  # of a length, because a robot differs from the template; standard deviation
-)
+# standard deviation of a length, because a robot differs from the template
+_SHAPE_ERROR_M = 0.0002
 _AT_SWITCH_S = 0.15  # half window of the length at a switch
 _TURNING_ERROR = 0.3  # of the noise of the length; standard deviation of a turning point
 
@@ -92,48 +93,43 @@ class RunMargin:
         margin, sd, place = np.array(rows).reshape(-1, 3).T
         return margin, sd, place
 
-    def belief(self, fin: Fin) -> MarginBelief | None:
-        """Return the posterior of the margin of a fin, None if fewer than two cycles were measured."""
-        margin, sd, place = self.margins(fin)
-        return belief_of(margin, sd, place) if margin.size >= FEWEST_CYCLES else None
+    @cached_property
+    def beliefs(self) -> dict[Fin, MarginBelief]:
+        """Posteriors of the margins of the fins that were measured in enough cycles."""
+        measured = {fin: self.margins(fin) for fin in Fin}
+        return {f: belief_of(*own) for f, own in measured.items() if own[0].size >= FEWEST_CYCLES}
 
-    @property
+    @cached_property
     def keeps(self) -> Probability | None:
         """Probability that a cycle keeps its grooves, None if a fin was not measured in enough cycles."""
-        beliefs = [self.belief(fin) for fin in Fin]
-        known = [each for each in beliefs if each is not None]
-        return keeps_probability(*known) if len(known) == len(beliefs) else None
+        return keeps_probability(*self.beliefs.values()) if len(self.beliefs) == len(Fin) else None
+
+    @property
+    def least(self) -> MarginBelief | None:
+        """Posterior of the smaller mean margin, None unless both fins were measured."""
+        known = list(self.beliefs.values())
+        return min(known, key=lambda fin: fin.expected) if len(known) == len(Fin) else None
 
     def __str__(self) -> str:
         """Return the margins of both fins and the probability to keep the grooves in one line."""
-        fins = []
-        for fin in Fin:
-            belief = self.belief(fin)
-            if belief is None:
-                fins.append(f"{fin.value} not measured")
-            else:
-                spare = f"{1e3 * belief.expected:.1f} ± {1e3 * belief.expected_scatter:.1f} mm"
-                fins.append(f"{fin.value} {spare}")
-        keeps = self.keeps
-        chance = f"; a cycle keeps its grooves with {keeps}" if keeps else ""
+        fins = [f"{fin.value} {self.beliefs.get(fin, 'not measured')}" for fin in Fin]
+        chance = f"; a cycle keeps its grooves with {self.keeps}" if self.keeps else ""
         return f"{self.grooves} grooves, to spare: {', '.join(fins)}{chance}"
 
     def as_json(self) -> dict[str, Any]:
         """Return the run as a JSON object, in SI units; None where something was not measured."""
-        beliefs = {fin: self.belief(fin) for fin in Fin}
+        known = self.beliefs
         means = {
-            f"{fin.value}_margin_m": None if belief is None else belief.expected
-            for fin, belief in beliefs.items()
+            f"{fin.value}_margin_m": known[fin].expected if fin in known else None for fin in Fin
         }
-        known = [belief.expected_scatter for belief in beliefs.values() if belief is not None]
-        keeps = self.keeps
+        scatter = max((each.expected_scatter for each in known.values()), default=None)
         return {
             "gait": named_values(self.gait),
             "grooves_per_cycle": self.grooves,
             "cycles": [_cycle_json(cycle) for cycle in self.cycles],
             **means,
-            "scatter_m": max(known) if known else None,
-            "keeps_probability": None if keeps is None else asdict(keeps),
+            "scatter_m": scatter,
+            "keeps_probability": None if self.keeps is None else asdict(self.keeps),
             "source": self.source,
         }
 
@@ -148,23 +144,6 @@ def _cycle_json(cycle: CycleMargin) -> dict[str, Any]:
     return {"cycle": cycle.cycle, "grooves": cycle.grooves, **numbers}
 
 
-def measure(run: Run, parameters: Parameters, grooves: int | None = None) -> RunMargin | None:
-    """Return the measured margins of a recording of one gait, None if it contains no played gait.
-
-    Args:
-        run: the recording.
-        parameters: parameters of the robot; approximate ones suffice.
-        grooves: grooves per cycle that the gait is to gain; by default the largest number in any cycle but the first.
-    """
-    rows = run.gait_state.rows_of_runs()
-    if not rows:
-        return None
-    states = run.gait_state
-    gait, onset = states.gait(int(rows[0][0])), int(states.onset[rows[0]].min())
-    cycles = _played_cycles(run, gait, onset)
-    return measure_cycles(run, gait, onset, cycles, parameters, grooves)
-
-
 def measure_cycles(
     run: Run,
     gait: Gait,
@@ -173,15 +152,24 @@ def measure_cycles(
     parameters: Parameters,
     grooves: int | None = None,
 ) -> RunMargin:
-    """Return the measured margins of a number of cycles from an onset (ns since the epoch) on; see `measure`."""
+    """Return the measured margins of a number of cycles of a gait.
+
+    Args:
+        run: a recording.
+        gait: its gait.
+        onset: start of the first of the cycles, ns since the epoch.
+        cycles: number of complete cycles.
+        parameters: parameters of the robot; approximate ones suffice.
+        grooves: grooves per cycle that the gait is to gain; by default the largest number in any cycle but the first.
+    """
     motion = motion_of(run, gait, onset, cycles)
-    if motion is None:
+    halves = half_cycles(motion, gait, cycles) if motion is not None else []
+    if motion is None or not halves:
         return RunMargin(gait, grooves or 0, (), "")
-    halves = half_cycles(motion, gait, round(motion.end * gait.frequency))
     found = run_switches(motion, halves, parameters)
     moved = moved_grooves(motion, halves, parameters)[::2]
     places = [float(np.interp(half.end, motion.time, motion.rear)) for half in halves[::2]]
-    gained = max(moved[1:], default=0)
+    gained = max(moved[1:] or moved)
     lengths = {fin: _lengths(motion, found[fin], gait, parameters) for fin in Fin}
     lacking = _lacking(lengths, (grooves or gained) - gained)
     fins = {
@@ -197,16 +185,7 @@ def measure_cycles(
             zip(moved, places, fins[Fin.REAR], fins[Fin.FRONT], strict=True), 1
         )
     )
-    return RunMargin(gait, grooves or gained, measured, "tracker" if measured else "")
-
-
-def _played_cycles(run: Run, gait: Gait, onset: int) -> int:
-    """Return the number of whole cycles between the onset and the end of the gait, or of the recording."""
-    states = run.gait_state
-    playing = np.isin(states.state, PLAYING) & (states.stamp >= onset - 1)
-    ended = states.stamp[~playing & (states.stamp > onset)]
-    end = int(ended[0]) if ended.size else int(run.tracker.stamp.max(initial=onset))
-    return int((end - onset) * 1e-9 * gait.frequency + 0.1)
+    return RunMargin(gait, grooves or gained, measured, "tracker")
 
 
 def _lengths(
@@ -259,8 +238,7 @@ def _fin_margin(
     near = motion.length_at(np.array([time - 0.05, time + 0.05]))
     by_time = found.last_sd * abs(near[1] - near[0]) / 0.1
     length_sd = math.hypot(by_time, _TURNING_ERROR * 1.41 * motion.noise, _SHAPE_ERROR_M)
-    share = p.engaged_stiffness / (p.engaged_stiffness + p.disengaged_stiffness)
-    short = (missing + lacking) * share * p.pitch
+    short = (missing + lacking) * deflected_share(p) * p.pitch
     margin = threshold_margin(motion, half, time, release, p) - short
     sd = margin_sd(length_sd, release, half.end - time, p)
     return FinMargin(length, length_sd, margin, sd)

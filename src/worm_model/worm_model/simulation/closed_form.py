@@ -28,6 +28,17 @@ def groove_phase(parameters: Parameters) -> float:
     return parameters.initial_length - front_groove(parameters) * parameters.pitch
 
 
+def deflected_share(parameters: Parameters) -> float:
+    """Return κ = k_eng/(k_eng + k_dis), the part of the body's travel that deflects the dragged fin further."""
+    return 1.0 / (1.0 + parameters.disengaged_stiffness / parameters.engaged_stiffness)
+
+
+def switching_force(parameters: Parameters, margin: float = 0.0) -> float:
+    """Return k_dis·(p_sw + δ_m − δ_c/2), the force in N of the dragged fin at its threshold."""
+    threshold = parameters.switching_threshold + margin
+    return parameters.disengaged_stiffness * (threshold - 0.5 * parameters.clearance)
+
+
 def switching_travel(
     parameters: Parameters, margin: float = 0.0, direction: int = FORWARD
 ) -> float:
@@ -41,7 +52,7 @@ def switching_travel(
     """
     half = 0.5 * parameters.clearance
     threshold = parameters.switching_threshold + margin
-    held = _load(parameters, direction) + parameters.disengaged_stiffness * (threshold - half)
+    held = _load(parameters, direction) + switching_force(parameters, margin)
     if held >= 0.0:
         return threshold + half + held / parameters.engaged_stiffness
     return threshold - half + held / parameters.disengaged_stiffness
@@ -122,7 +133,6 @@ def cliff_margin(
     that the branch is lost even without a margin. A load Q, positive against the direction, reduces the result by
     Q/(k_eng + k_dis).
     """
-    yielding = 1.0 + parameters.disengaged_stiffness / parameters.engaged_stiffness
     highest = effective(-pretension, actuator(parameters))
     spare = groove_phase(parameters) + highest + 2.0 * parameters.pitch
-    return (spare - switching_travel(parameters, 0.0, direction)) / yielding
+    return (spare - switching_travel(parameters, 0.0, direction)) * deflected_share(parameters)

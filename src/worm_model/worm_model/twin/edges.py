@@ -21,6 +21,7 @@ from worm_model.gait import Gait, GaitError
 from worm_model.parameters import Parameters
 from worm_model.simulation.actuation import length_change_of_command
 from worm_model.simulation.batch import evaluate_gaits
+from worm_model.simulation.closed_form import deflected_share
 from worm_model.twin.core.memory import PHASES
 from worm_msgs.gait import SHAPE
 
@@ -115,8 +116,8 @@ def _extremes(gait: Gait, parameters: Parameters) -> tuple[NDArray[np.bool_], ND
 def _edge_of(gait: Gait, parameters: Parameters) -> Edge:
     count = math.ceil(NEAR * SCATTER_M / STEP_M)
     shifts = STEP_M * np.arange(-count, count + 1)
-    yielding = 1.0 + parameters.disengaged_stiffness / parameters.engaged_stiffness
-    threshold = parameters.switching_threshold - shifts * parameters.gain / yielding
+    by_stroke = parameters.gain * deflected_share(parameters)
+    threshold = parameters.switching_threshold - shifts * by_stroke
     shape = {name: getattr(gait, name) for name in SHAPE}
     try:
         table = evaluate_gaits(

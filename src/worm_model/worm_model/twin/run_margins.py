@@ -75,7 +75,7 @@ def _record(run: RunMargin) -> MarginRecord:
     values: dict[str, float] = {}
     for fin in Fin:
         margin = run.margins(fin)[0]
-        belief = run.belief(fin)
+        belief = run.beliefs.get(fin)
         values[f"last_{fin.value}_margin"] = float(margin[-1]) if margin.size else math.nan
         if belief is not None:
             values[f"{fin.value}_margin"] = belief.expected

@@ -9,7 +9,13 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from worm_model.commands.command_line import InputError, Parser, executable, print_result
+from worm_model.commands.command_line import (
+    InputError,
+    Parser,
+    executable,
+    notifier,
+    print_result,
+)
 from worm_model.commands.margin import measured_margins
 from worm_model.gait import named_values
 from worm_model.margin.measured_margin import RunMargin
@@ -70,12 +76,18 @@ def runs_of(bags: Sequence[Path], parameters: str, grooves: int | None) -> list[
     """Return the last measured run of each bag, all for the same number of grooves.
 
     Raises:
-        InputError: A bag cannot be read, has no run, or the directions differ.
+        InputError: A bag cannot be read, is given twice or has no run, or the directions differ.
     """
-    first = [_last_run(bag, parameters, grooves) for bag in bags]
+    twice = [
+        bag for number, bag in enumerate(bags) if bag.resolve() in map(Path.resolve, bags[:number])
+    ]
+    if twice:
+        raise InputError(f"{twice[0]}: given twice")
+    notify = notifier("tune")
+    first = [_last_run(bag, parameters, grooves, notify) for bag in bags]
     wanted = grooves or max(run.grooves for run in first)
     runs = [
-        run if run.grooves == wanted else _last_run(bag, parameters, wanted)
+        run if run.grooves == wanted else _last_run(bag, parameters, wanted, notify)
         for bag, run in zip(bags, first, strict=True)
     ]
     if len({run.gait.direction for run in runs}) > 1:
@@ -83,8 +95,10 @@ def runs_of(bags: Sequence[Path], parameters: str, grooves: int | None) -> list[
     return runs
 
 
-def _last_run(bag: Path, parameters: str, grooves: int | None) -> RunMargin:
-    measured = measured_margins(bag, parameters, grooves)
+def _last_run(
+    bag: Path, parameters: str, grooves: int | None, notify: Callable[[str], None]
+) -> RunMargin:
+    measured = measured_margins(bag, parameters, grooves, notify)
     if not measured:
         raise InputError(f"{bag}: no gait was run")
     return measured[-1]
@@ -96,7 +110,7 @@ def tuning_of(runs: Sequence[RunMargin], aim: Aim, last: Path) -> Tuning:
     tuning = next_gait(runs, aim.probability, aim.limits, parameters)
     if tuning is None:
         raise InputError(
-            f"{last}: the margin was not measured: the tracker must see both modules in at least four whole cycles"
+            f"{last}: the margin was not measured: the tracker must see both modules in at least three whole cycles"
         )
     return tuning
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 
 from worm_model.commands.command_line import InputError, Parser, number
+from worm_model.commands.margin import add_grooves, check_grooves
 
 PROBABILITY = 0.99  # default
 
@@ -19,12 +20,9 @@ def add_aim(parser: Parser) -> None:
         metavar="P",
         help=f"probability that a cycle keeps its grooves (default: {PROBABILITY})",
     )
-    parser.add_argument(
-        "--grooves",
-        type=int,
-        metavar="N",
-        help="grooves per cycle to keep (default: the most in any cycle of the runs but their first; of a requested "
-        "gait, the predicted ones)",
+    add_grooves(
+        parser,
+        "the most in any cycle of the runs but their first; of a requested gait, the predicted ones",
     )
 
 
@@ -32,5 +30,4 @@ def check_aim(options: argparse.Namespace) -> None:
     """Raise `InputError` if the options of `add_aim` are inadmissible."""
     if not 0.0 < options.probability < 1.0:
         raise InputError(f"--probability {options.probability:g}: give a number between 0 and 1")
-    if options.grooves is not None and options.grooves < 1:
-        raise InputError(f"--grooves {options.grooves}: give 1 or more")
+    check_grooves(options)

@@ -5,14 +5,12 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
 from worm_msgs.driver_file import DriverFile
-from worm_msgs.parameter_rows import present_names
 from worm_msgs.servo_models import RPM, SERVO_MODELS, VELOCITY_UNIT, Initial
 from worm_msgs.settings_file import key, settings_of
 from worm_msgs.yaml_file import read_yaml
@@ -108,7 +106,7 @@ def servo_model(name: str) -> ServoModel | None:
 
 
 def load_driver_file(path: str | Path) -> DrivenBy:
-    """Return the limits in the driver's parameter file. A former name of a parameter causes a FutureWarning.
+    """Return the limits in the driver's parameter file.
 
     Names, types and ranges are checked as by the driver. Whether the parameters agree with each other, such as ids and
     the lengths of arrays, only the driver checks.
@@ -119,12 +117,8 @@ def load_driver_file(path: str | Path) -> DrivenBy:
     if not from_file:
         raise OptimizerError(f"{path}: contains no ros__parameters of a node named driver")
 
-    def warn(text: str) -> None:
-        warnings.warn(f"{path}: {text}", FutureWarning, stacklevel=4)
-
+    own = {name: value for name, value in from_file.items() if not name.startswith(_OF_ROS)}
     try:
-        present = present_names(from_file, warn)
-        own = {name: value for name, value in present.items() if not name.startswith(_OF_ROS)}
         row = settings_of(own, DriverFile)
     except ValueError as error:
         raise OptimizerError(f"{path}: {error}") from None

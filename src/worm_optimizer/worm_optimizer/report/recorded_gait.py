@@ -13,7 +13,7 @@ from worm_model.analysis import run_metrics
 from worm_model.analysis.replay_metrics import ReplayReport, report_replay
 from worm_model.errors import RecordingError
 from worm_model.gait import Gait
-from worm_model.margin.measured_margin import RunMargin, measure
+from worm_model.margin.measured_margin import RunMargin
 from worm_model.margin.predicted_margin import predicted_margin
 from worm_model.parameters import ParameterFile, Parameters
 from worm_model.run import Run
@@ -127,8 +127,7 @@ def recorded_gait(
     else:
         measured = Bands(*(Band(math.nan, math.nan, math.nan) for _ in range(3)))
         missing.append("no cycle was completed: speed, power and cost of transport are unavailable")
-    margin = measure(run, content.parameters)
-    assert margin is not None  # the run contains a gait
+    margin = run_metrics.measure_margin(run, content.parameters)
     grooves = measured.speed.value / (played.gait.frequency * content.parameters.pitch)
     return RecordedGait(
         name=name,

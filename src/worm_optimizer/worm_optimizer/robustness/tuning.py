@@ -27,6 +27,7 @@ from worm_model.margin.keeping import (
 )
 from worm_model.margin.measured_margin import RunMargin
 from worm_model.parameters import Parameters
+from worm_model.simulation.closed_form import deflected_share
 from worm_optimizer.evaluation.command_shape import shapes_of_gaits
 from worm_optimizer.evaluation.task import MarginTask
 
@@ -36,25 +37,20 @@ _RESERVE_M = 0.0005  # of the stroke, so that the next run confirms its probabil
 _SLOWER = 0.98  # step of the frequency
 _SLOWEST_STEP = 0.6  # of the frequency from one run to the next
 _WORTHWHILE_M = 0.0005  # increase of the front margin for which a lower frequency is tried
-_MEASURED_OFFSET_M = (
-    0.05  # standard deviation of the prior of the margin of the first gait: it is measured
-)
+# standard deviation of the prior of the margin of the first gait: it is measured
+_MEASURED_OFFSET_M = 0.05
 # m per unit of ln f, change of the margin with the frequency and its standard deviation. The front margin changes only
 # above the corner, from which the bellows has too little time to extend the body. Values of robots whose cable cannot
 # push, between 0.1 and 0.4 Hz.
 _REAR_BY_FREQUENCY = (-0.001, 0.001)
 _FRONT_BY_FREQUENCY = (-0.010, 0.004)
 _CORNER = 0.18  # corner frequency times c_b/k_b
-_BY_STROKE_SHARE = (
-    0.15  # relative standard deviation of the change of the rear margin with the stroke
-)
-_FRONT_BY_STROKE = (
-    -0.05,
-    0.03,
-)  # change of the front margin with the stroke, and its standard deviation
-_FRONT_BY_PRETENSION = (
-    0.3  # relative standard deviation of the change of the front margin with the pretension
-)
+# relative standard deviation of the change of the rear margin with the stroke
+_BY_STROKE_SHARE = 0.15
+# change of the front margin with the stroke, and its standard deviation
+_FRONT_BY_STROKE = (-0.05, 0.03)
+# relative standard deviation of the change of the front margin with the pretension
+_FRONT_BY_PRETENSION = 0.3
 
 
 class TuneState(enum.Enum):
@@ -102,7 +98,6 @@ class _Knowledge:
 
     models: dict[Fin, MarginModel]
     about: Gait
-
     corner: float  # Hz
 
     def beliefs(self, gait: Gait) -> dict[Fin, MarginBelief]:
@@ -128,45 +123,44 @@ def next_gait(
         limits: limits of the robot.
         parameters: parameters of the robot; approximate ones suffice.
     """
-    front = runs[-1].belief(Fin.FRONT) if runs else None
+    front = runs[-1].beliefs.get(Fin.FRONT) if runs else None
     if front is None or (runs[-1].keeps is None and front.expected > 0.0):
         return None
-    last = runs[-1].gait
-    known = _knowledge(runs, parameters)
-    keeps = known.keeps(last)
-    smallest = _smallest_stroke(known, last, probability, limits)
-    if smallest is not None and keeps.value >= probability:
-        if last.stroke - smallest.stroke <= _SAME_M:
-            return Tuning(TuneState.DONE, last, keeps, _margins(known, last))
-        return _run(known, smallest, "a shorter stroke keeps the grooves, too")
-    if smallest is not None:
+    return _next(_knowledge(runs, parameters), probability, limits)
+
+
+def _next(known: _Knowledge, probability: float, limits: GaitLimits) -> Tuning:
+    last = known.about
+    keeps, smallest = known.keeps(last), _smallest_stroke(known, last, limits, probability, *Fin)
+    if smallest is None:
+        return _slower(known, probability, limits)
+    if keeps.value < probability:
         reserve = min(smallest.stroke + _RESERVE_M, limits.largest_stroke(smallest))
         return _run(known, replace(smallest, stroke=reserve), _margins(known, last))
-    return _slower(known, last, probability, limits)
+    if last.stroke - smallest.stroke > _SAME_M:
+        return _run(known, smallest, "a shorter stroke keeps the grooves, too")
+    return Tuning(TuneState.DONE, last, keeps, _margins(known, last))
 
 
-def _slower(known: _Knowledge, last: Gait, probability: float, limits: GaitLimits) -> Tuning:
+def _slower(known: _Knowledge, probability: float, limits: GaitLimits) -> Tuning:
     """Return the gait at the highest lower frequency with the probability, or the next one towards it."""
+    last = gait = known.about
     lowest = max(_SLOWEST_STEP * last.frequency, limits.lowest_frequency)
     reason = f"{_margins(known, last)}; a longer stroke does not help"
-    gait = last
     while gait.frequency > lowest:
         gait = replace(gait, frequency=max(_SLOWER * gait.frequency, lowest))
-        found = _smallest_stroke(known, gait, probability, limits)
+        found = _smallest_stroke(known, gait, limits, probability, *Fin)
         if found is not None:
             return _run(known, found, reason)
-    if _gain_of_front(known, gait) > _WORTHWHILE_M:
+    # Of the cycles that may be lost, the rear fin may lose one half.
+    fitting = _smallest_stroke(known, last, limits, 0.5 * (1.0 + probability), Fin.REAR)
+    if fitting is not None and _gain_of_front(known, gait) > _WORTHWHILE_M:
         stroke = min(gait.stroke, limits.largest_stroke(gait))
         return _run(known, replace(gait, stroke=stroke), reason)
-    fitting = _rear_stroke(known, last, probability, limits)
-    if fitting is not None and abs(fitting - last.stroke) > _SAME_M:
-        return _run(known, replace(last, stroke=fitting), _margins(known, last))
-    return Tuning(
-        TuneState.IMPOSSIBLE,
-        last,
-        known.keeps(last),
-        f"{reason} within the limits, nor a slower gait",
-    )
+    if fitting is not None and abs(fitting.stroke - last.stroke) > _SAME_M:
+        return _run(known, fitting, _margins(known, last))
+    reason = f"{reason} within the limits, nor a slower gait"
+    return Tuning(TuneState.IMPOSSIBLE, last, known.keeps(last), reason)
 
 
 def _gain_of_front(known: _Knowledge, gait: Gait) -> float:
@@ -175,26 +169,14 @@ def _gain_of_front(known: _Knowledge, gait: Gait) -> float:
     return after - before
 
 
-def _rear_stroke(
-    known: _Knowledge, gait: Gait, probability: float, limits: GaitLimits
-) -> float | None:
-    """Return the smallest stroke (m) at which the rear fin loses at most half of the cycles that may be lost."""
-    for stroke in np.arange(0.3 * gait.stroke, limits.largest_stroke(gait) + 1e-9, _STEP_M):
-        rear = known.beliefs(replace(gait, stroke=float(stroke)))[Fin.REAR]
-        if rear.chance >= 0.5 * (1.0 + probability):
-            return float(stroke)
-    return None
-
-
 def _smallest_stroke(
-    known: _Knowledge, gait: Gait, probability: float, limits: GaitLimits
+    known: _Knowledge, gait: Gait, limits: GaitLimits, probability: float, *fins: Fin
 ) -> Gait | None:
-    """Return the gait with the smallest stroke that has the probability, None if no admissible stroke has it."""
-    largest = limits.largest_stroke(gait)
-    for stroke in np.arange(0.3 * gait.stroke, largest + 1e-9, _STEP_M):
+    """Return the gait with the smallest stroke at which the fins have the probability, None if none has it."""
+    for stroke in np.arange(0.3 * gait.stroke, limits.largest_stroke(gait) + 1e-9, _STEP_M):
         trial = replace(gait, stroke=float(stroke))
         beliefs = known.beliefs(trial)
-        if beliefs[Fin.REAR].chance * beliefs[Fin.FRONT].chance >= probability:
+        if math.prod(beliefs[fin].chance for fin in fins) >= probability:
             return trial
     return None
 
@@ -206,17 +188,14 @@ def _run(known: _Knowledge, gait: Gait, reason: str) -> Tuning:
 
 def _margins(known: _Knowledge, gait: Gait) -> str:
     """Return the expected margins of both fins as text."""
-    return ", ".join(
-        f"{fin.value} {belief.expected * 1e3:.1f} ± {belief.expected_scatter * 1e3:.1f} mm"
-        for fin, belief in known.beliefs(gait).items()
-    )
+    return ", ".join(f"{fin.value} {belief}" for fin, belief in known.beliefs(gait).items())
 
 
 def _knowledge(runs: Sequence[RunMargin], parameters: Parameters) -> _Knowledge:
     about = runs[-1].gait
     p = parameters
     corner = _CORNER * p.bellows_stiffness / p.bellows_damping
-    by_stroke = p.gain / (1.0 + p.disengaged_stiffness / p.engaged_stiffness)
+    by_stroke = p.gain * deflected_share(p)
     priors = {
         Fin.REAR: ([by_stroke], [_BY_STROKE_SHARE * by_stroke]),
         Fin.FRONT: (

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from worm_model.parameters import KEYS, POWER_ONLY, ParameterFile, Parameters
-from worm_model.simulation.closed_form import front_groove, groove_phase
+from worm_model.simulation.closed_form import deflected_share, front_groove, groove_phase
 from worm_model.travel_error import PRIOR
 from worm_msgs.robot_parameters import ROWS
 from worm_optimizer.evaluation.task import Array
@@ -155,8 +155,7 @@ def phase_guard(parameters: Parameters) -> float:
     less than the spacing of these phases affects the grooves at most as much as an increase of c by the spacing. A
     margin δ_m increases c by δ_m·(1 + k_dis/k_eng).
     """
-    spacing = parameters.pitch / _PHASES
-    return spacing / (1.0 + parameters.disengaged_stiffness / parameters.engaged_stiffness)
+    return parameters.pitch / _PHASES * deflected_share(parameters)
 
 
 def _at_phase(parameters: Parameters, pitch: Array, phase: Array) -> dict[str, Array]:

@@ -10,6 +10,7 @@ from foreign_lab import write_foreign_lab
 from foreign_robot import Camera, ForeignRobot, crawl, some_robot
 from virtual_campaign import exact_run
 
+from worm_model.analysis.run_metrics import measure_margin
 from worm_model.commands import identify
 from worm_model.gait import Gait
 from worm_model.identification.data.observed_run import recording_of
@@ -19,7 +20,6 @@ from worm_model.identification.fits.measured_length import measured_length
 from worm_model.identification.fits.quality import follows_command, usable
 from worm_model.identification.recorded_margin import recorded_margin
 from worm_model.margin.half_cycles import Fin
-from worm_model.margin.measured_margin import measure
 from worm_model.parameters import PAPER, load_parameter_file
 
 ROBOT = ForeignRobot(pipe=3)
@@ -44,8 +44,7 @@ def lengths(recordings):
 
 def test_the_margin_of_a_recording_is_that_of_its_run(runs, recordings):
     for run, recording in zip(runs, recordings, strict=True):
-        whole, found = measure(run.run, PAPER), recorded_margin(recording, PAPER)
-        assert whole is not None
+        whole, found = measure_margin(run.run, PAPER), recorded_margin(recording, PAPER)
         assert found.grooves == whole.grooves
         rear, expected = found.margins(Fin.REAR)[0], whole.margins(Fin.REAR)[0]
         assert rear == pytest.approx(expected, abs=0.0005)

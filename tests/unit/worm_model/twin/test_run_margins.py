@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from foreign_robot import EPOCH, crawl, some_robot
 
+from worm_model.analysis.run_metrics import measure_margin
 from worm_model.gait import Gait
 from worm_model.margin.half_cycles import Fin
-from worm_model.margin.measured_margin import measure
 from worm_model.parameters import PAPER
 from worm_model.run import Run, TrackerSamples
 from worm_model.twin.data.samples import NO_SAMPLES, topic_rows
@@ -48,18 +48,15 @@ def test_the_margins_of_live_twin_and_replay_are_the_same():
 
 def test_the_margins_are_published_from_the_end_of_each_cycle_on():
     states = replay_run(recorded(), PAPER).states
-    whole = measure(recorded(), PAPER)
-    assert whole is not None
+    whole = measure_margin(recorded(), PAPER)
     for cycle in (3, 4, 5):
         middle = EPOCH + round((cycle + 0.5) * GAIT.period * 1e9)
         row = int(np.searchsorted(states["stamp_ns"], middle))
         shown, found = states["last_rear_margin"][row], whole.cycles[cycle - 1].rear.margin
         assert shown == pytest.approx(found, abs=0.0005)
     for fin in Fin:
-        belief = whole.belief(fin)
-        assert belief is not None
         shown = states[f"{fin.value}_margin"][-1]
-        assert shown == pytest.approx(belief.expected, abs=0.0005)
+        assert shown == pytest.approx(whole.beliefs[fin].expected, abs=0.0005)
     assert states["margin_grooves"][-1] == whole.grooves
 
 

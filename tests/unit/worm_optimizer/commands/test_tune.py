@@ -29,14 +29,24 @@ def test_it_prints_the_next_gait(monkeypatch: pytest.MonkeyPatch, capsys):
 
 
 def test_a_limit_of_the_robot_bounds_the_stroke(monkeypatch: pytest.MonkeyPatch, capsys):
-    assert run(monkeypatch, FORWARD, "--strokes", "0.01", "0.05", "--json") == 0
-    assert json.loads(capsys.readouterr().out)["gait"]["stroke"] <= 0.05
+    assert run(monkeypatch, FORWARD, "--strokes", "0.01", "0.06", "--json") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["state"] == "run"
+    assert found["gait"]["stroke"] <= 0.06
+
+
+@pytest.mark.parametrize("aim", [("--strokes", "0.01", "0.04"), ("--grooves", "5")])
+def test_grooves_that_no_stroke_reaches_are_impossible(monkeypatch, capsys, aim):
+    assert run(monkeypatch, FORWARD, *aim, "--json") == 0
+    assert json.loads(capsys.readouterr().out)["state"] == "impossible"
 
 
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [
         ((FORWARD, "--probability", "1"), "--probability"),
+        ((FORWARD, "--grooves", "0"), "--grooves"),
+        ((FORWARD, FORWARD), "twice"),
         ((FORWARD, REVERSE), "both directions"),
         ((str(BAGS / "faults"),), "not measured"),
         ((str(BAGS / "missing"),), "missing"),

@@ -15,7 +15,6 @@ from worm_driver.virtual_robot.servo import control_table
 from worm_model.gait import FORWARD, Gait
 from worm_model.parameters import PAPER
 from worm_msgs.driver_file import DriverFile
-from worm_msgs.parameter_rows import RENAMED
 from worm_optimizer.evaluation.actuator_limits import NO_LIMITS, ActuatorLimits, peaks
 from worm_optimizer.evaluation.servo_limits import (
     limits_of,
@@ -49,20 +48,6 @@ def test_the_defaults_are_those_of_the_driver(driver_file):
         for part in row.metadata["alias"].split("."):
             value = value[part]
         assert value == (list(row.default) if isinstance(row.default, tuple) else row.default), row
-
-
-def test_former_names_of_the_drivers_parameters_hold_with_a_warning(driver_file):
-    former = driver_file(**{"limits.max_frequency_Hz": 0.21, "ina219.max_current_A": 1.5})
-    with pytest.warns(FutureWarning) as warned:
-        limits = load_driver_file(former)
-    assert (limits.max_frequency, limits.sensor_current) == (0.21, 1.5)
-    assert {name for name in RENAMED for w in warned if name in str(w.message)} == {
-        "limits.max_frequency_Hz",
-        "ina219.max_current_A",
-    }
-    both = driver_file(**{"limits.max_frequency_Hz": 0.21, "limits.max_frequency_hz": 0.3})
-    with pytest.raises(OptimizerError, match=r"remove limits\.max_frequency_Hz"):
-        load_driver_file(both)
 
 
 def test_a_misspelt_name_is_rejected_and_names_of_ros_are_accepted(driver_file):
