@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 from camera_rig import LENGTH, SETTINGS, SETUP_FILE
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from harness import TIMEOUT_S, system_file
+from harness import TIMEOUT_S
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rendered_images import RenderedCamera
 from sensor_msgs.msg import CompressedImage, Image
 
 from worm_driver.tracking.vision import write_image
 from worm_msgs.msg import BodyLength, Tracker
+from worm_optimizer.operation.system import installed_system_file
 
 BEST_EFFORT = QoSProfile(depth=2, reliability=ReliabilityPolicy.BEST_EFFORT)
 
@@ -140,7 +141,7 @@ def test_a_folder_of_images_is_played(processes, probe, pictures, tmp_path):
 
 
 def test_the_graph_of_a_robot_has_the_tracker_where_it_is_requested():
-    plain = {node.name for node in system_file().system("robot").nodes}
-    system = system_file().system("robot", tracker_setup="tracker.yaml")
+    plain = {node.name for node in installed_system_file().system("robot").nodes}
+    system = installed_system_file().system("robot", tracker_setup="tracker.yaml")
     assert {node.name for node in system.nodes} - plain == {"tracker"}
     assert system.node("tracker").parameters["setup_file"] == "tracker.yaml"

@@ -28,7 +28,7 @@ from worm_driver.virtual_robot.wire.faults import (
     make_fault,
     parse_fault,
 )
-from worm_msgs import readiness
+from worm_msgs.claim import ClaimedError, claim_robot
 from worm_msgs.command_parser import BAD_INPUT, Parser
 from worm_msgs.conditions import CONDITION_ROWS
 from worm_msgs.input_error import InputError
@@ -53,11 +53,15 @@ class VirtualRobotNode(Node):
         robot: the virtual robot.
         directory: folder of the ports.
         rate: largest number of virtual seconds per second; None: real time, like a real robot.
+
+    Raises:
+        ClaimedError: The namespace has a robot already.
     """
 
     def __init__(self, robot: VirtualRobot, directory: Path, rate: float | None) -> None:
         super().__init__("virtual_robot")
         declare_none(self)
+        self._claim = claim_robot(self.get_namespace(), self.context.get_domain_id())
         epoch_ns = self.get_clock().now().nanoseconds
         self.server = RobotServer(
             robot,
@@ -71,6 +75,10 @@ class VirtualRobotNode(Node):
         self._time = self.create_publisher(Clock, "clock", 10) if rate is not None else None
         self._next_tick = 0.0
         self.create_service(InjectFault, "inject_fault", self._inject)
+
+    def close(self) -> None:
+        """Release the claim."""
+        self._claim.close()
 
     def _publish_samples(self, samples: list[TrackerSample]) -> None:
         """Publish tracker samples. Runs in the serving thread, because the executor's thread may be late."""
@@ -212,7 +220,6 @@ def _run(robot: VirtualRobot, options: argparse.Namespace, ended: ShutdownReques
         serving.start()
         sys.stdout.write(f"ready: {options.directory}\n")
         sys.stdout.flush()
-        readiness.announce()
         # If all processes receive the signal at once, the robot must serve until the driver has released it.
         while serving.is_alive() and not (ended() and node.server.quiet_for(_QUIET)):
             executor.spin_once(timeout_sec=_SIGNAL_LATENCY)
@@ -221,6 +228,7 @@ def _run(robot: VirtualRobot, options: argparse.Namespace, ended: ShutdownReques
         if serving.ident is not None:
             serving.join()
         node.server.close()
+        node.close()
         node.destroy_node()
     if failures:
         raise failures[0]
@@ -244,7 +252,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         with ros_process(command_line) as ended:
             _run(robot, options, ended)
-    except DirectoryError as error:
+    except (DirectoryError, ClaimedError) as error:
         return _reject(error)
     except Exception:
         log.exception("stopped by an error")
