@@ -25,7 +25,7 @@ from worm_model.gait import Gait
 from worm_model.run import Activity, Run
 from worm_model.twin.data.records import Event
 from worm_model.twin.data.samples import SAMPLE, VALUES, SampleKind
-from worm_model.twin.stored_memory import StoringTimes, stored_memory
+from worm_model.twin.stored_memory import is_due, stored_memory
 from worm_model.twin.twin import ClosedCycle, Twin
 from worm_model.twin.twin_settings import DEFAULTS
 
@@ -249,12 +249,13 @@ class Live:
 def live_twin(rows: np.ndarray, twin: Twin | None = None, many: int = 9) -> Live:
     """Run a twin as its node does: a few samples at a time, with its memory stored when that is due."""
     twin = twin or Twin()
-    state, times = twin.start(), StoringTimes()
+    state, stored_ns = twin.start(), 0
     outputs, memories = [], []
     for k in range(0, len(rows), many):
         outputs.append(twin.advance(state, rows[k : k + many]))
-        if times.is_due(state):
-            memories.append((int(state.record["processed_ns"]), stored_memory(twin, state)))
+        if is_due(state, stored_ns):
+            stored_ns = int(state.record["processed_ns"])
+            memories.append((stored_ns, stored_memory(twin, state)))
     outputs.append(twin.advance(state, rows[:0], to_the_end=True))
     return Live(
         np.concatenate([output.states for output in outputs]),

@@ -256,7 +256,7 @@ class JointSamples:
 
 @dataclass(frozen=True)
 class MemorySamples:
-    """Memories that the live twin stored; `content` is text, see `worm_model.twin.stored_memory`."""
+    """Memories of the live twin at rest; `content` is text, see `worm_model.twin.stored_memory`."""
 
     stamp: Stamps = field(default_factory=_stamps)
     content: NDArray[np.object_] = field(default_factory=lambda: np.empty(0, object))

@@ -23,8 +23,6 @@ from worm_model.twin.recorded_samples import RecordedSamples
 from worm_model.twin.twin import ClosedCycle, Output
 from worm_model.twin.twin_settings import DEFAULTS
 
-#: time after the end of a cycle within which a live twin stores its memory
-RESUMED_AFTER_NS = 500_000_000
 #: time after the end of a cycle by which all samples of the cycle have been processed
 SETTLED_NS = 2_000_000_000
 #: the position at a stamp is interpolated from the samples whose stamps differ from it by at most this
@@ -110,7 +108,7 @@ class ReplayReport:
 def report_replay(run: Run, replay: Replay, pitch: float) -> ReplayReport:
     """Return the report on the replay of a run; ``pitch`` is that of the grooves, m."""
     samples = RecordedSamples(lambda: (run,), round(DEFAULTS.jump_back_s * 1e9))
-    reporter = ReplayReporter(samples, pitch, replay.resumed_ns)
+    reporter = ReplayReporter(samples, pitch)
     rows = np.concatenate([NO_SAMPLES, *samples.rows()])
     states: Any = replay.states
     residuals: Any = replay.residuals
@@ -153,14 +151,13 @@ class ReplayReporter:
     Args:
         samples: the recording.
         pitch: pitch of the grooves, m.
-        resumed_ns: stamp of the stored memory from which the replay resumes, 0 without one.
 
     Attributes:
         events: events of the twin so far.
     """
 
-    def __init__(self, samples: RecordedSamples, pitch: float, resumed_ns: int = 0) -> None:
-        self._samples, self._pitch, self._resumed_ns = samples, pitch, resumed_ns
+    def __init__(self, samples: RecordedSamples, pitch: float) -> None:
+        self._samples, self._pitch = samples, pitch
         self.events: list[Event] = []
         self._closed: dict[int, list[ClosedCycle]] = {}
         last = samples.origin if samples.last_ns is None else samples.last_ns
@@ -239,9 +236,7 @@ class ReplayReporter:
             cycle, count = self._open.popleft(), count + 1
             displacement = self._position_at(cycle.end) - self._position_at(cycle.start)
             cycle.measured_grooves = displacement / self._pitch
-            cycle.grooves = self._groove_at(cycle.end) - self._groove_at(
-                cycle.start, self._resumed_ns
-            )
+            cycle.grooves = self._groove_at(cycle.end) - self._groove_at(cycle.start)
             sums = _ResidualSums()
             sums.add(self._residuals, cycle.start, cycle.end)
             cycle.residuals = sums.residuals()
@@ -260,15 +255,11 @@ class ReplayReporter:
             return math.nan
         return float(np.interp(0.0, (stamp - when) * 1e-9, values))
 
-    def _groove_at(self, when: int, resumed: int = 0) -> float:
+    def _groove_at(self, when: int) -> float:
         """Return the twin's rear groove in the first state from a stamp (ns) on, or else in the last state.
 
-        The groove includes the twin's corrections for missed and gained grooves. If the replay resumed from a stored
-        memory (stamp ``resumed``, ns) shortly after the stamp, the first state after ``resumed`` is used, because
-        earlier states count from another groove. The result is NaN without any state.
+        The groove includes the twin's corrections for missed and gained grooves. The result is NaN without any state.
         """
-        if 0 <= resumed - when <= RESUMED_AFTER_NS:
-            when = resumed + 1
         rows = len(self._states["stamp_ns"])
         row = min(int(np.searchsorted(self._states["stamp_ns"], when)), rows - 1)
         return float(self._states["rear_groove"][row]) if rows else math.nan

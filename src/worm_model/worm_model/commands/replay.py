@@ -299,9 +299,7 @@ def _replay(options: argparse.Namespace) -> None:
         _check_drive(bag, options.namespace)
         parameters = under(recorded_conditions(bag), parameters)
         replay = OfflineReplay(reader.parts, parameters)
-        reporter = replay.feed(
-            lambda: ReplayReporter(replay.samples, parameters.pitch, replay.resumed_ns)
-        )
+        reporter = replay.feed(lambda: ReplayReporter(replay.samples, parameters.pitch))
         report = reporter.report(replay.unusable)
         for event in reporter.events:
             _notify(event.text)

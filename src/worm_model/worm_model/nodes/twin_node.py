@@ -37,7 +37,7 @@ from worm_model.twin.data.records import Event, Severity, StateRecord
 from worm_model.twin.data.samples import SAMPLE, SampleKind
 from worm_model.twin.forecast import ForecastError, forecast
 from worm_model.twin.scene import LOST_S, PositionSample, scene
-from worm_model.twin.stored_memory import StoringTimes, stored_memory
+from worm_model.twin.stored_memory import is_due, stored_memory
 from worm_model.twin.twin import Output, Twin
 from worm_model.twin.twin_status import report
 from worm_msgs import qos
@@ -89,7 +89,7 @@ class TwinNode(Node):
         self._lengths = self.create_publisher(BodyLength, "body_length/estimated", BURST)
         self._events = self.create_publisher(TwinEvent, "twin/events", _LATCHED)
         self._memories = self.create_publisher(TwinMemory, "twin/memory", qos.LATCHED)
-        self._storing = StoringTimes()
+        self._stored_ns = 0
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._apply_parameters)
@@ -118,10 +118,10 @@ class TwinNode(Node):
         samples = samples[np.argsort(samples["stamp"], kind="stable")]
         output = self._twin.advance(self._state, samples)
         self._publish(output)
-        if self._storing.is_due(self._state):
+        if is_due(self._state, self._stored_ns):
+            self._stored_ns = int(self._state.record["processed_ns"])
             content = stored_memory(self._twin, self._state)
-            stamp = int(self._state.record["processed_ns"])
-            self._memories.publish(twin_messages.memory_message(stamp, content))
+            self._memories.publish(twin_messages.memory_message(self._stored_ns, content))
         if len(output.states):
             self._shown, self._moved = output.states[-1].copy(), self._received
         if len(output.residuals):

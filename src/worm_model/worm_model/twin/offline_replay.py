@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Replay: the twin processes a recording offline, with a reproducible result.
 
-If the recording contains a memory of the live twin, the replay resumes from this memory. Otherwise the deflection of
-the fins at the first gait is unknown, and the twin assumes that only load and pretension deflect them. If this
-assumption does not explain the first cycle, the twin estimates the deflection from this cycle, and then processes the
-recording again. A gait during which the clock was set is not judged.
+If the recording contains the live twin's memory at rest before the first gait, the replay begins with this memory.
+Otherwise the deflection of the fins at this gait is unknown, and the twin assumes that only load and pretension deflect
+them. If this assumption does not explain the first cycle, the twin estimates the deflection from this cycle, and then
+processes the recording again. A gait during which the clock was set is not judged.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol, TypeVar
 
@@ -22,8 +22,8 @@ from worm_model.twin.data.records import Event
 from worm_model.twin.data.samples import NO_SAMPLES, SampleRows
 from worm_model.twin.recorded_samples import RecordedSamples
 from worm_model.twin.start_estimate import Start
-from worm_model.twin.stored_memory import StoredMemory, look_back_ns, memory_to_resume
-from worm_model.twin.twin import CLOCK_SET, ClosedCycle, Output, Twin, TwinState
+from worm_model.twin.stored_memory import memory_to_resume
+from worm_model.twin.twin import CLOCK_SET, FOREVER_NS, ClosedCycle, Output, Twin, TwinState
 
 # smallest number of impossible steps of the command that shows overlapping time spans
 IMPOSSIBLE_STEPS = 3
@@ -44,7 +44,6 @@ class Replay:
         dropped: number of excluded samples, by reason.
         cycles: cycles that ended, each with the reason if it was not judged.
         unusable: reasons why runs cannot be judged, by run number (by onset in ns for runs without a number).
-        resumed_ns: stamp of the stored memory from which the replay resumed, ns; 0 without one.
     """
 
     states: Series
@@ -54,7 +53,6 @@ class Replay:
     dropped: dict[str, int] | None = None
     cycles: tuple[ClosedCycle, ...] = ()
     unusable: Mapping[int, str] = field(default_factory=dict)
-    resumed_ns: int = 0
 
 
 class Consumer(Protocol):
@@ -76,20 +74,19 @@ class OfflineReplay:
 
     Attributes:
         samples: samples of the recording.
-        resumed_ns: stamp of the stored memory from which the replay resumes, ns; 0 without one.
         unusable: reasons why runs cannot be judged, by run number (by onset in ns for runs without a number).
         dropped: number of excluded samples, by reason.
     """
 
     def __init__(self, parts: Callable[[], Iterable[Run]], parameters: Parameters) -> None:
         self._twin = twin = Twin(parameters)
-        jump_back_ns = round(twin.settings.jump_back_s * 1e9)
-        self.samples = RecordedSamples(parts, jump_back_ns, lambda memory: memory.holds_for(twin))
+        self.samples = RecordedSamples(parts, round(twin.settings.jump_back_s * 1e9))
         states = self.samples.gait_state
-        onsets = [int(states.onset[of].min()) for of in states.rows_of_runs()]
-        self._memory = memory_to_resume(self.samples.memories, self.samples.first_ns, onsets)
+        onsets = (int(states.onset[of].min()) for of in states.rows_of_runs())
+        self._memory = memory_to_resume(
+            self.samples.memories, twin, min(onsets, default=FOREVER_NS)
+        )
         self._starts: dict[int, Start] = {}
-        self.resumed_ns = 0 if self._memory is None else self._memory.stamp_ns
         self.unusable: Mapping[int, str] = {}
         self.dropped: dict[str, int] = {}
 
@@ -109,33 +106,17 @@ class OfflineReplay:
         """Yield the samples in parts, each part with the output of the twin."""
         twin, unusable = self._twin, unusable_runs(self.samples)
         state = TwinState(twin.start().memory, unusable=unusable, starts=dict(self._starts))
-        if self._memory is not None:
-            before = yield from self._steps_before(self._memory, state)
-            resumed = self._memory.resume(twin, before)
-            resumed.unusable |= state.unusable
-            state = resumed
+        memory = self._memory
+        if memory is not None:
+            old = [rows[~memory.is_new(rows)] for rows in self.samples.rows(memory.stamp_ns)]
+            state.memory = memory.resume(twin, np.concatenate([NO_SAMPLES, *old]))
         for rows in self.samples.rows():
-            new = rows if self._memory is None else rows[self._memory.is_new(rows)]
-            yield new, twin.advance(state, new)
+            new = rows if memory is None else rows[memory.is_new(rows)]
+            yield rows, twin.advance(state, new)
         yield NO_SAMPLES, twin.advance(state, NO_SAMPLES, to_the_end=True)
         self._starts = self._starts or state.starts
         self.unusable = state.unusable
         self.dropped = {name: n for name, n in state.counts.items() if n and name != "taken"}
-
-    def _steps_before(
-        self, memory: StoredMemory, state: TwinState
-    ) -> Generator[tuple[SampleRows, Output], None, SampleRows]:
-        """Yield the steps up to a stored memory, and return the last samples before this memory."""
-        last = NO_SAMPLES
-        if self.samples.first_ns is None or self.samples.first_ns > memory.stamp_ns:
-            return last
-        for rows in self.samples.rows(memory.until_ns):
-            old = rows[~memory.is_new(rows)]
-            last = np.concatenate([last, old])
-            last = last[last["stamp"] >= memory.stamp_ns - look_back_ns(self._twin)]
-            yield old, _apart(self._twin.advance(state, old))
-        yield NO_SAMPLES, _apart(self._twin.advance(state, NO_SAMPLES, to_the_end=True))
-        return last
 
 
 def replay_run(run: Run, parameters: Parameters) -> Replay:
@@ -150,7 +131,6 @@ def replay_run(run: Run, parameters: Parameters) -> Replay:
         dropped=replay.dropped,
         cycles=tuple(cycle for output in outputs for cycle in output.cycles),
         unusable=replay.unusable,
-        resumed_ns=replay.resumed_ns,
     )
 
 
@@ -188,19 +168,6 @@ def unusable_runs(samples: RecordedSamples) -> dict[int, str]:
 def _end_of(states: GaitStates, rows: NDArray[np.int64]) -> int:
     later = states.stamp[(states.stamp > states.stamp[rows[-1]]) & ~states.played]
     return int(later.min(initial=np.iinfo(np.int64).max))
-
-
-def _apart(output: Output) -> Output:
-    """Return an output with negated numbers of warnings, so that they differ from those after the memory."""
-    output.residuals["warning"] *= -1
-    return Output(
-        output.states,
-        output.residuals,
-        output.lengths,
-        output.events,
-        {-number: text for number, text in output.warnings.items()},
-        output.cycles,
-    )
 
 
 def _columns(parts: Sequence[np.ndarray]) -> Series:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from worm_model.arrays import Stamps
 from worm_model.run import GaitStates, LengthSamples, Run, concatenated
 from worm_model.twin.data.samples import SAMPLE, SampleKind, SampleRows, series_of, topic_rows
-from worm_model.twin.stored_memory import StoredMemory, read_memory
+from worm_model.twin.stored_memory import NEAR_NS
 
 # m/s; faster changes of the command count as impossible. The gaits of the paper's box stay below 0.12 m/s.
 IMPOSSIBLE_SPEED = 1.0
@@ -37,27 +37,21 @@ class RecordedSamples:
     Args:
         parts: returns the recording in parts, in the order of reception.
         jump_back_ns: step back of the stamps, ns, above which the clock has jumped.
-        is_usable: returns True for a stored memory from which the replay may resume.
 
     Attributes:
         origin: smallest origin of the parts, ns; 0 without samples.
         first_ns: smallest stamp of all samples except driver states, ns; None without samples.
         last_ns: largest of the last stamps of command, measured length and tracker, ns; None without samples.
         gait_state: all driver states.
-        memories: the usable stored memories before `first_ns`, and the first one from `first_ns` on, in order of stamp.
+        memories: stamp (ns) and text of the stored memories near `first_ns`.
         impossible_steps: stamps (n, 2) before and after impossibly fast steps of the command, in order of stamp.
         clock_went_back: True if the clock has jumped back.
     """
 
-    def __init__(
-        self,
-        parts: Callable[[], Iterable[Run]],
-        jump_back_ns: int,
-        is_usable: Callable[[StoredMemory], bool] = lambda _: False,
-    ) -> None:
+    def __init__(self, parts: Callable[[], Iterable[Run]], jump_back_ns: int) -> None:
         self._parts = parts
         self._stretches: list[list[tuple[SampleKind, int, int]]] = []
-        self.memories: list[StoredMemory] = []
+        self.memories: list[tuple[int, str]] = []
         self.first_ns: int | None = None
         jumps = {kind: _Jumps(jump_back_ns) for kind in SampleKind}
         origins, states = [], []
@@ -82,7 +76,7 @@ class RecordedSamples:
             command = concatenated(LengthSamples, [_last_of(command), part.commanded])
             is_ordered &= not (np.diff(command.stamp) < 0).any()
             steps.append(_impossible_steps(command))
-            self._add_memories(part, is_usable)
+            self._add_memories(part)
         self.origin = min(origins, default=0)
         self.last_ns = max(last_ns.values(), default=None)
         self.gait_state: GaitStates = concatenated(GaitStates, states)
@@ -126,18 +120,12 @@ class RecordedSamples:
                 smallest = min(smallest, (number, stamp))
         return places[::-1]
 
-    def _add_memories(self, part: Run, is_usable: Callable[[StoredMemory], bool]) -> None:
-        stored = zip(part.memory.stamp.tolist(), part.memory.content.tolist(), strict=True)
-        first = _FOREVER if self.first_ns is None else self.first_ns
-        for stamp, text in stored:
-            last = self.memories[-1].stamp_ns if self.memories else 0
-            if stamp <= last or last < first:
-                memory = read_memory(stamp, text)
-                if memory is not None and is_usable(memory):
-                    self.memories.append(memory)
-                    self.memories.sort(key=lambda each: each.stamp_ns)
-        after = [memory for memory in self.memories if memory.stamp_ns >= first]
-        self.memories = [m for m in self.memories if m.stamp_ns < first] + after[:1]
+    def _add_memories(self, part: Run) -> None:
+        memory = part.memory
+        self.memories += zip(memory.stamp.tolist(), memory.content.tolist(), strict=True)
+        if self.first_ns is not None:
+            first = self.first_ns
+            self.memories = [each for each in self.memories if abs(each[0] - first) <= NEAR_NS]
 
 
 class _Jumps:
