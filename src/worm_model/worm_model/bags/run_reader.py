@@ -253,8 +253,8 @@ class _Filter:
             infinite |= np.isinf(values).any(axis=1)
         repeated[0] &= comparable
         infinite &= ~repeated
-        self.repeated += np.count_nonzero(repeated)
-        self.infinite += np.count_nonzero(infinite)
+        self.repeated += int(np.count_nonzero(repeated))
+        self.infinite += int(np.count_nonzero(infinite))
         kept = np.flatnonzero(~(repeated | infinite))
         if len(kept) == size:
             return columns
@@ -265,7 +265,7 @@ class _Filter:
 
     def count_backwards(self, stamp: Stamps) -> None:
         """Count the stamps of the next messages that are smaller than the previous one."""
-        self.backwards += np.count_nonzero(np.diff(stamp, prepend=self._last_stamp) < 0)
+        self.backwards += int(np.count_nonzero(np.diff(stamp, prepend=self._last_stamp) < 0))
         self._last_stamp = np.append(self._last_stamp, stamp)[-1:]
 
 

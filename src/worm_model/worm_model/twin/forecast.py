@@ -93,7 +93,7 @@ def _start(twin: Twin, state: TwinState, gait: Gait) -> tuple[TwinState, simulat
     For a gait in the other direction, the fins are turned now, and the robot rests in their new grooves at the onset.
     """
     if gait.direction != state.direction:
-        memory = Memory(*(part.copy() for part in state.memory))
+        memory = Memory(**{name: part.copy() for name, part in state.memory._asdict().items()})
         m = memory.record[0]
         m["rest_ns"] = now = int(m["processed_ns"])
         if m["pulling"]:

@@ -197,9 +197,7 @@ def curve(task: MarginTask, most: float) -> tuple[LoadPoint, ...]:
     """
     points = []
     for load in np.linspace(0.0, most, _CURVE).tolist():
-        changed = {
-            key: float(value) for key, value in loads_on_rear(task)(np.float64(load)).items()
-        }
+        changed = {key: float(value) for key, value in loads_on_rear(task)(np.array(load)).items()}
         loaded = dataclasses.replace(task, parameters=task.parameters.replace(**changed))
         front = exact_front(loaded, _RESOLUTION, _ZOOM).front
         if len(front):
