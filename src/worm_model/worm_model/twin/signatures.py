@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
+from typing import assert_never
 
 import numpy as np
 
@@ -225,8 +226,18 @@ def _change_of(model: _Model, cause: Cause) -> Callable[[float], tuple[Array, in
             return partial(model.with_both_loads, cause.size)
         case Effect.LOOSE_CABLE:
             return partial(model.with_loose_cable, cause.size)
+        case Effect.POWER_SCALE:
+            return _on_power(cause.size * model.seen[POWER])
+        case Effect.POWER_OFFSET:
+            return _on_power(np.full(BINS, cause.size))
+        case _:
+            assert_never(cause.effect)
+
+
+def _on_power(change: Array) -> Callable[[float], tuple[Array, int]]:
+    """Return a function as `_change_of` does, for a change (W), shape (BINS,), of the measured power alone."""
     effect = np.zeros((CHANNELS, BINS))
-    effect[POWER] = cause.size * (model.seen[POWER] if cause.effect is Effect.POWER_SCALE else 1.0)
+    effect[POWER] = change
     return lambda size: (size * effect, 0)
 
 

@@ -7,6 +7,7 @@ import dataclasses
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import assert_never
 
 import numpy as np
 
@@ -283,6 +284,16 @@ def _robust_task(
             )
         case Robustness.ANY_PHASE:
             return any_phase_task(nominal), 0.0, "gaits keep their grooves at every groove phase"
+        case Robustness.MARGIN:
+            return _margin_task(nominal, settings)
+        case _:
+            assert_never(settings.robustness)
+
+
+def _margin_task(
+    nominal: MarginTask, settings: Settings
+) -> tuple[MarginTask | ShapedTask, float, str]:
+    """Return the task with the margin that is given, or that the price of robustness determines."""
     given = given_margin(nominal.parameters, settings)
     if given is not None:
         margin, reason = given

@@ -10,7 +10,7 @@ from __future__ import annotations
 import enum
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, assert_never
 
 import numpy as np
 
@@ -129,10 +129,12 @@ def select(front: RobustFront, request: GaitRequest) -> GaitAnswer:
         case Objective.MAX_SPEED_AT_POWER:
             found = front.exact.cheapest(at_power(request.value))
             nearest = _too_little(request.value, front.min_power)
-        case _:
+        case Objective.MIN_POWER | Objective.CRUISE | Objective.MAX_SPEED:
             return GaitAnswer(
                 RequestStatus.DONE, prediction=front.three[request.objective.name.lower()]
             )
+        case _:
+            assert_never(request.objective)
     if not len(found):
         return nearest
     (prediction,) = front.predicted(found)
