@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 
 from benchmarks.report import Row
 from tests.helpers.driver_rig import CABLE, Rig, settings, shaft_lengths, two_spools
-from worm_driver.errors import ConfigurationError
+from worm_driver.driver_errors import ConfigurationError
 from worm_driver.gait.gait_player import Phase
 from worm_driver.virtual_robot.wire.packet import Instruction, instruction_packet
 

@@ -350,3 +350,32 @@ def test_the_core_runs_without_ros():
     folders = [str(ROOT / "src" / package) for package in ("worm_model", "worm_msgs")]
     environment = {"PYTHONPATH": os.pathsep.join(folders), "PATH": "/usr/bin:/bin"}
     assert subprocess.run([sys.executable, "-c", code], env=environment).returncode == 0
+
+
+# Each package has a table of executables; `worm_model.gait` publishes the names of `worm_msgs.gait`.
+SAME_NAMES = {"__init__", "executables", "gait"}
+# Words of the whole project: one class each.
+WORDS = ("Run", "Report", "ServoModel", "Health", "Snapshot")
+
+
+def test_each_module_has_a_name_of_its_own():
+    """Except that the module of a command has the name of the command."""
+    names = [path.stem for path in SOURCES if path.parent.name != "commands"]
+    assert {name for name in names if names.count(name) > 1} == SAME_NAMES
+
+
+@pytest.mark.parametrize("word", WORDS)
+def test_a_word_names_one_class(word: str):
+    line = re.compile(rf"^class {word}\b", re.MULTILINE)
+    assert len([path for path in SOURCES if line.search(path.read_text(encoding="utf-8"))]) == 1
+
+
+def test_a_match_rejects_members_without_a_case():
+    """Mypy rejects the `assert_never` of a match in which a member has no case."""
+    open_ends = [
+        f"{path.relative_to(ROOT)}:{node.lineno}"
+        for path in SOURCES
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Match) and ast.unparse(node.cases[-1].pattern) != "_"
+    ]
+    assert open_ends == []

@@ -19,10 +19,10 @@ import serial
 
 from worm_driver.clock import Traffic
 from worm_driver.control.control_loop import ControlLoop
+from worm_driver.control.cycle_snapshot import CycleSnapshot
 from worm_driver.control.driver_settings import DriverSettings
 from worm_driver.control.robot import Robot
-from worm_driver.control.snapshot import Snapshot
-from worm_driver.errors import BusError
+from worm_driver.driver_errors import BusError
 from worm_driver.gait.gait_player import Phase
 from worm_driver.power import socket_smbus as frames
 from worm_driver.power.i2c import I2CDevice
@@ -233,7 +233,7 @@ class Rig:
         self.positions: list[tuple[float, float]] = []
         self.samples: list[PowerSample] = []
         self._valid = 0
-        self.snapshots: list[Snapshot] = []
+        self.snapshots: list[CycleSnapshot] = []
         self.settings = driver or settings()
         self.sensor = INA219(
             I2CDevice(DirectSMBus(self.virtual, self.clock), "simulated", 0x40),
@@ -268,7 +268,7 @@ class Rig:
                 self.goals.append(WrittenGoal(now, number, ticks, shaft))
         return [(t.time, t.data) for t in self.virtual.receive(data, now, BAUD_RATE)]
 
-    def _publish(self, snapshot: Snapshot) -> None:
+    def _publish(self, snapshot: CycleSnapshot) -> None:
         self.snapshots.append(snapshot)
 
     def _valid_samples(self) -> int:
@@ -308,7 +308,9 @@ class Rig:
         cables = self.virtual.servos[: len(self.settings.spools)]
         return max(abs(servo.motor.velocity) for servo in cables) * 2 * math.pi / 4096 * 0.025
 
-    def run(self, duration: float, until: Callable[[Snapshot], bool] | None = None) -> Snapshot:
+    def run(
+        self, duration: float, until: Callable[[CycleSnapshot], bool] | None = None
+    ) -> CycleSnapshot:
         """Run cycles for a duration (s), or until a snapshot fulfils a condition.
 
         A condition that is never fulfilled fails the test.

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from worm_driver.virtual_robot.offline_run import Run as Rehearsal
-from worm_driver.virtual_robot.offline_run import run_offline
+from worm_driver.virtual_robot.offline_run import Rehearsal, run_offline
 from worm_driver.virtual_robot.virtual_settings import RobotSettings, load_settings
 from worm_model.gait import Gait
 from worm_model.identification.data.observed_run import recording_of

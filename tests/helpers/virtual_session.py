@@ -15,8 +15,8 @@ import numpy as np
 from driver_rig import Rig, installed_robot
 from twin_samples import run_of_rows
 
+from worm_driver.control.cycle_snapshot import CycleSnapshot
 from worm_driver.control.driver_settings import DriverSettings
-from worm_driver.control.snapshot import Snapshot
 from worm_driver.gait.gait_player import Phase
 from worm_driver.power.ina219 import SampleStatus
 from worm_driver.virtual_robot.virtual_robot import VirtualRobot
@@ -123,7 +123,7 @@ class Session:
         onset = robot.player.run.onset
         assert onset is not None
 
-        def over(snapshot: Snapshot) -> bool:
+        def over(snapshot: CycleSnapshot) -> bool:
             run = snapshot.player.active_run
             disturb(self.rig.virtual, clock.now - onset)
             if run is not None and clock.now >= onset + stop_after:
@@ -182,7 +182,7 @@ class Session:
 
     # --- topics ---------------------------------------------------------------------------------
 
-    def _follow(self, duration: float, until: Callable[[Snapshot], bool]) -> None:
+    def _follow(self, duration: float, until: Callable[[CycleSnapshot], bool]) -> None:
         end = self.rig.clock.now + duration
         while self.rig.clock.now < end - 1e-9:
             snapshot = self.rig.run(self.rig.settings.period)
@@ -210,7 +210,7 @@ class Session:
         rig.positions.clear()
         self._grooves.append((rig.virtual.time, rig.virtual.state.rear_groove))
 
-    def _note_snapshot(self, snapshot: Snapshot) -> None:
+    def _note_snapshot(self, snapshot: CycleSnapshot) -> None:
         player, run = snapshot.player, snapshot.player.active_run
         now = snapshot.command_time
         cycle = 0 if run is None else run.cycle(now)

@@ -291,7 +291,7 @@ _SLOW = """
 import sys
 import time
 from worm_driver.nodes import driver_node
-from worm_driver.errors import BusError
+from worm_driver.driver_errors import BusError
 from worm_driver.control.robot import Robot
 
 activate = Robot.activate

@@ -12,7 +12,7 @@ from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from worm_driver.control.emergency import EmergencyLatch
-from worm_driver.errors import DriverError
+from worm_driver.driver_errors import DriverError
 from worm_driver.nodes.stop_services import StopServices
 from worm_msgs.msg import Heartbeat
 

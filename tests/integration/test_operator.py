@@ -10,7 +10,7 @@ from lifecycle_msgs.srv import GetState
 from rclpy.action import ActionServer
 from rclpy.task import Future
 
-from worm_driver.control.diagnostics import Level, Report
+from worm_driver.control.diagnostics import DiagnosticReport, Level
 from worm_driver.nodes import driver_messages
 from worm_model.gait import Gait
 from worm_msgs.action import RunGait
@@ -107,7 +107,9 @@ def test_a_transition_is_not_requested_twice(node, services):
 
 def test_it_receives_the_late_cycles_of_its_own_driver(node, probe):
     def diagnostics(robot: str, late: int) -> DiagnosticArray:
-        timing = Report("driver: timing", Level.OK, "", values=(("missed_deadlines", str(late)),))
+        timing = DiagnosticReport(
+            "driver: timing", Level.OK, "", values=(("missed_deadlines", str(late)),)
+        )
         return driver_messages.diagnostics([timing], Time(), robot)
 
     publisher = probe.node.create_publisher(DiagnosticArray, "/diagnostics", 10)

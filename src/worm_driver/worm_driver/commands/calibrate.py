@@ -21,7 +21,7 @@ from types import FrameType
 
 from worm_driver.commands.driver_command import new_file
 from worm_driver.control.supervision import Limits, own_limit
-from worm_driver.errors import (
+from worm_driver.driver_errors import (
     ConfigurationError,
     CorruptReplyError,
     DriverError,

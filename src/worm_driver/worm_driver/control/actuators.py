@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from worm_driver.control.driver_settings import DriverSettings
 from worm_driver.control.supervision import CableLength, fault_level, own_limit
-from worm_driver.errors import ConfigurationError, HomingError
+from worm_driver.driver_errors import ConfigurationError, HomingError
 from worm_driver.servos import servo_setup as servos
 from worm_driver.servos.goal_gate import Bound, GoalGate
 from worm_driver.servos.position_track import PositionSample, PositionTrack

@@ -2,8 +2,8 @@
 """Threads that own the robot and the power sensor.
 
 Other threads submit commands to the robot's thread, which executes them between two cycles. After each cycle, a
-callback receives a `Snapshot`. Before the robot's thread ends, it switches the torque off over the serial bus, without
-ROS. If the robot would spring back, the thread leaves the torque on, unless an operator requests the release.
+callback receives a `CycleSnapshot`. Before the robot's thread ends, it switches the torque off over the serial bus,
+without ROS. If the robot would spring back, the thread leaves the torque on, unless an operator requests the release.
 """
 
 import contextlib
@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from worm_driver.clock import Clock, MachineClock
+from worm_driver.control.cycle_snapshot import CycleSnapshot
 from worm_driver.control.real_time import (
     NOT_REQUESTED,
     VIRTUAL,
@@ -24,9 +25,8 @@ from worm_driver.control.real_time import (
     return_to_normal,
 )
 from worm_driver.control.robot import Robot
-from worm_driver.control.snapshot import Snapshot
 from worm_driver.control.timing import DeadlineGrid, PeriodMeter, TimingReport
-from worm_driver.errors import DriverError, PowerSensorError, RejectedError
+from worm_driver.driver_errors import DriverError, PowerSensorError, RejectedError
 from worm_driver.power.ina219 import INA219, PowerSample, SampleStatus
 
 T = TypeVar("T")
@@ -140,7 +140,7 @@ class ControlLoop(PeriodicThread):
     """
 
     def __init__(
-        self, robot: Robot, on_snapshot: Callable[[Snapshot], None], clock: Clock | None = None
+        self, robot: Robot, on_snapshot: Callable[[CycleSnapshot], None], clock: Clock | None = None
     ):
         super().__init__("servo_bus", robot.settings.period, clock)
         self.scheduling = NOT_REQUESTED

@@ -29,7 +29,7 @@ class Level(enum.Enum):
 
 
 @dataclass(frozen=True)
-class Report:
+class DiagnosticReport:
     """Diagnostic report on one part of the driver.
 
     Attributes:
@@ -49,7 +49,7 @@ class Report:
 
 def servo_report(
     servo: Servo, state: ServoState, *, alert: bool, problem: str = "does not answer"
-) -> Report:
+) -> DiagnosticReport:
     """Return the report on one servo.
 
     Args:
@@ -71,7 +71,7 @@ def servo_report(
         message = f"{state.temperature:.0f} degC; the servo shuts down at {servo.temperature_limit:.0f} degC"
     else:
         level, message = Level.OK, "ok"
-    return Report(
+    return DiagnosticReport(
         f"driver: servo {servo.number}",
         level,
         message,
@@ -87,7 +87,7 @@ def servo_report(
 
 def bus_report(
     port: str, now: BusCounters, before: BusCounters, latency_timer: int | None
-) -> Report:
+) -> DiagnosticReport:
     """Return the report on the servo bus, with the failures since the previous report.
 
     Args:
@@ -109,10 +109,10 @@ def bus_report(
     else:
         level, message = Level.OK, "ok"
     values = tuple((name, str(count)) for name, count in asdict(now).items())
-    return Report("driver: servo bus", level, message, port, values)
+    return DiagnosticReport("driver: servo bus", level, message, port, values)
 
 
-def timing_report(timing: TimingReport, period: float, scheduling: Scheduling) -> Report:
+def timing_report(timing: TimingReport, period: float, scheduling: Scheduling) -> DiagnosticReport:
     """Return the report on the timing of the control loop and on the scheduling of its thread. The period is in s."""
     if math.isnan(timing.p99_error):
         level, message = Level.OK, "starting"
@@ -122,7 +122,7 @@ def timing_report(timing: TimingReport, period: float, scheduling: Scheduling) -
         message = f"p99 of the period error is {timing.p99_error * 1e3:.2f} ms: {cause}"
     else:
         level, message = Level.OK, "ok"
-    return Report(
+    return DiagnosticReport(
         "driver: timing",
         level,
         message,
@@ -156,7 +156,9 @@ def _cause_of_lateness(timing: TimingReport, period: float, scheduling: Scheduli
     )
 
 
-def power_report(counts: dict[SampleStatus, int], where: str, reversed_current: str) -> Report:
+def power_report(
+    counts: dict[SampleStatus, int], where: str, reversed_current: str
+) -> DiagnosticReport:
     """Return the report on the power sensor.
 
     Args:
@@ -188,16 +190,18 @@ def power_report(counts: dict[SampleStatus, int], where: str, reversed_current: 
     else:
         level, message = Level.OK, "ok"
     values = tuple((status.name.lower(), str(counts.get(status, 0))) for status in SampleStatus)
-    return Report("driver: power sensor", level, message, where, values)
+    return DiagnosticReport("driver: power sensor", level, message, where, values)
 
 
-def release_report(problems: Sequence[str]) -> Report:
+def release_report(problems: Sequence[str]) -> DiagnosticReport:
     """Return the report on a failed release of the torque. ``problems`` are its failures, one sentence each."""
     message = f"the torque may still be on: {'; '.join(problems)}: switch the supply off before you touch the robot"
-    return Report("driver: release", Level.ERROR, message)
+    return DiagnosticReport("driver: release", Level.ERROR, message)
 
 
-def gait_report(player: PlayerState, *, active: bool, homed: bool, left_on: str = "") -> Report:
+def gait_report(
+    player: PlayerState, *, active: bool, homed: bool, left_on: str = ""
+) -> DiagnosticReport:
     """Return the report on the gait player.
 
     Args:
@@ -215,7 +219,7 @@ def gait_report(player: PlayerState, *, active: bool, homed: bool, left_on: str 
         message = "not homed: bring the robot to its initial length, then call the service home"
     else:
         level, message = Level.OK, player.phase.value if active else "torque is off"
-    return Report(
+    return DiagnosticReport(
         "driver: gait",
         level,
         message,
@@ -224,12 +228,14 @@ def gait_report(player: PlayerState, *, active: bool, homed: bool, left_on: str 
     )
 
 
-def network_report(text: str, *, is_local: bool) -> Report:
+def network_report(text: str, *, is_local: bool) -> DiagnosticReport:
     """Return the report on who can reach the driver: only this computer, or the network. ``text`` is its message."""
-    return Report("driver: network", Level.OK if is_local else Level.WARN, text)
+    return DiagnosticReport("driver: network", Level.OK if is_local else Level.WARN, text)
 
 
-def offline_report(failure: Exception | None) -> Report:
+def offline_report(failure: Exception | None) -> DiagnosticReport:
     """Return the report of a driver without open devices. ``failure`` is the error of a failed transition, or None."""
     level = Level.OK if failure is None else Level.ERROR
-    return Report("driver: gait", level, "not configured" if failure is None else str(failure))
+    return DiagnosticReport(
+        "driver: gait", level, "not configured" if failure is None else str(failure)
+    )

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from worm_driver.control.supervision import Limits
-from worm_driver.errors import ConfigurationError
+from worm_driver.driver_errors import ConfigurationError
 from worm_driver.gait.gait_player import PlayerSettings
 from worm_driver.servos.registers import COMMON
 from worm_driver.servos.transmission import Fin, Spool

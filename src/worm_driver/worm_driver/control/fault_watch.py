@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 from worm_driver.control import supervision
 from worm_driver.control.actuators import Actuators
-from worm_driver.control.supervision import Counts, Health, fault_level
+from worm_driver.control.supervision import Counts, ServoHealth, fault_level
 from worm_driver.gait.gait_player import PlayerState, moving
 from worm_driver.servos.registers import WATCHDOG_EXPIRED
 from worm_driver.servos.servo_state import SILENT, ServoState
@@ -107,7 +107,7 @@ class FaultWatch:
         registers = self._reader.reread_health(servo, names)
         if registers is None:
             return None  # `supervision.silence` counts a servo that does not answer
-        health = Health(*(registers[name] for name in names))
+        health = ServoHealth(*(registers[name] for name in names))
         is_cable = servo in robot.cables
         robot.homed = robot.homed and not (is_cable and not health.led)
         if health.watchdog == WATCHDOG_EXPIRED and self._clock() - self._away_at < _REMEMBERED:

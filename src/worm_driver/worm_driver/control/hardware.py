@@ -10,11 +10,11 @@ from dataclasses import dataclass
 
 from worm_driver.control import diagnostics
 from worm_driver.control.control_loop import ControlLoop, PowerLoop
-from worm_driver.control.diagnostics import Report
+from worm_driver.control.cycle_snapshot import CycleSnapshot
+from worm_driver.control.diagnostics import DiagnosticReport
 from worm_driver.control.driver_settings import DriverSettings, PowerSettings
 from worm_driver.control.robot import Robot
-from worm_driver.control.snapshot import Snapshot
-from worm_driver.errors import ConfigurationError, DriverError
+from worm_driver.driver_errors import ConfigurationError, DriverError
 from worm_driver.power import i2c
 from worm_driver.power.ina219 import (
     INA219,
@@ -81,7 +81,7 @@ class Hardware:
         self.settings = settings
         # Largest max_stroke of all settings so far, because a run may have begun with it.
         self._longest_stroke = settings.max_stroke
-        self.snapshots: deque[Snapshot] = deque()
+        self.snapshots: deque[CycleSnapshot] = deque()
         self.samples: deque[PowerSample] = deque()
         self.warnings: deque[str] = deque()
         self._first_samples: list[PowerSample] = []
@@ -188,7 +188,7 @@ class Hardware:
         self._bus.close()
         return problems
 
-    def report(self, latest: Snapshot) -> list[Report]:
+    def report(self, latest: CycleSnapshot) -> list[DiagnosticReport]:
         """Return the diagnostic reports on all parts. Call this method once a second.
 
         Args:
@@ -241,7 +241,7 @@ class Hardware:
     def _valid_samples(self) -> int:
         return 0 if self._power is None else self._power.valid_samples
 
-    def _on_snapshot(self, snapshot: Snapshot) -> None:
+    def _on_snapshot(self, snapshot: CycleSnapshot) -> None:
         """Queue a snapshot, in the loop's thread. Put the robot into FAULT if the node no longer reads the queue."""
         self.snapshots.append(snapshot)
         unread = snapshot.command_time - self._oldest(snapshot).command_time
@@ -257,7 +257,7 @@ class Hardware:
         while len(self.snapshots) > _BACKLOG and time.monotonic() < end:
             time.sleep(0.002)
 
-    def _oldest(self, newest: Snapshot) -> Snapshot:
+    def _oldest(self, newest: CycleSnapshot) -> CycleSnapshot:
         """Return the oldest unread snapshot, or the newest if another thread has just emptied the queue."""
         try:
             return self.snapshots[0]

@@ -13,10 +13,10 @@ from dataclasses import replace
 from itertools import combinations
 
 from worm_driver.control.actuators import PAYOUT_TOLERANCE, Actuators
+from worm_driver.control.cycle_snapshot import CycleSnapshot
 from worm_driver.control.driver_settings import DriverSettings
 from worm_driver.control.fault_watch import FaultWatch
-from worm_driver.control.snapshot import Snapshot
-from worm_driver.errors import (
+from worm_driver.driver_errors import (
     BusError,
     ConfigurationError,
     HomingError,
@@ -373,7 +373,7 @@ class Robot:
 
     # --- the control cycle ---------------------------------------------------------------------
 
-    def cycle(self, now: float) -> Snapshot:
+    def cycle(self, now: float) -> CycleSnapshot:
         """Execute one control cycle, at the time ``now`` (s), and return its result.
 
         Never raises an error of a servo or of the port.
@@ -389,7 +389,7 @@ class Robot:
             self._states = (SILENT,) * len(self.actuators.servos)
             if self.active:
                 self.fail(now, str(error))
-        return Snapshot(
+        return CycleSnapshot(
             command_time=now,
             read_time=read_time,
             active=self.active,

@@ -79,7 +79,7 @@ class Counts:
 
 
 @dataclass(frozen=True)
-class Health:
+class ServoHealth:
     """Registers that show whether a servo still has the settings that the driver wrote.
 
     Attributes:
@@ -210,7 +210,7 @@ def _off_command(servo: int, cable: CableLength, when: str, otherwise: str = "")
     )
 
 
-def fault_in_health(servo: int, health: Health, *, is_cable: bool) -> str | None:
+def fault_in_health(servo: int, health: ServoHealth, *, is_cable: bool) -> str | None:
     """Return the fault that a servo's health registers show while its torque should be on, as a message, or None."""
     if health.hardware_error:
         return f"servo {servo} reports {hardware_error_text(health.hardware_error)}"

@@ -4,7 +4,7 @@
 import math
 from dataclasses import dataclass
 
-from worm_driver.errors import RejectedError
+from worm_driver.driver_errors import RejectedError
 from worm_msgs.gait import Gait
 
 _ROUNDING = 1e-9  # m; tolerance of max_stroke, because 0.02 + 0.07 exceeds 0.09 in floating point

@@ -15,7 +15,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from worm_driver.gait.gait_player import Run
+from worm_driver.gait.gait_player import PlayedRun
 from worm_driver.power.ina219 import PowerSample, SampleStatus, reversed_current
 from worm_msgs.robot_parameters import STANDARD_GRAVITY, RobotParameters
 
@@ -112,7 +112,7 @@ class RunMetrics:
     reasons: tuple[str, ...]
 
 
-def run_metrics(run: Run, record: RunRecord, body: RobotParameters) -> RunMetrics:
+def run_metrics(run: PlayedRun, record: RunRecord, body: RobotParameters) -> RunMetrics:
     """Return the metrics of a run that has ended."""
     assert run.end is not None
     completed = run.cycles_completed(run.end)
@@ -137,7 +137,7 @@ def run_metrics(run: Run, record: RunRecord, body: RobotParameters) -> RunMetric
     return RunMetrics(completed, averaged, travelled, speed, power, cost, idle_power, reasons)
 
 
-def distance(run: Run, record: RunRecord) -> float:
+def distance(run: PlayedRun, record: RunRecord) -> float:
     """Return the displacement of x1 along the gait's direction from the onset to the latest sample, m.
 
     It is NaN before the onset, without samples, or if x1 at the onset is unknown.
@@ -151,7 +151,7 @@ def _given(*reasons: str) -> tuple[str, ...]:
     return tuple(reason for reason in reasons if reason)
 
 
-def _speed(run: Run, record: RunRecord, start: float, end: float) -> tuple[float, str]:
+def _speed(run: PlayedRun, record: RunRecord, start: float, end: float) -> tuple[float, str]:
     if not record.positions:
         return math.nan, "no speed: no samples arrived on the topic tracker"
     (first, first_gap), (last, last_gap) = record.position_at(start), record.position_at(end)
@@ -217,7 +217,7 @@ def _cost_of_transport(power: float, speed: float, body: RobotParameters) -> tup
     return power / (body.mass * STANDARD_GRAVITY * abs(speed)), ""
 
 
-def _rest_samples(run: Run, samples: Sequence[PowerSample]) -> list[PowerSample]:
+def _rest_samples(run: PlayedRun, samples: Sequence[PowerSample]) -> list[PowerSample]:
     """Return the first ten valid samples at rest, or fewer."""
     if run.rest_start is None:
         return []
@@ -229,7 +229,7 @@ def _rest_samples(run: Run, samples: Sequence[PowerSample]) -> list[PowerSample]
     ][:IDLE_SAMPLES]
 
 
-def _idle_power(run: Run, rest: Sequence[PowerSample]) -> tuple[float, str]:
+def _idle_power(run: PlayedRun, rest: Sequence[PowerSample]) -> tuple[float, str]:
     """Return the mean power (W) of the samples of `_rest_samples` (eq:Pidle_est), and a reason if it is NaN."""
     if run.rest_start is None:
         return math.nan, "no idle power: the rest did not begin"

@@ -22,7 +22,7 @@ import enum
 import math
 from dataclasses import dataclass, replace
 
-from worm_driver.errors import RejectedError
+from worm_driver.driver_errors import RejectedError
 from worm_msgs.driver_file import DriverFile
 from worm_msgs.gait import Gait
 
@@ -54,7 +54,7 @@ class Ending(enum.Enum):
 
 
 @dataclass(frozen=True)
-class Run:
+class PlayedRun:
     """Run of a gait, and its progress.
 
     Attributes:
@@ -120,11 +120,11 @@ class PlayerState:
     direction: int = 0
     stepped: float = -math.inf
     still_start: float = -math.inf
-    run: Run | None = None
+    run: PlayedRun | None = None
     message: str = ""
 
     @property
-    def active_run(self) -> Run | None:
+    def active_run(self) -> PlayedRun | None:
         """Run that has not ended; None if there is none."""
         return self.run if self.run is not None and self.run.ending is None else None
 
@@ -189,7 +189,7 @@ def start(state: PlayerState, now: float, gait: Gait, cycles: int) -> PlayerStat
             f"the driver is in fault ({state.message}): remove the cause, then deactivate and activate the driver"
         )
     number = 1 if state.run is None else state.run.number + 1
-    state = replace(state, run=Run(number, gait, cycles, cycles), message="")
+    state = replace(state, run=PlayedRun(number, gait, cycles, cycles), message="")
     return state if state.phase is Phase.RETURNING else _enter(state, Phase.RETURNING, now)
 
 

@@ -4,10 +4,10 @@
 import math
 from dataclasses import dataclass
 
-from worm_driver.errors import RejectedError
+from worm_driver.driver_errors import RejectedError
 from worm_driver.gait.gait_limits import GaitLimits
 from worm_driver.gait.gait_metrics import RunRecord, distance
-from worm_driver.gait.gait_player import Run
+from worm_driver.gait.gait_player import PlayedRun
 from worm_msgs.gait import Gait
 
 #: part of the extension after which x1 hardly changes until the end of the cycle, because only the fins spring back
@@ -54,7 +54,7 @@ class RunEnd:
             raise RejectedError("a run needs an end: cycles, grooves or distance must not be 0")
         return limits.most_cycles(gait)
 
-    def is_reached(self, run: Run, record: RunRecord, pitch: float) -> bool:
+    def is_reached(self, run: PlayedRun, record: RunRecord, pitch: float) -> bool:
         """Return True if the run must end with the present cycle, because its grooves or its distance are reached.
 
         This is decided from the latest tracker sample, if it is near the end of a cycle.
@@ -71,7 +71,7 @@ class RunEnd:
         return by_grooves or 0.0 < self.distance <= travelled
 
 
-def is_near_cycle_end(run: Run, record: RunRecord) -> bool:
+def is_near_cycle_end(run: PlayedRun, record: RunRecord) -> bool:
     """Return True if the latest tracker sample is from the last fifth of an extension."""
     if run.onset is None or not record.positions or record.positions[-1][0] < run.onset:
         return False
@@ -79,7 +79,7 @@ def is_near_cycle_end(run: Run, record: RunRecord) -> bool:
     return run.gait.extended_share(phase) >= _NEAR_END
 
 
-def makes_no_progress(run: Run, record: RunRecord, pitch: float) -> bool:
+def makes_no_progress(run: PlayedRun, record: RunRecord, pitch: float) -> bool:
     """Return True if the robot gained less than half a pitch in the last three cycles.
 
     Return False during the first three cycles, and if x1 three cycles ago is unknown. Call this function only if the
@@ -92,7 +92,7 @@ def makes_no_progress(run: Run, record: RunRecord, pitch: float) -> bool:
     return gained < pitch / 2.0
 
 
-def unseen_cycle(run: Run, judged: int, now: float) -> int:
+def unseen_cycle(run: PlayedRun, judged: int, now: float) -> int:
     """Return the number of the last cycle that ended at least 0.5 s ago if the tracker did not see its end; else 0.
 
     Args:

@@ -10,9 +10,9 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
-from worm_driver.control.diagnostics import Report
-from worm_driver.control.snapshot import Snapshot
-from worm_driver.errors import RejectedError
+from worm_driver.control.cycle_snapshot import CycleSnapshot
+from worm_driver.control.diagnostics import DiagnosticReport
+from worm_driver.driver_errors import RejectedError
 from worm_driver.gait.gait_player import Phase
 from worm_driver.power.ina219 import PowerSample
 from worm_driver.servos.registers import ServoModel
@@ -73,7 +73,7 @@ class ClockPair:
 
 
 def joint_state(
-    names: Sequence[str], models: Sequence[ServoModel], snapshot: Snapshot, clocks: ClockPair
+    names: Sequence[str], models: Sequence[ServoModel], snapshot: CycleSnapshot, clocks: ClockPair
 ) -> JointState:
     """Return positions (rad), velocities (rad/s) and torques (N*m) of all servos; NaN for a servo that did not answer.
 
@@ -132,7 +132,7 @@ def gait_from(message: GaitMessage) -> Gait:
         raise RejectedError(str(error)) from None
 
 
-def gait_state(snapshot: Snapshot, clocks: ClockPair, *, emergency_stop: bool) -> GaitState:
+def gait_state(snapshot: CycleSnapshot, clocks: ClockPair, *, emergency_stop: bool) -> GaitState:
     """Return the message of the driver's state in a snapshot."""
     player = snapshot.player
     run = player.active_run
@@ -154,7 +154,7 @@ def gait_state(snapshot: Snapshot, clocks: ClockPair, *, emergency_stop: bool) -
     return message
 
 
-def diagnostics(reports: Sequence[Report], stamp: Time, robot: str) -> DiagnosticArray:
+def diagnostics(reports: Sequence[DiagnosticReport], stamp: Time, robot: str) -> DiagnosticArray:
     """Return the message for /diagnostics. All robots share this topic, so each name begins with ``robot``."""
     return DiagnosticArray(
         header=Header(stamp=stamp),

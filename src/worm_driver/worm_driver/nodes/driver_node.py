@@ -27,7 +27,7 @@ from std_srvs.srv import Trigger
 from worm_driver.control.diagnostics import network_report, offline_report, release_report
 from worm_driver.control.emergency import EmergencyLatch, state_folder
 from worm_driver.control.hardware import Hardware
-from worm_driver.errors import ConfigurationError, DriverError, ReleaseError, StoppedError
+from worm_driver.driver_errors import ConfigurationError, DriverError, ReleaseError, StoppedError
 from worm_driver.nodes import driver_messages, driver_parameters
 from worm_driver.nodes.run_gait_action import RunGaitAction
 from worm_driver.nodes.sole_driver import SoleDriver

@@ -13,7 +13,7 @@ from rclpy.parameter import Parameter
 from worm_driver.control.driver_settings import DriverSettings, PowerSettings, load_body
 from worm_driver.control.emergency import latch_names
 from worm_driver.control.supervision import Limits
-from worm_driver.errors import ConfigurationError
+from worm_driver.driver_errors import ConfigurationError
 from worm_driver.gait.gait_player import PlayerSettings
 from worm_driver.power import i2c
 from worm_driver.servos.transmission import Fin, Spool

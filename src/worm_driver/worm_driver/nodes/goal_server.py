@@ -9,7 +9,7 @@ from rclpy.action.server import ServerGoalHandle
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile
 
-from worm_driver.errors import DriverError, RejectedError
+from worm_driver.driver_errors import DriverError, RejectedError
 
 #: largest number of goals that are handled of those that arrive at once; the others are rejected
 QUEUE = 4

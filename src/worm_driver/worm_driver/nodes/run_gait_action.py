@@ -17,12 +17,12 @@ from rclpy.clock import ClockType
 from rclpy.node import Node
 from rclpy.task import Future
 
+from worm_driver.control.cycle_snapshot import CycleSnapshot
 from worm_driver.control.hardware import Hardware
 from worm_driver.control.heartbeat import PERIOD, HeartbeatMonitor, shorter_timeout
-from worm_driver.control.snapshot import Snapshot
-from worm_driver.errors import DriverError, RejectedError
+from worm_driver.driver_errors import DriverError, RejectedError
 from worm_driver.gait.gait_metrics import RunMetrics, RunRecord, distance, run_metrics
-from worm_driver.gait.gait_player import Ending, Phase, Run
+from worm_driver.gait.gait_player import Ending, Phase, PlayedRun
 from worm_driver.gait.run_end import RunEnd, is_near_cycle_end, makes_no_progress, unseen_cycle
 from worm_driver.nodes.driver_messages import gait_from
 from worm_driver.nodes.driver_parameters import HEARTBEAT
@@ -73,8 +73,8 @@ class _Current:
     owner: HeartbeatMonitor
     goal: ServerGoalHandle | None = None
     next_feedback: float = -math.inf
-    ended: Run | None = None
-    run: Run | None = None
+    ended: PlayedRun | None = None
+    run: PlayedRun | None = None
     judged: int = 0
     end_requested: bool = False
 
@@ -133,7 +133,7 @@ class RunGaitAction:
         for current in self._runs:
             current.record.power.append(sample)
 
-    def on_snapshot(self, snapshot: Snapshot) -> None:
+    def on_snapshot(self, snapshot: CycleSnapshot) -> None:
         """Publish feedback, and end a goal whose run has ended."""
         run = snapshot.player.run
         for current in self._runs:
@@ -181,7 +181,7 @@ class RunGaitAction:
         elif makes_no_progress(run, current.record, current.body.pitch):
             self._end_early(current, "ended, as the robot gains no groove with this gait")
 
-    def _end_unseen(self, current: _Current, run: Run, now: float) -> None:
+    def _end_unseen(self, current: _Current, run: PlayedRun, now: float) -> None:
         """End a run of given grooves or distance if the tracker did not see the end of its last cycle."""
         cycle = unseen_cycle(run, current.judged, now) if current.end.needs_tracker else 0
         if cycle:
@@ -255,7 +255,7 @@ class RunGaitAction:
         return shorter_timeout(requested, required)
 
     def _finish(
-        self, goal: ServerGoalHandle, current: _Current, outcome: Run | str
+        self, goal: ServerGoalHandle, current: _Current, outcome: PlayedRun | str
     ) -> RunGait.Result:
         if isinstance(outcome, str):
             goal.abort()
@@ -271,7 +271,7 @@ class RunGaitAction:
         self._node.get_logger().info(f"run {outcome.number}: {result.message}")
         return result
 
-    def _publish_feedback(self, current: _Current, run: Run, snapshot: Snapshot) -> None:
+    def _publish_feedback(self, current: _Current, run: PlayedRun, snapshot: CycleSnapshot) -> None:
         now = snapshot.command_time
         if current.goal is None or now < current.next_feedback:
             return
@@ -289,7 +289,7 @@ class RunGaitAction:
         )
 
     @staticmethod
-    def _end_when_seen(current: _Current, run: Run, now: float) -> None:
+    def _end_when_seen(current: _Current, run: PlayedRun, now: float) -> None:
         """End a goal once the tracker samples extend beyond the run's end, or after the timeout.
 
         Without any tracker sample, end the goal at once.
@@ -305,7 +305,7 @@ def _id(goal: ServerGoalHandle) -> bytes:
     return bytes(goal.goal_id.uuid)
 
 
-def _elapsed(run: Run, snapshot: Snapshot) -> float:
+def _elapsed(run: PlayedRun, snapshot: CycleSnapshot) -> float:
     """Return the time (s) since the onset. Before the onset, return the negated duration of the rest so far."""
     if run.onset is not None:
         return snapshot.command_time - run.onset
@@ -313,7 +313,7 @@ def _elapsed(run: Run, snapshot: Snapshot) -> float:
     return -(snapshot.command_time - snapshot.player.phase_start) if resting else -0.0
 
 
-def _result(run: Run, measured: RunMetrics, pitch: float) -> RunGait.Result:
+def _result(run: PlayedRun, measured: RunMetrics, pitch: float) -> RunGait.Result:
     endings = {
         Ending.COMPLETED: f"completed {measured.cycles_completed} cycles",
         Ending.CANCELLED: f"{run.reason}, at rest after {measured.cycles_completed} cycles",

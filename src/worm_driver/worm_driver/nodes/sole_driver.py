@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from rclpy.node import Node
 
-from worm_driver.errors import ConfigurationError, DriverError
+from worm_driver.driver_errors import ConfigurationError, DriverError
 from worm_msgs.claim import ANNOUNCED_S, DRIVER, DRIVER_SERVICE, ClaimedError, claim
 
 #: s, usual time to discover a driver on the network. A driver that is discovered later still prevents torque and runs

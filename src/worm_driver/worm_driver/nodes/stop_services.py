@@ -13,7 +13,7 @@ from std_srvs.srv import Trigger
 
 from worm_driver.control.emergency import EmergencyLatch
 from worm_driver.control.hardware import Hardware
-from worm_driver.errors import DriverError
+from worm_driver.driver_errors import DriverError
 from worm_msgs.msg import Heartbeat
 from worm_msgs.qos import LATCHED
 

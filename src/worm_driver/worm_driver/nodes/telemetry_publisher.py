@@ -10,9 +10,9 @@ from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import JointState
 
+from worm_driver.control.cycle_snapshot import CycleSnapshot
 from worm_driver.control.emergency import EmergencyLatch
 from worm_driver.control.hardware import Hardware
-from worm_driver.control.snapshot import Snapshot
 from worm_driver.gait.gait_player import Phase, PlayerState
 from worm_driver.nodes import driver_messages
 from worm_driver.nodes.driver_messages import ClockPair
@@ -51,7 +51,7 @@ class TelemetryPublisher:
         self._gait_state = node.create_publisher(GaitState, "gait_state", LATCHED)
         self._shown: tuple[object, ...] | None = None
         self._faulty = False
-        self.latest: Snapshot | None = None
+        self.latest: CycleSnapshot | None = None
 
     def open(self, hardware: Hardware) -> None:
         """Set the robot whose data follow."""
@@ -79,7 +79,7 @@ class TelemetryPublisher:
         for publisher in (self._joint_states, self._cable, self._power, self._gait_state):
             publisher.wait_for_all_acked(_DELIVERY)
 
-    def on_snapshot(self, snapshot: Snapshot) -> None:
+    def on_snapshot(self, snapshot: CycleSnapshot) -> None:
         """Publish the snapshot of a cycle."""
         self.latest = snapshot
         initial, clocks = self._initial_length, self._stamps.clocks()
@@ -98,7 +98,7 @@ class TelemetryPublisher:
             )
         self._show_gait_state(snapshot, clocks)
 
-    def _show_gait_state(self, snapshot: Snapshot, clocks: ClockPair) -> None:
+    def _show_gait_state(self, snapshot: CycleSnapshot, clocks: ClockPair) -> None:
         player = snapshot.player
         run = player.active_run
         shown = (

@@ -16,7 +16,7 @@ from typing import Protocol
 
 import smbus2
 
-from worm_driver.errors import PowerSensorError
+from worm_driver.driver_errors import PowerSensorError
 from worm_driver.power.socket_smbus import SocketSMBus
 
 

@@ -12,7 +12,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from worm_driver.errors import ConfigurationError, PowerSensorError
+from worm_driver.driver_errors import ConfigurationError, PowerSensorError
 from worm_driver.power.i2c import I2CDevice, swap
 
 CONFIGURATION, SHUNT, BUS, POWER, CALIBRATION = 0, 1, 2, 3, 5  # register addresses

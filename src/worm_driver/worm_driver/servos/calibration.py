@@ -8,7 +8,7 @@ from statistics import linear_regression
 
 import yaml
 
-from worm_driver.errors import ConfigurationError
+from worm_driver.driver_errors import ConfigurationError
 from worm_driver.servos.registers import TICKS_PER_TURN
 from worm_driver.servos.transmission import Fin, Spool
 

@@ -5,7 +5,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from worm_driver.errors import RejectedError
+from worm_driver.driver_errors import RejectedError
 from worm_driver.servos.position_track import PositionTrack
 from worm_driver.servos.registers import COMMON
 from worm_driver.servos.servo_bus import ServoBus

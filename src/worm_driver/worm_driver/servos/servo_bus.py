@@ -34,7 +34,7 @@ import serial
 from dynamixel_sdk import COMM_SUCCESS, COMM_TX_FAIL, PortHandler, Protocol2PacketHandler
 
 from worm_driver.clock import Clock, MachineClock
-from worm_driver.errors import (
+from worm_driver.driver_errors import (
     BusError,
     ConfigurationError,
     CorruptReplyError,

@@ -17,7 +17,7 @@ lights the LED or changes the homing offset leaves no valid mark.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from worm_driver.errors import BusError, ConfigurationError, CorruptReplyError, HomingError
+from worm_driver.driver_errors import BusError, ConfigurationError, CorruptReplyError, HomingError
 from worm_driver.servos.register_rules import RULES, Treatment, required
 from worm_driver.servos.registers import (
     EXTENDED_POSITION_MODE,

@@ -8,7 +8,7 @@ homing_offset, so the home is stored in the servo and not in a file.
 import math
 from dataclasses import dataclass
 
-from worm_driver.errors import ConfigurationError, RejectedError
+from worm_driver.driver_errors import ConfigurationError, RejectedError
 from worm_driver.servos.registers import EXTENDED_POSITION_LIMIT, TICKS_PER_TURN
 
 

@@ -4,7 +4,7 @@
 import math
 from collections import Counter
 
-from worm_driver.control.diagnostics import Level, Report
+from worm_driver.control.diagnostics import DiagnosticReport, Level
 from worm_driver.tracking.tracker import TrackedPositions
 
 _OFTEN = 0.1  # share of images with a hidden module above which the level is WARN
@@ -38,7 +38,7 @@ class TrackerReport:
         self._problem = problem
         return new
 
-    def next_report(self) -> Report:
+    def next_report(self) -> DiagnosticReport:
         """Return the report on the images since the last one, and reset the counters."""
         hidden = sum(self._hidden.values())
         level, message = Level.OK, "ok"
@@ -58,4 +58,4 @@ class TrackerReport:
         )
         self._images, self._event = 0, ""
         self._hidden.clear()
-        return Report("tracker: camera", level, message, self._source, values)
+        return DiagnosticReport("tracker: camera", level, message, self._source, values)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Exceptions of the tracker. Each message names the problem, the place and the remedy."""
 
-from worm_driver.errors import DriverError
+from worm_driver.driver_errors import DriverError
 
 
 class TrackingError(DriverError):

@@ -35,7 +35,7 @@ _TORQUE_ENABLE = XM430_W350.registers["torque_enable"]
 
 
 @dataclass(frozen=True)
-class Run:
+class Rehearsal:
     """Measurements of one run, and the true parameters. Times are in s from the start of the run.
 
     Attributes:
@@ -69,7 +69,7 @@ def run_offline(
     duration: float,
     rest: float = 2.0,
     direction: int = FORWARD,
-) -> Run:
+) -> Rehearsal:
     """Simulate a run (a rest, then a command), and return its measurements.
 
     If the command does not begin at 0, as with pretension, the cable moves to the command's first value during the
@@ -144,12 +144,12 @@ def _collect(
     power: list[tuple[float, float, float]],
     samples: list[TrackerSample],
     robot: VirtualRobot,
-) -> Run:
+) -> Rehearsal:
     servo_time, goal_ticks, encoder_ticks = np.array(goals, dtype=float).T
     power_time, bus_voltage, current = np.array(power, dtype=float).T
     rows = [(sample.time, sample.rear_position, sample.front_position) for sample in samples]
     tracker_time, rear, front = np.array(rows, dtype=float).T
-    return Run(
+    return Rehearsal(
         onset,
         servo_time,
         goal_ticks,

@@ -104,8 +104,9 @@ class ServoBus:
             case Instruction.SYNC_WRITE | Instruction.BULK_WRITE:
                 _group_write(packet, listening, time)
                 return []
-        answers = _obey(packet, listening, time)
-        return self._send_each(self._misread(packet, answers, time), time)
+            case _:
+                answers = _obey(packet, listening, time)
+                return self._send_each(self._misread(packet, answers, time), time)
 
     def _misread(
         self, packet: Packet, answers: Sequence[_Answer], time: float

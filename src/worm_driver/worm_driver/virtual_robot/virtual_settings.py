@@ -10,7 +10,7 @@ from random import Random
 from typing import Annotated, Literal
 
 from worm_driver.virtual_robot.plant import PlantEffects
-from worm_driver.virtual_robot.servo.control_table import BAUD_RATES, MODELS, ServoModel
+from worm_driver.virtual_robot.servo.control_table import BAUD_RATES, MODELS, VirtualServoModel
 from worm_driver.virtual_robot.wire.packet import HIGHEST_ID
 from worm_msgs.conditions import LEVEL, Conditions
 from worm_msgs.robot_parameters import ROWS, RobotParameters
@@ -23,7 +23,7 @@ DEFAULT_FILE = Path(str(files("worm_driver").joinpath("config/virtual_robot.yaml
 _MEASURED = ("rear_mass", "front_mass", "unstressed_length", "initial_length", "pitch")
 
 ServoNumber = Annotated[int, key(ge=0, le=HIGHEST_ID)]
-Model = Annotated[ServoModel, OneOf(MODELS)]
+Model = Annotated[VirtualServoModel, OneOf(MODELS)]
 
 
 @dataclass(frozen=True)

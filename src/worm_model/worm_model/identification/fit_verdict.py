@@ -16,7 +16,7 @@ from worm_model.identification.data.strides import uneven_pitch
 from worm_model.identification.fits.contraction_fit import fit_contractions
 from worm_model.identification.fits.run_prediction import Errors
 from worm_model.identification.locomotion_stage import LocomotionResult
-from worm_model.identification.run_selection import Run
+from worm_model.identification.run_selection import FittedRun
 
 # Largest values of a model that fits: factor on the variances; held-out error of x1, in units of the camera's noise;
 # relative held-out error of the energy
@@ -95,7 +95,7 @@ class FitVerdict:
 
 
 def judge_fit(
-    runs: Sequence[Run],
+    runs: Sequence[FittedRun],
     locomotion: LocomotionResult,
     actuation: ActuationResult,
     power_offset: Array,
@@ -142,7 +142,7 @@ def _median(values: Array) -> float:
 
 
 def _of_length(
-    runs: Sequence[Run], unexplained: Sequence[Run], actuation: ActuationResult
+    runs: Sequence[FittedRun], unexplained: Sequence[FittedRun], actuation: ActuationResult
 ) -> list[str]:
     """Return causes that the measured length shows relative to the command."""
     causes, offset = [], actuation.fit.clock_offset
@@ -178,7 +178,7 @@ def _of_power(offset: Array) -> list[str]:
     ]
 
 
-def _of_grooves(runs: Sequence[Run], locomotion: LocomotionResult) -> list[str]:
+def _of_grooves(runs: Sequence[FittedRun], locomotion: LocomotionResult) -> list[str]:
     causes = []
     pitch = locomotion.pitch.value
     uneven = uneven_pitch([run.recording for run in runs], pitch) / pitch

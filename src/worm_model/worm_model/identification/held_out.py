@@ -10,13 +10,13 @@ from worm_model.identification.fits.actuation_fit import KEYS as ACTUATION
 from worm_model.identification.fits.actuation_fit import ActuationFit, fit_actuation
 from worm_model.identification.fits.block_least_squares import of_runs, remembering, solve
 from worm_model.identification.fits.energy import PowerRun, fit_energy
-from worm_model.identification.fits.grooves import groove_problem
+from worm_model.identification.fits.groove_scatter import groove_problem
 from worm_model.identification.fits.locomotion import SHARED as LOCOMOTION
 from worm_model.identification.fits.locomotion import Known
 from worm_model.identification.fits.run_prediction import Errors, errors, predict
 from worm_model.identification.idle import idle_power
 from worm_model.identification.locomotion_stage import ONSET, LocomotionResult
-from worm_model.identification.run_selection import Run
+from worm_model.identification.run_selection import FittedRun
 from worm_model.parameters import PAPER, Parameters
 
 ITERATIONS = 4  # iterations of the locomotion fit, which starts from the fit to all runs
@@ -25,14 +25,14 @@ REMEMBERED = 4096
 FEWEST = 2  # smallest number of runs for leaving one out
 
 
-def run_errors(run: Run, parameters: Parameters, clock_offset: float) -> Errors:
+def run_errors(run: FittedRun, parameters: Parameters, clock_offset: float) -> Errors:
     """Return the errors of one run. ``clock_offset`` (s) is positive if the camera's stamps are early."""
     prediction = predict(run.recording, run.traverse, parameters, clock_offset)
     return errors(run.recording, run.traverse, prediction)
 
 
 def leave_one_out(
-    runs: Sequence[Run],
+    runs: Sequence[FittedRun],
     known: Known,
     parameters: Parameters,
     locomotion: LocomotionResult,

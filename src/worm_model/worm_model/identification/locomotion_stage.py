@@ -31,7 +31,7 @@ from worm_model.identification.fits.estimate import (
     not_identifiable,
     quantile,
 )
-from worm_model.identification.fits.grooves import (
+from worm_model.identification.fits.groove_scatter import (
     MEANS,
     GrooveFit,
     fit_grooves,

@@ -7,7 +7,7 @@ import numpy as np
 
 from worm_model.identification.data.observed_run import Recording
 from worm_model.identification.fits.estimate import Estimate, not_identifiable, quantile
-from worm_model.identification.run_selection import Run as FittedRun
+from worm_model.identification.run_selection import FittedRun
 from worm_model.margin.measured_margin import RunMargin, measure_cycles
 from worm_model.margin.predicted_margin import predicted_margin
 from worm_model.parameters import Parameters

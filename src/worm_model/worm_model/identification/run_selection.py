@@ -21,7 +21,7 @@ ONE_RUN = "measured in this single run; the variation between runs is unknown"
 
 
 @dataclass(frozen=True)
-class Run:
+class FittedRun:
     """Run used for fitting or validation: recording, smoothed length, traverse and idle power.
 
     ``has_power`` is True if power samples cover the traverse, so that the run is used for c_b and α_P.
@@ -39,7 +39,7 @@ class Run:
         return self.recording.name
 
 
-def prepared(recordings: Sequence[Recording], pitch: float) -> tuple[list[Run], list[str]]:
+def prepared(recordings: Sequence[Recording], pitch: float) -> tuple[list[FittedRun], list[str]]:
     """Return the usable runs and the remarks on all runs.
 
     Raises:
@@ -52,14 +52,14 @@ def prepared(recordings: Sequence[Recording], pitch: float) -> tuple[list[Run], 
         recording, length = recordings[index], lengths[index]
         traverse = traverse_of(recording, length, pitch)
         missing = power_missing(recording, traverse)
-        run = Run(recording, length, traverse, idle_power_of(recording), not missing)
+        run = FittedRun(recording, length, traverse, idle_power_of(recording), not missing)
         warnings += remarks(recording, length, traverse)
         warnings += [text for text in (missing, run.idle.warning) if text]
         runs.append(run)
     return runs, warnings
 
 
-def fitted_runs(recordings: Sequence[Recording], pitch: float) -> tuple[list[Run], list[str]]:
+def fitted_runs(recordings: Sequence[Recording], pitch: float) -> tuple[list[FittedRun], list[str]]:
     """Return the usable runs and the remarks, with a warning if they start in different grooves.
 
     Raises:
@@ -72,7 +72,7 @@ def fitted_runs(recordings: Sequence[Recording], pitch: float) -> tuple[list[Run
 
 def prepared_validation(
     recordings: Sequence[Recording], fitted: Sequence[Recording], pitch: float
-) -> tuple[list[Run], list[str]]:
+) -> tuple[list[FittedRun], list[str]]:
     """Return the usable validation runs and the remarks.
 
     Raises:
@@ -103,7 +103,7 @@ def _identity(recording: Recording) -> tuple[str, ...]:
     return tuple(sorted(recording.sources.values())) or (recording.name,)
 
 
-def initial_length(runs: Sequence[Run]) -> Estimate:
+def initial_length(runs: Sequence[FittedRun]) -> Estimate:
     """Return the mean L0 over runs with its interval; the note contains the variation between runs."""
     lengths = np.array([run.length.initial_length for run in runs])
     mean = float(lengths.mean())

@@ -40,7 +40,7 @@ from worm_model.identification.locomotion_stage import (
 from worm_model.identification.recorded_margin import compared_margin
 from worm_model.identification.reference_values import ReferenceValues
 from worm_model.identification.run_selection import (
-    Run,
+    FittedRun,
     fitted_runs,
     initial_length,
     prepared_validation,
@@ -93,7 +93,7 @@ class Identification:
     estimates: Mapping[str, Estimate]
     parameters: Parameters
     reference: ReferenceValues
-    runs: tuple[Run, ...]
+    runs: tuple[FittedRun, ...]
     bellows: BellowsFit | None
     fin: FinFit | None
     locomotion: LocomotionResult
@@ -237,7 +237,7 @@ def _bench_tests(
 
 
 def _energy(
-    runs: Sequence[Run],
+    runs: Sequence[FittedRun],
     parameters: Parameters,
     estimates: Mapping[str, Estimate],
     locomotion: LocomotionResult,
@@ -345,7 +345,7 @@ def _with_values(parameters: Parameters, estimates: Mapping[str, Estimate]) -> P
     return parameters.replace(**{key: estimate.value for key, estimate in estimates.items()})
 
 
-def _power_runs(runs: Sequence[Run], forces: Forces, known: Parameters) -> list[PowerRun]:
+def _power_runs(runs: Sequence[FittedRun], forces: Forces, known: Parameters) -> list[PowerRun]:
     """Return the data of the runs for the energy model, with each run's own idle power if it is known."""
     return [
         power_run(

@@ -18,7 +18,7 @@ INPUT_TIMEOUT_S = (
 
 
 @dataclass(frozen=True)
-class Report:
+class TwinReport:
     """Status with a level, a message of one line, and details as (key, value)."""
 
     level: Severity
@@ -43,7 +43,7 @@ def _quiet_message(state: TwinState, health: Health) -> str:
     return "nothing to compare with"
 
 
-def report(state: TwinState, newest: Any, silent_s: float = 0.0) -> Report:
+def report(state: TwinState, newest: Any, silent_s: float = 0.0) -> TwinReport:
     """Return the twin's health, and the values that explain it.
 
     Args:
@@ -75,4 +75,4 @@ def report(state: TwinState, newest: Any, silent_s: float = 0.0) -> Report:
     for name in COMPLAINTS:
         if newest is not None and math.isfinite(newest[f"{name}_size"]):
             values.append((f"{name}_residual_ratio", f"{newest[f'{name}_size']:.2f}"))
-    return Report(level, message, tuple(values))
+    return TwinReport(level, message, tuple(values))

@@ -26,7 +26,7 @@ _OF_ROS = ("use_sim_time", "start_type_description_service", "qos_overrides.")
 
 
 @dataclass(frozen=True)
-class ServoModel:
+class Motor:
     """Motor of a servo: speeds in rad/s, torque in N·m and current in A.
 
     No-load speed, stall torque and stall current are those at ``voltage`` V.
@@ -72,10 +72,10 @@ class DrivenBy:
     sensor_current: Annotated[float, key(allow_inf_nan=True)]
 
 
-def servo_models() -> dict[str, ServoModel]:
+def servo_models() -> dict[str, Motor]:
     """Return the servo models that the driver knows, by name."""
     return {
-        row.name: ServoModel(
+        row.name: Motor(
             voltage=row.nominal_voltage,
             no_load_speed=row.no_load_speed * RPM,
             stall_torque=row.stall_torque,
@@ -91,7 +91,7 @@ def _initial(value: Initial) -> int:
     return value if isinstance(value, int) else value[0]
 
 
-def servo_model(name: str) -> ServoModel | None:
+def servo_model(name: str) -> Motor | None:
     """Return the servo model with a name, which may end with the bus (-T or -R); None for an empty name.
 
     Raises `OptimizerError`, with the known names, if the name is unknown.
@@ -134,7 +134,7 @@ def load_driver_file(path: str | Path) -> DrivenBy:
     )
 
 
-def limits_of(driver: DrivenBy, model: ServoModel | None, voltage: float | None) -> ActuatorLimits:
+def limits_of(driver: DrivenBy, model: Motor | None, voltage: float | None) -> ActuatorLimits:
     """Return the limits of a driver and its cable servos.
 
     Without a model, only the driver's limits apply: the limit of the cable speed and, if the supply ``voltage`` (V) is

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from worm_driver.commands.calibrate import Calibration, calibrate, main
-from worm_driver.errors import (
+from worm_driver.driver_errors import (
     ConfigurationError,
     CorruptReplyError,
     DriverError,

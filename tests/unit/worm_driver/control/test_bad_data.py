@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
-from worm_driver.errors import DriverError
+from worm_driver.driver_errors import DriverError
 from worm_driver.gait.gait_player import Phase, PlayerSettings
 from worm_driver.servos.servo_state import SILENT
 

@@ -10,7 +10,7 @@ import pytest
 
 from worm_driver.clock import MachineClock
 from worm_driver.control.control_loop import ControlLoop, PeriodicThread, PowerLoop
-from worm_driver.errors import DriverError, PowerSensorError, RejectedError
+from worm_driver.driver_errors import DriverError, PowerSensorError, RejectedError
 from worm_driver.power.ina219 import PowerSample, SampleStatus
 
 TIMEOUT_S = 10.0  # s, only a failing test waits so long

@@ -8,7 +8,7 @@ from worm_driver.control import diagnostics
 from worm_driver.control.diagnostics import Level
 from worm_driver.control.real_time import NOT_REQUESTED
 from worm_driver.control.timing import TimingReport
-from worm_driver.errors import PortError
+from worm_driver.driver_errors import PortError
 from worm_driver.gait.gait_player import Phase, PlayerState
 from worm_driver.power.ina219 import SampleStatus
 from worm_driver.servos.bus_types import BusCounters

@@ -23,7 +23,7 @@ from hypothesis.stateful import (
 )
 from random_cases import seeds
 
-from worm_driver.errors import DriverError, StoppedError
+from worm_driver.driver_errors import DriverError, StoppedError
 from worm_driver.gait import gait_player
 from worm_driver.gait.gait_player import Phase as GaitPhase
 from worm_driver.gait.gait_player import PlayerSettings

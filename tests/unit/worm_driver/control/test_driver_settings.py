@@ -3,7 +3,7 @@ import pytest
 from driver_rig import settings
 
 from worm_driver.control.driver_settings import load_body
-from worm_driver.errors import ConfigurationError
+from worm_driver.driver_errors import ConfigurationError
 from worm_driver.servos.transmission import Fin, Spool
 from worm_msgs.robot_parameters import RobotParameters
 

@@ -9,7 +9,7 @@ import pytest
 from driver_rig import CABLE, Rig, moving, settings
 
 from worm_driver.control.supervision import Limits
-from worm_driver.errors import ConfigurationError, RejectedError, StoppedError
+from worm_driver.driver_errors import ConfigurationError, RejectedError, StoppedError
 from worm_driver.gait.gait_player import Phase
 
 

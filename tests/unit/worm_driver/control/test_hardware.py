@@ -17,7 +17,7 @@ from worm_driver.control.diagnostics import Level
 from worm_driver.control.driver_settings import DriverSettings, PowerSettings
 from worm_driver.control.hardware import Hardware
 from worm_driver.control.supervision import Limits
-from worm_driver.errors import ConfigurationError, DriverError, PortError
+from worm_driver.driver_errors import ConfigurationError, DriverError, PortError
 from worm_driver.gait.gait_player import Phase
 from worm_driver.servos import serial_port
 from worm_driver.servos.servo_bus import BusPort

@@ -9,7 +9,7 @@ import pytest
 from driver_rig import CABLE, Rig, moving, settings, shaft_lengths, two_spools
 
 from worm_driver.control.supervision import Limits
-from worm_driver.errors import HomingError
+from worm_driver.driver_errors import HomingError
 from worm_driver.gait.gait_player import Phase
 
 #: m, a robot that is contracted by less does not spring back

@@ -11,7 +11,7 @@ import pytest
 from driver_rig import CABLE, Rig, moving, settings
 
 from worm_driver.control.supervision import Limits
-from worm_driver.errors import BusError, ConfigurationError, HomingError, RejectedError
+from worm_driver.driver_errors import BusError, ConfigurationError, HomingError, RejectedError
 from worm_driver.gait.gait_player import Ending, Phase
 from worm_driver.servos.registers import COMMON
 from worm_driver.servos.servo_state import SILENT
@@ -20,7 +20,7 @@ from worm_driver.virtual_robot.servo.control_table import (
     XL330_M288,
     XL430_W250,
     XM430_W350,
-    ServoModel,
+    VirtualServoModel,
 )
 from worm_driver.virtual_robot.virtual_robot import VirtualRobot
 from worm_driver.virtual_robot.virtual_settings import load_settings
@@ -529,7 +529,7 @@ def test_fins_that_are_not_there_are_not_needed():
 # --- other robots ---------------------------------------------------------------------------------
 
 
-def other_robot(models: dict[int, ServoModel], voltage: float) -> VirtualRobot:
+def other_robot(models: dict[int, VirtualServoModel], voltage: float) -> VirtualRobot:
     """Return a virtual robot with cable servos of these models by id instead of its own."""
     usual = load_settings(None)
     (cable,) = usual.cable_servos

@@ -8,8 +8,8 @@ from worm_driver.control import supervision
 from worm_driver.control.supervision import (
     CableLength,
     Counts,
-    Health,
     Limits,
+    ServoHealth,
     fault_in_counts,
     fault_in_health,
 )
@@ -73,12 +73,12 @@ def test_a_cable_that_does_not_come_to_rest_is_a_fault_of_its_servo():
 @pytest.mark.parametrize(
     ("health", "expected"),
     [
-        (Health(1, 1, 0b100000, 4), "reports overload"),
-        (Health(1, 1, 0, -1), "bus watchdog of servo 1 has expired"),
-        (Health(0, 1, 0, 4), "another program, as it has not restarted: its torque is off"),
-        (Health(1, 0, 0, 4), "turn count is lost"),
-        (Health(1, 1, 0, 0), "not restarted: its torque is on, without its bus watchdog"),
-        (Health(0, 0, 0, 0), "has restarted: its torque is off, and its turn count is lost"),
+        (ServoHealth(1, 1, 0b100000, 4), "reports overload"),
+        (ServoHealth(1, 1, 0, -1), "bus watchdog of servo 1 has expired"),
+        (ServoHealth(0, 1, 0, 4), "another program, as it has not restarted: its torque is off"),
+        (ServoHealth(1, 0, 0, 4), "turn count is lost"),
+        (ServoHealth(1, 1, 0, 0), "not restarted: its torque is on, without its bus watchdog"),
+        (ServoHealth(0, 0, 0, 0), "has restarted: its torque is off, and its turn count is lost"),
     ],
 )
 def test_each_register_shows_its_fault(health, expected):
@@ -86,7 +86,7 @@ def test_each_register_shows_its_fault(health, expected):
 
 
 @pytest.mark.parametrize(
-    ("health", "restarted"), [(Health(0, 0, 0, 0), True), (Health(0, 1, 0, 4), False)]
+    ("health", "restarted"), [(ServoHealth(0, 0, 0, 0), True), (ServoHealth(0, 1, 0, 4), False)]
 )
 def test_a_fin_has_restarted_only_if_its_watchdog_is_reset_too(health, restarted):
     found = fault_in_health(11, health, is_cable=False)
@@ -95,5 +95,5 @@ def test_a_fin_has_restarted_only_if_its_watchdog_is_reset_too(health, restarted
 
 
 def test_a_healthy_servo_has_no_fault_and_a_fins_led_does_not_matter():
-    assert fault_in_health(1, Health(1, 1, 0, 4), is_cable=True) is None
-    assert fault_in_health(11, Health(1, 0, 0, 4), is_cable=False) is None
+    assert fault_in_health(1, ServoHealth(1, 1, 0, 4), is_cable=True) is None
+    assert fault_in_health(11, ServoHealth(1, 0, 0, 4), is_cable=False) is None

@@ -5,7 +5,7 @@ import re
 
 import pytest
 
-from worm_driver.errors import RejectedError
+from worm_driver.driver_errors import RejectedError
 from worm_driver.gait.gait_limits import GaitLimits
 from worm_driver.nodes.driver_messages import gait_from
 from worm_msgs.gait import Gait, Profile

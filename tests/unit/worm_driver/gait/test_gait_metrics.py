@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from worm_driver.gait.gait_metrics import RunRecord, distance, run_metrics
-from worm_driver.gait.gait_player import Ending, Run
+from worm_driver.gait.gait_player import Ending, PlayedRun
 from worm_driver.power.ina219 import PowerSample, SampleStatus
 from worm_msgs.gait import Gait
 from worm_msgs.robot_parameters import RobotParameters
@@ -14,7 +14,7 @@ FREQUENCY = 0.5
 PERIOD = 2.0
 ONSET = 10.0
 BODY = RobotParameters()
-RUN = Run(
+RUN = PlayedRun(
     1, Gait(0.07, FREQUENCY), 5, 5, rest_start=8.9, onset=ONSET, end=20.0, ending=Ending.COMPLETED
 )
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from worm_driver.errors import RejectedError
+from worm_driver.driver_errors import RejectedError
 from worm_driver.gait import gait_player
 from worm_driver.gait.gait_player import Ending, Observation, Phase, PlayerSettings, PlayerState
 from worm_msgs.gait import Gait, Profile

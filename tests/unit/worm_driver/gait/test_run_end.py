@@ -5,18 +5,18 @@ import math
 
 import pytest
 
-from worm_driver.errors import RejectedError
+from worm_driver.driver_errors import RejectedError
 from worm_driver.gait import gait_player
 from worm_driver.gait.gait_limits import GaitLimits
 from worm_driver.gait.gait_metrics import RunRecord
-from worm_driver.gait.gait_player import Phase, PlayerState, Run
+from worm_driver.gait.gait_player import Phase, PlayedRun, PlayerState
 from worm_driver.gait.run_end import RunEnd, is_near_cycle_end, makes_no_progress, unseen_cycle
 from worm_msgs.gait import Gait
 
 PITCH, ONSET = 0.0173, 10.0
 GAIT = Gait(0.07, 0.2)
 LIMITS = GaitLimits(0.09, 0.4, 0.12)
-RUN = Run(1, GAIT, 1000, 1000, rest_start=8.0, onset=ONSET)
+RUN = PlayedRun(1, GAIT, 1000, 1000, rest_start=8.0, onset=ONSET)
 
 
 def seen(cycles: float, per_cycle: float = PITCH, direction: int = 1) -> RunRecord:
@@ -38,7 +38,7 @@ def test_it_is_reached_at_the_end_of_the_cycle_that_gains_the_last_groove(end):
 
 @pytest.mark.parametrize(("share", "begins"), [(0.5, 0.9), (0.2, 0.84), (0.8, 0.96)])
 def test_the_end_of_a_cycle_is_that_of_its_extension(share, begins):
-    run = Run(1, Gait(0.07, 0.2, contraction_share=share), 9, 9, onset=ONSET)
+    run = PlayedRun(1, Gait(0.07, 0.2, contraction_share=share), 9, 9, onset=ONSET)
     for phase in (0.1, share, begins - 0.01, begins + 0.01, 0.999):
         record = RunRecord(positions=[(ONSET + (1.0 + phase) / 0.2, 0.0)])
         assert is_near_cycle_end(run, record) == (phase > begins)
@@ -51,7 +51,7 @@ def test_deflection_of_the_fins_is_no_groove():
 
 
 def test_a_reverse_gait_gains_backwards():
-    run = Run(1, Gait(0.07, 0.2, -1), 9, 9, onset=ONSET)
+    run = PlayedRun(1, Gait(0.07, 0.2, -1), 9, 9, onset=ONSET)
     assert RunEnd(grooves=2).is_reached(run, seen(2.0 - 1e-3, direction=-1), PITCH)
     assert not RunEnd(grooves=2).is_reached(run, seen(2.0 - 1e-3), PITCH)
 
@@ -84,5 +84,5 @@ def test_a_run_that_is_finished_ends_as_completed_with_its_cycle():
     state = PlayerState(phase=Phase.RUNNING, run=RUN)
     run = gait_player.finish(state, ONSET + 12.0).run
     assert (run.cycles, run.stop_cycle) == (3, 3)
-    resting = PlayerState(phase=Phase.RESTING, run=Run(1, GAIT, 5, 5))
+    resting = PlayerState(phase=Phase.RESTING, run=PlayedRun(1, GAIT, 5, 5))
     assert gait_player.finish(resting, 0.0) == resting

@@ -8,9 +8,9 @@ pytest.importorskip("worm_msgs", reason="the workspace is not built")
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from worm_driver.control.diagnostics import Level, Report
-from worm_driver.control.snapshot import Snapshot
-from worm_driver.gait.gait_player import Phase, PlayerState, Run
+from worm_driver.control.cycle_snapshot import CycleSnapshot
+from worm_driver.control.diagnostics import DiagnosticReport, Level
+from worm_driver.gait.gait_player import Phase, PlayedRun, PlayerState
 from worm_driver.nodes import driver_messages as ros_messages
 from worm_driver.nodes.driver_messages import ClockPair
 from worm_driver.power.ina219 import PowerSample, SampleStatus
@@ -20,12 +20,12 @@ from worm_msgs.gait import Gait
 from worm_msgs.msg import BodyLength, GaitState, Power
 
 CLOCKS = ClockPair(1_700_000_000_000_000_000)
-RUN = Run(1, Gait(0.07, 0.2), 5, 5, rest_start=1.0, onset=2.0)
+RUN = PlayedRun(1, Gait(0.07, 0.2), 5, 5, rest_start=1.0, onset=2.0)
 
 
-def snapshot(player: PlayerState, active: bool = True) -> Snapshot:
+def snapshot(player: PlayerState, active: bool = True) -> CycleSnapshot:
     servos = (ServoState(0, 0.5, 0.1, 0.2, 12.0, 25.0, 1.0), SILENT)
-    return Snapshot(8.5, 8.501, active, player, -0.01, -0.009, servos)
+    return CycleSnapshot(8.5, 8.501, active, player, -0.01, -0.009, servos)
 
 
 def test_a_stamp_is_the_moment_of_acquisition():
@@ -124,7 +124,7 @@ def test_the_state_contains_gait_cycle_and_onset():
 
 def test_the_level_of_a_diagnostic_is_a_byte():
     """An int would be accepted, and published as a random byte."""
-    reports = [Report(f"driver: {level.name}", level, "text") for level in Level]
+    reports = [DiagnosticReport(f"driver: {level.name}", level, "text") for level in Level]
     array = ros_messages.diagnostics(reports, CLOCKS.stamp(1.0), "worm")
     levels = [status.level for status in array.status]
     assert levels == [DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR]

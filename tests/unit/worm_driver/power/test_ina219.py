@@ -7,7 +7,7 @@ import math
 import pytest
 from driver_rig import Clock, DirectSMBus
 
-from worm_driver.errors import ConfigurationError, PowerSensorError
+from worm_driver.driver_errors import ConfigurationError, PowerSensorError
 from worm_driver.power.i2c import I2CDevice, open_device, swap
 from worm_driver.power.ina219 import (
     FROZEN,

@@ -6,7 +6,7 @@ from driver_rig import CABLE, Clock, SimulatedPort, Wire
 from hypothesis import given
 from hypothesis import strategies as st
 
-from worm_driver.errors import RejectedError
+from worm_driver.driver_errors import RejectedError
 from worm_driver.servos.goal_gate import Bound, GoalGate
 from worm_driver.servos.position_track import PositionSample, PositionTrack
 from worm_driver.servos.registers import COMMON

@@ -6,7 +6,7 @@ import re
 import pytest
 from driver_rig import Rig, moving
 
-from worm_driver.errors import DriverError
+from worm_driver.driver_errors import DriverError
 from worm_driver.gait.gait_player import Phase
 from worm_driver.servos.servo_state import SILENT
 from worm_driver.virtual_robot.wire.faults import make_fault

@@ -15,12 +15,12 @@ import pytest
 from driver_rig import CABLE, Rig, installed_robot, settings
 
 from worm_driver.control.supervision import Limits
-from worm_driver.errors import DriverError
+from worm_driver.driver_errors import DriverError
 from worm_driver.gait.gait_player import Phase, PlayerSettings
 from worm_driver.servos.register_rules import RULES, Treatment, required
 from worm_driver.servos.registers import MODELS as DRIVER_MODELS
 from worm_driver.servos.transmission import Fin, Spool
-from worm_driver.virtual_robot.servo.control_table import MODELS, ServoModel
+from worm_driver.virtual_robot.servo.control_table import MODELS, VirtualServoModel
 from worm_driver.virtual_robot.virtual_robot import VirtualRobot
 from worm_driver.virtual_robot.wire.packet import Instruction, instruction_packet
 
@@ -99,7 +99,7 @@ def healthy(model: str) -> tuple[Mapping[tuple[int, str], int], np.ndarray]:
     return registers(rig), motion(rig)
 
 
-def left_over(model: ServoModel, name: str) -> Iterator[int]:
+def left_over(model: VirtualServoModel, name: str) -> Iterator[int]:
     row = model.registers[name]
     usual = row.initial
     values = {min(row.low, -1), row.high, usual + 1}
@@ -130,7 +130,7 @@ def as_homed_here(
     return found
 
 
-def judge(rig: Rig, model: ServoModel, servo: int, name: str, value: int) -> str:
+def judge(rig: Rig, model: VirtualServoModel, servo: int, name: str, value: int) -> str:
     """Return what the driver does with a value that another program left; fail if the driver does nothing useful."""
     again = activated(rig)
     if isinstance(again, DriverError):

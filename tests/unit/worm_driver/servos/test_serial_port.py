@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from worm_driver.errors import ConfigurationError
+from worm_driver.driver_errors import ConfigurationError
 from worm_driver.servos import serial_port
 from worm_driver.servos.servo_bus import ServoBus
 

@@ -15,7 +15,7 @@ from dynamixel_sdk import COMM_PORT_BUSY, Protocol2PacketHandler
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from worm_driver.errors import (
+from worm_driver.driver_errors import (
     BusError,
     ConfigurationError,
     CorruptReplyError,

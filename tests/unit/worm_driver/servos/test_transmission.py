@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from worm_driver.errors import ConfigurationError, RejectedError
+from worm_driver.driver_errors import ConfigurationError, RejectedError
 from worm_driver.servos.transmission import Fin, Spool
 
 TICK = 2 * math.pi / 4096 * 0.025

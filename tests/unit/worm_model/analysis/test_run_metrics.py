@@ -237,7 +237,7 @@ def driver_figures(run: Run, cycles: int) -> gait_metrics.RunMetrics:
     played = run_metrics.last_played_gait(run.gait_state)
     onset = (played.onset - run.origin) * 1e-9
     gait = gait_limits.Gait(GAIT.stroke, GAIT.frequency, GAIT.direction)
-    ended = gait_player.Run(
+    ended = gait_player.PlayedRun(
         1, gait, cycles, cycles, rest_start=0.0, onset=onset, end=onset + cycles * GAIT.period
     )
     return gait_metrics.run_metrics(ended, record, RobotParameters())

@@ -13,7 +13,7 @@ def test_what_identification_imports_is_in_it_and_nothing_else():
     files = {str(file.relative_to(PACKAGE)) for file in imported_files(PACKAGE, ENTRY)}
     assert {
         "commands/identify.py",
-        "identification/fits/grooves.py",
+        "identification/fits/groove_scatter.py",
         "identification/data/lab_logs.py",
     } <= files
     assert {"simulation/simulator.py", "simulation/smoothing.py", "bags/run_reader.py"} <= files

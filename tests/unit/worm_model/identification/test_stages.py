@@ -16,7 +16,7 @@ from worm_model.identification.fits import locomotion
 from worm_model.identification.fits.actuation_fit import fit_actuation
 from worm_model.identification.fits.block_least_squares import solve
 from worm_model.identification.fits.energy import fit_energy, power_run
-from worm_model.identification.fits.grooves import MEANS, fit_grooves
+from worm_model.identification.fits.groove_scatter import MEANS, fit_grooves
 from worm_model.identification.fits.measured_length import measured_length
 from worm_model.parameters import PAPER
 from worm_model.simulation.kernel.grooves import FIRST_GROOVE

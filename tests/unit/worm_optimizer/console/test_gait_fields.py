@@ -5,7 +5,7 @@ import math
 
 import pytest
 
-from worm_driver.errors import RejectedError
+from worm_driver.driver_errors import RejectedError
 from worm_driver.gait.gait_limits import GaitLimits
 from worm_msgs.gait import FORWARD, GAIT_DEFAULTS, REVERSE, Gait, Profile
 from worm_optimizer.console.gait_fields import DEFAULTS, FIELDS, DriverLimits, edited, field_error

@@ -57,7 +57,7 @@ class Register:
 
 
 @dataclass(frozen=True)
-class ServoModel:
+class VirtualServoModel:
     """Servo model: control table and motor data.
 
     Attributes:
@@ -178,10 +178,10 @@ def _table(extra: tuple[Register, ...], initial: Mapping[str, Initial]) -> dict[
     return rows
 
 
-def _model(row: ServoRow) -> ServoModel:
+def _model(row: ServoRow) -> VirtualServoModel:
     extra = _current_registers(row.current_limit) if row.measures_current else _LOAD_REGISTERS
     own = {**row.initial, "model_number": row.number, "velocity_limit": row.velocity_limit}
-    return ServoModel(
+    return VirtualServoModel(
         name=row.name,
         number=row.number,
         modes=row.modes,
@@ -195,7 +195,7 @@ def _model(row: ServoRow) -> ServoModel:
     )
 
 
-MODELS: Mapping[str, ServoModel] = {row.name: _model(row) for row in SERVO_MODELS}
+MODELS: Mapping[str, VirtualServoModel] = {row.name: _model(row) for row in SERVO_MODELS}
 XL330_M288, XL430_W250, XM430_W350 = (
     MODELS[name] for name in ("XL330-M288", "XL430-W250", "XM430-W350")
 )

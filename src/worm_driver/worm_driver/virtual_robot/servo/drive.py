@@ -10,7 +10,7 @@ from worm_driver.virtual_robot.servo.control_table import (
     PULSES_PER_TURN,
     PWM_MODE,
     VELOCITY_MODE,
-    ServoModel,
+    VirtualServoModel,
 )
 from worm_driver.virtual_robot.servo.motor import PULSES_PER_RADIAN, MotorCommand
 from worm_driver.virtual_robot.servo.register_memory import RegisterMemory
@@ -35,7 +35,7 @@ def direction_of(memory: RegisterMemory) -> int:
 
 
 def motor_command(
-    memory: RegisterMemory, model: ServoModel, voltage: float, goal: float, planned: float
+    memory: RegisterMemory, model: VirtualServoModel, voltage: float, goal: float, planned: float
 ) -> MotorCommand:
     """Return the motor command for the present registers.
 
@@ -61,7 +61,7 @@ def motor_command(
     )
 
 
-def _full_speed(model: ServoModel, voltage: float) -> float:
+def _full_speed(model: VirtualServoModel, voltage: float) -> float:
     """Return the no-load speed at a voltage (V), pulses/s."""
     return model.no_load_speed * voltage / model.nominal_voltage * PULSES_PER_RADIAN
 
@@ -85,14 +85,14 @@ def _speed_goal(memory: RegisterMemory, full_speed: float) -> float | None:
     return None
 
 
-def _torque_limit(memory: RegisterMemory, model: ServoModel) -> float:
+def _torque_limit(memory: RegisterMemory, model: VirtualServoModel) -> float:
     """Return the torque limit set by the goal current, N*m; inf in modes without current control."""
     if memory["operating_mode"] not in (CURRENT_MODE, CURRENT_POSITION_MODE):
         return math.inf
     return abs(memory["goal_current"]) * model.current_unit * model.torque_constant
 
 
-def _compliance(memory: RegisterMemory, model: ServoModel) -> float:
+def _compliance(memory: RegisterMemory, model: VirtualServoModel) -> float:
     """Return the position error per load of the position controller, pulses/(N*m).
 
     Without an integral part the controller holds a load only by an error: the PWM output is the P gain times the error,

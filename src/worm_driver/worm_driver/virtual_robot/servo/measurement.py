@@ -5,7 +5,7 @@ import math
 from dataclasses import dataclass
 
 from worm_driver.virtual_robot.servo import motor
-from worm_driver.virtual_robot.servo.control_table import ServoModel
+from worm_driver.virtual_robot.servo.control_table import VirtualServoModel
 from worm_driver.virtual_robot.servo.drive import FULL_PWM, SPEED_UNIT, direction_of
 from worm_driver.virtual_robot.servo.encoder import Encoder
 from worm_driver.virtual_robot.servo.motor import PULSES_PER_RADIAN, MotorCommand, MotorState
@@ -54,7 +54,7 @@ class Wear:
     overload: float = 0.0
 
 
-def strongest_torque(memory: RegisterMemory, model: ServoModel) -> float:
+def strongest_torque(memory: RegisterMemory, model: VirtualServoModel) -> float:
     """Return the motor's largest torque, N*m."""
     if "current_limit" not in memory:
         return model.stall_torque
@@ -80,7 +80,7 @@ def supervise(
     wear: Wear,
     torque: float,
     memory: RegisterMemory,
-    model: ServoModel,
+    model: VirtualServoModel,
     around: Surroundings,
     duration: float,
 ) -> tuple[Wear, int]:
@@ -122,7 +122,7 @@ def motion_registers(
 
 
 def torque_registers(
-    memory: RegisterMemory, model: ServoModel, torque: float, noise: float
+    memory: RegisterMemory, model: VirtualServoModel, torque: float, noise: float
 ) -> dict[str, int]:
     """Return the raw values of the registers that report the torque.
 

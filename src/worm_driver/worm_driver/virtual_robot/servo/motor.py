@@ -11,7 +11,7 @@ the controller needs to hold the load.
 import math
 from typing import NamedTuple
 
-from worm_driver.virtual_robot.servo.control_table import PULSES_PER_TURN, ServoModel
+from worm_driver.virtual_robot.servo.control_table import PULSES_PER_TURN, VirtualServoModel
 
 PULSES_PER_RADIAN = PULSES_PER_TURN / (2 * math.pi)
 
@@ -70,7 +70,7 @@ def at_rest(position: float) -> MotorState:
 
 
 def step(
-    state: MotorState, command: MotorCommand, load: float, model: ServoModel, step_s: float
+    state: MotorState, command: MotorCommand, load: float, model: VirtualServoModel, step_s: float
 ) -> MotorState:
     """Return the state one step (s) later. A positive load (N*m) turns the shaft backward."""
     kind, goal = command.kind, command.goal
@@ -104,12 +104,12 @@ def step_yield(before: Yield, command: MotorCommand, load: float, step_s: float)
     return Yield(before.distance + rate * step_s, rate)
 
 
-def load_is_held(load: float, command: MotorCommand, model: ServoModel) -> bool:
+def load_is_held(load: float, command: MotorCommand, model: VirtualServoModel) -> bool:
     """Return True if motor and gear friction together hold the load."""
     return abs(load) <= command.torque_limit + _BREAKAWAY * model.stall_torque
 
 
-def backdrive_velocity(load: float, motor_torque: float, model: ServoModel) -> float:
+def backdrive_velocity(load: float, motor_torque: float, model: VirtualServoModel) -> float:
     """Return the velocity (pulses/s) at which a load (N*m) turns a shaft against the torque (N*m) of its motor."""
     excess = abs(load) - motor_torque - _BREAKAWAY * model.stall_torque
     if excess <= 0:

@@ -24,7 +24,7 @@ class RegisterError(Exception):
 class RegisterMemory:
     """Control table of a servo with its present values."""
 
-    def __init__(self, model: control_table.ServoModel, settings: Mapping[str, int]) -> None:
+    def __init__(self, model: control_table.VirtualServoModel, settings: Mapping[str, int]) -> None:
         """Create the memory. ``settings`` are raw EEPROM values that differ from the factory values, by name."""
         self._rows = model.registers
         self._modes = model.modes

@@ -14,7 +14,12 @@ from dataclasses import dataclass, field
 from random import Random
 
 from worm_driver.virtual_robot.servo import measurement, motor
-from worm_driver.virtual_robot.servo.control_table import GOALS, POSITION_MODE, Register, ServoModel
+from worm_driver.virtual_robot.servo.control_table import (
+    GOALS,
+    POSITION_MODE,
+    Register,
+    VirtualServoModel,
+)
 from worm_driver.virtual_robot.servo.drive import TORQUE_ON_BY_GOAL, direction_of, motor_command
 from worm_driver.virtual_robot.servo.encoder import Encoder, turns_of
 from worm_driver.virtual_robot.servo.motor import PULSES_PER_RADIAN, MotorState, Yield
@@ -43,7 +48,7 @@ class Servo:
         boot_time: time for which the servo does not answer after a reboot, s.
     """
 
-    model: ServoModel
+    model: VirtualServoModel
     settings: Mapping[str, int]
     start: float
     boot_time: float

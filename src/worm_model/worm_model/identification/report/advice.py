@@ -24,7 +24,7 @@ from worm_model.identification.fits.block_least_squares import Problem, evaluate
 from worm_model.identification.fits.energy import INDEPENDENT, PowerRun, energy_problem
 from worm_model.identification.fits.energy import KEYS as ENERGY
 from worm_model.identification.fits.estimate import Estimate, quantile
-from worm_model.identification.fits.grooves import groove_problem
+from worm_model.identification.fits.groove_scatter import groove_problem
 from worm_model.identification.fits.locomotion import RIDGES, Known, first_own, traverse_of
 from worm_model.identification.fits.measured_length import measured_length
 from worm_model.identification.locomotion_stage import LocomotionResult

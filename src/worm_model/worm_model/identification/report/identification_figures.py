@@ -33,7 +33,8 @@ from worm_model.analysis.run_plots import (
 from worm_model.identification.bellows import BellowsFit
 from worm_model.identification.fin import FinFit
 from worm_model.identification.fits.run_prediction import RunPrediction, measured_power, predict
-from worm_model.identification.stages import Identification, Run
+from worm_model.identification.run_selection import FittedRun
+from worm_model.identification.stages import Identification
 from worm_model.simulation.actuation import effective_command
 from worm_model.simulation.quadrature import accumulated
 
@@ -114,7 +115,7 @@ def search_figure(result: Identification) -> Figure:
     return figure
 
 
-def _motion(run: Run, prediction: RunPrediction, pitch: float) -> Figure:
+def _motion(run: FittedRun, prediction: RunPrediction, pitch: float) -> Figure:
     """Plot measured x1 and its prediction from the measured length."""
     time, x1 = run.traverse.time, run.traverse.x1
     residual = x1 - np.interp(time, prediction.time, prediction.x1)
@@ -129,7 +130,7 @@ def _motion(run: Run, prediction: RunPrediction, pitch: float) -> Figure:
     )
 
 
-def _length(run: Run, prediction: RunPrediction, slack: float) -> Figure:
+def _length(run: FittedRun, prediction: RunPrediction, slack: float) -> Figure:
     """Plot measured ΔL, its prediction from the command, and commanded and effective input."""
     recording = run.recording
     change = recording.length - run.length.initial_length
@@ -147,7 +148,7 @@ def _length(run: Run, prediction: RunPrediction, slack: float) -> Figure:
     )
 
 
-def energy_of_run(run: Run, prediction: RunPrediction) -> Figure:
+def energy_of_run(run: FittedRun, prediction: RunPrediction) -> Figure:
     """Plot measured and predicted source power and energy, and the energy difference."""
     time, power = measured_power(run.recording, run.traverse)
     expected = np.interp(time, prediction.time, prediction.energy)
@@ -166,7 +167,7 @@ def energy_of_run(run: Run, prediction: RunPrediction) -> Figure:
     )
 
 
-def _frame(run: Run) -> Frame:
+def _frame(run: FittedRun) -> Frame:
     gait = run.recording.gait
     title = f"{run.name}: S = {gait.stroke * MM:.0f} mm, f = {gait.frequency:g} Hz"
     return Frame(0.0, run.traverse.end, title=title)

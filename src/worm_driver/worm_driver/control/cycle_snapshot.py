@@ -8,7 +8,7 @@ from worm_driver.servos.servo_state import ServoState
 
 
 @dataclass(frozen=True)
-class Snapshot:
+class CycleSnapshot:
     """Result of one cycle. Times are monotonic, in s.
 
     Attributes:
