@@ -9,12 +9,13 @@ import pytest
 from twin_samples import CommandedLength, GaitSample, TrackerSample, follow, rows_of
 
 from worm_model.gait import REVERSE, Gait
-from worm_model.parameters import PAPER
+from worm_model.parameters import KEYS, NOT_OF_PAPER, PAPER
 from worm_model.run import Activity, LengthSource
 from worm_model.simulation.simulator import simulate
 from worm_model.twin.data.records import Health, Severity, StateRecord
 from worm_model.twin.forecast import ForecastError, forecast
 from worm_model.twin.scene import FREE, HOLDING, YIELDING, PositionSample, engagement, scene
+from worm_model.twin.signatures import HEALTHY_SPREAD
 from worm_model.twin.twin import Twin
 from worm_model.twin.twin_status import report
 
@@ -133,3 +134,9 @@ def test_the_tracker_gives_the_length_where_nothing_else_does():
     assert state.initial_length == pytest.approx(0.297)
     assert output.states[-1].rear_position == pytest.approx(0.5)
     assert output.states[-1].groove_phase == pytest.approx(0.297 - 17 * PAPER.pitch)
+
+
+def test_each_parameter_has_a_spread_or_is_known():
+    """A new parameter without one would count as exact when the twin weighs the causes."""
+    measured = {"rear_mass", "front_mass", "unstressed_length", "pitch"}  # with scale and ruler
+    assert {*HEALTHY_SPREAD, "initial_length", *measured, *NOT_OF_PAPER} == set(KEYS)
