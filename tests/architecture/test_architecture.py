@@ -38,6 +38,7 @@ SHARED = {
     f"worm_msgs.{name}"
     for name in (
         *(
+            "claim",
             "command_parser",
             "conditions",
             "driver_file",
@@ -56,7 +57,7 @@ PROCESSES = [
 CONFINED = {
     "rclpy": [*NODES, *PROCESSES],
     "rcl_interfaces": [*NODES, *PROCESSES],
-    "worm_msgs": [*NODES, *PROCESSES, "worm_optimizer/operation/bring_up.py"],
+    "worm_msgs": [*NODES, *PROCESSES],
     "std_msgs": NODES,
     "std_srvs": NODES,
     "sensor_msgs": NODES,
@@ -90,8 +91,8 @@ CONFINED = {
     "dask": [],
     "distributed": ["worm_optimizer/study/blocks.py"],
     "nicegui": ["worm_optimizer/console/*page*.py", "worm_optimizer/console/server.py"],
-    "fastapi": ["worm_optimizer/console/pages.py"],
-    "starlette": ["worm_optimizer/console/pages.py", "worm_optimizer/console/entrance.py"],
+    "fastapi": ["worm_optimizer/console/console_page.py"],
+    "starlette": ["worm_optimizer/console/server.py"],
     "xarray": ["worm_optimizer/study/study_run.py", "worm_optimizer/study/summary.py"],
     "launch": [],
     "launch_ros": [],
@@ -106,8 +107,8 @@ SEAMS = {
     "worm_driver": {
         "servos": set(),
         "gait": {"power"},
-        "power": {"virtual_robot"},  # its I2C bus and its clock, selected by the name of the device
-        "control": {"gait", "power", "servos", "virtual_robot"},
+        "power": set(),
+        "control": {"gait", "power", "servos"},
         "tracking": {"control"},
     },
     "worm_model": {

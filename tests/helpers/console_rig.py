@@ -46,7 +46,7 @@ class Console:
         self.process.wait_for_line(re.escape(self.address), TIMEOUT_S)
 
     def open(self, page: "sync_api.Page") -> None:
-        """Open the tab Act; the server may not listen yet."""
+        """Open the page; the server may not listen yet."""
         for _ in range(100):
             try:
                 page.goto(self.address)
@@ -54,7 +54,6 @@ class Console:
             except sync_api.Error:
                 assert self.process.exit_code is None, self.process.output()
                 page.wait_for_timeout(200)
-        page.get_by_role("tab", name="Act").click()
 
 
 def press(page: "sync_api.Page", name: str) -> None:
@@ -62,9 +61,10 @@ def press(page: "sync_api.Page", name: str) -> None:
 
 
 def state(page: "sync_api.Page") -> "sync_api.Locator":
-    return page.get_by_role("banner").get_by_role("status")
+    """Return the state of the driver."""
+    return page.locator("#state")
 
 
 def status(page: "sync_api.Page") -> "sync_api.Locator":
-    """Return the label of the footer with the present command or the latest message."""
-    return page.get_by_role("contentinfo").get_by_role("status")
+    """Return the present command or the latest message."""
+    return page.locator("#message")

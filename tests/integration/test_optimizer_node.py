@@ -85,8 +85,18 @@ def test_cold_start_requests_and_refusals(start, user):
     assert reachable.success
     assert reachable.prediction.speed == pytest.approx(0.9 * fastest.speed, rel=1e-6)
 
+    given = user.request_gait(RequestGait.Request.GIVEN, gait=fastest.gait)
+    assert given.success
+    assert given.prediction == fastest
+    longer = user.request_gait(RequestGait.Request.GIVEN, gait=fastest.gait, initial_length=0.2963)
+    assert longer.prediction.groove_phase == pytest.approx(0.0021)
+
     for wrong in (
         {"objective": 77},
+        {
+            "objective": RequestGait.Request.GIVEN,
+            "gait": Gait(stroke=0.5, frequency=0.2, direction=1),
+        },
         {"objective": RequestGait.Request.MIN_POWER_AT_SPEED, "speed": math.nan},
         {"objective": RequestGait.Request.MAX_SPEED_AT_POWER, "power": -1.0},
         {"direction": 0},

@@ -109,6 +109,7 @@ def test_every_node_of_a_virtual_robot_has_what_its_policy_allows_and_no_more(
     people: list[Rights] = []  # names of the operator in each cycle of its gait
     gait = Gait(stroke=0.03, frequency=0.4)
     with operator(worm.system.namespace, lambda: None) as person:
+        person.deactivate()
         person.activate()
         person.run(GaitCommand(gait, 1), lambda _: people.append(announced(probe, "operator")))
         permitted = allowed("operator", "operator")

@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 from camera_rig import LENGTH, SETTINGS, VirtualCamera
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from harness import TIMEOUT_S, system_file
+from harness import TIMEOUT_S
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CompressedImage, Image
 
 from worm_driver.tracking.vision import write_image
 from worm_msgs.msg import BodyLength, Tracker
+from worm_optimizer.operation.system import installed_system_file
 
 BEST_EFFORT = QoSProfile(depth=2, reliability=ReliabilityPolicy.BEST_EFFORT)
 
@@ -156,9 +157,13 @@ def test_the_virtual_robot_is_found_in_its_images(processes, probe, tmp_path: Pa
 
 
 def test_the_graph_has_the_camera_where_it_is_requested():
-    plain = {node.name for node in system_file().system("virtual").nodes}
-    with_camera = system_file().system("virtual", camera="virtual", tracker_setup="virtual")
+    plain = {node.name for node in installed_system_file().system("virtual").nodes}
+    with_camera = installed_system_file().system(
+        "virtual", camera="virtual", tracker_setup="virtual"
+    )
     assert {node.name for node in with_camera.nodes} - plain == {"tracker"}
     assert with_camera.node("virtual_robot").arguments[-2:] == ("--camera", "virtual")
     assert with_camera.node("tracker").parameters["setup_file"] == "virtual"
-    assert "--camera" not in system_file().system("virtual").node("virtual_robot").arguments
+    assert (
+        "--camera" not in installed_system_file().system("virtual").node("virtual_robot").arguments
+    )

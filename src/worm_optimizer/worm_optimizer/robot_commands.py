@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Commands to a robot and to the optimizer, their progress and their results, as values that do not depend on ROS."""
+"""Commands to a robot, their progress and their results, as values that do not depend on ROS."""
 
 from __future__ import annotations
 
@@ -92,55 +92,6 @@ class RunProgress:
 
 
 Progress = Callable[[RunProgress], None]
-
-
-@dataclass(frozen=True)
-class ScanRequest:
-    """Request for a margin scan from ``lowest`` to ``highest`` in steps of ``step``, all in m.
-
-    ``direction`` is FORWARD or REVERSE. If ``highest`` or ``step`` is 0, the optimizer uses the value of its settings.
-    """
-
-    direction: int
-    lowest: float = 0.0
-    highest: float = 0.0
-    step: float = 0.0
-
-
-@dataclass(frozen=True)
-class FrontRequest:
-    """Request for the computation of a front.
-
-    Attributes:
-        direction: FORWARD or REVERSE.
-        robustness: name of a criterion of `search_settings.Robustness`.
-        margin: robustness margin, m; NaN selects the last margin of the scan before the cliff.
-        probability: probability for the criterion ``chance``; 0 selects the value in the optimizer's settings.
-        waveform: name of a `search_settings.Waveform`; an empty text selects the value in the optimizer's settings.
-    """
-
-    direction: int
-    robustness: str = "margin"
-    margin: float = math.nan
-    probability: float = 0.0
-    waveform: str = ""
-
-
-@dataclass(frozen=True)
-class SearchResult:
-    """Result of a margin scan or of the computation of a front.
-
-    The ``message`` describes the result, or the reason of a failure.
-
-    Only a margin scan has ``margins`` (m), the lowest cost of transport at each of these margins (``costs``), and the
-    margin at the ``cliff`` (m; NaN without a cliff).
-    """
-
-    success: bool
-    message: str
-    margins: tuple[float, ...] = ()
-    costs: tuple[float, ...] = ()
-    cliff: float = math.nan
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import enum
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -49,43 +48,25 @@ class DriverState:
     onset_ns: int = 0
 
 
-class Wish(enum.IntEnum):
-    """Kinds of requests for control of the robot, with the values of the message ControlRequest."""
-
-    CONTROL = 0
-    HAND_OVER = 1
-    RELEASE = 2
-
-
-@dataclass(frozen=True)
-class Control:
-    """Client that has control of the robot (``holder``), and client that requests it; empty if there is none."""
-
-    holder: str = ""
-    requester: str = ""
-
-
 @dataclass(frozen=True)
 class Snapshot:
     """Latest messages of the robot's topics; None or NaN before the first message.
 
     Attributes:
         driver: state of the driver.
-        control: client that has control, and client that requests it.
         twin: state of the twin.
         residuals: residuals of the twin; NaN where no sensor measures them.
         robot: latest sample of the tracker.
         robot_at_twin: sample of the tracker that is nearest to the stamp of ``twin``.
         lengths: body lengths by source, m.
         power: measured power, W.
-        twin_age: stamp of the latest commanded length minus stamp of ``twin``, in s of the robot's clock.
+        twin_age: newest stamp of tracker, power and commanded length minus stamp of ``twin``, s.
         received: time at which the latest message of each topic was received, s (monotonic clock).
         grooves: one pair for each state of the twin in the last seconds: its stamp (ns), and the grooves that the rear
             anchor has moved along +x since the start of the run.
     """
 
     driver: DriverState | None = None
-    control: Control | None = None
     twin: StateRecord | None = None
     residuals: ResidualRecord | None = None
     robot: PositionSample = field(default_factory=PositionSample)

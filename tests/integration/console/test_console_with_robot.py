@@ -3,16 +3,14 @@
 
 import re
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 from console_rig import NEEDS_BROWSER, TIMEOUT_S, Console, press, state, status, sync_api
 from harness import Processes
 
-from worm_model.parameters import Parameters
-
 pytestmark = [*NEEDS_BROWSER, pytest.mark.xdist_group("console with robot")]
-HEAVIER = Parameters(rear_mass=0.45)
+PHONE = {"width": 390, "height": 844}
+ROBOT = re.compile("robot seen")
 
 
 @pytest.fixture(scope="module")
@@ -25,28 +23,42 @@ def console(tmp_path_factory: pytest.TempPathFactory, module_domain: int) -> Ite
         assert console.process.wait(TIMEOUT_S) == 0
 
 
-@pytest.fixture
-def second(console: Console, tmp_path: Path) -> Iterator[Console]:
-    """Start a console on the graph of the first."""
-    with Processes(tmp_path) as processes:
-        yield Console(processes, tmp_path)
-
-
 def choose_a_gait(page: "sync_api.Page") -> None:
-    """Take control, activate the driver, and choose a gait of the front."""
+    """Take control, home and activate the driver, choose a gait of the front, and read its prediction."""
     expect = sync_api.expect
     expect(page.get_by_role("button", name="Home")).to_be_disabled()
     press(page, "Take control")
     expect(page.get_by_role("button", name="Release control")).to_be_visible()
+    press(page, "Home")
+    expect(page.get_by_role("button", name="Activate", exact=True)).to_be_enabled()
     press(page, "Activate")
     expect(state(page)).to_have_text("idle")
     expect(page.get_by_role("button", name="Run", exact=True)).to_be_disabled()
-    page.get_by_role("button", name="Read front").click()
-    points = page.locator('.front svg path[fill="#0072B2"]')
-    expect(points.first).to_be_visible()
-    points.last.click()  # the others are partly below their neighbours
+    front = page.get_by_role("slider", name="Gaits of the front")
+    expect(front.locator(".dots")).to_be_attached()
+    front.locator(".area").click()  # one click selects a gait
+    expect(front).not_to_have_attribute("aria-valuenow", "0")
     page.get_by_label("How many").fill("1000")  # a busy browser shows the run before its end
     expect(page.get_by_role("button", name="Run", exact=True)).to_be_enabled()
+
+
+def predicted(page: "sync_api.Page") -> "sync_api.Locator":
+    """Return the cells with the prediction of the gait in the fields."""
+    return page.locator(".numbers .value")
+
+
+@pytest.mark.parametrize("size", [None, PHONE])
+def test_the_robot_is_seen_on_opening_and_after_a_reload(
+    page: "sync_api.Page", console: Console, size: "sync_api.ViewportSize | None"
+):
+    if size is not None:
+        page.set_viewport_size(size)
+    console.open(page)
+    robot = page.get_by_role("img", name=ROBOT)
+    for _ in range(2):
+        sync_api.expect(robot).to_be_in_viewport(ratio=1.0)
+        sync_api.expect(page.get_by_text(re.compile("measured 29"))).to_be_attached()
+        page.reload()
 
 
 def test_a_page_without_connection_shows_it_and_comes_back_without_control(
@@ -75,16 +87,17 @@ def test_a_gait_is_run_stopped_found_and_reported(page: "sync_api.Page", console
     expect = sync_api.expect
     console.open(page)
     choose_a_gait(page)
+    for part in ("Run", "Home", "Cruise", "Set conditions", "STOP (Esc)"):
+        button = page.get_by_role("button", name=part, exact=True)
+        expect(button).to_be_in_viewport(ratio=1.0)  # all without scrolling
+    for part in page.locator(".minute, .front, .scene, .fields, .numbers").all():
+        expect(part).to_be_in_viewport(ratio=1.0)
     press(page, "Run")
     expect(status(page)).to_contain_text(re.compile(r"cycle ([2-9]|\d\d)"))
-    page.get_by_role("tab", name="Live").click()
-    expect(page.get_by_role("img", name=re.compile("robot seen"))).to_be_visible()
     page.keyboard.press("Escape")
     expect(state(page)).to_have_text("stopped, holding")
-    expect(status(page)).to_contain_text("recorded in run_")
-    expect(state(page)).to_have_text("stopped, holding")
-    page.get_by_role("tab", name="Act").click()
-    press(page, "Deactivate")
+    press(page, "Deactivate")  # waits for the end of the recording
+    expect(status(page)).to_contain_text("torque is off")
     expect(state(page)).to_have_text("inactive: the driver is deactivated")
     page.get_by_role("tab", name="Recordings").click()
     row = page.get_by_role("row", name=re.compile("run_"))
@@ -103,20 +116,50 @@ def test_a_gait_is_run_stopped_found_and_reported(page: "sync_api.Page", console
     expect(row).to_have_count(0)
 
 
-def test_one_page_of_two_consoles_has_control_and_its_end_ends_the_run(
-    page: "sync_api.Page",
-    browser: "sync_api.Browser",
-    console: Console,
-    second: Console,
+def test_on_a_phone_a_gait_in_numbers_is_predicted_run_and_stopped_with_the_keyboard_alone(
+    page: "sync_api.Page", console: Console
+):
+    expect = sync_api.expect
+    page.set_viewport_size(PHONE)
+    console.open(page)
+    choose_a_gait(page)
+    expect(page.get_by_role("button", name="Run", exact=True)).to_be_in_viewport(ratio=1.0)
+    front = page.get_by_role("slider", name="Gaits of the front")
+    front.press("End")
+    speed = predicted(page).nth(3).text_content()
+    expect(front).to_have_attribute("aria-valuetext", re.compile("mm/s"))
+    front.press("Home")
+    expect(front).to_have_attribute("aria-valuenow", "1")
+    expect(predicted(page).nth(3)).not_to_have_text(str(speed))
+    run = page.get_by_role("button", name="Run", exact=True)
+    stroke = page.get_by_label("stroke, mm")
+    stroke.fill("500")
+    expect(page.get_by_text(re.compile("Run is not possible:.*500 mm"))).to_be_visible()
+    expect(run).to_be_disabled()
+    stroke.fill("70")
+    expect(predicted(page).nth(11)).to_have_text(re.compile(r"^[01]"))  # the probability
+    expect(run).to_be_enabled()
+    page.get_by_text("trapezoid", exact=True).click()
+    expect(run).to_be_enabled()
+    run.press("Enter")
+    expect(state(page)).to_contain_text("running")
+    page.get_by_role("button", name="STOP").press("Enter")
+    expect(state(page)).to_have_text("stopped, holding")
+    deactivate = page.get_by_role("button", name="Deactivate")
+    expect(deactivate).to_be_enabled()
+    deactivate.press("Enter")
+    expect(state(page)).to_have_text("inactive: the driver is deactivated")
+
+
+def test_control_is_handed_over_and_the_end_of_a_page_ends_its_run(
+    page: "sync_api.Page", console: Console
 ):
     expect = sync_api.expect
     console.open(page)
     choose_a_gait(page)
-    context = browser.new_context()
-    context.set_default_timeout(1e3 * TIMEOUT_S)
-    other = context.new_page()
-    second.open(other)
-    expect(other.get_by_text(re.compile("^Control: a page of "))).to_be_visible()
+    other = page.context.new_page()
+    console.open(other)
+    expect(other.get_by_text("Another page has control.")).to_be_visible()
     press(other, "Ask for control")
     press(page, "Hand over")
     expect(other.get_by_role("button", name="Release control")).to_be_visible()
@@ -130,4 +173,3 @@ def test_one_page_of_two_consoles_has_control_and_its_end_ends_the_run(
     page.close()
     expect(state(other)).to_have_text("idle")
     expect(other.get_by_role("button", name="Take control")).to_be_enabled()
-    context.close()

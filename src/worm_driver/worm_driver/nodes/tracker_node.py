@@ -26,7 +26,6 @@ from worm_driver.tracking.tracker import Tracker as ModuleTracker
 from worm_driver.tracking.tracker_report import TrackerReport
 from worm_driver.tracking.tracker_setup import load_setup
 from worm_driver.tracking.tracking_errors import ImageError, SetupError, TrackingError
-from worm_msgs import readiness
 from worm_msgs.node_command import declare, run_node
 from worm_msgs.parameter_rows import ParameterRow
 from worm_msgs.ros_process import ShutdownRequest, freeze_garbage_collection
@@ -243,7 +242,6 @@ def _run(ended: ShutdownRequest) -> int:
         executor.add_node(node)
         freeze_garbage_collection()
         node.get_logger().info("ready")
-        readiness.announce()
         while not ended() and node.failure is None:
             executor.spin_once(timeout_sec=0.05)
     finally:

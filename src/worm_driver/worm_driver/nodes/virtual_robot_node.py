@@ -31,7 +31,7 @@ from worm_driver.virtual_robot.wire.faults import (
     make_fault,
     parse_fault,
 )
-from worm_msgs import readiness
+from worm_msgs.claim import ClaimedError, claim_robot
 from worm_msgs.command_parser import BAD_INPUT, Parser
 from worm_msgs.conditions import CONDITION_ROWS
 from worm_msgs.input_error import InputError
@@ -59,6 +59,9 @@ class VirtualRobotNode(Node):
         directory: folder of the ports.
         rate: largest number of virtual seconds per second; None: real time, like a real robot.
         camera: file of the camera whose images are published; None: positions are published instead.
+
+    Raises:
+        ClaimedError: The namespace has a robot already.
     """
 
     def __init__(
@@ -66,6 +69,7 @@ class VirtualRobotNode(Node):
     ) -> None:
         super().__init__("virtual_robot")
         declare_none(self)
+        self._claim = claim_robot(self.get_namespace(), self.context.get_domain_id())
         epoch_ns = self.get_clock().now().nanoseconds
         self.server = RobotServer(
             robot,
@@ -85,7 +89,8 @@ class VirtualRobotNode(Node):
         self.create_service(InjectFault, "inject_fault", self._inject)
 
     def close(self) -> None:
-        """End the process of the camera, if there is one."""
+        """End the process of the camera, if there is one, and release the claim."""
+        self._claim.close()
         if self._camera is not None:
             self._camera.close()
 
@@ -249,7 +254,6 @@ def _run(robot: VirtualRobot, options: argparse.Namespace, ended: ShutdownReques
         serving.start()
         sys.stdout.write(f"ready: {options.directory}\n")
         sys.stdout.flush()
-        readiness.announce()
         # If all processes receive the signal at once, the robot must serve until the driver has released it.
         while serving.is_alive() and not (ended() and node.server.quiet_for(_QUIET)):
             executor.spin_once(timeout_sec=_SIGNAL_LATENCY)
@@ -282,7 +286,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         with ros_process(command_line) as ended:
             _run(robot, options, ended)
-    except DirectoryError as error:
+    except (DirectoryError, ClaimedError) as error:
         return _reject(error)
     except Exception:
         log.exception("stopped by an error")

@@ -28,7 +28,7 @@ from worm_model.twin.scene import FREE, HOLDING, YIELDING, engagement
 # Radii and widths of the drawing, mm.
 RIDGE_RADIUS, GROOVE_RADIUS, WALL_RADIUS = 38.0, 46.0, 51.0
 MODULE_RADIUS, MODULE_WIDTH = 20.0, 30.0
-_BELLOWS_RADIUS, _FOLD_DEPTH, _FOLDS = 13.0, 4.0, 13
+BELLOWS_RADIUS, FOLD_DEPTH, FOLDS = 13.0, 4.0, 13
 _SAG = 1.2  # mm by which the drawn cable hangs down for each mm of slack
 _POINTS_PER_PITCH = 24
 _PIPE_COLOUR, _MODULE_COLOUR, _BELLOWS_COLOUR = "#D9DBE0", "#BFD7EA", "#E8F0F7"
@@ -140,8 +140,8 @@ def _anchor_marks(axes: Axes) -> Line2D:
 
 def _bellows(left: float, right: float) -> Array:
     """Return the outline (n, 2) of the folded body between two modules, mm."""
-    u = np.linspace(0.0, 1.0, 12 * _FOLDS + 1)
-    radius = _BELLOWS_RADIUS + _FOLD_DEPTH * np.cos(2.0 * np.pi * _FOLDS * u)
+    u = np.linspace(0.0, 1.0, 12 * FOLDS + 1)
+    radius = BELLOWS_RADIUS + FOLD_DEPTH * np.cos(2.0 * np.pi * FOLDS * u)
     x = left + (right - left) * u
     return np.column_stack([np.concatenate([x, x[::-1]]), np.concatenate([radius, -radius[::-1]])])
 

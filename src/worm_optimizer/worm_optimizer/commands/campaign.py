@@ -41,10 +41,10 @@ from worm_optimizer.operation.campaign_plan import (
     write_promises,
 )
 from worm_optimizer.operation.campaign_runs import Prepare, put_aside, run_gaits
-from worm_optimizer.operation.campaign_tuning import TUNING
 from worm_optimizer.operation.processes import termination_as_interrupt
 from worm_optimizer.operation.spread import Spread, draw_spread, run_names, spread, spread_table
 from worm_optimizer.operation.system import Robot
+from worm_optimizer.operation.tuning_runs import TUNING
 from worm_optimizer.report.agreement import QUANTITIES, agreement_json, describe
 from worm_optimizer.report.identification_parts import identification_of
 from worm_optimizer.report.recorded_gait import RecordedGait

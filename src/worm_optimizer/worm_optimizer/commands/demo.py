@@ -23,12 +23,12 @@ from worm_optimizer.operation.bring_up import (
     FAILURES,
     ProgressLog,
     Say,
-    installed_system_file,
     work_folder,
 )
 from worm_optimizer.operation.demo_run import Comparison, compare, comparison_table, run_demo_gait
 from worm_optimizer.operation.processes import termination_as_interrupt
 from worm_optimizer.operation.recorded_run import new_bag
+from worm_optimizer.operation.system import installed_system_file
 from worm_optimizer.report.recordings import read_recorded_gaits
 
 

@@ -9,8 +9,7 @@ from pathlib import Path
 
 from worm_model.commands.command_line import InputError, Parser
 from worm_msgs.conditions import CONDITION_ROWS
-from worm_optimizer.operation.bring_up import installed_system_file
-from worm_optimizer.operation.system import Robot, SystemFileError
+from worm_optimizer.operation.system import Robot, SystemFileError, installed_system_file
 
 POSITIONS, CAMERA = "positions", "camera"
 _VIRTUAL_RIG = {"camera": "virtual", "tracker_setup": "virtual"}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Folder of the console's recordings, reports and parameter files. Pages can access files below this folder only."""
+"""Folder of the console's recordings and reports. Pages can access files below this folder only."""
 
 from __future__ import annotations
 
@@ -7,10 +7,7 @@ import asyncio
 import hashlib
 import json
 import shutil
-import sys
-import tempfile
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,12 +15,10 @@ from worm_model.bags.formats.finding import METADATA_FILE
 from worm_model.commands.bag_columns import COLUMNS
 from worm_model.errors import InputError
 from worm_optimizer.code_version import identity_of_all
-from worm_optimizer.console.run_traces import RunTraces, traces_of
 from worm_optimizer.operation.processes import executable_command
 from worm_optimizer.report.report_page import PAGE, REPORT_SUFFIX, report_name
 
 _LONGEST = 200  # largest number of characters of a name; longer names are cut
-_IDENTIFIED = "identified_"  # prefix of the names of identified parameter files
 _DIGEST = 8  # number of characters of a digest in a name
 LISTED = tuple(column for column in COLUMNS if column.label)  # columns of the list of recordings
 
@@ -96,55 +91,6 @@ class BagLibrary:
             await _run(_report_command(), *arguments, *_options(parameter_file))
         return str(folder.relative_to(self.folder))
 
-    async def traces(self, name: str, parameter_file: str) -> RunTraces:
-        """Return the traces of a recorded run. Raises `InputError` if the bag is missing or cannot be read.
-
-        Args:
-            name: name of the bag.
-            parameter_file: parameter file of the twin; empty: the parameters in the recording.
-        """
-        command = [sys.executable, "-m", traces_of.__module__]
-        output = await _run(command, str(self.bag(name)), *_options(parameter_file))
-        return RunTraces.from_json(name, output)
-
-    async def identify(
-        self, names: Sequence[str], parameter_file: str, progress: Callable[[str], None]
-    ) -> str:
-        """Identify parameters, make a report, and return the name of the new parameter file.
-
-        Raises `InputError` if a bag is missing, or the identification or the report fails.
-
-        Args:
-            names: names of the bags.
-            parameter_file: file with the known parameters; empty: the paper's values.
-            progress: called with each line of progress.
-        """
-        bags = [str(self.bag(name)) for name in names]
-        made = self.folder / time.strftime(f"{_IDENTIFIED}%Y_%m_%d-%H_%M_%S.yaml")
-        with tempfile.TemporaryDirectory(prefix="worm_console_") as work:
-            report = Path(work) / "identification"
-            arguments = [*bags, *_options(parameter_file), "--output", str(made)]
-            command = executable_command("worm_model", "identify")
-            await _run(command, *arguments, "--report", str(report), progress=progress)
-            progress("report")
-            parts = ["--identification", str(made), "--identification", str(report)]
-            arguments = [*bags, *_options(parameter_file), "--without-front", *parts]
-            arguments += ["--output", str(self.folder / report_of(made.name))]
-            await _run(_report_command(), *arguments, progress=progress)
-        return made.name
-
-    def identified(self) -> list[str]:
-        """Return the names of all identified parameter files, the newest first."""
-        return sorted(
-            (path.name for path in self.folder.glob(f"{_IDENTIFIED}*.yaml")), reverse=True
-        )
-
-    def parameter_file(self, name: str) -> str:
-        """Return the path of an identified parameter file. Raises `InputError` if there is no such file."""
-        if name not in self.identified():
-            raise InputError(f"{name}: no such parameter file")
-        return str(self.folder / name)
-
     async def packed(self, name: str, folder: Path) -> Path:
         """Pack a bag into a ZIP file in another folder and return the path of the file.
 
@@ -179,15 +125,8 @@ def _digest(files: Sequence[Path]) -> str:
     return digest.hexdigest()[:_DIGEST]
 
 
-async def _run(
-    command: Sequence[str], *arguments: str, progress: Callable[[str], None] = lambda _: None
-) -> str:
+async def _run(command: Sequence[str], *arguments: str) -> str:
     """Run a process with low priority, so that it does not delay the robot's nodes, and return its output.
-
-    Args:
-        command: the command.
-        arguments: its arguments.
-        progress: called with each line of its error output.
 
     Raises:
         InputError: The process failed. The message is the last line of its error output.
@@ -199,34 +138,12 @@ async def _run(
         stdout=asyncio.subprocess.PIPE,
         stderr=asyncio.subprocess.PIPE,
     )
-    assert process.stdout is not None
-    assert process.stderr is not None
-    try:
-        output, last = await asyncio.gather(
-            process.stdout.read(), _report_lines(process.stderr, progress)
-        )
-        await process.wait()
-    except asyncio.CancelledError:
-        process.terminate()
-        raise
+    output, errors = await process.communicate()
     if process.returncode:
+        lines = errors.decode("utf-8", "replace").split("\n")
+        last = next((line.strip() for line in reversed(lines) if line.strip()), "")
         raise InputError(last or f"{Path(command[-1]).name} failed")
     return output.decode("utf-8")
-
-
-async def _report_lines(stream: asyncio.StreamReader, progress: Callable[[str], None]) -> str:
-    """Report each line of a stream, and return the last one."""
-    last = ""
-    async for line in stream:
-        if text := line.decode("utf-8", "replace").strip():
-            last = text
-            progress(text)
-    return last
-
-
-def report_of(parameter_file: str) -> str:
-    """Return the name of the report that `BagLibrary.identify` makes together with a parameter file."""
-    return report_name([Path(parameter_file).stem])
 
 
 def cells_of(row: Row) -> dict[str, Any]:

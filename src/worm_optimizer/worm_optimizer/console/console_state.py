@@ -10,15 +10,15 @@ from dataclasses import dataclass, field
 
 from worm_model.gait import FORWARD
 from worm_model.parameters import Parameters
-from worm_model.run import LengthSource
-from worm_model.twin.run_margins import spare_of
+from worm_model.twin.data.records import StateRecord
 from worm_msgs.conditions import LEVEL, Conditions
 from worm_optimizer.console.bag_library import BagLibrary
-from worm_optimizer.console.control import ConsoleControl
+from worm_optimizer.console.control import PageControl
+from worm_optimizer.console.gait_fields import DriverLimits
+from worm_optimizer.console.page_actions import Front
 from worm_optimizer.console.picture import picture
 from worm_optimizer.console.robot_worker import Notice, RobotWorker
-from worm_optimizer.console.view import History, is_live, live_twin, sample
-from worm_optimizer.gait_prediction import Prediction
+from worm_optimizer.console.view import History, live_twin
 from worm_optimizer.snapshot import Snapshot
 
 _FRESH_S = 0.02  # time for which all pages share a snapshot, s
@@ -29,28 +29,32 @@ _NOTICES = 50  # largest number of stored messages
 class ConsoleState:
     """Shared state. All pages use it in one thread, that of the web server.
 
-    Commands in the worker's command thread change ``fronts``, ``conditions``, ``parameters`` and ``parameter_file``.
-    Both threads of the worker append to ``notices``, too.
+    Commands in the worker's command thread change ``fronts``, ``front_notes``, ``limits`` and ``conditions``. Both
+    threads of the worker append to ``notices``, too.
 
     Attributes:
         worker: threads that operate the robot.
-        control: requests of the pages for control, and which page has control.
+        control: decides which page has control.
         library: folder of recordings.
-        parameters: parameters in use.
+        parameters: parameters of the robot.
         parameter_file: path of the file with these parameters; empty: the paper's values.
         notices: messages, the newest last.
-        fronts: gaits of the displayed front, by direction.
+        fronts: fronts, by direction.
+        front_notes: what there is to say about the front of a direction, or why there is none.
+        limits: the driver's limits on gaits; without any until they are read.
         conditions: conditions in the pipe that the optimizer assumes, as the console last read or set them.
         history: values of the last minute, and grooves of each cycle of the present run.
     """
 
     worker: RobotWorker
-    control: ConsoleControl
+    control: PageControl
     library: BagLibrary
     parameters: Parameters
     parameter_file: str
     notices: deque[Notice]
-    fronts: dict[int, list[Prediction]] = field(default_factory=dict)
+    fronts: dict[int, Front] = field(default_factory=dict)
+    front_notes: dict[int, str] = field(default_factory=dict)
+    limits: DriverLimits = field(default_factory=DriverLimits)
     conditions: Conditions = LEVEL
     history: History = field(default_factory=lambda: History(time.monotonic))
     _latest: tuple[float, Snapshot] = (-math.inf, Snapshot())
@@ -61,8 +65,17 @@ class ConsoleState:
         now = time.monotonic()
         if now - self._latest[0] > _FRESH_S:
             self._latest = (now, self.worker.snapshot())
-            self.control.update(self._latest[1].control)
+            self.control.expire()
         return self._latest[1]
+
+    def twin(self) -> StateRecord | None:
+        """Return the state of the twin; None if it is silent."""
+        return live_twin(self.snapshot(), time.monotonic())
+
+    def initial_length(self) -> float:
+        """Return L0 according to the twin, m; 0 without a twin."""
+        twin = self.twin()
+        return 0.0 if twin is None else twin.initial_length
 
     def picture(self) -> str:
         """Return a picture of the robot in its pipe. All pages share the picture of a snapshot."""
@@ -70,8 +83,7 @@ class ConsoleState:
         if snapshot is not self._drawn[0]:
             driver = snapshot.driver
             direction = driver.direction if driver is not None and driver.direction else FORWARD
-            twin = live_twin(snapshot, time.monotonic())
-            drawn = picture(twin, snapshot.robot_at_twin, self.parameters, direction)
+            drawn = picture(self.twin(), snapshot.robot_at_twin, self.parameters, direction)
             self._drawn = (snapshot, drawn)
         return self._drawn[1]
 
@@ -79,46 +91,15 @@ class ConsoleState:
         """Return the reason why the present run must end; empty if it may continue."""
         return self.worker.cancellation or self.control.run_loss
 
-    def status_text(self) -> str:
-        """Return the text of a pending STOP, else of the present command, else of the latest message."""
+    def message(self) -> Notice:
+        """Return the text of a pending STOP, else of the present command, else the latest message."""
         if self.worker.stopping:
-            return "STOP: waiting for the driver"
-        return self.worker.busy or (self.notices[-1].text if self.notices else "")
-
-    def numbers(self, now: float) -> dict[str, str]:
-        """Return the values in the table of the Live tab as texts, by name; a dash for a value that is unavailable.
-
-        Args:
-            now: present time of the monotonic clock, s.
-        """
-        snapshot = self.snapshot()
-        newest = sample(snapshot, now)
-        names = (source.name.lower() for source in LengthSource)
-        lengths = {f"{name} length": _millimetres(getattr(newest, name)) for name in names}
-        twin = live_twin(snapshot, now)
-        residuals = snapshot.residuals if is_live(snapshot, "twin/residuals", now) else None
-        nan = math.nan
-        return {
-            **lengths,
-            "measured power": _watts(newest.power),
-            "predicted power": _watts(newest.predicted),
-            "residual of x1": _millimetres(nan if residuals is None else residuals.rear_position),
-            "residual of length": _millimetres(nan if residuals is None else residuals.length),
-            "residual of power": _watts(nan if residuals is None else residuals.power),
-            "groove phase": _millimetres(nan if twin is None else twin.groove_phase),
-            "grooves per cycle": ", ".join(map(str, self.history.grooves[-8:])) or "–",
-            "measured margin": ("" if twin is None else spare_of(twin)) or "–",
-        }
+            return Notice("STOP: waiting for the driver")
+        if self.worker.busy or not self.notices:
+            return Notice(self.worker.busy)
+        return self.notices[-1]
 
 
 def new_notices() -> deque[Notice]:
     """Return an empty list of messages, which stores only the newest `_NOTICES`."""
     return deque(maxlen=_NOTICES)
-
-
-def _millimetres(value: float) -> str:
-    return f"{1e3 * value:.1f} mm" if math.isfinite(value) else "–"
-
-
-def _watts(value: float) -> str:
-    return f"{value:.2f} W" if math.isfinite(value) else "–"

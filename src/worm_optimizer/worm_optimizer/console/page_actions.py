@@ -5,12 +5,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
 
+from worm_optimizer.console.gait_fields import DriverLimits
 from worm_optimizer.console.robot_worker import STOP_PRESSED
 from worm_optimizer.gait_prediction import Prediction
-from worm_optimizer.nodes.operator_node import OperatorNode
+from worm_optimizer.nodes.operator_node import DRIVER, OperatorNode
 from worm_optimizer.nodes.service_caller import OperatorError
 from worm_optimizer.operation.bring_up import Say
 from worm_optimizer.operation.recorded_run import new_bag, recorded
@@ -18,36 +20,62 @@ from worm_optimizer.robot_commands import GaitCommand
 from worm_optimizer.search.gait_request import GaitRequest, Objective
 
 _GAITS = 32  # number of equal steps into which the displayed front is divided by speed
+_FIRST_S = 5.0  # longest wait for the optimizer, s; meanwhile, no other command begins
+_LIMITS = ("limits.max_stroke_m", "limits.max_frequency_hz", "limits.max_cable_speed_m_per_s")
 
 _numbers: Iterator[int] = count(1)  # numbers in the names of recorders
 
 
-def read_front(
-    node: OperatorNode, direction: int, initial_length: float, progress: Say
-) -> list[Prediction]:
-    """Return gaits of the front at evenly spaced speeds, the slowest first.
+@dataclass(frozen=True)
+class Front:
+    """Gaits of a front by rising speed, among them the ``cruise``; ``description`` is the margin with its reason."""
+
+    gaits: tuple[Prediction, ...]
+    cruise: Prediction
+    description: str
+
+    @property
+    def groove_phase(self) -> float:
+        """Groove phase for which the front was computed, m."""
+        return self.cruise.groove_phase
+
+
+def read_front(node: OperatorNode, direction: int, initial_length: float) -> Front:
+    """Return gaits of the front at evenly spaced speeds, and the cruise.
 
     Args:
         node: the operator.
         direction: FORWARD or REVERSE.
         initial_length: length of the robot at rest, m; 0 for the length in the optimizer's parameters.
-        progress: called with each line of progress.
 
     Raises:
-        OperatorError: The optimizer rejects a request or does not answer.
+        OperatorError: There is no optimizer, or it rejects a request or does not answer.
     """
 
     def request(objective: Objective, value: float = 0.0) -> Prediction:
         return node.request_gait(GaitRequest(objective, value), direction, initial_length)
 
+    require_optimizer(node)
+    cruise, description = request(Objective.CRUISE), node.front_description.split(";")[0]
     gaits, fastest = [request(Objective.MIN_POWER)], request(Objective.MAX_SPEED)
     step = (fastest.speed - gaits[0].speed) / _GAITS
     for number in range(1, _GAITS):
-        progress(f"reading the front: {number} of {_GAITS} gaits")
         speed = gaits[0].speed + number * step
         if speed > gaits[-1].speed:  # the previous gait may be faster than requested
             gaits.append(request(Objective.MIN_POWER_AT_SPEED, speed))
-    return gaits if fastest.speed <= gaits[-1].speed else [*gaits, fastest]
+    by_speed = {gait.speed: gait for gait in (*gaits, fastest, cruise)}
+    return Front(tuple(by_speed[speed] for speed in sorted(by_speed)), cruise, description)
+
+
+def require_optimizer(node: OperatorNode) -> None:
+    """Raise `OperatorError` if there is no optimizer."""
+    if not node.wait(lambda: node.has_optimizer, _FIRST_S):
+        raise OperatorError("there is no optimizer: ./worm start starts one")
+
+
+def driver_limits(node: OperatorNode) -> DriverLimits:
+    """Return the driver's limits on gaits. Raises `OperatorError` if it does not answer."""
+    return DriverLimits(*node.numbers(DRIVER, _LIMITS))
 
 
 def run(

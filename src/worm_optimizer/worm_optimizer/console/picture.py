@@ -1,24 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Side view of the robot in its pipe as SVG, to scale, from the shapes of the twin's scene."""
+"""Side view of the robot in its pipe as SVG, with the shapes and colours of `worm_model.analysis.robot_drawing`.
+
+Lengths along the pipe are to scale. Fins bend to the grooves in which the twin computes them.
+"""
 
 from __future__ import annotations
 
-from worm_model.gait import FORWARD
+import math
+
+from worm_model.analysis import robot_drawing as drawing
 from worm_model.parameters import Parameters
 from worm_model.twin.data.records import StateRecord
-from worm_model.twin.scene import PIPE_RADIUS, PositionSample, Shape, ShapeKind, scene
+from worm_model.twin.scene import HOLDING, YIELDING, PositionSample, engagement
 
-BEFORE, BEHIND = 0.12, 0.12  # length of the pipe that is shown ahead of and behind the robot, m
-_WALL = 0.006  # thickness of the drawn wall, m
-_VIEW_STEP = 0.05  # m; the view follows the robot in steps, so that the drawn pipe does not move all the time
-_NAMES = {"twin": "ghost", "robot": "robot", "pipe": "pipe", "rear": "fins", "front": "fins"}
+_BESIDE = 120.0  # length of the pipe that is shown behind and ahead of the robot, mm
+_WALL = 600.0  # length of the drawn wall behind and ahead of the robot, mm: a wide page shows more than the view box
+_VIEW_STEP = 50.0  # mm; the view follows the robot in steps, so that the drawn pipe does not move all the time
+_MM = 1e3
 
 
 def picture(
-    twin: StateRecord | None,
-    robot: PositionSample,
-    parameters: Parameters,
-    direction: int = FORWARD,
+    twin: StateRecord | None, robot: PositionSample, parameters: Parameters, direction: int
 ) -> str:
     """Return an SVG element with user units of 1 mm. Without a state of the twin, it shows an empty pipe and a note.
 
@@ -26,71 +28,100 @@ def picture(
         twin: state of the twin, None if unavailable.
         robot: position of the robot according to the tracker.
         parameters: parameters of the robot.
-        direction: direction of the gait, which determines the colours of the fins.
+        direction: direction of the gait, which determines what the fins do.
     """
+    pitch = _MM * parameters.pitch
     if twin is None:
-        return _svg(0.0, 0.5, _note(0.25, "no data of the twin"), "The empty pipe")
-    middle = 0.5 * (twin.rear_position + twin.front_position)
-    left = round(middle / _VIEW_STEP) * _VIEW_STEP - 0.5 * parameters.initial_length - BEHIND
-    width = parameters.initial_length + BEHIND + BEFORE
-    shapes = scene(twin, robot, parameters, direction)
-    shown = "".join(_drawn(shape) for shape in shapes)
-    text = (
-        f"Twin from {1e3 * twin.rear_position:.0f} to {1e3 * twin.front_position:.0f} mm, "
-        f"robot {'seen' if robot.seen_at(twin.stamp_ns) else 'not seen by the tracker'}"
+        note = '<text x="0" y="4" text-anchor="middle">no data of the twin</text>'
+        return _svg(-250.0, 500.0, _pipe(0.0, 0.0, pitch) + note, "Empty pipe: no data of the twin")
+    rear, front = _MM * twin.rear_position, _MM * twin.front_position
+    middle = round(0.5 * (rear + front) / _VIEW_STEP) * _VIEW_STEP
+    width = _MM * parameters.initial_length + 2.0 * _BESIDE
+    content = _pipe(_MM * twin.rear_anchor, middle, pitch)
+    seen = robot.seen_at(twin.stamp_ns)
+    if seen:
+        content += _body("robot", _MM * robot.rear_position, _MM * robot.front_position)
+    content += _body("twin", rear, front)
+    doings = []
+    for name, position, anchor in (
+        ("rear", twin.rear_position, twin.rear_anchor),
+        ("front", twin.front_position, twin.front_anchor),
+    ):
+        doing = _doing(position - anchor, parameters, direction)
+        doings.append(f"{name} fins {doing}")
+        content += _fins(doing.split()[0], _MM * position, _MM * anchor)
+    words = (
+        f"Twin from {rear:.0f} to {front:.0f} mm, {', '.join(doings)}; "
+        f"robot {'seen' if seen else 'not seen by the tracker'}"
     )
-    return _svg(left, width, shown, text)
+    return _svg(middle - 0.5 * width, width, content, words)
+
+
+def _doing(deflection: float, parameters: Parameters, direction: int) -> str:
+    """Return what a fin with a deflection (m) does; the first word is also the CSS class of its drawing."""
+    colour = engagement(deflection, parameters, direction)
+    return {HOLDING: "hold", YIELDING: "yield"}.get(colour, "touch nothing")
 
 
 def _svg(left: float, width: float, content: str, words: str) -> str:
-    half = 1e3 * (PIPE_RADIUS + 2.0 * _WALL)
-    # The walls are longer than the view box, because a wide page shows more than the view box.
-    walls = "".join(
-        _rect("pipe", left - width, side * (PIPE_RADIUS + 0.5 * _WALL), 3.0 * width, _WALL)
-        for side in (-1.0, 1.0)
-    )
+    top, bottom = -drawing.WALL_RADIUS - 2.0, drawing.WALL_RADIUS + 16.0
+    bar = f'<path class="scale" d="M{left + 8.0:.1f} {bottom - 7.0:.1f}h100"/>'
+    bar += f'<text x="{left + 114.0:.1f}" y="{bottom - 3.0:.1f}">100 mm</text>'
     return (
         f'<svg class="worm" role="img" aria-label="{words}" xmlns="http://www.w3.org/2000/svg" '
-        f'viewBox="{1e3 * left:.1f} {-half:.1f} {1e3 * width:.1f} {2.0 * half + 20.0:.1f}">'
-        f"{content}{walls}{_scale_bar(left, half)}</svg>"
+        f'viewBox="{left:.1f} {top:.1f} {width:.1f} {bottom - top:.1f}">{content}{bar}</svg>'
     )
 
 
-def _drawn(shape: Shape) -> str:
-    """Return a shape as rectangles. Their CSS classes come from `_NAMES`."""
-    kind = _NAMES[shape.name.split()[0]]
-    x, _, z = shape.position
-    if shape.kind is ShapeKind.BOXES:
-        size = (shape.size[0], 2.0 * _WALL)
-        return "".join(_box(kind, x + dx, z + dz, size) for dx, _, dz in shape.points)
-    if shape.kind is ShapeKind.CYLINDER:
-        return _box(f"{kind} bellows", x, z, (shape.size[2], shape.size[0]))
-    if kind == "fins":
-        red, green, blue, _ = shape.colour
-        colour = f"rgb({255 * red:.0f},{255 * green:.0f},{255 * blue:.0f})"
-        return _box(kind, x, z, (max(shape.size[0], 0.006), shape.size[2]), colour)
-    return _box(kind, x, z, (shape.size[0], shape.size[2]))
+def _wave(step: float, height: float, count: int) -> str:
+    """Return ``count`` half waves from the present point on; the first one reaches ``height`` (negative: up)."""
+    return f"q{0.5 * step:.2f} {2.0 * height:.2f} {step:.2f} 0" + f"t{step:.2f} 0" * (count - 1)
 
 
-def _box(kind: str, x: float, z: float, size: tuple[float, float], colour: str = "") -> str:
-    return _rect(kind, x - 0.5 * size[0], z, *size, colour)
-
-
-def _rect(kind: str, left: float, z: float, width: float, height: float, colour: str = "") -> str:
-    fill = f' style="fill:{colour}"' if colour else ""
-    return (
-        f'<rect class="{kind}" x="{1e3 * left:.1f}" y="{1e3 * (-z - 0.5 * height):.1f}" '
-        f'width="{1e3 * width:.1f}" height="{1e3 * height:.1f}"{fill}/>'
+def _pipe(groove: float, middle: float, pitch: float) -> str:
+    """Return both walls around ``middle``, with one of their grooves at ``groove``; all in mm."""
+    first = groove + (math.floor((middle - _WALL - groove) / pitch) - 0.25) * pitch
+    count = 2 * math.ceil(2.0 * _WALL / pitch)
+    inner = 0.5 * (drawing.GROOVE_RADIUS + drawing.RIDGE_RADIUS)
+    depth = 0.5 * (drawing.GROOVE_RADIUS - drawing.RIDGE_RADIUS)
+    return "".join(
+        f'<path class="pipe" d="M{first:.2f} {side * inner:.1f}{_wave(0.5 * pitch, side * depth, count)}'
+        f'V{side * drawing.WALL_RADIUS:.1f}H{first:.2f}z"/>'
+        for side in (-1.0, 1.0)
     )
 
 
-def _scale_bar(left: float, half: float) -> str:
-    at, y = 1e3 * left + 8.0, half + 9.0
-    return (
-        f'<path class="scale" d="M{at:.1f} {y:.1f}h100"/>'
-        f'<text class="scale" x="{at + 104:.1f}" y="{y + 3.0:.1f}">100 mm</text>'
+def _body(kind: str, rear: float, front: float) -> str:
+    """Return modules, bellows and cable between positions in mm."""
+    half, radius, depth = 0.5 * drawing.MODULE_WIDTH, drawing.BELLOWS_RADIUS, drawing.FOLD_DEPTH
+    left, right = rear + half, max(front - half, rear + half + 1.0)
+    count = 2 * drawing.FOLDS
+    fold = (right - left) / count
+    outline = (
+        f"M{left:.2f} {-radius:.1f}{_wave(fold, -depth, count)}"
+        f"V{radius:.1f}{_wave(-fold, -depth, count)}z"
     )
+    modules = "".join(
+        f'<rect class="{kind} module" x="{place - half:.2f}" y="{-drawing.MODULE_RADIUS:.1f}" rx="5" '
+        f'width="{drawing.MODULE_WIDTH:.1f}" height="{2.0 * drawing.MODULE_RADIUS:.1f}"/>'
+        for place in (rear, front)
+    )
+    cable = f'<path class="{kind} cable" d="M{left:.2f} 0H{right:.2f}"/>'
+    return f'<path class="{kind} bellows" d="{outline}"/>{cable}{modules}'
 
 
-def _note(x: float, text: str) -> str:
-    return f'<text class="none" x="{1e3 * x:.0f}" y="4" text-anchor="middle">{text}</text>'
+def _fins(kind: str, root: float, groove: float) -> str:
+    """Return both fins of a module, which bend from ``root`` to ``groove`` (mm), and the marks of their anchor.
+
+    The quadratic curve is the line of `robot_drawing`: straight at the module, bent at the groove.
+    """
+    low, high = drawing.MODULE_RADIUS, drawing.GROOVE_RADIUS - 2.0
+    parts = []
+    for side in (-1.0, 1.0):
+        middle = side * 0.5 * (low + high)
+        parts.append(
+            f'<path class="fin {kind}" d="M{root:.2f} {side * low:.1f}'
+            f'Q{root:.2f} {middle:.1f} {groove:.2f} {side * high:.1f}"/>'
+            f'<path class="anchor" d="M{groove:.2f} {side * drawing.WALL_RADIUS - 2.5:.1f}l2 2.5-2 2.5-2-2.5z"/>'
+        )
+    return "".join(parts)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The tab Recordings: list with search, reports, a closer look, and downloads."""
+"""The tab Recordings: list with search, reports, and downloads."""
 
 from __future__ import annotations
 
@@ -9,24 +9,22 @@ from nicegui import ui
 
 from worm_model.errors import InputError
 from worm_optimizer.console.bag_library import LISTED, Row, cells_of, matches
-from worm_optimizer.console.closer_page import CloserLook
 from worm_optimizer.console.console_state import ConsoleState
 
 _CHECKBOX = '<q-checkbox v-model="props.selected" :aria-label="{}" />'
 
 
 class RecordingsPage:
-    """List of recorded runs. A report or a closer look replaces the list until "Back to the list" is pressed."""
+    """List of recorded runs. A report replaces the list until "Back to the list" is pressed."""
 
     def __init__(self, state: ConsoleState) -> None:
         self._state = state
         self._rows: list[Row] = []
-        ui.html("Recordings", tag="h2", sanitize=False).classes("text-lg")
         with ui.element("div").classes("w-full") as self._list:
             self._build_list()
         with ui.element("div").classes("w-full") as self._detail:
             ui.button("Back to the list", icon="arrow_back", on_click=self._back)
-            self._shown = ui.element("div").classes("w-full closer")
+            self._shown = ui.element("div").classes("w-full")
         self._detail.set_visibility(False)
 
     def _build_list(self) -> None:
@@ -36,7 +34,6 @@ class RecordingsPage:
         with ui.row().classes("gap-2 q-my-sm"):
             ui.button("Open report", on_click=self._report)
             ui.button("Compare two", on_click=self._compare)
-            ui.button("Look closer", on_click=self._look_closer)
             ui.button("Download", on_click=self._download)
         self._note = ui.label().classes("line").props("role=status")
         columns = [
@@ -47,7 +44,9 @@ class RecordingsPage:
             columns=columns, rows=[], row_key="key", selection="multiple", pagination=20
         ).classes("w-full")
         self._table.style("min-height: 40vh")
-        self._table.props('no-data-label="no run is listed" no-results-label="none"')
+        self._table.props(
+            ':rows-per-page-options="[20]" no-data-label="no run is listed" no-results-label="none"'
+        )
         self._table.add_slot("header-selection", _CHECKBOX.format("'Select all'"))
         self._table.add_slot("body-selection", _CHECKBOX.format("'Select ' + props.row.name"))
 
@@ -105,21 +104,6 @@ class RecordingsPage:
         self._show()
         with self._shown:
             report_frame(report)
-
-    async def _look_closer(self) -> None:
-        names = self._selection((1, 2), "select one or two bags in the list")
-        if not names:
-            return
-        self._note.set_text("reading the recording, which takes some seconds")
-        state = self._state
-        try:
-            runs = [await state.library.traces(name, state.parameter_file) for name in names]
-        except InputError as error:
-            self._note.set_text(str(error))
-            return
-        self._show()
-        with self._shown:
-            CloserLook(runs)
 
     def _show(self) -> None:
         self._note.set_text("")

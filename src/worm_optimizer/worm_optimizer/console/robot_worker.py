@@ -2,7 +2,7 @@
 """Threads that command the robot for the pages of the console, so that a page never waits.
 
 The command thread owns an operator node and executes one command after another. The stop thread owns a second operator
-node. It receives the telemetry, requests control, and can stop the robot while the command thread is busy.
+node. It receives the telemetry, and can stop the robot while the command thread is busy.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from queue import Empty, SimpleQueue
 from worm_model.errors import InputError
 from worm_optimizer.nodes.operator_node import OperatorNode
 from worm_optimizer.operation.bring_up import FAILURES, Check, Say
-from worm_optimizer.snapshot import Snapshot, Wish
+from worm_optimizer.snapshot import Snapshot
 
 STOP_PRESSED = "STOP was pressed"  # reason of the cancellation of a command by a person
 _POLL_S = 1.0  # longest wait of a thread for a command or a request, s
@@ -62,13 +62,13 @@ class RobotWorker:
         notify: Callable[[Notice], None],
     ) -> None:
         self._open_robot, self._open_stop, self._notify = open_robot, open_stop, notify
-        self._commands: SimpleQueue[Command] = SimpleQueue()
-        self._wishes: SimpleQueue[tuple[str, Wish, float]] = SimpleQueue()
+        self._commands: SimpleQueue[tuple[str, Command]] = SimpleQueue()
+        self._next = ""  # description of the command of `submit_next` that waits
         self._closing = threading.Event()
         self._stop_requested = threading.Event()
         self._stop_node: OperatorNode | None = None
         self._has_driver = True
-        self._is_up = False
+        self._can_abort = True  # True during the start and during quiet commands
         self.busy = "starting"
         self.failure = ""
         self.cancellation = ""
@@ -104,7 +104,7 @@ class RobotWorker:
         if node is None:
             return Snapshot()
         known = node.snapshot()
-        return known if self._has_driver else replace(known, driver=None, control=None)
+        return known if self._has_driver else replace(known, driver=None)
 
     @property
     def hindrance(self) -> str:
@@ -117,8 +117,22 @@ class RobotWorker:
             return False
         self.cancellation = ""
         self.busy = description
-        self._commands.put(command)
+        self._commands.put((description, command))
         return True
+
+    def submit_next(self, description: str, command: Command) -> bool:
+        """Submit a command, which waits for the end of the present one. Return False if another one waits already."""
+        if not self.busy:
+            return self.submit(description, command)
+        if self._next or self.failure:
+            return False
+        self._next = description
+        self._commands.put((description, command))
+        return True
+
+    def submit_quietly(self, command: Command) -> None:
+        """Submit a command that does not operate the robot. Others can be submitted meanwhile. It reports no result."""
+        self._commands.put(("", command))
 
     def stop(self) -> None:
         """Request the stop thread to hold the robot where it is, and end a run. Other commands continue."""
@@ -127,19 +141,9 @@ class RobotWorker:
         self.stopping = True
         self._stop_requested.set()
 
-    def request_control(self, client: str, wish: Wish, lease_s: float) -> None:
-        """Send a client's wish to the driver, from the stop thread."""
-        self._wishes.put((client, wish, lease_s))
-
     def report(self, text: str) -> None:
         """Report the progress of the present command."""
         self.busy = text
-
-    def progress(self, text: str) -> None:
-        """Report the progress of a command that may be aborted. Raises an exception if the console ends."""
-        self.busy = text
-        if self._closing.is_set():
-            raise _ClosedError
 
     def _guard(self, work: Callable[[], None], prefix: str) -> None:
         """Run the work of a thread. If it fails, report the reason, because the pages would otherwise wait forever."""
@@ -160,15 +164,15 @@ class RobotWorker:
     # --- the command thread ------------------------------------------------------------------
 
     def _run_commands(self) -> None:
-        with self._open_robot(self._on_start_progress, self._check_start) as node:
-            self._is_up = True
+        with self._open_robot(self._on_start_progress, self._check_commands) as node:
+            self._can_abort = False
             self.busy = ""
             while not self._closing.is_set():
                 node.wait(lambda: self._closing.is_set() or not self._commands.empty(), _POLL_S)
                 self._execute(node)
 
-    def _check_start(self) -> None:
-        if self._closing.is_set() and not self._is_up:
+    def _check_commands(self) -> None:
+        if self._closing.is_set() and self._can_abort:
             raise _ClosedError
 
     def _on_start_progress(self, text: str) -> None:
@@ -176,19 +180,25 @@ class RobotWorker:
         if self.busy:
             self.busy = text
         self._notify(Notice(text))
-        self._check_start()
+        self._check_commands()
 
     def _execute(self, node: OperatorNode) -> None:
         try:
-            command = self._commands.get_nowait()
+            description, command = self._commands.get_nowait()
         except Empty:
             return
+        self.busy = description or self.busy
+        self._can_abort = not description
         try:
-            self._notify(Notice(command(node)))
+            result = command(node)
+            if description:
+                self._notify(Notice(result))
         except (*FAILURES, InputError, OSError) as error:
             self._notify(Notice(str(error), good=False))
         finally:
-            self.busy = ""
+            self._can_abort = False
+            if description:
+                self.busy, self._next = self._next, ""
 
     # --- the stop thread ---------------------------------------------------------------------
 
@@ -199,11 +209,8 @@ class RobotWorker:
             self._stop_node = node
             was_lost = False
             while True:
-                node.wait(
-                    lambda: self._stop_requested.is_set() or not self._wishes.empty(), _POLL_S
-                )
+                node.wait(self._stop_requested.is_set, _POLL_S)
                 self._stop(node)
-                self._send_wishes(node)
                 self._has_driver = node.has_driver
                 if node.has_lost_driver and not was_lost:
                     self._notify(Notice("the driver ended; torque may be on", good=False))
@@ -212,10 +219,6 @@ class RobotWorker:
     def _check_stop(self) -> None:
         if self._closing.is_set() and not self._command_thread.is_alive():
             raise _ClosedError
-
-    def _send_wishes(self, node: OperatorNode) -> None:
-        while not self._wishes.empty():
-            node.request_control(*self._wishes.get_nowait())
 
     def _stop(self, node: OperatorNode) -> None:
         if not self._stop_requested.is_set():

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from worm_model.analysis.run_metrics import END_TOLERANCE_NS
 from worm_model.run import PLAYING, SAME_ONSET_NS, Activity, LengthSource
 from worm_model.twin.data.records import StateRecord
+from worm_model.twin.run_margins import spare_of
 from worm_model.twin.watch_view import STALE_S
 from worm_optimizer.snapshot import DriverState, Snapshot
 
@@ -87,30 +88,44 @@ def twin_text(snapshot: Snapshot, now: float) -> str:
     return ", ".join(part for part in parts if part)
 
 
-def obstacles(snapshot: Snapshot, hindrance: str) -> dict[str, str]:
+def obstacles(snapshot: Snapshot, forbidden: str, hindrance: str) -> dict[str, str]:
     """Return the reason why each action is impossible now, by action; the reason is empty for a possible action.
+
+    "Deactivate" is possible during another command, too, for example while a recording closes after STOP.
 
     Args:
         snapshot: latest state of the robot.
-        hindrance: reason why no action is possible. If it is empty, the state of the driver decides.
+        forbidden: reason why no action is permitted.
+        hindrance: reason why no other command can begin now.
     """
     driver = snapshot.driver
-    if hindrance or driver is None:
-        why = hindrance or "there is no driver"
+    if forbidden or driver is None:
+        why = forbidden or "there is no driver"
         return dict.fromkeys(("Home", "Activate", "Deactivate", "Run"), why)
     off = driver.state is Activity.INACTIVE
     moving = "the robot moves" if driver.state in MOVING else ""
     blocked = "the emergency stop is on" if driver.emergency_stop else ""
     fault = "FAULT: remove the cause, then Deactivate" if driver.state is Activity.FAULT else ""
     return {
-        "Home": moving or ("" if off else "the driver is active: Deactivate first"),
-        "Activate": blocked or ("" if off else "the driver is active already"),
-        "Deactivate": "the driver is inactive already" if off else "",
-        "Run": blocked
+        "Home": hindrance or moving or ("" if off else "the driver is active: Deactivate first"),
+        "Activate": hindrance or blocked or ("" if off else "the driver is active already"),
+        "Deactivate": (hindrance and moving) or ("the driver is inactive already" if off else ""),
+        "Run": hindrance
+        or blocked
         or moving
         or fault
         or ("the driver is inactive: Activate first" if off else ""),
     }
+
+
+def margin_text(snapshot: Snapshot, now: float, grooves: Sequence[int]) -> str:
+    """Return the grooves of the last cycles and what the gait has to spare, empty without a live twin."""
+    twin = live_twin(snapshot, now)
+    if twin is None:
+        return ""
+    counted = f"grooves of the last cycles: {', '.join(map(str, grooves[-8:]))}" if grooves else ""
+    phase = f"groove phase {1e3 * twin.groove_phase:.1f} mm"
+    return "; ".join(filter(None, (counted, spare_of(twin), phase)))
 
 
 @dataclass(frozen=True)

@@ -7,12 +7,13 @@ it waits. A running gait is a `GaitRun`, whose heartbeats are sent only while th
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from typing import TypeVar
+from functools import cached_property
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
@@ -20,28 +21,25 @@ from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces.msg import Log, Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, SetParametersAtomically
-from rclpy.duration import Duration
 from rclpy.logging import LoggingSeverity
 from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
-from worm_model.gait import FORWARD
+from worm_model.gait import FORWARD, Gait
 from worm_model.run import Activity
 from worm_msgs import network
 from worm_msgs.conditions import CONDITION_ROWS, Conditions
-from worm_msgs.msg import ControlRequest, Heartbeat
-from worm_msgs.qos import LATCHED
+from worm_msgs.msg import Gait as GaitMessage
+from worm_msgs.msg import Heartbeat
 from worm_msgs.ros_process import one_line_of
 from worm_msgs.srv import InjectFault, RequestGait
 from worm_optimizer.gait_prediction import Prediction
-from worm_optimizer.nodes.action_goal import ActionGoal
 from worm_optimizer.nodes.gait_run import GaitRun
 from worm_optimizer.nodes.message_fields import value_of
 from worm_optimizer.nodes.robot_graph import RobotGraph
 from worm_optimizer.nodes.robot_telemetry import Telemetry
-from worm_optimizer.nodes.search_goal import SearchGoal
 from worm_optimizer.nodes.service_caller import (
     CALL_TIMEOUT_S,
     DISCOVERY_TIMEOUT_S,
@@ -50,26 +48,24 @@ from worm_optimizer.nodes.service_caller import (
     ServiceCaller,
 )
 from worm_optimizer.robot_commands import (
-    FrontRequest,
     GaitCommand,
     Progress,
     RunResult,
-    ScanRequest,
-    SearchResult,
 )
 from worm_optimizer.search.gait_request import GaitRequest, Objective
-from worm_optimizer.snapshot import Snapshot, Wish
+from worm_optimizer.snapshot import Snapshot
 
+REQUEST_GAIT = "request_gait"
 DRIVER, TWIN, OPTIMIZER = "driver", "twin", "optimizer"  # names of the nodes in system.yaml
 SILENCE_S = 60.0  # timeout for feedback of a running gait, s
 REASON_S = 1.0  # timeout for the driver's log message about a failed transition, s
+REPEATED_S = 1.0  # s, time after the reset in which a pressed button repeats the emergency stop
 TELEMETRY_S = 1.0  # timeout of `current_snapshot` for power, tracker and twin, s
 ATTEMPTS = 2  # largest number of transitions until the driver is active: one from unconfigured, one from inactive
 _NEXT = {
     State.PRIMARY_STATE_UNCONFIGURED: Transition.TRANSITION_CONFIGURE,
     State.PRIMARY_STATE_INACTIVE: Transition.TRANSITION_ACTIVATE,
 }
-_Goal = TypeVar("_Goal", bound=ActionGoal)
 
 
 class UnreachableError(OperatorError):
@@ -121,6 +117,8 @@ class OperatorNode(ServiceCaller):
     Attributes:
         graph: the ROS graph of the robot.
         late_cycles: number of deadlines that the driver has missed since its start, according to its diagnostics.
+        front_description: margin of the front of the latest gait that `request_gait` returned, and warnings about it.
+            The parts are separated by semicolons.
     """
 
     def __init__(
@@ -133,6 +131,7 @@ class OperatorNode(ServiceCaller):
         super().__init__(name, namespace, context, check)
         self.graph = RobotGraph(self)
         self.late_cycles = 0
+        self.front_description = ""
         self._simulated_s: float | None = None  # time of a virtual robot's clock
         self._telemetry = Telemetry(self)
         self._errors: deque[str] = deque(maxlen=20)  # errors in the driver's log
@@ -141,10 +140,6 @@ class OperatorNode(ServiceCaller):
         self.create_subscription(Clock, "clock", self._on_clock, 10)
         self.create_subscription(Log, "/rosout", self._on_log, 100)
         self._heartbeat = self.create_publisher(Heartbeat, "heartbeat", 10)
-        self._control = self.create_publisher(ControlRequest, "control/request", 100)
-        self._emergency: Publisher | None = (
-            None  # created by the first emergency stop of this operator
-        )
 
     def _on_log(self, message: Log) -> None:
         own = f"{self.get_namespace()}/{DRIVER}".strip("/").replace("/", ".")
@@ -285,14 +280,10 @@ class OperatorNode(ServiceCaller):
         Raises:
             OperatorError: The driver did not confirm the emergency stop in time.
         """
-        if self._emergency is None:
-            self._emergency = self.create_publisher(Bool, "emergency_stop", LATCHED)
-        publisher = self._emergency
 
         def latched() -> bool:
-            publisher.publish(Bool(data=True))
-            driver = self._telemetry.driver
-            return driver is not None and driver.emergency_stop
+            self._emergency.publish(Bool(data=True))
+            return self._is_stopped()
 
         if not self.wait(latched, CALL_TIMEOUT_S):
             raise OperatorError(
@@ -300,23 +291,36 @@ class OperatorNode(ServiceCaller):
             )
         return "holding; nothing starts before the emergency stop is reset"
 
-    def request_control(self, client: str, wish: Wish, lease_s: float) -> None:
-        """Publish a client's wish to have, hand over or release control. `Snapshot.control` contains the answer.
-
-        ``lease_s`` is the time (s) without a request after which the driver ends the client's control.
-        """
-        self._control.publish(ControlRequest(client=client, wish=wish, lease_s=lease_s))
-
     def reset_emergency_stop(self) -> str:
-        """Permit starts again; return the driver's report.
+        """Withdraw the emergency stop and permit starts again; return the driver's report.
 
         Raises:
-            OperatorError: The driver rejects the reset, because the latest message of another publisher is true.
+            OperatorError: The driver rejects the reset, or a pressed button repeats the stop.
         """
-        if self._emergency is not None:
+        response = Trigger.Response()
+
+        def is_reset() -> bool:
+            nonlocal response
             self._emergency.publish(Bool(data=False))
-            self._emergency.wait_for_all_acked(Duration(seconds=CALL_TIMEOUT_S))
-        return self._trigger("reset_emergency_stop")
+            response = self.call_twice(Trigger, "reset_emergency_stop", Trigger.Request())
+            return bool(response.success)
+
+        if not self.wait(is_reset, REPEATED_S):  # the message may arrive after the first requests
+            raise OperatorError(f"reset_emergency_stop: {response.message}")
+        self.wait(lambda: not self._is_stopped(), REPEATED_S)
+        if self.wait(self._is_stopped, REPEATED_S):
+            raise OperatorError(
+                "the emergency stop was reset and is on again: release the button that repeats it"
+            )
+        return str(response.message)
+
+    @cached_property
+    def _emergency(self) -> Publisher:
+        return self.create_publisher(Bool, "emergency_stop", 10)
+
+    def _is_stopped(self) -> bool:
+        driver = self._telemetry.driver
+        return driver is not None and driver.emergency_stop
 
     def inject_fault(self, name: str, **details: float) -> str:
         """Inject a fault into the virtual robot; return a description of its effect.
@@ -358,12 +362,38 @@ class OperatorNode(ServiceCaller):
             message.speed = request.value
         elif request.objective is Objective.MAX_SPEED_AT_POWER:
             message.power = request.value
-        response = self.call_twice(RequestGait, "request_gait", message)
+        response = self.call_twice(RequestGait, REQUEST_GAIT, message)
         if response.success:
+            self.front_description = response.message
             return value_of(Prediction, response.prediction.gait, response.prediction)
         if response.status == RequestGait.Response.UNREACHABLE:
             raise UnreachableError(response.message)
         raise OperatorError(f"the optimizer has no gait: {response.message}")
+
+    @property
+    def has_optimizer(self) -> bool:
+        """True if the optimizer was discovered."""
+        return bool(self.named_client(RequestGait, REQUEST_GAIT).service_is_ready())
+
+    def predict_gait(self, gait: Gait, initial_length: float = 0.0) -> tuple[Prediction, str]:
+        """Return the optimizer's prediction of a gait, and its warnings about this gait.
+
+        Args:
+            gait: the gait.
+            initial_length: L0, m; 0 for that of the optimizer's parameters.
+
+        Raises `OperatorError` if the gait cannot be predicted, or without an answer.
+        """
+        message = RequestGait.Request(
+            objective=RequestGait.Request.GIVEN,
+            gait=GaitMessage(**dataclasses.asdict(gait)),
+            initial_length=initial_length,
+        )
+        response = self.call_twice(RequestGait, REQUEST_GAIT, message)
+        if not response.success:
+            raise OperatorError(f"no prediction: {response.message}")
+        prediction = value_of(Prediction, response.prediction.gait, response.prediction)
+        return prediction, response.message
 
     def begin(self, command: GaitCommand, wanted: Callable[[], bool] = lambda: True) -> GaitRun:
         """Start a gait. The caller must close the returned handle.
@@ -375,16 +405,17 @@ class OperatorNode(ServiceCaller):
             OperatorError: There is no driver, there are several, or the driver does not answer.
         """
         self.graph.require_sole_driver()
-        return self._sent(GaitRun(self, self._heartbeat, command, wanted))
-
-    def search(
-        self, request: ScanRequest | FrontRequest, on_end: Callable[[SearchResult], None]
-    ) -> SearchGoal:
-        """Start a margin scan or the computation of a front. The caller must close the returned handle.
-
-        ``on_end`` is called later with the result, while the node spins. Raises `OperatorError` without an optimizer.
-        """
-        return self._sent(SearchGoal(self, request, on_end))
+        run = GaitRun(self, self._heartbeat, command, wanted)
+        try:
+            if not self.wait(lambda: run.possible, DISCOVERY_TIMEOUT_S):
+                raise OperatorError(f"no server of run_gait within {DISCOVERY_TIMEOUT_S:g} s")
+            run.send()
+            if not self.wait(lambda: run.answered, CALL_TIMEOUT_S):
+                raise NoAnswerError(f"no answer from run_gait within {CALL_TIMEOUT_S:g} s")
+        except BaseException:
+            run.close()
+            raise
+        return run
 
     def set_parameters(self, node: str, values: Mapping[str, str | float]) -> None:
         """Set parameters of a node atomically: if a value is rejected, none is set.
@@ -469,21 +500,6 @@ class OperatorNode(ServiceCaller):
         return result
 
     # --- calls ---------------------------------------------------------------------------------
-
-    def _sent(self, goal: _Goal) -> _Goal:
-        """Send a goal, and return it when the server has accepted or rejected it. If this fails, close the goal."""
-        try:
-            if not self.wait(lambda: goal.possible, DISCOVERY_TIMEOUT_S):
-                raise OperatorError(
-                    f"no server of the action {goal.name} within {DISCOVERY_TIMEOUT_S:g} s"
-                )
-            goal.send()
-            if not self.wait(lambda: goal.answered, CALL_TIMEOUT_S):
-                raise NoAnswerError(f"no answer from {goal.name} within {CALL_TIMEOUT_S:g} s")
-        except BaseException:
-            goal.close()
-            raise
-        return goal
 
     def _trigger(self, name: str) -> str:
         response = self.call_twice(Trigger, name, Trigger.Request())

@@ -20,6 +20,7 @@ from worm_model.parameters import ParameterError, ParameterFile, load_parameter_
 from worm_model.simulation.simulator import SimulationError
 from worm_msgs.action import OptimizeGaits, ScanMargin
 from worm_msgs.conditions import CONDITION_ROWS, ConditionsError
+from worm_msgs.gait import Gait, GaitError, gait_of
 from worm_msgs.goal_rejections import GoalRejections
 from worm_msgs.node_command import declare, run_node
 from worm_msgs.parameter_rows import ParameterRow
@@ -28,7 +29,7 @@ from worm_msgs.srv import RequestGait
 from worm_optimizer.nodes import optimizer_messages
 from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.search import gait_request
-from worm_optimizer.search.front import RobustFront, make_front, scanned_price
+from worm_optimizer.search.front import RobustFront, given_gait, make_front, scanned_price
 from worm_optimizer.search.search_settings import SETTINGS, Settings, settings_of
 
 PARAMETER_FILE = "parameter_file"
@@ -227,14 +228,21 @@ class OptimizerNode(Node):
         self, request: RequestGait.Request, response: RequestGait.Response
     ) -> RequestGait.Response:
         try:
-            wanted = gait_request.request_of(request.objective, request.speed, request.power)
-            gait_request.check_direction(request.direction)
             content = gait_request.resting_content(self._content, request.initial_length)
-        except OptimizerError as error:
+            if request.objective == RequestGait.Request.GIVEN:
+                answer = self._prediction(gait_of(request.gait), content)
+            else:
+                wanted = gait_request.request_of(request.objective, request.speed, request.power)
+                gait_request.check_direction(request.direction)
+                answer = self._answer(wanted, request.direction, content)
+        except (OptimizerError, GaitError, SimulationError) as error:
             answer = gait_request.GaitAnswer(gait_request.RequestStatus.INVALID, str(error))
-        else:
-            answer = self._answer(wanted, request.direction, content)
         return optimizer_messages.fill_response(response, answer)
+
+    def _prediction(self, gait: Gait, content: ParameterFile) -> gait_request.GaitAnswer:
+        """Return the prediction of a given gait. Raises the errors of `given_gait`."""
+        prediction, warning = self._computed(given_gait, gait, content, self._settings)
+        return gait_request.GaitAnswer(gait_request.RequestStatus.DONE, warning, prediction)
 
     def _answer(
         self, wanted: gait_request.GaitRequest, direction: int, content: ParameterFile

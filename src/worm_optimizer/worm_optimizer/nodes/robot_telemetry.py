@@ -19,7 +19,6 @@ from worm_model.twin.scene import PositionSample
 from worm_model.twin.watch_view import STALE_S
 from worm_msgs.msg import (
     BodyLength,
-    ControlState,
     GaitState,
     Power,
     Tracker,
@@ -28,7 +27,7 @@ from worm_msgs.msg import (
 )
 from worm_msgs.qos import LATCHED
 from worm_optimizer.nodes.message_fields import value_of
-from worm_optimizer.snapshot import Control, DriverState, Snapshot
+from worm_optimizer.snapshot import DriverState, Snapshot
 
 RESIDUALS = ("rear_position", "length", "power")
 _NEWEST = QoSProfile(depth=1)
@@ -48,19 +47,15 @@ _TOPICS: Mapping[str, tuple[type, QoSProfile]] = {
     "twin/residuals": (TwinResiduals, _NEWEST),
     **dict.fromkeys(_LENGTHS.values(), (BodyLength, _NEWEST)),
 }
+_INPUTS = ("tracker", "power", _LENGTHS[LengthSource.COMMANDED])
 _MEASUREMENTS = {"power", "tracker", "twin/state", "twin/residuals"}
-# Topics that every operator needs. They have few messages.
-_LATCHED_TOPICS: Mapping[str, tuple[type, QoSProfile]] = {
-    "gait_state": (GaitState, LATCHED),
-    "control": (ControlState, LATCHED),
-}
 
 
 class Telemetry:
     """Store of the newest message of each topic. ``snapshot`` may be called in any thread.
 
     Args:
-        node: node in the robot's namespace. Until `subscribe_to_all`, it subscribes only to gait_state and control.
+        node: node in the robot's namespace. Until `subscribe_to_all`, it subscribes only to gait_state.
     """
 
     def __init__(self, node: Node) -> None:
@@ -71,7 +66,7 @@ class Telemetry:
         self._grooves: deque[tuple[int, int]] = deque(maxlen=_GROOVES)
         # for each residual, receive time (s) and content of the newest message that contains it
         self._residuals: dict[str, tuple[float, Any]] = {}
-        self._subscribe(_LATCHED_TOPICS)
+        self._subscribe({"gait_state": (GaitState, LATCHED)})  # which every operator needs
 
     def subscribe_to_all(self) -> None:
         """Subscribe to all topics."""
@@ -114,26 +109,30 @@ class Telemetry:
         power = newest.get("power")
         return Snapshot(
             driver=_driver_of(newest.get("gait_state")),
-            control=_control_of(newest.get("control")),
             twin=_twin_of(newest.get("twin/state")),
             residuals=_residuals_of(newest.get("twin/residuals"), self._residuals),
             robot=_robot_at(None, list(self._sightings)),
             robot_at_twin=_robot_at(newest.get("twin/state"), list(self._sightings)),
             lengths={s: newest[topic].length for s, topic in _LENGTHS.items() if topic in newest},
             power=power.power if power is not None else math.nan,
-            twin_age=_between(
-                newest.get("twin/state"), newest.get(_LENGTHS[LengthSource.COMMANDED])
+            twin_age=_behind(
+                newest.get("twin/state"),
+                [newest[topic] for topic in _INPUTS if topic in newest],
             ),
             received={topic: at for topic, (at, _) in received.items()},
             grooves=tuple(self._grooves.copy()),
         )
 
 
-def _between(earlier: Any, later: Any) -> float:
-    """Return the stamp of the later message minus that of the earlier one, s; NaN if a message is missing."""
-    if earlier is None or later is None:
+def _behind(twin: Any, inputs: list[Any]) -> float:
+    """Return the newest stamp of the inputs minus that of the twin, s; NaN if a message is missing.
+
+    An inactive driver publishes no commanded length, while tracker and power continue.
+    """
+    if twin is None or not inputs:
         return math.nan
-    return 1e-9 * (nanoseconds(later.header.stamp) - nanoseconds(earlier.header.stamp))
+    newest = max(nanoseconds(message.header.stamp) for message in inputs)
+    return 1e-9 * (newest - nanoseconds(twin.header.stamp))
 
 
 def _driver_of(message: Any) -> DriverState | None:
@@ -144,10 +143,6 @@ def _driver_of(message: Any) -> DriverState | None:
         for name, stamp in (("stamp_ns", message.header.stamp), ("onset_ns", message.onset))
     }
     return value_of(DriverState, message, message.gait, state=Activity(message.state), **stamps)
-
-
-def _control_of(message: Any) -> Control | None:
-    return None if message is None else value_of(Control, message)
 
 
 def _twin_of(message: Any) -> StateRecord | None:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -387,3 +388,20 @@ def predicted_gaits(
         task, content, stroke, frequency, margin, *drawn, shapes_of_gaits(gaits.values())
     )
     return dict(zip(gaits, predictions, strict=True))
+
+
+def given_gait(gait: Gait, content: ParameterFile, settings: Settings) -> tuple[Prediction, str]:
+    """Predict a gait with its own margin, under the conditions of the settings; return warnings as text, too.
+
+    Raises:
+        GaitError: Stroke plus pretension is not below the body length.
+        SimulationError: The gait cannot be simulated.
+    """
+    parameters = content_under(settings.conditions, content).parameters
+    evaluate_gait(gait, parameters)
+    prediction = predicted_gaits({"given": gait}, content, settings)["given"]
+    warnings = (
+        thin_margin_warning(settings.robustness, math.inf, prediction.success_probability),
+        pushing_warning([gait], parameters),
+    )
+    return prediction, "; ".join(filter(None, warnings))

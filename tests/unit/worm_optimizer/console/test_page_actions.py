@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Ends of a run that a page started."""
 
+import dataclasses
 import math
+from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,8 +14,10 @@ from worm_model.gait import Gait
 from worm_msgs.conditions import LEVEL
 from worm_optimizer.console import page_actions
 from worm_optimizer.console.robot_worker import STOP_PRESSED
+from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.nodes.service_caller import OperatorError
 from worm_optimizer.robot_commands import GaitCommand, RunResult
+from worm_optimizer.search.gait_request import GaitRequest, Objective
 
 GAIT = Gait(0.03, 0.2, 1)
 
@@ -46,3 +50,41 @@ def test_any_other_failure_is_an_error_with_its_reason(monkeypatch: pytest.Monke
 def test_a_cancelled_run_does_not_start(monkeypatch: pytest.MonkeyPatch):
     with pytest.raises(OperatorError, match="not started"):
         run(monkeypatch, STOP_PRESSED, success=True)
+
+
+class Optimizer:
+    """Fake operator whose front has a power of speed squared; a gait may be faster than requested."""
+
+    has_optimizer, front_description = True, "margin 3.00 mm"
+
+    def wait(self, condition: Callable[[], bool], timeout_s: float) -> bool:
+        return condition()
+
+    def request_gait(self, request: GaitRequest, direction: int, length: float) -> Prediction:
+        fixed = {Objective.MIN_POWER: 1e-3, Objective.CRUISE: 2.5e-3, Objective.MAX_SPEED: 8e-3}
+        speed = fixed.get(request.objective, math.ceil(1e3 * request.value) * 1e-3)
+        values = dict.fromkeys((row.name for row in dataclasses.fields(Prediction)), 0.1)
+        return Prediction(
+            **{
+                **values,
+                "direction": direction,
+                "profile": 0,
+                "speed": speed,
+                "groove_phase": length,
+            }
+        )
+
+
+def test_a_front_is_read_by_rising_speed_and_contains_the_cruise():
+    front = page_actions.read_front(Optimizer(), -1, 0.0)
+    speeds = [1e3 * gait.speed for gait in front.gaits]
+    assert speeds == pytest.approx([1.0, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0])
+    assert front.cruise in front.gaits
+    assert front.description == "margin 3.00 mm"
+
+
+def test_without_an_optimizer_there_is_no_front_at_once():
+    optimizer = Optimizer()
+    optimizer.has_optimizer = False
+    with pytest.raises(OperatorError, match="no optimizer"):
+        page_actions.read_front(optimizer, 1, 0.0)

@@ -1,69 +1,90 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The drawing is to scale, and shows the robot only where the tracker measures it."""
+"""The drawing is to scale, its fins bend to their grooves, and it shows a robot only where the tracker sees it."""
 
 import math
+import re
 from dataclasses import replace
 from xml.etree import ElementTree
 
+import pytest
+
+from worm_model.analysis.robot_drawing import MODULE_WIDTH
 from worm_model.parameters import PAPER
 from worm_model.run import LengthSource
 from worm_model.twin.data.records import StateRecord
-from worm_model.twin.scene import MODULE, PIPE_RADIUS, PositionSample
+from worm_model.twin.scene import PositionSample
 from worm_optimizer.console.picture import picture
 
 TWIN = StateRecord(0, LengthSource.MEASURED, *(0.3, 0.0, 0.3, 0.0, 0.10, 0.40, 0.0, 0.0, 0.09, 0.39),
                    *(0, 0), *(0.0, 0.0, 0.0, 2.0, 0.0))  # fmt: skip
+SEEN, UNSEEN = PositionSample(0.11, 0.41, 0), PositionSample()
 
 
-def boxes(text: str, kind: str) -> list[ElementTree.Element]:
+def shapes(text: str, kind: str) -> list[ElementTree.Element]:
     root = ElementTree.fromstring(text)
-    return [element for element in root if element.get("class") == kind]
+    return [element for element in root if kind in element.get("class", "").split()]
 
 
-def number(element: ElementTree.Element, name: str) -> float:
-    return float(element.get(name, "nan"))
+def points(element: ElementTree.Element) -> list[float]:
+    return [float(number) for number in re.findall(r"-?[0-9.]+", element.get("d", ""))]
+
+
+def drawn(twin: StateRecord = TWIN, robot: PositionSample = UNSEEN, direction: int = 1) -> str:
+    return picture(twin, robot, PAPER, direction)
 
 
 def test_modules_stand_where_they_are_in_mm():
-    text = picture(TWIN, PositionSample(0.11, 0.41, 0), PAPER)
-    for kind, places in (("ghost", (0.10, 0.40)), ("robot", (0.11, 0.41))):
-        shown = boxes(text, kind)
-        assert len(shown) == 2
-        for box, place in zip(shown, places, strict=True):
-            assert math.isclose(number(box, "x"), 1e3 * (place - 0.5 * MODULE[0]), abs_tol=0.06)
-            assert number(box, "width") == 1e3 * MODULE[0]
+    for kind, places in (("twin", (100.0, 400.0)), ("robot", (110.0, 410.0))):
+        modules = [box for box in shapes(drawn(robot=SEEN), kind) if box.get("x")]
+        middles = [float(box.get("x", "nan")) + 0.5 * MODULE_WIDTH for box in modules]
+        assert middles == pytest.approx(places, abs=0.01)
 
 
-def test_the_pipe_is_as_wide_as_it_is():
-    walls = [box for box in boxes(picture(TWIN, PositionSample(), PAPER), "pipe")
-             if number(box, "width") > 100.0]  # fmt: skip
-    upper, lower = sorted(number(box, "y") for box in walls)
-    assert math.isclose(lower - (upper + number(walls[0], "height")), 2e3 * PIPE_RADIUS)
+def test_fins_begin_at_their_module_and_end_in_their_groove():
+    fins = shapes(drawn(), "fin")
+    assert [points(fin)[0] for fin in fins] == pytest.approx([100.0, 100.0, 400.0, 400.0])
+    assert [points(fin)[-2] for fin in fins] == pytest.approx([90.0, 90.0, 390.0, 390.0])
+
+
+def test_the_wall_has_a_groove_at_the_anchor():
+    """A half wave outwards, as wide as half a pitch, begins a quarter of a pitch before each groove."""
+    start, pitch = points(shapes(drawn(), "pipe")[0])[0], 1e3 * PAPER.pitch
+    phase = (90.0 - start) / pitch
+    assert phase - math.floor(phase) == pytest.approx(0.25, abs=1e-3)
+
+
+def test_bellows_fold_as_they_shorten():
+    def fold(front: float) -> float:
+        return points(shapes(drawn(replace(TWIN, front_position=front)), "bellows")[0])[4]
+
+    assert fold(0.40) == pytest.approx(270.0 / 26, abs=0.01)
+    assert fold(0.35) == pytest.approx(220.0 / 26, abs=0.01)
 
 
 def test_a_robot_that_is_not_measured_is_not_drawn():
-    text = picture(TWIN, PositionSample(), PAPER)
-    assert boxes(text, "robot") == []
-    assert "not seen" in text
+    assert shapes(drawn(robot=SEEN), "robot")
+    assert shapes(drawn(), "robot") == []
+    assert "not seen" in drawn()
 
 
-def test_fins_change_their_colour_with_what_they_do():
-    held = boxes(picture(TWIN, PositionSample(), PAPER), "fins")
+def test_fins_show_what_they_do_without_colours_too():
     pushed = replace(TWIN, rear_anchor=0.11, front_anchor=0.41)
-    yielding = boxes(picture(pushed, PositionSample(), PAPER), "fins")
-    assert {box.get("style") for box in held}.isdisjoint(box.get("style") for box in yielding)
-    reverse = boxes(picture(pushed, PositionSample(), PAPER, -1), "fins")
-    assert {box.get("style") for box in reverse} == {box.get("style") for box in held}
+    for state, direction, kind in ((TWIN, 1, "yield"), (pushed, 1, "hold"), (pushed, -1, "yield")):
+        text = drawn(state, direction=direction)
+        assert len(shapes(text, kind)) == 4
+        assert f"rear fins {kind}" in text
+    resting = replace(TWIN, rear_anchor=0.10, front_anchor=0.40)
+    assert len(shapes(drawn(resting), "touch")) == 4
 
 
 def test_without_a_twin_there_is_a_note():
-    assert "no data of the twin" in picture(None, PositionSample(), PAPER)
+    assert "no data of the twin" in picture(None, UNSEEN, PAPER, 1)
 
 
 def test_the_view_rests_while_the_robot_moves_a_little():
     def view(shift: float) -> str | None:
         moved = replace(TWIN, rear_position=0.1 + shift, front_position=0.4 + shift)
-        return ElementTree.fromstring(picture(moved, PositionSample(), PAPER)).get("viewBox")
+        return ElementTree.fromstring(drawn(moved)).get("viewBox")
 
     assert view(0.0) == view(0.02)
     assert view(0.0) != view(0.2)

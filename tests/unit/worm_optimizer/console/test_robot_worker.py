@@ -7,10 +7,11 @@ from contextlib import contextmanager
 
 import pytest
 
+from worm_model.run import Activity
 from worm_optimizer.console.robot_worker import Notice, RobotWorker
 from worm_optimizer.nodes.service_caller import OperatorError
 from worm_optimizer.operation.bring_up import Check, Say
-from worm_optimizer.snapshot import Control, Snapshot, Wish
+from worm_optimizer.snapshot import DriverState, Snapshot
 
 TIMEOUT_S = 10.0
 
@@ -23,16 +24,12 @@ class Node:
         self.meanwhile: Callable[[], None] = lambda: None
         self.broken = ""
         self.has_driver, self.has_lost_driver = True, False
-        self.wishes: list[tuple[str, Wish, float]] = []
         self.known = Snapshot()
 
     def subscribe_to_all(self) -> None: ...
 
     def snapshot(self) -> Snapshot:
         return self.known
-
-    def request_control(self, client: str, wish: Wish, lease_s: float) -> None:
-        self.wishes.append((client, wish, lease_s))
 
     def prepare_stop(self) -> None:
         if self.broken:
@@ -124,19 +121,12 @@ def test_a_lost_driver_is_reported_once(bench: Bench):
     bench.stopper.has_lost_driver = False
 
 
-def test_wishes_for_control_reach_the_driver_in_their_order(bench: Bench):
-    wishes = [("a page", Wish.CONTROL, 5.0), ("a page", Wish.HAND_OVER, 5.0)]
-    for wish in wishes:
-        bench.worker.request_control(*wish)
-    bench.wait_for(lambda: len(bench.stopper.wishes) == 2)
-    assert bench.stopper.wishes == wishes
-
-
-def test_without_a_driver_no_page_has_control_and_there_is_no_state(bench: Bench):
-    bench.stopper.known = Snapshot(control=Control("a page"), power=2.0)
-    bench.wait_for(lambda: bench.worker.snapshot().control == Control("a page"))
+def test_there_is_no_state_of_a_driver_that_has_ended(bench: Bench):
+    driver = DriverState(Activity.IDLE, True, False, 0, 0, 0, 0.0, 0.0, 1, "")
+    bench.stopper.known = Snapshot(driver=driver, power=2.0)
+    bench.wait_for(lambda: bench.worker.snapshot().driver is driver)
     bench.stopper.has_driver = False
-    bench.wait_for(lambda: bench.worker.snapshot().control is None)
+    bench.wait_for(lambda: bench.worker.snapshot().driver is None)
     assert bench.worker.snapshot().power == 2.0
 
 
@@ -176,6 +166,47 @@ def test_one_command_at_a_time_and_stop_at_any_time(bench: Bench):
     bench.notice("stopped")
     bench.submit(lambda node: "stopped still" if bench.worker.cancellation else "free again")
     bench.notice("free again")
+
+
+def test_one_command_may_wait_for_the_end_of_the_present_one(bench: Bench):
+    begun, release = threading.Event(), threading.Event()
+
+    def work(node: object) -> str:
+        begun.set()
+        release.wait(TIMEOUT_S)
+        return "first"
+
+    bench.submit(work)
+    assert begun.wait(TIMEOUT_S)
+    assert bench.worker.submit_next("deactivating", lambda node: bench.worker.busy)
+    assert not bench.worker.submit_next("again", lambda node: "again")
+    release.set()
+    bench.notice("deactivating")
+    bench.wait_for(lambda: not bench.worker.busy)
+    assert bench.worker.submit_next("deactivating", lambda node: "at once")
+    bench.notice("at once")
+    assert [notice.text for notice in bench.notices[1:3]] == ["first", "deactivating"]
+
+
+def test_a_quiet_command_blocks_no_other_one_and_the_end_abandons_it():
+    bench = Bench()
+    bench.worker.start()
+    bench.submit(lambda node: "up")
+    bench.notice("up")
+    begun = threading.Event()
+
+    def predict(node: Node) -> str:
+        begun.set()
+        while True:
+            node.wait(lambda: False, TIMEOUT_S)
+
+    bench.worker.submit_quietly(predict)
+    assert begun.wait(TIMEOUT_S)
+    assert not bench.worker.hindrance
+    assert bench.worker.submit("working", lambda node: "never")
+    bench.close()
+    assert bench.ends == 1
+    assert bench.worker.failure == ""
 
 
 def test_a_robot_that_does_not_start_is_reported(request):
@@ -270,23 +301,6 @@ def test_an_immediate_end_holds_the_robot():
     assert begun.wait(TIMEOUT_S)
     bench.worker.close(hold_now=lambda: True)
     assert bench.notice("held").good
-
-
-def test_the_end_abandons_a_command_that_reports_its_progress():
-    bench = Bench()
-    bench.worker.start()
-    begun = threading.Event()
-
-    def read(node: object) -> str:
-        begun.set()
-        while True:
-            bench.worker.progress("reading")
-
-    bench.submit(read)
-    assert begun.wait(TIMEOUT_S)
-    bench.close()
-    assert bench.ends == 1
-    assert bench.worker.failure == ""
 
 
 def test_the_end_abandons_a_start():

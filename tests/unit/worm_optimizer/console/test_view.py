@@ -71,7 +71,7 @@ def test_old_values_are_not_shown():
     ],
 )
 def test_possible_actions_follow_from_the_state(given: Snapshot, possible: set[str]):
-    reasons = view.obstacles(given, "")
+    reasons = view.obstacles(given, "", "")
     assert {name for name, reason in reasons.items() if not reason} == possible
 
 
@@ -85,8 +85,23 @@ def test_the_age_of_the_twins_data_is_shown():
 
 
 def test_a_common_obstacle_is_the_reason_for_each_action():
-    assert set(view.obstacles(snapshot(), "wait: homing").values()) == {"wait: homing"}
-    assert set(view.obstacles(Snapshot(), "").values()) == {"there is no driver"}
+    assert set(view.obstacles(snapshot(), "no control", "").values()) == {"no control"}
+    assert set(view.obstacles(Snapshot(), "", "").values()) == {"there is no driver"}
+
+
+def test_deactivate_is_possible_while_a_recording_closes_but_not_during_a_run():
+    reasons = view.obstacles(snapshot(holding=True), "", "wait")
+    assert {name for name, reason in reasons.items() if not reason} == {"Deactivate"}
+    assert all(view.obstacles(snapshot(Activity.RUNNING), "", "wait").values())
+
+
+def test_margin_and_grooves_of_the_last_cycles_as_text():
+    measured = replace(TWIN, margin_grooves=2, rear_margin=1.9e-3, rear_margin_scatter=8e-4)
+    text = view.margin_text(replace(snapshot(), twin=measured), NOW, [1, *[2] * 8])
+    assert "2 grooves, 1.9 ± 0.8 mm to spare" in text
+    assert "2, 2, 2, 2, 2, 2, 2, 2" in text
+    assert "1, 2" not in text
+    assert view.margin_text(snapshot(), NOW + 2.0, [2]) == ""
 
 
 def test_the_state_of_the_driver_as_text():

@@ -13,7 +13,7 @@ from builtin_interfaces.msg import Time
 from std_msgs.msg import Header
 
 from worm_model.twin.watch_view import STALE_S
-from worm_msgs.msg import BodyLength, TwinResiduals, TwinState
+from worm_msgs.msg import BodyLength, Tracker, TwinResiduals, TwinState
 from worm_optimizer.nodes import robot_telemetry
 from worm_optimizer.nodes.robot_telemetry import Telemetry
 
@@ -58,7 +58,8 @@ def test_each_residual_is_that_of_the_last_sample_which_measured_it(
     assert shown.power == 0.25
 
 
-def test_the_twin_is_as_old_as_its_state_relative_to_the_command():
+def test_the_twin_is_as_old_as_its_state_relative_to_the_newest_measurement():
+    """An inactive driver publishes no command, while the tracker continues and the twin with it."""
     node = Node()
     telemetry = Telemetry(node)
     telemetry.subscribe_to_all()
@@ -66,3 +67,6 @@ def test_the_twin_is_as_old_as_its_state_relative_to_the_command():
     assert math.isnan(telemetry.snapshot().twin_age)
     node.publish["body_length/commanded"](BodyLength(header=Header(stamp=Time(sec=8))))
     assert telemetry.snapshot().twin_age == pytest.approx(0.4)
+    node.publish["tracker"](Tracker(header=Header(stamp=Time(sec=20))))
+    node.publish["twin/state"](TwinState(header=Header(stamp=Time(sec=19, nanosec=500_000_000))))
+    assert telemetry.snapshot().twin_age == pytest.approx(0.5)

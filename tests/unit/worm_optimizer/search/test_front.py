@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from gaits_for_tests import QUICK, coarse_front, small_front
 
-from worm_model.gait import Gait
+from worm_model.gait import Gait, GaitError
 from worm_model.parameters import PAPER, ParameterFile
 from worm_model.simulation.simulator import evaluate_gait
 from worm_optimizer.commands.search_options import gait_table
@@ -16,6 +16,7 @@ from worm_optimizer.evaluation.actuator_limits import ActuatorLimits
 from worm_optimizer.evaluation.task import Bounds, MarginTask
 from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.search.front import (
+    given_gait,
     make_front,
     nominal_gaits,
     pushing_warning,
@@ -32,6 +33,15 @@ def test_the_margin_is_the_last_of_the_scan_before_the_cliff():
     assert front.margin == 3e-3  # the scan's step is 1 mm here
     assert "3.419 mm" in front.reason
     assert "branch with 2 grooves" in front.reason
+
+
+def test_a_given_gait_has_the_prediction_of_the_front_that_it_was_taken_from():
+    front = small_front(2e-3)
+    prediction, warning = given_gait(front.cruise.gait, FILE, front.settings)
+    assert prediction == front.cruise
+    assert f"{prediction.success_probability:.2f}" in warning
+    with pytest.raises(GaitError):
+        given_gait(Gait(0.5, 0.2), FILE, QUICK)
 
 
 def test_a_prediction_is_the_simulators():

@@ -183,7 +183,7 @@ def is_text(text: str) -> bool:
 def _versions() -> Mapping[str, str]:
     versions = {
         "version.python": platform.python_version(),
-        "version.ros_distro": os.environ.get("ROS_DISTRO", "jazzy"),
+        "version.ros_distro": os.environ.get("ROS_DISTRO", ""),
     }
     for package in VERSIONED:
         try:
