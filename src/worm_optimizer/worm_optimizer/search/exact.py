@@ -201,7 +201,7 @@ def brackets_of(surveyed: Survey, cost: Cost, owner: int = 0) -> list[Bracket]:
         padded = np.r_[np.inf, of_column, np.inf]
         low = (of_column <= padded[:-2]) & (of_column <= padded[2:])
         near = of_column <= least + _NEAR_BEST * abs(least)
-        for place in np.flatnonzero(low & near & np.isfinite(of_column)):
+        for place in np.flatnonzero(low & near & np.isfinite(of_column)).tolist():
             ends = max(place - 1, 0), min(place + 1, columns.size - 1)
             window = _window(strokes[ends[0] : ends[1] + 1])
             span = float(columns[ends[0]]), float(columns[ends[1]])
