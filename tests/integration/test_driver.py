@@ -510,13 +510,6 @@ def test_a_robot_that_is_not_homed_waits_for_its_operator(processes, directory, 
     assert commander.change(Transition.TRANSITION_ACTIVATE)
 
 
-def test_a_robot_without_fin_servos_needs_none(processes, directory, commander):
-    none = {f"fin_servos.{key}": "[]" for key in ("ids", "forward_angle_rad", "reverse_angle_rad")}
-    processes.start_node("worm_driver", "driver_node", **parameters(directory, **none))
-    commander.activate()
-    commander.wait_for_state(GaitState.IDLE, "activation")
-
-
 # --- stress -----------------------------------------------------------------------------------------
 
 

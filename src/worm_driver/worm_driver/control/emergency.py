@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-from worm_driver.virtual_robot.wire.virtual_clock import last_link
+from worm_driver.simulated_clock import last_link
 
 #: Folder shared by the service and every login shell: the state directory of worm-driver.service.
 SHARED_FOLDER = Path("/var/lib/worm")

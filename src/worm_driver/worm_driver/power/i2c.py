@@ -17,7 +17,7 @@ from typing import Protocol
 import smbus2
 
 from worm_driver.errors import PowerSensorError
-from worm_driver.virtual_robot.wire.virtual_smbus import SocketSMBus
+from worm_driver.power.socket_smbus import SocketSMBus
 
 
 class WordBus(Protocol):

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 
 from worm_model.gait import FORWARD
 from worm_model.parameters import Parameters
+from worm_model.twin.data.records import StateRecord
 from worm_msgs.conditions import LEVEL, Conditions
 from worm_optimizer.console.bag_library import BagLibrary
 from worm_optimizer.console.control import PageControl
@@ -67,9 +68,13 @@ class ConsoleState:
             self.control.expire()
         return self._latest[1]
 
+    def twin(self) -> StateRecord | None:
+        """Return the state of the twin; None if it is silent."""
+        return live_twin(self.snapshot(), time.monotonic())
+
     def initial_length(self) -> float:
         """Return L0 according to the twin, m; 0 without a twin."""
-        twin = live_twin(self.snapshot(), time.monotonic())
+        twin = self.twin()
         return 0.0 if twin is None else twin.initial_length
 
     def picture(self) -> str:
@@ -78,8 +83,7 @@ class ConsoleState:
         if snapshot is not self._drawn[0]:
             driver = snapshot.driver
             direction = driver.direction if driver is not None and driver.direction else FORWARD
-            twin = live_twin(snapshot, time.monotonic())
-            drawn = picture(twin, snapshot.robot_at_twin, self.parameters, direction)
+            drawn = picture(self.twin(), snapshot.robot_at_twin, self.parameters, direction)
             self._drawn = (snapshot, drawn)
         return self._drawn[1]
 

@@ -393,14 +393,13 @@ class GaitPage:
     def _front_note(self) -> str:
         """Return the note about the front, and that it has to be read again after a change of the groove phase."""
         note = self._hint + self._state.front_notes.get(self._direction.value, "")
-        length = self._state.initial_length()
-        if self._shown is None or not length:
+        twin, front = self._state.twin(), self._shown
+        if twin is None or front is None:
             return note
-        pitch = self._state.parameters.pitch
-        phase = length - pitch * math.ceil(length / pitch - 0.5)
-        if abs(phase - self._shown.groove_phase) < SAME_LENGTH:
+        if abs(twin.groove_phase - front.groove_phase) < SAME_LENGTH:
             return note
-        return f"The groove phase is now {1e3 * phase:.1f} mm: read the front again. {note}"
+        phase = 1e3 * twin.groove_phase
+        return f"The groove phase is now {phase:.1f} mm: read the front again. {note}"
 
     def _axes(self, front: Front) -> tuple[Axis, Axis]:
         return (
@@ -412,6 +411,9 @@ class GaitPage:
         self._shown = front = self._state.fronts.get(self._direction.value)
         if front is None:
             self._chart.set_content('<div class="area"></div>')
+            self._chart.props(
+                'aria-valuemin=0 aria-valuemax=0 aria-valuenow=0 aria-valuetext="no front"'
+            )
             return
         points = [(1e3 * gait.speed, gait.power) for gait in front.gaits]
         chosen = self._chosen()

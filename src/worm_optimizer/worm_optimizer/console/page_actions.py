@@ -20,9 +20,7 @@ from worm_optimizer.robot_commands import GaitCommand
 from worm_optimizer.search.gait_request import GaitRequest, Objective
 
 _GAITS = 32  # number of equal steps into which the displayed front is divided by speed
-_FIRST_S = (
-    2.0  # longest wait for the discovery of the optimizer, so that other commands need not wait, s
-)
+_FIRST_S = 5.0  # longest wait for the optimizer, s; meanwhile, no other command begins
 _LIMITS = ("limits.max_stroke_m", "limits.max_frequency_hz", "limits.max_cable_speed_m_per_s")
 
 _numbers: Iterator[int] = count(1)  # numbers in the names of recorders

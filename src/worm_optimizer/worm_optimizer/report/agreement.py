@@ -52,6 +52,7 @@ LEAST_DISAGREEMENT = 0.20
 # A gait is fragile if no number of grooves has a probability of CERTAIN or more. A fragile gait never agrees. It
 # disagrees if the measured grooves are outside the range of the numbers with a probability of POSSIBLE or more.
 CERTAIN, POSSIBLE = 0.9, 0.05
+TOO_SHORT = "not compared: fewer than three complete cycles after the first"
 # Prefixes of the names of gaits that a campaign runs for comparison: designed without a margin, for level ground, and
 # with the paper's waveform.
 NOMINAL, LEVEL_GROUND, SINUSOIDAL = "nominal_", "level_", "sinusoid_"
@@ -117,7 +118,8 @@ class Grooves:
     def __str__(self) -> str:
         likely = [share for share in self.expected if share.probability >= 0.005]
         shares = [f"{share.grooves:.3g} with {100 * share.probability:.0f} %" for share in likely]
-        first = shares[0].replace(" with", " grooves with", 1)
+        word = "groove" if shares[0].startswith("1 ") else "grooves"
+        first = shares[0].replace(" with", f" {word} with", 1)
         return f"{', '.join([first, *shares[1:]])}; measured {self.measured:.3g}"
 
 
@@ -131,6 +133,7 @@ class Agreement:
         measured: mean of the averaged cycles, with the lowest and highest cycle as bounds.
         expected: predicted value with its 95 % interval.
         grooves: grooves per cycle, for the speed only; else None.
+        obstacle: reason why the values are not compared; else empty.
     """
 
     gait: str
@@ -138,6 +141,7 @@ class Agreement:
     measured: Band
     expected: Band
     grooves: Grooves | None = None
+    obstacle: str = ""
 
     @property
     def agrees(self) -> bool | None:
@@ -147,7 +151,9 @@ class Agreement:
         expected 95 % interval overlaps the span from the lowest to the highest measured cycle, and if the relative
         difference is below `LEAST_DISAGREEMENT`.
         """
-        if math.isnan(self.measured.value) or not math.isfinite(self.expected.value):
+        if self.obstacle or math.isnan(self.measured.value):
+            return None
+        if not math.isfinite(self.expected.value):
             return None
         if self.grooves is not None:
             return self.grooves.agrees
@@ -158,6 +164,8 @@ class Agreement:
         """Result of the comparison as text."""
         if self.agrees is not None:
             return "agrees" if self.agrees else "disagrees"
+        if self.obstacle:
+            return self.obstacle
         if math.isnan(self.measured.value):
             return "not measured"
         if math.isinf(self.expected.value):
@@ -195,6 +203,7 @@ def orders(gaits: Sequence[RecordedGait]) -> tuple[Order, ...]:
 def agreements(gait: RecordedGait) -> tuple[Agreement, ...]:
     """Return the comparison of measured with expected values, one entry for each of `QUANTITIES`."""
     grooves = {"speed": grooves_of(gait)}
+    obstacle = "" if gait.is_steady or math.isnan(gait.measured.speed.value) else TOO_SHORT
     return tuple(
         Agreement(
             gait.name,
@@ -202,6 +211,7 @@ def agreements(gait: RecordedGait) -> tuple[Agreement, ...]:
             getattr(gait.measured, name),
             getattr(gait.expected.bands, name),
             grooves.get(name),
+            obstacle,
         )
         for name in QUANTITIES
     )
@@ -218,7 +228,10 @@ def grooves_of(gait: RecordedGait) -> Grooves | None:
 
 def _order(gaits: Sequence[RecordedGait], quantity: str) -> Order:
     expected = {gait.name: getattr(gait.expected.bands, quantity).value for gait in gaits}
-    measured = {gait.name: getattr(gait.measured, quantity).value for gait in gaits}
+    measured = {
+        gait.name: getattr(gait.measured, quantity).value if gait.is_steady else math.nan
+        for gait in gaits
+    }
     return Order(quantity, _rising(expected), _rising(measured))
 
 
@@ -295,6 +308,8 @@ def margin_text(gait: RecordedGait) -> str:
 
 def expected_range(row: Agreement) -> str:
     """Return the expected 95 % interval as text; for the speed, the expected grooves with their probabilities."""
+    if row.obstacle:
+        return "–"
     if row.grooves is None:
         return QUANTITIES[row.quantity].range(row.expected)
     return str(row.grooves).partition(";")[0]

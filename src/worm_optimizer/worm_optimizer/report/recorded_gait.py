@@ -76,6 +76,12 @@ class RecordedGait:
         return self.played.gait
 
     @property
+    def is_steady(self) -> bool:
+        """True if three cycles are averaged without the first one, which begins with straight fins."""
+        first, last = self.averaged_cycles
+        return first > 1 and last - first + 1 == run_metrics.AVERAGED_CYCLES
+
+    @property
     def window(self) -> run_metrics.Window:
         """Window of the averaged cycles."""
         return self.played.cycle_window(*self.averaged_cycles)

@@ -119,6 +119,7 @@ def build_report(report: Report, folder: Path) -> Path:
         "failures": list(_failures(report.gaits)),
         "overlay": _overlay(report.gaits, pictures),
         "front": _front_pictures(report, pictures),
+        "warned": any(e.level == "warning" for gait in report.gaits for e in gait.events),
         "runs": [_run(gait, number, pictures) for number, gait in enumerate(report.gaits, 1)],
         "identification": _identification(report.identification, pictures),
     }
