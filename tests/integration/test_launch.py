@@ -21,7 +21,6 @@ from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 
-from worm_driver.nodes.virtual_camera_node import FRAME
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import read_run
 from worm_msgs.action import RunGait
@@ -346,7 +345,7 @@ def test_the_frame_of_a_cameras_images_hangs_on_its_pose():
         for node in (body, optical)
     ]
     assert "--yaw 1.57 --pitch 0 --roll 0 --frame-id pipe --child-frame-id camera" in arguments[0]
-    assert f"--frame-id camera --child-frame-id {FRAME}" in arguments[1]
+    assert "--frame-id camera --child-frame-id camera_optical_frame" in arguments[1]
 
 
 def test_every_setting_of_the_system_file_is_an_argument(launched):

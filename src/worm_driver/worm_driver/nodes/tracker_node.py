@@ -3,7 +3,6 @@
 
 import sys
 import time
-from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -30,19 +29,13 @@ from worm_msgs.node_command import declare, run_node
 from worm_msgs.parameter_rows import ParameterRow
 from worm_msgs.ros_process import ShutdownRequest, freeze_garbage_collection
 
-#: Value of setup_file that selects the setup of the virtual robot's camera.
-VIRTUAL = "virtual"
 #: Value of source that selects the topics of a camera.
 TOPIC = "topic"
 _TRANSPORTS = ("raw", "compressed")
 _PARAMETERS = tuple(
     ParameterRow(name, default, text, read_only=True)
     for name, default, text in (
-        (
-            "setup_file",
-            "",
-            f"Setup file of the camera and the markers (YAML); {VIRTUAL}: that of the virtual robot.",
-        ),
+        ("setup_file", "", "Setup file of the camera and the markers (YAML)."),
         (
             "source",
             TOPIC,
@@ -226,8 +219,6 @@ def _setup_path(text: str) -> Path:
         raise SetupError(
             "setup_file is missing: set it to the tracker's setup file, as with -p setup_file:=tracker.yaml"
         )
-    if text == VIRTUAL:
-        return Path(str(files("worm_driver").joinpath("config/virtual_tracker.yaml")))
     return Path(text).expanduser()
 
 

@@ -147,11 +147,6 @@ class RobotServer:
         """Return the time (s) on the robot's clock."""
         return self.time.now if self._clients else self.time.alone(self._clock())
 
-    @property
-    def waits(self) -> bool:
-        """True if the robot's clock has clients and waits for them."""
-        return bool(self._clients)
-
     # --- life ---------------------------------------------------------------------------------
 
     def open(self) -> None:

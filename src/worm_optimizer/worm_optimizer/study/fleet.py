@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Callable
-from datetime import datetime, timezone
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -177,7 +177,7 @@ def _row_of(gait: RecordedGait) -> Row:
     return {
         "gait": gait.name,
         "state": READ,
-        "start": datetime.fromtimestamp(gait.played.onset * 1e-9, timezone.utc).isoformat(),
+        "start": datetime.fromtimestamp(gait.played.onset * 1e-9, UTC).isoformat(),
         "parameters": gait.parameter_source,
         "notes": "; ".join(filter(None, [gait.early_end, *gait.missing])),
         "stroke_m": played.stroke,

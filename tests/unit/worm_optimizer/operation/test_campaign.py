@@ -144,10 +144,6 @@ def test_a_calibrated_driver_gets_its_file():
     ("arguments", "complaint"),
     [
         (("--set", "port"), "write NAME=VALUE"),
-        (
-            ("--mode", "robot", "--tracker", "camera"),
-            "give the camera setup, --set tracker_setup=FILE",
-        ),
         (("--set", "prot=/dev/ttyUSB0"), "no setting 'prot'"),
         (("--margin", "-1"), "margin: -1"),
         (("--slope", "91"), "slope_deg: 91"),
