@@ -55,10 +55,12 @@ def _tune(robot: ForeignRobot, gait: Gait) -> tuple[Tuning | None, Gait, int]:
         found = measure_margin(crawl(robot, gait, CYCLES, seed=number).run, PAPER, GROOVES)
         runs.append(found)
         step = next_gait(runs, PROBABILITY, limits, PAPER)
-        if step is None or step.state is not TuneState.RUN:
+        if step is None:
             break
-        if number < MOST_RUNS:
+        if number < MOST_RUNS or step.state is not TuneState.RUN:
             gait = step.gait
+        if step.state is not TuneState.RUN:
+            break
     return step, gait, number
 
 

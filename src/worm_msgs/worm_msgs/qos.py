@@ -3,6 +3,5 @@
 
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-#: A late subscriber also receives the latest message. The topics `gait_state`, `control`, `emergency_stop` and
-#: `twin/memory` use this profile.
+#: A late subscriber also receives the latest message. The topics `gait_state` and `twin/memory` use this profile.
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)

@@ -15,7 +15,6 @@ from harness import Processes
     [
         ("Ctrl-C ends it", [signal.SIGTERM]),
         ("starting virtual_robot", [signal.SIGINT, signal.SIGINT]),
-        ("starting driver", [signal.SIGINT]),
         ("all nodes run$", [signal.SIGINT, signal.SIGTERM]),
     ],
 )

@@ -221,7 +221,7 @@ def _run(robot: VirtualRobot, options: argparse.Namespace, ended: ShutdownReques
         sys.stdout.write(f"ready: {options.directory}\n")
         sys.stdout.flush()
         # If all processes receive the signal at once, the robot must serve until the driver has released it.
-        while serving.is_alive() and not (ended() and node.server.quiet_for(_QUIET)):
+        while serving.is_alive() and not (ended() and node.server.is_unused(_QUIET)):
             executor.spin_once(timeout_sec=_SIGNAL_LATENCY)
     finally:
         node.server.stop()

@@ -188,9 +188,12 @@ class RobotServer:
         self._stopped = True
         self._wake_writer.send(b"x")
 
-    def quiet_for(self, duration: float) -> bool:
-        """Return True if the servo bus has been silent for a duration (s of machine time). Safe in any thread."""
-        return self._clock() - self._last_received > duration
+    def is_unused(self, duration: float) -> bool:
+        """Return True if the clock has no client and the servo bus was silent for a duration (s of machine time).
+
+        On a busy computer, a driver that returns to rest may be silent for longer. Safe in any thread.
+        """
+        return not self._clients and self._clock() - self._last_received > duration
 
     def inject(self, fault: Fault) -> None:
         """Inject a fault whose start is relative to the present time. Safe in any thread."""

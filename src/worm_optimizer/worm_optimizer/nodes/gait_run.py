@@ -20,7 +20,7 @@ from unique_identifier_msgs.msg import UUID
 from worm_msgs.action import RunGait
 from worm_msgs.goal_rejections import REJECTIONS_QOS, rejections_topic
 from worm_msgs.msg import Gait, GoalRejection, Heartbeat
-from worm_optimizer.nodes.message_fields import value_of
+from worm_optimizer.nodes.robot_telemetry import value_of
 from worm_optimizer.robot_commands import GaitCommand, RunProgress, RunResult
 
 ACTION = "run_gait"

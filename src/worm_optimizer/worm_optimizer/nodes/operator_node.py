@@ -37,9 +37,8 @@ from worm_msgs.ros_process import one_line_of
 from worm_msgs.srv import InjectFault, RequestGait
 from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.nodes.gait_run import GaitRun
-from worm_optimizer.nodes.message_fields import value_of
 from worm_optimizer.nodes.robot_graph import RobotGraph
-from worm_optimizer.nodes.robot_telemetry import Telemetry
+from worm_optimizer.nodes.robot_telemetry import Telemetry, value_of
 from worm_optimizer.nodes.service_caller import (
     CALL_TIMEOUT_S,
     DISCOVERY_TIMEOUT_S,

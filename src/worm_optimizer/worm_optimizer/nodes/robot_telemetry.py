@@ -1,14 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Subscriptions to the topics of a robot, and the latest state of the robot according to their messages."""
+"""Subscriptions to the topics of a robot: its latest state, and a monitor of the tracker."""
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import time
 from collections import deque
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, TypeVar
 
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
@@ -26,8 +28,9 @@ from worm_msgs.msg import (
     TwinState,
 )
 from worm_msgs.qos import LATCHED
-from worm_optimizer.nodes.message_fields import value_of
 from worm_optimizer.snapshot import DriverState, Snapshot
+
+T = TypeVar("T")
 
 RESIDUALS = ("rear_position", "length", "power")
 _NEWEST = QoSProfile(depth=1)
@@ -48,6 +51,10 @@ _TOPICS: Mapping[str, tuple[type, QoSProfile]] = {
     **dict.fromkeys(_LENGTHS.values(), (BodyLength, _NEWEST)),
 }
 _INPUTS = ("tracker", "power", _LENGTHS[LengthSource.COMMANDED])
+# Time without a position, in s of the robot's clock, after which the tracker counts as lost. Markers are often hidden
+# for a moment.
+SILENCE_S = 2.0
+LOOK_S = 0.25  # period of the checks, s
 _MEASUREMENTS = {"power", "tracker", "twin/state", "twin/residuals"}
 
 
@@ -185,3 +192,52 @@ def _robot_at(twin: Any, sightings: list[Any]) -> PositionSample:
         return in_time[-1] if in_time else PositionSample()
     stamp = nanoseconds(twin.header.stamp)
     return min(in_time, key=lambda sighting: abs(sighting.stamp_ns - stamp))
+
+
+def value_of(kind: type[T], *messages: Any, **known: Any) -> T:
+    """Return a dataclass whose fields are read from messages by name.
+
+    Args:
+        kind: the dataclass.
+        messages: messages to read from. Each field is read from the first message that contains it.
+        known: values of the fields that are not read from messages.
+    """
+    names = {row.name for row in dataclasses.fields(kind)} - known.keys()  # type: ignore[arg-type]
+    taken = {n: getattr(m, n) for m in reversed(messages) for n in names if hasattr(m, n)}
+    return kind(**taken, **known)
+
+
+class TrackerWatch:
+    """Monitor of the tracker, which runs in the callbacks of a node and ends with the node.
+
+    Args:
+        node: node in the robot's namespace.
+        now: returns the robot's time (s). The time of a virtual robot stops while it waits for a busy computer.
+        say: called with the text of each report, which is one line long.
+    """
+
+    def __init__(self, node: Node, now: Callable[[], float], say: Callable[[str], None]) -> None:
+        self._now, self._say = now, say
+        self._received_at = self._seen_at = now()
+        self._lost = False
+        node.create_subscription(Tracker, "tracker", self._receive, 10)
+        node.create_timer(LOOK_S, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def _receive(self, message: Tracker) -> None:
+        self._received_at = self._now()
+        if math.isfinite(message.rear_position) and math.isfinite(message.front_position):
+            if self._lost:
+                self._say(f"the tracker is back after {self._received_at - self._seen_at:.1f} s")
+            self._seen_at, self._lost = self._received_at, False
+
+    def _look(self) -> None:
+        now = self._now()
+        if self._lost or now - self._seen_at < SILENCE_S:
+            return
+        self._lost = True
+        what = (
+            "no message of the tracker"
+            if now - self._received_at >= SILENCE_S
+            else "the tracker does not see both modules"
+        )
+        self._say(f"{what} for {SILENCE_S:g} s: no speed can be measured until it is back")

@@ -149,6 +149,7 @@ def session(
 
     try:
         with group, operator(system.namespace, look) as node:
+            say(f"starting {', '.join(description.name for description in system.nodes)}")
             start_nodes(group, system)
             _wait_for_driver(group, node, system.namespace)
             node.graph.wait_for_nodes(description.name for description in system.nodes)

@@ -13,7 +13,7 @@ from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import read_run
 from worm_model.errors import RecordingError
 from worm_optimizer.nodes.operator_node import OperatorNode
-from worm_optimizer.nodes.tracker_watch import TrackerWatch
+from worm_optimizer.nodes.robot_telemetry import TrackerWatch
 from worm_optimizer.operation.bring_up import Say, Session, recording, session
 from worm_optimizer.operation.system import RECORDER, Robot, System
 from worm_optimizer.robot_commands import GaitCommand

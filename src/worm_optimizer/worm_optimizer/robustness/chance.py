@@ -33,7 +33,7 @@ from worm_optimizer.evaluation.task import (
     Points,
 )
 from worm_optimizer.optimizer_errors import OptimizerError
-from worm_optimizer.robustness.success_probability import grooves_in
+from worm_optimizer.robustness.prediction import grooves_in
 from worm_optimizer.robustness.uncertainty import Scenarios
 
 # Returns the grooves (n,) gained in the worst averaged cycle. Arguments: strokes in m, indices of gaits, and indices of

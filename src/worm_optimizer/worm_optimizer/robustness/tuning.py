@@ -54,7 +54,10 @@ _FRONT_BY_PRETENSION = 0.3
 
 
 class TuneState(enum.Enum):
-    """Outcome: run the gait and measure, the last run's gait has the probability, or no gait has it."""
+    """Outcome: run the gait and measure, the last run's gait has the probability, or no gait has it.
+
+    If no gait has it, the gait is the best of the runs.
+    """
 
     RUN = "run"
     DONE = "done"
@@ -63,7 +66,7 @@ class TuneState(enum.Enum):
 
 @dataclass(frozen=True)
 class Tuning:
-    """Outcome of a step: the gait to run, or the last one, its expected probability, and the reason."""
+    """Outcome of a step: a gait as `TuneState` says, its expected probability, and the reason."""
 
     state: TuneState
     gait: Gait
@@ -97,8 +100,17 @@ class _Knowledge:
     """Margins of all runs as linear models about the gait of the last run."""
 
     models: dict[Fin, MarginModel]
-    about: Gait
+    gaits: tuple[Gait, ...]
     corner: float  # Hz
+
+    @property
+    def about(self) -> Gait:
+        return self.gaits[-1]
+
+    @property
+    def best(self) -> Gait:
+        """Gait of the runs that keeps its grooves with the highest probability."""
+        return max(self.gaits, key=lambda gait: self.keeps(gait).value)
 
     def beliefs(self, gait: Gait) -> dict[Fin, MarginBelief]:
         return {
@@ -160,7 +172,7 @@ def _slower(known: _Knowledge, probability: float, limits: GaitLimits) -> Tuning
     if fitting is not None and abs(fitting.stroke - last.stroke) > _SAME_M:
         return _run(known, fitting, _margins(known, last))
     reason = f"{reason} within the limits, nor a slower gait"
-    return Tuning(TuneState.IMPOSSIBLE, last, known.keeps(last), reason)
+    return Tuning(TuneState.IMPOSSIBLE, known.best, known.keeps(known.best), reason)
 
 
 def _gain_of_front(known: _Knowledge, gait: Gait) -> float:
@@ -220,7 +232,7 @@ def _knowledge(runs: Sequence[RunMargin], parameters: Parameters) -> _Knowledge:
             np.array([0.0, slope, *expected]),
             np.array([_MEASURED_OFFSET_M, slope_sd, *spread]),
         )
-    return _Knowledge(models, about, corner)
+    return _Knowledge(models, tuple(run.gait for run in runs), corner)
 
 
 def _terms(fin: Fin, gait: Gait, about: Gait, corner: float) -> list[float]:

@@ -197,7 +197,9 @@ def curve(task: MarginTask, most: float) -> tuple[LoadPoint, ...]:
     """
     points = []
     for load in np.linspace(0.0, most, _CURVE).tolist():
-        changed = {key: float(value) for key, value in loads_on_rear(task)(np.array(load)).items()}
+        changed = {
+            key: float(value) for key, value in loads_on_rear(task)(np.asarray(load)).items()
+        }
         loaded = dataclasses.replace(task, parameters=task.parameters.replace(**changed))
         front = exact_front(loaded, _RESOLUTION, _ZOOM).front
         if len(front):

@@ -22,7 +22,7 @@ from worm_optimizer.evaluation.actuator_limits import ActuatorLimits
 from worm_optimizer.evaluation.command_shape import SHAPE_ROW, Shapes, shapes_of
 from worm_optimizer.evaluation.servo_limits import limits_of, servo_model
 from worm_optimizer.evaluation.task import Bounds, MarginTask, Points
-from worm_optimizer.robustness.success_probability import success_probability
+from worm_optimizer.robustness.prediction import success_probability
 from worm_optimizer.robustness.uncertainty import phase_known, phase_unknown
 from worm_optimizer.search.corners import ShapeBounds
 from worm_optimizer.search.exact import (

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Run of a study: computation of the points that no stored block contains, and the NetCDF file of all results.
 
-The file contains no time and no place of its computation. A study that was killed and continued therefore ends with
-the same bytes.
+The file contains no time and no place of its computation: equal values result in equal bytes.
 """
 
 from __future__ import annotations

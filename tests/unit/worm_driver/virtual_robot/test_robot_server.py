@@ -104,3 +104,13 @@ def test_samples_of_the_camera_arrive(served):
         pass
     times = [sample.time for sample in served.samples[:4]]
     assert times == sorted(times)
+
+
+def test_a_robot_is_in_use_while_its_clock_has_a_client_although_the_bus_is_silent(make, tmp_path):
+    server = make(tmp_path)
+    assert server.is_unused(0.5)
+    with socket.socket() as connection:
+        server._clients[connection] = ClockClient(SERIAL)
+        assert not server.is_unused(0.5)
+        server._clients.clear()
+    assert server.is_unused(0.5)

@@ -6,7 +6,7 @@ import math
 import pytest
 
 from worm_msgs.msg import Tracker
-from worm_optimizer.nodes.tracker_watch import TrackerWatch
+from worm_optimizer.nodes.robot_telemetry import TrackerWatch
 
 
 class Desk:

@@ -15,7 +15,7 @@ from worm_optimizer.evaluation.task import MarginTask
 from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.robustness import uncertainty
 from worm_optimizer.robustness.chance import PromiseTask, tolerated_margins
-from worm_optimizer.robustness.success_probability import stroke_to_ends, success_probability
+from worm_optimizer.robustness.prediction import stroke_to_ends, success_probability
 
 EXACT = TravelError(0.0, 0.0)  # a robot that is the model
 FILE = ParameterFile(travel_error=EXACT)
