@@ -22,7 +22,6 @@ from worm_optimizer.console.view import History, live_twin
 from worm_optimizer.snapshot import Snapshot
 
 _FRESH_S = 0.02  # time for which all pages share a snapshot, s
-_NOTICES = 50  # largest number of stored messages
 
 
 @dataclass
@@ -98,8 +97,3 @@ class ConsoleState:
         if self.worker.busy or not self.notices:
             return Notice(self.worker.busy)
         return self.notices[-1]
-
-
-def new_notices() -> deque[Notice]:
-    """Return an empty list of messages, which stores only the newest `_NOTICES`."""
-    return deque(maxlen=_NOTICES)

@@ -67,6 +67,18 @@ def read_front(node: OperatorNode, direction: int, initial_length: float) -> Fro
     return Front(tuple(by_speed[speed] for speed in sorted(by_speed)), cruise, description)
 
 
+def described(front: Front, before: Front | None) -> str:
+    """Return what there is to say about a front, and why it ends elsewhere than the one before."""
+    text = f"For groove phase {1e3 * front.groove_phase:.1f} mm: {front.description}"
+    end, old = (1e3 * f.gaits[-1].speed for f in (front, before or front))
+    if before is None or abs(end - old) < 0.005:
+        return text
+    return (
+        f"The front now ends at {end:.2f} mm/s; for groove phase {1e3 * before.groove_phase:.1f} mm it ended at "
+        f"{old:.2f} mm/s. {text}"
+    )
+
+
 def require_optimizer(node: OperatorNode) -> None:
     """Raise `OperatorError` if there is no optimizer."""
     if not node.wait(lambda: node.has_optimizer, _FIRST_S):

@@ -88,3 +88,15 @@ def test_without_an_optimizer_there_is_no_front_at_once():
     optimizer.has_optimizer = False
     with pytest.raises(OperatorError, match="no optimizer"):
         page_actions.read_front(optimizer, 1, 0.0)
+
+
+def test_a_front_that_ends_elsewhere_than_before_says_so_with_both_groove_phases():
+    before = page_actions.read_front(Optimizer(), 1, 1.1e-3)
+    same = page_actions.read_front(Optimizer(), 1, 1.3e-3)
+    faster = dataclasses.replace(same.gaits[-1], speed=11.9e-3)
+    after = dataclasses.replace(same, gaits=(*same.gaits, faster))
+    for text in (page_actions.described(before, None), page_actions.described(before, before)):
+        assert "1.1 mm" in text
+        assert "8.00 mm/s" not in text
+    text = page_actions.described(after, before)
+    assert all(fact in text for fact in ("11.90 mm/s", "8.00 mm/s", "1.1 mm", "1.3 mm"))
