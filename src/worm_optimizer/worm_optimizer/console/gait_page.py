@@ -114,11 +114,10 @@ class GaitPage:
             for name, doing, command in (
                 ("Home", "homing", OperatorNode.home),
                 ("Activate", "activating the driver", OperatorNode.activate),
+                ("Deactivate", "deactivating", OperatorNode.deactivate),
+                ("Permit starts", "permitting starts", OperatorNode.reset_emergency_stop),
             ):
                 self._button(name, partial(self._submit, doing, command))
-            self._button("Deactivate", self._deactivate)
-            reset = OperatorNode.reset_emergency_stop
-            self._button("Permit starts", partial(self._submit, "permitting starts", reset))
 
     def _button(self, name: str, press: Callable[[], None]) -> None:
         self._buttons[name] = ActionButton(name, press)
@@ -126,13 +125,9 @@ class GaitPage:
     # --- commands ------------------------------------------------------------------------------
 
     def _submit(self, description: str, command: Callable[[OperatorNode], str]) -> None:
+        """Submit a command, which waits for the end of the present one."""
         if not self._why_not():
-            self._state.worker.submit(description, command)
-
-    def _deactivate(self) -> None:
-        """Deactivate the driver, after the end of the present command."""
-        if not self._why_not():
-            self._state.worker.submit_next("deactivating", OperatorNode.deactivate)
+            self._state.worker.submit_next(description, command)
 
     def _command(self) -> GaitCommand:
         """Return the run of the gait. Raises `InputError` if there is no gait or no admissible end."""
@@ -152,7 +147,7 @@ class GaitPage:
             )
 
         state.control.begin_run()
-        self._submit("starting the recorder", run)
+        state.worker.submit("starting the recorder", run)
 
     def _obstacle(self) -> str:
         """Return the reason why the gait of the fields cannot run; empty if it can."""
