@@ -60,7 +60,7 @@ def run() -> list[Row]:
     with tempfile.TemporaryDirectory() as name, ProcessGroup(Path(name)) as group:
         whole = load_system_file(SYSTEM).system("virtual", directory=f"{name}/robot", rate="0")
         nodes = tuple(node for node in whole.nodes if node.name not in LEFT_OUT)
-        start_nodes(group, System(whole.namespace, nodes), say=lambda _: None)
+        start_nodes(group, System(whole.namespace, nodes))
         with operator(whole.namespace, group.check) as node:
             node.graph.wait_for_nodes(each.name for each in nodes)
             node.activate()

@@ -25,7 +25,7 @@ EXECUTABLES: list[str] = [  # "executable = module:function"; each is installed 
 # Dependencies that pip installs for a worker of a study, which needs no ROS; requirements*.txt pin the versions.
 NEEDED = ["worm_model", "numpy", "scipy", "PyYAML", "matplotlib", "pymoo", "jinja2", "markdown2"]
 CONSOLE = ["nicegui"]
-STUDY = ["dask", "distributed", "xarray", "zarr"]
+STUDY = ["distributed", "xarray"]
 
 setup(
     name=NAME,

@@ -38,6 +38,7 @@ SHARED = {
     f"worm_msgs.{name}"
     for name in (
         *(
+            "claim",
             "command_parser",
             "conditions",
             "driver_file",
@@ -56,7 +57,7 @@ PROCESSES = [
 CONFINED = {
     "rclpy": [*NODES, *PROCESSES],
     "rcl_interfaces": [*NODES, *PROCESSES],
-    "worm_msgs": [*NODES, *PROCESSES, "worm_optimizer/operation/bring_up.py"],
+    "worm_msgs": [*NODES, *PROCESSES],
     "std_msgs": NODES,
     "std_srvs": NODES,
     "sensor_msgs": NODES,
@@ -87,18 +88,12 @@ CONFINED = {
     "mcap_ros2": ["worm_model/bags/*.py"],
     "rosbags": ["worm_model/bags/*.py"],
     "pandas": ["worm_model/analysis/run_table.py"],
-    "dask": ["worm_optimizer/study/store.py"],
-    "distributed": ["worm_optimizer/study/*.py"],
+    "dask": [],
+    "distributed": ["worm_optimizer/study/blocks.py"],
     "nicegui": ["worm_optimizer/console/*page*.py", "worm_optimizer/console/server.py"],
     "fastapi": ["worm_optimizer/console/console_page.py"],
     "starlette": ["worm_optimizer/console/server.py"],
-    "xarray": [
-        "worm_optimizer/study/results.py",
-        "worm_optimizer/study/store.py",
-        "worm_optimizer/study/summary.py",
-    ],
-    "zarr": ["worm_optimizer/study/store.py"],
-    "numcodecs": ["worm_optimizer/study/store.py"],
+    "xarray": ["worm_optimizer/study/study_run.py", "worm_optimizer/study/summary.py"],
     "launch": [],
     "launch_ros": [],
     "domain_coordinator": [],
@@ -112,8 +107,8 @@ SEAMS = {
     "worm_driver": {
         "servos": set(),
         "gait": {"power"},
-        "power": {"virtual_robot"},  # its I2C bus and its clock, selected by the name of the device
-        "control": {"gait", "power", "servos", "virtual_robot"},
+        "power": set(),
+        "control": {"gait", "power", "servos"},
         "tracking": {"control"},
     },
     "worm_model": {
@@ -129,12 +124,7 @@ SEAMS = {
         "robustness": {"evaluation"},
         "search": {"evaluation", "robustness"},
         "report": {"evaluation", "search", "robustness"},
-        "nodes": {
-            "evaluation",
-            "search",
-            "robustness",
-            "study",
-        },  # study: only for a node with a cluster
+        "nodes": {"evaluation", "search", "robustness"},
         "operation": {"evaluation", "search", "robustness", "report", "nodes"},
         "console": {"evaluation", "search", "robustness", "report", "nodes", "operation"},
     },

@@ -1,26 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rigs before the virtual camera: images of known positions, and the tracker's results for them."""
+"""Rigs before a rendered camera: images of known positions, and the tracker's results for them."""
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from rendered_images import CameraSettings, RenderedCamera
 
 from worm_driver.tracking.camera_model import CameraModel
 from worm_driver.tracking.tracker import TrackedPositions, Tracker
 from worm_driver.tracking.tracker_setup import ModuleLine, ModuleMarker, TrackerSetup
 from worm_driver.tracking.vision import Detection, MarkerDetector
-from worm_driver.virtual_robot.camera_images import (
-    CameraSettings,
-    VirtualCamera,
-    exposure_path,
-    load_camera_settings,
-)
 
 Array = NDArray[np.float64]
-SETTINGS = load_camera_settings()
+SETTINGS = CameraSettings()
+SETUP_FILE = Path(__file__).with_name("tracker.yaml")  # the same rig, as the tracker reads it
 LENGTH = 0.2952
 RIDGES = 5
 PITCH = 0.0173
@@ -52,8 +49,8 @@ def setup_of(settings: CameraSettings, **changes: object) -> TrackerSetup:
     setup = TrackerSetup(
         dictionary="DICT_4X4_50",
         marker_size=settings.marker_size,
-        rear=ModuleMarker(settings.rear.marker, settings.rear.offset),
-        front=ModuleMarker(settings.front.marker, settings.front.offset),
+        rear=ModuleMarker(0, 0.0),
+        front=ModuleMarker(1, 0.0),
         line=ModuleLine(*settings.module_line),
         reference=settings.reference,
         camera=model_of(settings),
@@ -89,19 +86,14 @@ def video(
     seed: int = 1,
 ) -> VideoSource:
     """Return images of a motion, each blurred over its exposure, and the tracker's results."""
-    camera = VirtualCamera(settings, seed)
+    camera = RenderedCamera(settings, seed)
     tracker = Tracker(setup or setup_of(settings))
     detector = MarkerDetector(tracker.setup.dictionary)
     truth, samples = [], []
     for time in times:
-        places = motion(time)
-        before = motion(time - 1e-3)
-        path = exposure_path(
-            (round(time * 1e9), *places), (round(time * 1e9) - 10**6, *before), settings.exposure
-        )
-        image = camera.image(path)
+        image = camera.moving_image(motion, float(time))
         samples.append(tracker.see(detector.detect(image), float(time)))
-        truth.append(places)
+        truth.append(motion(float(time)))
     return VideoSource(np.array(truth), samples)
 
 

@@ -24,6 +24,7 @@ from worm_driver.control.robot import Robot
 from worm_driver.control.snapshot import Snapshot
 from worm_driver.errors import BusError
 from worm_driver.gait.gait_player import Phase
+from worm_driver.power import socket_smbus as frames
 from worm_driver.power.i2c import I2CDevice
 from worm_driver.power.ina219 import INA219, PowerSample, SampleStatus, calibration_for
 from worm_driver.servos.registers import COMMON
@@ -31,7 +32,6 @@ from worm_driver.servos.servo_bus import BusPort, ServoBus
 from worm_driver.servos.transmission import Fin, Spool
 from worm_driver.virtual_robot.virtual_robot import VirtualRobot
 from worm_driver.virtual_robot.virtual_settings import RobotSettings, load_settings
-from worm_driver.virtual_robot.wire import smbus_frames as frames
 from worm_driver.virtual_robot.wire.faults import make_fault
 from worm_driver.virtual_robot.wire.packet import Instruction, InstructionReader
 from worm_msgs.gait import Gait

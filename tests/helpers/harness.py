@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import rclpy
-from ament_index_python.packages import get_package_share_directory
 from dynamixel_sdk import PacketHandler, PortHandler
-from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import ChangeState
+from lifecycle_msgs.msg import State
+from lifecycle_msgs.srv import GetState
 from rcl_interfaces.srv import ListParameters
 from rclpy.action import ActionClient, ActionServer
 from rclpy.executors import SingleThreadedExecutor
@@ -23,7 +22,7 @@ from worm_msgs.goal_rejections import REJECTIONS_QOS, rejections_topic
 from worm_msgs.msg import GoalRejection
 from worm_optimizer.operation.bring_up import start_nodes
 from worm_optimizer.operation.processes import Process, ProcessGroup, executable_command
-from worm_optimizer.operation.system import SystemFile, load_system_file
+from worm_optimizer.operation.system import installed_system_file
 
 NAMESPACE = "/worm"
 TIMEOUT_S = 30.0  # long, as only a failing test waits so long
@@ -188,13 +187,13 @@ class VirtualWorm:
         self.processes = processes
         self.probe = probe
         self.directory = directory
-        self.system = system_file().system(
+        self.system = installed_system_file().system(
             "virtual", directory=str(directory / "robot"), bag=str(directory / "bag"), **settings
         )
 
     def start(self) -> None:
-        """Start all nodes, in the order of the file."""
-        start_nodes(self.processes, self.system, say=print)
+        """Start all nodes."""
+        start_nodes(self.processes, self.system)
 
     def interrupt(self, name: str) -> int:
         """Press Ctrl-C for one node and return its exit status."""
@@ -202,11 +201,14 @@ class VirtualWorm:
         process.interrupt()
         return process.wait(TIMEOUT_S)
 
-    def activate(self) -> None:
-        """Configure and activate the driver."""
-        for transition in (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE):
-            request = ChangeState.Request(transition=Transition(id=transition))
-            assert self.probe.call(ChangeState, "driver/change_state", request).success
+    def wait_until_active(self) -> None:
+        """Wait until the driver has activated itself."""
+
+        def is_active() -> bool:
+            answer = self.probe.call(GetState, "driver/get_state", GetState.Request())
+            return answer.current_state.id == State.PRIMARY_STATE_ACTIVE
+
+        self.probe.wait_for(is_active, "active driver")
 
     def torques(self) -> dict[int, int]:
         """Return Torque Enable of each servo, read with the SDK; the driver must have closed the bus."""
@@ -223,10 +225,3 @@ def _read_torque(port: PortHandler, servo: int) -> int:
     value, result, error = PacketHandler(2.0).read1ByteTxRx(port, servo, TORQUE_ENABLE)
     assert (result, error) == (0, 0), f"servo {servo} does not answer"
     return value
-
-
-def system_file() -> SystemFile:
-    """Return the installed system.yaml."""
-    return load_system_file(
-        Path(get_package_share_directory("worm_optimizer"), "config", "system.yaml")
-    )

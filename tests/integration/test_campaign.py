@@ -4,12 +4,10 @@
 from pathlib import Path
 
 import pytest
-from harness import system_file
 
 from worm_model.gait import Gait
-from worm_optimizer.commands.robot_options import CAMERA, with_tracker
 from worm_optimizer.operation.campaign_runs import run_gaits
-from worm_optimizer.operation.system import Robot
+from worm_optimizer.operation.system import Robot, installed_system_file
 from worm_optimizer.report.agreement import agreements
 from worm_optimizer.report.agreement import orders as orders_of
 from worm_optimizer.report.recordings import read_recorded_gaits
@@ -21,7 +19,7 @@ GAITS = {"slow": Gait(0.06, 0.38), "fast": Gait(0.08, 0.4)}
 @pytest.mark.timeout(300)
 def test_each_gait_has_a_recording_of_its_own_that_agrees(ros_domain: int, tmp_path: Path):
     (tmp_path / "logs").mkdir()
-    robot = Robot(system_file(), "virtual", {"directory": str(tmp_path / "robot")})
+    robot = Robot(installed_system_file(), "virtual", {"directory": str(tmp_path / "robot")})
     orders = {name: GaitCommand(gait, 5) for name, gait in GAITS.items()}
     run_gaits(robot, orders, tmp_path, tmp_path / "logs", say=print)
 
@@ -36,22 +34,3 @@ def test_each_gait_has_a_recording_of_its_own_that_agrees(ros_domain: int, tmp_p
             [row.expected.value for row in agreements(gait)], rel=0.2
         )
     assert orders_of(recorded)[0].preserved is True
-
-
-@pytest.mark.timeout(300)
-def test_a_gait_is_measured_in_images(ros_domain: int, tmp_path: Path):
-    """From the plant through pixels, tracker_node and a bag to a speed."""
-    (tmp_path / "logs").mkdir()
-    settings = with_tracker({"directory": str(tmp_path / "robot")}, CAMERA, "virtual")
-    robot = Robot(system_file(), "virtual", settings)
-    assert "tracker" in [node.name for node in robot.system().nodes]
-    reported: list[str] = []
-    run_gaits(
-        robot, {"fast": GaitCommand(GAITS["fast"], 5)}, tmp_path, tmp_path / "logs", reported.append
-    )
-    assert not [line for line in reported if "the tracker" in line]
-
-    (gait,) = read_recorded_gaits([tmp_path / "fast"], "", print)
-    assert gait.missing == ()
-    speed = next(row for row in agreements(gait) if row.quantity == "speed")
-    assert speed.measured.value == pytest.approx(speed.expected.value, rel=0.02)

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The driver node as a process, on the virtual robot as another one: each test ends, breaks or sets its own driver."""
 
-import itertools
 import signal
 import sys
 import time
@@ -10,7 +9,6 @@ from pathlib import Path
 import pytest
 from commander import (
     ABORTED,
-    EVERY_ANSWER,
     SERVOS,
     SUCCEEDED,
     Commander,
@@ -23,9 +21,8 @@ from commander import (
 from diagnostic_msgs.msg import DiagnosticStatus
 from harness import LATCHED, TIMEOUT_S
 from lifecycle_msgs.msg import State, Transition
-from lifecycle_msgs.srv import ChangeState, GetState
+from lifecycle_msgs.srv import ChangeState
 from rclpy.qos import ReliabilityPolicy
-from rclpy.task import Future
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
@@ -279,36 +276,14 @@ def test_a_second_ctrl_c_after_a_stop_releases_the_torque(processes, directory, 
 
 # --- floods ---------------------------------------------------------------------------------------
 
-STORED = 10  # requests that the middleware stores for each lifecycle service; rclpy offers no other number
 
-
-def test_every_goal_and_every_lifecycle_request_of_a_flood_is_answered(driver, commander, probe):
+def test_every_goal_of_a_flood_is_answered(driver, commander, probe):
     commander.activate()
     goals = goal_client(probe)
-    changes = probe.node.create_client(ChangeState, "driver/change_state", qos_profile=EVERY_ANSWER)
-    states = probe.node.create_client(GetState, "driver/get_state", qos_profile=EVERY_ANSWER)
-    probe.meet("driver/change_state")
-    goal = RunGait.Goal(gait=Gait(stroke=0.05, frequency=0.4, direction=1), cycles=0)
-    flip = itertools.cycle([Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_ACTIVATE])
-    sent: dict[str, list[Future]] = {"goals": [], "changes": [], "states": []}
-
-    def waiting(kind: str) -> int:
-        return sum(not call.done() for call in sent[kind])
-
-    for _ in range(150):
-        # On a busy machine the driver may get no processor time for more than ten requests.
-        probe.wait_for(lambda: max(waiting("changes"), waiting("states")) < STORED, "answers")
-        sent["goals"].append(goals.send_goal_async(goal))
-        change = ChangeState.Request(transition=Transition(id=next(flip)))
-        sent["changes"].append(changes.call_async(change))
-        sent["states"].append(states.call_async(GetState.Request()))
-        due = time.monotonic() + 0.005  # 200 per second of each
-        while time.monotonic() < due:
-            probe.spin_once(0.001)
-    probe.wait_for(lambda: not any(map(waiting, sent)), "answer to every request")
-    # Requests are answered also during a transition.
-    assert {call.result().success for call in sent["changes"]} == {True, False}
-    assert driver.exit_code is None
+    goal = RunGait.Goal(gait=Gait(stroke=0.05, frequency=0.4, direction=1), cycles=100)
+    sent = [goals.send_goal_async(goal) for _ in range(150)]
+    probe.wait_for(lambda: all(call.done() for call in sent), "answer to every goal")
+    assert sum(call.result().accepted for call in sent) == 1
     assert len(driver.output().splitlines()) < 100
 
 
@@ -533,13 +508,6 @@ def test_a_robot_that_is_not_homed_waits_for_its_operator(processes, directory, 
     assert commander.lifecycle_state() == State.PRIMARY_STATE_INACTIVE
     assert commander.trigger("home").success
     assert commander.change(Transition.TRANSITION_ACTIVATE)
-
-
-def test_a_robot_without_fin_servos_needs_none(processes, directory, commander):
-    none = {f"fin_servos.{key}": "[]" for key in ("ids", "forward_angle_rad", "reverse_angle_rad")}
-    processes.start_node("worm_driver", "driver_node", **parameters(directory, **none))
-    commander.activate()
-    commander.wait_for_state(GaitState.IDLE, "activation")
 
 
 # --- stress -----------------------------------------------------------------------------------------

@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Publishers of the emergency stop over real DDS:
-
-whose false permits a reset, and which of them trigger a stop by their end.
-"""
+"""The emergency stop over real DDS: any true latches, and only a reset clears, not while the latest message is true."""
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -28,7 +25,7 @@ QUALITIES = (
 
 
 class Stops:
-    """The stop services of a driver that has opened nothing, and clients with several publishers."""
+    """The stop services of a driver that has opened nothing, and its clients."""
 
     def __init__(
         self,
@@ -39,40 +36,22 @@ class Stops:
         self.probe = probe
         self.latch = EmergencyLatch(folder)
         self.latch.adopt(["stop"])
-        self.services = StopServices(
-            probe.node,
-            _closed,
-            self.latch,
-            lambda: None,
-            on_heartbeat,
-            lambda: probe.node.get_clock().now().to_msg(),
-        )
+        self.services = StopServices(probe.node, _closed, self.latch, lambda: None, on_heartbeat)
 
     def button(self, qos: QoSProfile) -> Publisher:
-        return self.probe.node.create_publisher(Bool, TOPIC, qos)
-
-    def publish(self, button: Publisher, value: bool) -> None:
-        """Publish a value to every subscription that this quality matches."""
-        matching = 1 + (button.qos_profile.reliability == ReliabilityPolicy.RELIABLE)
-        matching += button.qos_profile.durability == LATCHED.durability
+        """Return a publisher that all matching subscriptions have discovered."""
+        button = self.probe.node.create_publisher(Bool, TOPIC, qos)
+        matching = 1 + (qos.reliability == ReliabilityPolicy.RELIABLE)
+        matching += qos.durability == LATCHED.durability
         self.probe.wait_for(lambda: button.get_subscription_count() == matching, "driver")
-        button.publish(Bool(data=value))
+        return button
 
     def press(self, button: Publisher) -> None:
-        self.publish(button, True)
+        button.publish(Bool(data=True))
         self.probe.wait_for(lambda: self.latch.on, "emergency stop")
 
-    def reset(self) -> Trigger.Response:
-        return self.probe.call(Trigger, "reset_emergency_stop", Trigger.Request())
-
-    def reset_when_permitted(self) -> str:
-        """Reset as soon as the published messages have arrived; topic and service are not ordered."""
-
-        def permitted() -> str | None:
-            answer = self.reset()
-            return answer.message if answer.success else None
-
-        return str(self.probe.wait_for(permitted, "reset"))
+    def reset(self) -> bool:
+        return self.probe.call(Trigger, "reset_emergency_stop", Trigger.Request()).success
 
 
 def _closed() -> None:
@@ -87,46 +66,18 @@ def stops(probe: Probe, tmp_path: Path) -> Iterator[Stops]:
 
 
 @pytest.mark.parametrize("qos", QUALITIES, ids=["latched", "reliable", "best_effort"])
-def test_only_a_reset_clears_and_not_before_the_publisher_took_its_true_back(
+def test_a_pressed_button_latches_and_only_a_reset_after_its_release_clears(
     stops: Stops, qos: QoSProfile
 ):
+    assert stops.reset()  # without a stop
     button = stops.button(qos)
     stops.press(button)
-    answer = stops.reset()
-    assert not answer.success
-    assert "/worm/probe" in answer.message
-    stops.publish(button, False)
-    stops.reset_when_permitted()
-    assert not stops.latch.on
-
-
-def test_a_false_of_any_other_publisher_neither_clears_nor_permits(stops: Stops):
-    button, *others = (stops.button(qos) for qos in QUALITIES)
-    stops.press(button)
-    for other in others:
-        stops.publish(other, False)
-    assert not stops.reset().success
+    assert not stops.reset()
     assert stops.latch.on
-    stops.press(others[0])
-    stops.publish(button, False)
-    stops.publish(button, False)
-    assert not stops.reset().success
-    stops.publish(others[0], False)
-    stops.reset_when_permitted()
-
-
-def test_a_publisher_that_ended_with_true_leaves_the_stop_on_and_a_reset_is_possible(stops: Stops):
-    button, healthy = stops.button(LATCHED), stops.button(LATCHED)
-    stops.publish(healthy, False)
-    stops.press(button)
-    stops.probe.node.destroy_publisher(button)
-    topic = stops.probe.node.resolve_topic_name(TOPIC)
-    stops.probe.wait_for(lambda: stops.probe.node.count_publishers(topic) == 1, "end of the button")
-    assert stops.latch.on
-    assert "1 of its publishers ended" in stops.reset_when_permitted()
+    button.publish(Bool(data=False))
+    stops.probe.wait_for(stops.reset, "reset")
     assert not stops.latch.on
-    stops.press(stops.button(LATCHED))  # the publisher comes back, still pressed
-    assert not stops.reset().success
+    stops.press(button)
 
 
 def test_a_true_from_before_the_driver_latches_and_blocks_the_reset(probe: Probe, tmp_path: Path):
@@ -135,13 +86,9 @@ def test_a_true_from_before_the_driver_latches_and_blocks_the_reset(probe: Probe
     stops = Stops(probe, tmp_path)
     try:
         probe.wait_for(lambda: stops.latch.on, "emergency stop")
-        assert not stops.reset().success
+        assert not stops.reset()
     finally:
         stops.services.close()
-
-
-def test_a_reset_without_a_stop_succeeds(stops: Stops):
-    assert stops.reset().success
 
 
 def test_an_error_in_one_request_does_not_end_the_service_of_stops(probe: Probe, tmp_path: Path):

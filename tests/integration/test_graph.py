@@ -5,7 +5,7 @@ import re
 from pathlib import Path
 
 import pytest
-from harness import LATCHED, NAMESPACE, SERVOS, VirtualWorm, system_file
+from harness import LATCHED, NAMESPACE, SERVOS, VirtualWorm
 from interfaces_page import rows_of
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from sensor_msgs.msg import JointState
@@ -13,7 +13,7 @@ from sensor_msgs.msg import JointState
 from worm_msgs.action import RunGait
 from worm_msgs.msg import Gait, GaitState
 from worm_optimizer.operation.processes import executable_command
-from worm_optimizer.operation.system import MODES
+from worm_optimizer.operation.system import MODES, installed_system_file
 
 # Topics and services of every node, or of every lifecycle node.
 COMMON_SERVICES = re.compile(
@@ -27,7 +27,6 @@ BYSTANDERS = ("twin", "optimizer")
 OF_OPERATORS = (
     "heartbeat",
     "emergency_stop",
-    "control/request",
 )  # published by clients that start gaits; this graph has none
 
 
@@ -36,7 +35,7 @@ def worm(processes, probe, tmp_path) -> VirtualWorm:
     """All nodes of the virtual mode, the driver activated."""
     worm = VirtualWorm(processes, probe, tmp_path)
     worm.start()
-    worm.activate()
+    worm.wait_until_active()
     return worm
 
 
@@ -115,5 +114,5 @@ def test_topics_services_and_actions_are_those_of_the_documentation(worm, probe)
 
 @pytest.mark.parametrize("mode", MODES)
 def test_every_executable_of_every_mode_is_installed(mode):
-    for node in system_file().system(mode, bag="any").nodes:
+    for node in installed_system_file().system(mode, bag="any").nodes:
         assert Path(executable_command(node.package, node.executable)[-1]).is_file()

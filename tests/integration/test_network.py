@@ -12,9 +12,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from harness import TIMEOUT_S, system_file
+from harness import TIMEOUT_S
 
 from worm_optimizer.operation.processes import Process, executable_command
+from worm_optimizer.operation.system import installed_system_file
 
 #: processes that the neighbour looks for, and s within which it finds them on an open network
 LOOKING_S = 12.0
@@ -158,7 +159,7 @@ def test_two_drivers_that_discover_each_other_late_do_not_start(processes, hosts
 
 
 def virtual_nodes() -> list:
-    return system_file().system("virtual", bag="bag", directory="robot").nodes
+    return installed_system_file().system("virtual", bag="bag", directory="robot").nodes
 
 
 @pytest.mark.parametrize("node", virtual_nodes(), ids=lambda node: node.name)

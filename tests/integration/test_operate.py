@@ -4,6 +4,7 @@
 import json
 import signal
 import sys
+import threading
 from pathlib import Path
 
 import pytest
@@ -132,17 +133,33 @@ def test_the_emergency_stop_holds_and_rejects_every_start_also_of_the_next_drive
     run = lab.run()
     button = lab.probe.node.create_publisher(Bool, "emergency_stop", 1)
     lab.probe.wait_for(button.get_subscription_count, "driver that listens")
-    button.publish(Bool(data=True))
-    assert "/worm/probe" in lab.operate("emergency_stop", "off", status=1)
+    released = threading.Event()
+
+    def repeat() -> None:
+        """Publish the state of a pressed button twice a second."""
+        button.publish(Bool(data=True))
+        while not released.wait(0.5):
+            button.publish(Bool(data=True))
+
+    pressed = threading.Thread(target=repeat)
+    pressed.start()
+    lab.wait_for(GaitState.IDLE, "the emergency stop is on")
+    assert "button" in lab.operate("emergency_stop", "off", status=1)
+    released.set()
+    pressed.join()
     held = lab.wait_for(GaitState.IDLE, "the emergency stop is on")
     assert held.emergency_stop
     assert run.wait(TIMEOUT_S) == 1
     goal = RunGait.Goal(gait=Gait(stroke=0.03, frequency=0.4, direction=1), cycles=1)
-    sent = lab.probe.send_goal(RunGait, "run_gait", goal)
-    assert "the emergency stop is on" in lab.probe.rejection(sent)
+
+    def is_rejected() -> bool:
+        """Return True if the stop rejects a goal, and not a message of the button that follows the goal."""
+        sent = lab.probe.send_goal(RunGait, "run_gait", goal)
+        return "the emergency stop is on" in lab.probe.rejection(sent)
+
+    lab.probe.wait_for(is_rejected, "rejection")
 
     lab.processes.processes["driver"].kill()
-    lab.probe.node.destroy_publisher(button)  # a publisher that has ended can reset nothing
     (lab.folder / "ttyUSB0").symlink_to("servo_bus")
     lab.start_driver("second_driver", "ttyUSB0")  # the same device under another name
     assert "the emergency stop is on" in lab.operate("activate", status=1)

@@ -65,7 +65,7 @@ class Lab:
         worm.system = replace(worm.system, nodes=nodes)
         worm.start()
         processes.processes["twin"].wait_for_line("twin ready", 4 * TIMEOUT_S)
-        worm.activate()
+        worm.wait_until_active()
         self.states = probe.collect(GaitState, "gait_state", LATCHED)
         self._commands = 0
 

@@ -1,20 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""tracker_node as a process: images over DDS in, positions out; and the virtual robot in front of a camera."""
+"""tracker_node as a process: images over DDS in, positions out."""
 
 import math
 from array import array
-from pathlib import Path
 
 import numpy as np
 import pytest
-from camera_rig import LENGTH, SETTINGS, VirtualCamera
+from camera_rig import LENGTH, SETTINGS, SETUP_FILE
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from harness import TIMEOUT_S, system_file
+from harness import TIMEOUT_S
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rendered_images import RenderedCamera
 from sensor_msgs.msg import CompressedImage, Image
 
 from worm_driver.tracking.vision import write_image
 from worm_msgs.msg import BodyLength, Tracker
+from worm_optimizer.operation.system import installed_system_file
 
 BEST_EFFORT = QoSProfile(depth=2, reliability=ReliabilityPolicy.BEST_EFFORT)
 
@@ -22,8 +23,8 @@ BEST_EFFORT = QoSProfile(depth=2, reliability=ReliabilityPolicy.BEST_EFFORT)
 @pytest.fixture(scope="module")
 def pictures() -> list[np.ndarray]:
     """Return images of a rear module at 0, 1 and 2 mm; in the last one it is hidden."""
-    camera = VirtualCamera(SETTINGS, 5)
-    return [camera.image(np.array([[x, LENGTH]])) for x in (0.0, 0.001, 0.002, math.nan)]
+    camera = RenderedCamera(SETTINGS, 5)
+    return [camera.image(x, LENGTH) for x in (0.0, 0.001, 0.002, math.nan)]
 
 
 def image_of(picture: np.ndarray, stamp: int, encoding: str = "mono8") -> Image:
@@ -36,7 +37,7 @@ def image_of(picture: np.ndarray, stamp: int, encoding: str = "mono8") -> Image:
 
 
 def start(processes, **parameters):
-    node = processes.start_node("worm_driver", "tracker_node", setup_file="virtual", **parameters)
+    node = processes.start_node("worm_driver", "tracker_node", setup_file=SETUP_FILE, **parameters)
     node.wait_for_line("ready", TIMEOUT_S)
     return node
 
@@ -108,8 +109,12 @@ def test_compressed_images_and_refusals_by_name(processes, probe, pictures, tmp_
     ("parameters", "status", "line"),
     [
         ({"setup_file": "/none.yaml"}, 2, "tracker: /none.yaml: "),
-        ({"setup_file": "virtual", "image_transport": "theora"}, 2, "one of raw, compressed"),
-        ({"setup_file": "virtual", "source": "/dev/video99"}, 1, "/dev/video99 cannot be opened"),
+        ({"setup_file": str(SETUP_FILE), "image_transport": "theora"}, 2, "one of raw, compressed"),
+        (
+            {"setup_file": str(SETUP_FILE), "source": "/dev/video99"},
+            1,
+            "/dev/video99 cannot be opened",
+        ),
     ],
 )
 def test_what_cannot_be_used_ends_with_a_line(processes, parameters, status, line):
@@ -135,30 +140,8 @@ def test_a_folder_of_images_is_played(processes, probe, pictures, tmp_path):
     assert positions[-1].rear_position == pytest.approx(0.002, abs=3e-4)
 
 
-def test_the_virtual_robot_is_found_in_its_images(processes, probe, tmp_path: Path):
-    """The whole path from the plant through pixels to the topic: the robot rests at a known position."""
-    robot = processes.start_node(
-        "worm_driver", "virtual_robot", "--directory", str(tmp_path / "robot"), "--camera"
-    )
-    robot.wait_for_line("^ready: ", TIMEOUT_S)
-    start(processes)
-    images = probe.collect(Image, "camera/image_raw", QoSProfile(depth=2))
-    positions = probe.collect(Tracker, "tracker")
-    lengths = probe.collect(BodyLength, "body_length/measured")
-    probe.wait_for(lambda: len(lengths) >= 10 and images, "positions from images")
-    assert {m.header.frame_id for m in images} == {"camera_optical_frame"}
-    assert [m.rear_position for m in positions[-5:]] == pytest.approx([0.0] * 5, abs=3e-4)
-    assert [m.length for m in lengths[-5:]] == pytest.approx([0.2953] * 5, abs=5e-4)
-    publishers = probe.node.get_publishers_info_by_topic("/worm/tracker")
-    assert [p.node_name for p in publishers] == ["tracker"]
-    robot.interrupt()
-    assert robot.wait(TIMEOUT_S) == 0
-
-
-def test_the_graph_has_the_camera_where_it_is_requested():
-    plain = {node.name for node in system_file().system("virtual").nodes}
-    with_camera = system_file().system("virtual", camera="virtual", tracker_setup="virtual")
-    assert {node.name for node in with_camera.nodes} - plain == {"tracker"}
-    assert with_camera.node("virtual_robot").arguments[-2:] == ("--camera", "virtual")
-    assert with_camera.node("tracker").parameters["setup_file"] == "virtual"
-    assert "--camera" not in system_file().system("virtual").node("virtual_robot").arguments
+def test_the_graph_of_a_robot_has_the_tracker_where_it_is_requested():
+    plain = {node.name for node in installed_system_file().system("robot").nodes}
+    system = installed_system_file().system("robot", tracker_setup="tracker.yaml")
+    assert {node.name for node in system.nodes} - plain == {"tracker"}
+    assert system.node("tracker").parameters["setup_file"] == "tracker.yaml"

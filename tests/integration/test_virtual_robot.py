@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from harness import TIMEOUT_S
 
-from worm_driver.virtual_robot.wire.virtual_smbus import SocketSMBus
+from worm_driver.power.socket_smbus import SocketSMBus
 from worm_msgs.msg import BodyLength, Tracker
 from worm_msgs.srv import InjectFault
 

@@ -74,7 +74,7 @@ from worm_model.parameters import KEYS, PAPER, ParameterFile, format_parameter_f
 from worm_model.simulation.gait_table import evaluate_table, read_gaits, write_table
 from worm_model.simulation.simulator import evaluate_gait
 from worm_optimizer.robustness.uncertainty import phase_known
-from worm_optimizer.study.sensitivity import _reach
+from worm_optimizer.robustness.sensitivity import _reach
 from worm_driver.virtual_robot.offline_run import run_offline
 from worm_driver.virtual_robot.virtual_settings import DEFAULT_FILE, load_settings
 

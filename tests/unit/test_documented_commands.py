@@ -340,9 +340,9 @@ def test_paths_of_tests_exist(command: Command):
 )
 def test_launch_arguments_exist(command: Command):
     package, file, *arguments = command.parts[2:]
-    assert (ROOT / "src" / package / "launch" / file).exists()
+    own = (ROOT / "src" / package / "launch" / file).read_text()
     system = yaml.safe_load((ROOT / "src/worm_optimizer/config/system.yaml").read_text())
-    known = {"mode", *system["settings"]}
+    known = {*re.findall(r'"(\w+)"', own), *system["settings"]}
     assert {argument.split(":=")[0] for argument in arguments} <= known
 
 

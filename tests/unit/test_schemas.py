@@ -16,7 +16,7 @@ _SPEC.loader.exec_module(GENERATOR)
 MODELINE = "# yaml-language-server: $schema="
 FILES = [
     path
-    for folder in ("src", "examples")
+    for folder in ("src", "examples", "tests/helpers")
     for path in sorted((ROOT / folder).rglob("*.yaml"))
     if path.read_text(encoding="utf-8").startswith(MODELINE)
 ]

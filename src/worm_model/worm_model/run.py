@@ -10,7 +10,7 @@ from __future__ import annotations
 import enum
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields, make_dataclass
-from datetime import datetime, timezone
+from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
@@ -88,7 +88,7 @@ def seconds(stamp: Stamps, origin: int) -> Array:
 
 def utc_of(stamp: int) -> str:
     """Return a stamp (ns since the epoch) as date and time in UTC to the second, ISO 8601."""
-    return datetime.fromtimestamp(stamp * 1e-9, timezone.utc).isoformat(timespec="seconds")
+    return datetime.fromtimestamp(stamp * 1e-9, UTC).isoformat(timespec="seconds")
 
 
 def concatenated(kind: type[Any], parts: Sequence[Any]) -> Any:

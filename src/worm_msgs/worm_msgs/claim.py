@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Exclusive use of a namespace: at most one driver and one node graph per namespace and ROS domain on this computer.
+"""Exclusive use of a namespace: at most one driver and one robot per namespace and ROS domain on this computer.
 
 A claim is a listening socket in Linux's abstract socket namespace. The kernel allows one socket per name, for all
 users, and removes the socket when its process ends, for whatever reason. So a claim is never stale. Other computers do
@@ -17,7 +17,7 @@ import struct
 from collections.abc import Mapping
 
 DRIVER = "driver"
-GRAPH = "node graph"
+ROBOT = "virtual robot or player"
 #: service that identifies a driver: every driver node has it, whatever the node is called, and no other node has it
 DRIVER_SERVICE = "run_gait/_action/send_goal"
 #: s, time after which a killed driver is no longer in the ROS graph. DDS removes a participant 20 s after its last sign
@@ -47,20 +47,23 @@ def claim(role: str, namespace: str, domain: int) -> socket.socket:
         made.close()
         if error.errno != errno.EADDRINUSE:
             raise
+        process = holder(role, namespace, domain) or "unknown"
         raise ClaimedError(
-            f"/{namespace.strip('/')} has a {role} already, {_holder(role, namespace, domain)} on this computer, "
-            f"in ROS domain {domain}. End it first, or use another namespace or ROS_DOMAIN_ID"
+            f"/{namespace.strip('/')} has a {role} already, process {process} on this computer, in ROS "
+            f"domain {domain}. End it first, or use another namespace or ROS_DOMAIN_ID"
         ) from None
     return made
 
 
-def claim_graph(namespace: str, domain: int) -> socket.socket:
-    """Claim a namespace for a node graph that is about to start. The namespace must not have a driver yet.
+def claim_robot(namespace: str, domain: int) -> socket.socket:
+    """Claim a namespace for a virtual robot, or for a player that replaces a robot. It must not have a driver yet.
+
+    The driver of a virtual robot starts later, as it waits for the robot's devices.
 
     Raises:
-        ClaimedError: A node graph or a driver runs in the namespace.
+        ClaimedError: A virtual robot, a player or a driver runs in the namespace.
     """
-    made = claim(GRAPH, namespace, domain)
+    made = claim(ROBOT, namespace, domain)
     try:
         claim(DRIVER, namespace, domain).close()
     except ClaimedError:
@@ -83,8 +86,8 @@ def _address(role: str, namespace: str, domain: int) -> bytes:
     return f"\0worm {role} {domain} {digest}".encode()
 
 
-def _holder(role: str, namespace: str, domain: int) -> str:
-    """Return a description of the process that has a claim, with the process id if it is known.
+def holder(role: str, namespace: str, domain: int) -> int:
+    """Return the id of the process that has a claim; 0 if no process has it or the id is unknown.
 
     The connection does not block, although the other process never accepts it.
     """
@@ -96,5 +99,5 @@ def _holder(role: str, namespace: str, domain: int) -> str:
                 socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size
             )
         except OSError:  # The process has just ended, or its queue of connections is full.
-            return "another process"
-    return f"process {_CREDENTIALS.unpack(credentials)[0]}"
+            return 0
+    return int(_CREDENTIALS.unpack(credentials)[0])

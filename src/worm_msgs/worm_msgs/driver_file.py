@@ -34,6 +34,13 @@ class DriverFile:
         "true: if autostart cannot configure the driver, wait for an operator; false: end, so that systemd starts the "
         "driver again.",
     )
+    device_timeout: float = _row(
+        "device_timeout_s",
+        0.0,
+        "Longest wait at the start until the serial port and the I2C bus exist.",
+        0.0,
+        3600.0,
+    )
     parameter_file: str = _row(
         "parameter_file",
         "",

@@ -13,11 +13,14 @@ from collections.abc import Mapping, MutableMapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from worm_msgs.claim import domain_of
+
 #: Environment variable. Its value 1 opens the network: other hosts can reach this process. Its value 0 keeps the
 #: network closed, whatever other variables say.
 DECISION = "WORM_NETWORK"
 
 _RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+_LAST_DOMAIN = 232  # the ports of a larger domain are above 65535
 _FAST_DDS = Path(__file__).with_name("fastdds_loopback.xml")
 _CYCLONE_DDS = (
     '<CycloneDDS><Domain id="any"><General><Interfaces><NetworkInterface address="127.0.0.1" multicast="false"/>'
@@ -118,8 +121,12 @@ def bind(environment: MutableMapping[str, str], middleware: str) -> Reach:
         Access of other hosts to this process from then on.
 
     Raises:
-        NetworkError: See `reach`.
+        NetworkError: ROS_DOMAIN_ID is too large. See also `reach`.
     """
+    if domain_of(environment) > _LAST_DOMAIN:  # Fast DDS would print several lines
+        raise NetworkError(
+            f"ROS_DOMAIN_ID is {environment['ROS_DOMAIN_ID']!r}; use a number from 0 to {_LAST_DOMAIN}"
+        )
     current, binding = reach(environment, middleware), _binding(middleware) or {}
     if current.is_local:
         discovers_none = environment.get(_RANGE) == "OFF"

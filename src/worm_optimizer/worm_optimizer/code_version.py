@@ -18,8 +18,8 @@ _NUMERIC = ("numpy", "scipy", "numba")  # their versions may change the last dig
 _MODEL, _OPTIMIZER = Path(worm_model.__file__).parent, Path(__file__).parent
 _MESSAGES = Path(inspect.getfile(RobotParameters)).parent
 # Sources that determine the numbers of a study with given values. The readers of YAML files are not among them, because
-# a store contains the hash of all values that they returned (`study_file.identity_of`). Patterns of whole folders
-# include files that are added later.
+# a block contains the hash of all values that they returned (`plan.Study.identity`). Patterns of whole folders include
+# files that are added later.
 _SOURCES: Mapping[Path, tuple[str, ...]] = {
     _MODEL: (
         "arrays.py",
@@ -37,7 +37,6 @@ _SOURCES: Mapping[Path, tuple[str, ...]] = {
         "robustness/*.py",
         "study/plan.py",
         "study/point.py",
-        "study/quantities.py",
         "study/study_file.py",
         "gait_prediction.py",
     ),
@@ -55,7 +54,7 @@ _ALL: Mapping[Path, tuple[str, ...]] = {
     _OPTIMIZER: ("**/*.py",),
     _MESSAGES: ("*.py",),
 }
-_OTHERS = ("worm_model", "worm_optimizer", "xarray", "zarr", "distributed")
+_OTHERS = ("worm_model", "worm_optimizer", "xarray", "distributed")
 
 
 def versions() -> dict[str, str]:

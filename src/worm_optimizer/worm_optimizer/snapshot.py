@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import enum
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -49,29 +48,12 @@ class DriverState:
     onset_ns: int = 0
 
 
-class Wish(enum.IntEnum):
-    """Kinds of requests for control of the robot, with the values of the message ControlRequest."""
-
-    CONTROL = 0
-    HAND_OVER = 1
-    RELEASE = 2
-
-
-@dataclass(frozen=True)
-class Control:
-    """Client that has control of the robot (``holder``), and client that requests it; empty if there is none."""
-
-    holder: str = ""
-    requester: str = ""
-
-
 @dataclass(frozen=True)
 class Snapshot:
     """Latest messages of the robot's topics; None or NaN before the first message.
 
     Attributes:
         driver: state of the driver.
-        control: client that has control, and client that requests it.
         twin: state of the twin.
         residuals: residuals of the twin; NaN where no sensor measures them.
         robot: latest sample of the tracker.
@@ -83,7 +65,6 @@ class Snapshot:
     """
 
     driver: DriverState | None = None
-    control: Control | None = None
     twin: StateRecord | None = None
     residuals: ResidualRecord | None = None
     robot: PositionSample = field(default_factory=PositionSample)

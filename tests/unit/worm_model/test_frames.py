@@ -13,7 +13,7 @@ from worm_model.twin import scene
 
 pytest.importorskip("worm_msgs.msg", reason="no ROS is installed")
 
-from worm_driver.nodes import position_publisher, virtual_camera_node
+from worm_driver.nodes import position_publisher
 from worm_model.nodes import twin_messages
 
 SOURCES = Path(__file__).resolve().parents[3] / "src"
@@ -129,8 +129,5 @@ def test_the_modules_look_as_in_the_scene(robot):
     assert tuple(numbers(colour)) == scene.ROBOT_COLOUR
 
 
-def test_what_is_published_has_a_place_in_the_tree():
-    """Positions in the pipe, and images in the optical frame that the launch file attaches to the camera's frame."""
+def test_positions_are_published_in_the_frame_of_the_pipe():
     assert position_publisher.FRAME == scene.FRAME
-    launch = (URDF.parents[1] / "launch" / "view.launch.py").read_text()
-    assert f'"camera", "{virtual_camera_node.FRAME}"' in launch

@@ -7,16 +7,16 @@ import sys
 
 import pytest
 
-from worm_msgs.claim import DRIVER, GRAPH, ClaimedError, claim, claim_graph, domain_of
+from worm_msgs.claim import DRIVER, ROBOT, ClaimedError, claim, claim_robot, domain_of, holder
 
 DOMAIN = 100_000 + os.getpid()  # a domain that no other test uses at the same time
 
-HOLDER = """
+CLAIMANT = """
 import sys
 from worm_msgs.claim import ClaimedError, claim
 sys.stdin.readline()
 try:
-    made = claim("node graph", "/worm", int(sys.argv[1]))
+    made = claim("virtual robot or player", "/worm", int(sys.argv[1]))
     print("claimed", flush=True)
 except ClaimedError:
     print("rejected", flush=True)
@@ -24,10 +24,10 @@ sys.stdin.readline()
 """
 
 
-def holder() -> subprocess.Popen[str]:
+def claimant() -> subprocess.Popen[str]:
     """Start a process that claims at the first line that it reads, and ends at the second."""
     return subprocess.Popen(
-        [sys.executable, "-c", HOLDER, str(DOMAIN)],
+        [sys.executable, "-c", CLAIMANT, str(DOMAIN)],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
@@ -40,32 +40,38 @@ def go(process: subprocess.Popen[str]) -> None:
 
 
 def test_a_second_claim_names_the_process_that_has_the_first():
-    with claim(GRAPH, "/worm", DOMAIN), pytest.raises(ClaimedError, match=f"process {os.getpid()}"):
-        claim(GRAPH, "worm", DOMAIN)  # with or without the leading slash
+    with claim(ROBOT, "/worm", DOMAIN), pytest.raises(ClaimedError, match=f"process {os.getpid()}"):
+        claim(ROBOT, "worm", DOMAIN)  # with or without the leading slash
+
+
+def test_the_holder_of_a_claim_is_known():
+    assert holder(ROBOT, "/worm", DOMAIN) == 0
+    with claim(ROBOT, "/worm", DOMAIN):
+        assert holder(ROBOT, "/worm", DOMAIN) == os.getpid()
 
 
 @pytest.mark.parametrize(
     ("role", "namespace", "domain"),
-    [(DRIVER, "/worm", DOMAIN), (GRAPH, "/worm2", DOMAIN), (GRAPH, "/worm", DOMAIN + 1)],
+    [(DRIVER, "/worm", DOMAIN), (ROBOT, "/worm2", DOMAIN), (ROBOT, "/worm", DOMAIN + 1)],
     ids=["role", "namespace", "domain"],
 )
 def test_what_differs_is_claimed_independently(role, namespace, domain):
-    with claim(GRAPH, "/worm", DOMAIN), claim(role, namespace, domain):
+    with claim(ROBOT, "/worm", DOMAIN), claim(role, namespace, domain):
         pass
 
 
 def test_of_many_processes_that_claim_at_once_one_gets_it_and_a_kill_leaves_nothing_behind():
-    processes = [holder() for _ in range(8)]
+    processes = [claimant() for _ in range(8)]
     try:
         for process in processes:
             go(process)
         answers = {process.stdout.readline().strip(): process for process in processes}
         assert set(answers) == {"claimed", "rejected"}
         with pytest.raises(ClaimedError, match=f"process {answers['claimed'].pid}"):
-            claim(GRAPH, "/worm", DOMAIN)
+            claim(ROBOT, "/worm", DOMAIN)
         answers["claimed"].kill()
         answers["claimed"].wait()
-        claim(GRAPH, "/worm", DOMAIN).close()
+        claim(ROBOT, "/worm", DOMAIN).close()
     finally:
         for process in processes:
             process.kill()
@@ -79,11 +85,11 @@ def test_it_is_exact_after_more_attempts_than_the_kernel_keeps():
                 claim(DRIVER, "/worm", DOMAIN)
 
 
-def test_a_graph_does_not_start_where_a_driver_runs_and_leaves_no_claim_then():
+def test_a_virtual_robot_does_not_start_where_a_driver_runs_and_leaves_no_claim_then():
     with claim(DRIVER, "/worm", DOMAIN), pytest.raises(ClaimedError, match="a driver already"):
-        claim_graph("/worm", DOMAIN)
-    with claim_graph("/worm", DOMAIN), claim(DRIVER, "/worm", DOMAIN):
-        pass  # the graph's own driver
+        claim_robot("/worm", DOMAIN)
+    with claim_robot("/worm", DOMAIN), claim(DRIVER, "/worm", DOMAIN):
+        pass  # the driver of this robot
 
 
 def test_a_long_namespace_fits():

@@ -108,3 +108,9 @@ def test_what_is_set_for_each_middleware_is_well_formed_and_names_no_other_addre
 def test_these_tests_can_be_discovered_on_this_machine_only():
     assert network.reach(os.environ, FAST_DDS).is_local
     assert os.environ[PROFILE].endswith("fastdds_loopback.xml")
+
+
+@pytest.mark.parametrize("domain", ["233", "0x100", "-1"])
+def test_a_domain_that_the_middleware_cannot_use_is_rejected(domain: str):
+    with pytest.raises(network.NetworkError, match="ROS_DOMAIN_ID"):
+        network.bind({"ROS_DOMAIN_ID": domain}, FAST_DDS)

@@ -30,7 +30,6 @@ from worm_driver.errors import (
 )
 from worm_driver.servos import servo_setup as servos
 from worm_driver.servos.calibration import Reading, parameter_text, spool_from
-from worm_driver.servos.encoding import from_raw
 from worm_driver.servos.goal_gate import Bound, GoalGate
 from worm_driver.servos.position_track import PositionTrack
 from worm_driver.servos.registers import MODELS, POSITION_MODE, TICKS_PER_TURN, WATCHDOG_EXPIRED
@@ -178,7 +177,7 @@ class Calibration:
             self._ask(
                 f"fin servo {servo.number}: turn the fins manually to {way}, then press Enter "
             )
-            angles.append(from_raw(register, self._bus.read(servo.number, register)))
+            angles.append(register.from_raw(self._bus.read(servo.number, register)))
             self._say(f"  {way}: {angles[-1]:.4f} rad")
         return Fin(servo.number, *angles)
 

@@ -294,22 +294,30 @@ class Actuators:
 
     @property
     def contracted(self) -> Mapping[int, float]:
-        """Contractions (m) of the cables that would spring back without torque, by servo id; empty at rest."""
-        contractions = {spool.servo: self._contraction(spool) for spool in self.settings.spools}
-        return {n: length for n, length in contractions.items() if length > _SPRINGS_BACK}
+        """Contractions (m) of the cables that would spring back without torque, by servo id; empty at rest.
+
+        A cable at rest is included if the goal of its servo is not at rest, because the servo may still move there.
+        """
+        return {
+            spool.servo: at
+            for spool in self.settings.spools
+            if max(at := self._contraction(spool), self._commanded(spool)) > _SPRINGS_BACK
+        }
 
     def _contraction(self, spool: Spool) -> float:
         """Return the contraction (m) at the last plausible position, infinite if there is none.
 
         A servo that was not measured recently may have moved on to its goal.
         """
-        position, goal = self.track.last(spool.servo), self._goals.last_sent(spool.servo)
+        position = self.track.last(spool.servo)
         if position is None:
             return math.inf
         at = -spool.length_change(position.ticks)
-        if goal is None or self._is_recent(position):
-            return at
-        return max(at, -spool.length_change(goal))
+        return at if self._is_recent(position) else max(at, self._commanded(spool))
+
+    def _commanded(self, spool: Spool) -> float:
+        """Return the contraction (m) at the last goal, 0 before the first one."""
+        return -spool.length_change(self._goals.last_sent(spool.servo) or 0)
 
     def _is_recent(self, position: PositionSample | None) -> bool:
         """Return True if a position was received in one of the last two cycles, or within `limits.max_silence`."""

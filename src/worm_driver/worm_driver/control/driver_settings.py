@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Validated driver configuration."""
 
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from worm_driver.control.supervision import Limits
 from worm_driver.errors import ConfigurationError
 from worm_driver.gait.gait_player import PlayerSettings
+from worm_driver.servos.registers import COMMON
 from worm_driver.servos.transmission import Fin, Spool
 from worm_msgs.driver_file import DriverFile
 from worm_msgs.robot_parameters import ParameterFileContent, RobotParameters
@@ -32,7 +34,7 @@ class DriverSettings:
         spools: spools of the cable servos, at least one.
         fins: fin servos.
         baud_rate: baud rate of the servos, bit/s.
-        watchdog: time without packets after which the servos stop by themselves, s.
+        watchdog: time without packets after which the servos stop by themselves, s; a multiple of the register's step.
         home_at_start: True if the robot stands at its initial length when the driver is configured. The driver then
             homes it, unless it is homed already.
         rate: rate of commands and telemetry, Hz.
@@ -74,7 +76,11 @@ class DriverSettings:
                 raise ConfigurationError(f"servo id {number} is not in 0 to 252")
             if ids.count(number) > 1:
                 raise ConfigurationError(f"two servos have the id {number}")
-
+        step = COMMON["bus_watchdog"].scale
+        if not math.isclose(self.watchdog, step * round(self.watchdog / step)):
+            raise ConfigurationError(
+                f"bus_watchdog_s is {self.watchdog:g}, and the servos count in steps of {step:g} s: use a multiple"
+            )
         if self.period >= self.watchdog:
             raise ConfigurationError(
                 f"rate_hz is {self.rate:g}: the servos stop by their watchdog (bus_watchdog_s, {self.watchdog:g} s) "

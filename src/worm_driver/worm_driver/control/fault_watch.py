@@ -136,7 +136,8 @@ class FaultWatch:
         cables = robot.cable_lengths(states, player.length_change)
         counts = supervision.following(counts, cables, limits)
         returned = moving(player) and player.length_change == 0.0
-        self._counts = supervision.resting(counts, robot.contracted if returned else ())
+        unrested = robot.contracted if returned else ()
+        self._counts = supervision.resting(counts, unrested, robot.settings.period)
         problems = self._reader.problems
         if supervision.fault_in_counts(self._counts, limits, problems) is None:
             return None  # the load average is read only for a fault, not in every cycle

@@ -27,7 +27,7 @@ from worm_driver.servos import serial_port
 from worm_driver.servos.bus_types import BusCounters
 from worm_driver.servos.registers import ServoModel
 from worm_driver.servos.servo_bus import ServoBus
-from worm_driver.virtual_robot.wire.virtual_clock import I2C, SERIAL, clock_of
+from worm_driver.simulated_clock import I2C, SERIAL, clock_of
 
 #: Answers per cycle that an adapter may delay: those of the state and of the health register.
 _ANSWERS = 2

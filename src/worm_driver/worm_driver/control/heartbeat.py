@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Supervision of the heartbeats of a client that has started a run or has a lease."""
+"""Supervision of the heartbeats of a client that has started a run."""
 
 import math
 
@@ -8,7 +8,7 @@ PERIOD = 0.1
 
 
 class HeartbeatMonitor:
-    """Heartbeat monitor of one run or lease. One thread may record heartbeats while another one checks them.
+    """Heartbeat monitor of one run. One thread may record heartbeats while another one checks them.
 
     The intervals between the checks add up to the silence, and a heartbeat resets it to 0. An interval counts as at
     most two periods. If it is longer, the driver itself was late, and heartbeats may wait in its queues.

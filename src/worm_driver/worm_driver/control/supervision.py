@@ -25,8 +25,7 @@ class Limits:
         overload_cycles: consecutive cycles above max_current or max_load that are a fault.
         following_error: largest distance of the cable from its command, m.
         following_cycles: consecutive cycles beyond following_error that are a fault.
-        rest_cycles: consecutive cycles in which a cable is contracted, although it is commanded to rest, that are a
-            fault.
+        rest_time: time for which a cable is contracted, although it is commanded to rest, that is a fault, s.
     """
 
     max_silence: float = DriverFile.max_silence
@@ -35,7 +34,7 @@ class Limits:
     overload_cycles: int = 5
     following_error: float = DriverFile.max_following_error
     following_cycles: int = 5
-    rest_cycles: int = 100
+    rest_time: float = 1.0
 
 
 def own_limit(servo: Servo, limits: Limits) -> float:
@@ -68,14 +67,14 @@ class Counts:
         silence: time without a state, s, by servo id.
         overload: consecutive cycles with overload, by servo id.
         following: consecutive cycles with too large a following error, by servo id.
-        unrested: consecutive cycles in which a cable is contracted, although it is commanded to rest, by servo id.
+        unrested: time for which a cable has been contracted, although it is commanded to rest, s, by servo id.
         cables: lengths in the present reading, by servo id.
     """
 
     silence: Mapping[int, float] = field(default_factory=dict)
     overload: Mapping[int, int] = field(default_factory=dict)
     following: Mapping[int, int] = field(default_factory=dict)
-    unrested: Mapping[int, int] = field(default_factory=dict)
+    unrested: Mapping[int, float] = field(default_factory=dict)
     cables: Mapping[int, CableLength] = field(default_factory=dict)
 
 
@@ -165,9 +164,9 @@ def following(counts: Counts, cables: Mapping[int, CableLength], limits: Limits)
     )
 
 
-def resting(counts: Counts, contracted: Iterable[int]) -> Counts:
-    """Return the counts after a cycle in which some servos, by id, are contracted although commanded to rest."""
-    return replace(counts, unrested={s: counts.unrested.get(s, 0) + 1 for s in contracted})
+def resting(counts: Counts, contracted: Iterable[int], period: float) -> Counts:
+    """Return the counts after a cycle (of a period in s) in which some servos, by id, are contracted at rest."""
+    return replace(counts, unrested={s: counts.unrested.get(s, 0.0) + period for s in contracted})
 
 
 def fault_in_counts(
@@ -191,23 +190,23 @@ def fault_in_counts(
                 f"servo {servo} is beyond its limit (limits.max_servo_current_a, limits.max_servo_load): the "
                 "cable is blocked or overloaded"
             )
-    for count, longest in (
-        (counts.following, limits.following_cycles),
-        (counts.unrested, limits.rest_cycles),
-    ):
-        for servo, cycles in count.items():
-            if cycles >= longest:
-                return off_command(servo, counts.cables[servo], cycles)
+    for servo, cycles in counts.following.items():
+        if cycles >= limits.following_cycles:
+            when = f"beyond limits.max_following_error_m ({limits.following_error * 1e3:g} mm)"
+            why = ", or the limit is too small for a loaded servo at this rate_hz"
+            return _off_command(servo, counts.cables[servo], when, why)
+    for servo, duration in counts.unrested.items():
+        if duration >= limits.rest_time:
+            return _off_command(servo, counts.cables[servo], "although it should be at rest")
     return None
 
 
-def off_command(servo: int, cable: CableLength, cycles: int) -> str:
-    """Return the message about a cable that has been off its command for some cycles."""
-    off = abs(cable.measured - cable.commanded)
+def _off_command(servo: int, cable: CableLength, when: str, otherwise: str = "") -> str:
+    measured, commanded = cable.measured * 1e3, cable.commanded * 1e3
     return (
-        f"the cable of servo {servo} is {off * 1e3:.1f} mm off its command for {cycles} cycles (at "
-        f"{cable.measured * 1e3:.1f} mm instead of {cable.commanded * 1e3:.1f} mm): it is blocked, its servo is too "
-        "slow or too weak, or its position is wrong"
+        f"the cable of servo {servo} is {abs(measured - commanded):.1f} mm off its command (at {measured:.1f} mm "
+        f"instead of {commanded:.1f} mm), {when}: it is blocked, its servo is too slow or too weak, or its position is "
+        f"wrong{otherwise}"
     )
 
 

@@ -14,6 +14,7 @@ from traceback import format_exception
 from typing import TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray
+from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock as RosClock
 from rclpy.clock import ClockType
@@ -28,14 +29,13 @@ from worm_driver.control.emergency import EmergencyLatch, state_folder
 from worm_driver.control.hardware import Hardware
 from worm_driver.errors import ConfigurationError, DriverError, ReleaseError, StoppedError
 from worm_driver.nodes import driver_messages, driver_parameters
-from worm_driver.nodes.lifecycle_requests import LifecycleRequests
 from worm_driver.nodes.run_gait_action import RunGaitAction
 from worm_driver.nodes.sole_driver import SoleDriver
 from worm_driver.nodes.stamps import Stamps
 from worm_driver.nodes.stop_services import StopServices
 from worm_driver.nodes.telemetry_publisher import TelemetryPublisher
 from worm_driver.nodes.tracker_listener import TrackerListener
-from worm_msgs import network, readiness
+from worm_msgs import network
 from worm_msgs.node_command import declare, run_node
 from worm_msgs.ros_process import ShutdownRequest, freeze_garbage_collection
 
@@ -79,16 +79,20 @@ _SERVICES: tuple[tuple[str, _Action, str], ...] = (
 
 
 class DriverNode(LifecycleNode):
-    """Node of the driver, see the module.
+    """Node of the driver, see the module. It waits for its devices before it offers anything.
+
+    Args:
+        ended: returns True once a signal requests the end.
 
     Attributes:
         unreleased: failures of the last closing. After a failure a servo may still have its torque.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, ended: Callable[[], bool]) -> None:
         super().__init__("driver")
         declare(self, driver_parameters.rows)
         driver_parameters.check_time(self)
+        driver_parameters.wait_for_devices(self, ended)
         self._reach = network.reach(os.environ, get_rmw_implementation_identifier())
         self._sole = SoleDriver(self, on_network=not self._reach.is_local)
         self._hardware: Hardware | None = None
@@ -102,7 +106,8 @@ class DriverNode(LifecycleNode):
             self, self._stamps, lambda: self._hardware, lambda: self._tracker.is_publishing()
         )
         self._tracker = TrackerListener(self, self._stamps, self._action.on_position)
-        self._telemetry = TelemetryPublisher(self, self._stamps, self._action, self._emergency)
+        self._telemetry = TelemetryPublisher(self, self._stamps, self._emergency)
+        self._sinks = (self._telemetry, self._action)  # of snapshots and power samples
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._stops = StopServices(
             self,
@@ -110,11 +115,12 @@ class DriverNode(LifecycleNode):
             self._emergency,
             self._action.stop,
             self._action.on_heartbeat,
-            self._stamps.now,
         )
         for name, action, done in _SERVICES:
             self.create_service(Trigger, name, partial(self._serve, action, done))
-        self._lifecycle = LifecycleRequests(self)
+        self._ends = False
+        self._change_state = self._service_change_state.callback
+        self._service_change_state.callback = self._on_change_state
         steady = RosClock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_PUBLISH_PERIOD, self._publish, clock=steady)
         self.create_timer(1.0, self._publish_diagnostics, clock=steady)
@@ -157,13 +163,12 @@ class DriverNode(LifecycleNode):
             self._sole.require()
             self._hardware = Hardware(settings, self._tracker.is_ready, self._why_not_start)
             self._stamps.robot_clock = self._hardware.clock
+            self._telemetry.open(self._hardware)
         except Exception as error:  # noqa: BLE001 (rclpy would drop it silently)
             return self._failed("configure", error)
         self._failure, self.unreleased = None, []
         for line in self._hardware.description():
             self.get_logger().info(line)
-        if restriction := self._emergency.restriction(os.environ):
-            self.get_logger().warning(restriction)
         return super().on_configure(state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -237,7 +242,7 @@ class DriverNode(LifecycleNode):
         for problem in problems:
             self.get_logger().error(f"on release: {problem}")
         if self.context.ok():
-            self._telemetry.publish(hardware)
+            self._pass_on(hardware)
             self._action.abandon(reason)
             self._publish()
             self._telemetry.deliver()
@@ -256,7 +261,7 @@ class DriverNode(LifecycleNode):
 
     def reject_transitions(self) -> None:
         """Reject all further transitions, because the process ends."""
-        self._lifecycle.reject_all()
+        self._ends = True
 
     def begin_shutdown(self) -> None:
         """Begin to bring the robot to rest and to end the control loop. Safe in a signal handler."""
@@ -294,6 +299,22 @@ class DriverNode(LifecycleNode):
             self.get_logger().info(
                 f"waiting for configure: ros2 lifecycle set {name} configure, then activate (autostart: both at once)"
             )
+
+    def _on_change_state(
+        self, request: ChangeState.Request, response: ChangeState.Response
+    ) -> ChangeState.Response:
+        """Execute a transition. Reject an impossible one, for which rclpy (7.1) would raise and end the node."""
+        requested = request.transition
+        possible = {
+            number: label for number, label, *_ in self._state_machine.available_transitions
+        }
+        if not self._ends and (requested.label or requested.id in possible):
+            return self._change_state(request, response)
+        names = ", ".join(sorted(possible.values()))
+        none = f"there is no transition {requested.id} from the present state, only: {names}"
+        self.get_logger().error(f"rejected: {_END if self._ends else none}")
+        response.success = False
+        return response
 
     def _failed(self, transition: str, error: Exception) -> TransitionCallbackReturn:
         self._failure = error
@@ -355,7 +376,6 @@ class DriverNode(LifecycleNode):
 
     def destroy_node(self) -> None:
         """Destroy the node. Also end the services with their own threads, and release the claim of the namespace."""
-        self._lifecycle.close()
         self._stops.close()
         self._sole.close()
         super().destroy_node()
@@ -386,9 +406,22 @@ class DriverNode(LifecycleNode):
         if not self.context.ok():
             return
         if self._hardware is not None:
-            self._telemetry.publish(self._hardware)
+            self._pass_on(self._hardware)
         else:
             self._telemetry.show_inactive(self._why_closed)
+
+    def _pass_on(self, hardware: Hardware) -> None:
+        """Pass the snapshots and power samples since the last call to all sinks, and log the warnings."""
+        while hardware.warnings:
+            self.get_logger().warning(hardware.warnings.popleft())
+        while hardware.samples:
+            sample = hardware.samples.popleft()
+            for sink in self._sinks:
+                sink.on_power(sample)
+        while hardware.snapshots:
+            snapshot = hardware.snapshots.popleft()
+            for sink in self._sinks:
+                sink.on_snapshot(snapshot)
 
     def _publish_diagnostics(self) -> None:
         hardware, latest = self._hardware, self._telemetry.latest
@@ -424,16 +457,16 @@ def main(args: list[str] | None = None) -> int:
 
 
 def _run(ended: ShutdownRequest) -> int:
-    node = DriverNode()
+    node = DriverNode(ended)
     ended.first, ended.again = node.begin_shutdown, node.release_at_once
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     try:
         freeze_garbage_collection()
         node.wait_until_sole(ended)
-        readiness.announce()
-        node.autostart()
-        node.log_awaited_transition()
+        if not ended():
+            node.autostart()
+            node.log_awaited_transition()
         while not ended():
             executor.spin_once(timeout_sec=0.05)
     finally:

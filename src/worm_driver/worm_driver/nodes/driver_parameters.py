@@ -2,7 +2,9 @@
 """ROS parameters of the driver, from the table `worm_msgs.driver_file`, and their conversion to settings."""
 
 import dataclasses
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 from rclpy.node import Node
@@ -13,6 +15,7 @@ from worm_driver.control.emergency import latch_names
 from worm_driver.control.supervision import Limits
 from worm_driver.errors import ConfigurationError
 from worm_driver.gait.gait_player import PlayerSettings
+from worm_driver.power import i2c
 from worm_driver.servos.transmission import Fin, Spool
 from worm_msgs.driver_file import DriverFile
 from worm_msgs.parameter_rows import ParameterRow
@@ -24,8 +27,9 @@ _LIVE = ("limits.", "rest_duration_s", "return_speed_m_per_s", HEARTBEAT)
 #: Those of `_LIVE` that a configured driver can only lower.
 _BOUNDS = ("limits.", "return_speed_m_per_s")
 #: Parameters that the node reads only once, after its start. Later changes would have no effect.
-_AT_START = ("autostart", "stay_on_failure")
+_AT_START = ("autostart", "stay_on_failure", "device_timeout_s")
 _SIMULATED_TIME = "use_sim_time"
+_POLL = 0.05  # s, period of the checks for the devices
 _ROWS = tuple(
     ParameterRow(
         row.metadata["alias"],
@@ -89,6 +93,17 @@ def why_not_set(node: Node, parameters: Sequence[Parameter], *, configured: bool
                 "configured: deactivate and clean it up first"
             )
     return ""
+
+
+def wait_for_devices(node: Node, ended: Callable[[], bool]) -> None:
+    """Wait until the serial port and the I2C bus exist, for at most device_timeout_s."""
+    end = time.monotonic() + node.get_parameter("device_timeout_s").value
+    port, bus = (node.get_parameter(name).value for name in ("port", "i2c_bus"))
+    while time.monotonic() < end and not ended():
+        # A virtual robot listens on its bus when it has removed the port that a killed one left behind.
+        if i2c.exists(bus) and Path(port).exists():
+            return
+        time.sleep(_POLL)
 
 
 def body(node: Node) -> RobotParameters:

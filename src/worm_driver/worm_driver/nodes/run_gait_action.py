@@ -28,13 +28,14 @@ from worm_driver.nodes.driver_messages import gait_from
 from worm_driver.nodes.driver_parameters import HEARTBEAT
 from worm_driver.nodes.goal_server import GoalServer
 from worm_driver.nodes.stamps import Stamps
-from worm_driver.nodes.throttled_log import ThrottledLog
 from worm_driver.power.ina219 import PowerSample
 from worm_msgs.action import RunGait
 from worm_msgs.goal_rejections import GoalRejections
 from worm_msgs.msg import Heartbeat
 from worm_msgs.robot_parameters import RobotParameters
 
+#: s, shortest time between two log lines on rejected goals, of which hundreds may arrive in a second
+_LOG_PERIOD = 0.1
 #: s, time between two feedback messages
 _FEEDBACK_PERIOD = 0.2
 #: s, time after a run's end. The result is computed once a tracker sample from after this time has arrived
@@ -101,7 +102,6 @@ class RunGaitAction:
         # Only the last run is in progress. The earlier ones have ended and wait for tracker samples.
         self._runs: list[_Current] = []
         self._rejections = GoalRejections(node, "run_gait", stamps.now)
-        self._log = ThrottledLog(node.get_logger())
         self._server = GoalServer(
             node,
             RunGait,
@@ -208,7 +208,9 @@ class RunGaitAction:
 
     def _on_rejected(self, goal_id: bytes, reason: str) -> None:
         """Report why a goal is rejected. Safe in any thread."""
-        self._log.warning(f"gait rejected: {reason}")
+        self._node.get_logger().warning(
+            f"gait rejected: {reason}", throttle_duration_sec=_LOG_PERIOD
+        )
         self._rejections.publish(goal_id, reason)
 
     async def _execute(self, goal: ServerGoalHandle) -> RunGait.Result:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Publisher of the driver's topics: the data of the hardware's threads, and each change of the gait state."""
+"""Publisher of the driver's topics: snapshots of the cycles, power samples, and each change of the gait state."""
 
 import math
 from typing import Any
@@ -16,8 +16,8 @@ from worm_driver.control.snapshot import Snapshot
 from worm_driver.gait.gait_player import Phase, PlayerState
 from worm_driver.nodes import driver_messages
 from worm_driver.nodes.driver_messages import ClockPair
-from worm_driver.nodes.run_gait_action import RunGaitAction
 from worm_driver.nodes.stamps import Stamps
+from worm_driver.power.ina219 import PowerSample
 from worm_msgs.msg import BodyLength, GaitState, Power
 from worm_msgs.qos import LATCHED
 
@@ -31,21 +31,18 @@ _OPEN = QoSOverridingOptions.with_default_policies()
 
 
 class TelemetryPublisher:
-    """Publisher of telemetry. It also passes the data to the action run_gait.
+    """Publisher of the telemetry of a robot, see `open`.
 
     Attributes:
         latest: latest snapshot of the open robot; None while no robot is open.
     """
 
-    def __init__(
-        self, node: LifecycleNode, stamps: Stamps, action: RunGaitAction, emergency: EmergencyLatch
-    ) -> None:
+    def __init__(self, node: LifecycleNode, stamps: Stamps, emergency: EmergencyLatch) -> None:
         def publisher(kind: type, topic: str) -> Any:
             return node.create_publisher(kind, topic, _TELEMETRY, qos_overriding_options=_OPEN)
 
         self._logger = node.get_logger()
         self._stamps = stamps
-        self._action = action
         self._emergency = emergency
         self._joint_states = publisher(JointState, "joint_states")
         self._commanded = publisher(BodyLength, "body_length/commanded")
@@ -56,17 +53,14 @@ class TelemetryPublisher:
         self._faulty = False
         self.latest: Snapshot | None = None
 
-    def publish(self, hardware: Hardware) -> None:
-        """Publish all data, and log the warnings, since the last call."""
-        clocks = self._stamps.clocks()
-        while hardware.warnings:
-            self._logger.warning(hardware.warnings.popleft())
-        while hardware.samples:
-            sample = hardware.samples.popleft()
-            self._action.on_power(sample)
-            self._power.publish(driver_messages.power(sample, clocks))
-        while hardware.snapshots:
-            self._publish_snapshot(hardware, hardware.snapshots.popleft(), clocks)
+    def open(self, hardware: Hardware) -> None:
+        """Set the robot whose data follow."""
+        self._joints = hardware.joint_names, hardware.joint_models
+        self._initial_length = hardware.settings.body.initial_length
+
+    def on_power(self, sample: PowerSample) -> None:
+        """Publish a power sample."""
+        self._power.publish(driver_messages.power(sample, self._stamps.clocks()))
 
     def show_inactive(self, reason: str) -> None:
         """Publish the state INACTIVE if the reason or the emergency stop has changed."""
@@ -85,14 +79,11 @@ class TelemetryPublisher:
         for publisher in (self._joint_states, self._cable, self._power, self._gait_state):
             publisher.wait_for_all_acked(_DELIVERY)
 
-    def _publish_snapshot(self, hardware: Hardware, snapshot: Snapshot, clocks: ClockPair) -> None:
+    def on_snapshot(self, snapshot: Snapshot) -> None:
+        """Publish the snapshot of a cycle."""
         self.latest = snapshot
-        initial = hardware.settings.body.initial_length
-        self._joint_states.publish(
-            driver_messages.joint_state(
-                hardware.joint_names, hardware.joint_models, snapshot, clocks
-            )
-        )
+        initial, clocks = self._initial_length, self._stamps.clocks()
+        self._joint_states.publish(driver_messages.joint_state(*self._joints, snapshot, clocks))
         if not math.isnan(snapshot.commanded):
             self._commanded.publish(
                 driver_messages.body_length(
@@ -106,7 +97,6 @@ class TelemetryPublisher:
                 )
             )
         self._show_gait_state(snapshot, clocks)
-        self._action.on_snapshot(snapshot)
 
     def _show_gait_state(self, snapshot: Snapshot, clocks: ClockPair) -> None:
         player = snapshot.player

@@ -3,7 +3,6 @@
 
 import sys
 import time
-from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -26,24 +25,17 @@ from worm_driver.tracking.tracker import Tracker as ModuleTracker
 from worm_driver.tracking.tracker_report import TrackerReport
 from worm_driver.tracking.tracker_setup import load_setup
 from worm_driver.tracking.tracking_errors import ImageError, SetupError, TrackingError
-from worm_msgs import readiness
 from worm_msgs.node_command import declare, run_node
 from worm_msgs.parameter_rows import ParameterRow
 from worm_msgs.ros_process import ShutdownRequest, freeze_garbage_collection
 
-#: Value of setup_file that selects the setup of the virtual robot's camera.
-VIRTUAL = "virtual"
 #: Value of source that selects the topics of a camera.
 TOPIC = "topic"
 _TRANSPORTS = ("raw", "compressed")
 _PARAMETERS = tuple(
     ParameterRow(name, default, text, read_only=True)
     for name, default, text in (
-        (
-            "setup_file",
-            "",
-            f"Setup file of the camera and the markers (YAML); {VIRTUAL}: that of the virtual robot.",
-        ),
+        ("setup_file", "", "Setup file of the camera and the markers (YAML)."),
         (
             "source",
             TOPIC,
@@ -227,8 +219,6 @@ def _setup_path(text: str) -> Path:
         raise SetupError(
             "setup_file is missing: set it to the tracker's setup file, as with -p setup_file:=tracker.yaml"
         )
-    if text == VIRTUAL:
-        return Path(str(files("worm_driver").joinpath("config/virtual_tracker.yaml")))
     return Path(text).expanduser()
 
 
@@ -243,7 +233,6 @@ def _run(ended: ShutdownRequest) -> int:
         executor.add_node(node)
         freeze_garbage_collection()
         node.get_logger().info("ready")
-        readiness.announce()
         while not ended() and node.failure is None:
             executor.spin_once(timeout_sec=0.05)
     finally:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Node ``virtual_robot``: ports of the servo bus and of the power sensor, topics of the camera, and fault injection."""
+"""Node ``virtual_robot``: ports of the servo bus and of the power sensor, measured positions, and fault injection."""
 
 import argparse
 import logging
@@ -17,10 +17,7 @@ from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
 
 from worm_driver.nodes.position_publisher import PositionPublisher
-from worm_driver.nodes.virtual_camera_node import CameraProcess
 from worm_driver.virtual_robot.camera import TrackerSample
-from worm_driver.virtual_robot.camera_images import DEFAULT_FILE as CAMERA_FILE
-from worm_driver.virtual_robot.camera_images import load_camera_settings
 from worm_driver.virtual_robot.robot_server import DirectoryError, RobotServer
 from worm_driver.virtual_robot.virtual_robot import VirtualRobot
 from worm_driver.virtual_robot.virtual_settings import load_settings
@@ -31,7 +28,7 @@ from worm_driver.virtual_robot.wire.faults import (
     make_fault,
     parse_fault,
 )
-from worm_msgs import readiness
+from worm_msgs.claim import ClaimedError, claim_robot
 from worm_msgs.command_parser import BAD_INPUT, Parser
 from worm_msgs.conditions import CONDITION_ROWS
 from worm_msgs.input_error import InputError
@@ -41,31 +38,30 @@ from worm_msgs.srv import InjectFault
 
 _DEPTH = 500  # samples that may wait for a slow subscriber
 _CLOCK_PERIOD = 0.05  # s, virtual time between two messages on the topic clock
-_VIRTUAL = "virtual"  # selects the installed file of the camera
 # s, time slice of the interpreter's threads; with Python's default of 5 ms, answers on the bus would be too late.
 _SWITCH_INTERVAL = 0.0002
 _SIGNAL_LATENCY = 0.1  # s, longest delay until a signal takes effect
-_CAMERA_TIMEOUT = 2.0  # s, longest wait of the virtual time for an image
 _QUIET = 0.5  # s, time without an instruction after which the driver counts as ended
 
 log = logging.getLogger("virtual_robot")
 
 
 class VirtualRobotNode(Node):
-    """Publisher of the camera's measurements, and server of fault injection.
+    """Publisher of the measured positions, and server of fault injection.
 
     Args:
         robot: the virtual robot.
         directory: folder of the ports.
         rate: largest number of virtual seconds per second; None: real time, like a real robot.
-        camera: file of the camera whose images are published; None: positions are published instead.
+
+    Raises:
+        ClaimedError: The namespace has a robot already.
     """
 
-    def __init__(
-        self, robot: VirtualRobot, directory: Path, rate: float | None, camera: Path | None = None
-    ) -> None:
+    def __init__(self, robot: VirtualRobot, directory: Path, rate: float | None) -> None:
         super().__init__("virtual_robot")
         declare_none(self)
+        self._claim = claim_robot(self.get_namespace(), self.context.get_domain_id())
         epoch_ns = self.get_clock().now().nanoseconds
         self.server = RobotServer(
             robot,
@@ -75,29 +71,20 @@ class VirtualRobotNode(Node):
             epoch_ns=epoch_ns,
             on_time=self._publish_time,
         )
-        self._camera: CameraProcess | None = None
-        if camera is None:
-            self._positions = PositionPublisher(self, _DEPTH)
-        else:
-            self._camera = CameraProcess(camera, robot.settings.seed, self.get_namespace())
+        self._positions = PositionPublisher(self, _DEPTH)
         self._time = self.create_publisher(Clock, "clock", 10) if rate is not None else None
         self._next_tick = 0.0
         self.create_service(InjectFault, "inject_fault", self._inject)
 
     def close(self) -> None:
-        """End the process of the camera, if there is one."""
-        if self._camera is not None:
-            self._camera.close()
+        """Release the claim."""
+        self._claim.close()
 
     def _publish_samples(self, samples: list[TrackerSample]) -> None:
         """Publish tracker samples. Runs in the serving thread, because the executor's thread may be late."""
         for sample in samples:
-            stamp, places = self._stamp(sample.time), (sample.rear_position, sample.front_position)
-            if self._camera is None:
-                self._positions.publish(stamp.to_msg(), *places)
-            else:
-                timeout = _CAMERA_TIMEOUT if self.server.waits else 0.0
-                self._camera.expose(stamp.nanoseconds, *places, timeout)
+            stamp = self._stamp(sample.time).to_msg()
+            self._positions.publish(stamp, sample.rear_position, sample.front_position)
 
     def _publish_time(self, now: float) -> None:
         """Publish the robot's time (s) for nodes with use_sim_time. Runs in the serving thread."""
@@ -137,11 +124,6 @@ class VirtualRobotNode(Node):
         return response
 
 
-def _camera_file(text: str) -> Path:
-    """Return the file that --camera selects."""
-    return CAMERA_FILE if text == _VIRTUAL else Path(text)
-
-
 def _parse_arguments(arguments: Sequence[str]) -> argparse.Namespace:
     faults = "\n".join(f"  {name:18}{kind}" for name, kind in KINDS.items())
     parser = Parser(
@@ -174,14 +156,6 @@ def _parse_arguments(arguments: Sequence[str]) -> argparse.Namespace:
             metavar=row["unit"].upper().replace("/", "_PER_"),
             help=f"{row['meaning']}; default: that of the parameter file",
         )
-    parser.add_argument(
-        "--camera",
-        nargs="?",
-        type=_camera_file,
-        const=_camera_file(_VIRTUAL),
-        metavar="FILE",
-        help="publish images of the camera in this file instead of positions; without FILE: the installed one",
-    )
     parser.add_argument(
         "--fault",
         action="append",
@@ -222,9 +196,6 @@ def _make_robot(arguments: argparse.Namespace) -> VirtualRobot:
     given = {name: getattr(arguments, name) for name in CONDITION_ROWS}
     given = {name: value for name, value in given.items() if value is not None}
     settings = replace(settings, conditions=replace(settings.conditions, **given))
-    if arguments.camera is not None:  # The images contain the noise.
-        load_camera_settings(arguments.camera)
-        settings = replace(settings, tracker=replace(settings.tracker, noise=0.0))
     return VirtualRobot(settings, FaultBoard(parse_fault(text) for text in arguments.fault))
 
 
@@ -238,7 +209,7 @@ def _serve(node: VirtualRobotNode, failures: list[Exception]) -> None:
 
 def _run(robot: VirtualRobot, options: argparse.Namespace, ended: ShutdownRequest) -> None:
     """Serve until a signal arrives and the driver has ended. Raise the exception of the serving thread, if any."""
-    node = VirtualRobotNode(robot, options.directory, options.rate, options.camera)
+    node = VirtualRobotNode(robot, options.directory, options.rate)
     ended.again = node.server.stop
     failures: list[Exception] = []
     serving = threading.Thread(target=_serve, args=(node, failures), name="serving")
@@ -249,7 +220,6 @@ def _run(robot: VirtualRobot, options: argparse.Namespace, ended: ShutdownReques
         serving.start()
         sys.stdout.write(f"ready: {options.directory}\n")
         sys.stdout.flush()
-        readiness.announce()
         # If all processes receive the signal at once, the robot must serve until the driver has released it.
         while serving.is_alive() and not (ended() and node.server.quiet_for(_QUIET)):
             executor.spin_once(timeout_sec=_SIGNAL_LATENCY)
@@ -282,7 +252,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         with ros_process(command_line) as ended:
             _run(robot, options, ended)
-    except DirectoryError as error:
+    except (DirectoryError, ClaimedError) as error:
         return _reject(error)
     except Exception:
         log.exception("stopped by an error")

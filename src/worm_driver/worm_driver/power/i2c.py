@@ -17,7 +17,7 @@ from typing import Protocol
 import smbus2
 
 from worm_driver.errors import PowerSensorError
-from worm_driver.virtual_robot.wire.virtual_smbus import SocketSMBus
+from worm_driver.power.socket_smbus import SocketSMBus
 
 
 class WordBus(Protocol):
@@ -116,6 +116,17 @@ def open_device(bus: str, address: int) -> I2CDevice:
         ) from error
     except OSError as error:
         raise PowerSensorError(f"I2C bus {bus} cannot be opened: {error}") from error
+
+
+def exists(bus: str) -> bool:
+    """Return True if a bus, as in `open_device`, can be opened or is not wanted ("none" or empty)."""
+    if bus in ("", "none"):
+        return True
+    try:
+        _open_bus(bus).close()
+    except OSError:
+        return False
+    return True
 
 
 def _bus_number(bus: str) -> str:

@@ -2,9 +2,8 @@
 """Control tables of the Dynamixel X series, as data.
 
 Each register is a row, and each servo model has a table of rows. Registers have the names of the e-manual, in lower
-case. The scale of a row converts a raw value into the unit of the row. Sources are the ROBOTIS e-manual (control table
-of each model) and the ``.model`` files of DynamixelSDK. In these files the velocity unit is 0.0239691227 rad/s. The
-manual rounds it to 0.229 rpm.
+case. Sources are the ROBOTIS e-manual (control table of each model) and the ``.model`` files of DynamixelSDK. In these
+files the velocity unit is 0.0239691227 rad/s. The manual rounds it to 0.229 rpm.
 """
 
 import math
@@ -39,7 +38,11 @@ HARDWARE_ERRORS: Mapping[int, str] = MappingProxyType(
 
 @dataclass(frozen=True)
 class Register:
-    """Row of a control table: ``value = raw * scale`` in ``unit``. The size is in bytes."""
+    """Row of a control table: ``value = raw * scale`` in ``unit``. The size is in bytes.
+
+    In the package ``servos``, only this class converts between the bytes of a register, little-endian and in two's
+    complement if signed, its raw integer, and its value.
+    """
 
     name: str
     address: int
@@ -52,6 +55,38 @@ class Register:
     def end(self) -> int:
         """Address of the byte after the register's last byte."""
         return self.address + self.size
+
+    def pack(self, raw: int) -> bytes:
+        """Return the bytes of a raw value. Raises ValueError if it does not fit the register."""
+        try:
+            return raw.to_bytes(self.size, "little", signed=self.signed)
+        except OverflowError:
+            raise ValueError(f"{raw} does not fit {self.name} ({self.size} bytes)") from None
+
+    def unpack(self, data: bytes) -> int:
+        """Return the raw value of bytes, with its sign. Raises ValueError if their number is not the size."""
+        if len(data) != self.size:
+            raise ValueError(f"{self.name} has {self.size} bytes, not {len(data)}")
+        return int.from_bytes(data, "little", signed=self.signed)
+
+    def unpack_from(self, block: bytes, start: int) -> int:
+        """Return the raw value in a block that begins at address ``start``. Raises ValueError if it is outside."""
+        offset = self.address - start
+        if offset < 0:
+            raise ValueError(f"{self.name} begins before the block")
+        return self.unpack(block[offset : self.end - start])
+
+    def to_raw(self, value: float) -> int:
+        """Return the raw value nearest to a value. Raises ValueError if it is not finite, or does not fit."""
+        if not math.isfinite(value):
+            raise ValueError(f"{self.name} cannot be {value}")
+        raw = round(value / self.scale)
+        self.pack(raw)
+        return raw
+
+    def from_raw(self, raw: int) -> float:
+        """Return the value of a raw value."""
+        return raw * self.scale
 
 
 @dataclass(frozen=True)

@@ -44,7 +44,6 @@ from worm_driver.errors import (
 )
 from worm_driver.servos import serial_port
 from worm_driver.servos.bus_types import BusCounters, Identity, Reply, error_text
-from worm_driver.servos.encoding import pack, unpack
 from worm_driver.servos.registers import COMMON, Register
 
 BROADCAST = 254
@@ -331,7 +330,7 @@ class ServoBus:
         Raises:
             BusError: The servo does not answer correctly.
         """
-        return unpack(register, self.read_block(servo, register.address, register.size))
+        return register.unpack(self.read_block(servo, register.address, register.size))
 
     def read_block(self, servo: int, start: int, size: int) -> bytes:
         """Return a block of the control table.
@@ -352,7 +351,7 @@ class ServoBus:
         """
         packet = [0] * (12 + register.size)
         packet[_ID], packet[_LENGTH], packet[_INSTRUCTION] = servo, 5 + register.size, 3
-        packet[8:-2] = [*register.address.to_bytes(2, "little"), *pack(register, raw)]
+        packet[8:-2] = [*register.address.to_bytes(2, "little"), *register.pack(raw)]
         self._command(servo, packet, 0)
 
     def reboot(self, servo: int) -> None:
@@ -375,7 +374,7 @@ class ServoBus:
         if not values:
             return
         parameters = [
-            byte for servo, raw in values.items() for byte in (servo, *pack(register, raw))
+            byte for servo, raw in values.items() for byte in (servo, *register.pack(raw))
         ]
         with self._exchange() as handler:
             result = handler.syncWriteTxOnly(

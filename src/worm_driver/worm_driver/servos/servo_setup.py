@@ -18,7 +18,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from worm_driver.errors import BusError, ConfigurationError, CorruptReplyError, HomingError
-from worm_driver.servos.encoding import from_raw, to_raw, unpack_from
 from worm_driver.servos.register_rules import RULES, Treatment, required
 from worm_driver.servos.registers import (
     EXTENDED_POSITION_MODE,
@@ -100,8 +99,8 @@ def identify(bus: ServoBus, number: int) -> Servo:
         if values[name] != raw:
             raise _unsuitable(number, name, values[name], raw)
     values["velocity_limit"] = min(values["velocity_limit"], model.factory["velocity_limit"])
-    speed, low, high = (from_raw(model[name], values[name]) for name in limits)
-    temperature = from_raw(model["temperature_limit"], values["temperature_limit"])
+    speed, low, high = (model[name].from_raw(values[name]) for name in limits)
+    temperature = model["temperature_limit"].from_raw(values["temperature_limit"])
     ticks = values[ends[0]], values[ends[1]]
     return Servo(number, model, identity.firmware, speed, (low, high), temperature, ticks)
 
@@ -121,7 +120,7 @@ def require_speed(servo: Servo, speed: float, parameter: str) -> None:
     """
     register, factory = servo["velocity_limit"], servo.model.factory["velocity_limit"]
     needed = min(int(speed / register.scale), factory)
-    stored = to_raw(register, servo.velocity_limit)
+    stored = register.to_raw(servo.velocity_limit)
     if stored < needed:
         raise ConfigurationError(
             f"servo {servo.number} has velocity_limit {stored}, and {parameter} needs {needed}: set it to {factory} "
@@ -164,7 +163,7 @@ def _registers(
 
     def read() -> dict[str, int]:
         block = bus.read_block(number, start, end - start)
-        return {row.name: unpack_from(row, block, start) for row in rows}
+        return {row.name: row.unpack_from(block, start) for row in rows}
 
     for _ in range(_PAIRS):
         bus.require_quiet_line()
@@ -198,7 +197,7 @@ def check(bus: ServoBus, servo: Servo) -> None:
         ConfigurationError: The servo reports a fault, or its supply is out of range.
     """
     values = registers(bus, servo, "hardware_error_status", "present_input_voltage")
-    voltage = from_raw(servo["present_input_voltage"], values["present_input_voltage"])
+    voltage = servo["present_input_voltage"].from_raw(values["present_input_voltage"])
     low, high = servo.voltage_range
     if not low <= voltage <= high:
         raise ConfigurationError(
@@ -243,7 +242,7 @@ def _mode_and_current(servo: Servo, mode: int, limit: float) -> dict[str, int]:
     """Return the operating mode and, for a servo that measures its current, the current limit (A), raw by name."""
     if not servo.model.measures_current:
         return {"operating_mode": mode}
-    return {"operating_mode": mode, "current_limit": to_raw(servo["current_limit"], limit)}
+    return {"operating_mode": mode, "current_limit": servo["current_limit"].to_raw(limit)}
 
 
 def prepare_cable(bus: ServoBus, servo: Servo, limit: float) -> None:
@@ -301,7 +300,7 @@ def require_cable_settings(bus: ServoBus, servo: Servo, limit: float) -> None:
     values = registers(bus, servo, *wanted)
     for name, raw in wanted.items():
         if values[name] != raw:
-            stored, own = (from_raw(servo[name], each) for each in (values[name], raw))
+            stored, own = (servo[name].from_raw(each) for each in (values[name], raw))
             raise ConfigurationError(
                 f"servo {servo.number} holds a contracted robot, and its {name} is {stored:g} instead of {own:g}, "
                 "which can only be changed without torque: start the driver once more with the limits of the earlier "
@@ -378,8 +377,8 @@ def reset_control(bus: ServoBus, servo: Servo, speed: float, limit: float = 1.0)
     profile, output = servo["profile_velocity"], servo["goal_pwm"]
     wanted = {
         **required(servo.model, Treatment.RESET),
-        profile.name: max(1, to_raw(profile, min(speed, servo.velocity_limit))),
-        output.name: to_raw(output, 1.0 if servo.model.measures_current else limit),
+        profile.name: max(1, profile.to_raw(min(speed, servo.velocity_limit))),
+        output.name: output.to_raw(1.0 if servo.model.measures_current else limit),
     }
     for name, raw in wanted.items():
         bus.write(servo.number, servo[name], raw)
@@ -394,7 +393,7 @@ def reset_control(bus: ServoBus, servo: Servo, speed: float, limit: float = 1.0)
 def arm_watchdog(bus: ServoBus, servo: Servo, watchdog: float) -> None:
     """Set the time without packets (s) after which a servo with torque stops. Raises BusError."""
     register = servo["bus_watchdog"]
-    bus.write(servo.number, register, to_raw(register, watchdog))
+    bus.write(servo.number, register, register.to_raw(watchdog))
 
 
 def standing_position(bus: ServoBus, servo: Servo) -> int:

@@ -4,7 +4,6 @@
 import math
 from dataclasses import dataclass
 
-from worm_driver.servos.encoding import from_raw, unpack_from
 from worm_driver.servos.registers import COMMON, ServoModel
 
 #: Block that is read in every cycle: Realtime Tick to Present Temperature. No model has a gap in this range.
@@ -46,17 +45,17 @@ def decode(model: ServoModel, block: bytes) -> ServoState:
     """Return a servo's state from its block of STATE_SIZE bytes at address STATE_START."""
 
     def value(name: str) -> float:
-        return from_raw(model[name], unpack_from(model[name], block, STATE_START))
+        return model[name].from_raw(model[name].unpack_from(block, STATE_START))
 
     position = model["present_position"]
-    ticks = unpack_from(position, block, STATE_START)
+    ticks = position.unpack_from(block, STATE_START)
     return ServoState(
         ticks=ticks,
-        position=from_raw(position, ticks),
+        position=position.from_raw(ticks),
         velocity=value("present_velocity"),
         effort=value("present_current" if model.measures_current else "present_load"),
         voltage=value("present_input_voltage"),
         temperature=value("present_temperature"),
         tick=value("realtime_tick"),
-        trajectory=unpack_from(model["position_trajectory"], block, STATE_START),
+        trajectory=model["position_trajectory"].unpack_from(block, STATE_START),
     )

@@ -5,7 +5,6 @@ from collections.abc import Mapping, Sequence
 
 from worm_driver.servos import tick_clock
 from worm_driver.servos.bus_types import Reply, error_text
-from worm_driver.servos.encoding import from_raw, unpack_from
 from worm_driver.servos.position_track import PositionTrack
 from worm_driver.servos.registers import COMMON, WATCHDOG_EXPIRED
 from worm_driver.servos.servo_bus import ServoBus
@@ -127,10 +126,10 @@ class StateReader:
         if reply is None or reply.error:
             return None
         values = {
-            name: unpack_from(servo[name], reply.data, _HEALTH_START)
+            name: servo[name].unpack_from(reply.data, _HEALTH_START)
             for name in ("realtime_tick", *names)
         }
-        tick = from_raw(servo["realtime_tick"], values["realtime_tick"])
+        tick = servo["realtime_tick"].from_raw(values["realtime_tick"])
         return None if self._why_stale(servo.number, requested_at, reply.received, tick) else values
 
     def _request(self) -> tuple[float, Mapping[int, ServoState]]:
@@ -198,6 +197,6 @@ class StateReader:
         for servo, reply in replies.items():
             if reply.error:
                 continue
-            value = unpack_from(register, reply.data, register.address)
+            value = register.unpack_from(reply.data, register.address)
             if value in suspicious.get(register.name, (value,) if value else ()):
                 self._suspects.add(servo)

@@ -2,7 +2,7 @@
 """Server of the virtual robot: a pseudo-terminal for the servo bus, sockets for I2C and clock.
 
 One thread owns the robot. It waits in select(), so that an answer leaves some hundred microseconds after its request,
-and wakes up regularly to advance the plant. With clients of its clock (virtual_clock), simulated time advances from
+and wakes up regularly to advance the plant. With clients of its clock (simulated_clock), simulated time advances from
 event to event and waits for clients that are late. Without clients, simulated time advances at the rate ``rate`` of
 `RobotServer`, or in real time if ``rate`` is inf or None.
 """
@@ -23,11 +23,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from worm_driver import simulated_clock
+from worm_driver.power import socket_smbus as frames
 from worm_driver.virtual_robot.camera import TrackerSample
 from worm_driver.virtual_robot.servo.control_table import BAUD_RATES
 from worm_driver.virtual_robot.virtual_robot import VirtualRobot
-from worm_driver.virtual_robot.wire import faults, virtual_clock
-from worm_driver.virtual_robot.wire import smbus_frames as frames
+from worm_driver.virtual_robot.wire import faults
 from worm_driver.virtual_robot.wire.clock_server import ClockClient, ClockServer
 from worm_driver.virtual_robot.wire.faults import Fault
 
@@ -127,7 +128,7 @@ class RobotServer:
         self.shares_time = rate is not None
         self.time = ClockServer(1.0 if rate is None else rate)
         self.time.begin(self._clock())
-        self._page: virtual_clock.Page | None = None
+        self._page: simulated_clock.Page | None = None
         self._clients: dict[socket.socket, ClockClient] = {}  # clients of the clock
         # Numbers of bytes sent and received on the serial line since a client connected. After `_cut_line` they are
         # -inf and inf, so that no wait depends on them.
@@ -146,25 +147,20 @@ class RobotServer:
         """Return the time (s) on the robot's clock."""
         return self.time.now if self._clients else self.time.alone(self._clock())
 
-    @property
-    def waits(self) -> bool:
-        """True if the robot's clock has clients and waits for them."""
-        return bool(self._clients)
-
     # --- life ---------------------------------------------------------------------------------
 
     def open(self) -> None:
         """Lock the directory and create the devices. Raises DirectoryError."""
         self._lock = _lock_directory(self._directory)
         try:
-            for name in (SERIAL_NAME, I2C_NAME, virtual_clock.SOCKET_NAME):
+            for name in (SERIAL_NAME, I2C_NAME, simulated_clock.SOCKET_NAME):
                 _remove_leftover(self._directory / name)
             self._listen(I2C_NAME, self._on_i2c)
             if self.shares_time:
-                self._page = virtual_clock.Page.make(
-                    self._directory / virtual_clock.PAGE_NAME, self.epoch_ns
+                self._page = simulated_clock.Page.make(
+                    self._directory / simulated_clock.PAGE_NAME, self.epoch_ns
                 )
-                self._listen(virtual_clock.SOCKET_NAME, self._on_clock)
+                self._listen(simulated_clock.SOCKET_NAME, self._on_clock)
         except DirectoryError:
             self._unlock()
             raise
@@ -218,7 +214,7 @@ class RobotServer:
         self._selector.close()
         self._wake_writer.close()
         self._serial = None
-        for name in (I2C_NAME, virtual_clock.SOCKET_NAME, virtual_clock.PAGE_NAME):
+        for name in (I2C_NAME, simulated_clock.SOCKET_NAME, simulated_clock.PAGE_NAME):
             (self._directory / name).unlink(missing_ok=True)
         self._unlock()
 
@@ -272,7 +268,7 @@ class RobotServer:
                 continue
             if client.waits(self._bytes_sent, self._bytes_received):
                 number, client.wait = client.wait.number, None
-                _send(connection, virtual_clock.WAKE.pack(number))
+                _send(connection, simulated_clock.WAKE.pack(number))
 
     def _on_wake(self) -> None:
         self._wake_reader.recv(_CHUNK)
@@ -301,7 +297,7 @@ class RobotServer:
         now = self.now()
         answer = self._robot.transact(request, now)
         if answer.delay > 0.0:
-            self._await_delayed_answer(virtual_clock.I2C)
+            self._await_delayed_answer(simulated_clock.I2C)
         self._send(frames.pack_answer(answer), now + answer.delay, connection)
 
     def _send(self, data: bytes, due: float, port: Port) -> None:
@@ -323,7 +319,7 @@ class RobotServer:
         is_serial = isinstance(port, PtyPort)
         self._bytes_sent += len(data) if is_serial else 0
         for client in self._clients.values():
-            at_port = client.port == (virtual_clock.SERIAL if is_serial else virtual_clock.I2C)
+            at_port = client.port == (simulated_clock.SERIAL if is_serial else simulated_clock.I2C)
             if at_port and client.wait is not None and client.wait.listening:
                 client.wait = None
 
@@ -335,7 +331,7 @@ class RobotServer:
             packet = _received(connection)
             client = self._clients.get(connection)
             if client is not None:
-                client.wait, client.since = virtual_clock.Wait.unpack(packet), self._clock()
+                client.wait, client.since = simulated_clock.Wait.unpack(packet), self._clock()
                 return
         except (ConnectionError, struct.error):
             self._clients.pop(connection, None)
@@ -345,8 +341,8 @@ class RobotServer:
             return
         self._show(self.now())  # The client reads the time as soon as it is connected.
         self._clients[connection] = ClockClient(packet)
-        _send(connection, virtual_clock.WAKE.pack(0))
-        if packet == virtual_clock.SERIAL:
+        _send(connection, simulated_clock.WAKE.pack(0))
+        if packet == simulated_clock.SERIAL:
             self._begin_line()
 
     def _begin_line(self) -> None:
@@ -364,7 +360,7 @@ class RobotServer:
         for client in self._clients.values():
             if client.port == port:
                 client.wait, client.since = (
-                    virtual_clock.Wait(-1, math.inf, True, 0, 0),
+                    simulated_clock.Wait(-1, math.inf, True, 0, 0),
                     self._clock(),
                 )
 

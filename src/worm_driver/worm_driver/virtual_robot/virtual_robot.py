@@ -10,6 +10,7 @@ from collections import deque
 from dataclasses import replace
 from random import Random
 
+from worm_driver.power.socket_smbus import Answer, Request
 from worm_driver.virtual_robot.camera import Tracker, TrackerSample
 from worm_driver.virtual_robot.plant import (
     LOOSE,
@@ -35,7 +36,6 @@ from worm_driver.virtual_robot.virtual_settings import (
 from worm_driver.virtual_robot.wire import faults
 from worm_driver.virtual_robot.wire.faults import FaultBoard
 from worm_driver.virtual_robot.wire.ina219_chip import AdcNoise, I2cLine, Ina219
-from worm_driver.virtual_robot.wire.smbus_frames import Answer, Request
 from worm_msgs.conditions import CONDITION_ROWS
 from worm_msgs.gait import FORWARD, REVERSE
 from worm_msgs.robot_parameters import RobotParameters

@@ -18,9 +18,9 @@ from worm_model.commands.command_line import (
     executable,
     print_result,
 )
-from worm_model.identification.drift import ADVICE, FEWEST_BAGS, LABELS, Chart, State, chart_of
+from worm_model.identification.drift import ADVICE, FEWEST_BAGS, MARGIN, Chart, State, chart_of
 from worm_model.identification.drift_estimates import BagEstimates, ExcludedBag, estimate_bags
-from worm_model.parameters import load_parameter_file
+from worm_model.parameters import UNITS, load_parameter_file
 
 
 def _parser() -> Parser:
@@ -114,7 +114,7 @@ def describe(
 
 
 def _lines(chart: Chart, bags: Sequence[BagEstimates]) -> list[str]:
-    unit = LABELS[chart.key][0]
+    unit = "m" if chart.key == MARGIN else UNITS[chart.key]
     unit = "" if unit == "1" else f" {unit}"
     head = f"{chart.key}: {chart.state.value}"
     if chart.began is not None:

@@ -9,14 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from enum import Enum
+from enum import StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
 from worm_model.arrays import Array
 from worm_model.identification.fits.estimate import Estimate, quantile
-from worm_model.parameters import KEYS, SYMBOLS, UNITS, ParameterFile
+from worm_model.parameters import ParameterFile
 
 FEWEST_BAGS = 5  # smallest number of bags for limits from moving ranges
 # Smallest number of consecutive bags on one side of the parameter's interval that violates `Rule.ONE_SIDE`. If the
@@ -28,7 +28,7 @@ SIGMAS = 3.0  # distance of a limit from the centre, in standard deviations
 INDIVIDUALS = 2.66  # the same distance in mean moving ranges (see `limits_of_bags`): SIGMAS / 1.128
 
 
-class State(str, Enum):
+class State(StrEnum):
     """State of a chart."""
 
     WITHIN = "within limits"
@@ -38,7 +38,7 @@ class State(str, Enum):
     NOT_IDENTIFIABLE = "not identifiable"
 
 
-class Rule(str, Enum):
+class Rule(StrEnum):
     """Rule of a control chart."""
 
     LIMIT = "beyond a control limit"
@@ -102,15 +102,13 @@ class Chart:
 
     Attributes:
         key: key of the parameter.
-        value, low, high: estimates with 95 % bounds, shape (bags,); NaN where not identifiable.
+        value: estimates, shape (bags,); NaN where not identifiable.
         limits: control limits; None with too few bags.
         signals: violations, ordered by their first bag.
     """
 
     key: str
     value: Array
-    low: Array
-    high: Array
     limits: Limits | None
     signals: tuple[Signal, ...]
 
@@ -165,7 +163,7 @@ def chart_of(key: str, estimates: Sequence[Estimate], known: ParameterFile) -> C
     else:
         limits = limits_of_bags(value, resolution)
     signals = () if limits is None else find_signals(value, limits)
-    return Chart(key, value, low, high, limits, signals)
+    return Chart(key, value, limits, signals)
 
 
 def _resolution(half: Array) -> float:
@@ -246,10 +244,6 @@ def _stretches(broken: NDArray[np.bool_], least: int) -> list[tuple[int, int]]:
 
 
 MARGIN = "measured_margin"  # key of the smaller measured margin of both fins
-LABELS: Mapping[str, tuple[str, str]] = {  # unit and symbol by key
-    **{key: (UNITS[key], SYMBOLS[key]) for key in KEYS},
-    MARGIN: ("m", "measured margin"),
-}
 # Likely cause and remedy by key and direction.
 ADVICE: Mapping[str, Mapping[int, str]] = {
     "viscous_friction": {

@@ -31,6 +31,7 @@ from worm_model.bags.opening import open_bag
 from worm_model.bags.recording.recording_session import is_latched
 from worm_model.commands.command_line import InputError, Parser, not_negative, number, run_command
 from worm_model.nodes.raw_subscriptions import message_class
+from worm_msgs.claim import ClaimedError, claim_robot
 from worm_msgs.node_command import declare_none
 from worm_msgs.ros_process import own_arguments, ros_process
 
@@ -93,6 +94,8 @@ class PlayNode(Node):
         self._subscribers: dict[str, tuple[int, int]] = {}
         self._changed = time.monotonic()  # time of the last change of the subscribers
         self._awaited: list[str] = list(options.wait_for)
+        if self._awaited:  # The player takes the place of the robot of its namespace.
+            self._claim = claim_robot(self.get_namespace(), self.context.get_domain_id())
         self._reminder = time.monotonic() + REMINDER_S
         self.finished = False
         self.published = 0
@@ -327,7 +330,10 @@ def _play(ended: Callable[[], bool], options: argparse.Namespace) -> None:
             raise InputError(
                 f"--start {options.start:g} is after the end: the bag is {length:.2f} s long"
             )
-        node = PlayNode(bag, options)
+        try:
+            node = PlayNode(bag, options)
+        except ClaimedError as error:
+            raise InputError(str(error)) from None
         node.get_logger().info(f"playing {bag.path}: {bag.message_count} messages, {length:.1f} s")
         executor = SingleThreadedExecutor()
         executor.add_node(node)

@@ -18,7 +18,6 @@ from worm_model.bags.recording.run_manifest import GAIT_RECORD, is_text, run_man
 from worm_model.bags.recording.topic_selection import TopicSelection
 from worm_model.commands import command_line
 from worm_model.nodes.raw_subscriptions import RecordNode
-from worm_msgs import readiness
 from worm_msgs.conditions import conditions_of
 from worm_msgs.ros_process import ShutdownRequest, own_arguments, ros_process
 
@@ -202,7 +201,6 @@ def _run(arguments: argparse.Namespace, command: Sequence[str], ended: ShutdownR
     node.offer_service("snapshot", session.snapshot)
     what = f"the last {session.ring_s:g} s, for snapshots named after" if session.ring_s else "to"
     node.get_logger().info(f"recording {what} {session.output}")
-    readiness.announce()
     recording = _Recording(node, session)
     ended.again = recording.request_immediate_end
     try:

@@ -5,11 +5,16 @@ from __future__ import annotations
 
 import argparse
 import math
+import os
+import select
 import shutil
 import sys
+import termios
 import time
+import tty
 from collections import deque
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from typing import Any
 
@@ -23,7 +28,6 @@ from worm_model.gait import (
     GaitError,
     gait_of,
 )
-from worm_model.nodes.keyboard import keys_of_terminal, pressed
 from worm_model.nodes.message_stamps import nanoseconds
 from worm_model.parameters import load_parameters
 from worm_model.run import Activity, LengthSource
@@ -178,6 +182,27 @@ def _nearest(samples: deque[tuple[int, Any]], stamp: int | None, default: Any) -
     if stamp is None:
         return samples[-1][1]
     return min(samples, key=lambda sample: abs(sample[0] - stamp))[1]
+
+
+@contextmanager
+def keys_of_terminal() -> Iterator[None]:
+    """Within the context, deliver keys without waiting for Enter. Do nothing if the input is not a terminal."""
+    if not sys.stdin.isatty():
+        yield
+        return
+    before = termios.tcgetattr(sys.stdin)
+    tty.setcbreak(sys.stdin)
+    try:
+        yield
+    finally:
+        termios.tcsetattr(sys.stdin, termios.TCSADRAIN, before)
+
+
+def pressed() -> str:
+    """Return the keys pressed since the last call; empty if the input is not a terminal."""
+    if not sys.stdin.isatty() or not select.select([sys.stdin], [], [], 0.0)[0]:
+        return ""
+    return os.read(sys.stdin.fileno(), 64).decode(errors="ignore")
 
 
 def main() -> int:

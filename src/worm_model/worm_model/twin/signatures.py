@@ -36,7 +36,7 @@ L0_STEP_M, L0_REACH = 0.0005, 0.5  # step (m) and largest value (pitches) of the
 HEALTHY_SPREAD = {
     "gain": 0.01,
     "slack": 0.03,
-    "time_constant": 0.15,  # it contains the delay of the servos and of the stamps
+    "time_constant": 0.08,  # it contains the delay of the servos and of the stamps
     "viscous_friction": 0.05,
     "switching_threshold": 0.02,
     "clearance": 0.02,
@@ -48,7 +48,6 @@ HEALTHY_SPREAD = {
     "power_factor": 0.02,
 }
 HEALTHY_SPREAD_L0_M = 0.0004
-HEALTHY_LOOSE_M = 0.001  # difference of the length of the cable, which a servo yields under load
 
 
 @dataclass(frozen=True)
@@ -236,12 +235,12 @@ def _healthy(model: _Model) -> dict[str, Array]:
     relative = HEALTHY_SPREAD | {
         "initial_length": HEALTHY_SPREAD_L0_M / model.parameters.initial_length
     }
-    changes = {
-        key: partial(model.with_parameter, key, size * getattr(model.parameters, key))
+    return {
+        key: model.extrapolated(
+            partial(model.with_parameter, key, size * getattr(model.parameters, key))
+        )
         for key, size in relative.items()
     }
-    changes["loose_cable"] = partial(model.with_loose_cable, HEALTHY_LOOSE_M)
-    return {name: model.extrapolated(change) for name, change in changes.items()}
 
 
 def _lengths(model: _Model) -> list[AnotherLength]:

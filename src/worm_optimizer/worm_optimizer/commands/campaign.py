@@ -25,6 +25,7 @@ from worm_model.errors import InputError
 from worm_model.parameters import load_parameter_file
 from worm_model.text_table import labelled
 from worm_optimizer.commands.campaign_tune import settings_of_campaign, tuned_plan
+from worm_optimizer.commands.report import add_identification
 from worm_optimizer.commands.robot_options import add_robot, robot_of
 from worm_optimizer.commands.search_options import add_campaign_options
 from worm_optimizer.commands.tuning_options import PROBABILITY
@@ -40,12 +41,12 @@ from worm_optimizer.operation.campaign_plan import (
     write_promises,
 )
 from worm_optimizer.operation.campaign_runs import Prepare, put_aside, run_gaits
-from worm_optimizer.operation.campaign_tuning import TUNING
 from worm_optimizer.operation.processes import termination_as_interrupt
 from worm_optimizer.operation.spread import Spread, draw_spread, run_names, spread, spread_table
 from worm_optimizer.operation.system import Robot
+from worm_optimizer.operation.tuning_runs import TUNING
 from worm_optimizer.report.agreement import QUANTITIES, agreement_json, describe
-from worm_optimizer.report.identification_parts import add_identification, identification_of
+from worm_optimizer.report.identification_parts import identification_of
 from worm_optimizer.report.recorded_gait import RecordedGait
 from worm_optimizer.report.recordings import read_recorded_gaits
 from worm_optimizer.report.report_page import PAGE, Report, build_report

@@ -17,9 +17,8 @@ from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.operation.bring_up import ProgressLog
 from worm_optimizer.operation.campaign_plan import Plan
 from worm_optimizer.operation.campaign_runs import Prepare
-from worm_optimizer.operation.campaign_tuning import tune_gaits
 from worm_optimizer.operation.system import Robot
-from worm_optimizer.operation.tuning_runs import Measure
+from worm_optimizer.operation.tuning_runs import Measure, tune_gaits
 from worm_optimizer.robustness.tuning import limits_of
 from worm_optimizer.search.front import predicted_gaits, task_of
 from worm_optimizer.search.search_settings import Settings

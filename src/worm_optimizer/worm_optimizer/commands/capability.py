@@ -7,7 +7,6 @@ import argparse
 from dataclasses import asdict, replace
 from typing import Any
 
-from worm_model.analysis.plot_style import save_figure
 from worm_model.commands.command_line import (
     InputError,
     Parser,
@@ -21,7 +20,6 @@ from worm_model.loads import content_under
 from worm_model.parameters import load_parameter_file
 from worm_model.text_table import text_table
 from worm_optimizer.commands.search_options import add_front_options, chosen_settings
-from worm_optimizer.report.capability_figure import capability_figure
 from worm_optimizer.search.capability import (
     Capability,
     LoadPoint,
@@ -113,6 +111,9 @@ def _capability(options: argparse.Namespace) -> None:
         found = dict(zip(gaits, capabilities(task, list(gaits.values())), strict=True))
         points = curve(replace(task, margin=0.0), found["best"].largest_load)
     if figure is not None:
+        from worm_model.analysis.plot_style import save_figure  # here: matplotlib loads slowly
+        from worm_optimizer.report.analysis_figures import capability_figure
+
         save_figure(capability_figure(found, points), figure)
     print_result(
         options, capability_json(found, points, per_metre), describe(found, points, per_metre)

@@ -17,18 +17,17 @@ from worm_model.analysis.run_curves import plot_run
 from worm_model.commands.command_line import FAILED, Parser, notifier, print_result, run_command
 from worm_model.parameters import load_parameter_file
 from worm_model.text_table import labelled
-from worm_optimizer.commands.robot_options import add_tracker, with_tracker
 from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.operation.bring_up import (
     FAILURES,
     ProgressLog,
     Say,
-    installed_system_file,
     work_folder,
 )
 from worm_optimizer.operation.demo_run import Comparison, compare, comparison_table, run_demo_gait
 from worm_optimizer.operation.processes import termination_as_interrupt
 from worm_optimizer.operation.recorded_run import new_bag
+from worm_optimizer.operation.system import installed_system_file
 from worm_optimizer.report.recordings import read_recorded_gaits
 
 
@@ -57,7 +56,6 @@ def _parser() -> Parser:
         metavar="FILE",
         help="file with the true parameters of the virtual robot (default: the installed virtual_robot.yaml)",
     )
-    add_tracker(parser)
     parser.add_argument("--seed", type=int, default=1, help="seed of the robot's scatter and noise")
     parser.add_json()
     return parser
@@ -88,7 +86,6 @@ def _drive(options: argparse.Namespace, bag: Path, say: Say) -> tuple[Prediction
             "plant": _absolute(options.plant),
             "seed": str(options.seed),
         }
-        settings = with_tracker(settings, options.tracker, "virtual")
         system = installed_system_file().system("virtual", **settings)
         return run_demo_gait(system, folder / "logs", say)
 

@@ -87,8 +87,8 @@ def _parser() -> Parser:
     switch = add(
         "emergency_stop",
         _emergency_stop,
-        "on: hold immediately and reject every start, also after a restart of the driver; off: reset the emergency "
-        "stop. The driver rejects a reset while the latest message of a publisher on the topic emergency_stop is true.",
+        "on: hold immediately and reject every start, also after a restart of the driver; off: withdraw and reset the "
+        "emergency stop. A button that is still pressed turns it on again.",
     )
     switch.add_argument("switch", choices=("on", "off"))
     _add_fault(add("fault", _fault, "Rehearse a fault on the virtual robot."))

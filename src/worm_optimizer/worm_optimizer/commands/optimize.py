@@ -8,7 +8,6 @@ import math
 from dataclasses import asdict, fields
 from typing import TYPE_CHECKING, Any
 
-from worm_model.analysis.plot_style import save_figure
 from worm_model.commands.command_line import (
     Parser,
     ProgressLine,
@@ -28,7 +27,6 @@ from worm_optimizer.commands.search_options import (
     success_lines,
 )
 from worm_optimizer.gait_prediction import Prediction
-from worm_optimizer.report.front_plots import front_and_map_figure, front_figure
 from worm_optimizer.robustness.uncertainty import description
 from worm_optimizer.search.front import RobustFront, make_front, nominal_gaits, replaced
 from worm_optimizer.search.search_settings import Nsga2Settings, Waveform
@@ -152,6 +150,9 @@ def _optimize(options: argparse.Namespace) -> None:
         comparison = _searched(front, search)
         front = replaced(front, comparison.front)
     if figure is not None:
+        from worm_model.analysis.plot_style import save_figure  # here: matplotlib loads slowly
+        from worm_optimizer.report.front_plots import front_and_map_figure, front_figure
+
         draw = front_figure if settings.waveform is Waveform.SHAPED else front_and_map_figure
         save_figure(draw(front, front.three), figure)
     limits = {

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Command line: report on recorded gaits, as an HTML page with figures."""
+"""Command line: report on recorded gaits, as an HTML page with figures.
+
+The functions import what they use, because these imports take seconds, and --help needs none of them.
+"""
 
 from __future__ import annotations
 
@@ -7,12 +10,14 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from worm_model.commands.command_line import InputError, Parser, executable, notifier, print_result
-from worm_optimizer.report.agreement import agreement_json, describe, title_of
-from worm_optimizer.report.identification_parts import add_identification, identification_of
-from worm_optimizer.report.optimisation import optimise, why_no_front
-from worm_optimizer.report.recordings import bags_of, newest_recording, read_recorded_gaits
-from worm_optimizer.report.report_page import Report, build_report, report_name
+from worm_model.commands.command_line import (
+    InputError,
+    Parser,
+    elapsed,
+    executable,
+    notifier,
+    print_result,
+)
 
 _BAGS = Path("bags")
 _notify = notifier("report")
@@ -47,27 +52,53 @@ def _parser() -> Parser:
     return parser
 
 
+def add_identification(parser: Parser) -> None:
+    """Add the options that name the parts of an identification; see `identification_parts.identification_of`."""
+    add = parser.add_argument
+    add(
+        "--identification",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="PATH",
+        help="parameter file that identify has written, or folder of its report; for both, give the option twice",
+    )
+    add("--bellows", type=Path, metavar="CSV", help="bellows test: compression_m, force_N")
+    add("--fin", type=Path, metavar="CSV", help="fin test: displacement_m, force_N")
+
+
 def _report(options: argparse.Namespace) -> None:
-    named = options.bags or [newest_recording(_BAGS, _notify)]
+    from worm_optimizer.report import agreement, optimisation, recordings, report_page
+    from worm_optimizer.report.identification_parts import identification_of
+
+    named = options.bags or [recordings.newest_recording(_BAGS, _notify)]
     folder = options.output or _default_folder(named)
     if folder.exists():
         raise InputError(f"{folder}: exists already; give another name with --output")
     identification = identification_of(options)
-    bags = [bag for path in named for bag in bags_of(path)]
-    gaits = read_recorded_gaits(bags, options.parameters, _notify)
-    note = "" if options.without_front else why_no_front(gaits)
-    optimisation = None
+    bags = [bag for path in named for bag in recordings.bags_of(path)]
+    with elapsed("gaits"):
+        gaits = recordings.read_recorded_gaits(bags, options.parameters, _notify)
+    note = "" if options.without_front else optimisation.why_no_front(gaits)
+    found = None
     if note:
         _notify(note)
     elif not options.without_front:
-        optimisation = optimise(gaits)
-    title = options.title or f"Worm robot: {', '.join(title_of(gait.name) for gait in gaits)}"
-    page = build_report(Report(title, gaits, optimisation, note, identification), folder)
-    content = {"page": str(page), **agreement_json(gaits)}
-    print_result(options, content, f"{describe(gaits)}\n\nreport  {page}")
+        with elapsed("front"):
+            found = optimisation.optimise(gaits)
+    title = (
+        options.title or f"Worm robot: {', '.join(agreement.title_of(gait.name) for gait in gaits)}"
+    )
+    content = report_page.Report(title, gaits, found, note, identification)
+    with elapsed("page"):
+        page = report_page.build_report(content, folder)
+    result = {"page": str(page), **agreement.agreement_json(gaits)}
+    print_result(options, result, f"{agreement.describe(gaits)}\n\nreport  {page}")
 
 
 def _default_folder(paths: Sequence[Path]) -> Path:
+    from worm_optimizer.report.report_page import report_name
+
     names = [path.stem if path.is_file() else path.resolve().name for path in paths]
     return paths[0].resolve().parent / report_name(names)
 

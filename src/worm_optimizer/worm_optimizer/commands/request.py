@@ -6,7 +6,6 @@ from __future__ import annotations
 import argparse
 from dataclasses import asdict
 
-from worm_model.analysis.plot_style import save_figure
 from worm_model.commands.command_line import (
     InputError,
     Parser,
@@ -25,7 +24,6 @@ from worm_optimizer.commands.search_options import (
     success_lines,
 )
 from worm_optimizer.gait_prediction import Prediction
-from worm_optimizer.report.front_plots import front_figure
 from worm_optimizer.robustness.uncertainty import description
 from worm_optimizer.search.front import make_front
 from worm_optimizer.search.gait_request import RequestStatus, select
@@ -63,6 +61,9 @@ def _request(options: argparse.Namespace) -> None:
     text = describe(gait, uncertainty, warning)
     unreachable = answer.status is not RequestStatus.DONE
     if figure is not None:
+        from worm_model.analysis.plot_style import save_figure  # here: matplotlib loads slowly
+        from worm_optimizer.report.front_plots import front_figure
+
         save_figure(front_figure(front, {"nearest" if unreachable else "gait": gait}), figure)
     if unreachable:
         rejection = {"error": answer.message, "nearest": asdict(gait)}

@@ -4,48 +4,15 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
 from pathlib import Path
 
 from worm_model.commands.command_line import InputError, Parser
 from worm_msgs.conditions import CONDITION_ROWS
-from worm_optimizer.operation.bring_up import installed_system_file
-from worm_optimizer.operation.system import Robot, SystemFileError
-
-POSITIONS, CAMERA = "positions", "camera"
-_VIRTUAL_RIG = {"camera": "virtual", "tracker_setup": "virtual"}
-
-
-def add_tracker(parser: Parser) -> None:
-    """Add --tracker; see `with_tracker`."""
-    parser.add_argument(
-        "--tracker",
-        choices=(POSITIONS, CAMERA),
-        default=POSITIONS,
-        help="positions: the virtual robot or another instrument publishes the positions; camera: tracker_node "
-        "measures them in images of the virtual robot, or with the camera setup of --set tracker_setup=FILE",
-    )
-
-
-def with_tracker(settings: Mapping[str, str], choice: str, mode: str) -> dict[str, str]:
-    """Return the settings of system.yaml for the selected tracker.
-
-    Raises `InputError` if a real robot's camera is selected without a setup file.
-    """
-    if choice == POSITIONS:
-        return dict(settings)
-    if mode == "virtual":
-        return {**_VIRTUAL_RIG, **settings}
-    if not settings.get("tracker_setup"):
-        raise InputError(
-            "--tracker camera: give the camera setup, --set tracker_setup=FILE (docs/tracker.md)"
-        )
-    return dict(settings)
+from worm_optimizer.operation.system import Robot, SystemFileError, installed_system_file
 
 
 def add_robot(parser: Parser) -> None:
-    """Add --set, --tracker and the conditions in the pipe; see `robot_of`."""
-    add_tracker(parser)
+    """Add --set and the conditions in the pipe; see `robot_of`."""
     parser.add_conditions(None)
     parser.add_argument(
         "--set",
@@ -69,7 +36,6 @@ def robot_of(options: argparse.Namespace, mode: str) -> Robot:
         if not (name and separator):
             raise InputError(f"--set {text}: write NAME=VALUE")
         settings[name] = value
-    settings = with_tracker(settings, options.tracker, mode)
     try:
         robot = Robot(installed_system_file(), mode, settings)
         robot.system()

@@ -6,7 +6,6 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from worm_model.analysis.plot_style import save_figure
 from worm_model.commands.command_line import (
     Parser,
     elapsed,
@@ -17,7 +16,6 @@ from worm_model.commands.command_line import (
 from worm_model.parameters import load_parameter_file
 from worm_model.text_table import labelled, text_table
 from worm_optimizer.commands.search_options import add_scan_options, chosen_settings
-from worm_optimizer.report.front_plots import price_figure
 from worm_optimizer.search.front import price_warning, scanned_price
 from worm_optimizer.search.price_of_robustness import CLIFF_RULE, PriceOfRobustness
 
@@ -77,6 +75,9 @@ def _scan(options: argparse.Namespace) -> None:
     with elapsed("margins"):
         price = scanned_price(content, settings, options.direction)
     if figure is not None:
+        from worm_model.analysis.plot_style import save_figure  # here: matplotlib loads slowly
+        from worm_optimizer.report.front_plots import price_figure
+
         save_figure(price_figure(price), figure)
     print_result(options, price_json(price), describe(price))
 

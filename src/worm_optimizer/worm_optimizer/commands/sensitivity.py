@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from worm_model.analysis.plot_style import save_figure
 from worm_model.commands.command_line import (
     InputError,
     Parser,
@@ -23,9 +22,14 @@ from worm_model.parameters import load_parameter_file
 from worm_model.text_table import text_table
 from worm_msgs.conditions import conditions_of
 from worm_msgs.gait import WAVEFORM, gait_of
-from worm_optimizer.study.sensitivity import SYMBOLS, UNITS, Sensitivity, sensitivity
-from worm_optimizer.study.sensitivity_figure import sensitivity_figure
-from worm_optimizer.study.sobol import INDEX_HEADS, NO_INDICES, index_cells, warnings_of
+from worm_optimizer.robustness.sensitivity import SYMBOLS, UNITS, Sensitivity, sensitivity
+from worm_optimizer.robustness.sobol import (
+    INDEX_HEADS,
+    NO_INDICES,
+    index_cells,
+    index_json,
+    warnings_of,
+)
 
 MOST_SAMPLES = 1 << 16  # largest number of base samples
 
@@ -61,15 +65,7 @@ def sensitivity_json(content: Sensitivity) -> dict[str, Any]:
         result[name] = {
             "mean": indices.mean,
             "deviation": indices.deviation,
-            "indices": {
-                key: {
-                    "first": indices.first[k],
-                    "first_bounds": indices.first_bounds[:, k],
-                    "total": indices.total[k],
-                    "total_bounds": indices.total_bounds[:, k],
-                }
-                for k, key in enumerate(content.parameters)
-            },
+            "indices": index_json(indices, content.parameters),
         }
     return {**result, "evaluations": content.evaluations, "warnings": _warnings(content)}
 
@@ -115,6 +111,9 @@ def _run(options: argparse.Namespace) -> None:
     figure = figure_file(options)
     result = sensitivity(gait, content, options.samples, options.seed)
     if figure is not None:
+        from worm_model.analysis.plot_style import save_figure  # here: matplotlib loads slowly
+        from worm_optimizer.report.analysis_figures import sensitivity_figure
+
         save_figure(sensitivity_figure(result), figure)
     print_result(options, sensitivity_json(result), describe(result))
 

@@ -13,6 +13,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
+from functools import cached_property
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
@@ -20,7 +21,6 @@ from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces.msg import Log, Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, SetParametersAtomically
-from rclpy.duration import Duration
 from rclpy.logging import LoggingSeverity
 from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
@@ -31,9 +31,8 @@ from worm_model.gait import FORWARD, Gait
 from worm_model.run import Activity
 from worm_msgs import network
 from worm_msgs.conditions import CONDITION_ROWS, Conditions
-from worm_msgs.msg import ControlRequest, Heartbeat
 from worm_msgs.msg import Gait as GaitMessage
-from worm_msgs.qos import LATCHED
+from worm_msgs.msg import Heartbeat
 from worm_msgs.ros_process import one_line_of
 from worm_msgs.srv import InjectFault, RequestGait
 from worm_optimizer.gait_prediction import Prediction
@@ -54,12 +53,13 @@ from worm_optimizer.robot_commands import (
     RunResult,
 )
 from worm_optimizer.search.gait_request import GaitRequest, Objective
-from worm_optimizer.snapshot import Snapshot, Wish
+from worm_optimizer.snapshot import Snapshot
 
 REQUEST_GAIT = "request_gait"
 DRIVER, TWIN, OPTIMIZER = "driver", "twin", "optimizer"  # names of the nodes in system.yaml
 SILENCE_S = 60.0  # timeout for feedback of a running gait, s
 REASON_S = 1.0  # timeout for the driver's log message about a failed transition, s
+REPEATED_S = 1.0  # s, time after the reset in which a pressed button repeats the emergency stop
 TELEMETRY_S = 1.0  # timeout of `current_snapshot` for power, tracker and twin, s
 ATTEMPTS = 2  # largest number of transitions until the driver is active: one from unconfigured, one from inactive
 _NEXT = {
@@ -140,10 +140,6 @@ class OperatorNode(ServiceCaller):
         self.create_subscription(Clock, "clock", self._on_clock, 10)
         self.create_subscription(Log, "/rosout", self._on_log, 100)
         self._heartbeat = self.create_publisher(Heartbeat, "heartbeat", 10)
-        self._control = self.create_publisher(ControlRequest, "control/request", 100)
-        self._emergency: Publisher | None = (
-            None  # created by the first emergency stop of this operator
-        )
 
     def _on_log(self, message: Log) -> None:
         own = f"{self.get_namespace()}/{DRIVER}".strip("/").replace("/", ".")
@@ -284,14 +280,10 @@ class OperatorNode(ServiceCaller):
         Raises:
             OperatorError: The driver did not confirm the emergency stop in time.
         """
-        if self._emergency is None:
-            self._emergency = self.create_publisher(Bool, "emergency_stop", LATCHED)
-        publisher = self._emergency
 
         def latched() -> bool:
-            publisher.publish(Bool(data=True))
-            driver = self._telemetry.driver
-            return driver is not None and driver.emergency_stop
+            self._emergency.publish(Bool(data=True))
+            return self._is_stopped()
 
         if not self.wait(latched, CALL_TIMEOUT_S):
             raise OperatorError(
@@ -299,23 +291,36 @@ class OperatorNode(ServiceCaller):
             )
         return "holding; nothing starts before the emergency stop is reset"
 
-    def request_control(self, client: str, wish: Wish, lease_s: float) -> None:
-        """Publish a client's wish to have, hand over or release control. `Snapshot.control` contains the answer.
-
-        ``lease_s`` is the time (s) without a request after which the driver ends the client's control.
-        """
-        self._control.publish(ControlRequest(client=client, wish=wish, lease_s=lease_s))
-
     def reset_emergency_stop(self) -> str:
-        """Permit starts again; return the driver's report.
+        """Withdraw the emergency stop and permit starts again; return the driver's report.
 
         Raises:
-            OperatorError: The driver rejects the reset, because the latest message of another publisher is true.
+            OperatorError: The driver rejects the reset, or a pressed button repeats the stop.
         """
-        if self._emergency is not None:
+        response = Trigger.Response()
+
+        def is_reset() -> bool:
+            nonlocal response
             self._emergency.publish(Bool(data=False))
-            self._emergency.wait_for_all_acked(Duration(seconds=CALL_TIMEOUT_S))
-        return self._trigger("reset_emergency_stop")
+            response = self.call_twice(Trigger, "reset_emergency_stop", Trigger.Request())
+            return bool(response.success)
+
+        if not self.wait(is_reset, REPEATED_S):  # the message may arrive after the first requests
+            raise OperatorError(f"reset_emergency_stop: {response.message}")
+        self.wait(lambda: not self._is_stopped(), REPEATED_S)
+        if self.wait(self._is_stopped, REPEATED_S):
+            raise OperatorError(
+                "the emergency stop was reset and is on again: release the button that repeats it"
+            )
+        return str(response.message)
+
+    @cached_property
+    def _emergency(self) -> Publisher:
+        return self.create_publisher(Bool, "emergency_stop", 10)
+
+    def _is_stopped(self) -> bool:
+        driver = self._telemetry.driver
+        return driver is not None and driver.emergency_stop
 
     def inject_fault(self, name: str, **details: float) -> str:
         """Inject a fault into the virtual robot; return a description of its effect.

@@ -19,7 +19,6 @@ from worm_model.twin.scene import PositionSample
 from worm_model.twin.watch_view import STALE_S
 from worm_msgs.msg import (
     BodyLength,
-    ControlState,
     GaitState,
     Power,
     Tracker,
@@ -28,7 +27,7 @@ from worm_msgs.msg import (
 )
 from worm_msgs.qos import LATCHED
 from worm_optimizer.nodes.message_fields import value_of
-from worm_optimizer.snapshot import Control, DriverState, Snapshot
+from worm_optimizer.snapshot import DriverState, Snapshot
 
 RESIDUALS = ("rear_position", "length", "power")
 _NEWEST = QoSProfile(depth=1)
@@ -49,18 +48,13 @@ _TOPICS: Mapping[str, tuple[type, QoSProfile]] = {
 }
 _INPUTS = ("tracker", "power", _LENGTHS[LengthSource.COMMANDED])
 _MEASUREMENTS = {"power", "tracker", "twin/state", "twin/residuals"}
-# Topics that every operator needs. They have few messages.
-_LATCHED_TOPICS: Mapping[str, tuple[type, QoSProfile]] = {
-    "gait_state": (GaitState, LATCHED),
-    "control": (ControlState, LATCHED),
-}
 
 
 class Telemetry:
     """Store of the newest message of each topic. ``snapshot`` may be called in any thread.
 
     Args:
-        node: node in the robot's namespace. Until `subscribe_to_all`, it subscribes only to gait_state and control.
+        node: node in the robot's namespace. Until `subscribe_to_all`, it subscribes only to gait_state.
     """
 
     def __init__(self, node: Node) -> None:
@@ -70,7 +64,7 @@ class Telemetry:
         self._sightings: deque[Any] = deque(maxlen=_SIGHTINGS)
         # for each residual, receive time (s) and content of the newest message that contains it
         self._residuals: dict[str, tuple[float, Any]] = {}
-        self._subscribe(_LATCHED_TOPICS)
+        self._subscribe({"gait_state": (GaitState, LATCHED)})  # which every operator needs
 
     def subscribe_to_all(self) -> None:
         """Subscribe to all topics."""
@@ -111,7 +105,6 @@ class Telemetry:
         power = newest.get("power")
         return Snapshot(
             driver=_driver_of(newest.get("gait_state")),
-            control=_control_of(newest.get("control")),
             twin=_twin_of(newest.get("twin/state")),
             residuals=_residuals_of(newest.get("twin/residuals"), self._residuals),
             robot=_robot_at(None, list(self._sightings)),
@@ -145,10 +138,6 @@ def _driver_of(message: Any) -> DriverState | None:
         for name, stamp in (("stamp_ns", message.header.stamp), ("onset_ns", message.onset))
     }
     return value_of(DriverState, message, message.gait, state=Activity(message.state), **stamps)
-
-
-def _control_of(message: Any) -> Control | None:
-    return None if message is None else value_of(Control, message)
 
 
 def _twin_of(message: Any) -> StateRecord | None:

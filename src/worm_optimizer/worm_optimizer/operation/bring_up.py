@@ -9,15 +9,12 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from ament_index_python.packages import get_package_share_directory
-
 from worm_model.errors import RecordingError
-from worm_msgs.claim import ClaimedError, claim_graph, domain_of
-from worm_msgs.readiness import Readiness
+from worm_msgs.claim import domain_of, holder
 from worm_optimizer.nodes.operator_node import (
     GaitFailedError,
     OperatorNode,
@@ -29,12 +26,11 @@ from worm_optimizer.operation.processes import (
     ProcessError,
     ProcessGroup,
     executable_command,
-    wait_for,
 )
-from worm_optimizer.operation.system import NodeDescription, System, SystemFile, load_system_file
+from worm_optimizer.operation.system import DRIVER, NodeDescription, System
 from worm_optimizer.robot_commands import GaitCommand, RunProgress, RunResult
 
-READY_TIMEOUT_S = 120.0  # timeout for the start of a node, s; sufficient on a busy computer
+START_S = 120.0  # timeout for the start of a recorder, s; sufficient on a busy computer
 CYCLES = 5  # default number of cycles of a run
 AFTERWARDS_S = 2.0  # rest at the end of a recording, s, during which the cable becomes slack again
 BUSY = 1.5  # load average per processor above which the load may be the cause of a failure
@@ -79,12 +75,6 @@ def work_folder(program: str) -> Iterator[Path]:
         shutil.rmtree(folder, ignore_errors=True)
         raise
     shutil.rmtree(folder, ignore_errors=True)
-
-
-def installed_system_file() -> SystemFile:
-    """Return the content of the system.yaml that is installed with this package."""
-    share = Path(get_package_share_directory("worm_optimizer"))
-    return load_system_file(share / "config" / "system.yaml")
 
 
 @dataclass(frozen=True)
@@ -137,10 +127,7 @@ class Session:
 def session(
     system: System, logs: Path, say: Say, restarts: int = 0, check: Check = lambda: None
 ) -> Iterator[Session]:
-    """Start the nodes of a system in their order. When the context ends, also with an exception, end all processes.
-
-    If a node graph or a driver already runs in the namespace, an error is raised before a node is started or a message
-    is sent.
+    """Start the nodes of a system. When the context ends, also with an exception, end all processes.
 
     Args:
         system: the nodes.
@@ -153,45 +140,38 @@ def session(
     Raises:
         ProcessError, OperatorError: A stage failed. The message contains the node or service, and the reason.
     """
-    with _claimed(system.namespace), _crash_reported(ProcessGroup(logs), system) as group:
-        watch = _Watch(group, system, say, restarts) if restarts else group.check
+    group = ProcessGroup(logs)
+    watch = _Watch(group, system, say, restarts) if restarts else group.check
 
-        def look() -> None:
-            watch()
-            check()
+    def look() -> None:
+        watch()
+        check()
 
-        with operator(system.namespace, look) as node:
-            start_nodes(group, system, say, look)
+    try:
+        with group, operator(system.namespace, look) as node:
+            start_nodes(group, system)
+            _wait_for_driver(group, node, system.namespace)
             node.graph.wait_for_nodes(description.name for description in system.nodes)
             yield Session(group, node, system, say)
-        say("stopping the nodes")
-    check_ends(group)
-
-
-@contextmanager
-def _crash_reported(group: ProcessGroup, system: System) -> Iterator[ProcessGroup]:
-    """End all processes at the end of the context. Then raise `ProcessError` if the driver crashed when it was ready.
-
-    Torque may be on after such a crash.
-    """
-    try:
-        with group:
-            yield group
+            say("stopping the nodes")
     finally:
-        for node in system.nodes:
-            process = group.processes.get(node.name)
-            if node.lifecycle and process is not None and process.was_ready and process.exit_code:
-                raise ProcessError(node.end_report(process.exit_code, was_ready=True))
+        _report_torque(group, system)
+    group.check()
 
 
-@contextmanager
-def _claimed(namespace: str) -> Iterator[None]:
-    try:
-        claim = claim_graph(namespace, domain_of(os.environ))
-    except ClaimedError as error:
-        raise ProcessError(str(error)) from None
-    with claim:
-        yield
+def _wait_for_driver(group: ProcessGroup, node: OperatorNode, namespace: str) -> None:
+    """Wait until the driver of this group is that of the namespace, so that no command reaches another robot."""
+    own, domain = group.processes[DRIVER].pid, domain_of(os.environ)
+    if not node.wait(lambda: holder(DRIVER, namespace, domain) == own, START_S):
+        raise ProcessError(f"no driver in /{namespace} within {START_S:g} s")
+
+
+def _report_torque(group: ProcessGroup, system: System) -> None:
+    """Raise `ProcessError` if a node has ended so that torque may be on."""
+    for node in system.nodes:
+        process = group.processes.get(node.name)
+        if process is not None and node.torque and process.exit_code:
+            raise ProcessError(node.end_report(process.exit_code))
 
 
 class _Watch:
@@ -222,39 +202,18 @@ class _Watch:
             self._say(f"{report}; it starts again")
 
 
-def start_nodes(group: ProcessGroup, system: System, say: Say, check: Check = lambda: None) -> None:
-    """Start the nodes in their order. A node starts when all awaited nodes before it are ready."""
+def start_nodes(group: ProcessGroup, system: System) -> None:
+    """Start all nodes of a system."""
     for node in system.nodes:
-        say(f"starting {node.name}: {node.package} {node.executable}")
-        start_node(group, node, system.namespace, check)
+        start_node(group, node, system.namespace)
 
 
-def start_node(
-    group: ProcessGroup, node: NodeDescription, namespace: str, check: Check = lambda: None
-) -> None:
-    """Start one node. If it is awaited, wait until it is ready.
-
-    During the wait, ``check`` is called repeatedly. It may raise an exception to end the wait.
-
-    Raises:
-        ProcessError: The node ended, or was not ready in time.
-    """
-    command = [*executable_command(node.package, node.executable)]
-    command += node.command_arguments(namespace)
-    with closing(Readiness()) as ready:
-        process = group.start(node.name, command, ready.environment, node.end_timeout_s)
-
-        def is_ready_or_has_ended() -> bool:
-            check()
-            return ready() or process.exit_code is not None
-
-        if node.awaited:
-            wait_for(is_ready_or_has_ended, READY_TIMEOUT_S)
-            process.was_ready = ready()
-        if process.was_ready or not node.awaited:
-            return
-    state = "is not ready" if process.exit_code is None else "has ended"
-    raise ProcessError(f"{node.name} {state}: {process.last_line()}")
+def start_node(group: ProcessGroup, node: NodeDescription, namespace: str) -> Process:
+    """Start a node."""
+    command = executable_command(node.package, node.executable)
+    return group.start(
+        node.name, [*command, *node.command_arguments(namespace)], grace_s=node.end_timeout_s
+    )
 
 
 @contextmanager
@@ -277,9 +236,9 @@ def recording(
     """
     words = tuple(word for word in recorder.arguments if word != _TO_REST)
     own = replace(recorder, name=name, arguments=words)
-    start_node(group, own, node.get_namespace().strip("/"))
+    bag = bag_of(start_node(group, own, node.get_namespace().strip("/")))
     node.graph.wait_for_recorder(name, left_out(recorder))
-    yield bag_of(group.processes[name])
+    yield bag
     node.rest(AFTERWARDS_S)
     group.end(name)
 
@@ -290,7 +249,7 @@ def bag_of(recorder: Process) -> Path:
     Raises:
         ProcessError: The recorder does not log the path.
     """
-    return Path(recorder.wait_for_line(r": recording to (.+)$", READY_TIMEOUT_S)[1])
+    return Path(recorder.wait_for_line(r": recording to (.+)$", START_S)[1])
 
 
 def left_out(recorder: NodeDescription) -> str:
@@ -320,10 +279,3 @@ def load(late_cycles: int) -> str:
     if late_cycles:
         shares.append(f"{late_cycles} cycles of the driver late")
     return f" (the computer was busy: {', '.join(shares)})" if shares else ""
-
-
-def check_ends(group: ProcessGroup) -> None:
-    """Raise `ProcessError` if a process ended with an exit status other than 0."""
-    for process in group.processes.values():
-        if process.exit_code != 0:
-            raise ProcessError(process.report())

@@ -20,10 +20,7 @@ from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 
 POLL_PERIOD_S = 0.02  # period of the checks in `wait_for`, s
 GRACE_S = 30.0  # default time from an interrupt to a kill, s
-_ABORT_S = 5.0  # time in which a process that is aborted writes what its threads do, s
 ENDING_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-# The innermost frame in what Python writes when it is aborted
-_PLACE = re.compile(r'^Current thread .*\n  File "(.*)", line (\d+) in (.*)', re.MULTILINE)
 _LIBC = ctypes.CDLL(None, use_errno=True)
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
@@ -68,7 +65,6 @@ class Process:
         name: name of the process.
         command: command line.
         grace_s: time from an interrupt to a kill, s.
-        was_ready: True after the process has reported readiness. The caller sets it.
         overdue: True if the process was killed because it did not end in time.
     """
 
@@ -78,7 +74,7 @@ class Process:
         self.name = name
         self.command = command
         self.grace_s = grace_s
-        self.was_ready = self.overdue = False
+        self.overdue = False
         self._log = log
         with log.open("ab") as output:
             self._popen = subprocess.Popen(
@@ -157,12 +153,6 @@ class Process:
         """Send SIGKILL, which has the effect of a crash or a power cut."""
         self.signal(signal.SIGKILL)
 
-    def abort(self) -> None:
-        """Kill a process that does not end. Before its end, Python writes to the output what each thread is doing."""
-        self.overdue = True
-        self.signal(signal.SIGABRT)
-        self.ends_within(_ABORT_S)
-
     def signal(self, number: signal.Signals) -> None:
         """Send a signal to the process group; without effect after `release`."""
         if self._popen.returncode is None:
@@ -171,11 +161,8 @@ class Process:
     def report(self) -> str:
         """Return the state of the process and its last line in one line."""
         if self.overdue:
-            place = _PLACE.search(self.output())
-            doing = " in {}, line {}, {}".format(*place.groups()) if place else ""
             return (
-                f"{self.name} did not end within {self.grace_s:g} s and was killed{doing}; the end of {self._log} "
-                "contains what all its threads were doing"
+                f"{self.name} did not end within {self.grace_s:g} s and was killed; see {self._log}"
             )
         code = self.exit_code
         state = "still runs" if code is None else f"ended with exit status {code}"
@@ -229,19 +216,12 @@ class ProcessGroup:
         self.processes: dict[str, Process] = {}
         self._env = dict(os.environ if env is None else env)
 
-    def start(
-        self,
-        name: str,
-        command: Sequence[str],
-        env: Mapping[str, str] | None = None,
-        grace_s: float = GRACE_S,
-    ) -> Process:
+    def start(self, name: str, command: Sequence[str], grace_s: float = GRACE_S) -> Process:
         """Start a process.
 
         Args:
             name: name of the process and of its log, unique in the group.
             command: command line.
-            env: environment variables in addition to those of the group.
             grace_s: time from an interrupt to a kill, s.
 
         Raises:
@@ -250,8 +230,7 @@ class ProcessGroup:
         if name in self.processes:
             raise ProcessError(f"a process with the name {name} exists already")
         log = self.log_folder / f"{name}.log"
-        own = {"PYTHONFAULTHANDLER": "1", **self._env, **(env or {})}  # for `Process.abort`
-        process = Process(name, command, log, own, grace_s)
+        process = Process(name, command, log, self._env, grace_s)
         self.processes[name] = process
         return process
 
@@ -302,7 +281,8 @@ class ProcessGroup:
                         ending.append(process)
                         process.interrupt()
                         if not process.ends_within(process.grace_s):
-                            process.abort()
+                            process.overdue = True
+                            process.kill()
             finally:
                 for process in self.processes.values():
                     process.release()

@@ -11,13 +11,9 @@ from worm_model.bags.formats.finding import METADATA_FILE, TIME_FIELD
 from worm_model.errors import InputError
 from worm_msgs.conditions import Conditions
 from worm_optimizer.nodes.operator_node import OperatorNode
-from worm_optimizer.operation.bring_up import (
-    installed_system_file,
-    recording,
-    work_folder,
-)
+from worm_optimizer.operation.bring_up import recording, work_folder
 from worm_optimizer.operation.processes import ProcessGroup
-from worm_optimizer.operation.system import RECORDER, settings_of
+from worm_optimizer.operation.system import RECORDER, installed_system_file, settings_of
 
 
 def new_bag(folder: Path, kind: str = "run") -> Path:

@@ -12,11 +12,14 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
 
+from ament_index_python.packages import get_package_share_directory
+
+from worm_msgs.claim import domain_of
 from worm_msgs.conditions import CONDITION_ROWS, Conditions
 from worm_msgs.settings_file import OneOf, key, read_settings
 from worm_msgs.yaml_file import unknown_name
 
-RECORDER = "recorder"  # name of the node in system.yaml
+DRIVER, RECORDER = "driver", "recorder"  # names of nodes in system.yaml
 # Nodes that a campaign does not start: the front is known, and each gait has its own recorder.
 _UNUSED = {"optimizer", RECORDER}
 
@@ -24,7 +27,7 @@ Value = bool | int | float | str | list[bool] | list[int] | list[float] | list[s
 
 MODES = ("robot", "virtual", "replay")
 RESTARTS = 3  # largest number of restarts of an optional node
-ALSO_REQUIRED = "also_required"  # name of the setting that lists further required nodes
+_REJECTED = 2  # exit status of a node that has rejected its input before it opened anything
 
 
 class SystemFileError(ValueError):
@@ -38,10 +41,8 @@ class NodeDescription:
     Attributes:
         name: name of the node.
         package, executable: ROS package and executable of the node.
-        awaited: True if the following nodes start after this one has reported readiness (`worm_msgs.readiness`).
-        lifecycle: True for a lifecycle node. Only the driver is one. If the driver crashes, the servos keep their
-            torque.
         required: True if all nodes end when this one ends. A node that is not required may be restarted.
+        torque: True for the driver of a real robot. If it crashes, the servos keep their torque.
         end_timeout_s: time from an interrupt to a kill, s.
         arguments: command-line arguments.
         parameters: ROS parameters.
@@ -51,9 +52,8 @@ class NodeDescription:
     name: str
     package: str
     executable: str
-    awaited: bool = False
-    lifecycle: bool = False
     required: bool = False
+    torque: bool = False
     end_timeout_s: float = 30.0
     arguments: tuple[str, ...] = ()
     parameters: Mapping[str, Value] = field(default_factory=dict)
@@ -70,16 +70,10 @@ class NodeDescription:
             result += ["-p", f"{name}:={json.dumps(value)}"]
         return result
 
-    def end_report(self, status: int, *, was_ready: bool) -> str:
-        """Return a message about the end of the node's process.
-
-        Args:
-            status: exit status, or the negative number of the signal that ended the process.
-            was_ready: True if the node had reported readiness. Only then may a driver have turned torque on.
-        """
-        if self.lifecycle and was_ready and status:
-            return f"the {self.name} ended (exit status {status}); torque may be on"
-        return f"{self.name} has ended with exit status {status}"
+    def end_report(self, status: int) -> str:
+        """Return a message about the end of the node's process; ``status`` as in `subprocess.Popen.returncode`."""
+        torque = "; torque may be on" if self.torque and status not in (0, _REJECTED) else ""
+        return f"{self.name} has ended with exit status {status}{torque}"
 
 
 @dataclass(frozen=True)
@@ -131,8 +125,6 @@ class NodeRow:
     modes: tuple[_Mode, ...] = MODES
     needs: str | None = None
     required: tuple[_Mode, ...] = ()
-    awaited: bool = False
-    lifecycle: bool = False
     end_timeout_s: Annotated[float, key(gt=0.0)] = 30.0
     arguments: tuple[tuple[str | int | float, ...], ...] = ()
     parameters: Mapping[str, Any] = field(default_factory=dict)
@@ -164,7 +156,7 @@ class SystemFile:
             settings: settings that differ from their defaults.
 
         Raises:
-            SystemFileError: The mode, a setting or a required node is unknown, or a number is malformed.
+            SystemFileError: The mode or a setting is unknown, or a number is malformed.
         """
         namespace = namespace or self.namespace
         if mode not in MODES:
@@ -172,7 +164,7 @@ class SystemFile:
         unknown = sorted(set(settings) - set(self.settings))
         if unknown:
             raise SystemFileError(unknown_name("setting", unknown[0], self.settings))
-        names = {"namespace": namespace, "domain": os.environ.get("ROS_DOMAIN_ID") or "0"}
+        names = {"namespace": namespace, "domain": str(domain_of(os.environ))}
         defaults = {name: row.default.format_map(names) for name, row in self.settings.items()}
         values: dict[str, str | float] = {**names, **defaults, **settings}
         for name, row in self.settings.items():
@@ -183,17 +175,7 @@ class SystemFile:
             for name, content in self.nodes.items()
             if mode in content.modes and (content.needs is None or values[content.needs])
         )
-        return System(namespace, self._with_required(nodes, str(values.get(ALSO_REQUIRED, ""))))
-
-    def _with_required(
-        self, nodes: tuple[NodeDescription, ...], names: str
-    ) -> tuple[NodeDescription, ...]:
-        """Mark the named nodes as required, and return all nodes. Raises `SystemFileError` if a name is unknown."""
-        also = names.replace(",", " ").split()
-        for name in also:
-            if name not in self.nodes:
-                raise SystemFileError(f"{ALSO_REQUIRED}: {unknown_name('node', name, self.nodes)}")
-        return tuple(replace(n, required=n.required or n.name in also) for n in nodes)
+        return System(namespace, nodes)
 
     def _node(
         self, name: str, row: NodeRow, mode: str, values: Mapping[str, str | float]
@@ -202,9 +184,8 @@ class SystemFile:
             name,
             row.package,
             row.executable,
-            awaited=row.awaited,
-            lifecycle=row.lifecycle,
             required=mode in row.required,
+            torque=name == DRIVER and mode == "robot",
             end_timeout_s=row.end_timeout_s,
             arguments=_arguments(row.arguments, values),
             parameters=_parameters(_of_mode(row.parameters, mode), values),
@@ -215,6 +196,12 @@ class SystemFile:
 def load_system_file(path: str | Path) -> SystemFile:
     """Read a system file. Raises `SystemFileError`, whose message contains the path and the key."""
     return read_settings(Path(path), SystemFile, SystemFileError)
+
+
+def installed_system_file() -> SystemFile:
+    """Return the content of the system.yaml that is installed with this package."""
+    share = Path(get_package_share_directory("worm_optimizer"))
+    return load_system_file(share / "config" / "system.yaml")
 
 
 def _number(name: str, text: str) -> float:

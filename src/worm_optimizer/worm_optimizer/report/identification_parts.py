@@ -61,24 +61,8 @@ class IdentificationParts:
     figures: Mapping[str, bytes] = field(default_factory=dict)
 
 
-def add_identification(parser: argparse.ArgumentParser) -> None:
-    """Add the options that name the parts of an identification."""
-    parser.add_argument(
-        "--identification",
-        type=Path,
-        action="append",
-        default=[],
-        metavar="PATH",
-        help="parameter file that identify has written, or folder of its report; for both, give the option twice",
-    )
-    parser.add_argument(
-        "--bellows", type=Path, metavar="CSV", help="bellows test: compression_m, force_N"
-    )
-    parser.add_argument("--fin", type=Path, metavar="CSV", help="fin test: displacement_m, force_N")
-
-
 def identification_of(options: argparse.Namespace) -> IdentificationParts | None:
-    """Read the files that the options of `add_identification` name.
+    """Read the files that the options --identification, --bellows and --fin name.
 
     Returns:
         The parts, or None if no option is given.

@@ -74,7 +74,7 @@ class Nsga2Settings:
             raise OptimizerError(f"search: seed {self.seed}: give one from 0 to {2**32 - 1}")
 
 
-class Robustness(str, enum.Enum):
+class Robustness(enum.StrEnum):
     """Criterion that keeps gaits away from the edges of their branch."""
 
     MARGIN = "margin"  # the paper's enlarged threshold
@@ -82,7 +82,7 @@ class Robustness(str, enum.Enum):
     ANY_PHASE = "any_phase"  # a gait keeps its grooves at every groove phase
 
 
-class Waveform(str, enum.Enum):
+class Waveform(enum.StrEnum):
     """Waveforms among which a search chooses."""
 
     SINUSOID = "sinusoid"  # the paper's waveform

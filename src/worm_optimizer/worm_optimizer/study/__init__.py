@@ -3,10 +3,9 @@
 
 - `study_file` reads and validates the description of a study, and `plan` defines it.
 - `point` computes the results of one parameter set: fronts, gaits, margin scans and success probabilities.
-- `engine` distributes blocks of points to workers, and `store` saves finished blocks.
-- `study_page` and `study_plots` present the result.
-- `fleet` compares many bags with the model, as a table; `fleet_page` presents the table.
-- `sensitivity` computes Sobol indices of one gait, `study_indices` those of a study.
+- `blocks` distributes points to Dask workers and stores finished blocks, and `study_run` writes the result.
+- `summary` finds the best points; `study_page` and `study_plots` present them.
+- `fleet` compares many bags with the model, as a table.
 
 Only this package needs the packages of requirements-study.txt.
 """

@@ -1,24 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Table of many bags in Parquet format. Each bag is read, replayed and compared with the model independently.
+"""Table of many bags in Parquet format: each bag is read, replayed and compared with the model independently.
 
-The table has a row for each gait of a bag. A bag that cannot be used has a single row with the reason. Until all bags
-are read, the rows of each bag are stored in a file of their own, in a folder next to the output. A command that was
-killed can then be repeated without reading these bags again.
+The table has a row for each gait of a bag. A bag that cannot be used has a single row with the reason.
 """
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
-import json
 import math
-import shutil
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from datetime import datetime, timezone
+from collections.abc import Callable
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as parquet
 
@@ -30,12 +25,21 @@ from worm_model.parameters import load_parameter_file
 from worm_optimizer.code_version import identity_of_all
 from worm_optimizer.report.recorded_gait import RecordedGait
 from worm_optimizer.report.recordings import read_recorded_gaits
-from worm_optimizer.study.engine import LostError, Say, connected, cores, spread
-from worm_optimizer.study.store import check_folder, lock
-from worm_optimizer.study.study_run import Counts, Workers
+from worm_optimizer.study.blocks import (
+    ITEMS,
+    Block,
+    Counts,
+    Say,
+    Task,
+    Workers,
+    complete,
+    keys_of,
+    new_output,
+)
 
 READ, FAILED = "read", "failed"
-_IDENTITY = b"worm_fleet"  # key of the table's metadata under which `_Fleet.identity` is stored
+_IDENTITY = b"worm_fleet"  # key of the table's metadata that contains the hash of its bags
+_BAG = "mark"  # entry of a block with the hash of its bag
 _HEALTH = tuple(f"{key}{part}" for key in ADVICE for part in ("", "_low", "_high"))
 _TEXTS = ("bag", "gait", "state", "reason", "start", "parameters", "notes")
 _NUMBERS = (
@@ -46,86 +50,11 @@ _NUMBERS = (
     *("x1_rmse_m", "length_rmse_m", "power_rmse_W", "energy_error", "events"),
     *_HEALTH,
 )
-SCHEMA = pa.schema(
+_SCHEMA = pa.schema(
     [(name, pa.string()) for name in _TEXTS] + [(name, pa.float64()) for name in _NUMBERS]
 )
 
 Row = dict[str, Any]
-
-
-class UnseenError(RuntimeError):
-    """A worker cannot access a bag. The message is the path of the bag."""
-
-
-def bag_rows(path: str, name: str, parameters: str) -> list[Row]:
-    """Return the rows of one bag.
-
-    Args:
-        path: bag.
-        name: name of the bag in the table.
-        parameters: path of a parameter file, or an empty string for the parameters in the bag.
-
-    Raises:
-        UnseenError: The bag does not exist on the machine of this worker.
-    """
-    if not Path(path).exists():
-        raise UnseenError(path)
-    empty: Row = {**dict.fromkeys(_TEXTS, ""), **dict.fromkeys(_NUMBERS, math.nan), "bag": name}
-    notes: list[str] = []
-    try:
-        gaits = read_recorded_gaits([Path(path)], parameters, notes.append)
-    except (InputError, OSError) as error:
-        return [{**empty, "state": FAILED, "reason": _one_line(error)}]
-    rows = [{**empty, **_row_of(gait)} for gait in gaits]
-    used = gaits[0].content.parameters
-    healthy, left_out = estimate_bags([Path(path)], used)
-    for bag in healthy:
-        notes += bag.remarks
-        for row in rows:
-            for key, estimate in bag.estimates.items():
-                known = estimate.identifiable
-                row[key] = estimate.value if known else math.nan
-                row[f"{key}_low"], row[f"{key}_high"] = estimate.low, estimate.high
-    notes += [f"health: {bag.reason}" for bag in left_out]
-    for row in rows:
-        row["notes"] = "; ".join([*filter(None, [row["notes"]]), *notes])
-    return rows
-
-
-def _one_line(error: BaseException) -> str:
-    return " ".join(str(error).split())
-
-
-def _row_of(gait: RecordedGait) -> Row:
-    """Return one gait of a bag as a row, in SI units."""
-    played, nominal = gait.gait, gait.expected.nominal
-    residuals = gait.judged.residuals
-    return {
-        "gait": gait.name,
-        "state": READ,
-        "start": datetime.fromtimestamp(gait.played.onset * 1e-9, timezone.utc).isoformat(),
-        "parameters": gait.parameter_source,
-        "notes": "; ".join(filter(None, [gait.early_end, *gait.missing])),
-        "stroke_m": played.stroke,
-        "frequency_Hz": played.frequency,
-        "direction": float(played.direction),
-        "margin_m": played.margin,
-        "cycles": float(gait.played.cycles),
-        "groove_phase_m": nominal.groove_phase,
-        "speed_m_s": gait.measured.speed.value,
-        "power_W": gait.measured.power.value,
-        "cost_of_transport": gait.measured.cost_of_transport.value,
-        "expected_speed_m_s": gait.expected.bands.speed.value,
-        "expected_power_W": gait.expected.bands.power.value,
-        "expected_cost_of_transport": gait.expected.bands.cost_of_transport.value,
-        "twin_speed_m_s": gait.twin.speed.value,
-        "twin_power_W": gait.twin.power.value,
-        "x1_rmse_m": residuals.x1_rmse,
-        "length_rmse_m": residuals.length_rmse,
-        "power_rmse_W": residuals.power_rmse,
-        "energy_error": gait.judged.energy_error,
-        "events": float(len(gait.events)),
-    }
 
 
 def read_fleet(
@@ -155,115 +84,47 @@ def read_fleet(
         LostError: The cluster was lost.
         OSError: The rows cannot be written.
     """
-    fleet = _fleet(folder, parameters)
-    if output.exists():
-        return _known(output, fleet.identity)
-    with _parts(output) as parts:
-        files = [parts / f"{mark}.json" for mark in fleet.marks]
-        todo = [k for k, file in enumerate(files) if not file.exists()]
-        progress(1.0 - len(todo) / len(files))
-        source = str(Path(parameters).resolve()) if parameters else ""
-        if todo:
-            number = min(workers.number or cores(), len(todo))
-            with connected(workers.scheduler, number, say) as client:
-                pieces = [(str(fleet.bags[k].resolve()), fleet.names[k], source) for k in todo]
-                _read(client, pieces, [files[k] for k in todo], len(files), say, progress)
-        rows = [row for file in files for row in json.loads(file.read_text())]
-        table = pa.Table.from_pylist(rows, SCHEMA).replace_schema_metadata(
-            {_IDENTITY: fleet.identity.encode()}
-        )
-        part = parts / "table"
-        parquet.write_table(table, part)
-        part.rename(output)
-        shutil.rmtree(parts)
-    return _known(output, fleet.identity)
-
-
-def reopen_fleet(folder: Path, parameters: str, output: Path) -> None:
-    """Remove the rows of failed bags, so that `read_fleet` reads these bags again.
-
-    Raises:
-        InputError: The parameter file is invalid, or the output contains other bags or cannot be used.
-    """
-    fleet = _fleet(folder, parameters)
-    if output.exists():
-        _known(output, fleet.identity)
-    with _parts(output) as parts:
-        files = [parts / f"{mark}.json" for mark in fleet.marks]
-        if output.exists():
-            rows = parquet.read_table(output).to_pylist()
-            for name, file in zip(fleet.names, files, strict=True):
-                file.write_text(json.dumps([row for row in rows if row["bag"] == name]))
-            output.unlink()  # its rows are in the files
-        for file in files:
-            if file.exists() and any(
-                row["state"] == FAILED for row in json.loads(file.read_text())
-            ):
-                file.unlink()
-
-
-@dataclass(frozen=True)
-class _Fleet:
-    """Bags, their names in the table, a hash of each (``marks``, see `_mark`), and a hash of all (``identity``)."""
-
-    bags: tuple[Path, ...]
-    names: tuple[str, ...]
-    marks: tuple[str, ...]
-    identity: str
-
-
-def _fleet(folder: Path, parameters: str) -> _Fleet:
     load_parameter_file(parameters)  # raises if the file is invalid, before any bag is read
-    bags = tuple(bags_below(folder))
-    marks = tuple(_mark(bag, parameters) for bag in bags)
-    whole = hashlib.sha256(" ".join([*marks, identity_of_all()]).encode()).hexdigest()[:24]
-    return _Fleet(bags, tuple(name_below(folder, bag) for bag in bags), marks, whole)
-
-
-def _read(
-    client: Any,
-    pieces: Sequence[tuple[str, str, str]],
-    files: Sequence[Path],
-    bags: int,
-    say: Say,
-    progress: Callable[[float], None],
-) -> None:
-    done = bags - len(pieces)
-    try:
-        for place, rows in spread(client, bag_rows, pieces, say):
-            part = files[place].with_suffix(".part")
-            part.write_text(json.dumps(rows), encoding="utf-8")
-            part.rename(files[place])
-            done += 1
-            progress(done / bags)
-    except UnseenError as error:
-        raise InputError(
-            f"a worker cannot access {error}: use a folder that all workers can access, or leave --scheduler out"
-        ) from None
-    except (LostError, OSError) as error:
-        raise type(error)(
-            f"{error}; {done} of {bags} bags are read: repeat the command to continue"
-        ) from None
+    source = str(Path(parameters).resolve()) if parameters else ""
+    bags = np.array(
+        [
+            (_mark(bag, parameters), str(bag.resolve()), name_below(folder, bag))
+            for bag in bags_below(folder)
+        ]
+    )
+    if not output.exists():
+        task = Task(_bag_block, source, bags, 1, identity_of_all())
+        found = {
+            keys_of(block[ITEMS])[0]: block
+            for block in complete(task, output, workers, say, progress)
+        }
+        in_order = [found[key] for key in keys_of(bags)]
+        columns = [np.concatenate([block[name] for block in in_order]) for name in _SCHEMA.names]
+        table = pa.table(columns, _SCHEMA).replace_schema_metadata({_IDENTITY: _hash(bags)})
+        with new_output(output) as part:
+            parquet.write_table(table, part)
+    return _counts(output, _hash(bags))
 
 
 def _mark(bag: Path, parameters: str) -> str:
-    """Return a hash of the path and files of a bag, the parameter file, and the code."""
+    """Return a hash of the files of a bag and of the parameter file."""
     content = Path(parameters).read_text() if parameters else ""
-    text = [str(bag.resolve()), identity_of_all(), content, mark_of(bag)]
-    return hashlib.sha256("\n".join(text).encode()).hexdigest()[:24]
+    return hashlib.sha256(f"{content}\n{mark_of(bag)}".encode()).hexdigest()[:24]
 
 
-def _known(output: Path, whole: str) -> Counts:
-    """Return the counts of bags in a finished table; ``whole`` is the hash of the expected fleet.
+def _hash(bags: np.ndarray) -> bytes:
+    """Return a hash of all bags and of the code."""
+    content = [*bags.ravel().tolist(), identity_of_all()]
+    return hashlib.sha256("\n".join(content).encode()).hexdigest()[:24].encode()
 
-    Raises:
-        InputError: The table cannot be read, contains other bags, or was made by another version of the code.
-    """
+
+def _counts(output: Path, identity: bytes) -> Counts:
+    """Return the counts of bags in a finished table; ``identity`` is the hash of the expected bags."""
     try:
         table = parquet.read_table(output, columns=["bag", "state"])
     except (OSError, pa.ArrowException):
         table = None
-    if table is None or (table.schema.metadata or {}).get(_IDENTITY) != whole.encode():
+    if table is None or (table.schema.metadata or {}).get(_IDENTITY) != identity:
         raise InputError(
             f"{output}: exists already and contains other bags, or was read by another version; choose another name, "
             "nothing is overwritten"
@@ -272,12 +133,70 @@ def _known(output: Path, whole: str) -> Counts:
     return Counts(len(states), len(states), sum(state == FAILED for state in states.values()))
 
 
-@contextlib.contextmanager
-def _parts(output: Path) -> Iterator[Path]:
-    """Create the folder of the files in which the rows of each bag are stored, and lock it for this process."""
-    check_folder(output)
-    parts = output.with_name(f"{output.name}.part")
-    parts.mkdir(exist_ok=True)
-    with (parts / ".lock").open("w") as file:
-        lock(file, output)
-        yield parts
+def _bag_block(parameters: str, bags: np.ndarray) -> Block:
+    """Return the columns of the table for one bag.
+
+    Args:
+        parameters: path of a parameter file, or an empty string for the parameters in the bag.
+        bags: mark, path and name of the bag, shape (1, 3).
+    """
+    _, path, name = bags[0].tolist()
+    if not Path(path).exists():
+        raise InputError(
+            f"a worker cannot access {path}: use a folder that all workers can access, or leave --scheduler out"
+        )
+    rows = _rows(Path(path), name, parameters)
+    return {key: np.array([row[key] for row in rows]) for key in _SCHEMA.names}
+
+
+def _rows(bag: Path, name: str, parameters: str) -> list[Row]:
+    empty: Row = {**dict.fromkeys(_TEXTS, ""), **dict.fromkeys(_NUMBERS, math.nan), "bag": name}
+    notes: list[str] = []
+    try:
+        gaits = read_recorded_gaits([bag], parameters, notes.append)
+    except (InputError, OSError) as error:
+        return [{**empty, "state": FAILED, "reason": " ".join(str(error).split())}]
+    rows = [{**empty, **_row_of(gait)} for gait in gaits]
+    healthy, left_out = estimate_bags([bag], gaits[0].content.parameters)
+    for estimated in healthy:
+        notes += estimated.remarks
+        for row in rows:
+            for key, estimate in estimated.estimates.items():
+                row[key] = estimate.value if estimate.identifiable else math.nan
+                row[f"{key}_low"], row[f"{key}_high"] = estimate.low, estimate.high
+    notes += [f"health: {each.reason}" for each in left_out]
+    for row in rows:
+        row["notes"] = "; ".join([*filter(None, [row["notes"]]), *notes])
+    return rows
+
+
+def _row_of(gait: RecordedGait) -> Row:
+    """Return one gait of a bag as a row, in SI units."""
+    played, nominal = gait.gait, gait.expected.nominal
+    residuals = gait.judged.residuals
+    return {
+        "gait": gait.name,
+        "state": READ,
+        "start": datetime.fromtimestamp(gait.played.onset * 1e-9, UTC).isoformat(),
+        "parameters": gait.parameter_source,
+        "notes": "; ".join(filter(None, [gait.early_end, *gait.missing])),
+        "stroke_m": played.stroke,
+        "frequency_Hz": played.frequency,
+        "direction": float(played.direction),
+        "margin_m": played.margin,
+        "cycles": float(gait.played.cycles),
+        "groove_phase_m": nominal.groove_phase,
+        "speed_m_s": gait.measured.speed.value,
+        "power_W": gait.measured.power.value,
+        "cost_of_transport": gait.measured.cost_of_transport.value,
+        "expected_speed_m_s": gait.expected.bands.speed.value,
+        "expected_power_W": gait.expected.bands.power.value,
+        "expected_cost_of_transport": gait.expected.bands.cost_of_transport.value,
+        "twin_speed_m_s": gait.twin.speed.value,
+        "twin_power_W": gait.twin.power.value,
+        "x1_rmse_m": residuals.x1_rmse,
+        "length_rmse_m": residuals.length_rmse,
+        "power_rmse_W": residuals.power_rmse,
+        "energy_error": gait.judged.energy_error,
+        "events": float(len(gait.events)),
+    }

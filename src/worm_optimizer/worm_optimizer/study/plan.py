@@ -3,17 +3,31 @@
 
 from __future__ import annotations
 
+import dataclasses
+import hashlib
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Annotated, Any
+from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from worm_model.parameters import ParameterFile
-from worm_msgs.settings_file import OneOf, key
+from worm_msgs.conditions import CONDITION_ROWS
+from worm_msgs.gait import (
+    CONTRACTION_SHARE_RANGE,
+    MAX_FREQUENCY,
+    MAX_MARGIN,
+    MAX_PRETENSION,
+    MAX_STROKE,
+    RAMP_SHARE_RANGE,
+)
+from worm_msgs.robot_parameters import ROWS
+from worm_msgs.settings_file import key
+from worm_optimizer.code_version import identity
 from worm_optimizer.evaluation.servo_limits import DrivenBy
+from worm_optimizer.robustness.sobol import Sample
 from worm_optimizer.search.exact import Resolution as ScanResolution
 from worm_optimizer.search.search_settings import ScanSettings, Waveform
 
@@ -21,20 +35,73 @@ Array = NDArray[np.float64]
 
 # Names of the dimensions that do not belong to a single quantity
 PARAMETER_FILE, SAMPLE = "parameter_file", "sample"
-SOBOL, SALTELLI, LATIN_HYPERCUBE = "sobol", "saltelli", "latin_hypercube"
-METHODS = (SOBOL, SALTELLI, LATIN_HYPERCUBE)
-EXTENDABLE = (SOBOL, SALTELLI)  # methods with which more samples continue the same sequence
-MOST_POINTS = 10_000_000  # largest number of points of a study
 COMPUTABLE = ("front", "gaits", "cliff", "success", "any_phase")
+_MOST_BLOCKS = 1000  # a killed study loses a thousandth of its time for each worker
 
-# Nominal duration of a block, s. The client needs some 0.05 s to submit and store a block.
-_BLOCK_SECONDS = 5.0
-_FEWEST_BLOCKS = 20  # least number of blocks, so that the progress bar of a small study advances
-# Nominal durations of a front, of an any-phase front and of one margin of a scan, on one core at the default
-# resolution, s. They are constant, so that blocks have the same size on all computers.
-_FRONT_SECONDS, _ANY_PHASE_SECONDS, _MARGIN_SECONDS = 0.5, 2.8, 0.03
-_SHAPED = 15.0  # duration of a front or a scan of shaped gaits, relative to that of sinusoids
-_DRAW_SECONDS = 2.5e-4  # nominal duration of one draw of a success probability, s
+_FINEST = 10_000  # largest number of strokes, frequencies or gaits of a front
+_SMALL, _LARGE = 1e-6, 1e6  # bounds of positive quantities, in their units
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """Quantity: ``unit``, description, and admissible range. A value outside the range is probably in another unit."""
+
+    unit: str
+    long_name: str
+    low: float
+    high: float
+
+
+_OTHERS: Mapping[str, Quantity] = {
+    "margin_m": Quantity("m", "robustness margin", 0.0, MAX_MARGIN),
+    "direction": Quantity("1", "direction: 1 forward, -1 reverse", -1.0, 1.0),
+    "groove_phase_m": Quantity("m", "groove phase", -0.1, 0.1),
+    "spool_radius_m": Quantity("m", "spool radius of the cable servos", 1e-3, 1.0),
+    "min_stroke_m": Quantity("m", "shortest stroke", _SMALL, MAX_STROKE),
+    "max_stroke_m": Quantity("m", "longest stroke", _SMALL, MAX_STROKE),
+    "min_frequency_Hz": Quantity("Hz", "lowest frequency", _SMALL, MAX_FREQUENCY),
+    "max_frequency_Hz": Quantity("Hz", "highest frequency", _SMALL, MAX_FREQUENCY),
+    "max_cable_speed_m_per_s": Quantity("m/s", "highest cable speed", _SMALL, _LARGE),
+    "max_cable_force_N": Quantity("N", "highest cable force", _SMALL, _LARGE),
+    "max_power_W": Quantity("W", "highest source power", _SMALL, _LARGE),
+    "stall_force_N": Quantity("N", "cable force at which the motors stall", _SMALL, _LARGE),
+    "no_load_speed_m_s": Quantity("m/s", "cable speed of the motors without load", _SMALL, _LARGE),
+    "max_push_force_N": Quantity("N", "highest pushing force in the model's cable", _SMALL, _LARGE),
+    "holding_power_W_per_N": Quantity("W/N", "power for each N of the mean pull", 0.0, _LARGE),
+    "min_pretension_m": Quantity("m", "least pretension", 0.0, MAX_PRETENSION),
+    "max_pretension_m": Quantity("m", "greatest pretension", 0.0, MAX_PRETENSION),
+    "min_contraction_share": Quantity("1", "least contraction share", *CONTRACTION_SHARE_RANGE),
+    "max_contraction_share": Quantity("1", "greatest contraction share", *CONTRACTION_SHARE_RANGE),
+    "min_ramp_share": Quantity("1", "least ramp share", *RAMP_SHARE_RANGE),
+    "max_ramp_share": Quantity("1", "greatest ramp share", *RAMP_SHARE_RANGE),
+    "at_power_W": Quantity("W", "power of the gait max_speed_at_power", _SMALL, _LARGE),
+    "at_speed_m_s": Quantity("m/s", "speed of the gait min_power_at_speed", _SMALL, _LARGE),
+    "reference_power_W": Quantity("W", "power up to which hypervolumes count", _SMALL, _LARGE),
+}
+LIMITS = (  # in the order of the fields of ActuatorLimits
+    *("max_cable_speed_m_per_s", "max_cable_force_N", "max_power_W"),
+    *("stall_force_N", "no_load_speed_m_s", "max_push_force_N"),
+)
+SHAPE_BOUNDS = (  # lower and upper end of each field of ShapeBounds, in the order of the fields
+    ("min_pretension_m", "max_pretension_m"),
+    ("min_contraction_share", "max_contraction_share"),
+    ("min_ramp_share", "max_ramp_share"),
+)
+# Units in the notation of the CF conventions
+_CF_UNITS = {"°": "degree", "deg": "degree", "m²": "m2", "N·s/m": "N s/m"}
+
+
+def _described(row: Mapping, long_name: str) -> Quantity:
+    unit = _CF_UNITS.get(row["unit"], row["unit"])
+    return Quantity(unit, long_name, row["low"], row["high"])
+
+
+#: Quantities that a study may vary or fix: keys of a parameter file, conditions in the pipe, and others.
+QUANTITIES: Mapping[str, Quantity] = {
+    **{k: _described(row, f"{k.replace('_', ' ')} ({row['paper']})") for k, row in ROWS.items()},
+    **{k: _described(row, row["meaning"]) for k, row in CONDITION_ROWS.items()},
+    **_OTHERS,
+}
 
 
 @dataclass(frozen=True)
@@ -50,50 +117,6 @@ class Axis:
     def sampled(self) -> bool:
         """True if the values are drawn, False if they are listed."""
         return not self.values
-
-
-@dataclass(frozen=True)
-class Sample:
-    """Sampling of all axes with a range: ``method`` (one of `METHODS`), number of ``points`` and ``seed``.
-
-    With `SALTELLI`, ``points`` is the number of base samples, each of which results in d + 2 points for d axes.
-    """
-
-    method: Annotated[str, OneOf(METHODS)] = SOBOL
-    points: Annotated[int, key(ge=1, le=MOST_POINTS)] = 64
-    seed: Annotated[int, key(ge=0, lt=2**32)] = 1
-
-    def size(self, axes: int) -> int:
-        """Return the number of points for ``axes`` axes with a range."""
-        return self.points * (axes + 2 if self.method == SALTELLI else 1)
-
-    def draw(self, axes: int) -> Array:
-        """Return values between 0 and 1, shape (size, axes).
-
-        Sobol sequences are scrambled, because an unscrambled one begins with a point whose values are all exactly 0.
-        With a method of `EXTENDABLE`, a larger sample begins with the points of a smaller one.
-        """
-        from scipy.stats import qmc  # here: the import takes a second, and workers do not need it
-
-        if self.method == LATIN_HYPERCUBE:
-            return qmc.LatinHypercube(axes, seed=self.seed).random(self.points)
-        saltelli = self.method == SALTELLI
-        engine: Any = qmc.Sobol(2 * axes if saltelli else axes, scramble=True, seed=self.seed)
-        unit = engine.random_base2(math.ceil(math.log2(max(self.points, 2))))[: self.points]
-        return _saltelli(unit[:, :axes], unit[:, axes:]) if saltelli else unit
-
-
-def _saltelli(first: Array, second: Array) -> Array:
-    """Return the rows A, B, AB_1 … AB_d of each base sample, one base sample after another.
-
-    A is the row of the base sample in ``first``, and B its row in ``second``. AB_k is A with element k replaced by
-    element k of B.
-    """
-    mixed = np.repeat(first[:, None], first.shape[1], axis=1)
-    each = np.arange(first.shape[1])
-    mixed[:, each, each] = second
-    rows = np.concatenate([first[:, None], second[:, None], mixed], axis=1)
-    return rows.reshape(-1, first.shape[1])
 
 
 @dataclass(frozen=True)
@@ -113,16 +136,22 @@ class Resolution:
     """Resolution of the computation of a point.
 
     Attributes:
-        scan: grid of strokes and frequencies on which the search for edges starts.
+        strokes, frequencies: grid on which the search for edges starts, see `scan`.
         front_gaits: number of stored gaits of a front.
         samples: number of draws of a success probability.
         seed: seed of these draws.
     """
 
-    scan: ScanResolution = field(default_factory=ScanResolution)
-    front_gaits: int = 32
-    samples: int = 500
-    seed: int = 1
+    strokes: Annotated[int, key(ge=3, le=_FINEST)] = ScanResolution.strokes
+    frequencies: Annotated[int, key(ge=2, le=_FINEST)] = ScanResolution.frequencies
+    front_gaits: Annotated[int, key(ge=3, le=_FINEST)] = 32
+    samples: Annotated[int, key(ge=1, le=1_000_000)] = 500
+    seed: Annotated[int, key(ge=0, lt=2**32)] = 1
+
+    @property
+    def scan(self) -> ScanResolution:
+        """Grid on which the search for edges starts."""
+        return ScanResolution(self.strokes, self.frequencies)
 
 
 @dataclass(frozen=True)
@@ -141,8 +170,8 @@ class Study:
         compute: requested results, some of `COMPUTABLE`.
         resolution: resolution of the computation.
         scan: margins of the margin scan.
-        block_points: largest number of points in a block.
         waveform: waveforms among which the search chooses.
+        most_points: largest number of points in a block; None chooses it by the number of points.
     """
 
     title: str
@@ -156,8 +185,8 @@ class Study:
     compute: tuple[str, ...]
     resolution: Resolution
     scan: ScanSettings
-    block_points: int
     waveform: Waveform
+    most_points: int | None
 
     @property
     def varied(self) -> tuple[str, ...]:
@@ -194,8 +223,13 @@ class Study:
         """Number of points."""
         return math.prod(self.shape)
 
+    @property
+    def block_points(self) -> int:
+        """Largest number of points in a block."""
+        return self.most_points or math.ceil(self.size / _MOST_BLOCKS)
+
     def points(self) -> Array:
-        """Return the value of each of `varied` at each point, shape (*shape, len(varied)); for a file, its index."""
+        """Return the value of each of `varied` at each point, shape (size, len(varied)); for a file, its index."""
         mesh = np.meshgrid(*map(np.asarray, self.dimensions.values()), indexing="ij")
         columns = dict(zip(self.dimensions, mesh, strict=True))
         if self.ranges:
@@ -204,25 +238,15 @@ class Study:
                 values = axis.low + drawn[:, k] * (axis.high - axis.low)
                 columns[axis.name] = values[columns[SAMPLE]]
         columns.setdefault(PARAMETER_FILE, np.zeros(self.shape))
-        return np.stack([columns[name].astype(float) for name in self.varied], axis=-1)
+        return np.stack([columns[name].ravel().astype(float) for name in self.varied], axis=-1)
 
-    def default_block_points(self) -> int:
-        """Return the number of points in a block.
+    def identity(self) -> str:
+        """Return a hash of the code and of all that determines the results of a point with given values.
 
-        Such a block takes about `_BLOCK_SECONDS`, or less if the study would otherwise have fewer than `_FEWEST_BLOCKS`
-        blocks.
+        Two studies that differ in title, points and blocks only have the same identity.
         """
-        scan = self.resolution.scan
-        share = scan.strokes * scan.frequencies / (41 * 161)
-        seconds = 1e-3
-        slower = _SHAPED if self.waveform is Waveform.SHAPED else 1.0
-        if {"front", "gaits", "success"} & set(self.compute):
-            seconds += slower * _FRONT_SECONDS * share
-        if "cliff" in self.compute or self.margin_at_cliff:
-            seconds += slower * _MARGIN_SECONDS * len(self.scan.margins())
-        if "success" in self.compute:
-            seconds += _DRAW_SECONDS * self.resolution.samples
-        if "any_phase" in self.compute:
-            seconds += _ANY_PHASE_SECONDS * share
-        by_time = math.ceil(_BLOCK_SECONDS / seconds)
-        return max(1, min(by_time, math.ceil(self.size / _FEWEST_BLOCKS)))
+        plain = dataclasses.replace(
+            self, title="", text="", axes=(), sample=Sample(), most_points=None
+        )
+        content = f"{identity()} {self.varied} {plain}"
+        return hashlib.sha256(content.encode()).hexdigest()[:24]

@@ -20,7 +20,7 @@ from worm_msgs.conditions import CONDITION_ROWS, Conditions
 from worm_msgs.gait import FORWARD, GAIT_MEANINGS, GAIT_UNITS
 from worm_optimizer.evaluation.actuator_limits import ActuatorLimits
 from worm_optimizer.evaluation.command_shape import SHAPE_ROW, Shapes, shapes_of
-from worm_optimizer.evaluation.servo_limits import DrivenBy, limits_of, servo_model
+from worm_optimizer.evaluation.servo_limits import limits_of, servo_model
 from worm_optimizer.evaluation.task import Bounds, MarginTask, Points
 from worm_optimizer.robustness.success_probability import success_probability
 from worm_optimizer.robustness.uncertainty import phase_known, phase_unknown
@@ -43,11 +43,10 @@ from worm_optimizer.search.gait_request import Objective, at_power, at_speed
 from worm_optimizer.search.pareto import hypervolume
 from worm_optimizer.search.price_of_robustness import PriceOfRobustness
 from worm_optimizer.search.search_settings import Settings, Waveform
-from worm_optimizer.study.plan import PARAMETER_FILE, Array, Study
-from worm_optimizer.study.quantities import LIMITS, SHAPE_BOUNDS
+from worm_optimizer.study.plan import LIMITS, PARAMETER_FILE, SHAPE_BOUNDS, Array, Study
 
 FRONT, GAIT, SCAN = "front_gait", "gait", "scan_margin"  # dimensions of the results of one point
-OPEN, DONE, FAILED = 0, 1, 2  # values of the variable "state"
+DONE, FAILED = 1, 2  # values of the variable "state"
 # Default reference power of hypervolumes, W; more than the fastest gait of the paper's robot needs.
 REFERENCE_POWER = 20.0
 THREE_GAITS = (Objective.MIN_POWER, Objective.CRUISE, Objective.MAX_SPEED)
@@ -55,10 +54,7 @@ REQUESTS = {
     "at_power_W": Objective.MAX_SPEED_AT_POWER,
     "at_speed_m_s": Objective.MIN_POWER_AT_SPEED,
 }
-
-
-class PointError(InputError):
-    """A point cannot be computed. The message contains the reason."""
+_COSTS = {"at_power_W": at_power, "at_speed_m_s": at_speed}
 
 
 @dataclass(frozen=True)
@@ -172,18 +168,18 @@ def compute_block(study: Study, points: Array) -> Results:
         for name, variable in variables(study).items()
     }
     results["state"] = np.full(len(points), DONE, dtype=np.int8)
-    results["reason"] = np.full(len(points), "", dtype=object)
+    reasons = [""] * len(points)
     for row, point in enumerate(points):
         try:
             of_point = compute_point(study, dict(zip(study.varied, point.tolist(), strict=True)))
         except (InputError, SimulationError) as error:
             results["state"][row] = FAILED
-            results["reason"][row] = " ".join(str(error).split())
+            reasons[row] = " ".join(str(error).split())
             continue
         for name, value in of_point.items():
-            # All NaN get the same bits, because the checksum of a block covers the bits of its values.
+            # All NaN get the same bits, so that the results do not depend on the blocks.
             results[name][row] = np.where(np.isnan(value), np.nan, value)
-    return results
+    return {**results, "reason": np.array(reasons)}
 
 
 def compute_point(study: Study, values: Mapping[str, float]) -> dict[str, Any]:
@@ -236,9 +232,6 @@ def content_of(study: Study, given: Mapping[str, float]) -> ParameterFile:
     Args:
         study: study.
         given: values of all varied and fixed quantities, by name.
-
-    Raises:
-        InputError: A value, a condition or the groove phase is not admissible, or two values exclude each other.
     """
     content = study.files[int(given.get(PARAMETER_FILE, 0))][1]
     old = content.parameters
@@ -247,7 +240,7 @@ def content_of(study: Study, given: Mapping[str, float]) -> ParameterFile:
     if "groove_phase_m" in given:
         phase = given["groove_phase_m"]
         if not -0.5 * new.pitch < phase <= 0.5 * new.pitch:
-            raise PointError(
+            raise InputError(
                 f"groove_phase_m: {phase:g} m is not within half a pitch of {new.pitch:g} m"
             )
         new = new.replace(initial_length=front_groove(old) * new.pitch + phase)
@@ -293,7 +286,10 @@ def task_of(study: Study, given: Mapping[str, float], parameters: Parameters) ->
     }
     limits = ActuatorLimits(*(given.get(name, math.inf) for name in LIMITS))
     if study.hardware.driver is not None:
-        driver = _driver(study.hardware.driver, given)
+        driver = study.hardware.driver
+        if "spool_radius_m" in given:
+            radii = (given["spool_radius_m"],) * len(driver.spool_radii)
+            driver = dataclasses.replace(driver, spool_radii=radii)
         box["stroke_high"] = min(box["stroke_high"], driver.max_stroke)
         box["frequency_high"] = min(box["frequency_high"], driver.max_frequency)
         model = servo_model(study.hardware.model)
@@ -306,16 +302,6 @@ def task_of(study: Study, given: Mapping[str, float], parameters: Parameters) ->
         limits=limits,
         holding_power=given.get("holding_power_W_per_N", 0.0),
     )
-
-
-def _driver(plain: DrivenBy, given: Mapping[str, float]) -> DrivenBy:
-    """Return the driver's limits with the spool radius of the point."""
-    if "spool_radius_m" not in given:
-        return plain
-    radius = given["spool_radius_m"]
-    if not radius > 0.0:
-        raise PointError(f"spool_radius_m: {radius:g} m is not positive")
-    return dataclasses.replace(plain, spool_radii=(radius,) * len(plain.spool_radii))
 
 
 def _cliff(price: PriceOfRobustness) -> dict[str, Any]:
@@ -402,15 +388,12 @@ def _chosen(
     if not len(exact.front):
         return columns
     costs: list[Cost] = [power_cost, transport_cost, speed_cost]
-    costs += [_COSTS[objective](given[key]) for key, objective in REQUESTS.items() if key in given]
+    costs += [_COSTS[key](given[key]) for key in REQUESTS if key in given]
     for place, cost in enumerate(costs):
         gait = exact.cheapest(cost)
         for name, value in _figures(study, gait, parameters).items():
             columns[name][place : place + 1] = value if len(gait) else np.nan
     return columns
-
-
-_COSTS = {Objective.MAX_SPEED_AT_POWER: at_power, Objective.MIN_POWER_AT_SPEED: at_speed}
 
 
 def _figures(study: Study, points: Points, parameters: Parameters) -> dict[str, Array]:

@@ -1,17 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reading and writing of the YAML files of studies.
+"""Reader of the YAML files of studies. docs/studies.md lists the keys.
 
-A written file contains the values of all files to which the study refers, so that it alone suffices to repeat the
-study. docs/studies.md lists the keys. Each value is checked when the file is read. Values that exclude each other at a
-point, such as a groove phase beyond half a pitch, are detected when the point is computed (`point.content_of`).
+Each value is checked when the file is read. Values that exclude each other at a point, such as a groove phase beyond
+half a pitch, are detected when the point is computed (`point.content_of`).
 """
 
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import itertools
-import json
 import reprlib
 import sys
 from collections.abc import Mapping, Sequence
@@ -19,39 +16,23 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
-import yaml
 from numpy import linspace
 
 from worm_model.errors import InputError
-from worm_model.parameters import (
-    ParameterFile,
-    format_parameter_file,
-    load_parameter_file,
-    parse_parameter_file,
-)
+from worm_model.parameters import ParameterFile, load_parameter_file
 from worm_msgs.settings_file import OneOf, key, settings_of
 from worm_msgs.yaml_file import SettingsFileError, parse_yaml
-from worm_optimizer.evaluation.servo_limits import DrivenBy, load_driver_file, servo_model
-from worm_optimizer.search.exact import Resolution as ScanResolution
+from worm_optimizer.evaluation.servo_limits import load_driver_file, servo_model
+from worm_optimizer.robustness.sobol import MOST_POINTS, SALTELLI, Sample
 from worm_optimizer.search.search_settings import ScanSettings, Waveform
 from worm_optimizer.study import plan
-from worm_optimizer.study.quantities import QUANTITIES, SHAPE_BOUNDS
+from worm_optimizer.study.plan import QUANTITIES, SHAPE_BOUNDS
 
 CLIFF = "cliff"  # value of margin_m that selects the last margin before the cliff of the point's own scan
-_FINEST = 10_000  # largest number of strokes, frequencies or gaits of a front
 _MOST_VALUES = 100_000  # largest number of values of an axis
-_SCAN, _PLAIN = ScanResolution(), plan.Resolution()
+_RESOLUTION = plan.Resolution()
 
 Quantity = Annotated[str, OneOf(tuple(QUANTITIES))]
-
-
-@dataclass(frozen=True)
-class _ResolutionFile:
-    strokes: Annotated[int, key(ge=3, le=_FINEST)] = _SCAN.strokes
-    frequencies: Annotated[int, key(ge=2, le=_FINEST)] = _SCAN.frequencies
-    front_gaits: Annotated[int, key(ge=3, le=_FINEST)] = _PLAIN.front_gaits
-    samples: Annotated[int, key(ge=1, le=1_000_000)] = _PLAIN.samples
-    seed: Annotated[int, key(ge=0, lt=2**32)] = _PLAIN.seed
 
 
 @dataclass(frozen=True)
@@ -63,7 +44,7 @@ class _ScanFile:
 
 @dataclass(frozen=True)
 class _HardwareFile:
-    driver: Any  # name of the driver's parameter file, or the limits that `format_study` writes
+    driver: str
     servo_model: str = ""
     supply_voltage: Annotated[float | None, key("supply_voltage_V", gt=0.0)] = None
 
@@ -74,15 +55,15 @@ class StudyFile:
 
     title: str = "Study"
     parameters: str = ""
-    parameter_files: Any = None
+    parameter_files: Annotated[tuple[str, ...] | None, key(min_length=1)] = None
     vary: Mapping[Quantity, Any] = field(default_factory=dict)
-    sample: plan.Sample | None = None
+    sample: Sample | None = None
     fixed: Mapping[Quantity, Any] = field(default_factory=dict)
     hardware: _HardwareFile | None = None
     compute: Annotated[tuple[Annotated[str, OneOf(plan.COMPUTABLE)], ...], key(min_length=1)]
-    resolution: _ResolutionFile = _ResolutionFile()
+    resolution: plan.Resolution = _RESOLUTION
     scan: _ScanFile = _ScanFile()
-    block_points: Annotated[int | None, key(ge=1, le=plan.MOST_POINTS)] = None
+    block_points: Annotated[int | None, key(ge=1, le=MOST_POINTS)] = None
     waveform: Annotated[str, OneOf(tuple(kind.value for kind in Waveform))] = (
         Waveform.SINUSOID.value
     )
@@ -114,16 +95,7 @@ def load_study(path: str | Path, parameters: str = "") -> plan.Study:
 
 
 def parse_study(text: str, folder: Path, parameters: str = "") -> plan.Study:
-    """Return the study that a text describes.
-
-    Args:
-        text: content of the study's file.
-        folder: folder to which paths in the text are relative.
-        parameters: parameter file of the robot, if the study names none.
-
-    Raises:
-        InputError: The text, or a file that it names, is invalid.
-    """
+    """Return the study that a text describes; see `load_study`. Paths in it are relative to ``folder``."""
     try:
         content = parse_yaml(text)
         if isinstance(content, Mapping):  # a key without a value means its default
@@ -132,14 +104,15 @@ def parse_study(text: str, folder: Path, parameters: str = "") -> plan.Study:
     except SettingsFileError as error:
         raise StudyError(str(error)) from None
     axes = tuple(_axis(name, row) for name, row in file.vary.items())
-    fixed, at_cliff = _fixed(file.fixed)
-    twice = {axis.name for axis in axes} & set(fixed)
-    if at_cliff and any(axis.name == "margin_m" for axis in axes):
-        twice.add("margin_m")
+    at_cliff = file.fixed.get("margin_m") == CLIFF
+    twice = {axis.name for axis in axes} & set(file.fixed)
     if twice:
         raise StudyError(f"{min(twice)}: is both under vary and under fixed; keep one")
-    fine = dataclasses.asdict(file.resolution)
-    scan = ScanResolution(fine.pop("strokes"), fine.pop("frequencies"))
+    fixed = {
+        name: _quantity(f"fixed: {name}", name, value)
+        for name, value in file.fixed.items()
+        if not (at_cliff and name == "margin_m")
+    }
     study = plan.Study(
         title=file.title,
         text=text,
@@ -150,135 +123,74 @@ def parse_study(text: str, folder: Path, parameters: str = "") -> plan.Study:
         margin_at_cliff=at_cliff,
         hardware=_hardware(file.hardware, folder),
         compute=tuple(name for name in plan.COMPUTABLE if name in file.compute),
-        resolution=plan.Resolution(scan, **fine),
+        resolution=file.resolution,
         scan=ScanSettings(**dataclasses.asdict(file.scan)),
-        block_points=1,
         waveform=Waveform(file.waveform),
+        most_points=file.block_points,
     )
     _check(study)
-    points = file.block_points or study.default_block_points()
-    return dataclasses.replace(study, block_points=points)
-
-
-def format_study(study: plan.Study) -> str:
-    """Return the text of a file that describes the same study without any other file."""
-    margin: dict[str, Any] = {"margin_m": CLIFF} if study.margin_at_cliff else {}
-    resolution, scan, driver = study.resolution, study.scan, study.hardware.driver
-    content: dict[str, Any] = {
-        "title": study.title,
-        "parameter_files": {
-            name: yaml.safe_load(format_parameter_file(file)) for name, file in study.files
-        },
-        "vary": {
-            axis.name: {"range": [axis.low, axis.high]} if axis.sampled else list(axis.values)
-            for axis in study.axes
-        },
-        "fixed": {**study.fixed, **margin},
-        "compute": list(study.compute),
-        "resolution": {
-            **dataclasses.asdict(resolution.scan),
-            **{key: getattr(resolution, key) for key in ("front_gaits", "samples", "seed")},
-        },
-        "scan": {"lowest_m": scan.lowest, "highest_m": scan.highest, "step_m": scan.step},
-        "block_points": study.block_points,
-    }
-    if study.ranges:
-        content["sample"] = dataclasses.asdict(study.sample)
-    if study.waveform is not Waveform.SINUSOID:  # stored studies of sinusoids lack the key
-        content["waveform"] = study.waveform.value
-    if driver is not None:
-        values = {**dataclasses.asdict(driver), "spool_radii": list(driver.spool_radii)}
-        content["hardware"] = {"driver": values, "servo_model": study.hardware.model}
-        if study.hardware.voltage is not None:
-            content["hardware"]["supply_voltage_V"] = study.hardware.voltage
-    return yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
-
-
-def identity_of(study: plan.Study) -> str:
-    """Return a hash of a study without its title and block size, which do not affect the results."""
-    plain = dataclasses.replace(study, title="Study", block_points=1)
-    content = json.dumps(yaml.safe_load(format_study(plain)), sort_keys=True, default=str)
-    return hashlib.sha256(content.encode()).hexdigest()[:24]
-
-
-def extends(study: plan.Study, stored: plan.Study) -> bool:
-    """Return True if a study is a stored one with more samples of the same sequence.
-
-    Title and block size may differ, too.
-    """
-    alike = dataclasses.replace(
-        study, sample=dataclasses.replace(study.sample, points=stored.sample.points)
-    )
-    return (
-        bool(study.ranges)
-        and study.sample.method in plan.EXTENDABLE
-        and study.sample.points > stored.sample.points
-        and identity_of(alike) == identity_of(stored)
-    )
+    return study
 
 
 def _check(study: plan.Study) -> None:
     """Check the conditions that involve several keys."""
     named = {axis.name for axis in study.axes} | set(study.fixed)
-    if study.size > plan.MOST_POINTS:
-        raise StudyError(
-            f"vary: results in {study.size} points, more than {plan.MOST_POINTS}: use fewer values"
-        )
-    needs_margin = {"front", "gaits", "success"} & set(study.compute)
-    if needs_margin and not study.margin_at_cliff and "margin_m" not in named:
-        raise StudyError(
-            f"compute: {min(needs_margin)} needs a margin: "
-            'write "fixed: {margin_m: 0.002}" or "fixed: {margin_m: cliff}", or put margin_m under vary'
-        )
-    _check_waveform(study, named)
-    if "groove_phase_m" in named and "initial_length" in named:
-        raise StudyError(
-            "groove_phase_m: sets initial_length, but the study has initial_length, too; keep one of them"
-        )
-    if "spool_radius_m" in named and not study.hardware.model:
-        raise StudyError(
-            "spool_radius_m: has an effect only with a servo: "
-            "write hardware: {driver: FILE, servo_model: NAME}"
-        )
-    if not study.dimensions:
-        raise StudyError("vary: nothing varies: name at least one quantity, or parameter_files")
-    if study.ranges and study.sample.method == plan.SALTELLI:
-        if len(study.dimensions) > 1:
-            raise StudyError(
-                "sample: saltelli permits ranges only: remove the lists of values, and use one parameter file"
-            )
-        if study.sample.points & (study.sample.points - 1):
-            raise StudyError(
-                f"sample: points: {study.sample.points} is not a power of two, which saltelli needs"
-            )
-
-
-def _check_waveform(study: plan.Study, named: set[str]) -> None:
     shaped = study.waveform is Waveform.SHAPED
-    bounds = named & set(itertools.chain(*SHAPE_BOUNDS))
-    if bounds and not shaped:
-        raise StudyError(f"{min(bounds)}: has an effect only with waveform: shaped")
-    if shaped and "any_phase" in study.compute:
-        raise StudyError(
-            "compute: any_phase is not possible with waveform: shaped; remove one of the two"
-        )
+    of_shapes = sorted(named & set(itertools.chain(*SHAPE_BOUNDS)))
+    need_margin = sorted({"front", "gaits", "success"} & set(study.compute))
+    saltelli = bool(study.ranges) and study.sample.method == SALTELLI
+    points = study.sample.points
+    for wrong, message in (
+        (
+            study.size > MOST_POINTS,
+            f"vary: results in {study.size} points, more than {MOST_POINTS}: use fewer values",
+        ),
+        (
+            need_margin and not study.margin_at_cliff and "margin_m" not in named,
+            f"compute: {', '.join(need_margin)}: needs a margin: "
+            'write "fixed: {margin_m: 0.002}" or "fixed: {margin_m: cliff}", or put margin_m under vary',
+        ),
+        (
+            of_shapes and not shaped,
+            f"{', '.join(of_shapes)}: has an effect only with waveform: shaped",
+        ),
+        (
+            shaped and "any_phase" in study.compute,
+            "compute: any_phase is not possible with waveform: shaped; remove one of the two",
+        ),
+        (
+            {"groove_phase_m", "initial_length"} <= named,
+            "groove_phase_m: sets initial_length, but the study has initial_length, too; keep one of them",
+        ),
+        (
+            "spool_radius_m" in named and not study.hardware.model,
+            "spool_radius_m: has an effect only with a servo: "
+            "write hardware: {driver: FILE, servo_model: NAME}",
+        ),
+        (
+            not study.dimensions,
+            "vary: nothing varies: name at least one quantity, or parameter_files",
+        ),
+        (
+            saltelli and len(study.dimensions) > 1,
+            "sample: saltelli permits ranges only: remove the lists of values, and use one parameter file",
+        ),
+        (
+            saltelli and points & (points - 1),
+            f"sample: points: {points} is not a power of two, which saltelli needs",
+        ),
+    ):
+        if wrong:
+            raise StudyError(message)
 
 
-def _number(where: str, value: Any) -> float:
+def _quantity(where: str, name: str, value: Any) -> float:
+    """Return the value of a quantity. Raises `StudyError` if it is not admissible."""
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     if not (is_number and abs(value) <= sys.float_info.max):
         hint = " (YAML reads 1e-3 as text: write 1.0e-3)" if isinstance(value, str) else ""
         raise StudyError(f"{where}: {reprlib.repr(value)} is not a finite number{hint}")
-    return float(value)
-
-
-def _quantity(where: str, name: str, value: Any) -> float:
-    """Return the value of a quantity.
-
-    Raises:
-        StudyError: The value is no number or is not admissible.
-    """
-    number, quantity = _number(where, value), QUANTITIES[name]
+    number, quantity = float(value), QUANTITIES[name]
     if name == "direction" and number not in (1.0, -1.0):
         raise StudyError(f"{where}: {number:g} is neither 1 nor -1")
     if not quantity.low <= number <= quantity.high:
@@ -334,15 +246,6 @@ def _listed(where: str, name: str, form: Mapping[str, Any]) -> tuple[float, ...]
     return tuple(values)
 
 
-def _fixed(content: Mapping[str, Any]) -> tuple[dict[str, float], bool]:
-    """Return the fixed values, and True if the margin is `CLIFF`."""
-    rows = dict(content)
-    at_cliff = rows.get("margin_m") == CLIFF
-    if at_cliff:
-        del rows["margin_m"]
-    return {name: _quantity(f"fixed: {name}", name, row) for name, row in rows.items()}, at_cliff
-
-
 def _files(file: StudyFile, folder: Path, parameters: str) -> tuple[tuple[str, ParameterFile], ...]:
     names, single = file.parameter_files, file.parameters
     if sum(map(bool, (names, single, parameters))) > 1:
@@ -352,18 +255,12 @@ def _files(file: StudyFile, folder: Path, parameters: str) -> tuple[tuple[str, P
     if names is None:
         path = str(folder / single) if single else parameters
         return ((Path(path).name if path else "the paper", load_parameter_file(path)),)
-    if isinstance(names, Mapping) and names:
-        return tuple((str(name), parse_parameter_file(content)) for name, content in names.items())
-    if not isinstance(names, list) or not names:
-        raise StudyError(
-            "parameter_files: expected a list of files, or a mapping of their contents"
-        )
-    if len(set(map(str, names))) < len(names):
+    if len(set(names)) < len(names):
         raise StudyError("parameter_files: contains a file twice")
-    return tuple((str(name), load_parameter_file(folder / str(name))) for name in names)
+    return tuple((name, load_parameter_file(folder / name)) for name in names)
 
 
-def _sample(content: plan.Sample | None, axes: Sequence[plan.Axis]) -> plan.Sample:
+def _sample(content: Sample | None, axes: Sequence[plan.Axis]) -> Sample:
     needed = any(axis.sampled for axis in axes)
     if needed and content is None:
         raise StudyError(
@@ -371,22 +268,12 @@ def _sample(content: plan.Sample | None, axes: Sequence[plan.Axis]) -> plan.Samp
         )
     if not needed and content is not None:
         raise StudyError("sample: nothing under vary has a range to sample")
-    return content or plan.Sample()
+    return content or Sample()
 
 
 def _hardware(content: _HardwareFile | None, folder: Path) -> plan.Hardware:
     if content is None:
         return plan.Hardware()
     servo_model(content.servo_model)  # raises if the name is unknown
-    driver = _driver(content.driver, folder)
+    driver = load_driver_file(folder / content.driver)
     return plan.Hardware(driver, content.servo_model, content.supply_voltage)
-
-
-def _driver(content: Any, folder: Path) -> DrivenBy:
-    """Return the driver's limits from the name of its parameter file, or from the mapping that `format_study` wrote."""
-    if not isinstance(content, Mapping):
-        return load_driver_file(folder / str(content))
-    try:
-        return settings_of(content, DrivenBy)
-    except SettingsFileError as error:
-        raise StudyError(f"hardware: driver: {error}") from None

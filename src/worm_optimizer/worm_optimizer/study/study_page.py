@@ -11,12 +11,11 @@ from pathlib import Path
 
 import jinja2
 
+from worm_optimizer.robustness.sobol import INDEX_HEADS, Indices, index_cells
 from worm_optimizer.study.plan import Study
-from worm_optimizer.study.sobol import INDEX_HEADS, Indices, index_cells
-from worm_optimizer.study.store import open_result
-from worm_optimizer.study.study_indices import study_indices
 from worm_optimizer.study.study_plots import label, pictures, shown
-from worm_optimizer.study.summary import Summary, summarise
+from worm_optimizer.study.study_run import open_result
+from worm_optimizer.study.summary import Summary, study_indices, summarise
 
 _BEST = 10  # largest number of rows of the tables of best points and of failures
 # Limit of the model that the page states if the study varies the quantity
@@ -53,16 +52,8 @@ class Table:
     words: bool = False
 
 
-@dataclass(frozen=True)
-class Source:
-    """Text that is shown verbatim."""
-
-    title: str
-    text: str
-
-
 def write_page(output: Path, study: Study, page: Path) -> None:
-    """Write the HTML page ``page`` about the results that are stored in the folder ``output``.
+    """Write the HTML page ``page`` about the results in the file ``output``.
 
     Raises:
         FileExistsError: The page exists already.
@@ -71,9 +62,11 @@ def write_page(output: Path, study: Study, page: Path) -> None:
     with open_result(output) as data:
         origin = {key: data.attrs[key] for key in ("study_hash", "code")}
         versions = json.loads(data.attrs["versions"])
-    render(
-        page,
-        title=study.title,
+    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
+    environment.filters["base64"] = lambda content: base64.b64encode(content).decode()
+    template = Path(__file__).with_name("study.html.jinja").read_text(encoding="utf-8")
+    content = environment.from_string(template).render(
+        study=study,
         lead=_lead(summary),
         tables=[
             _best_table(summary),
@@ -82,30 +75,16 @@ def write_page(output: Path, study: Study, page: Path) -> None:
         ],
         images=pictures(summary),
         limits=[*(text for key, text in _COUPLED.items() if key in study.varied), *_ALWAYS],
-        sources=[
-            Source("The study", study.text),
-            Source("Where the numbers come from", json.dumps({**origin, **versions}, indent=1)),
-        ],
+        origin=json.dumps({**origin, **versions}, indent=1),
     )
-
-
-def render(page: Path, **content: object) -> None:
-    """Fill the template and write the page.
-
-    Raises:
-        FileExistsError: The page exists already.
-    """
-    text = (Path(__file__).parent / "study.html.jinja").read_text(encoding="utf-8")
-    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
-    environment.filters["base64"] = lambda content: base64.b64encode(content).decode()
     with page.open("x", encoding="utf-8") as file:
-        file.write(environment.from_string(text).render(**content))
+        file.write(content)
 
 
 def _lead(summary: Summary) -> list[str]:
     failed = sum(summary.failed.values())
     lines = [
-        f"{summary.done} of {summary.points} points are computed"
+        f"{summary.points} points are computed"
         + (f"; {failed} of them failed" if failed else "")
         + (f"; {summary.still} have no {label(summary.figures[0])}" if summary.still else "")
         + "."

@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of a study (results over two quantities, neighbours of the best point, all points) and of a fleet."""
+"""Figures of a study: results over two quantities, neighbours of the best point, and all points."""
 
 from __future__ import annotations
 
 import io
 import math
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from matplotlib import colormaps
+from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -18,8 +18,7 @@ from worm_optimizer.study.summary import Column, Summary
 
 Array = NDArray[np.float64]
 
-# Columns of a fleet that are compared with expected values, with their scales and labels
-_COMPARED = (("speed_m_s", 1e3, "speed (mm/s)"), ("power_W", 1.0, "power (W)"))
+_ACROSS = 3  # largest number of panels next to each other
 _LINES = 400  # largest number of lines of parallel coordinates; more are not distinguishable
 _SHOWN = {"m": (1e3, "mm"), "m/s": (1e3, "mm/s")}  # units that are shown instead of SI units
 
@@ -77,11 +76,12 @@ def pictures(summary: Summary) -> list[Picture]:
 
 
 def _over_two(summary: Summary, first: Column, second: Column) -> Figure:
-    columns = [*summary.figures]
-    figure = new_figure(4.2 * len(columns), 3.8)
-    for axes, column in zip(
-        figure.subplots(1, len(columns), squeeze=False)[0], columns, strict=True
-    ):
+    across = min(len(summary.figures), _ACROSS)
+    down = math.ceil(len(summary.figures) / across)
+    figure = new_figure(4.2 * across, 3.8 * down)
+    for place, column in enumerate(summary.figures):
+        axes = figure.add_subplot(down, across, place + 1)
+        drawn: ScalarMappable
         x, y, z = shown(first), shown(second), shown(column)
         order = np.argsort(-summary.rank)  # of points at the same place, the best is drawn last
         if _is_grid(first, second):
@@ -189,21 +189,3 @@ def png(figure: Figure) -> bytes:
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=110, metadata={"Software": None})
     return buffer.getvalue()
-
-
-def compared_figure(gaits: Sequence[Mapping[str, float]]) -> Figure:
-    """Draw measured values as a function of expected ones, a dot for each gait of a fleet.
-
-    The left panel shows the speed, and the right one the power.
-    """
-    figure = new_figure(9.0, 4.2)
-    for axes, (key, scale, text) in zip(figure.subplots(1, 2), _COMPARED, strict=True):
-        measured = [scale * row[key] for row in gaits]
-        expected = [scale * row[f"expected_{key}"] for row in gaits]
-        ends = [value for value in (*measured, *expected) if math.isfinite(value)] or [0.0]
-        axes.plot([min(ends), max(ends)], [min(ends), max(ends)], color=GREY, linewidth=1.0)
-        axes.plot(expected, measured, "o", color=BLUE, markersize=5, alpha=0.7)
-        axes.set_xlabel(f"expected {text}")
-        finish(axes, f"measured {text}")
-        axes.margins(0.08)
-    return figure

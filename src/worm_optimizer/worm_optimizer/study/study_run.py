@@ -1,197 +1,209 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Run of a study: computation and storage of its unfinished and damaged points, block by block."""
+"""Run of a study: computation of the points that no stored block contains, and the NetCDF file of all results.
+
+The file contains no time and no place of its computation. A study that was killed and continued therefore ends with
+the same bytes.
+"""
 
 from __future__ import annotations
 
-import math
+import hashlib
+import json
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
-from distributed import Client
+import numpy as np
+import xarray
 
-from worm_optimizer.study.engine import LostError, Say, connected, cores, spread
-from worm_optimizer.study.plan import Study
-from worm_optimizer.study.point import compute_block
-from worm_optimizer.study.store import (
-    Audit,
-    Region,
-    Store,
-    block_shape,
-    existing_store,
-    locked_store,
-    regions,
+from worm_model.errors import InputError
+from worm_model.parameters import format_parameter_file
+from worm_optimizer.code_version import identity, versions
+from worm_optimizer.evaluation.servo_limits import servo_model
+from worm_optimizer.study.blocks import (
+    ITEMS,
+    Block,
+    Counts,
+    Say,
+    Task,
+    Workers,
+    complete,
+    keys_of,
+    new_output,
+)
+from worm_optimizer.study.plan import PARAMETER_FILE, QUANTITIES, SAMPLE, Study
+from worm_optimizer.study.point import (
+    DONE,
+    FAILED,
+    FRONT,
+    GAIT,
+    SCAN,
+    compute_block,
+    dimensions,
+    variables,
 )
 
+STATE, REASON = "state", "reason"
+_HASH = "study_hash"  # attribute
 _TIMED_POINTS = 3  # number of points whose computation `estimate` times
+_OTHER_COORDINATES = {
+    PARAMETER_FILE: ("1", "parameter file of the robot"),
+    SAMPLE: ("1", "number of the sample"),
+    FRONT: ("1", "gait of the front, by rising speed"),
+    GAIT: ("1", "gait, by its objective"),
+    SCAN: ("m", "margin of the scan"),
+}
 
 
-@dataclass(frozen=True)
-class Counts:
-    """Numbers of points of a study: all ``points``, finished ones (``done``), and ``failed`` ones among the finished.
-
-    If a study compares many bags (see `fleet`), each point is a bag.
-    """
-
-    points: int
-    done: int
-    failed: int
-
-
-@dataclass(frozen=True)
-class Workers:
-    """Workers to use.
-
-    Attributes:
-        scheduler: address of a cluster's scheduler. If it is empty, workers are started on this machine.
-        number: number of workers on this machine; None starts one per core.
-    """
-
-    scheduler: str = ""
-    number: int | None = None
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """Approximate cost of a study: number of ``blocks``, and ``seconds`` on a number of ``workers``."""
-
-    blocks: int
-    seconds: float
-    workers: int
-
-
-def estimate(study: Study, workers: Workers, say: Say) -> Estimate:
-    """Estimate the cost of a study from the duration of a few points, which are computed in this process.
-
-    A worker of a cluster is assumed to be as fast as one core of this machine.
-    """
-    rows = study.points().reshape(study.size, -1)
-    rows = rows[:: max(1, study.size // _TIMED_POINTS)][:_TIMED_POINTS]
+def estimate(study: Study) -> float:
+    """Return the time (s) that one core needs for a study, from a few points that are computed in this process."""
+    rows = study.points()[:: max(1, study.size // _TIMED_POINTS)][:_TIMED_POINTS]
     compute_block(study, rows[:1])  # the first call may compile
     begin = time.process_time()
     compute_block(study, rows)
-    each = (time.process_time() - begin) / len(rows)
-    many = workers.number or cores()
-    if workers.scheduler:
-        with connected(workers.scheduler, 0, say) as client:
-            many = max(1, len(client.scheduler_info(n_workers=-1)["workers"]))
-    blocks = len(regions(study.shape, block_shape(study)))
-    return Estimate(blocks, each * study.size / many, many)
+    return (time.process_time() - begin) / len(rows) * study.size
 
 
 def run_study(
     study: Study, output: Path, workers: Workers, say: Say, progress: Callable[[float], None]
 ) -> Counts:
-    """Compute the unfinished and the damaged points of a study into ``output``.
+    """Compute a study into the NetCDF file ``output``, or check that the file contains its results already.
 
-    If this fails, finished blocks remain, and calling it again computes the others.
+    If this fails, the finished blocks remain in a folder next to the output, and calling it again computes the others.
 
     Args:
         study: study.
-        output: folder of the store.
+        output: NetCDF file.
         workers: workers to use.
         say: function that is called with each message.
         progress: function that is called with the finished share of the points, 0 to 1.
 
     Raises:
-        StoreError: The output cannot be used.
-        ClusterError: The cluster cannot be used.
+        InputError: The output or the cluster cannot be used, or the output contains something else.
         LostError: The cluster was lost.
         OSError: The output cannot be written.
     """
-    return _run(study, output, workers, say, progress, _open_blocks)
+    if not output.exists():
+        task = Task(compute_block, study, study.points(), study.block_points, study.identity())
+        content = _dataset(study, complete(task, output, workers, say, progress))
+        with new_output(output) as part:
+            content.to_netcdf(part, engine="scipy", format="NETCDF3_64BIT")
+    with open_result(output) as data:
+        if data.attrs.get(_HASH) != _hash(study):
+            raise InputError(
+                f"{output}: exists already, and contains something else or was computed by another version; "
+                "choose another name, nothing is overwritten"
+            )
+        failed = np.count_nonzero(data[STATE] == FAILED)
+    return Counts(study.size, study.size, int(failed))
 
 
-def retry_study(
-    study: Study, output: Path, workers: Workers, say: Say, progress: Callable[[float], None]
-) -> Counts:
-    """Like `run_study`, but also compute the blocks with failed points again."""
-    return _run(study, output, workers, say, progress, _open_and_failed_blocks)
+def open_result(output: Path) -> xarray.Dataset:
+    """Open the results of a study.
 
-
-def verify_store(path: Path, say: Say) -> tuple[Counts, int]:
-    """Compare all blocks of a store with their checksums, and report the damaged ones.
-
-    Returns:
-        The counts, and the number of damaged points.
+    Raises:
+        InputError: The file cannot be read.
     """
-    with existing_store(path) as store:
-        audit = store.audit()
-        _report(store, audit, say)
-        return Counts(store.study.size, *store.counts()), sum(map(points_of, audit.damaged))
-
-
-def points_of(block: Region) -> int:
-    """Return the number of points of a block."""
-    return math.prod(part.stop - part.start for part in block)
-
-
-def _report(store: Store, audit: Audit, say: Say) -> None:
-    for name in store.repaired:
-        say(f"{store.path / name} was missing or damaged, and is restored")
-    for file in audit.unreadable:
-        say(f"{file} is damaged: it cannot be decoded")
-    if audit.damaged:
-        number = sum(map(points_of, audit.damaged))
-        first = _place(store.study, audit.damaged[0])
-        say(
-            f"{store.path}: values of {number} points are missing or damaged "
-            f"({len(audit.damaged)} blocks, the first at {first})"
-        )
-
-
-def _open_blocks(audit: Audit) -> list[Region]:
-    return [*audit.unfinished, *audit.damaged]
-
-
-def _open_and_failed_blocks(audit: Audit) -> list[Region]:
-    return [*_open_blocks(audit), *audit.failed]
-
-
-def _starts(block: Region) -> tuple[int, ...]:
-    return tuple(part.start for part in block)
-
-
-def _place(study: Study, block: Region) -> str:
-    ends = zip(study.dimensions, block, strict=True)
-    return ", ".join(f"{name} {part.start} to {part.stop - 1}" for name, part in ends)
-
-
-def _run(
-    study: Study,
-    output: Path,
-    workers: Workers,
-    say: Say,
-    progress: Callable[[float], None],
-    choose: Callable[[Audit], list[Region]],
-) -> Counts:
-    with locked_store(output, study) as store:
-        audit = store.audit()
-        _report(store, audit, say)
-        todo = sorted(choose(audit), key=_starts)
-        if audit.damaged:
-            say("computing the damaged points again")
-            store.reset(audit)
-        if todo:
-            with connected(workers.scheduler, workers.number or cores(), say) as client:
-                _compute(client, store, todo, say, progress)
-        counts = store.counts()
-    return Counts(study.size, *counts)
-
-
-def _compute(
-    client: Client, store: Store, todo: list[Region], say: Say, progress: Callable[[float], None]
-) -> None:
-    study, points = store.study, store.points
-    done = study.size - sum(map(points_of, todo))
-    progress(done / study.size)
-    pieces = ((study, points[block].reshape(-1, points.shape[-1])) for block in todo)
     try:
-        for place, results in spread(client, compute_block, pieces, say):
-            store.write(todo[place], results)
-            done += points_of(todo[place])
-            progress(done / study.size)
-    except (LostError, OSError) as error:
-        stays = f"{done} of {study.size} points are in {store.path}: repeat the command to continue"
-        raise type(error)(f"{error}; {stays}") from None
+        return xarray.open_dataset(output, engine="scipy")
+    except (OSError, TypeError, ValueError, IndexError, KeyError) as error:
+        raise InputError(
+            f"{output}: is no result of a study, or is damaged ({' '.join(str(error).split())}); "
+            "move it away and repeat the command, which writes it again from its blocks"
+        ) from None
+
+
+def point_table(output: Path) -> xarray.Dataset:
+    """Return the results of a study with one dimension ``point`` in place of all dimensions of the points."""
+    with open_result(output) as data:
+        return data.load().stack(point=data[STATE].dims).reset_index("point")
+
+
+def write_csv(output: Path, file: Path) -> None:
+    """Write the results of a study as a table with a row for each point, without fronts and margin scans.
+
+    Each result of a gait becomes one column per gait. The name of the column ends with the name of the gait.
+    """
+    data = point_table(output)
+    plain = data.drop_dims([name for name in (FRONT, SCAN) if name in data.dims])
+    if GAIT in plain.dims:
+        of_gaits = [name for name in plain.data_vars if GAIT in plain[name].dims]
+        for gait in plain[GAIT].values:
+            columns = plain[of_gaits].sel({GAIT: gait}, drop=True)
+            plain = plain.assign({f"{name}_{gait}": columns[name] for name in of_gaits})
+        plain = plain.drop_dims(GAIT)
+    frame = plain.to_dataframe()
+    frame[[*plain.coords, *plain.data_vars]].to_csv(file, index=False)
+
+
+def _dataset(study: Study, found: Sequence[Block]) -> xarray.Dataset:
+    """Return the results of a study with names, units and provenance."""
+    results = {name: np.concatenate([block[name] for block in found]) for name in found[0]}
+    rows = {key: row for row, key in enumerate(keys_of(results[ITEMS]))}
+    order = [rows[key] for key in keys_of(study.points())]
+    flags = {"flag_values": np.array([DONE, FAILED], np.int8), "flag_meanings": "computed failed"}
+    described: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
+        **{
+            name: (each.dimensions, {"units": each.unit, "long_name": each.long_name})
+            for name, each in variables(study).items()
+        },
+        STATE: ((), {"long_name": "state of the point", **flags}),
+        REASON: ((), {"long_name": "why the point failed"}),
+    }
+    data: dict[str, Any] = {}
+    for name, (further, attributes) in described.items():
+        values = results[name][order]
+        shaped = values.reshape(*study.shape, *values.shape[1:])
+        if name == REASON:
+            shaped = shaped.astype(object)
+        data[name] = ((*study.dimensions, *further), shaped, attributes)
+    used = {name for further, _ in described.values() for name in further}
+    return xarray.Dataset(data, _coordinates(study, used), _provenance(study))
+
+
+def _coordinates(study: Study, used: set[str]) -> dict[str, Any]:
+    """Return all coordinates: the points, the fixed quantities as scalars, and the further dimensions ``used``."""
+    names = np.array([name for name, _ in study.files], dtype=object)
+    values: dict[str, Any] = {PARAMETER_FILE: ((), names[0])}
+    values |= {name: ((), value) for name, value in study.fixed.items()}
+    values |= {name: (name, np.asarray(each)) for name, each in study.dimensions.items()}
+    if len(study.files) > 1:
+        values[PARAMETER_FILE] = (PARAMETER_FILE, names)
+    samples = study.points()[: study.shape[-1]]
+    for axis in study.ranges:
+        values[axis.name] = (SAMPLE, samples[:, study.varied.index(axis.name)])
+    for name, each in dimensions(study).items():
+        if name in used:
+            values[name] = (name, np.array(each, dtype=object if name == GAIT else None))
+    return {name: (along, each, _described(name)) for name, (along, each) in values.items()}
+
+
+def _described(name: str) -> dict[str, str]:
+    if name in QUANTITIES:
+        return {"units": QUANTITIES[name].unit, "long_name": QUANTITIES[name].long_name}
+    unit, long_name = _OTHER_COORDINATES[name]
+    return {"units": unit, "long_name": long_name}
+
+
+def _provenance(study: Study) -> dict[str, Any]:
+    """Return the attributes of a result: everything that determines its numbers, but no time or place."""
+    driver, model = study.hardware.driver, servo_model(study.hardware.model)
+    files = {name: format_parameter_file(content) for name, content in study.files}
+    return {
+        "Conventions": "CF-1.11",
+        "title": study.title,
+        "study": study.text,
+        "parameter_files": json.dumps(files),
+        **({"driver": json.dumps(asdict(driver))} if driver else {}),
+        **({"servo_model": json.dumps(asdict(model))} if model else {}),
+        _HASH: _hash(study),
+        "code": identity(),
+        "versions": json.dumps(versions()),
+    }
+
+
+def _hash(study: Study) -> str:
+    """Return a hash of a study with its points and the code."""
+    return hashlib.sha256(study.identity().encode() + study.points().tobytes()).hexdigest()[:24]

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Summary of a study: its best point, the columns for figures and page, and the failed points."""
+"""Summary of a study: its best point, the columns for figures and page, failed points, and Sobol indices."""
 
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,11 +13,19 @@ import xarray
 from numpy.typing import NDArray
 
 from worm_msgs.conditions import CONDITION_ROWS
+from worm_optimizer.robustness.sobol import SALTELLI, Indices, indices_of
 from worm_optimizer.study.plan import PARAMETER_FILE, Study
-from worm_optimizer.study.point import DONE, FAILED, OPEN, REQUESTS, gait_names
-from worm_optimizer.study.results import point_table
+from worm_optimizer.study.point import DONE, FAILED, REQUESTS
+from worm_optimizer.study.study_run import REASON, STATE, point_table
 
 Array = NDArray[np.float64]
+
+_OPTIMISED = {"at_power_W": "speed", "at_speed_m_s": "power"}  # result that a request optimises
+_BETTER = {"at_power_W": "highest", "at_speed_m_s": "lowest"}
+_SUCCESS = {
+    "success_probability": "success probability",
+    "success_probability_any_phase": "success at unknown phase",
+}
 
 
 @dataclass(frozen=True)
@@ -30,7 +39,7 @@ class Column:
 
 @dataclass(frozen=True)
 class Summary:
-    """Summary of a study. Columns, ranks, indices and ``still`` refer to the points that were computed without failure.
+    """Summary of a study. Columns, ranks and indices refer to the points that were computed without failure.
 
     Attributes:
         varied: quantities that have more than one value.
@@ -40,7 +49,6 @@ class Summary:
         own: index of the point with the values of the parameter file; None if there is no such point.
         goal: criterion of the best point, as text.
         points: number of all points of the study.
-        done: number of finished points, including failed ones.
         failed: number of failed points by reason.
         still: number of these points that lack the first result, for example because no gait moves.
     """
@@ -52,24 +60,21 @@ class Summary:
     own: int | None
     goal: str
     points: int
-    done: int
     failed: Counter[str]
     still: int
 
 
-def summarise(path: Path, study: Study) -> Summary:
+def summarise(output: Path, study: Study) -> Summary:
     """Read the output of a study and return its summary."""
-    with point_table(path) as data:
-        state = data["state"].values
-        done = np.flatnonzero(state == DONE)
-        computed = data.isel(point=done).load()
-        reasons = data["reason"].isel(point=np.flatnonzero(state == FAILED)).values
+    data = point_table(output)
+    state = data[STATE].values
+    computed = data.isel(point=np.flatnonzero(state == DONE))
     varied = tuple(
         Column(name, computed[name].attrs.get("units", ""), computed[name].values)
         for name in study.varied
         if name != PARAMETER_FILE and np.unique(computed[name].values).size > 1
     )
-    figures, goal = figures_of(computed, study)
+    figures, goal = _figures(computed, study)
     key, sign = figures[0].values, (-1.0 if "highest" in goal else 1.0)
     known = np.isfinite(key)
     rank = np.argsort(np.argsort(np.where(known, sign * key, np.inf), kind="stable"))
@@ -81,10 +86,21 @@ def summarise(path: Path, study: Study) -> Summary:
         own=_own(varied, study),
         goal=goal,
         points=study.size,
-        done=int(np.count_nonzero(state != OPEN)),
-        failed=Counter(str(reason) for reason in reasons),
-        still=int(done.size - np.count_nonzero(known)),
+        failed=Counter(map(str, data[REASON].values[state == FAILED])),
+        still=int(np.count_nonzero(~known)),
     )
+
+
+def study_indices(output: Path, study: Study) -> Mapping[str, Indices]:
+    """Return the Sobol indices of each result on the study's page, by its name; empty without a Saltelli sample.
+
+    Each sampled quantity is uniformly distributed over its range. The indices of a result are NaN if a point lacks it.
+    """
+    if not study.ranges or study.sample.method != SALTELLI:
+        return {}
+    columns, _ = _figures(point_table(output), study)
+    inputs = len(study.ranges)
+    return {column.name: indices_of(column.values, inputs, study.sample.seed) for column in columns}
 
 
 def _own(varied: tuple[Column, ...], study: Study) -> int | None:
@@ -108,29 +124,51 @@ def _own(varied: tuple[Column, ...], study: Study) -> int | None:
     return int(rows[0]) if rows.size else None
 
 
-def figures_of(data: xarray.Dataset, study: Study) -> tuple[tuple[Column, ...], str]:
-    """Return the results to show, the one that decides which point is best first, and the goal as text."""
+def _figures(data: xarray.Dataset, study: Study) -> tuple[tuple[Column, ...], str]:
+    """Return the results to show, the one that decides which point is best first, and the goal as text.
 
-    def column(name: str, gait: str = "", title: str = "") -> Column:
+    A gait at a fixed power or speed decides; without one, the cruising gait.
+    """
+
+    def column(title: str, name: str, gait: str = "") -> Column:
         array = data[name].sel(gait=gait) if gait else data[name]
         values = np.where(np.isfinite(array.values), array.values, np.nan)
-        return Column(title or name, data[name].attrs.get("units", ""), values)
+        return Column(title, data[name].attrs.get("units", ""), values)
 
+    cliff = "cliff_margin" if "cliff_margin" in data else "closed_form_cliff_margin"
+    common = [column(name, name) for name in ("hypervolume", cliff) if name in data]
     prefix = "" if "speed" in data else "any_phase_"
-    cliff = [column("cliff_margin" if "cliff_margin" in data else "closed_form_cliff_margin")]
-    front = [column("hypervolume")] if "hypervolume" in data else []
-    if f"{prefix}speed" not in data and front:
-        return (*front, *cliff), "the front with the highest hypervolume"
     if f"{prefix}speed" not in data:
-        return (cliff[0],), "the highest margin at the cliff"
-    wanted = [key for key in REQUESTS if REQUESTS[key].name.lower() in gait_names(study)]
-    if wanted == ["at_power_W"] and "at_power_W" in study.fixed:
-        watts = f"{study.fixed['at_power_W']:.3g}"
-        fastest = column(f"{prefix}speed", "max_speed_at_power", f"speed at {watts} W")
-        cost = column(
-            f"{prefix}cost_of_transport", "max_speed_at_power", f"cost of transport at {watts} W"
+        front = "the front with the highest hypervolume"
+        return tuple(common), front if "hypervolume" in data else "the highest margin at the cliff"
+    named = [key for key in REQUESTS if key in (*study.fixed, *study.varied)]
+    named.sort(key=lambda key: key not in study.fixed)
+    requested = [
+        column(
+            f"{_OPTIMISED[key]} at {_value(study, key)}",
+            f"{prefix}{_OPTIMISED[key]}",
+            REQUESTS[key].name.lower(),
         )
-        return (fastest, cost, *front, *cliff), f"the highest speed at {watts} W"
-    cost = column(f"{prefix}cost_of_transport", "cruise", "cost of transport")
-    speed = column(f"{prefix}speed", "cruise", "cruising speed")
-    return (cost, speed, *front, *cliff), "the lowest cost of transport of the cruising gait"
+        for key in named
+    ]
+    cost = f"{prefix}cost_of_transport"
+    if named and named[0] in study.fixed:
+        gait, at = REQUESTS[named[0]].name.lower(), _value(study, named[0])
+        shown = [requested[0], column(f"cost of transport at {at}", cost, gait), *requested[1:]]
+        goal = f"the {_BETTER[named[0]]} {requested[0].name}"
+    else:
+        gait = "cruise"
+        speed = column("cruising speed", f"{prefix}speed", gait)
+        shown = [column("cost of transport", cost, gait), speed, *requested]
+        goal = "the lowest cost of transport of the cruising gait"
+    success = [column(title, name, gait) for name, title in _SUCCESS.items() if name in data]
+    return (*shown, *success, *common), goal
+
+
+def _value(study: Study, key: str) -> str:
+    """Return the fixed power or speed of a request as text."""
+    if key not in study.fixed:
+        return f"each {key}"
+    if key == "at_power_W":
+        return f"{study.fixed[key]:.3g} W"
+    return f"{1e3 * study.fixed[key]:.3g} mm/s"

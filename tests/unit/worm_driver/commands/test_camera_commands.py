@@ -10,15 +10,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from camera_rig import LENGTH, SETTINGS
+from camera_rig import LENGTH, SETTINGS, SETUP_FILE
+from rendered_images import CameraSettings, Pattern, RenderedCamera
 
 from worm_driver.commands import calibrate_camera, markers, track
 from worm_driver.tracking.camera_model import load_camera_info
 from worm_driver.tracking.vision import Board, read_image, write_image
-from worm_driver.virtual_robot.camera_images import CameraSettings, Pattern, VirtualCamera
 
-CONFIG = Path(track.__file__).parents[1] / "config"
-SETUP = CONFIG / "virtual_tracker.yaml"
 WHOLE = (slice(None), slice(None))
 
 
@@ -26,9 +24,9 @@ WHOLE = (slice(None), slice(None))
 def images(tmp_path_factory) -> Path:
     """Write three images of a rear module that moves by 5 mm per image; in the last one it is hidden."""
     folder = tmp_path_factory.mktemp("images")
-    camera = VirtualCamera(SETTINGS, 3)
+    camera = RenderedCamera(SETTINGS, 3)
     for index, rear in enumerate((0.0, 0.005, math.nan)):
-        write_image(folder / f"{index}.png", camera.image(np.array([[rear, LENGTH]])))
+        write_image(folder / f"{index}.png", camera.image(rear, LENGTH))
     (folder / "times.csv").write_text("file,time_s\n0.png,1.0\n1.png,1.1\n2.png,1.2\n")
     return folder
 
@@ -44,7 +42,15 @@ def complaint(capsys) -> str:
 
 def test_track_writes_the_table(images, tmp_path, capsys):
     output = tmp_path / "out.csv"
-    arguments = ["--images", str(images), "--setup", str(SETUP), "--output", str(output), "--json"]
+    arguments = [
+        "--images",
+        str(images),
+        "--setup",
+        str(SETUP_FILE),
+        "--output",
+        str(output),
+        "--json",
+    ]
     assert track.main(arguments) == 0
     rows = list(csv.DictReader(output.open()))
     columns = ["time_s", "rear_position_m", "front_position_m", "length_m", "reason"]
@@ -63,7 +69,8 @@ def test_track_writes_the_table(images, tmp_path, capsys):
 def test_track_shows_what_it_found(images, tmp_path, capsys):
     picture = tmp_path / "preview.png"
     assert (
-        track.main(["--images", str(images), "--setup", str(SETUP), "--preview", str(picture)]) == 0
+        track.main(["--images", str(images), "--setup", str(SETUP_FILE), "--preview", str(picture)])
+        == 0
     )
     assert read_image(picture).shape == (720, 1280)
     plain = read_image(images / "0.png").astype(int)
@@ -81,7 +88,10 @@ def test_a_film_gives_what_its_images_give(images, tmp_path):
         writer.write(cv2.imread(str(images / f"{index}.png")))
     writer.release()
     output = tmp_path / "out.csv"
-    assert track.main(["--video", str(video), "--setup", str(SETUP), "--output", str(output)]) == 0
+    assert (
+        track.main(["--video", str(video), "--setup", str(SETUP_FILE), "--output", str(output)])
+        == 0
+    )
     rows = list(csv.DictReader(output.open()))
     assert [float(row["time_s"]) for row in rows] == pytest.approx([0.0, 0.1, 0.2])
     assert float(rows[1]["rear_position_m"]) == pytest.approx(0.005, abs=3e-4)
@@ -100,7 +110,7 @@ def test_a_film_gives_what_its_images_give(images, tmp_path):
 )
 def test_track_rejects_bad_input_in_one_line(images, tmp_path, capsys, arguments, message):
     given = [expected.format(tmp=tmp_path, images=images) for expected in arguments]
-    given = ["--images", str(images), "--setup", str(SETUP), *given]
+    given = ["--images", str(images), "--setup", str(SETUP_FILE), *given]
     try:
         status = track.main(given)
     except SystemExit as left:
@@ -114,7 +124,7 @@ def test_a_bag_is_made_by_the_package_of_bags(images, tmp_path):
     opening = pytest.importorskip("worm_model.bags.opening")
     pytest.importorskip("ament_index_python")
     bag = tmp_path / "bag"
-    if track.main(["--images", str(images), "--setup", str(SETUP), "--output", str(bag)]) == 2:
+    if track.main(["--images", str(images), "--setup", str(SETUP_FILE), "--output", str(bag)]) == 2:
         pytest.skip("the workspace is not built")
     with opening.open_bag(bag, print) as opened:
         assert {"/worm/tracker", "/worm/body_length/measured"} <= set(opened.topics)
@@ -126,7 +136,9 @@ def test_a_bag_is_made_by_the_package_of_bags(images, tmp_path):
 @pytest.mark.parametrize(("paper", "size"), [("a4", (210.0, 297.0)), ("letter", (215.9, 279.4))])
 def test_a_page_has_its_true_size(tmp_path, paper, size):
     output = tmp_path / "markers.pdf"
-    assert markers.main(["--setup", str(SETUP), "--paper", paper, "--output", str(output)]) == 0
+    assert (
+        markers.main(["--setup", str(SETUP_FILE), "--paper", paper, "--output", str(output)]) == 0
+    )
     box = re.search(rb"/MediaBox \[ 0 0 ([\d.]+) ([\d.]+) \]", output.read_bytes())
     assert [float(side) / 72 * 25.4 for side in box.groups()] == pytest.approx(size, abs=0.01)
 
@@ -169,7 +181,7 @@ def board_image(settings: CameraSettings) -> np.ndarray:
     columns, rows, square, dictionary = markers.BOARD
     cells = Board(columns, rows, square, dictionary).draw(50) / 255.0
     pattern = Pattern(0.05 + 0.9 * cells, (square / 50, square / 50))
-    seen = VirtualCamera(settings, 1).footprints(0.0, WHOLE)
+    seen = RenderedCamera(settings, 1).footprints(0.0, WHOLE)
     reflectance, share = pattern.average(*seen)
     levels = 180.0 * (reflectance * share + 0.7 * (1.0 - share))
     noise = np.random.default_rng(1).normal(0.0, 1.5, levels.shape)
@@ -178,7 +190,7 @@ def board_image(settings: CameraSettings) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def board_views(tmp_path_factory) -> Path:
-    """Return ten views of the board by the virtual camera's lens, at half its size, from all around."""
+    """Return ten views of the board by the rendered camera's lens, at half its size, from all around."""
     folder = tmp_path_factory.mktemp("board")
     lens = replace(SETTINGS, width=640, height=360, focal=505.0, centre=(326.0, 176.0))
     tilts = [(0.0, 0.0), (0.5, 0.1), (-0.5, 0.1), (0.1, 0.5), (-0.1, -0.5)] * 2

@@ -231,14 +231,6 @@ def test_an_exception_in_the_hand_over_releases_the_robot(robot):
     assert robot.releases == 1
 
 
-def test_a_command_after_the_end_is_answered(robot, loop):
-    answers = [loop.submit(lambda _: 1) for _ in range(3)]
-    loop.shutdown("over")
-    loop.join(TIMEOUT_S)
-    for answer in answers:
-        assert answer.result(TIMEOUT_S) == 1 or answer.exception(TIMEOUT_S)
-
-
 @pytest.mark.parametrize("failure", [None, RuntimeError("a bug")])
 def test_a_command_that_waits_at_the_end_is_rejected_with_the_end(robot, loop, failure):
     """Not as a stale command: a command without a deadline cannot be stale."""

@@ -45,6 +45,17 @@ def test_a_rate_at_which_the_servos_stop_between_two_cycles_is_rejected(rate):
     assert settings(rate=rate, watchdog=0.2).period == 1.0 / rate
 
 
+@pytest.mark.parametrize("watchdog", [0.05, 0.07, 0.0805, 1.99])
+def test_a_watchdog_that_the_servos_would_round_is_rejected(watchdog):
+    with pytest.raises(ConfigurationError, match=rf"bus_watchdog_s is {watchdog}.*0\.02 s"):
+        settings(watchdog=watchdog)
+
+
+@pytest.mark.parametrize("steps", range(2, 101))
+def test_every_multiple_of_the_servos_step_is_accepted(steps):
+    assert settings(watchdog=steps / 50, rate=100.0).watchdog == steps / 50
+
+
 def test_a_robot_without_a_cable_servo_is_rejected():
     with pytest.raises(ConfigurationError, match=r"cable_servos\.ids"):
         settings(spools=())

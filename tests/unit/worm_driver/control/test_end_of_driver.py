@@ -64,6 +64,7 @@ def test_the_next_driver_brings_a_robot_to_rest_that_was_left_so():
     assert "torque" in left
     assert f"{contraction(again) * 1e3:.1f} mm" in left
     again.robot.activate(again.clock.now)
+    assert again.run(0.02).player.message == ""
     again.robot.ramp_to_rest(again.clock.now, "deactivated")
     while not again.robot.released:
         again.run(0.01)
@@ -123,29 +124,12 @@ def test_a_reboot_of_a_servo_that_was_left_with_its_torque_permits_a_home():
     rig.robot.activate(rig.clock.now)
 
 
-def test_without_a_stop_it_is_released_at_rest():
-    rig = closing(0.0)
-    assert ended(rig) == []
-    assert contraction(rig) == pytest.approx(0.0, abs=1e-3)
-    assert [servo.memory["torque_enable"] for servo in rig.virtual.servos] == [0, 0, 0]
-
-
 def test_a_stop_that_comes_when_it_is_at_rest_does_not_keep_the_torque():
     rig = closing(0.0)
     while not rig.ended:
         rig.run(rig.settings.period)
     stop(rig)
     assert rig.end() == []
-    assert rig.cable.memory["torque_enable"] == 0
-
-
-def test_a_robot_that_was_stopped_before_is_brought_to_rest():
-    """The signal is a new command of an operator."""
-    rig = moving()
-    rig.robot.stop(rig.clock.now, "stop")
-    rig.run(0.5)
-    rig.loop.shutdown("the driver ends")
-    assert ended(rig) == []
     assert rig.cable.memory["torque_enable"] == 0
 
 

@@ -72,6 +72,7 @@ def test_torque_goes_off_only_at_measured_rest_however_slow_the_cable_is(speed, 
     assert contracted(rig) <= REST
     assert rig.robot.actuators.sprung_back == ""
     assert torques(rig) == [0, 0, 0]
+    assert rig.cable.memory["bus_watchdog"] == 0
 
 
 def test_a_run_begins_at_measured_rest():
@@ -82,18 +83,19 @@ def test_a_run_begins_at_measured_rest():
     assert contracted(rig) <= REST
 
 
-def held_back() -> Rig:
+def held_back(rate: float = 100.0) -> Rig:
     """Return a rig in FAULT: its servo was too slow for a short return to rest."""
-    rig = stopped(slow(0.12), -0.01)
+    rig = stopped(slow(0.12, rate=rate), -0.01)
     slowed(rig, 0, 0.0012)
     rig.robot.ramp_to_rest(rig.clock.now, "deactivated")
-    rig.run(5.0, until=lambda s: s.player.phase is not Phase.RETURNING)
+    rig.run(2.0, until=lambda s: s.player.phase is not Phase.RETURNING)
     assert rig.robot.player.phase is Phase.FAULT
     return rig
 
 
-def test_a_cable_that_does_not_come_to_rest_is_a_fault_with_its_measured_length():
-    rig = held_back()
+@pytest.mark.parametrize("rate", [100.0, 20.0])
+def test_a_cable_that_does_not_come_to_rest_is_a_fault_with_its_measured_length(rate):
+    rig = held_back(rate)
     assert not rig.robot.released
     message = rig.robot.player.message
     (at,) = re.findall(r"servo 1 is .* \(at (-?[\d.]+) mm instead of -?0.0 mm\)", message)
@@ -142,6 +144,23 @@ def test_a_silent_servo_counts_as_contracted_if_it_may_still_move_there():
     assert rig.robot.actuators.contracted
     rig.robot.shutdown()
     assert torques(rig)[0] == 1
+
+
+@pytest.mark.parametrize("delay", range(11, 17))
+def test_a_robot_that_may_still_move_out_of_rest_is_not_released(delay):
+    emergency = ""
+    rig = Rig(why_not_start=lambda: emergency)
+    rig.activate()
+    rig.start(0.09, 0.4)
+    rig.run(5.0, until=lambda s: s.player.phase is Phase.RUNNING)
+    rig.run(0.01 * delay)
+    emergency = "the emergency stop is on"
+    rig.robot.stop(rig.clock.now, emergency)
+    releases = rig.robot.released
+    rig.positions.clear()
+    rig.run(0.5)
+    assert contracted(rig) <= REST or not releases
+    assert releases or delay > 11
 
 
 # --- holds -----------------------------------------------------------------------------------------

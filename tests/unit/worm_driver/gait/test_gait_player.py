@@ -296,12 +296,3 @@ def test_fins_that_do_not_arrive_are_a_fault():
     final = play(state, 0.0, 4.0, seen=moving)[-1][1]
     assert final.phase is Phase.FAULT
     assert "fins did not reach" in final.message
-
-
-def test_release_returns_to_rest_from_the_middle_of_a_gait():
-    now, state = running()
-    now, state = play(state, now, 0.9)[-1]
-    state = gait_player.return_to_rest(state, now, "deactivated")
-    assert state.run.ending is Ending.STOPPED
-    final = play(state, now, 4.0)[-1][1]
-    assert gait_player.at_rest(final)

@@ -37,7 +37,7 @@ def rig() -> Rig:
 @pytest.fixture
 def action(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> RunGaitAction:
     """Return the action, with the rig's run as its last one."""
-    for name in ("GoalServer", "GoalRejections", "ThrottledLog"):
+    for name in ("GoalServer", "GoalRejections"):
         monkeypatch.setattr(run_gait_action, name, MagicMock())
     hardware = SimpleNamespace(loop=rig.loop, robot=rig.robot, settings=rig.settings)
     action = RunGaitAction(MagicMock(), MagicMock(), lambda: hardware, lambda: True)

@@ -68,16 +68,11 @@ def test_a_rejected_goal_names_its_reason():
         gated.gate.write(CABLE, 1)
 
 
-def test_a_servo_whose_position_is_lost_gets_no_goal():
+def test_a_servo_without_bounds_or_with_a_lost_position_gets_no_goal():
     gated = Gated(Bound(-1000, 500))
     before = gated.goal()
-    gated.track.mark_lost(CABLE, 4096)
-    gated.gate.send({CABLE: 1})
-    assert gated.goal() == before
-
-
-def test_a_servo_without_bounds_gets_no_goal():
-    gated = Gated(Bound(-1000, 500))
     gated.track.record_if_plausible(11, 1500, 0.0)
-    gated.gate.send({11: 1500})
-    assert gated.bus.counters.withheld == 1
+    gated.track.mark_lost(CABLE, 4096)
+    gated.gate.send({CABLE: 1, 11: 1500})
+    assert gated.goal() == before
+    assert gated.bus.counters.withheld == 2

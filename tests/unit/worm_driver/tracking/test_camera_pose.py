@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from camera_rig import SETTINGS, PaperCamera, setup_of, turned
+from camera_rig import SETTINGS, PaperCamera, setup_of
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -188,8 +188,3 @@ def test_a_moving_camera_is_followed():
         watch = camera.update(corners(moved))
         assert watch.pose.position == pytest.approx([x + shift, y, z], abs=1e-5)
     assert "are needed" in camera.update(corners(moved, 10, 11, 12)).problem
-
-
-def test_the_turning_of_the_helper_is_a_rotation():
-    matrix = turned((0.0, 0.0, 1.0), 0.3)
-    assert matrix @ matrix.T == pytest.approx(np.eye(3), abs=1e-12)

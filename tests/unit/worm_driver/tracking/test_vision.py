@@ -4,10 +4,10 @@
 import numpy as np
 import pytest
 from camera_rig import SETTINGS, PaperCamera
+from rendered_images import MARKERS, RenderedCamera, framed
 
 from worm_driver.tracking import vision
 from worm_driver.tracking.tracking_errors import ImageError
-from worm_driver.virtual_robot.camera_images import VirtualCamera, framed
 
 RAMP = np.tile(np.arange(0, 240, 4, dtype=np.uint8), (8, 1))
 HEIGHT, WIDTH = RAMP.shape
@@ -56,15 +56,14 @@ def test_other_encodings_are_rejected_by_name():
         vision.decode_image(b"\xff\xd8 half a picture")
 
 
-def test_the_virtual_cameras_prints_are_those_of_the_dictionary():
-    for number, cells in SETTINGS.markers.items():
+def test_the_rendered_prints_are_those_of_the_dictionary():
+    for number, rows in MARKERS.items():
         printed = vision.marker_cells("DICT_4X4_50", number)
-        assert np.array_equal(cells[1:-1, 1:-1] > 0.5, printed)
+        assert np.array_equal(framed(rows)[1:-1, 1:-1] > 0.5, printed)
 
 
 def test_corners_are_where_an_independent_camera_has_them():
-    path = np.array([[0.02, 0.31]])
-    image = VirtualCamera(SETTINGS, 2).image(path)
+    image = RenderedCamera(SETTINGS, 2).image(0.02, 0.31)
     found = {d.number: d for d in vision.MarkerDetector("DICT_4X4_50").detect(image)}
     paper = PaperCamera()
     for truth in [*paper.references(), *paper.modules(0.02, 0.31)]:
@@ -76,7 +75,7 @@ def test_corners_are_where_an_independent_camera_has_them():
 
 def test_the_width_of_edges_measures_their_blur():
     """A ramp of w cells has 0.8 w from 10 to 90 %."""
-    cells, pixels = framed(["1011", "0101", "0011", "0010"]), 12
+    cells, pixels = framed(MARKERS[0]), 12
     sharp = np.kron(np.pad(cells, 2, constant_values=1.0), np.ones((pixels, pixels))) * 200
     detector = vision.MarkerDetector("DICT_4X4_50")
     for ramp in (0.25, 0.5, 1.0):

@@ -8,10 +8,10 @@ import stat
 
 import pytest
 
+from worm_driver.simulated_clock import I2C, SERIAL, Wait
 from worm_driver.virtual_robot.robot_server import DirectoryError, RobotServer
 from worm_driver.virtual_robot.virtual_robot import VirtualRobot
 from worm_driver.virtual_robot.wire.clock_server import ClockClient
-from worm_driver.virtual_robot.wire.virtual_clock import I2C, SERIAL, Wait
 
 
 @pytest.fixture

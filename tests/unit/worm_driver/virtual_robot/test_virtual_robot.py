@@ -8,15 +8,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from worm_driver.power import socket_smbus as frames
+from worm_driver.power.socket_smbus import Request
 from worm_driver.virtual_robot.offline_run import run_offline
 from worm_driver.virtual_robot.servo.control_table import XL330_M288
 from worm_driver.virtual_robot.servo.virtual_servo import Servo
 from worm_driver.virtual_robot.virtual_robot import VirtualRobot
 from worm_driver.virtual_robot.wire import faults
-from worm_driver.virtual_robot.wire import smbus_frames as frames
 from worm_driver.virtual_robot.wire.faults import FaultBoard, make_fault
 from worm_driver.virtual_robot.wire.ina219_chip import BUS, CALIBRATION, CONFIGURATION, SHUNT
-from worm_driver.virtual_robot.wire.smbus_frames import Request
 from worm_msgs.conditions import Conditions
 from worm_msgs.gait import FORWARD, REVERSE, Gait, Profile
 

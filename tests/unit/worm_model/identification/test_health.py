@@ -23,7 +23,6 @@ from worm_model.identification import drift
 from worm_model.identification.data.observed_run import recording_of
 from worm_model.identification.drift_estimates import estimate_bag, estimate_bags
 from worm_model.identification.fits.estimate import Estimate, not_identifiable
-from worm_model.identification.report.drift_figure import draw_health
 from worm_model.parameters import PAPER, ParameterFile
 from worm_model.run import GaitStates, LengthSamples, PowerSamples, Run, TrackerSamples
 
@@ -245,8 +244,7 @@ def test_a_drift_begins_after_the_last_bag_within_the_limits():
     """An outlier before them is no part of the drift."""
     rows = [(1, 1, 1), (9, 16, 1), (12, 12, 1), (2, 4, -1)]
     signals = [drift.Signal(drift.Rule.LIMIT, *row) for row in rows]
-    nothing = np.zeros(0)
-    chart = drift.Chart("gain", nothing, nothing, nothing, None, tuple(signals))
+    chart = drift.Chart("gain", np.zeros(0), None, tuple(signals))
     assert chart.began == 9
 
 
@@ -298,13 +296,6 @@ def test_a_bag_whose_markers_were_hidden_for_long_is_left_out(tmp_path: Path, se
     used, left_out = estimate_bags([bag], PAPER)
     assert used == ()
     assert "a marker is hidden" in left_out[0].reason
-
-
-def test_charts_without_limits_or_ends_can_be_drawn(tmp_path: Path):
-    rows = [Estimate(0.86, -np.inf, np.inf), Estimate(np.nan, np.nan, np.nan, False)]
-    charts = [drift.chart_of(key, rows, PAPER_FILE) for key in drift.ADVICE]
-    draw_health(["a", "b"], charts, tmp_path / "few.svg")
-    assert "</svg>" in (tmp_path / "few.svg").read_text()
 
 
 def test_a_command_that_is_not_a_number_is_left_out_of_its_run():

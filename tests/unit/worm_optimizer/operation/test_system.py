@@ -103,16 +103,15 @@ def test_a_namespace_of_its_own_reaches_the_recorder_and_the_folder_of_the_robot
     assert pattern.match("/diagnostics")
     assert not pattern.match("/worm/power")
     assert not pattern.match("/fleet/robot71/power")
-    port = system.node("driver").parameters["port"]
-    assert port.startswith("/tmp/fleet/robot7")
 
 
-def test_a_second_virtual_robot_in_another_domain_has_its_own_folder(monkeypatch):
-    def port(domain: str) -> str:
+def test_each_virtual_robot_has_a_folder_of_its_own(monkeypatch: pytest.MonkeyPatch):
+    content, ports = load_system_file(SHIPPED), set()
+    for domain, namespace in (("", "worm"), ("7", "worm"), ("7", "fleet/robot7")):
         monkeypatch.setenv("ROS_DOMAIN_ID", domain)
-        return load_system_file(SHIPPED).system("virtual").node("driver").parameters["port"]
-
-    assert port("1") != port("2")
+        system = content.system("virtual", namespace)
+        ports.add(str(system.node("driver").parameters["port"]))
+    assert len(ports) == 3
 
 
 def test_an_argument_without_a_value_is_left_out(tmp_path):
@@ -153,20 +152,6 @@ def test_unknown_modes_and_settings_are_rejected(tmp_path):
         content.system("robot", prot="x")
 
 
-def test_an_argument_makes_further_nodes_required():
-    content = load_system_file(SHIPPED)
-
-    def required(**settings: str) -> set[str]:
-        nodes = content.system("virtual", bag="b", **settings).nodes
-        return {node.name for node in nodes if node.required}
-
-    assert required() == {"virtual_robot", "driver"}
-    given = required(also_required="recorder, twin")
-    assert given == {"virtual_robot", "driver", "recorder", "twin"}
-    with pytest.raises(SystemFileError, match="no node 'recoder': did you mean recorder"):
-        required(also_required="recoder")
-
-
 def test_a_replay_ends_with_its_twin_and_a_robot_does_not():
     content = load_system_file(SHIPPED)
     assert content.system("replay").node("twin").required
@@ -174,18 +159,19 @@ def test_a_replay_ends_with_its_twin_and_a_robot_does_not():
 
 
 @pytest.mark.parametrize(
-    ("name", "status", "was_ready", "holds"),
+    ("mode", "name", "status", "holds"),
     [
-        ("driver", -9, True, True),
-        ("driver", 1, True, True),
-        ("driver", 0, True, False),
-        ("driver", 2, False, False),  # the option was rejected before anything was opened
-        ("twin", -9, True, False),
+        ("robot", "driver", -9, True),
+        ("robot", "driver", 1, True),
+        ("robot", "driver", 0, False),
+        ("robot", "driver", 2, False),  # the option was rejected before anything was opened
+        ("robot", "twin", -9, False),
+        ("virtual", "driver", -9, False),  # its servos end with the virtual robot
     ],
 )
-def test_only_a_driver_that_fails_at_work_may_leave_torque_on(name, status, was_ready, holds):
-    node = load_system_file(SHIPPED).system("virtual").node(name)
-    assert ("torque may be on" in node.end_report(status, was_ready=was_ready)) == holds
+def test_only_a_driver_that_fails_on_a_robot_may_leave_torque_on(mode, name, status, holds):
+    node = load_system_file(SHIPPED).system(mode).node(name)
+    assert ("torque may be on" in node.end_report(status)) == holds
 
 
 @pytest.mark.parametrize("mode", MODES)

@@ -12,11 +12,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from study_cases import Here
 
 if TYPE_CHECKING:
     from distributed import LocalCluster
 
-NEEDS_IT = {"test_engine.py", "test_results.py", "test_store.py", "test_study_command.py"}
+NEEDS_IT = {"test_blocks.py", "test_study_run.py", "test_study_command.py"}
 
 
 class Absent(pytest.Module):
@@ -57,3 +58,13 @@ def cluster() -> Iterator[LocalCluster]:
         ) as running,
     ):
         yield running
+
+
+@pytest.fixture
+def here(monkeypatch) -> Here:
+    """Compute in this process."""
+    from worm_optimizer.study import blocks
+
+    here = Here()
+    monkeypatch.setattr(blocks, "_computed", here)
+    return here

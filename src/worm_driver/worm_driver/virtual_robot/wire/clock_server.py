@@ -8,7 +8,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from worm_driver.virtual_robot.wire.virtual_clock import SERIAL, Wait
+from worm_driver.simulated_clock import SERIAL, Wait
 
 #: Largest delay that simulated time catches up by advancing faster than its rate, s of machine time.
 _SLACK = 0.1
@@ -21,7 +21,7 @@ class ClockClient:
     """Client of the simulated clock.
 
     Attributes:
-        port: interface that the client uses (virtual_clock.SERIAL or I2C).
+        port: interface that the client uses (simulated_clock.SERIAL or I2C).
         wait: event that the client waits for; None while it computes.
         since: machine time at which the wait started, s.
     """

@@ -10,10 +10,10 @@ import math
 from dataclasses import dataclass
 from random import Random
 
+from worm_driver.power import socket_smbus as frames
+from worm_driver.power.socket_smbus import Answer, Request
 from worm_driver.virtual_robot.wire import faults
-from worm_driver.virtual_robot.wire import smbus_frames as frames
 from worm_driver.virtual_robot.wire.faults import FaultBoard
-from worm_driver.virtual_robot.wire.smbus_frames import Answer, Request
 
 CONFIGURATION, SHUNT, BUS, POWER, CURRENT, CALIBRATION = range(6)
 POWER_ON_CONFIGURATION = 0x399F

@@ -183,7 +183,7 @@ def metadata_text(
             "relative_file_paths": list(files),
             "files": [{"path": name, **extent.fields()} for name, extent in files.items()],
             "custom_data": dict(custom),
-            "ros_distro": "jazzy",
+            "ros_distro": os.environ.get("ROS_DISTRO", ""),
         }
     )
 

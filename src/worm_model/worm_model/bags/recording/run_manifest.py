@@ -8,7 +8,7 @@ import hashlib
 import os
 import platform
 from collections.abc import Mapping, Sequence
-from datetime import datetime, timezone
+from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -71,9 +71,7 @@ def run_manifest(
     """
     attachments: tuple[AttachedFile, ...] = ()
     record = {
-        "recorded_at": datetime.fromtimestamp(now_ns / 1e9, tz=timezone.utc).isoformat(
-            timespec="seconds"
-        ),
+        "recorded_at": datetime.fromtimestamp(now_ns / 1e9, tz=UTC).isoformat(timespec="seconds"),
         "command": printable(" ".join([Path(command[0]).name, *command[1:]])),
         HOST: platform.node(),
         "seed": "" if seed is None else str(seed),
@@ -183,7 +181,7 @@ def is_text(text: str) -> bool:
 def _versions() -> Mapping[str, str]:
     versions = {
         "version.python": platform.python_version(),
-        "version.ros_distro": os.environ.get("ROS_DISTRO", "jazzy"),
+        "version.ros_distro": os.environ.get("ROS_DISTRO", ""),
     }
     for package in VERSIONED:
         try:

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from worm_driver.simulated_clock import I2C, SERIAL, Wait
 from worm_driver.virtual_robot.wire.clock_server import ClockClient, ClockServer
-from worm_driver.virtual_robot.wire.virtual_clock import I2C, SERIAL, Wait
 
 
 def keeper(rate: float = 1.0) -> ClockServer:

@@ -10,8 +10,6 @@ import dynamixel_sdk
 import pytest
 import serial
 from dynamixel_sdk import (
-    COMM_RX_CORRUPT,
-    COMM_RX_TIMEOUT,
     COMM_SUCCESS,
     GroupBulkRead,
     GroupSyncRead,
@@ -63,22 +61,12 @@ def wait_until(condition, what):
         assert time.monotonic() < deadline, f"no {what} within 10 s"
 
 
-def wait_for_boot(served):
-    cable, now = served.robot.servos[0], served.server.now
-    wait_until(lambda: cable.answers(now()), "servo after its boot")
-
-
 def inject(served, name, **options):
     """Request a fault and wait until the serving thread has accepted the request."""
     fault = make_fault(name, **options)
     served.server.inject(fault)
     board, now = served.robot.board, served.server.now
     wait_until(lambda: board.active(name, now(), fault.target), f"fault {name}")
-
-
-def test_a_servo_that_is_not_there(port, sdk, monkeypatch):
-    set_timeout(monkeypatch, 0.05)
-    assert sdk.ping(port, 5)[1] == COMM_RX_TIMEOUT
 
 
 def test_a_broadcast_ping_finds_all(port, sdk):
@@ -142,84 +130,6 @@ def test_a_sync_write_moves_the_servos(port, sdk):
             ),
             f"servo {servo} at {goal}",
         )
-
-
-def test_a_broadcast_torque_off_reaches_all(port, sdk):
-    for servo in (CABLE, REAR):
-        sdk.write1ByteTxRx(port, servo, TORQUE, 1)
-    sdk.write1ByteTxOnly(port, 254, TORQUE, 0)
-    assert [sdk.read1ByteTxRx(port, servo, TORQUE)[0] for servo in (CABLE, REAR)] == [0, 0]
-
-
-def test_a_reboot_loses_the_torque(port, sdk, served):
-    assert sdk.write1ByteTxRx(port, CABLE, TORQUE, 1) == (COMM_SUCCESS, 0)
-    assert sdk.reboot(port, CABLE) == (COMM_SUCCESS, 0)
-    wait_for_boot(served)
-    assert sdk.read1ByteTxRx(port, CABLE, TORQUE) == (0, COMM_SUCCESS, 0)
-
-
-def test_clear_and_factory_reset(port, sdk, served):
-    assert sdk.clearMultiTurn(port, CABLE) == (COMM_SUCCESS, 0)
-    sdk.write1ByteTxRx(port, CABLE, TORQUE, 1)
-    assert sdk.factoryReset(port, CABLE, 0x02) == (COMM_SUCCESS, 1)
-    sdk.write1ByteTxRx(port, CABLE, TORQUE, 0)
-    assert sdk.factoryReset(port, CABLE, 0x02) == (COMM_SUCCESS, 0)
-    wait_for_boot(served)
-    assert sdk.read1ByteTxRx(port, CABLE, 11)[0] == 3
-
-
-def test_a_goal_that_the_sdk_does_not_stuff_never_arrives(port, sdk, monkeypatch):
-    """-131073 is FF FF FD FF: the SDK sends it unstuffed, and a servo reads it as a header."""
-    sdk.write1ByteTxRx(port, CABLE, TORQUE, 1)
-    before = sdk.read4ByteTxRx(port, CABLE, GOAL)[0]
-    set_timeout(monkeypatch, 0.05)
-    assert sdk.write4ByteTxRx(port, CABLE, GOAL, -131073)[0] == COMM_RX_TIMEOUT
-    set_timeout(monkeypatch, 5.0)
-    assert sdk.read4ByteTxRx(port, CABLE, GOAL)[0] == before
-
-
-def test_stuffed_answers_are_understood(port, sdk):
-    """A position of -131073 arrives stuffed."""
-    sdk.write1ByteTxRx(port, CABLE, TORQUE, 0)
-    assert sdk.write4ByteTxRx(port, CABLE, 20, -131072 - 3259) == (COMM_SUCCESS, 0)
-    read, result, error = sdk.read4ByteTxRx(port, CABLE, POSITION)
-    assert (result, error) == (COMM_SUCCESS, 0)
-    wanted = read - (1 << 32) if read >> 31 else read
-    offset = -131073 - (wanted + 131072 + 3259)
-    sdk.write4ByteTxRx(port, CABLE, 20, offset)
-    assert sdk.read4ByteTxRx(port, CABLE, POSITION)[0] == (-131073) & 0xFFFFFFFF
-
-
-@pytest.mark.parametrize(
-    ("name", "result"),
-    [
-        (faults.NO_ANSWER, COMM_RX_TIMEOUT),
-        (faults.CORRUPTED_CRC, COMM_RX_CORRUPT),
-        (faults.TRUNCATED, COMM_RX_CORRUPT),
-        (faults.LATE, COMM_RX_TIMEOUT),
-    ],
-)
-def test_spoilt_status_packets(port, sdk, served, monkeypatch, name, result):
-    inject(served, name, target=CABLE, value=60.0)
-    assert sdk.ping(port, REAR)[1] == COMM_SUCCESS
-    set_timeout(monkeypatch, 0.2)
-    assert sdk.read4ByteTxRx(port, CABLE, POSITION)[1] == result
-
-
-def test_the_sdk_takes_a_late_answer_for_the_next(port, sdk, served, monkeypatch):
-    """A driver must exclude this: a position is read as a velocity, with success."""
-    position = sdk.read4ByteTxRx(port, CABLE, POSITION)[0]
-    inject(served, faults.LATE, target=CABLE, value=0.5)
-    set_timeout(monkeypatch, 0.05)
-    assert sdk.read4ByteTxRx(port, CABLE, POSITION)[1] == COMM_RX_TIMEOUT
-    set_timeout(monkeypatch, 5.0)
-    assert sdk.read4ByteTxRx(port, CABLE, 128) == (position, COMM_SUCCESS, 0)
-
-
-def test_a_status_with_each_error_number(port, sdk, served):
-    for number in range(1, 8):
-        inject(served, faults.ERROR_NUMBER, target=CABLE, value=number)
-        assert sdk.write1ByteTxRx(port, CABLE, 65, 1) == (COMM_SUCCESS, number)
 
 
 def test_unplugged_and_plugged_in_again(served, sdk):

@@ -101,7 +101,7 @@ class Page:
         self._time[0] = value
 
 
-class VirtualClock:
+class SimulatedClock:
     """Client of a virtual robot's clock, for one thread; see clock.Clock.
 
     When the robot's process has ended, the clock continues at the machine's pace, so that no thread waits for ever.
@@ -201,7 +201,7 @@ def clock_of(device: str, port: bytes) -> Clock:
         directory = Path(path).parent
         if (directory / SOCKET_NAME).is_socket():
             with contextlib.suppress(OSError):
-                return VirtualClock(directory, port)
+                return SimulatedClock(directory, port)
     return MachineClock()
 
 

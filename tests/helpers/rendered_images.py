@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rendered camera images of the virtual robot.
+"""Camera images of a rig, rendered for the tests of the tracker.
 
 The geometry shares no code with the tracker that processes the images. Each pixel's ray is intersected with the plane
 of a print (a printed marker). The reflectance of the print is averaged over the pixel and over the exposure. It is
@@ -7,22 +7,18 @@ constant in each cell of the print, so both averages are differences of its inte
 fraction of a pixel without sampling.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import astuple, dataclass
-from importlib.resources import files
-from pathlib import Path
-from typing import Annotated, NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from worm_msgs.settings_file import Converted, key, read_settings
-
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 Window = tuple[slice, slice]
-
-DEFAULT_FILE = Path(str(files("worm_driver").joinpath("config/virtual_camera.yaml")))
+Pair = tuple[float, float]
+Point = tuple[float, float, float]
 
 _PAPER, _INK = 1.0, 0.07  # reflectances of a print
 # Reflectances of a module, of the pipe's wall and beyond the pipe.
@@ -30,6 +26,7 @@ _MODULE, _WALL, _BACKGROUND = 0.38, 0.55, 0.72
 _MODULE_SIZE = (0.048, 0.062)  # visible part of a module along x and z, m
 # Number of fixed-point iterations that remove the distortion. The error is well below a thousandth of a pixel.
 _UNDISTORTIONS = 25
+_EXPOSURE_PARTS = 3  # number of equal parts of an exposure
 
 
 def framed(rows: Sequence[str]) -> Array:
@@ -41,60 +38,72 @@ def framed(rows: Sequence[str]) -> Array:
     return _INK + (_PAPER - _INK) * np.pad(np.pad(bits, 1), 1, constant_values=1.0)
 
 
-Pair = tuple[float, float]
-Point = tuple[float, float, float]
-
-
-@dataclass(frozen=True)
-class _Line:
-    y: Annotated[float, key("y_m")]
-    z: Annotated[float, key("z_m")]
-
-
-@dataclass(frozen=True)
-class ModulePrint:
-    """Marker on a module. offset: x of the fin root minus x of the marker's centre, m."""
-
-    marker: Annotated[int, key(ge=0)]
-    offset: Annotated[float, key("offset_m")]
+# Bits of the printed markers (DICT_4X4_50) from the top left; 1 is white.
+MARKERS = {
+    0: ["1011", "0101", "0011", "0010"],
+    1: ["0000", "1111", "1001", "1010"],
+    10: ["1111", "1001", "1001", "0001"],
+    11: ["0001", "0001", "1010", "0111"],
+    12: ["0000", "1110", "1011", "0111"],
+    13: ["0010", "1010", "0000", "1111"],
+}
 
 
 @dataclass(frozen=True)
 class CameraSettings:
-    """Settings of the camera in SI units, see config/virtual_camera.yaml."""
+    """True values of the camera, of the markers and of the light; the setup that the tracker reads is tracker.yaml.
 
-    width: Annotated[int, key(gt=0)]
-    height: Annotated[int, key(gt=0)]
-    focal: Annotated[float, key("focal_px", gt=0.0)]
-    centre: Annotated[Pair, key("centre_px")]
-    distortion: tuple[float, ...]
-    position: Annotated[Point, key("position_m")]
-    yaw: Annotated[float, key("yaw_rad")]
-    pitch_angle: Annotated[float, key("pitch_rad")]
-    roll: Annotated[float, key("roll_rad")]
-    pixel_spread: Annotated[float, key(ge=0.0)]
-    exposure: Annotated[float, key("exposure_s", ge=0.0)]
-    delay: Annotated[float, key("delay_s", ge=0.0)]
-    light: Annotated[float, key(ge=0.0)]
-    light_slope: Pair
-    noise_dark: Annotated[float, key(ge=0.0)]
-    noise_bright: Annotated[float, key(ge=0.0)]
-    ridge_transmission: Annotated[float, key(ge=0.0, le=1.0)]
-    glare: Annotated[float, key(ge=0.0)]
-    glare_heights: Annotated[Pair, key("glare_z_m")]
-    ridge_pitch: Annotated[float, key("pitch_m", gt=0.0)]
-    pipe_radius: Annotated[float, key("pipe_radius_m", gt=0.0)]
-    marker_size: Annotated[float, key("marker_size_m", gt=0.0)]
-    module_line: Annotated[Pair, Converted(_Line, astuple)]
-    rear: ModulePrint
-    front: ModulePrint
-    reference: Mapping[int, Point]
-    markers: Mapping[int, Annotated[Array, Converted(tuple[str, ...], framed)]]
+    SI units in the pipe's frame of REP 103: x forward, y left, z up.
 
+    Attributes:
+        focal, centre: pixels; the default is a common webcam with 65 degrees.
+        distortion: k1, k2, p1, p2, k3 of Brown's model.
+        position: place of the lens; with y < 0, +x is to the right in the image.
+        yaw: angle of the viewing direction from +y, positive to the left.
+        pitch_angle: angle of the viewing direction from the horizontal, positive upwards.
+        roll: rotation of the camera about the viewing direction, positive clockwise.
+        pixel_spread: blur by lens and sensor: side of the area over which a pixel averages, pixels.
+        exposure: duration of an exposure.
+        light: grey level of white in the middle.
+        light_slope: relative change from the left to the right edge, and from the top to the bottom.
+        noise_dark, noise_bright: standard deviation of the sensor's noise at grey levels 0 and 255, grey levels.
+        ridge_transmission: transmission of the acrylic at a ridge of the pipe.
+        glare: reflections of the lamps in the acrylic, grey levels.
+        glare_heights: heights of these reflections, two bright streaks along the pipe.
+        module_line: y and z of the modules' markers 0 (rear) and 1 (front).
+        reference: centres of the markers next to the pipe, facing the camera.
+    """
 
-def load_camera_settings(path: Path | None = None) -> CameraSettings:
-    """Read the settings of a file (None: the installed one). Raises SettingsFileError."""
-    return read_settings(DEFAULT_FILE if path is None else path, CameraSettings)
+    width: int = 1280
+    height: int = 720
+    focal: float = 1010.0
+    centre: Pair = (652.3, 351.8)
+    distortion: tuple[float, ...] = (0.085, -0.19, 0.0011, -0.0008, 0.06)
+    position: Point = (0.05, -0.61, 0.14)
+    yaw: float = -0.24
+    pitch_angle: float = -0.21
+    roll: float = 0.02
+    pixel_spread: float = 1.3
+    exposure: float = 0.008
+    light: float = 165.0
+    light_slope: Pair = (-0.25, 0.3)
+    noise_dark: float = 1.6
+    noise_bright: float = 2.6
+    ridge_transmission: float = 0.93
+    glare: float = 45.0
+    glare_heights: Pair = (0.014, -0.027)
+    ridge_pitch: float = 0.0173
+    pipe_radius: float = 0.045
+    marker_size: float = 0.025
+    module_line: Pair = (-0.02, 0.0)
+    reference: Mapping[int, Point] = field(
+        default_factory=lambda: {
+            10: (0.0, -0.035, 0.075),
+            11: (0.4, -0.035, 0.075),
+            12: (0.0, -0.035, -0.075),
+            13: (0.4, -0.035, -0.075),
+        }
+    )
 
 
 class Pattern:
@@ -180,7 +189,7 @@ def _put(
     scene[part] = scene[part] * (1.0 - share) + reflectance * share
 
 
-class VirtualCamera:
+class RenderedCamera:
     """Renderer of the camera's images for given module positions. ``seed`` is the seed of the sensor noise."""
 
     def __init__(self, settings: CameraSettings, seed: int = 0) -> None:
@@ -190,15 +199,13 @@ class VirtualCamera:
         self._light = self._lighting()
         self._gain, self._glare = self._acrylic()
         cell = settings.marker_size / 6.0
-        self._prints = {n: Pattern(cells, (cell, cell)) for n, cells in settings.markers.items()}
+        self._prints = {n: Pattern(framed(rows), (cell, cell)) for n, rows in MARKERS.items()}
         self._body = Pattern(np.full((1, 1), _MODULE), _MODULE_SIZE)
         self._still = self._background()
         self._empty = self._exposed(self._still).astype(np.float32)
         share = np.clip(self._empty, 0.0, 255.0) / np.float32(255.0)
         dark, bright = np.float32(settings.noise_dark), np.float32(settings.noise_bright)
         self._noisiness = dark + (bright - dark) * share
-        # Each image uses the values from a random index on.
-        self._noise = self._random.standard_normal(2 * self._empty.size, np.float32)
 
     # --- static scene -----------------------------------------------------------------------------
 
@@ -284,17 +291,23 @@ class VirtualCamera:
 
     # --- moving parts -----------------------------------------------------------------------------
 
-    def image(self, path: Array) -> Image:
-        """Return an image, shape (height, width), 8 bit grey.
+    def image(self, rear: float, front: float) -> Image:
+        """Return the image of modules at rest, shape (height, width), 8 bit grey; x1 and x2 in m, NaN if hidden."""
+        return self._image(np.array([[rear, front]]))
 
-        Args:
-            path: x1 and x2 (m) at the centres of equal parts of the exposure, shape (parts, 2); NaN if hidden.
-        """
+    def moving_image(self, motion: Callable[[float], tuple[float, float]], time: float) -> Image:
+        """Return the image of modules that move during the exposure around a time (s); see `image`."""
+        parts = (np.arange(_EXPOSURE_PARTS) + 0.5) / _EXPOSURE_PARTS - 0.5
+        return self._image(
+            np.array([motion(time + part * self.settings.exposure) for part in parts])
+        )
+
+    def _image(self, path: Array) -> Image:
+        """Return the image for x1 and x2 (m) at the centres of equal parts of the exposure, shape (parts, 2)."""
         levels = self._empty.copy()
-        for column, module in enumerate((self.settings.rear, self.settings.front)):
-            centres = path[:, column] - module.offset
+        for marker, centres in enumerate(path.T):
             if np.isfinite(centres).all():
-                self._show(levels, module.marker, centres)
+                self._show(levels, marker, centres)
         return self._digitise(levels)
 
     def _show(self, levels: NDArray[np.float32], number: int, centres: Array) -> None:
@@ -329,29 +342,6 @@ class VirtualCamera:
 
     def _digitise(self, levels: NDArray[np.float32]) -> Image:
         """Return the image with sensor noise, in whole grey levels."""
-        start = int(self._random.integers(self._noise.size - levels.size))
-        noise = self._noise[start : start + levels.size].reshape(levels.shape)
-        levels += self._noisiness * noise
+        levels += self._noisiness * self._random.standard_normal(levels.shape, np.float32)
         levels += 0.5
         return np.clip(levels, 0.0, 255.0, out=levels).astype(np.uint8)
-
-
-_PARTS = 3  # number of equal parts of an exposure in `exposure_path`
-
-
-def exposure_path(
-    exposure: tuple[int, float, float], before: tuple[int, float, float] | None, duration: float
-) -> Array:
-    """Return the positions during an exposure, as `VirtualCamera.image` expects them.
-
-    Args:
-        exposure: stamp (ns), x1 and x2 (m) at the middle of this exposure.
-        before: stamp, x1 and x2 of the previous exposure; None for the first one.
-        duration: duration of the exposure, s.
-    """
-    places = np.array(exposure[1:])
-    speeds = np.zeros(2)
-    if before is not None and exposure[0] > before[0]:
-        speeds = np.nan_to_num((places - np.array(before[1:])) / ((exposure[0] - before[0]) * 1e-9))
-    times = ((np.arange(_PARTS) + 0.5) / _PARTS - 0.5) * duration
-    return places + times[:, None] * speeds

@@ -19,6 +19,7 @@ from worm_model.parameters import ParameterFile
 from worm_model.simulation.batch import evaluate_gaits
 from worm_model.simulation.closed_form import cliff_margin, front_groove
 from worm_optimizer.evaluation.task import Array
+from worm_optimizer.robustness.sobol import SALTELLI, Indices, Sample, indices_of
 from worm_optimizer.robustness.uncertainty import (
     LENGTH,
     MOTION_KEYS,
@@ -27,8 +28,6 @@ from worm_optimizer.robustness.uncertainty import (
     reach_of,
     values_at,
 )
-from worm_optimizer.study.plan import SALTELLI, Sample
-from worm_optimizer.study.sobol import Indices, indices_of
 
 FIGURES = ("speed", "power", "cliff_margin")  # quantities whose indices are computed
 #: symbols and units of all inputs

@@ -9,17 +9,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from worm_driver.virtual_robot.wire import faults
-from worm_driver.virtual_robot.wire.faults import make_fault
-from worm_driver.virtual_robot.wire.smbus_frames import (
+from worm_driver.power.socket_smbus import (
     Answer,
     Request,
+    SocketSMBus,
     pack_answer,
     pack_request,
     unpack_answer,
     unpack_request,
 )
-from worm_driver.virtual_robot.wire.virtual_smbus import SocketSMBus
+from worm_driver.virtual_robot.wire import faults
+from worm_driver.virtual_robot.wire.faults import make_fault
 
 ADDRESS = 0x40
 byte = st.integers(0, 255)

@@ -4,8 +4,7 @@
 import numpy as np
 import pytest
 
-from worm_optimizer.study.plan import SALTELLI, Sample
-from worm_optimizer.study.sobol import indices_of, percent, warnings_of
+from worm_optimizer.robustness.sobol import SALTELLI, Sample, indices_of, percent, warnings_of
 
 RANDOM = Sample(SALTELLI, 1024, 3).draw(3)
 

@@ -11,9 +11,9 @@ from worm_model.parameters import PAPER, ParameterFile
 from worm_model.simulation.simulator import evaluate_gait
 from worm_msgs.robot_parameters import TravelError
 from worm_optimizer.commands import sensitivity as command
-from worm_optimizer.study.sensitivity import Sensitivity, sensitivity
-from worm_optimizer.study.sensitivity_figure import sensitivity_figure
-from worm_optimizer.study.sobol import Indices
+from worm_optimizer.report.analysis_figures import sensitivity_figure
+from worm_optimizer.robustness.sensitivity import Sensitivity, sensitivity
+from worm_optimizer.robustness.sobol import Indices
 
 GAIT = Gait(0.0755, 0.15)
 EXACT = {key: (value, value) for key, value in PAPER.as_dict().items()}

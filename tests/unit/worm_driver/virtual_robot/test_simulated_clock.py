@@ -11,10 +11,10 @@ import pytest
 from worm_driver.clock import MachineClock
 from worm_driver.servos.registers import COMMON
 from worm_driver.servos.servo_bus import ServoBus
+from worm_driver.simulated_clock import I2C, SERIAL, SimulatedClock, clock_of
 from worm_driver.virtual_robot.robot_server import RobotServer
 from worm_driver.virtual_robot.virtual_robot import VirtualRobot
 from worm_driver.virtual_robot.wire.faults import make_fault
-from worm_driver.virtual_robot.wire.virtual_clock import I2C, SERIAL, VirtualClock, clock_of
 
 
 class _Robot:
@@ -40,15 +40,15 @@ def fast(settings, tmp_path) -> Iterator[_Robot]:
     robot.end()
 
 
-def open_bus(robot: _Robot) -> tuple[ServoBus, VirtualClock]:
+def open_bus(robot: _Robot) -> tuple[ServoBus, SimulatedClock]:
     bus = ServoBus.open(str(robot.directory / "servo_bus"), 1_000_000)
-    clock = VirtualClock(robot.directory, SERIAL)
+    clock = SimulatedClock(robot.directory, SERIAL)
     bus.port.go_by(clock)
     return bus, clock
 
 
 def test_a_minute_passes_at_once_and_to_the_moment(fast):
-    clock = VirtualClock(fast.directory, I2C)
+    clock = SimulatedClock(fast.directory, I2C)
     begin = clock()
     clock.sleep_until(begin + 60.0)
     assert clock() == pytest.approx(begin + 60.0, abs=1e-9)
@@ -57,7 +57,7 @@ def test_a_minute_passes_at_once_and_to_the_moment(fast):
 
 
 def test_while_a_client_works_no_time_passes(fast):
-    clock = VirtualClock(fast.directory, I2C)
+    clock = SimulatedClock(fast.directory, I2C)
     now = clock()
     end = time.monotonic() + 0.3
     while time.monotonic() < end:
@@ -68,7 +68,7 @@ def test_while_a_client_works_no_time_passes(fast):
 def test_two_wait_for_each_other(fast):
     """Each notices when the other's last deadline has passed, and misses none of its own."""
     seen: dict[str, list[float]] = {"a": [], "b": []}
-    clocks = {name: VirtualClock(fast.directory, I2C) for name in seen}
+    clocks = {name: SimulatedClock(fast.directory, I2C) for name in seen}
     begin = max(clock() for clock in clocks.values())
 
     def run(name: str, period: float) -> None:
@@ -116,7 +116,7 @@ def test_a_thousand_questions_are_answered_however_the_line_dawdles(fast):
 
 
 def test_an_ended_client_delays_no_other(fast):
-    gone, stays = VirtualClock(fast.directory, I2C), VirtualClock(fast.directory, I2C)
+    gone, stays = SimulatedClock(fast.directory, I2C), SimulatedClock(fast.directory, I2C)
     gone.close()
     due = stays() + 1.0
     stays.sleep_until(due)
@@ -126,7 +126,7 @@ def test_an_ended_client_delays_no_other(fast):
 
 def test_after_the_robot_is_gone_time_goes_on(settings, tmp_path):
     robot = _Robot(settings, tmp_path, 1.0)
-    clock = VirtualClock(tmp_path, I2C)
+    clock = SimulatedClock(tmp_path, I2C)
     robot.end()
     before = clock()
     clock.sleep_until(before + 0.05)
@@ -149,6 +149,6 @@ def test_the_clock_is_found_through_any_link_to_the_device(settings, tmp_path, d
     link.symlink_to(tmp_path / "robot" / device)
     chain.symlink_to(link)
     clock = clock_of(str(chain), port)
-    assert isinstance(clock, VirtualClock)
+    assert isinstance(clock, SimulatedClock)
     clock.close()
     robot.end()

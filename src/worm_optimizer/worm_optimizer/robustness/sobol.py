@@ -1,23 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sobol indices of a quantity from a Saltelli sample, with bootstrapped bounds.
+"""Samples of several quantities, and Sobol indices of a result from a Saltelli sample, with bootstrapped bounds.
 
-The indices are shares of the variance of a quantity that depends on independent inputs. The first-order index of an
+The indices are shares of the variance of a result that depends on independent inputs. The first-order index of an
 input is the share that vanishes on average when this input becomes known. The total index is the share that remains on
 average when all other inputs are known. SciPy provides the estimators.
 """
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from worm_msgs.settings_file import OneOf, key
+
 Array = NDArray[np.float64]
 
+SOBOL, SALTELLI, LATIN_HYPERCUBE = "sobol", "saltelli", "latin_hypercube"
+METHODS = (SOBOL, SALTELLI, LATIN_HYPERCUBE)
+MOST_POINTS = 1_000_000  # of a study, whose results are in memory at the end
 #: Heads of the columns that `index_cells` returns.
 INDEX_HEADS = ("alone", "95 % bounds", "with others", "95 % bounds")
 #: Text in place of indices that are NaN, see `Indices`
@@ -28,13 +34,57 @@ _VISIBLE = 5e-4  # smallest difference of two indices that printed percentages s
 
 
 @dataclass(frozen=True)
+class Sample:
+    """Sampling of all axes with a range: ``method`` (one of `METHODS`), number of ``points`` and ``seed``.
+
+    With `SALTELLI`, ``points`` is the number of base samples, each of which results in d + 2 points for d axes.
+    """
+
+    method: Annotated[str, OneOf(METHODS)] = SOBOL
+    points: Annotated[int, key(ge=1, le=MOST_POINTS)] = 64
+    seed: Annotated[int, key(ge=0, lt=2**32)] = 1
+
+    def size(self, axes: int) -> int:
+        """Return the number of points for ``axes`` axes with a range."""
+        return self.points * (axes + 2 if self.method == SALTELLI else 1)
+
+    def draw(self, axes: int) -> Array:
+        """Return values between 0 and 1, shape (size, axes).
+
+        Sobol sequences are scrambled, because an unscrambled one begins with a point whose values are all exactly 0.
+        With `SOBOL` and `SALTELLI`, a larger sample begins with the points of a smaller one.
+        """
+        from scipy.stats import qmc  # here: the import takes a second, and workers do not need it
+
+        if self.method == LATIN_HYPERCUBE:
+            return qmc.LatinHypercube(axes, seed=self.seed).random(self.points)
+        saltelli = self.method == SALTELLI
+        engine: Any = qmc.Sobol(2 * axes if saltelli else axes, scramble=True, seed=self.seed)
+        unit = engine.random_base2(math.ceil(math.log2(max(self.points, 2))))[: self.points]
+        return _saltelli(unit[:, :axes], unit[:, axes:]) if saltelli else unit
+
+
+def _saltelli(first: Array, second: Array) -> Array:
+    """Return the rows A, B, AB_1 … AB_d of each base sample, one base sample after another.
+
+    A is the row of the base sample in ``first``, and B its row in ``second``. AB_k is A with element k replaced by
+    element k of B.
+    """
+    mixed = np.repeat(first[:, None], first.shape[1], axis=1)
+    each = np.arange(first.shape[1])
+    mixed[:, each, each] = second
+    rows = np.concatenate([first[:, None], second[:, None], mixed], axis=1)
+    return rows.reshape(-1, first.shape[1])
+
+
+@dataclass(frozen=True)
 class Indices:
-    """Sobol indices of one quantity. They are NaN if the quantity is constant, or not finite at a point.
+    """Sobol indices of one result. They are NaN if the result is constant, or not finite at a point.
 
     Attributes:
         first, total: first-order and total indices, shape (inputs,).
         first_bounds, total_bounds: 95 % bounds, shape (2, inputs).
-        mean, deviation: mean and standard deviation of the quantity, in its unit.
+        mean, deviation: mean and standard deviation of the result, in its unit.
     """
 
     first: Array
@@ -56,10 +106,10 @@ class Indices:
 
 
 def indices_of(values: Array, inputs: int, seed: int) -> Indices:
-    """Return the indices of a quantity.
+    """Return the indices of a result.
 
     Args:
-        values: quantity at the points of a Saltelli sample, in the order of `plan.Sample.draw`, shape
+        values: result at the points of a Saltelli sample, in the order of `Sample.draw`, shape
             (samples · (inputs + 2),).
         inputs: number of inputs.
         seed: seed of the bootstrap.
@@ -73,7 +123,7 @@ def indices_of(values: Array, inputs: int, seed: int) -> Indices:
         unknown = np.full(inputs, np.nan)
         pair = np.stack([unknown, unknown])
         return Indices(unknown, unknown, pair, pair, mean, deviation)
-    twice = np.stack([rows, rows])  # SciPy fails for one quantity of one input
+    twice = np.stack([rows, rows])  # SciPy fails for one result of one input
     with np.errstate(invalid="ignore", divide="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # SciPy warns about bootstrap draws without variance
         result = sobol_indices(
@@ -116,6 +166,19 @@ def _bootstrap(result: Any, seed: int) -> Any:
         np.random.set_state(before)  # noqa: NPY002
 
 
+def index_json(indices: Indices, inputs: Sequence[str]) -> dict[str, Any]:
+    """Return the indices of each input with their bounds, for JSON."""
+    return {
+        key: {
+            "first": indices.first[k],
+            "first_bounds": indices.first_bounds[:, k],
+            "total": indices.total[k],
+            "total_bounds": indices.total_bounds[:, k],
+        }
+        for k, key in enumerate(inputs)
+    }
+
+
 def percent(value: float) -> str:
     """Return a share as a percentage, never as "-0.0 %"."""
     return f"{round(100.0 * value, 1) + 0.0:.1f} %"
@@ -130,7 +193,7 @@ def index_cells(indices: Indices, row: int) -> list[str]:
 
 
 def warnings_of(name: str, indices: Indices, inputs: Sequence[str]) -> list[str]:
-    """Return the reasons to distrust the indices of a quantity."""
+    """Return the reasons to distrust the indices of a result."""
     if not indices.inconsistent.size:
         return []
     listed = ", ".join(inputs[k] for k in indices.inconsistent)
