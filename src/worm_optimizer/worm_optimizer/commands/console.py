@@ -123,7 +123,7 @@ def _robot_opener(
                 work_folder("console") as work,
                 session(system, work / "logs", say, RESTARTS, check) as running,
             ):
-                running.node.configure()
+                running.node.activate()
                 say("all nodes run")
                 yield running.node
         else:
