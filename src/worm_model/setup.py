@@ -23,7 +23,7 @@ EXECUTABLES: list[str] = [  # "executable = module:function", each is installed 
     "margin = worm_model.commands.margin:main",
     "watch = worm_model.nodes.executables:watch",
 ]
-# Dependencies that pip installs without rosdep, for example for a worker of a study; requirements*.txt pin versions.
+# Dependencies that pip installs without rosdep, for example for a worker of a study; pyproject.toml pins versions.
 NEEDED = ["numpy", "scipy", "numba", "PyYAML", "matplotlib", "pillow", "mcap", "rosbags", "pyarrow"]
 
 setup(

@@ -22,7 +22,7 @@ EXECUTABLES: list[str] = [  # "executable = module:function"; each is installed 
     "capability = worm_optimizer.commands.capability:main",
     "sensitivity = worm_optimizer.commands.sensitivity:main",
 ]
-# Dependencies that pip installs for a worker of a study, which needs no ROS; requirements*.txt pin the versions.
+# Dependencies that pip installs for a worker of a study, which needs no ROS; pyproject.toml pins the versions.
 NEEDED = ["worm_model", "numpy", "scipy", "PyYAML", "matplotlib", "pymoo", "jinja2", "markdown2"]
 CONSOLE = ["nicegui"]
 STUDY = ["distributed", "xarray"]

@@ -11,7 +11,7 @@ from harness import Processes
 
 from worm_optimizer.operation.processes import executable_command
 
-NEEDED = "needs pip install -r requirements-console.txt -r requirements-dev.txt"
+NEEDED = "needs pip install --group console --group test"
 pytest.importorskip("nicegui", reason=NEEDED)
 sync_api = pytest.importorskip("playwright.sync_api", reason=NEEDED)
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")

@@ -63,7 +63,7 @@ def _parser() -> Parser:
 def _console(options: argparse.Namespace) -> int:
     if importlib.util.find_spec("nicegui") is None:
         raise InputError(
-            "the console needs NiceGUI: pip install -r requirements-console.txt, or use ./worm console"
+            "the console needs NiceGUI: pip install --group console, or use ./worm console"
         )
     from worm_optimizer.console.bag_library import BagLibrary
     from worm_optimizer.console.console_state import ConsoleState

@@ -69,7 +69,7 @@ def _study(options: argparse.Namespace) -> int:
     except ModuleNotFoundError as error:  # optional packages, which a robot does not need
         raise command_line.InputError(
             f"{error.name} is not installed: use ./worm study, which installs it, or "
-            "pip install -r requirements-study.txt -c constraints.txt"
+            "pip install --group study -c constraints.txt"
         ) from None
     page = command_line.new_file(options.page) if options.page else None
     table = command_line.new_file(options.table) if options.table else None

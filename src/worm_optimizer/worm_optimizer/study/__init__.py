@@ -7,5 +7,5 @@
 - `summary` finds the best points; `study_page` and `study_plots` present them.
 - `fleet` compares many bags with the model, as a table.
 
-Only this package needs the packages of requirements-study.txt.
+Only this package needs the packages of the group study in pyproject.toml.
 """

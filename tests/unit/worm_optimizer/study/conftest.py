@@ -24,7 +24,7 @@ class Absent(pytest.Module):
     """Test module that is not imported."""
 
     def collect(self):
-        pytest.skip("needs pip install -r requirements-study.txt", allow_module_level=True)
+        pytest.skip("needs pip install --group study", allow_module_level=True)
 
 
 def pytest_pycollect_makemodule(module_path: Path, parent: pytest.Collector):
