@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import count
@@ -111,7 +112,7 @@ def run(
 
     Raises:
         OperatorError: The gait did not start, failed or was cancelled, or a node does not answer. A run that STOP ended
-            raises no error.
+            raises no error. A rejected gait leaves no bag.
         InputError: The bag cannot be created.
     """
     recorder = f"console_{os.getpid()}_{next(_numbers)}"
@@ -126,6 +127,9 @@ def run(
         finally:
             gait_run.close()
         report(f"{why or result.message}; closing the recording")
+    if gait_run.rejected:
+        shutil.rmtree(bag)  # it contains no gait
+        raise OperatorError(result.message)
     text = "; ".join(filter(None, (result.message, why, f"recorded in {bag.name}")))
     if not (result.success or why == STOP_PRESSED):  # a stop by a person is no error
         raise OperatorError(text)

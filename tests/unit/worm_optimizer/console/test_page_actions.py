@@ -25,7 +25,7 @@ GAIT = Gait(0.03, 0.2, 1)
 def run(monkeypatch: pytest.MonkeyPatch, *cancellations: str, success: bool) -> str:
     """Run a gait with the responses of `cancellation`, from the start of the run to its end."""
     result = RunResult(GAIT, success, "the result", 1, 0, *6 * (math.nan,))
-    gait_run = SimpleNamespace(result=result, close=lambda: None)
+    gait_run = SimpleNamespace(result=result, close=lambda: None, rejected=False)
     node = SimpleNamespace(
         begin=lambda *_: gait_run, follow=lambda *_: None, conditions=lambda: LEVEL
     )
@@ -50,6 +50,22 @@ def test_any_other_failure_is_an_error_with_its_reason(monkeypatch: pytest.Monke
 def test_a_cancelled_run_does_not_start(monkeypatch: pytest.MonkeyPatch):
     with pytest.raises(OperatorError, match="not started"):
         run(monkeypatch, STOP_PRESSED, success=True)
+
+
+def test_a_rejected_gait_leaves_no_bag(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+    bag = tmp_path / "run_1"
+    bag.mkdir()
+    monkeypatch.setattr(page_actions, "recorded", lambda *_: nullcontext(bag))
+    result = RunResult(GAIT, False, "rejected: too long", 0, 0, *6 * (math.nan,))
+    gait_run = SimpleNamespace(result=result, close=lambda: None, rejected=True)
+    node = SimpleNamespace(
+        begin=lambda *_: gait_run, follow=lambda *_: None, conditions=lambda: LEVEL
+    )
+    with pytest.raises(OperatorError, match="too long"):
+        page_actions.run(
+            node, GaitCommand(GAIT, cycles=2), tmp_path, "", lambda: "", lambda _: None
+        )
+    assert not bag.exists()
 
 
 class Optimizer:
