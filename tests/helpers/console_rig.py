@@ -33,7 +33,8 @@ class Console:
     """The console's process, its address and its folder of bags."""
 
     def __init__(self, processes: Processes, folder: Path, *arguments: str) -> None:
-        self.bags = folder / "bags"
+        self.bags, self.temporary = folder / "bags", folder / "tmp"
+        self.temporary.mkdir()
         self.processes = processes.processes
         port = free_port()
         self.address = f"http://127.0.0.1:{port}/"
@@ -41,7 +42,8 @@ class Console:
         options += ["--control-timeout", str(TIMEOUT_S)]  # a page on a busy machine keeps control
         command = executable_command("worm_optimizer", "console")
         # with PYTEST_CURRENT_TEST in its environment, NiceGUI tests itself
-        command = ["env", "-u", "PYTEST_CURRENT_TEST", *command, *options]
+        environment = ["env", "-u", "PYTEST_CURRENT_TEST", f"TMPDIR={self.temporary}"]
+        command = [*environment, *command, *options]
         self.process = processes.start(f"console_{port}", command)
         self.process.wait_for_line(re.escape(self.address), TIMEOUT_S)
 

@@ -88,7 +88,7 @@ def test_cold_start_requests_and_refusals(start, user):
     given = user.request_gait(RequestGait.Request.GIVEN, gait=fastest.gait)
     assert given.success
     assert given.prediction == fastest
-    longer = user.request_gait(RequestGait.Request.GIVEN, gait=fastest.gait, initial_length=0.2963)
+    longer = user.request_gait(RequestGait.Request.GIVEN, gait=fastest.gait, initial_length=0.2962)
     assert longer.prediction.groove_phase == pytest.approx(0.0021)
 
     for wrong in (

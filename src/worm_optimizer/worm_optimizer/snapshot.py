@@ -62,8 +62,6 @@ class Snapshot:
         power: measured power, W.
         twin_age: newest stamp of tracker, power and commanded length minus stamp of ``twin``, s.
         received: time at which the latest message of each topic was received, s (monotonic clock).
-        grooves: one pair for each state of the twin in the last seconds: its stamp (ns), and the grooves that the rear
-            anchor has moved along +x since the start of the run.
     """
 
     driver: DriverState | None = None
@@ -75,4 +73,3 @@ class Snapshot:
     power: float = math.nan
     twin_age: float = math.nan
     received: Mapping[str, float] = field(default_factory=dict)
-    grooves: tuple[tuple[int, int], ...] = ()

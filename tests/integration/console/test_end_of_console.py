@@ -27,6 +27,7 @@ def test_a_signal_at_any_moment_ends_it_and_all_that_it_started(
         console.process.signal(number)
     assert console.process.wait(TIMEOUT_S) == 0
     assert "Traceback" not in console.process.output()
+    assert [path.name for path in console.temporary.iterdir()] == []
     place = os.fsencode(tmp_path / "robot")
     commands = [path.read_bytes() for path in Path("/proc").glob("[0-9]*/cmdline")]
     assert not any(place in command for command in commands)

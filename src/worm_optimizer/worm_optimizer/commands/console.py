@@ -8,6 +8,7 @@ import importlib.util
 import os
 import socket
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
@@ -65,7 +66,7 @@ def _console(options: argparse.Namespace) -> int:
             "the console needs NiceGUI: pip install --group console, or use ./worm console"
         )
     from worm_optimizer.console.bag_library import BagLibrary
-    from worm_optimizer.console.console_state import ConsoleState, new_notices
+    from worm_optimizer.console.console_state import ConsoleState
     from worm_optimizer.console.control import PageControl
     from worm_optimizer.console.robot_worker import Notice, RobotWorker
     from worm_optimizer.console.server import HOST, serve
@@ -75,7 +76,7 @@ def _console(options: argparse.Namespace) -> int:
     _check_control_timeout(options.control_timeout)
     _reject_port_in_use(HOST, options.port)
     say = ProgressLog("console")
-    notices = new_notices()
+    notices: deque[Notice] = deque(maxlen=50)
 
     def notify(notice: Notice) -> None:
         notices.append(notice)
@@ -122,7 +123,7 @@ def _robot_opener(
                 work_folder("console") as work,
                 session(system, work / "logs", say, RESTARTS, check) as running,
             ):
-                running.node.configure()
+                running.node.activate()
                 say("all nodes run")
                 yield running.node
         else:

@@ -90,11 +90,11 @@ class CockpitPage:
         snapshot, now = self._state.snapshot(), time.monotonic()
         self._missing.set_text("; ".join(missing_sources(snapshot, now)))
         self._health.set_text(twin_text(snapshot, now))
-        self._margin.set_text(margin_text(snapshot, now, self._state.history.grooves))
+        self._margin.set_text(margin_text(self._state.twin()))
 
     def _plot(self) -> None:
         for shown, chart in zip(self._charts, _CHARTS, strict=True):
-            shown.set_content(_chart(list(self._state.history.samples), *chart))
+            shown.set_content(_chart(list(self._state.samples), *chart))
 
 
 def _chart(

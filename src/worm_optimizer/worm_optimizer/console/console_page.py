@@ -48,7 +48,7 @@ def build(state: ConsoleState) -> None:
         except InputError as error:
             return PlainTextResponse(str(error), 404)
 
-    app.timer(SAMPLE_S, lambda: state.history.add(state.snapshot()))
+    app.timer(SAMPLE_S, state.add_sample)
 
 
 async def _packed(state: ConsoleState, name: str) -> Response:

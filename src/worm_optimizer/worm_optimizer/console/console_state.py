@@ -18,11 +18,10 @@ from worm_optimizer.console.gait_fields import DriverLimits
 from worm_optimizer.console.page_actions import Front
 from worm_optimizer.console.picture import picture
 from worm_optimizer.console.robot_worker import Notice, RobotWorker
-from worm_optimizer.console.view import History, live_twin
+from worm_optimizer.console.view import HISTORY_S, SAMPLE_S, Sample, live_twin, sample
 from worm_optimizer.snapshot import Snapshot
 
 _FRESH_S = 0.02  # time for which all pages share a snapshot, s
-_NOTICES = 50  # largest number of stored messages
 
 
 @dataclass
@@ -43,7 +42,7 @@ class ConsoleState:
         front_notes: what there is to say about the front of a direction, or why there is none.
         limits: the driver's limits on gaits; without any until they are read.
         conditions: conditions in the pipe that the optimizer assumes, as the console last read or set them.
-        history: values of the last minute, and grooves of each cycle of the present run.
+        samples: values of the last minute.
     """
 
     worker: RobotWorker
@@ -56,7 +55,9 @@ class ConsoleState:
     front_notes: dict[int, str] = field(default_factory=dict)
     limits: DriverLimits = field(default_factory=DriverLimits)
     conditions: Conditions = LEVEL
-    history: History = field(default_factory=lambda: History(time.monotonic))
+    samples: deque[Sample] = field(
+        default_factory=lambda: deque(maxlen=round(HISTORY_S / SAMPLE_S))
+    )
     _latest: tuple[float, Snapshot] = (-math.inf, Snapshot())
     _drawn: tuple[Snapshot | None, str] = (None, "")
 
@@ -67,6 +68,10 @@ class ConsoleState:
             self._latest = (now, self.worker.snapshot())
             self.control.expire()
         return self._latest[1]
+
+    def add_sample(self) -> None:
+        """Add the present values to those of the last minute. Call this every `SAMPLE_S`."""
+        self.samples.append(sample(self.snapshot(), time.monotonic()))
 
     def twin(self) -> StateRecord | None:
         """Return the state of the twin; None if it is silent."""
@@ -98,8 +103,3 @@ class ConsoleState:
         if self.worker.busy or not self.notices:
             return Notice(self.worker.busy)
         return self.notices[-1]
-
-
-def new_notices() -> deque[Notice]:
-    """Return an empty list of messages, which stores only the newest `_NOTICES`."""
-    return deque(maxlen=_NOTICES)

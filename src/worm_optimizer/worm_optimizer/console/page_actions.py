@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import count
@@ -67,6 +68,18 @@ def read_front(node: OperatorNode, direction: int, initial_length: float) -> Fro
     return Front(tuple(by_speed[speed] for speed in sorted(by_speed)), cruise, description)
 
 
+def described(front: Front, before: Front | None) -> str:
+    """Return what there is to say about a front, and why it ends elsewhere than the one before."""
+    text = f"For groove phase {1e3 * front.groove_phase:.1f} mm: {front.description}"
+    end, old = (1e3 * f.gaits[-1].speed for f in (front, before or front))
+    if before is None or abs(end - old) < 0.005:
+        return text
+    return (
+        f"The front now ends at {end:.2f} mm/s; for groove phase {1e3 * before.groove_phase:.1f} mm it ended at "
+        f"{old:.2f} mm/s. {text}"
+    )
+
+
 def require_optimizer(node: OperatorNode) -> None:
     """Raise `OperatorError` if there is no optimizer."""
     if not node.wait(lambda: node.has_optimizer, _FIRST_S):
@@ -99,7 +112,7 @@ def run(
 
     Raises:
         OperatorError: The gait did not start, failed or was cancelled, or a node does not answer. A run that STOP ended
-            raises no error.
+            raises no error. A rejected gait leaves no bag.
         InputError: The bag cannot be created.
     """
     recorder = f"console_{os.getpid()}_{next(_numbers)}"
@@ -114,6 +127,9 @@ def run(
         finally:
             gait_run.close()
         report(f"{why or result.message}; closing the recording")
+    if gait_run.rejected:
+        shutil.rmtree(bag)  # it contains no gait
+        raise OperatorError(result.message)
     text = "; ".join(filter(None, (result.message, why, f"recorded in {bag.name}")))
     if not (result.success or why == STOP_PRESSED):  # a stop by a person is no error
         raise OperatorError(text)

@@ -53,7 +53,8 @@ h1 { font-size: 1.1rem; line-height: 1.4; font-weight: 500 }
 .cockpit { display: grid; gap: .2rem 1rem; grid-template-columns: minmax(0, 1fr) minmax(0, 1fr) minmax(0, 1.25fr) }
 .cockpit > .top { grid-column: 1 / -1 }
 .cockpit > section { display: flex; flex-direction: column; gap: .25rem; min-width: 0 }
-.line { min-height: 1.5rem } .note { min-height: 1.2rem; font-size: .8rem; line-height: 1.2 }
+.line { min-height: 1.5rem } .minutes .line { min-height: 2.7rem; line-height: 1.3 }
+.note { min-height: 1.2rem; font-size: .8rem; line-height: 1.2 }
 .message { flex: 1 1 20rem }
 .error { color: #b71c1c } .body--dark .error { color: #ff8a80 }
 .scene { width: 100%; height: 25vh; min-height: 8rem } .scene svg { width: 100%; height: 100%; display: block }

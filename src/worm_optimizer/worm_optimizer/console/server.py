@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from contextlib import nullcontext
 
@@ -33,6 +34,7 @@ def serve(state: ConsoleState, port: int, ended: Callable[[], int]) -> None:
     app.add_middleware(TrustedHostMiddleware, allowed_hosts=[HOST, "localhost"])
     core.sio.eio.cors_allowed_origins = None  # only the console's own origin
     app.on_startup(state.worker.start)
+    logging.getLogger("uvicorn.error").addFilter(_is_no_disconnect)
     ui.run(
         host=HOST,
         port=port,
@@ -44,3 +46,8 @@ def serve(state: ConsoleState, port: int, ended: Callable[[], int]) -> None:
         show_welcome_message=False,
         reconnect_timeout=_RECONNECT * state.control.timeout_s,
     )
+
+
+def _is_no_disconnect(record: logging.LogRecord) -> bool:
+    """Return False for the error that Starlette's middleware raises when a client leaves before the response."""
+    return "No response returned" not in str(record.exc_info and record.exc_info[1])

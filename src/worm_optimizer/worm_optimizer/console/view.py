@@ -1,19 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Content of the pages about the robot: present values, state, possible actions, and the last minute."""
+"""Content of the pages about the robot: present values, state, and possible actions."""
 
 from __future__ import annotations
 
 import math
-from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
-from worm_model.analysis.run_metrics import END_TOLERANCE_NS
-from worm_model.run import PLAYING, SAME_ONSET_NS, Activity, LengthSource
+from worm_model.run import Activity, LengthSource
 from worm_model.twin.data.records import StateRecord
 from worm_model.twin.run_margins import spare_of
 from worm_model.twin.watch_view import STALE_S
-from worm_optimizer.snapshot import DriverState, Snapshot
+from worm_optimizer.snapshot import Snapshot
 
 SOURCES: Mapping[str, str] = {  # topic and the name of its source
     "body_length/commanded": "driver",
@@ -118,14 +116,12 @@ def obstacles(snapshot: Snapshot, forbidden: str, hindrance: str) -> dict[str, s
     }
 
 
-def margin_text(snapshot: Snapshot, now: float, grooves: Sequence[int]) -> str:
-    """Return the grooves of the last cycles and what the gait has to spare, empty without a live twin."""
-    twin = live_twin(snapshot, now)
+def margin_text(twin: StateRecord | None) -> str:
+    """Return the grooves per cycle with what they have to spare, and the groove phase; empty without a twin."""
     if twin is None:
         return ""
-    counted = f"grooves of the last cycles: {', '.join(map(str, grooves[-8:]))}" if grooves else ""
     phase = f"groove phase {1e3 * twin.groove_phase:.1f} mm"
-    return "; ".join(filter(None, (counted, spare_of(twin), phase)))
+    return "; ".join(filter(None, (spare_of(twin), phase)))
 
 
 @dataclass(frozen=True)
@@ -161,68 +157,3 @@ def sample(snapshot: Snapshot, now: float) -> Sample:
         predicted=math.nan if twin is None else twin.power,
         twin_age=snapshot.twin_age if math.isfinite(snapshot.twin_age) else 0.0,
     )
-
-
-@dataclass
-class _CountedRun:
-    """Run whose grooves are counted. Border n is the moment n periods after the onset."""
-
-    onset_ns: int
-    period_ns: float
-    direction: int
-    border: int  # number of the next border
-    end_ns: int = 0  # stamp of the end of the run; 0 until it ends
-    start: int | None = None  # groove at the previous border; None before the first counted border
-
-
-class History:
-    """Samples of the last minute, and the grooves of each cycle of the present run.
-
-    The twin lags behind the driver. A cycle is therefore counted when the twin has passed the end of the cycle. The
-    grooves of the cycle are the difference between the twin's grooves at the end and at the beginning of the cycle.
-
-    Args:
-        clock: returns the present time, s.
-    """
-
-    def __init__(self, clock: Callable[[], float]) -> None:
-        self._clock = clock
-        self.samples: deque[Sample] = deque(maxlen=round(HISTORY_S / SAMPLE_S))
-        self.grooves: list[int] = []
-        self._run: _CountedRun | None = None
-
-    def add(self, snapshot: Snapshot) -> None:
-        """Add a sample. Call this every `SAMPLE_S`."""
-        self.samples.append(sample(snapshot, self._clock()))
-        driver = snapshot.driver
-        if driver is None or not snapshot.grooves:
-            return
-        self._follow_driver(driver, snapshot.grooves[0][0])
-        if self._run is not None:
-            self._count(self._run, snapshot.grooves)
-
-    def _follow_driver(self, driver: DriverState, oldest_ns: int) -> None:
-        """Detect the beginning and the end of a run.
-
-        ``oldest_ns`` is the stamp of the oldest stored state of the twin. If a run is already under way, its count
-        begins with the first cycle that starts after this stamp.
-        """
-        run = self._run
-        if driver.state in PLAYING and driver.onset_ns:
-            if run is None or abs(driver.onset_ns - run.onset_ns) > SAME_ONSET_NS:
-                period = 1e9 / driver.frequency
-                first = max(math.ceil((oldest_ns - driver.onset_ns) / period), 0)
-                self._run = _CountedRun(driver.onset_ns, period, driver.direction, first)
-                self.grooves = []
-        elif run is not None and not run.end_ns and driver.stamp_ns > run.onset_ns:
-            run.end_ns = driver.stamp_ns + END_TOLERANCE_NS
-
-    def _count(self, run: _CountedRun, states: Sequence[tuple[int, int]]) -> None:
-        while True:
-            border = run.onset_ns + round(run.border * run.period_ns)
-            if border > states[-1][0] or (run.end_ns and border > run.end_ns):
-                return
-            groove = next(groove for stamp, groove in states if stamp >= border)
-            if run.start is not None:
-                self.grooves.append((groove - run.start) * run.direction)
-            run.start, run.border = groove, run.border + 1

@@ -36,7 +36,6 @@ RESIDUALS = ("rear_position", "length", "power")
 _NEWEST = QoSProfile(depth=1)
 # Number of stored tracker messages, 2 s at 100 Hz. The twin lags behind the tracker by less than 2 s.
 _SIGHTINGS = 200
-_GROOVES = 400  # number of stored pairs of stamp and rear groove of the twin, 4 s at 100 Hz
 _LENGTHS = {
     LengthSource.COMMANDED: "body_length/commanded",
     LengthSource.CABLE: "body_length/cable",
@@ -70,7 +69,6 @@ class Telemetry:
         self._subscribed: set[str] = set()
         self._received: dict[str, tuple[float, Any]] = {}
         self._sightings: deque[Any] = deque(maxlen=_SIGHTINGS)
-        self._grooves: deque[tuple[int, int]] = deque(maxlen=_GROOVES)
         # for each residual, receive time (s) and content of the newest message that contains it
         self._residuals: dict[str, tuple[float, Any]] = {}
         self._subscribe({"gait_state": (GaitState, LATCHED)})  # which every operator needs
@@ -101,8 +99,6 @@ class Telemetry:
             self._received[topic] = (time.monotonic(), message)
             if topic == "tracker":
                 self._sightings.append(message)
-            elif topic == "twin/state":
-                self._grooves.append((nanoseconds(message.header.stamp), message.rear_groove))
             elif topic == "twin/residuals":  # a message may contain only some of the residuals
                 kept = dict.fromkeys(_measured(message), self._received[topic])
                 self._residuals = self._residuals | kept
@@ -127,7 +123,6 @@ class Telemetry:
                 [newest[topic] for topic in _INPUTS if topic in newest],
             ),
             received={topic: at for topic, (at, _) in received.items()},
-            grooves=tuple(self._grooves.copy()),
         )
 
 

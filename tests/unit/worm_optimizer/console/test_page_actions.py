@@ -25,7 +25,7 @@ GAIT = Gait(0.03, 0.2, 1)
 def run(monkeypatch: pytest.MonkeyPatch, *cancellations: str, success: bool) -> str:
     """Run a gait with the responses of `cancellation`, from the start of the run to its end."""
     result = RunResult(GAIT, success, "the result", 1, 0, *6 * (math.nan,))
-    gait_run = SimpleNamespace(result=result, close=lambda: None)
+    gait_run = SimpleNamespace(result=result, close=lambda: None, rejected=False)
     node = SimpleNamespace(
         begin=lambda *_: gait_run, follow=lambda *_: None, conditions=lambda: LEVEL
     )
@@ -50,6 +50,22 @@ def test_any_other_failure_is_an_error_with_its_reason(monkeypatch: pytest.Monke
 def test_a_cancelled_run_does_not_start(monkeypatch: pytest.MonkeyPatch):
     with pytest.raises(OperatorError, match="not started"):
         run(monkeypatch, STOP_PRESSED, success=True)
+
+
+def test_a_rejected_gait_leaves_no_bag(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+    bag = tmp_path / "run_1"
+    bag.mkdir()
+    monkeypatch.setattr(page_actions, "recorded", lambda *_: nullcontext(bag))
+    result = RunResult(GAIT, False, "rejected: too long", 0, 0, *6 * (math.nan,))
+    gait_run = SimpleNamespace(result=result, close=lambda: None, rejected=True)
+    node = SimpleNamespace(
+        begin=lambda *_: gait_run, follow=lambda *_: None, conditions=lambda: LEVEL
+    )
+    with pytest.raises(OperatorError, match="too long"):
+        page_actions.run(
+            node, GaitCommand(GAIT, cycles=2), tmp_path, "", lambda: "", lambda _: None
+        )
+    assert not bag.exists()
 
 
 class Optimizer:
@@ -88,3 +104,15 @@ def test_without_an_optimizer_there_is_no_front_at_once():
     optimizer.has_optimizer = False
     with pytest.raises(OperatorError, match="no optimizer"):
         page_actions.read_front(optimizer, 1, 0.0)
+
+
+def test_a_front_that_ends_elsewhere_than_before_says_so_with_both_groove_phases():
+    before = page_actions.read_front(Optimizer(), 1, 1.1e-3)
+    same = page_actions.read_front(Optimizer(), 1, 1.3e-3)
+    faster = dataclasses.replace(same.gaits[-1], speed=11.9e-3)
+    after = dataclasses.replace(same, gaits=(*same.gaits, faster))
+    for text in (page_actions.described(before, None), page_actions.described(before, before)):
+        assert "1.1 mm" in text
+        assert "8.00 mm/s" not in text
+    text = page_actions.described(after, before)
+    assert all(fact in text for fact in ("11.90 mm/s", "8.00 mm/s", "1.1 mm", "1.3 mm"))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Current and missing values, possible actions and their obstacles, and the history."""
+"""Current and missing values, possible actions and their obstacles."""
 
 import math
 from dataclasses import replace
@@ -95,13 +95,11 @@ def test_deactivate_is_possible_while_a_recording_closes_but_not_during_a_run():
     assert all(view.obstacles(snapshot(Activity.RUNNING), "", "wait").values())
 
 
-def test_margin_and_grooves_of_the_last_cycles_as_text():
+def test_the_measured_margin_as_text():
     measured = replace(TWIN, margin_grooves=2, rear_margin=1.9e-3, rear_margin_scatter=8e-4)
-    text = view.margin_text(replace(snapshot(), twin=measured), NOW, [1, *[2] * 8])
-    assert "2 grooves, 1.9 ± 0.8 mm to spare" in text
-    assert "2, 2, 2, 2, 2, 2, 2, 2" in text
-    assert "1, 2" not in text
-    assert view.margin_text(snapshot(), NOW + 2.0, [2]) == ""
+    assert "2 grooves, 1.9 ± 0.8 mm to spare" in view.margin_text(measured)
+    assert "spare" not in view.margin_text(TWIN)
+    assert view.margin_text(None) == ""
 
 
 def test_the_state_of_the_driver_as_text():
@@ -122,55 +120,3 @@ def test_a_stop_is_shown_before_its_confirmation_and_until_a_person_acts():
     assert view.state_text(holding, stopping=True) == "stopped, holding"
     assert view.state_text(holding) == "stopped, holding"
     assert view.state_text(snapshot(Activity.IDLE)) == "idle"
-
-
-def test_the_history_has_a_minute():
-    history = view.History(lambda: NOW)
-    for _ in range(1000):
-        history.add(snapshot())
-    assert len(history.samples) == 300
-
-
-PERIOD_NS, LATE_NS = 5 * 10**9, 450_000_000
-
-
-@pytest.mark.parametrize("direction", [1, -1])
-@pytest.mark.parametrize("before", [0, 7])
-def test_grooves_of_a_cycle_are_counted_at_its_stamps_although_the_twin_lags(
-    direction: int, before: int
-):
-    """The twin still has the grooves of the run before when the driver says that the next one has begun."""
-    history = view.History(lambda: NOW)
-    onset, gained = 10**12, (2, 1, 2)
-
-    def rear_groove(stamp: int) -> int:
-        if stamp < onset:
-            return before
-        cycle = min((stamp - onset) // PERIOD_NS, 2)
-        part = ((stamp - onset) / PERIOD_NS - cycle) > 0.4
-        return direction * (sum(gained[:cycle]) + gained[cycle] * part)
-
-    for now in range(onset - 10**9, onset + 4 * PERIOD_NS, 200_000_000):
-        cycle = min((now - onset) // PERIOD_NS + 1, 3)
-        over = now >= onset + 3 * PERIOD_NS
-        state = Activity.IDLE if over else (Activity.RUNNING if now >= onset else Activity.RESTING)
-        begun = now - now % 10**9 if not over else onset + 3 * PERIOD_NS + 3_000_000
-        driver = replace(IDLE, state=state, run=2, cycle=cycle, direction=direction, frequency=0.2)
-        driver = replace(driver, stamp_ns=begun, onset_ns=onset if onset <= now and not over else 0)
-        stamps = range(now - LATE_NS - 2 * 10**9, now - LATE_NS, 10_000_000)
-        states = tuple((stamp, rear_groove(stamp)) for stamp in stamps)
-        history.add(Snapshot(driver=driver, twin=TWIN, received=RECEIVED, grooves=states))
-    assert history.grooves == list(gained)
-
-
-def test_a_stopped_cycle_has_no_grooves():
-    history = view.History(lambda: NOW)
-    onset = 10**12
-    stop = onset + PERIOD_NS + PERIOD_NS // 2
-    for now in range(onset, onset + 3 * PERIOD_NS, 200_000_000):
-        state = Activity.RUNNING if now < stop else Activity.IDLE
-        driver = replace(IDLE, state=state, run=1, frequency=0.2, stamp_ns=min(now, stop))
-        driver = replace(driver, onset_ns=onset if now < stop else 0)
-        states = tuple((now - LATE_NS - 10_000_000 * k, 1) for k in range(50, 0, -1))
-        history.add(Snapshot(driver=driver, twin=TWIN, received=RECEIVED, grooves=states))
-    assert history.grooves == [0]

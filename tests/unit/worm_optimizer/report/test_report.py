@@ -29,6 +29,7 @@ from worm_model.simulation.simulator import evaluate_gait
 from worm_msgs.robot_parameters import TravelError
 from worm_optimizer.commands import report as command
 from worm_optimizer.report import agreement
+from worm_optimizer.report.events import Event
 from worm_optimizer.report.expectation import Band, GrooveShare, expect
 from worm_optimizer.report.identification_parts import IdentificationParts
 from worm_optimizer.report.optimisation import optimise, why_no_front
@@ -210,6 +211,14 @@ def test_powers_of_two_forms_are_not_compared(tmp_path: Path):
     )
 
 
+@pytest.mark.usefixtures("unrendered")
+def test_warnings_are_no_errors_but_are_announced(gait: RecordedGait, tmp_path: Path):
+    warned = dataclasses.replace(gait, events=(Event(1.0, "twin", "warning", "a fin slips"),))
+    page = build_report(Report("warned", [warned]), tmp_path / "report").read_text()
+    assert "no error was reported. Warnings are listed" in page
+    assert "Errors: 0, warnings: 1" in page
+
+
 def test_events_contain_states_and_gaps(gait: RecordedGait):
     texts = [event.text for event in gait.events]
     assert "running" in texts
@@ -340,6 +349,12 @@ def test_nothing_that_is_twenty_percent_off_agrees():
             5 / 3,
             None,
             "fragile: 2 grooves with 71 %, 1 with 29 %; measured 1.67",
+        ),
+        (
+            ((1.0, 0.6), (2.0, 0.4)),
+            1.5,
+            None,
+            "fragile: 1 groove with 60 %, 2 with 40 %; measured 1.5",
         ),
         (((2.0, 0.6), (1.0, 0.4)), 3.0, False, "disagrees"),
         (((2.0, 0.71), (1.0, 0.27), (4.0, 0.02)), 4.0, False, "disagrees"),
