@@ -16,7 +16,7 @@ from worm_model.commands.command_line import (
     print_result,
 )
 from worm_model.identification.data.lab_logs import LabSettings
-from worm_model.identification.inputs import EPOCH, Inputs, read_inputs, read_recordings
+from worm_model.identification.inputs import Inputs, read_inputs, read_recordings
 from worm_model.identification.paper_procedure import literal
 from worm_model.identification.reference_values import (
     ReferenceValues,
@@ -183,7 +183,7 @@ def _run(options: argparse.Namespace) -> None:
     if (options.spool_radius or 1.0) <= 0:
         raise InputError("--spool-radius must be positive")
     reporter = StageProgress()
-    logs = LabSettings(EPOCH, onset=options.onset, spool_radius=options.spool_radius)
+    logs = LabSettings(onset=options.onset, spool_radius=options.spool_radius)
     inputs = read_inputs(options.runs, options.bellows, options.fin, options.definitions, logs)
     if options.literal:
         _literal(options, inputs, output)

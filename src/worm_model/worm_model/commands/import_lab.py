@@ -14,6 +14,7 @@ from worm_model.bags.run_writer import write_run
 from worm_model.commands import command_line
 from worm_model.identification.data.lab_logs import LabRun, LabSettings, read_lab_run
 from worm_model.parameters import Parameters, load_parameters
+from worm_msgs.gait import Gait
 
 _notify = command_line.notifier("import_lab")
 EPOCH_S = 1767225600  # 2026-01-01 00:00 UTC; the logs have no date, and a stamp of 0 means "unknown" in ROS
@@ -33,7 +34,7 @@ def import_lab(folder: Path, output: Path, settings: LabSettings, namespace: str
     with new_bag(output) as writer:
         writer.add_metadata("worm_run", _manifest(folder, lab))
         if lab.gait is not None:
-            writer.add_metadata("worm_gait", _gait(lab, settings))
+            writer.add_metadata("worm_gait", _gait(lab, lab.gait))
         write_run(writer, lab.run, namespace)
     return lab
 
@@ -47,11 +48,9 @@ def _manifest(folder: Path, lab: LabRun) -> dict[str, str]:
     }
 
 
-def _gait(lab: LabRun, settings: LabSettings) -> dict[str, str]:
-    gait = lab.gait
-    assert gait is not None
-    onset = settings.epoch + round(lab.transmission.onset * 1e9)
-    return {key: str(value) for key, value in asdict(gait).items()} | {"onset_ns": str(onset)}
+def _gait(lab: LabRun, gait: Gait) -> dict[str, str]:
+    onset = str(lab.onset)
+    return {key: str(value) for key, value in asdict(gait).items()} | {"onset_ns": onset}
 
 
 def _parser() -> command_line.Parser:
@@ -73,7 +72,7 @@ def _parser() -> command_line.Parser:
         type=command_line.number,
         default=EPOCH_S,
         metavar="S",
-        help="time t = 0 of the logs, in s since 1970-01-01 UTC (default: 2026-01-01)",
+        help="time t = 0 of the logs, in s since 1970-01-01 UTC; 0 if the logs count from 1970 (default: 2026-01-01)",
     )
     parser.add_argument(
         "--namespace", default="/worm", help="namespace of the topics (default /worm)"
@@ -85,8 +84,6 @@ def _parser() -> command_line.Parser:
 
 def _run(options: argparse.Namespace) -> None:
     parameters = load_parameters(options.parameters) if options.parameters else Parameters()
-    if options.epoch < 0:
-        raise command_line.InputError("--epoch must not be negative")
     if options.spool_radius is not None:
         _check_length("--spool-radius", options.spool_radius, _LARGEST_SPOOL)
     if options.initial_length is not None:

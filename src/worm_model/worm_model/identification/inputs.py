@@ -26,10 +26,8 @@ from worm_msgs.conditions import LEVEL
 
 RUN_FILE = "camera.csv"  # a folder with this file is a run of a lab
 BELLOWS_FILE, FIN_FILE = "bellows.csv", "fin.csv"
-# ns, stamp of time 0 in a lab's logs, which contain no date; a stamp of 0 would mean "unknown"
-EPOCH = 10**9
 # Settings without given values. Onset, spool radius and L0 are estimated, see `LabSettings`.
-LOGS = LabSettings(epoch=EPOCH)
+LOGS = LabSettings()
 TOPICS = (
     "body_length/commanded",
     "tracker",

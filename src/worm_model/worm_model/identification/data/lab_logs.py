@@ -3,8 +3,8 @@
 
 A run's folder contains ``camera.csv`` (time_s, x1_m, x2_m; an empty position is an occluded marker), ``power.csv``
 (time_s, bus_voltage_V, current_A) and ``servo.csv`` (time_s, goal_ticks; positive ticks shorten the body; in a gait
-with pretension, 0 is the goal without tension). At least one of these files is required. Times are s since the start of
-the recording. ``runs.json`` in the folder or next to it contains each run's gait: stroke_m, frequency_Hz, and fields
+with pretension, 0 is the goal without tension). At least one of these files is required. Times are s of one clock for
+all files. ``runs.json`` in the folder or next to it contains each run's gait: stroke_m, frequency_Hz, and fields
 that differ from their defaults, such as direction, margin_m and pretension_m.
 """
 
@@ -44,7 +44,14 @@ FILES = {
     "servo.csv": ("time_s", "goal_ticks"),
 }
 GAITS_FILE = "runs.json"
-USUAL_ONSET = 2.0  # s, used if the logs do not show the onset
+USUAL_ONSET = 2.0  # s after the start of the logs, used if the logs do not show the onset
+LONGEST_DAYS = (
+    30  # longest accepted recording; a longer one has times of several clocks or in another unit
+)
+LONGEST = LONGEST_DAYS * 86400  # s
+SECOND = 10**9  # ns
+MOST = 1e100  # largest accepted number, whose square is finite
+LATEST = 2**31 * SECOND  # ns since 1970, end of the stamps of ROS (year 2038)
 CONTRACTION_STEPS = 2000  # number of points of the gait's contraction, for finding the onset
 USUAL_SPOOL = 0.012  # m, used if the logs do not show the spool radius
 # Relative difference between the given and the estimated radius above which a remark reports it
@@ -64,7 +71,7 @@ class LabSettings:
     """Data that the logs do not contain.
 
     Attributes:
-        epoch: stamp of t = 0, ns since the epoch.
+        epoch: stamp of t = 0, ns since 1970; None: the logs start at a stamp of 1 s, as 0 would mean "unknown".
         onset: start of the gait, s; None: the time at which the servo's goal begins to move; without such a time in the
             servo's log, `USUAL_ONSET`.
         spool_radius: spool radius of the cable servo, m; None: estimated from the servo's goals and the gait's
@@ -74,7 +81,7 @@ class LabSettings:
         fallback_length: L0 if no camera measured the body at rest, m.
     """
 
-    epoch: int
+    epoch: int | None = None
     onset: float | None = None
     spool_radius: float | None = None
     initial_length: float | None = None
@@ -100,6 +107,7 @@ class LabRun:
         initial_length: L0, the reference of the length changes, m.
         checksums: SHA-256 of the source files, by name.
         transmission: onset and spool radius, given or estimated.
+        onset: stamp of the onset, ns since 1970.
     """
 
     run: Run
@@ -107,6 +115,7 @@ class LabRun:
     initial_length: float
     checksums: Mapping[str, str]
     transmission: Transmission
+    onset: int
 
 
 def read_lab_run(folder: Path, settings: LabSettings) -> LabRun:
@@ -114,7 +123,7 @@ def read_lab_run(folder: Path, settings: LabSettings) -> LabRun:
 
     Raises:
         LabError: The folder contains none of the files, a file does not have the format that the module's docstring
-            describes, or runs.json does not contain a valid gait of the run.
+            describes, runs.json does not contain a valid gait of the run, or the times give no stamps of ROS.
     """
     if not folder.is_dir():
         raise LabError(f"{folder} is not a folder; expected one with {', '.join(FILES)}")
@@ -126,26 +135,75 @@ def read_lab_run(folder: Path, settings: LabSettings) -> LabRun:
     if not tables:
         raise LabError(f"{folder} holds none of {', '.join(FILES)}")
     gait = read_gait(folder)
-    transmission = _transmission(tables.get("servo.csv"), gait, settings)
+    clock = _clock(folder, tables, settings)
+    transmission = _transmission(tables.get("servo.csv"), gait, settings, clock.start)
     length = _initial_length(tables.get("camera.csv"), settings, transmission.onset, gait)
-    end = max(table["time_s"][-1] for table in tables.values())
     series: dict[str, Any] = {}
     if (servo := tables.get("servo.csv")) is not None:
-        series["commanded"] = _commanded(servo, length, settings, transmission.spool_radius)
+        series["commanded"] = _commanded(servo, length, clock, transmission.spool_radius)
     if (camera := tables.get("camera.csv")) is not None:
-        series["measured"] = _measured(camera, length, settings)
+        series["measured"] = _measured(camera, length, clock)
         positions = camera["x1_m"], camera["x2_m"]
-        series["tracker"] = TrackerSamples(_stamp(camera, settings), *positions)
+        series["tracker"] = TrackerSamples(clock.stamps(camera["time_s"]), *positions)
     if (power := tables.get("power.csv")) is not None:
-        series["power"] = _power(power, settings)
+        series["power"] = _power(power, clock)
+    onset = int(clock.stamps(np.array(transmission.onset)))
     if gait is not None:
-        series["gait_state"] = _gait_states(gait, end, settings, transmission.onset)
-    run = Run(origin=settings.epoch, **series)
+        series["gait_state"] = _gait_states(gait, clock, transmission.onset, onset)
+    run = Run(origin=clock.origin, **series)
     checksums = {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in tables}
-    return LabRun(run, gait, length, checksums, transmission)
+    return LabRun(run, gait, length, checksums, transmission, onset)
 
 
-def _transmission(table: Table | None, gait: Gait | None, settings: LabSettings) -> Transmission:
+@dataclass(frozen=True)
+class _Clock:
+    """Clock of the logs: ``start`` (whole s) and ``end`` (s) of all logs, and ``origin``, the stamp of ``start`` in ns.
+
+    The differences to ``start`` are converted, because those to a distant epoch do not fit into 64 bits.
+    """
+
+    start: int
+    end: float
+    origin: int
+
+    def stamps(self, times: Array) -> Stamps:
+        """Return the stamps of times in s, in ns since 1970."""
+        stamps: Stamps = np.rint((times - self.start) * 1e9).astype(np.int64) + self.origin
+        return stamps
+
+
+def _clock(folder: Path, tables: Mapping[str, Table], settings: LabSettings) -> _Clock:
+    """Return the clock of the logs. Raise LabError if the times, the onset and the epoch do not fit to each other."""
+    begins = {name: float(table["time_s"][0]) for name, table in tables.items()}
+    ends = {name: float(table["time_s"][-1]) for name, table in tables.items()}
+    start, end = math.floor(min(begins.values())), max(ends.values())
+    if end - start > LONGEST:
+        spans = ", ".join(
+            f"{name} from {begins[name]:.10g} to {ends[name]:.10g} s" for name in tables
+        )
+        raise LabError(
+            f"{folder}: times of more than {LONGEST_DAYS} days ({spans}); write the times of all files in s of "
+            "one clock"
+        )
+    if settings.onset is not None and abs(settings.onset - start) > LONGEST:
+        raise LabError(
+            f"{folder}: onset {settings.onset:.10g} s, but the logs are from {start} to {end:.10g} s; give the onset "
+            "in the time of the logs"
+        )
+    if settings.epoch is None:
+        return _Clock(start, end, SECOND)
+    origin = settings.epoch + start * SECOND
+    if not 0 <= origin <= LATEST - LONGEST * SECOND:
+        raise LabError(
+            f"{folder}: times from {start} to {end:.10g} s with --epoch {settings.epoch / SECOND:.10g} lie before 1970 "
+            "or after 2038, for which ROS has no stamps; give --epoch 0 if the times are s since 1970"
+        )
+    return _Clock(start, end, origin)
+
+
+def _transmission(
+    table: Table | None, gait: Gait | None, settings: LabSettings, start: float
+) -> Transmission:
     """Return onset and spool radius: the given value, else an estimate from the servo's log, else the usual value.
 
     Remarks state the source of a value that was not given, and report a given radius that contradicts the log.
@@ -154,7 +212,7 @@ def _transmission(table: Table | None, gait: Gait | None, settings: LabSettings)
     command_onset = _onset_of(table, gait) if table is not None else None
     onset = settings.onset
     if onset is None:
-        onset = USUAL_ONSET if command_onset is None else command_onset
+        onset = start + USUAL_ONSET if command_onset is None else command_onset
         source = "assumed" if command_onset is None else "where the servo's goal begins to move"
         remarks.append(f"gait from {onset:.2f} s on, {source}")
     spool = _spool_of(table, gait) if table is not None and gait is not None else None
@@ -274,8 +332,8 @@ def _number(text: str | None, path: Path, line: int, name: str) -> float:
         value = float(text) if text.strip() else math.nan
     except ValueError:
         raise LabError(f"{path}, line {line}: {name} is {text!r}, not a number") from None
-    if math.isinf(value):
-        raise LabError(f"{path}, line {line}: {name} is infinite")
+    if abs(value) > MOST:
+        raise LabError(f"{path}, line {line}: {name} is {value:g}; numbers are at most {MOST:g}")
     return value
 
 
@@ -323,51 +381,42 @@ def _initial_length(
     return settings.fallback_length
 
 
-def _stamp(table: Table, settings: LabSettings) -> Stamps:
-    nanoseconds: Stamps = np.rint(table["time_s"] * 1e9).astype(np.int64)
-    return nanoseconds + settings.epoch
-
-
-def _commanded(
-    table: Table, initial_length: float, settings: LabSettings, radius: float
-) -> LengthSamples:
+def _commanded(table: Table, initial_length: float, clock: _Clock, radius: float) -> LengthSamples:
     turns = table["goal_ticks"] / TICKS_PER_TURN
     change = -turns * 2.0 * math.pi * radius
     present = np.isfinite(change)
-    stamp = _stamp(table, settings)
+    stamp = clock.stamps(table["time_s"])
     return LengthSamples(stamp[present], initial_length + change[present], change[present])
 
 
-def _measured(table: Table, initial_length: float, settings: LabSettings) -> LengthSamples:
+def _measured(table: Table, initial_length: float, clock: _Clock) -> LengthSamples:
     """Return the length samples as the tracker publishes them, without the rows with an occluded marker."""
     length = table["x2_m"] - table["x1_m"]
     known = np.isfinite(length)
-    stamp = _stamp(table, settings)
+    stamp = clock.stamps(table["time_s"])
     return LengthSamples(stamp[known], length[known], length[known] - initial_length)
 
 
-def _power(table: Table, settings: LabSettings) -> PowerSamples:
+def _power(table: Table, clock: _Clock) -> PowerSamples:
     voltage, current = table["bus_voltage_V"], table["current_A"]
     power = voltage * current
     bus_error = 3  # Power.BUS_ERROR, for a line of the log without a reading
     status = np.where(np.isfinite(power), 0, bus_error)
-    return PowerSamples(_stamp(table, settings), status.astype(np.int64), voltage, current, power)
+    stamp = clock.stamps(table["time_s"])
+    return PowerSamples(stamp, status.astype(np.int64), voltage, current, power)
 
 
-def _gait_states(gait: Gait, end: float, settings: LabSettings, onset: float) -> GaitStates:
+def _gait_states(gait: Gait, clock: _Clock, onset: float, onset_stamp: int) -> GaitStates:
     """Return the states that the driver would publish: at rest from the start, then one at each cycle's start."""
-    cycles = max(math.ceil((end - onset) * gait.frequency), 0)
+    cycles = max(math.ceil((clock.end - onset) * gait.frequency), 0)
     begins = onset + np.arange(cycles) / gait.frequency
-    times = np.concatenate([[0.0], begins])
-    stamp: Stamps = np.rint(times * 1e9).astype(np.int64) + settings.epoch
-    count = len(times)
-    cycle = np.arange(count)
-    onset_ns = settings.epoch + round(onset * 1e9)
+    stamp = clock.stamps(np.concatenate([[clock.start], begins]))
+    cycle = np.arange(cycles + 1)
     return GaitStates.of(
         gait,
         stamp,
         state=np.where(cycle == 0, Activity.RESTING, Activity.RUNNING),
-        onset=np.where(cycle == 0, 0, onset_ns),
+        onset=np.where(cycle == 0, 0, onset_stamp),
         cycle=cycle,
-        cycles=np.full(count, cycles),
+        cycles=np.full(cycles + 1, cycles),
     )

@@ -27,6 +27,7 @@ POWER = "time_s,bus_voltage_V,current_A\n0.0,12.0,0.1\n0.5,11.5,\n1.0,11.0,0.2\n
 SERVO = "time_s,goal_ticks\n0.0,0\n2.5,1024\n4.5,-2048\n"
 PLAIN = Gait(0.07, 0.5)
 GAITS = {"run_07": {"stroke_m": 0.07, "frequency_Hz": 0.5}}
+GAITS_TEXT = json.dumps(GAITS)
 
 
 @pytest.fixture
@@ -101,7 +102,12 @@ def test_without_a_list_of_gaits_none_is_claimed(folder: Path):
         ("camera.csv", "time_s,x1_m,x2_m\n0,0,1\n0,0,1\n", "line 3: time_s does not rise"),
         ("camera.csv", "time_s,x1_m,x2_m\n0,0,1\n1,0\n", "line 3: x2_m is missing"),
         ("camera.csv", "time_s,x1_m,x2_m\n,0,1\n", "time_s does not rise"),
-        ("power.csv", "time_s,bus_voltage_V,current_A\n0,1e999,0\n", "infinite"),
+        (
+            "power.csv",
+            "time_s,bus_voltage_V,current_A\n0,1e999,0\n",
+            "line 2: bus_voltage_V is inf;",
+        ),
+        ("power.csv", "time_s,bus_voltage_V,current_A\n0,1,-1e200\n", "current_A is -1e+200;"),
         ("servo.csv", "\x00\x01", "servo.csv"),
         ("../runs.json", "{}", "lacks 'run_07'"),
         ("../runs.json", '{"run_07": {"stroke_m": 1}}', "lacks 'frequency_Hz'"),
@@ -109,6 +115,9 @@ def test_without_a_list_of_gaits_none_is_claimed(folder: Path):
         ("../runs.json", '{"run_07": {"stroke_m": "a", "frequency_Hz": 1}}', "run_07 is invalid"),
         ("../runs.json", "[", "not a list of gaits"),
         ("../runs.json", '{"run_07": 3}', "not a list of gaits"),
+        ("../runs.json", GAITS_TEXT.replace("0.07", "1" + 400 * "0"), "runs.json"),
+        ("../runs.json", GAITS_TEXT.replace("0.07", "1e999"), "runs.json"),
+        ("../runs.json", GAITS_TEXT.replace("0.5", "1e300"), "runs.json"),
     ],
 )
 def test_what_is_wrong_is_named_with_its_place(folder: Path, file: str, text: str, message: str):
@@ -151,6 +160,71 @@ def test_an_imported_bag_holds_what_the_logs_hold(
         for name, values in vars(getattr(expected, series)).items():
             np.testing.assert_array_equal(getattr(getattr(found, series), name), values)
     assert found.origin == expected.origin
+
+
+def shifted(folder: Path, seconds: float) -> Path:
+    """Return a run's folder whose times are those of a clock that is ahead by some seconds."""
+    for file in folder.glob("*.csv"):
+        head, *rows = file.read_text().splitlines()
+        moved = [row.split(",", 1) for row in rows]
+        lines = [f"{float(time) + seconds!r},{rest}" for time, rest in moved]
+        file.write_text("\n".join([head, *lines]))
+    return folder
+
+
+@pytest.mark.parametrize("start", [-7_200, 86_400, 1_600_000_000, 3_900_000_000, 10**11])
+def test_times_of_any_clock_give_the_same_run(folder: Path, start: int):
+    """3.9e9 s are those of a clock that counts from 1904, as LabVIEW writes them; 1e11 s are those of no clock."""
+    plain = read_lab_run(folder, LabSettings())
+    lab = read_lab_run(shifted(folder, start), LabSettings())
+    assert lab.initial_length == plain.initial_length
+    assert lab.transmission.onset == start + plain.transmission.onset
+    for series in ("tracker", "power", "commanded", "gait_state"):
+        stamps = [getattr(run, series).stamp for run in (lab.run, plain.run)]
+        np.testing.assert_allclose(*stamps, rtol=0.0, atol=20_000)  # ns, of 1e11 s in 64 bits
+
+
+@pytest.mark.parametrize(
+    ("start", "options", "hint"),
+    [
+        (1_600_000_000, [], "--epoch 0"),
+        (0, ["--epoch", "1e11"], "after 2038"),
+        (0, ["--epoch=-1"], "before 1970"),
+        (2**31 - 2, ["--epoch", "0"], "after 2038"),
+        (0, ["--onset", "1e300"], "onset 1e+300"),
+        (1_600_000_000, ["--epoch", "0", "--onset", "2"], "onset 2"),
+    ],
+)
+def test_times_without_a_stamp_of_ros_are_one_line(
+    folder: Path, tmp_path: Path, monkeypatch, capsys, start: int, options: list[str], hint: str
+):
+    shifted(folder, start)
+    assert command(monkeypatch, folder, "--output", tmp_path / "bag", *options) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert hint in line
+    assert not (tmp_path / "bag").exists()
+
+
+def test_times_since_1970_keep_their_date(folder: Path, tmp_path: Path, monkeypatch):
+    shifted(folder, 1_600_000_000)
+    assert command(monkeypatch, folder, "--output", tmp_path / "bag", "--epoch", 0) == 0
+    with open_bag(tmp_path / "bag") as bag:
+        assert bag.start == 1_600_000_000 * 10**9
+
+
+def test_files_of_two_clocks_and_times_in_nanoseconds_are_rejected(folder: Path):
+    (folder / "power.csv").write_text(POWER.replace("\n0.0,", "\n-5e9,"))
+    with pytest.raises(LabError, match=r"power\.csv from -5000000000 to 1 s"):
+        read_lab_run(folder, LabSettings())
+    (folder / "power.csv").unlink()
+    for name in ("camera", "servo"):
+        head, *rows = (folder / f"{name}.csv").read_text().splitlines()
+        rows = [
+            f"{row.split(',')[0].replace('.', '')}00000000,{row.split(',', 1)[1]}" for row in rows
+        ]
+        (folder / f"{name}.csv").write_text("\n".join([head, *rows]))
+    with pytest.raises(LabError, match="in s of one clock"):
+        read_lab_run(folder, LabSettings())
 
 
 def test_the_same_logs_give_the_same_bytes(folder: Path, tmp_path: Path, monkeypatch):
