@@ -47,7 +47,7 @@ SHARED = {
             "robot_parameters",
             "servo_models",
         ),
-        *("parameter_rows", "settings_file", "yaml_file"),
+        *("parameter_rows", "ros_parameter_file", "settings_file", "yaml_file"),
     )
 }
 PROCESSES = [

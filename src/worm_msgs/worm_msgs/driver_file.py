@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of the driver in one table: name, default, description and range.
+"""Parameters of the driver in one table: name, default, description and range, and reader of the driver's file.
 
 The driver declares them as ROS parameters. The optimizer reads the limits of gaits from the driver's parameter file.
 """
@@ -7,9 +7,16 @@ The driver declares them as ROS parameters. The optimizer reads the limits of ga
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Annotated, Any
 
-from worm_msgs.settings_file import key
+from worm_msgs.ros_parameter_file import matches, read_sections
+from worm_msgs.settings_file import key, settings_of
+from worm_msgs.yaml_file import SettingsFileError
+
+_USUAL_NAME = "/worm/driver"  # name of a driver whose parameter file contains no full name
+#: Parameters that rclpy declares or reads itself, in each node.
+_OF_ROS = ("use_sim_time", "start_type_description_service", "qos_overrides.")
 
 
 def _row(
@@ -158,3 +165,42 @@ class DriverFile:
     def has_sensor(self) -> bool:
         """True if the driver reads a power sensor."""
         return self.i2c_bus not in ("", "none")
+
+
+def read_driver_file(path: str | Path) -> DriverFile:
+    """Return the parameters that the driver reads from its ROS parameter file.
+
+    Names, types and ranges are checked as by the driver. Whether the parameters agree with each other, such as ids and
+    the lengths of arrays, only the driver checks.
+
+    Raises:
+        SettingsFileError: The file is invalid, has no parameters of a driver, or those of several. The message begins
+            with the path.
+    """
+    sections = read_sections(path)
+    names = sorted({name for pattern, _ in sections for name in _driver_names(pattern)})
+    if len(names) > 1:
+        raise SettingsFileError(
+            f"{path}: has parameters of several drivers, {', '.join(names)}; copy those of one driver to a file"
+        )
+    name = names[0] if names else _USUAL_NAME
+    own = [parameters for pattern, parameters in sections if matches(pattern, name)]
+    if not own:
+        others = ", ".join(pattern for pattern, _ in sections)
+        raise SettingsFileError(
+            f"{path}: has no ros__parameters of {name}" + (f", only of {others}" if others else "")
+        )
+    merged = {key: value for parameters in own for key, value in parameters.items()}
+    try:
+        return settings_of(
+            {key: value for key, value in merged.items() if not key.startswith(_OF_ROS)}, DriverFile
+        )
+    except SettingsFileError as error:
+        raise SettingsFileError(f"{path}: {error}") from None
+
+
+def _driver_names(pattern: str) -> list[str]:
+    """Return the full name of the driver that a section names; none if its namespace has wildcards or is any."""
+    *namespace, node = pattern.split("/")[1:]
+    named = node == "driver" or (namespace and node in ("*", "**"))
+    return ["/".join(["", *namespace, "driver"])] if named and "*" not in "".join(namespace) else []

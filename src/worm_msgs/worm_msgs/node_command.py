@@ -9,15 +9,12 @@ from __future__ import annotations
 
 import argparse
 import difflib
-import re
 import sys
 from array import array
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
-import yaml
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.exceptions import ParameterException
 from rclpy.node import Node
@@ -25,12 +22,13 @@ from rclpy.parameter import Parameter
 
 from worm_msgs.command_parser import BAD_INPUT, Parser, one_line
 from worm_msgs.parameter_rows import ParameterRow
+from worm_msgs.ros_parameter_file import matches, read_sections
 from worm_msgs.ros_process import ShutdownRequest, own_arguments, ros_process
+from worm_msgs.yaml_file import SettingsFileError
 
 #: Prefixes of parameter names that are accepted although the node does not declare them, because rclpy reads them.
 _ALLOWED = ("qos_overrides.",)
 _FILE_OPTION = "--params-file"
-_CONTENT = "ros__parameters"  # key of a node's parameters in a parameter file
 
 Rows = Callable[[], Sequence[ParameterRow]]
 
@@ -130,13 +128,17 @@ def _check_files(node: Node) -> None:
     sections is similar to this node's, because the name is then probably misspelt.
 
     Raises:
-        ParameterRejectedError: A file has sections only for other nodes, one of them with a similar name.
+        ParameterRejectedError: A file has sections only for other nodes, one of them with a similar name, or only ROS
+            can read it.
     """
     name = node.get_fully_qualified_name()
     files = (file for option, file in pairwise(sys.argv) if option == _FILE_OPTION)
     for file in files:
-        names = list(_node_names(yaml.safe_load(Path(file).read_text(encoding="utf-8"))))
-        if not names or any(re.fullmatch(_pattern(known), name) for known in names):
+        try:
+            names = [known for known, _ in read_sections(file)]
+        except SettingsFileError as error:
+            raise ParameterRejectedError(str(error)) from None
+        if not names or any(matches(known, name) for known in names):
             continue
         own = name.rsplit("/", 1)[-1]
         last = {known.rsplit("/", 1)[-1]: known for known in names}
@@ -148,25 +150,6 @@ def _check_files(node: Node) -> None:
         node.get_logger().warning(
             f"{file} contains no parameters of {name}, only of {', '.join(names)}"
         )
-
-
-def _node_names(content: Any, prefix: str = "") -> Iterator[str]:
-    """Yield the full names of the nodes in a parameter file, with their wildcards."""
-    for key, value in content.items() if isinstance(content, Mapping) else ():
-        name = f"{prefix}/{str(key).strip('/')}"
-        if key != _CONTENT and isinstance(value, Mapping):
-            if _CONTENT in value:
-                yield name
-            yield from _node_names(value, name)
-
-
-def _pattern(name: str) -> str:
-    """Return a name with rcl's wildcards as a regular expression: * is one part of a name, ** any number of parts."""
-    parts = name.split("/")[1:]
-    return "".join(
-        "(/[^/]+)*" if part == "**" else "/" + re.escape(part).replace(r"\*", "[^/]+")
-        for part in parts
-    )
 
 
 def _is_float(default: Any) -> bool:

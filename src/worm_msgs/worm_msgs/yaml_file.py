@@ -37,14 +37,19 @@ def parse_yaml(text: str) -> Any:
     try:
         return yaml.load(text, _Loader)
     except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        line = f" at line {mark.line + 1}" if mark else ""
-        problem = getattr(error, "problem", None) or str(error).splitlines()[0]
-        raise SettingsFileError(f"is not valid YAML{line}: {problem}") from None
+        raise SettingsFileError(problem_of(error)) from None
     except ValueError as error:  # a date such as 2026-13-01
         raise SettingsFileError(f"contains a value that cannot be read: {error}") from None
     except RecursionError:
         raise SettingsFileError("is nested too deeply") from None
+
+
+def problem_of(error: yaml.YAMLError) -> str:
+    """Return an error of PyYAML in one line, with the line of the file if it is known."""
+    mark = getattr(error, "problem_mark", None)
+    line = f" at line {mark.line + 1}" if mark else ""
+    problem = getattr(error, "problem", None) or str(error).splitlines()[0]
+    return f"is not valid YAML{line}: {problem}"
 
 
 _MERGE = "tag:yaml.org,2002:merge"  # tag of the key <<

@@ -45,6 +45,7 @@ _SOURCES: Mapping[Path, tuple[str, ...]] = {
         "driver_file.py",
         "gait.py",
         "robot_parameters.py",
+        "ros_parameter_file.py",
         "servo_models.py",
     ),
 }

@@ -5,24 +5,19 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
-from worm_msgs.driver_file import DriverFile
+from worm_msgs.driver_file import read_driver_file
 from worm_msgs.servo_models import RPM, SERVO_MODELS, VELOCITY_UNIT, Initial
-from worm_msgs.settings_file import key, settings_of
-from worm_msgs.yaml_file import read_yaml
+from worm_msgs.settings_file import key
+from worm_msgs.yaml_file import SettingsFileError
 from worm_optimizer.evaluation.actuator_limits import ActuatorLimits
 from worm_optimizer.evaluation.task import Bounds
 from worm_optimizer.optimizer_errors import OptimizerError
 
 _SHUNT_RANGE = 0.32  # largest shunt voltage that an INA219 measures, V (TI SBOS448, PGA = /8)
-
-
-# Parameters that rclpy declares or reads itself, in each node.
-_OF_ROS = ("use_sim_time", "start_type_description_service", "qos_overrides.")
 
 
 @dataclass(frozen=True)
@@ -106,22 +101,11 @@ def servo_model(name: str) -> Motor | None:
 
 
 def load_driver_file(path: str | Path) -> DrivenBy:
-    """Return the limits in the driver's parameter file.
-
-    Names, types and ranges are checked as by the driver. Whether the parameters agree with each other, such as ids and
-    the lengths of arrays, only the driver checks.
-
-    Raises `OptimizerError`, with the path, if the file is invalid.
-    """
-    from_file = _parameters_of_driver(read_yaml(Path(path), OptimizerError))
-    if not from_file:
-        raise OptimizerError(f"{path}: contains no ros__parameters of a node named driver")
-
-    own = {name: value for name, value in from_file.items() if not name.startswith(_OF_ROS)}
+    """Return the limits in the driver's parameter file. Raises `OptimizerError` if `read_driver_file` rejects it."""
     try:
-        row = settings_of(own, DriverFile)
-    except ValueError as error:
-        raise OptimizerError(f"{path}: {error}") from None
+        row = read_driver_file(path)
+    except SettingsFileError as error:
+        raise OptimizerError(str(error)) from None
     sensor = min(row.max_current, _SHUNT_RANGE / row.shunt_resistance)
     return DrivenBy(
         spool_radii=row.spool_radii,
@@ -185,20 +169,3 @@ def within(
         frequency_high=min(bounds.frequency_high, driver.max_frequency),
     )
     return box, limits.tightened(limits_of(driver, known, voltage))
-
-
-def _parameters_of_driver(content: Any) -> dict[str, Any]:
-    """Return the parameters of nodes named driver or ** in a ROS 2 parameter file, by dotted name."""
-    parameters: dict[str, Any] = {}
-    for name, node in content.items() if isinstance(content, Mapping) else ():
-        if str(name).split("/")[-1] in ("driver", "**") and isinstance(node, Mapping):
-            parameters |= dict(_flat(node.get("ros__parameters") or {}))
-    return parameters
-
-
-def _flat(content: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    for name, value in content.items():
-        if isinstance(value, Mapping):
-            yield from _flat(value, f"{prefix}{name}.")
-        else:
-            yield f"{prefix}{name}", value

@@ -135,7 +135,7 @@ def test_a_driver_that_takes_less_narrows_the_box_and_a_stricter_limit_stays(dri
     ("content", "expected"),
     [
         ("{", "YAML"),
-        ("a: 1", "contains no ros__parameters of a node named driver"),
+        ("a: 1", "has no ros__parameters of /worm/driver"),
         ("driver: {ros__parameters: {cable_servos.spool_radius_m: 0.02}}", "must be a list"),
         (
             "driver: {ros__parameters: {limits.max_stroke_m: true}}",
