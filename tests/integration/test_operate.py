@@ -126,7 +126,7 @@ def test_a_gait_is_tuned_on_the_robot_within_the_limits_of_its_driver(lab: Lab, 
     assert tuned["gait"]["stroke"] <= 0.09
     assert sorted(Path(bag) for bag in tuned["bags"]) == sorted((tmp_path / "bags").iterdir())
     rejected = ("--stroke", "0.5", *gait[2:])
-    assert "outside" in lab.operate("tune", *rejected, status=1)
+    assert "outside" in lab.operate("tune", *rejected, status=2)
 
 
 def test_the_emergency_stop_holds_and_rejects_every_start_also_of_the_next_driver(lab: Lab):
@@ -179,7 +179,9 @@ def test_state_and_commands_without_a_run(lab: Lab):
     assert state["power"] > 0.0
     assert abs(state["rear_position"]) < 0.01
     assert "homing needs the torque off" in lab.operate("home", status=1)
-    assert "outside" in lab.operate("run", *LONG[2:], "--stroke", "0.5", status=1)
+    too_long = lab.begin("run", *LONG[2:], "--stroke", "0.5")
+    assert too_long.wait(4 * TIMEOUT_S) == 2
+    assert too_long.output().count("outside") == 1
     lab.operate("deactivate")
     lab.operate("home")
     assert "shaft" in lab.operate("fault", "stalled", "--target", "1", "--delay", "100")

@@ -84,7 +84,7 @@ def _value(node: yaml.Node) -> Any:
     if isinstance(node, yaml.SequenceNode):
         return [_value(each) for each in node.value]
     text = str(node.value)
-    if node.style:  # quoted
+    if isinstance(node, yaml.ScalarNode) and node.style:  # quoted
         return text
     if text in _TRUE or text in _FALSE:
         return text in _TRUE

@@ -14,12 +14,14 @@ from dataclasses import asdict
 from pathlib import Path
 
 from worm_model.commands.command_line import FAILED, InputError, Parser, number, print_result
+from worm_model.run import Activity
 from worm_model.text_table import labelled
 from worm_msgs.conditions import CONDITION_ROWS, LEVEL, Conditions
 from worm_msgs.gait import GAIT_DEFAULTS, WAVEFORM, Gait, gait_of
 from worm_optimizer.commands.objective_options import add_objective, request_of_options
 from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.nodes.operator_node import OPTIMIZER, OperatorNode, UnreachableError
+from worm_optimizer.nodes.service_caller import OperatorError
 from worm_optimizer.operation.bring_up import CYCLES, ProgressLog
 from worm_optimizer.operation.processes import counted_interrupts
 from worm_optimizer.operation.recorded_run import new_bag, recorded
@@ -139,7 +141,12 @@ def requested(node: OperatorNode, options: argparse.Namespace, say: ProgressLog)
 
 
 def attended(node: OperatorNode, command: GaitCommand, say: ProgressLog) -> RunResult:
-    """Run a gait to its end. Ctrl-C stops it at the next point of rest; a second Ctrl-C holds immediately."""
+    """Run a gait to its end. Ctrl-C stops it at the next point of rest; a second Ctrl-C holds immediately.
+
+    Raises:
+        InputError: The driver rejects the gait, although it is ready for a run.
+        OperatorError: The driver rejects the gait in its present state, or does not answer.
+    """
     with counted_interrupts() as interrupts:
         run = node.begin(command)
         try:
@@ -149,9 +156,17 @@ def attended(node: OperatorNode, command: GaitCommand, say: ProgressLog) -> RunR
             if not node.follow(run, _progress(say), lambda: interrupts() > 1):
                 say(node.stop())
             node.follow(run, _progress(say))
+            if run.rejected:
+                raise _rejection(node, run.result.message)
             return run.result
         finally:
             run.close()
+
+
+def _rejection(node: OperatorNode, message: str) -> Exception:
+    driver = node.current_snapshot().driver
+    ready = driver is not None and driver.state == Activity.IDLE and not driver.emergency_stop
+    return InputError(message) if ready else OperatorError(message)
 
 
 def _progress(say: ProgressLog) -> Callable[[RunProgress], None]:

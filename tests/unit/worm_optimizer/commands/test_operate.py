@@ -4,15 +4,19 @@
 import math
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 pytest.importorskip("worm_msgs.msg", reason="worm_msgs is not built")
 
+from worm_model.errors import InputError
+from worm_model.run import Activity
 from worm_msgs.conditions import LEVEL, Conditions
 from worm_msgs.gait import Gait
 from worm_optimizer.commands import operate, operate_run
-from worm_optimizer.robot_commands import RunResult
+from worm_optimizer.nodes.service_caller import OperatorError
+from worm_optimizer.robot_commands import GaitCommand, RunResult
 
 
 class Robot:
@@ -70,3 +74,47 @@ def test_a_run_without_a_complete_cycle_names_its_recording():
     result = RunResult(Gait(0.05, 0.2), False, "stopped", 0, 0, **nothing)
     assert "bags/run" in operate_run._result_text(result, Path("bags/run"))
     assert operate_run._result_text(result, None) == "stopped"
+
+
+class RejectingRun:
+    """Fake run that a driver has rejected."""
+
+    rejected = True
+
+    def __init__(self, command: GaitCommand) -> None:
+        self.result = RunResult(command.gait, False, "rejected: because", 0, 0, *6 * (math.nan,))
+
+    def close(self) -> None:
+        pass
+
+
+class RejectingRobot:
+    """Fake operator whose driver, in some state, rejects all gaits."""
+
+    def __init__(self, state: Activity, *, emergency_stop: bool = False) -> None:
+        fields = {"state": state, "emergency_stop": emergency_stop}
+        self.snapshot = SimpleNamespace(driver=SimpleNamespace(**fields))
+
+    def begin(self, command: GaitCommand) -> RejectingRun:
+        return RejectingRun(command)
+
+    def follow(self, *_) -> bool:
+        return True
+
+    def current_snapshot(self) -> SimpleNamespace:
+        return self.snapshot
+
+
+@pytest.mark.parametrize(
+    ("robot", "error"),
+    [
+        (RejectingRobot(Activity.IDLE), InputError),
+        (RejectingRobot(Activity.IDLE, emergency_stop=True), OperatorError),
+        (RejectingRobot(Activity.INACTIVE), OperatorError),
+        (RejectingRobot(Activity.RUNNING), OperatorError),
+    ],
+)
+def test_a_gait_that_a_ready_driver_rejects_is_bad_input(robot: RejectingRobot, error, capsys):
+    with pytest.raises(error, match="because"):
+        operate_run.attended(robot, GaitCommand(Gait(0.2, 0.2), 1), print)
+    assert capsys.readouterr().out == ""
