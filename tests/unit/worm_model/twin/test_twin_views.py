@@ -129,6 +129,10 @@ def test_the_foxglove_layout_shows_topics_and_fields_that_exist():
     for path in paths:
         topic, field = path.split(".")
         assert field in fields(types.get(topic, "BodyLength")), path
+    shown = {path.split(".")[-1] for path in paths}
+    assert shown >= {"rear_margin", "front_margin", "last_rear_margin", "last_front_margin"}
+    raw = {panel.get("topicPath") for panel in layout["configById"].values()}
+    assert "/worm/twin/events" in raw
 
     def panels(node):
         return [node] if isinstance(node, str) else panels(node["first"]) + panels(node["second"])
