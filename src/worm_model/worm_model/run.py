@@ -242,10 +242,7 @@ class GaitStates(_GaitColumns):
 
 @dataclass(frozen=True)
 class JointSamples:
-    """Servo states: `position` rad, `velocity` rad/s, `effort` N*m, each of shape (n, len(names)) or (n, 0).
-
-    In older bags, `effort` is a current in A, or the load as a ratio of its maximum.
-    """
+    """Servo states: `position` rad, `velocity` rad/s, `effort` N*m, each of shape (n, len(names)) or (n, 0)."""
 
     names: tuple[str, ...] = ()
     stamp: Stamps = field(default_factory=_stamps)

@@ -24,7 +24,7 @@ _LENGTHS = ("commanded", "cable", "measured", "estimated")
 class RunTable:
     """Columns of equal length by name. Values are not interpolated.
 
-    The name of a quantity ends in its unit, except ``…_effort`` (N*m; in older bags A, or a ratio).
+    The name of a quantity ends in its unit.
 
     Each row is a moment at which something was measured or commanded, in the order of the stamps. Values without a
     sample at that moment are NaN, or None for texts. The first columns are
@@ -103,8 +103,11 @@ def _series(run: Run) -> Iterator[tuple[Stamps, dict[str, Column]]]:
             "power_status": _texts([power_status_name(status) for status in power.status.tolist()]),
         },
     )
-    quantities = {"position_rad": joints.position, "velocity_rad_s": joints.velocity}
-    quantities["effort"] = joints.effort  # N*m; in older bags A or a ratio
+    quantities = {
+        "position_rad": joints.position,
+        "velocity_rad_s": joints.velocity,
+        "effort_Nm": joints.effort,
+    }
     yield (
         joints.stamp,
         {

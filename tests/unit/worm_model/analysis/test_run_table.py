@@ -11,7 +11,7 @@ from recorded_session import joined_session
 
 from worm_model.analysis.run_table import run_table
 from worm_model.errors import InputError
-from worm_model.run import Run, TrackerSamples
+from worm_model.run import JointSamples, Run, TrackerSamples
 
 RUN = simulated_run(cycles=2)
 
@@ -29,6 +29,21 @@ def test_every_sample_is_there_once_at_its_moment():
         np.testing.assert_array_equal(columns["stamp_ns"][filled], samples.stamp[known])
     assert np.all(np.diff(columns["stamp_ns"]) >= 0)
     assert len({len(column) for column in columns.values()}) == 1
+
+
+def test_each_quantity_has_a_unit_in_its_name():
+    joints = JointSamples(("cable_1",), np.array([5]), *3 * (np.array([[0.5]]),))
+    numbers = {
+        name
+        for name, column in run_table(dataclasses.replace(RUN, joint_states=joints)).columns.items()
+        if column.dtype.kind == "f"
+    }
+    assert {name for name in numbers if name.startswith("cable_1")} == {
+        *("cable_1_position_rad", "cable_1_velocity_rad_s", "cable_1_effort_Nm")
+    }
+    assert all(
+        name.endswith(("_s", "_m", "_W", "_V", "_A", "_rad", "_rad_s", "_Nm")) for name in numbers
+    )
 
 
 def test_time_and_cycle_count_from_the_onset():
