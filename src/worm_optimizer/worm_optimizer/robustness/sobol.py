@@ -180,8 +180,11 @@ def index_json(indices: Indices, inputs: Sequence[str]) -> dict[str, Any]:
 
 
 def percent(value: float) -> str:
-    """Return a share as a percentage, never as "-0.0 %"."""
-    return f"{round(100.0 * value, 1) + 0.0:.1f} %"
+    """Return a share as a percentage, never as "-0.0 %". Of an impossible share, return the bound that it exceeds."""
+    rounded = round(100.0 * value, 1)
+    if rounded < 0.0:
+        return "< 0 %"
+    return "> 100 %" if rounded > 100.0 else f"{rounded + 0.0:.1f} %"
 
 
 def index_cells(indices: Indices, row: int) -> list[str]:

@@ -13,7 +13,7 @@ from worm_msgs.robot_parameters import TravelError
 from worm_optimizer.commands import sensitivity as command
 from worm_optimizer.report.analysis_figures import sensitivity_figure
 from worm_optimizer.robustness.sensitivity import Sensitivity, sensitivity
-from worm_optimizer.robustness.sobol import Indices
+from worm_optimizer.robustness.sobol import Indices, index_cells
 
 GAIT = Gait(0.0755, 0.15)
 EXACT = {key: (value, value) for key, value in PAPER.as_dict().items()}
@@ -81,6 +81,18 @@ def test_the_default_number_of_samples_gives_shares_up_to_100_percent():
         shares = np.concatenate([indices.first, indices.total])
         assert shares.min() > -0.005
         assert shares.max() < 1.0005
+
+
+def test_no_impossible_share_is_printed_as_a_number():
+    """Few samples give indices below 0 and above 1."""
+    impossible = np.array([-0.055, 1.04, -1e-5, 1.0])
+    bounds = np.stack([impossible - 0.1, impossible + 0.1])
+    indices = Indices(impossible, impossible[::-1], bounds, bounds, 1.0, 1.0)
+    cells = [index_cells(indices, row) for row in range(4)]
+    assert [row[0] for row in cells] == ["< 0 %", "> 100 %", "0.0 %", "100.0 %"]
+    assert [row[2] for row in cells] == ["100.0 %", "0.0 %", "> 100 %", "< 0 %"]
+    assert cells[0][1] == "< 0 % to 4.5 %"
+    assert cells[1][3] == "94.0 % to > 100 %"
 
 
 def test_the_command(monkeypatch, capsys, tmp_path):
