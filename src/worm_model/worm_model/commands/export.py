@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from worm_model.analysis.run_table import run_table
 from worm_model.bags.formats.bag import Bag
 from worm_model.bags.formats.bag_errors import BagError
 from worm_model.bags.formats.whole_folder import new_folder
@@ -145,6 +144,8 @@ def export(bag: Bag, output: Path, kind: str, topics: list[str], namespace: str 
 def _export_merged(bag: Bag, path: Path, namespace: str, exported: Exported) -> None:
     """Write the merged table, or add the reason why it cannot be written to ``exported.left_out``."""
     try:
+        from worm_model.analysis.run_table import run_table  # here: SciPy and Numba load slowly
+
         columns = run_table(read_run(bag, namespace)).columns
     except BagError as error:
         exported.left_out[MERGED] = str(error)

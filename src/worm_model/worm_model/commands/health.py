@@ -7,7 +7,7 @@ import argparse
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,8 +19,10 @@ from worm_model.commands.command_line import (
     print_result,
 )
 from worm_model.identification.drift import ADVICE, FEWEST_BAGS, MARGIN, Chart, State, chart_of
-from worm_model.identification.drift_estimates import BagEstimates, ExcludedBag, estimate_bags
 from worm_model.parameters import UNITS, load_parameter_file
+
+if TYPE_CHECKING:
+    from worm_model.identification.drift_estimates import BagEstimates, ExcludedBag
 
 
 def _parser() -> Parser:
@@ -37,6 +39,8 @@ def _parser() -> Parser:
 
 
 def _health(options: argparse.Namespace) -> None:
+    from worm_model.identification.drift_estimates import estimate_bags  # here: Numba loads slowly
+
     for path in options.bags:
         if not path.exists():
             raise InputError(f"{path}: does not exist")

@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from worm_model.commands.command_line import (
     InputError,
@@ -15,23 +16,6 @@ from worm_model.commands.command_line import (
     new_file,
     print_result,
 )
-from worm_model.identification.data.lab_logs import LabSettings
-from worm_model.identification.inputs import Inputs, read_inputs, read_recordings
-from worm_model.identification.paper_procedure import literal
-from worm_model.identification.reference_values import (
-    ReferenceValues,
-    reference_by_file,
-    reference_by_folder,
-)
-from worm_model.identification.report.advice import advise
-from worm_model.identification.report.identification_report import (
-    error_table,
-    parameter_table,
-    travel_text,
-    write_report,
-)
-from worm_model.identification.report.results import parameter_file, summary
-from worm_model.identification.stages import Identification, identify
 from worm_model.parameters import (
     FORM,
     KEYS,
@@ -42,6 +26,11 @@ from worm_model.parameters import (
     load_parameter_file,
     write_parameter_file,
 )
+
+if TYPE_CHECKING:
+    from worm_model.identification.inputs import Inputs
+    from worm_model.identification.reference_values import ReferenceValues
+    from worm_model.identification.stages import Identification
 
 SIDES = {"positive": 1, "negative": -1}
 
@@ -119,6 +108,8 @@ def _reference(options: argparse.Namespace, inputs: Inputs) -> ReferenceValues:
 
 
 def _given(options: argparse.Namespace, inputs: Inputs) -> ReferenceValues:
+    from worm_model.identification.reference_values import reference_by_file, reference_by_folder
+
     if options.parameters:
         return reference_by_file(
             load_parameter_file(options.parameters), Path(options.parameters).name
@@ -130,6 +121,8 @@ def _given(options: argparse.Namespace, inputs: Inputs) -> ReferenceValues:
 
 def _literal(options: argparse.Namespace, inputs: Inputs, output: Path | None) -> None:
     """Run the paper's procedure; see `worm_model.identification.paper_procedure`."""
+    from worm_model.identification.paper_procedure import literal
+
     if options.report or options.validation:
         raise InputError(
             "--literal supports neither report nor validation; remove --report and --validation"
@@ -163,6 +156,12 @@ def _literal(options: argparse.Namespace, inputs: Inputs, output: Path | None) -
 
 
 def _describe(result: Identification, advice: str) -> str:
+    from worm_model.identification.report.identification_report import (
+        error_table,
+        parameter_table,
+        travel_text,
+    )
+
     parts = [
         result.fit.text,
         parameter_table(result.estimates),
@@ -176,6 +175,15 @@ def _describe(result: Identification, advice: str) -> str:
 
 
 def _run(options: argparse.Namespace) -> None:
+    from worm_model.identification.data.lab_logs import (
+        LabSettings,  # here: SciPy and Numba load slowly
+    )
+    from worm_model.identification.inputs import read_inputs, read_recordings
+    from worm_model.identification.report.advice import advise
+    from worm_model.identification.report.identification_report import write_report
+    from worm_model.identification.report.results import parameter_file, summary
+    from worm_model.identification.stages import identify
+
     output = new_file(options.output) if options.output else None
     report = new_file(options.report) if options.report else None
     if options.seed < 0:

@@ -8,9 +8,8 @@ import math
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from worm_model.analysis.run_metrics import measure_margin
-from worm_model.analysis.run_parts import parts_of
 from worm_model.bags.opening import open_bag
 from worm_model.bags.recording.run_manifest import recorded_robot
 from worm_model.bags.run_reader import read_run
@@ -23,8 +22,10 @@ from worm_model.commands.command_line import (
     print_result,
 )
 from worm_model.errors import RecordingError
-from worm_model.margin.measured_margin import FinMargin, RunMargin
 from worm_model.text_table import text_table
+
+if TYPE_CHECKING:
+    from worm_model.margin.measured_margin import FinMargin, RunMargin
 
 
 def _parser() -> Parser:
@@ -61,6 +62,9 @@ def measured_margins(
     Raises:
         InputError: The bag or the parameter file cannot be read.
     """
+    from worm_model.analysis.run_metrics import measure_margin  # here: SciPy and Numba load slowly
+    from worm_model.analysis.run_parts import parts_of
+
     with open_bag(path, notify) as bag:
         run = read_run(bag, names=REPLAY_INPUTS)
         values = recorded_robot(bag, parameters).parameters

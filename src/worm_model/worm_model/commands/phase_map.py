@@ -4,11 +4,10 @@
 from __future__ import annotations
 
 import argparse
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from worm_model.analysis.groove_phases import PhaseMap, compute_phase_map, phase_map_figure
-from worm_model.analysis.plot_style import save_figure
 from worm_model.commands.command_line import (
     InputError,
     Parser,
@@ -23,6 +22,9 @@ from worm_model.parameters import load_parameters
 from worm_model.text_table import text_table
 from worm_msgs.conditions import conditions_of
 from worm_msgs.gait import SHAPE, Gait
+
+if TYPE_CHECKING:
+    from worm_model.analysis.groove_phases import PhaseMap
 
 
 def _parser() -> Parser:
@@ -74,6 +76,12 @@ def describe(content: PhaseMap) -> str:
 
 
 def _map(options: argparse.Namespace) -> None:
+    from worm_model.analysis.groove_phases import (  # here: Numba and Matplotlib load slowly
+        compute_phase_map,
+        phase_map_figure,
+    )
+    from worm_model.analysis.plot_style import save_figure
+
     if not 2 <= options.points <= 2000:
         raise InputError("--points: give between 2 and 2000 points per axis")
     if not 0.0 < options.lowest < options.highest:

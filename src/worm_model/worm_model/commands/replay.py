@@ -11,16 +11,10 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from operator import attrgetter
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from worm_model.analysis.replay_metrics import (
-    CycleReport,
-    ReplayReport,
-    ReplayReporter,
-    RunReport,
-)
 from worm_model.bags.formats.bag import Bag
 from worm_model.bags.formats.bag_errors import BagError
 from worm_model.bags.formats.message_block import Message, Topic
@@ -47,10 +41,12 @@ from worm_model.commands.command_line import (
 from worm_model.loads import under
 from worm_model.parameters import load_parameters
 from worm_model.run import LengthSource, Stamps
-from worm_model.twin import warm_up
 from worm_model.twin.data.records import NANOSECONDS, RESIDUAL_FIELDS, Event
-from worm_model.twin.offline_replay import OfflineReplay
-from worm_model.twin.twin import Output, residual_messages
+
+if TYPE_CHECKING:
+    from worm_model.analysis.replay_metrics import CycleReport, ReplayReport, RunReport
+    from worm_model.twin.offline_replay import OfflineReplay
+    from worm_model.twin.twin import Output
 
 # The twin requires at least one of these topics.
 DRIVES = ("body_length/commanded", "body_length/measured")
@@ -115,6 +111,8 @@ def twin_columns(
 
     Numbers and texts contain one entry for each field of the message: an array, a list, or a constant.
     """
+    from worm_model.twin.twin import residual_messages
+
     if name == "twin/events":
         events = output.events
         numbers: dict[str, Any] = {
@@ -289,6 +287,10 @@ def _parser() -> Parser:
 
 
 def _replay(options: argparse.Namespace) -> None:
+    from worm_model.analysis.replay_metrics import ReplayReporter  # here: Numba loads slowly
+    from worm_model.twin import warm_up
+    from worm_model.twin.offline_replay import OfflineReplay
+
     parameters = load_parameters(options.parameters)
     output = new_file(options.output) if options.output else None
     warm_up.main()  # so that the time below includes neither compilation nor parsing of definitions

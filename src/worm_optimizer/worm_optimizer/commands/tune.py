@@ -7,7 +7,7 @@ import argparse
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from worm_model.commands.command_line import (
     InputError,
@@ -22,9 +22,11 @@ from worm_model.margin.measured_margin import RunMargin
 from worm_model.parameters import load_parameter_file
 from worm_optimizer.commands.search_options import add_limit_options, chosen_settings
 from worm_optimizer.commands.tuning_options import add_aim, check_aim
-from worm_optimizer.operation.tuning_runs import Tuned
 from worm_optimizer.robustness.tuning import GaitLimits, Tuning, limits_of, next_gait
 from worm_optimizer.search.front import task_of
+
+if TYPE_CHECKING:  # ROS loads slowly
+    from worm_optimizer.operation.tuning_runs import Tuned
 
 
 def _parser() -> Parser:

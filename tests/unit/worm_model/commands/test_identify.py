@@ -111,8 +111,8 @@ def test_nothing_is_written_before_all_is_known(shared, tmp_path, monkeypatch, c
     def fail(_):
         raise IdentificationError("no advice")
 
-    monkeypatch.setattr(identify, "identify", lambda *_: None)
-    monkeypatch.setattr(identify, "advise", fail)
+    monkeypatch.setattr("worm_model.identification.stages.identify", lambda *_: None)
+    monkeypatch.setattr("worm_model.identification.report.advice.advise", fail)
     output = tmp_path / "robot.yaml"
     run = shared / "campaign" / "run_07"
     assert run_identify(monkeypatch, run, "--output", output) == 2

@@ -10,7 +10,7 @@ LOADED = """
 import contextlib, importlib, sys
 sys.argv = ["command", "--help"]
 with contextlib.suppress(SystemExit):
-    importlib.import_module(f"worm_optimizer.commands.{NAME}").main()
+    importlib.import_module(NAME).main()
 print(*sys.modules)
 """
 
@@ -19,11 +19,18 @@ print(*sys.modules)
     ("name", "absent"),
     [
         *(
-            (name, {"matplotlib", "numba", "scipy", "xarray", "distributed"})
+            (f"worm_model.commands.{name}", {"matplotlib", "numba", "scipy"})
+            for name in ("export", "health", "identify", "margin", "phase_map", "replay")
+        ),
+        *(
+            (
+                f"worm_optimizer.commands.{name}",
+                {"matplotlib", "numba", "scipy", "xarray", "distributed"},
+            )
             for name in ("report", "study")
         ),
         *(
-            (name, {"matplotlib"})
+            (f"worm_optimizer.commands.{name}", {"matplotlib"})
             for name in ("optimize", "request", "scan_margin", "capability", "sensitivity")
         ),
     ],

@@ -8,7 +8,6 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.special import stdtrit
 
 from worm_model.arrays import Array
 from worm_msgs.robot_parameters import ROWS
@@ -51,6 +50,8 @@ def quantile(degrees: float) -> float:
 
     ``degrees`` are the degrees of freedom, infinite for a normal distribution. Values below 1 count as 1.
     """
+    from scipy.special import stdtrit  # here: SciPy loads slowly, also for --help of `health`
+
     return float(stdtrit(max(degrees, 1.0), 0.5 + 0.5 * CONFIDENCE))
 
 
