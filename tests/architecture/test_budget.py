@@ -46,11 +46,11 @@ def words(file: Path) -> int:
 
 # what is counted, files, function, most
 BUDGET = (
-    ("lines of code in src", "src/**/*.py", code_lines, 42_500),
-    ("all lines in src", "src/**/*.py", lines, 63_500),
-    ("modules in src", "src/**/*.py", lambda _: 1, 408),
-    ("lines in tests", "tests/**/*.py", lines, 40_000),
-    ("words in docs", "docs/*.md", words, 29_000),
+    ("lines of code in src", "src/**/*.py", code_lines, 43_300),
+    ("all lines in src", "src/**/*.py", lines, 64_700),
+    ("modules in src", "src/**/*.py", lambda _: 1, 410),
+    ("lines in tests", "tests/**/*.py", lines, 40_300),
+    ("words in docs", "docs/*.md", words, 29_100),
     ("words in README.md", "README.md", words, 1_100),
     ("words in CHANGELOG.md", "CHANGELOG.md", words, 800),
 )
