@@ -18,6 +18,7 @@ CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 NEEDS_BROWSER = [
     pytest.mark.skipif(CHROMIUM is None, reason="no Chromium: apt install chromium"),
     pytest.mark.timeout(3600),
+    pytest.mark.night,
 ]
 TIMEOUT_S = 600.0  # includes the compilation of a kernel and a report, both with low priority on a busy machine
 BAGS = Path(__file__).parents[2] / "bags"

@@ -138,6 +138,7 @@ def live_outcome(bag: Path, onset_s: float) -> tuple[str, list[tuple[str, int]]]
     return Health(int(health.max(initial=0))).name.lower(), codes
 
 
+@pytest.mark.night
 @pytest.mark.timeout(1200)
 def test_ten_gaits_in_a_row_are_healthy_live_in_the_table_and_replayed(
     processes: Processes, probe: Probe, tmp_path: Path, capsys, monkeypatch
