@@ -23,7 +23,6 @@ _FALSE = {
 }
 _INTEGER = re.compile(r"[-+]?(0[xX][0-9a-fA-F]+|0[0-7]*|[1-9][0-9]*)")
 _FLOAT = re.compile(r"[-+]?(\.?(inf|nan)|infinity|([0-9]+\.?[0-9]*|\.[0-9]+)(e[-+]?[0-9]+)?)", re.I)
-_LARGEST_INTEGER = 2**63 - 1
 #: libyaml, which ROS uses, too; PyYAML's own parser rejects tabs that libyaml accepts.
 _Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
@@ -89,9 +88,10 @@ def _value(node: yaml.Node) -> Any:
     if text in _TRUE or text in _FALSE:
         return text in _TRUE
     if _INTEGER.fullmatch(text):
-        sign, digits = text.startswith("-"), text.lstrip("+-")
-        base = 16 if digits[:2].lower() == "0x" else 8 if digits.startswith("0") else 10
-        value = int(digits, base)
-        return (-value if sign else value) if value <= _LARGEST_INTEGER else float(value)
-    number = _FLOAT.fullmatch(text)
-    return float(re.sub(r"\.(?=[in])", "", text.lower())) if number else text
+        value = int(re.sub("^([-+]?)0(?=[0-7])", r"\g<1>0o", text), 0)
+        return value if abs(value) < 2**63 else float(value)
+    return (
+        float(text.lower().replace(".i", "i").replace(".n", "n"))
+        if _FLOAT.fullmatch(text)
+        else text
+    )

@@ -76,45 +76,22 @@ def test_a_run_without_a_complete_cycle_names_its_recording():
     assert operate_run._result_text(result, None) == "stopped"
 
 
-class RejectingRun:
-    """Fake run that a driver has rejected."""
-
-    rejected = True
-
-    def __init__(self, command: GaitCommand) -> None:
-        self.result = RunResult(command.gait, False, "rejected: because", 0, 0, *6 * (math.nan,))
-
-    def close(self) -> None:
-        pass
-
-
-class RejectingRobot:
-    """Fake operator whose driver, in some state, rejects all gaits."""
-
-    def __init__(self, state: Activity, *, emergency_stop: bool = False) -> None:
-        fields = {"state": state, "emergency_stop": emergency_stop}
-        self.snapshot = SimpleNamespace(driver=SimpleNamespace(**fields))
-
-    def begin(self, command: GaitCommand) -> RejectingRun:
-        return RejectingRun(command)
-
-    def follow(self, *_) -> bool:
-        return True
-
-    def current_snapshot(self) -> SimpleNamespace:
-        return self.snapshot
-
-
 @pytest.mark.parametrize(
-    ("robot", "error"),
+    ("state", "emergency_stop", "error"),
     [
-        (RejectingRobot(Activity.IDLE), InputError),
-        (RejectingRobot(Activity.IDLE, emergency_stop=True), OperatorError),
-        (RejectingRobot(Activity.INACTIVE), OperatorError),
-        (RejectingRobot(Activity.RUNNING), OperatorError),
+        (Activity.IDLE, False, InputError),
+        (Activity.IDLE, True, OperatorError),
+        (Activity.INACTIVE, False, OperatorError),
     ],
 )
-def test_a_gait_that_a_ready_driver_rejects_is_bad_input(robot: RejectingRobot, error, capsys):
+def test_a_gait_that_a_ready_driver_rejects_is_bad_input(state, emergency_stop, error):
+    result = RunResult(Gait(0.2, 0.2), False, "rejected: because", 0, 0, *6 * (math.nan,))
+    run = SimpleNamespace(rejected=True, result=result, close=lambda: None)
+    driver = SimpleNamespace(state=state, emergency_stop=emergency_stop)
+    robot = SimpleNamespace(
+        begin=lambda _: run,
+        follow=lambda *_: True,
+        current_snapshot=lambda: SimpleNamespace(driver=driver),
+    )
     with pytest.raises(error, match="because"):
-        operate_run.attended(robot, GaitCommand(Gait(0.2, 0.2), 1), print)
-    assert capsys.readouterr().out == ""
+        operate_run.attended(robot, GaitCommand(result.gait, 1), print)

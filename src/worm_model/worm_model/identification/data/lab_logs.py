@@ -168,27 +168,19 @@ class _Clock:
 
     def stamps(self, times: Array) -> Stamps:
         """Return the stamps of times in s, in ns since 1970."""
-        stamps: Stamps = np.rint((times - self.start) * 1e9).astype(np.int64) + self.origin
-        return stamps
+        return self.origin + np.rint((times - self.start) * 1e9).astype(np.int64)
 
 
 def _clock(folder: Path, tables: Mapping[str, Table], settings: LabSettings) -> _Clock:
     """Return the clock of the logs. Raise LabError if the times, the onset and the epoch do not fit to each other."""
-    begins = {name: float(table["time_s"][0]) for name, table in tables.items()}
-    ends = {name: float(table["time_s"][-1]) for name, table in tables.items()}
-    start, end = math.floor(min(begins.values())), max(ends.values())
-    if end - start > LONGEST:
-        spans = ", ".join(
-            f"{name} from {begins[name]:.10g} to {ends[name]:.10g} s" for name in tables
-        )
+    times = {name: table["time_s"][[0, -1]].tolist() for name, table in tables.items()}
+    start, end = math.floor(min(times.values())[0]), max(last for _, last in times.values())
+    onset = start if settings.onset is None else settings.onset
+    if max(end, onset) - min(start, onset) > LONGEST:
+        spans = ", ".join(f"{name} from {a:.10g} to {b:.10g} s" for name, (a, b) in times.items())
         raise LabError(
-            f"{folder}: times of more than {LONGEST_DAYS} days ({spans}); write the times of all files in s of "
-            "one clock"
-        )
-    if settings.onset is not None and abs(settings.onset - start) > LONGEST:
-        raise LabError(
-            f"{folder}: onset {settings.onset:.10g} s, but the logs are from {start} to {end:.10g} s; give the onset "
-            "in the time of the logs"
+            f"{folder}: more than {LONGEST_DAYS} days between the times ({spans}; onset {onset:.10g} s): give all in s "
+            "of one clock"
         )
     if settings.epoch is None:
         return _Clock(start, end, SECOND)
