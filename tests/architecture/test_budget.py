@@ -46,10 +46,10 @@ def words(file: Path) -> int:
 
 # what is counted, files, function, most
 BUDGET = (
-    ("lines of code in src", "src/**/*.py", code_lines, 43_300),
-    ("all lines in src", "src/**/*.py", lines, 64_700),
+    ("lines of code in src", "src/**/*.py", code_lines, 43_350),
+    ("all lines in src", "src/**/*.py", lines, 64_800),
     ("modules in src", "src/**/*.py", lambda _: 1, 410),
-    ("lines in tests", "tests/**/*.py", lines, 40_300),
+    ("lines in tests", "tests/**/*.py", lines, 40_400),
     ("words in docs", "docs/*.md", words, 29_100),
     ("words in README.md", "README.md", words, 1_100),
     ("words in CHANGELOG.md", "CHANGELOG.md", words, 800),
