@@ -34,6 +34,7 @@ def choose_a_gait(page: "sync_api.Page") -> None:
         press(page, "Deactivate")
     expect(page.get_by_role("button", name="Home")).to_be_enabled()
     press(page, "Home")
+    expect(status(page)).to_contain_text("initial length")
     press(page, "Activate")
     expect(state(page)).to_have_text("idle")
     expect(page.get_by_role("button", name="Run", exact=True)).to_be_disabled()
