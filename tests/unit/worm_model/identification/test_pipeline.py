@@ -200,13 +200,15 @@ def test_the_outputs_agree_with_each_other(campaigns, results):
 
 
 def test_robots_of_the_model_have_hardly_a_travel_error(campaigns, results):
-    for campaign, result in zip(campaigns, results, strict=True):
-        measured = np.array([margin for margin, _ in result.margins.values()])
-        assert np.isfinite(measured).any()
-        file = parameter_file(result, campaign.inputs)
+    files = [parameter_file(r, c.inputs) for c, r in zip(campaigns, results, strict=True)]
+    measured = [any(np.isfinite(m) for m, _ in result.margins.values()) for result in results]
+    assert any(measured)  # a hidden marker can leave too few switches
+    for file, result, seen in zip(files, results, measured, strict=True):
         assert file.travel_error == result.travel_error
-        assert abs(file.travel_error.value) < 0.001
-        assert summary(result)["travel_error"]["value"] == file.travel_error.value
+        assert (file.travel_error is not None) == seen
+        if seen:
+            assert abs(file.travel_error.value) < 0.001
+            assert summary(result)["travel_error"]["value"] == file.travel_error.value
 
 
 def test_a_cable_that_cannot_push_is_identified_as_such_and_reported(tmp_path):

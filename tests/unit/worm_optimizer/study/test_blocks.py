@@ -124,7 +124,8 @@ def process(name: str, *arguments: str, cwd: Path, path: str) -> Iterator[subpro
 
 
 def test_a_killed_scheduler_is_reported_and_its_blocks_remain(tmp_path, cluster):
-    output, file, path = tmp_path / "out.nc", tmp_path / "s.json", os.environ["PYTHONPATH"]
+    output, file = tmp_path / "out.nc", tmp_path / "s.json"
+    path = os.pathsep.join([os.environ["PYTHONPATH"], str(ROOT / "tests/helpers")])
     with process(
         "dask_scheduler", "--port", "0", "--scheduler-file", str(file), cwd=tmp_path, path=path
     ) as scheduler:
