@@ -40,6 +40,6 @@ def test_a_total_index_below_the_first_is_reported():
     assert all(("a", "b")[k] in text for k in few.inconsistent)
 
 
-def test_percentages_have_no_negative_zero():
+def test_percentages_are_those_of_shares_and_have_no_negative_zero():
     assert percent(-1e-6) == "0.0 %"
-    assert percent(-0.012) == "-1.2 %"
+    assert (percent(-0.012), percent(1.04)) == ("< 0 %", "> 100 %")
