@@ -122,7 +122,7 @@ class Bag:
 
     def attachments(self) -> Iterator[AttachedFile]:
         """Yield the files stored inside the bag, such as the parameter file of the run, each once."""
-        return iter(dict.fromkeys(a for file in self._files for a in file.attachments()))
+        return iter(dict.fromkeys(a for file in self._files for a in file.attachments))
 
     def define(self, definitions: Path) -> None:
         """Use definitions of worm_msgs from a folder, for the topics whose type is in it.
