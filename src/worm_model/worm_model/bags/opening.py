@@ -18,6 +18,7 @@ from worm_model.bags.formats.finding import (
     is_storage,
 )
 from worm_model.bags.formats.mcap_file import McapFile
+from worm_model.bags.formats.message_types import PACKAGE, with_definition
 from worm_model.bags.formats.sqlite_file import SqliteFile
 from worm_model.bags.formats.stored_file import LONGEST_GAP_NS, StoredFile
 
@@ -33,38 +34,45 @@ def open_bag(path: Path, notify: Notify = _log.warning, definitions: Path | None
     Args:
         path: a rosbag2 directory, or one of its files (``.mcap``, ``.db3``).
         notify: called with one line for each file that is not complete, and for each inconsistency.
-        definitions: folder of message definitions, see `Bag.define`.
+        definitions: folder with the ``.msg`` files of worm_msgs from the time of the recording, used for the topics
+            whose type is in it.
 
     Raises:
         BagError: The bag is missing or of an unknown format, or none of its files can be read; or the definitions do
             not match its messages.
     """
     check_readable(path)
-    if path.is_file():
-        bag = Bag(path, [_open_file(path)], notify)
-    else:
-        bag = _open_folder(path, notify)
-    try:
-        if definitions is not None:
-            bag.define(definitions)
-    except BagError:
-        bag.close()
-        raise
-    _report(bag)
-    return bag
-
-
-def _open_folder(path: Path, notify: Notify) -> Bag:
+    names = [""] if path.is_file() else _file_names(path, notify)
     files: list[StoredFile] = []
     errors: dict[str, BagError] = {}
-    for name in _file_names(path, notify):
+    for name in names:
         try:
             files.append(_open_file(path / name))
         except BagError as error:
             errors[name] = error
     if errors and not files:
         raise next(reversed(errors.values()))
-    return Bag(path, files, notify, [f"{name} is left out: {e}" for name, e in errors.items()])
+    if definitions is not None:
+        _define(path, files, definitions)
+    bag = Bag(path, files, notify, [f"{name} is left out: {e}" for name, e in errors.items()])
+    _report(bag)
+    return bag
+
+
+def _define(path: Path, files: Sequence[StoredFile], definitions: Path) -> None:
+    """Replace the definitions of the topics whose type is in a folder."""
+    found = False
+    for file in files:
+        for number, topic in file.channels.items():
+            package, _, kind = topic.type_name.partition("/msg/")
+            if package == PACKAGE and (definitions / f"{kind}.msg").is_file():
+                file.channels[number] = with_definition(topic, definitions)
+                found = True
+    if not found:
+        raise BagError(
+            f"{definitions} has no definition of a type in {path}; give the folder with the .msg files of "
+            f"{PACKAGE}, such as {PACKAGE}/msg"
+        )
 
 
 def _file_names(path: Path, notify: Notify) -> Sequence[str]:

@@ -77,7 +77,7 @@ class RunReader:
     def parts(self) -> Iterator[Run]:
         """Yield the samples in the order of reception, in parts, each from about a megabyte of the bag.
 
-        The first complete iteration reports repeated messages, infinite numbers and stamps that go back. If the
+        The first complete iteration reports infinite numbers and stamps that go back. If the
         topics have more than MOST_KEPT messages, further iterations read the bag again.
 
         Raises:
@@ -127,7 +127,6 @@ class RunReader:
         for name, counts in filters.items():
             topic = self._topics[name].name
             for count, text in (
-                (counts.repeated, "{} messages of {} are repeated; each counts once"),
                 (
                     counts.infinite,
                     "{} messages of {} contain an infinite number and are excluded",
@@ -216,48 +215,29 @@ def read_columns(bag: Bag, topics: Sequence[Topic]) -> dict[str, Columns]:
 
 
 class _Filter:
-    """Filter of one topic's messages; it excludes and counts repeated messages and messages with an infinite number.
-
-    A message counts as repeated if its numbers equal those of the previous one, as in a recording that was merged with
-    itself. Texts are not compared.
+    """Filter of one topic's messages; it excludes and counts messages with an infinite number.
 
     Attributes:
-        repeated, infinite: number of excluded messages of each kind.
+        infinite: number of excluded messages.
         backwards: number of stamps that are smaller than the previous one.
     """
 
     def __init__(self) -> None:
-        self.repeated = self.infinite = self.backwards = 0
-        self._last: dict[str, NDArray[Any]] = {}
+        self.infinite = self.backwards = 0
         self._last_stamp: Stamps = np.empty(0, np.int64)
 
     def filter(self, columns: Columns) -> Columns:
         """Return the columns of the next messages without the excluded messages."""
-        rows = {
-            path: values.reshape(len(values), -1)
-            for path, values in columns.numbers.items()
+        infinite = [
+            np.isinf(values.reshape(len(values), -1)).any(axis=1)
+            for values in columns.numbers.values()
             if values.dtype != object
-        }
-        if not rows:
+        ]
+        excluded = np.any(infinite, axis=0)
+        if not excluded.any():
             return columns
-        size = len(next(iter(rows.values())))
-        last, self._last = self._last, {path: values[-1:] for path, values in rows.items()}
-        comparable = {p: v.shape[1] for p, v in last.items()} == {
-            p: v.shape[1] for p, v in rows.items()
-        }
-        repeated, infinite = np.full(size, True), np.full(size, False)
-        for path, values in rows.items():
-            before = np.concatenate([last[path] if comparable else values[:1], values[:-1]])
-            same = (values == before) | ((values != values) & (before != before))
-            repeated &= same.all(axis=1)
-            infinite |= np.isinf(values).any(axis=1)
-        repeated[0] &= comparable
-        infinite &= ~repeated
-        self.repeated += int(np.count_nonzero(repeated))
-        self.infinite += int(np.count_nonzero(infinite))
-        kept = np.flatnonzero(~(repeated | infinite))
-        if len(kept) == size:
-            return columns
+        self.infinite += int(np.count_nonzero(excluded))
+        kept = np.flatnonzero(~excluded).tolist()
         return Columns(
             {path: values[kept] for path, values in columns.numbers.items()},
             {path: [texts[row] for row in kept] for path, texts in columns.texts.items()},

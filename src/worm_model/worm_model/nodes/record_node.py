@@ -229,12 +229,9 @@ def _report(
         }
         command_line.print_json(outcome)
     error = session.error
-    if isinstance(error, FileNotFoundError):
-        lost = session.dropped.messages
-        notify(f"{session.failed} was removed while it was recorded: {lost} messages are lost")
-    elif error is not None:
+    if error is not None:
         notify(
-            f"{session.failed} could not be written: {error}. All commands read the part that was written"
+            f"{session.failed} could not be written: {error}. All commands read what is on the disk"
         )
     return command_line.DONE if error is None else command_line.FAILED
 

@@ -24,10 +24,7 @@ from worm_model.bags.formats.message_block import (
     merge,
     messages_of,
 )
-from worm_model.bags.formats.message_types import PACKAGE, with_definition
 from worm_model.bags.formats.stored_file import AttachedFile, StoredFile, joined_spans
-
-DECOMPRESSED_BYTES = 16 << 20  # largest size of a block of several decompressed messages
 
 Notify = Callable[[str], None]
 
@@ -72,7 +69,6 @@ class Bag:
         self.spans = joined_spans(span for file in files for span in file.spans)
         self.damage = (*damage, *(f"{f.path.name}: {f.damage}" for f in files if f.damage))
         self.remarks = [f"{f.path.name}: {remark}" for f in files for remark in f.remarks]
-        self._given: dict[Topic, Topic] = {}
 
     def close(self) -> None:
         """Close the files."""
@@ -124,29 +120,6 @@ class Bag:
         """Yield the files stored inside the bag, such as the parameter file of the run, each once."""
         return iter(dict.fromkeys(a for file in self._files for a in file.attachments))
 
-    def define(self, definitions: Path) -> None:
-        """Use definitions of worm_msgs from a folder, for the topics whose type is in it.
-
-        Args:
-            definitions: folder with the ``.msg`` files of worm_msgs from the time of the recording.
-
-        Raises:
-            BagError: The folder has no definition of a type in the bag, a definition is incomplete, or its type hash
-                differs from the recorded one.
-        """
-        self._given = {
-            channel: with_definition(channel, definitions)
-            for channel in self.channels
-            if _is_defined(channel, definitions)
-        }
-        if not self._given:
-            raise BagError(
-                f"{definitions} has no definition of a type in {self.path}; give the folder with the .msg files of "
-                f"{PACKAGE}, such as {PACKAGE}/msg"
-            )
-        self.channels = tuple(self._given.get(channel, channel) for channel in self.channels)
-        self.topics = _by_name(self.channels)
-
     def messages(self, topics: Iterable[str] | None = None) -> Iterator[Message]:
         """Yield the messages in order of log time, lazily, so that memory does not grow with the bag.
 
@@ -177,14 +150,7 @@ class Bag:
         for block in merge(
             b for file, run in runs for b in file.blocks((e for _, e in run), wanted)
         ):
-            channels = tuple(self._given.get(channel, channel) for channel in block.channels)
-            yield from _decompressed(replace(block, channels=channels))
-
-
-def _is_defined(channel: Topic, definitions: Path) -> bool:
-    """Return True if a folder with definitions of worm_msgs contains the definition of a topic's type."""
-    package, _, kind = channel.type_name.partition("/msg/")
-    return package == PACKAGE and (definitions / f"{kind}.msg").is_file()
+            yield _decompressed(block)
 
 
 def _by_name(channels: Iterable[Topic]) -> dict[str, Topic]:
@@ -196,28 +162,16 @@ def _by_name(channels: Iterable[Topic]) -> dict[str, Topic]:
     return topics
 
 
-def _decompressed(block: Messages) -> Iterator[Messages]:
-    """Yield the messages of a block, decompressed; rosbag2's compression mode MESSAGE compresses each message.
+def _decompressed(block: Messages) -> Messages:
+    """Return the messages of a block, decompressed; rosbag2's compression mode MESSAGE compresses each message.
 
-    A compressed message begins with the magic number of Zstandard, with which no CDR message begins. If the
-    decompressed messages are larger than DECOMPRESSED_BYTES, they are divided into several blocks.
+    A compressed message begins with the magic number of Zstandard, with which no CDR message begins.
     """
     rows = np.flatnonzero(block.size >= len(zstandard.FRAME_HEADER))
     beginnings = cells(block.buffer, len(zstandard.FRAME_HEADER))[block.offset[rows]]
     if not (beginnings.view("<u4") == int.from_bytes(zstandard.FRAME_HEADER, "little")).any():
-        yield block
-        return
-    messages: list[Message] = []
-    size = 0
-    for message in block:
-        data = _payload(message)
-        if messages and size + len(data) > DECOMPRESSED_BYTES:
-            yield messages_of(messages)
-            messages, size = [], 0
-        messages.append(message._replace(data=data))
-        size += len(data)
-    if messages:
-        yield messages_of(messages)
+        return block
+    return messages_of([message._replace(data=_payload(message)) for message in block])
 
 
 def _payload(message: Message) -> bytes:
@@ -227,9 +181,7 @@ def _payload(message: Message) -> bytes:
     bytes.
     """
     data = message.data
-    if data.startswith(zstandard.FRAME_HEADER) and message.channel.encoding == "cdr":
-        with suppress(zstandard.ZstdError):
-            if zstandard.frame_content_size(data) <= LARGEST_CHUNK:
-                decompressor = zstandard.ZstdDecompressor()
-                return decompressor.decompress(data, max_output_size=LARGEST_CHUNK)
+    with suppress(zstandard.ZstdError):
+        if zstandard.frame_content_size(data) <= LARGEST_CHUNK:
+            return zstandard.ZstdDecompressor().decompress(data, max_output_size=LARGEST_CHUNK)
     return data

@@ -137,6 +137,11 @@ def first_qos_profile(topic: Topic) -> dict[str, Any]:
     return first if isinstance(first, dict) else {}
 
 
+def is_latched(topic: Topic) -> bool:
+    """Return True if a topic was published with transient-local durability: later subscribers receive it."""
+    return first_qos_profile(topic).get("durability") == "transient_local"
+
+
 # --- writing --------------------------------------------------------------------------------------
 
 

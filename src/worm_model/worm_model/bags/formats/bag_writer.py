@@ -120,14 +120,6 @@ class BagWriter:
         with suppress(OSError):  # the buffer still contains bytes for which the disk had no space
             self._stream.close()
 
-    @property
-    def is_there(self) -> bool:
-        """True if the open file still exists under its name."""
-        try:
-            return os.path.samestat(os.fstat(self._stream.fileno()), self.path.stat())
-        except OSError:
-            return False
-
     def _text(self, files: Mapping[str, Extent]) -> str:
         """Return the content of metadata.yaml.
 

@@ -7,7 +7,6 @@ since the last call. A bag has a provisional metadata.yaml from the start. Nothi
 
 from __future__ import annotations
 
-import errno
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -55,22 +54,9 @@ class BagRecorder(BagWriter):
             self.add_metadata(name, values)
         for attached in manifest.attachments:
             self.add_attachment(attached)
-        super().sync()
+        self.sync()
         self.describe()
         sync_directory(directory.parent)
-
-    def sync(self) -> None:
-        """Write all messages to the disk.
-
-        Raises:
-            FileNotFoundError: The bag was removed, and its content is lost.
-            OSError: The disk is full or missing.
-        """
-        super().sync()
-        if not self.is_there:
-            raise FileNotFoundError(
-                errno.ENOENT, "it was removed while it was recorded", str(self.directory)
-            )
 
     def close(self) -> None:
         """Finish the bag: index, summary and the final metadata.yaml.

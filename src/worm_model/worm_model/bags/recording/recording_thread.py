@@ -6,27 +6,31 @@ from __future__ import annotations
 import queue
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 from worm_model.bags.formats.message_block import Message
 from worm_model.bags.recording.recorder import BagRecorder
 
 
-@dataclass
-class Tally:
+class Tally(NamedTuple):
     """Number of messages and size of their payload, bytes."""
 
     messages: int = 0
     bytes: int = 0
 
-    def add(self, batch: Sequence[Message]) -> None:
-        """Count the messages of a batch."""
-        self.messages += len(batch)
-        self.bytes += sum(len(message.data) for message in batch)
-
-    def __add__(self, other: Tally) -> Tally:
+    def plus(self, other: Tally) -> Tally:
+        """Return the sum of both."""
         return Tally(self.messages + other.messages, self.bytes + other.bytes)
+
+    def minus(self, other: Tally) -> Tally:
+        """Return the difference of both."""
+        return Tally(self.messages - other.messages, self.bytes - other.bytes)
+
+
+def tally(batch: Sequence[Message]) -> Tally:
+    """Count the messages of a batch."""
+    return Tally(len(batch), sum(len(message.data) for message in batch))
 
 
 Act = Callable[[BagRecorder], None]
@@ -43,7 +47,7 @@ class RecordingThread:
     Attributes:
         offered: messages passed to `offer`.
         dropped: offered messages that are not in the bag. After an error, messages that were not synchronised count
-            as dropped, although some of them may be in the file. If the bag was removed, all messages are dropped.
+            as dropped, although some of them may be in the file.
         error: error that ended the writing early, or None.
     """
 
@@ -52,27 +56,25 @@ class RecordingThread:
         self._recorder = recorder
         self._sync_s = sync_s
         self._backlog_limit = backlog_bytes
-        self._backlog = 0
         self._accounting = threading.Lock()
-        self._unsynchronised: list[Sequence[Message]] = []
-        self._synchronised = Tally()
+        self._backlog = Tally()  # accepted, and not synchronised yet
         self._queue: queue.SimpleQueue[Sequence[Message] | Act | None] = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._run, name="bag writer")
-        self.offered = Tally()
-        self.dropped = Tally()
+        self.offered = self.dropped = Tally()
         self.error: Exception | None = None
         self._thread.start()
 
     def offer(self, batch: Sequence[Message]) -> None:
         """Queue messages for writing; never block."""
-        size = sum(len(message.data) for message in batch)
+        new = tally(batch)
         with self._accounting:
-            self.offered.add(batch)
-            if self.error is not None or self._backlog + size > self._backlog_limit:
-                self.dropped.add(batch)
-                return
-            self._backlog += size
-            self._queue.put(batch)
+            self.offered = self.offered.plus(new)
+            longer = self._backlog.plus(new)
+            if self.error is None and longer.bytes <= self._backlog_limit:
+                self._backlog = longer
+                self._queue.put(batch)
+            else:
+                self.dropped = self.dropped.plus(new)
 
     def act(self, act: Act) -> None:
         """Queue another operation on the bag, after the messages offered so far."""
@@ -95,13 +97,10 @@ class RecordingThread:
             self._recorder.abandon()
             with self._accounting:  # from now on, `offer` drops messages
                 self.error = error
-                if isinstance(error, FileNotFoundError):
-                    self.dropped += self._synchronised  # lost with the folder
-                for batch in [*self._unsynchronised, *self._waiting()]:
-                    self.dropped.add(batch)
+                self.dropped = self.dropped.plus(self._backlog)
 
     def _write_all(self) -> None:
-        due = time.monotonic() + self._sync_s
+        written, due = Tally(), time.monotonic() + self._sync_s
         while True:
             try:
                 item = self._queue.get(timeout=max(due - time.monotonic(), 0.0))
@@ -112,23 +111,10 @@ class RecordingThread:
             if callable(item):
                 item(self._recorder)
             else:
-                self._write(item)
+                self._recorder.write_all(item)
+                written = written.plus(tally(item))
             if time.monotonic() >= due:
                 self._recorder.sync()
-                for written in self._unsynchronised:
-                    self._synchronised.add(written)
-                self._unsynchronised.clear()
-                due = time.monotonic() + self._sync_s
-
-    def _write(self, batch: Sequence[Message]) -> None:
-        self._unsynchronised.append(batch)
-        self._recorder.write_all(batch)
-        with self._accounting:
-            self._backlog -= sum(len(message.data) for message in batch)
-
-    def _waiting(self) -> Iterator[Sequence[Message]]:
-        """Yield the queued messages, which will not be written."""
-        while not self._queue.empty():
-            item = self._queue.get()
-            if item is not None and not callable(item):
-                yield item
+                with self._accounting:
+                    self._backlog = self._backlog.minus(written)
+                written, due = Tally(), time.monotonic() + self._sync_s
