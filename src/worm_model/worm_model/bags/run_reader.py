@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from worm_model.bags.formats.bag import Bag
 from worm_model.bags.formats.bag_errors import BagError, NoRunError
 from worm_model.bags.formats.cdr import ColumnBuilder, Columns
 from worm_model.bags.formats.message_block import Topic
+from worm_model.bags.opening import Bag
 from worm_model.bags.worm_topics import SERIES, TWIN_INPUTS, TYPES, find_topic, path_of
 from worm_model.run import GaitStates, Run, Stamps, concatenated
 from worm_msgs.gait import GAIT_DEFAULTS

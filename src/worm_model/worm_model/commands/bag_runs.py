@@ -14,10 +14,9 @@ import numpy as np
 
 from worm_model.analysis import run_metrics
 from worm_model.analysis.replay_metrics import RunReport, report_replay
-from worm_model.bags.formats.bag import Bag
 from worm_model.bags.formats.bag_errors import RECOVER, BagError, NoRunError
 from worm_model.bags.formats.bag_metadata import is_unclosed
-from worm_model.bags.opening import open_bag
+from worm_model.bags.opening import Bag, open_bag
 from worm_model.bags.recording.run_manifest import (
     RUN_RECORD,
     recorded_conditions,

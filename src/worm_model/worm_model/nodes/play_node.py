@@ -21,13 +21,12 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 
-from worm_model.bags.formats.bag import Bag
 from worm_model.bags.formats.bag_errors import BagError
 from worm_model.bags.formats.bag_metadata import first_qos_profile, is_latched
 from worm_model.bags.formats.cdr import Converter
 from worm_model.bags.formats.message_block import Message, Topic
 from worm_model.bags.formats.message_types import topic_of, with_definition
-from worm_model.bags.opening import open_bag
+from worm_model.bags.opening import Bag, open_bag
 from worm_model.commands.command_line import InputError, Parser, not_negative, number, run_command
 from worm_model.nodes.raw_subscriptions import message_class
 from worm_msgs.claim import ClaimedError, claim_robot

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from worm_model.bags.formats.bag import Bag
 from worm_model.bags.formats.cdr import Columns
 from worm_model.bags.formats.message_block import Topic
+from worm_model.bags.opening import Bag
 from worm_model.bags.run_reader import read_columns
 from worm_model.bags.worm_topics import find_topic
 from worm_model.run import POWER_VALID, Activity, Run, power_status_name, state_name

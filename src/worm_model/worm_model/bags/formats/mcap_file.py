@@ -29,7 +29,6 @@ from mcap.records import Attachment, Channel, Metadata, Schema, Statistics
 from numpy.typing import NDArray
 
 from worm_model.bags.formats.bag_errors import BagError
-from worm_model.bags.formats.bag_metadata import named_qos
 from worm_model.bags.formats.message_block import Messages, Topic
 from worm_model.bags.formats.stored_file import (
     AttachedFile,
@@ -73,6 +72,7 @@ _CHUNK = struct.Struct("<QQQII")
 # beginning of the record of a chunk; the length of the name of its compression algorithm precedes the name
 _BEGINNING = re.compile(rb"(?s)\x06(?=.{36}(?:\0{4}|\x04\0{3}zstd|\x03\0{3}lz4))")
 _MESSAGE, _CHUNK_RECORD = Opcode.MESSAGE.value, Opcode.CHUNK.value
+_CONTAINERS = (_CHUNK_RECORD, _MESSAGE, Opcode.ATTACHMENT)  # may contain any bytes
 _READERS: dict[int, Callable[[ReadDataStream], Any]] = {
     Opcode.SCHEMA: Schema.read,
     Opcode.CHANNEL: Channel.read,
@@ -222,7 +222,8 @@ class McapFile(StoredFile):
         place = searched = len(MAGIC)
         while place < len(data):
             opcode, end = _record(data, place)
-            if not opcode:
+            is_too_long = opcode not in _CONTAINERS and _next_chunk(data[:end], place + 1)[0] < end
+            if not opcode or is_too_long:
                 chunk, end = _next_chunk(data, searched)
                 # Only a head is missing if the length of this chunk, or of a record before it, is wrong.
                 self._missing += max(chunk - place, 0) or _RECORD.size
@@ -287,10 +288,7 @@ def _topic(channel: Channel, schema: Schema | None) -> Topic:
         definition=schema.data.decode(errors="replace") if schema else "",
         definition_format=schema.encoding if schema else "",
         encoding=channel.message_encoding,
-        metadata=tuple(
-            (key, named_qos(text) if key == "offered_qos_profiles" else text)
-            for key, text in channel.metadata.items()
-        ),
+        metadata=tuple(channel.metadata.items()),
     )
 
 

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from worm_model.bags.formats.bag import Bag
 from worm_model.bags.formats.bag_errors import BagError
 from worm_model.bags.formats.cdr import ColumnBuilder, Columns, types_of
 from worm_model.bags.formats.message_block import Messages, Topic
+from worm_model.bags.opening import Bag
 
 LOG_TIME = "log_time_ns"
 TEXT = "text"

@@ -12,8 +12,7 @@ from pathlib import Path
 from worm_model.bags.formats.bag_errors import BagError
 from worm_model.bags.formats.bag_metadata import is_latched, is_unclosed
 from worm_model.bags.formats.message_block import Message, Topic
-from worm_model.bags.recording.recorder import BagRecorder, Manifest
-from worm_model.bags.recording.recording_thread import RecordingThread, Tally
+from worm_model.bags.recording.recorder import BagRecorder, Manifest, RecordingThread, Tally
 
 # bytes, largest size of the messages that wait for the disk, and of the ring buffer: rosbag2's default cache size
 BACKLOG_BYTES = 100 * 2**20

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from worm_model.bags.formats.bag_errors import ExistsError
-from worm_model.bags.formats.whole_folder import new_folder
+from worm_model.bags.formats.bag_writer import new_folder
 
 
 def test_the_folder_is_there_once_it_is_whole(tmp_path: Path):

@@ -120,26 +120,10 @@ def test_stored_conditions_that_cannot_be_used_are_reported(tmp_path: Path):
         recorded_robot(bag)
 
 
-def test_without_a_parameter_file_none_is_claimed():
-    manifest = run_manifest(None, None, [], ["record"], NOW)
-    assert manifest.attachments == ()
-    assert manifest.metadata["worm_run"]["parameter_sha256"] == ""
-
-
 @pytest.mark.parametrize("note", ["pipe", "=B"])
 def test_a_note_has_a_key_and_a_value(note: str):
     with pytest.raises(ManifestError, match="KEY=VALUE"):
         run_manifest(None, None, [note], ["record"], NOW)
-
-
-def test_a_parameter_file_that_is_missing_is_named(tmp_path: Path):
-    with pytest.raises(ManifestError, match=r"robot\.yaml"):
-        run_manifest(tmp_path / "robot.yaml", None, [], ["record"], NOW)
-
-
-def test_a_note_that_is_not_text_is_rejected():
-    with pytest.raises(ManifestError, match="UTF-8"):
-        run_manifest(None, None, ["pipe=\udcff"], ["record"], NOW)
 
 
 def test_an_argument_that_is_not_text_is_kept_with_escapes():
