@@ -91,7 +91,7 @@ def _parser() -> command_line.Parser:
     return parser
 
 
-class _Recording:
+class _Recorder:
     """Recorder node and session, with their totals as a live line on standard error."""
 
     def __init__(self, node: RecordNode, session: RecordingSession) -> None:
@@ -201,7 +201,7 @@ def _run(arguments: argparse.Namespace, command: Sequence[str], ended: ShutdownR
     node.offer_service("snapshot", session.snapshot)
     what = f"the last {session.ring_s:g} s, for snapshots named after" if session.ring_s else "to"
     node.get_logger().info(f"recording {what} {session.output}")
-    recording = _Recording(node, session)
+    recording = _Recorder(node, session)
     ended.again = recording.request_immediate_end
     try:
         recording.run(partial(recording.to_rest, ended) if arguments.to_rest else ended)
@@ -211,7 +211,7 @@ def _run(arguments: argparse.Namespace, command: Sequence[str], ended: ShutdownR
 
 
 def _report(
-    recording: _Recording,
+    recording: _Recorder,
     node: RecordNode,
     session: RecordingSession,
     arguments: argparse.Namespace,

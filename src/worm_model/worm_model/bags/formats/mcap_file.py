@@ -227,7 +227,7 @@ class McapFile(StoredFile):
                 chunk, end = _next_chunk(data, searched)
                 # Only a head is missing if the length of this chunk, or of a record before it, is wrong.
                 self._missing += max(chunk - place, 0) or _RECORD.size
-                opcode, place = _CHUNK_RECORD, chunk
+                opcode, place, searched = _CHUNK_RECORD, chunk, chunk + 1
             following = _record(data, end)
             while opcode == following[0] == _MESSAGE and end - place < TOGETHER_BYTES:
                 end = following[1]
@@ -373,10 +373,12 @@ def _content(record: Buffer) -> tuple[Buffer, int]:
 
 
 def _next_chunk(data: Buffer, place: int) -> tuple[int, int]:
-    """Return first and last byte of the next intact chunk, twice the size of the data without one."""
+    """Return first and last byte of the next intact chunk with content, twice the size of the data without one."""
     for match in _BEGINNING.finditer(data, place):
         with suppress(*DAMAGE):
-            return match.start(), match.start() + _content(data[match.start() :])[1]
+            records, length = _content(data[match.start() :])
+            if len(records):
+                return match.start(), match.start() + length
     return len(data), len(data)
 
 

@@ -14,7 +14,7 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from worm_model.bags.formats.bag_errors import BagError
-from worm_model.bags.formats.cdr import ColumnBuilder, Columns, Converter, encode
+from worm_model.bags.formats.cdr import ColumnBuilder, MessageColumns, MessageConverter, encode
 from worm_model.bags.formats.message_block import Message, Topic, messages_of
 from worm_model.bags.formats.message_types import topic_of
 from worm_model.bags.run_writer import stamped_messages
@@ -39,7 +39,7 @@ BOUNDS = {
 TEXTS = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]), max_size=9)
 
 
-def decode(payloads: list[bytes], *topics: Topic) -> Columns:
+def decode(payloads: list[bytes], *topics: Topic) -> MessageColumns:
     """Return columns of messages, of each topic in turn if there are several."""
     builder = ColumnBuilder()
     channels = [topics[i % len(topics)] for i in range(len(payloads))]
@@ -193,7 +193,7 @@ def test_a_message_has_the_length_of_its_definition(surplus: int, rejected: bool
 
 def test_messages_of_an_older_definition_become_those_of_the_installed_one():
     (data,) = encode(OLD, 1, {"x": 4.5, "sec": 7}, {})
-    converter = Converter(OLD, NEW)
+    converter = MessageConverter(OLD, NEW)
     assert converter.added == ["run", "more"]
     columns = decode([converter(data)], NEW)
     assert {path: values[0].tolist() for path, values in columns.numbers.items()} == {
@@ -202,13 +202,13 @@ def test_messages_of_an_older_definition_become_those_of_the_installed_one():
         "sec": 7,
         "more": [],
     }
-    assert Converter(OLD, OLD)(data) == data
+    assert MessageConverter(OLD, OLD)(data) == data
 
 
 @pytest.mark.parametrize("definition", ["float64 x\n", "float32 x\nint32 sec\n"])
 def test_a_definition_that_lacks_a_field_or_has_another_type_is_rejected(definition: str):
     with pytest.raises(BagError, match=r"(x|sec) of a/msg/B"):
-        Converter(OLD, bare("a/msg/B", definition))
+        MessageConverter(OLD, bare("a/msg/B", definition))
 
 
 def rejection(call: Callable[[], object]) -> str:
