@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 from rosbags.rosbag2 import Reader as RosbagsReader
 
-from worm_model.bags.formats.bag_errors import UnwritableError
-from worm_model.bags.formats.bag_writer import new_bag
+from worm_model.bags.formats.bag_errors import ExistsError, UnwritableError
+from worm_model.bags.formats.bag_writer import new_bag, new_folder
 from worm_model.bags.formats.message_block import Message, Topic
 from worm_model.bags.formats.stored_file import LONGEST_GAP_NS, AttachedFile
 from worm_model.bags.opening import open_bag
@@ -107,12 +107,6 @@ def test_two_layouts_of_a_topic_stay_two(tmp_path: Path):
             assert own.topics["/a"].count == 10
 
 
-def test_a_bag_without_messages_keeps_its_topics(tmp_path: Path):
-    with open_bag(write(tmp_path / "bag", [])) as bag:
-        assert tuple(bag.topics) == NAMES
-        assert list(bag.messages()) == []
-
-
 def test_a_disk_that_is_full_in_the_middle_is_reported_and_nothing_is_left(tmp_path: Path):
     """A limit of the process ends writing as on a full disk."""
     draw = np.random.default_rng(4)
@@ -155,3 +149,26 @@ def test_metadata_of_a_bag_next_to_and_inside_its_file(tmp_path: Path):
     assert counts == {"/a": 0, "/b": 2, "/c": 0}
     assert copies[-1] == {**content, "relative_file_paths": [], "files": []}
     assert copies[0]["message_count"] == 0
+
+
+def test_nothing_is_left_after_an_exception(tmp_path: Path):
+    def interrupted() -> None:
+        with new_folder(tmp_path / "bag") as folder:
+            (folder / "file").write_text("content")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_was_made_meanwhile_is_not_overwritten(tmp_path: Path):
+    def too_late() -> None:
+        with new_folder(tmp_path / "bag") as folder:
+            (folder / "file").write_text("late")
+            (tmp_path / "bag").mkdir()
+            (tmp_path / "bag" / "file").write_text("early")
+
+    with pytest.raises(ExistsError, match="meanwhile"):
+        too_late()
+    assert (tmp_path / "bag" / "file").read_text() == "early"

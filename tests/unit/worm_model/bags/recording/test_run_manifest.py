@@ -19,8 +19,6 @@ from worm_model.bags.recording.run_manifest import (
     run_manifest,
 )
 from worm_model.bags.run_writer import write_run
-from worm_model.identification.data.identification_errors import IdentificationError
-from worm_model.identification.inputs import read_inputs
 from worm_model.loads import under
 from worm_model.parameters import PAPER, ParameterFile
 from worm_msgs.conditions import LEVEL, Conditions
@@ -103,13 +101,6 @@ def test_runs_of_different_conditions_are_not_judged_by_one_of_them(tmp_path: Pa
             writer.write_all(recorded.messages())
     with open_bag(tmp_path / "both") as bag, pytest.raises(ManifestError, match="conditions"):
         recorded_robot(bag)
-
-
-def test_the_identification_rejects_bags_that_state_conditions(tmp_path: Path):
-    bag = _bag_under(tmp_path / "steep", STEEP)
-    with pytest.raises(IdentificationError, match="slope 20 deg, tether 2 N"):
-        read_inputs([bag])
-    assert read_inputs([_bag_under(tmp_path / "level", LEVEL)]).recordings
 
 
 def test_stored_conditions_that_cannot_be_used_are_reported(tmp_path: Path):
