@@ -8,13 +8,10 @@ from pathlib import Path
 import pytest
 import yaml
 
-from worm_model.parameters import PAPER
-from worm_model.twin import scene
-
-pytest.importorskip("worm_msgs.msg", reason="no ROS is installed")
-
 from worm_driver.nodes import position_publisher
 from worm_model.nodes import twin_messages
+from worm_model.parameters import PAPER
+from worm_model.twin import scene
 
 SOURCES = Path(__file__).resolve().parents[3] / "src"
 URDF = SOURCES / "worm_model" / "urdf" / "worm.urdf"

@@ -58,18 +58,6 @@ def test_the_last_three_of_five_cycles_are_averaged():
     assert run_metrics.averaged_cycles(Run(gait_state=states), played) == (3, 5)
 
 
-def test_a_short_run_is_averaged_as_a_whole():
-    states = gait_states([RUNNING], [EPOCH], 2)
-    assert run_metrics.averaged_cycles(
-        Run(gait_state=states), run_metrics.last_played_gait(states)
-    ) == (1, 2)
-
-
-def test_a_recording_without_a_gait_is_rejected():
-    with pytest.raises(run_metrics.RecordingError, match="no run of a gait"):
-        run_metrics.last_played_gait(gait_states([INACTIVE, RESTING], [0, 0], 5))
-
-
 @pytest.mark.parametrize(
     ("state", "reason"),
     [

@@ -18,7 +18,7 @@ from worm_model.analysis.run_curves import (
     settled_power,
 )
 from worm_model.analysis.run_metrics import RecordingError, last_played_gait
-from worm_model.analysis.run_plots import Curve, Frame, energy_figure, motion_figure
+from worm_model.analysis.run_plots import Curve, Frame, energy_figure
 from worm_model.parameters import PAPER
 from worm_model.run import PowerSamples, Run
 from worm_model.twin.offline_replay import replay_run
@@ -56,17 +56,6 @@ def test_lengths_of_instruments_that_saw_nothing_are_left_out(followed):
     lengths, inputs = length_curves(run, last_played_gait(run.gait_state).onset, PAPER)
     assert [curve.label for curve in lengths] == ["body, measured", "body, predicted"]
     assert min(inputs[0].values) == pytest.approx(-GAIT.stroke, rel=1e-2)
-
-
-def test_panels_have_letters_units_and_only_what_lies_in_the_frame():
-    time = np.linspace(-5.0, 5.0, 11)
-    curve = Curve("measured", time, time / 1e3, MEASURED)
-    figure = motion_figure(Frame(-1.0, 3.0, (1.0, 2.0)), [curve], [curve], 0.0173)
-    assert [axes.get_title(loc="left")[:3] for axes in figure.axes] == ["(a)", "(b)"]
-    assert [axes.get_ylabel() for axes in figure.axes] == ["rear module x1 (mm)", "residual (mm)"]
-    line = figure.axes[0].get_lines()[0]
-    assert line.get_xdata().tolist() == [-1.0, 0.0, 1.0, 2.0, 3.0]
-    assert line.get_ydata()[-1] == pytest.approx(3.0)  # mm
 
 
 def test_files_are_the_same_each_time(tmp_path: Path):

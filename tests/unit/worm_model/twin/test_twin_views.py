@@ -10,9 +10,9 @@ import pytest
 import yaml
 
 from worm_model.parameters import PAPER
-from worm_model.run import Activity, LengthSource
+from worm_model.run import Activity
 from worm_model.twin.data.records import Health
-from worm_model.twin.watch_view import CLEAR, Trend, View, render
+from worm_model.twin.watch_view import CLEAR, View, render
 
 ROOT = Path(__file__).resolve().parents[4]
 ANSI = re.compile(r"\033\[\d+m")
@@ -41,24 +41,6 @@ def test_no_line_is_wider_than_the_terminal(view, width):
     assert max(map(len, lines)) <= width
     assert CLEAR not in "".join(lines)
     assert "nan" not in "".join(lines)
-
-
-def test_the_screen_fits_a_terminal_of_80_by_24():
-    """The keys take one line, the cursor another."""
-    trend = Trend((0.0, 0.001), (1.0, 2.0))
-    full = replace(
-        VIEW,
-        source=LengthSource.COMMANDED,
-        length=0.25,
-        initial_length=0.2952,
-        groove_phase=-0.0011,
-        cable_force=123.4,
-        grooves=(-12, 12),
-        silent=("tracker silent for 3 s",),
-    )
-    assert len(render(full, PAPER.pitch, 80, trend)) <= 22
-    narrow = [ANSI.sub("", line) for line in render(full, PAPER.pitch, 40, trend)]
-    assert max(map(len, narrow)) <= 40
 
 
 def test_missing_data_is_shown_as_missing():
