@@ -90,22 +90,15 @@ def test_with_a_tracker_each_cause_is_named_within_two_cycles_and_no_other(fault
 
 @pytest.mark.parametrize(
     "fault",
-    [f for f in FAULTS if f.kind in ("healthy", "rear", "front", "slip", "offset", "camera")],
+    [f for f in FAULTS if f.kind not in ("gained", "robot")],
     ids=lambda f: f"{f.kind} {f.size:g}",
 )
 def test_power_alone_names_the_fin_the_slipped_cable_and_the_sensor(fault: Fault):
-    found = reported(fault, tracker=False)
-    if fault.kind in ("healthy", "camera"):
-        assert not found
+    codes = {event.code for event in reported(fault, tracker=False)}
+    if fault.kind in ("gain", "scale", "viscous_friction"):  # which power alone cannot distinguish
+        assert not any("groove" in code for code in codes)
     else:
-        assert {event.code for event in found} == {CODES[fault.kind]}
-
-
-@pytest.mark.parametrize(
-    "fault", [f for f in FAULTS if f.kind in ("gain", "scale", "viscous_friction")]
-)
-def test_a_cause_that_power_alone_cannot_distinguish_is_not_called_a_missed_groove(fault: Fault):
-    assert not any("groove" in event.code for event in reported(fault, tracker=False))
+        assert codes == (set() if fault.kind in ("healthy", "camera") else {CODES[fault.kind]})
 
 
 @pytest.mark.parametrize("size", [3.0, 4.0])
@@ -127,21 +120,6 @@ def test_two_misses_running_do_not_move_l0_though_the_front_marker_is_hidden(fau
 
 
 @pytest.mark.parametrize("tracker", [True, False])
-@pytest.mark.parametrize("fault", [Fault("rear", 1, 3), Fault("front", 1, 3)])
-def test_samples_that_were_received_late_are_replayed_like_others(fault: Fault, tracker: bool):
-    """Samples are up to 0.9 s late, each by another time."""
-    rows = robots().rows(FAULTS.index(fault), tracker=tracker)
-    late = np.random.default_rng(0).integers(0, 900_000_000, len(rows))
-    found = [
-        replay_run(run_of_rows(each), PAPER)
-        for each in (rows, rows[np.argsort(rows["stamp"] + late, kind="stable")])
-    ]
-    assert [event.code for event in found[0].notices if event.code] == [CODES[fault.kind]]
-    assert found[1].notices == found[0].notices
-    assert found[1].states["rear_position"].tolist() == found[0].states["rear_position"].tolist()
-
-
-@pytest.mark.parametrize("tracker", [True, False])
 @pytest.mark.parametrize(("begin_cycle", "codes"), [(1, {"missed_groove_rear"}), (2, set())])
 def test_of_a_recording_that_begins_in_a_gait_the_first_whole_cycle_is_not_judged(
     tracker: bool, begin_cycle: int, codes: set[str]
@@ -155,12 +133,6 @@ def test_of_a_recording_that_begins_in_a_gait_the_first_whole_cycle_is_not_judge
     assert {event.code for _, event in report.events} == codes
     whole = [cycle for cycle in report.cycles if cycle.complete]
     assert [cycle.number for cycle in whole if cycle.not_judged] == [begin_cycle + 1]
-
-
-def test_the_time_of_a_step_is_reported():
-    (event,) = reported(Fault("camera", 0.008, 3, 0.3), tracker=True)
-    assert event.code == "camera_moved"
-    assert event.text.startswith("cycle 3: the camera was moved")
 
 
 @pytest.mark.parametrize(

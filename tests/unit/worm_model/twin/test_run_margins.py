@@ -15,7 +15,7 @@ from worm_model.parameters import PAPER
 from worm_model.run import Run, TrackerSamples
 from worm_model.twin.data.samples import NO_SAMPLES, topic_rows
 from worm_model.twin.offline_replay import replay_run
-from worm_model.twin.run_margins import STORED, MarginRecord, RunPositions, spare_of
+from worm_model.twin.run_margins import STORED, MarginRecord, RunPositions
 from worm_model.twin.twin import Twin
 
 GAIT, CYCLES = Gait(0.075, 0.2), 6
@@ -79,10 +79,3 @@ def test_the_number_of_stored_positions_is_bounded():
         for each in rows.values():
             positions.add(each)
     assert len(positions.__dict__["_samples"]) == STORED
-
-
-def test_the_line_of_the_cockpit_shows_the_fin_with_the_smaller_margin():
-    record = MarginRecord(2, 0.0019, 0.0031, 0.0008, 0.0005)
-    assert spare_of(record) == "2 grooves, 1.9 ± 0.8 mm to spare"
-    assert spare_of(dataclasses.replace(record, margin_grooves=1)).startswith("1 groove,")
-    assert spare_of(MarginRecord()) == ""
