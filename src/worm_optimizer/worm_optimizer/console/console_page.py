@@ -79,9 +79,8 @@ class ConsolePage:
             with ui.tabs(value=COCKPIT).props("dense") as tabs:
                 ui.tab(COCKPIT)
                 ui.tab(RECORDINGS)
-            ui.button(icon="dark_mode", on_click=lambda: _toggle(dark)).props(
-                'flat dense aria-label="Light or dark"'
-            )
+            toggle = ui.button(icon="dark_mode", on_click=lambda: dark.set_value(not dark.value))
+            toggle.props('flat dense aria-label="Light or dark"')
             self._message = ui.label().classes("line message").props("id=message role=status")
         with ui.tab_panels(tabs, value=COCKPIT).classes("w-full"):
             with ui.tab_panel(COCKPIT):
@@ -171,7 +170,3 @@ class ConsolePage:
         self._hand_over.set_visibility(control.holder == self._id and bool(control.requester))
         self._message.set_text(message.text)
         self._message.classes(remove="error") if message.good else self._message.classes("error")
-
-
-def _toggle(dark: ui.dark_mode) -> None:
-    dark.value = not dark.value

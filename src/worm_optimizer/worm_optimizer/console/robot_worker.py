@@ -30,6 +30,10 @@ class _ClosedError(RuntimeError):
     """The console ends, and the thread must not wait any longer."""
 
 
+class _PostponedError(RuntimeError):
+    """A quiet command must be executed again later, because another command waits."""
+
+
 @dataclass(frozen=True)
 class Notice:
     """Message for the pages; ``good`` is False for an error."""
@@ -63,12 +67,13 @@ class RobotWorker:
     ) -> None:
         self._open_robot, self._open_stop, self._notify = open_robot, open_stop, notify
         self._commands: SimpleQueue[tuple[str, Command]] = SimpleQueue()
+        self._quiet_commands: SimpleQueue[tuple[str, Command]] = SimpleQueue()
         self._next = ""  # description of the command of `submit_next` that waits
         self._closing = threading.Event()
         self._stop_requested = threading.Event()
         self._stop_node: OperatorNode | None = None
         self._has_driver = True
-        self._can_abort = True  # True during the start and during quiet commands
+        self._starting, self._is_quiet = True, False  # a start or quiet command can be aborted
         self.busy = "starting"
         self.failure = ""
         self.cancellation = ""
@@ -131,8 +136,11 @@ class RobotWorker:
         return True
 
     def submit_quietly(self, command: Command) -> None:
-        """Submit a command that does not operate the robot. Others can be submitted meanwhile. It reports no result."""
-        self._commands.put(("", command))
+        """Submit a command that does not operate the robot. It reports no result.
+
+        Other commands go first: they interrupt it, and it is executed again from its beginning.
+        """
+        self._quiet_commands.put(("", command))
 
     def stop(self) -> None:
         """Request the stop thread to hold the robot where it is, and end a run. Other commands continue."""
@@ -165,15 +173,17 @@ class RobotWorker:
 
     def _run_commands(self) -> None:
         with self._open_robot(self._on_start_progress, self._check_commands) as node:
-            self._can_abort = False
+            self._starting = False
             self.busy = ""
             while not self._closing.is_set():
-                node.wait(lambda: self._closing.is_set() or not self._commands.empty(), _POLL_S)
+                node.wait(lambda: self._closing.is_set() or not self._waiting.empty(), _POLL_S)
                 self._execute(node)
 
     def _check_commands(self) -> None:
-        if self._closing.is_set() and self._can_abort:
+        if self._closing.is_set() and (self._starting or self._is_quiet):
             raise _ClosedError
+        if self._is_quiet and not self._commands.empty():
+            raise _PostponedError
 
     def _on_start_progress(self, text: str) -> None:
         """Report the progress of the start, or that a node was restarted. Between commands, `busy` stays empty."""
@@ -182,21 +192,27 @@ class RobotWorker:
         self._notify(Notice(text))
         self._check_commands()
 
+    @property
+    def _waiting(self) -> SimpleQueue[tuple[str, Command]]:
+        return self._quiet_commands if self._commands.empty() else self._commands
+
     def _execute(self, node: OperatorNode) -> None:
         try:
-            description, command = self._commands.get_nowait()
+            description, command = self._waiting.get_nowait()
         except Empty:
             return
         self.busy = description or self.busy
-        self._can_abort = not description
+        self._is_quiet = not description
         try:
             result = command(node)
             if description:
                 self._notify(Notice(result))
+        except _PostponedError:
+            self.submit_quietly(command)
         except (*FAILURES, InputError, OSError) as error:
             self._notify(Notice(str(error), good=False))
         finally:
-            self._can_abort = False
+            self._is_quiet = False
             if description:
                 self.busy, self._next = self._next, ""
 
