@@ -68,7 +68,7 @@ h1 { font-size: 1.1rem; line-height: 1.4; font-weight: 500 }
 .worm .twin { fill: none; stroke: #d55e00; stroke-dasharray: 6 4 }
 .worm .twin.bellows, .worm .twin.cable { stroke: none }
 .worm .fin { fill: none; stroke-width: 5; stroke-linecap: round }
-.worm .hold { stroke: #1ab333 } .worm .yield { stroke: #f2991a; stroke-dasharray: 8 8 }
+.worm .hold { stroke: #1ab333 } .worm .yield { stroke: #f2991a; stroke-dasharray: 5 9 }
 .worm .touch { stroke: #999; stroke-width: 3 }
 .legend { display: flex; flex-wrap: wrap; gap: 0 .6rem; font-size: .7rem; font-variant-numeric: tabular-nums }
 .legend svg { display: inline-block; width: 20px; height: 10px }
