@@ -153,11 +153,10 @@ class ConsolePage:
     def _control_text(self) -> str:
         """Return a sentence about the page that has control; empty if no page has it."""
         control = self._state.control
-        if control.holder == self._id:
-            return (
-                f"This page has control{'; another page asks for it' if control.requester else ''}."
-            )
-        return "Another page has control." if control.holder else ""
+        if control.holder != self._id:
+            return "Another page has control." if control.holder else ""
+        asked = "; another page asks for it" if control.requester else ""
+        return f"This page has control{asked}."
 
     # --- what is shown -----------------------------------------------------------------------
 

@@ -66,7 +66,7 @@ h1 { font-size: 1.1rem; line-height: 1.4; font-weight: 500 }
 .worm .module { fill: #bfd7ea; stroke: #0072b2 }
 .worm .cable { stroke: currentColor }
 .worm .twin { fill: none; stroke: #d55e00; stroke-dasharray: 6 4 }
-.worm .twin.bellows, .worm .twin.cable { stroke: none }
+.worm .robot ~ .twin:not(.module) { stroke: none } /* only its modules next to the measured robot */
 .worm .fin { fill: none; stroke-width: 5; stroke-linecap: round }
 .worm .hold { stroke: #1ab333 } .worm .yield { stroke: #f2991a; stroke-dasharray: 5 9 }
 .worm .touch { stroke: #999; stroke-width: 3 }

@@ -26,12 +26,8 @@ _JOIN_S = 0.1  # period of the checks while the console ends, s
 Command = Callable[[OperatorNode], str]
 
 
-class _ClosedError(RuntimeError):
-    """The console ends, and the thread must not wait any longer."""
-
-
-class _PostponedError(RuntimeError):
-    """A quiet command must be executed again later, because another command waits."""
+class _AbortedError(RuntimeError):
+    """The console ends or another command waits, and the thread must not wait any longer."""
 
 
 @dataclass(frozen=True)
@@ -157,7 +153,7 @@ class RobotWorker:
         """Run the work of a thread. If it fails, report the reason, because the pages would otherwise wait forever."""
         try:
             work()
-        except _ClosedError:
+        except _AbortedError:
             pass
         except FAILURES as error:
             self._fail(f"{prefix}{error}")
@@ -167,6 +163,8 @@ class RobotWorker:
 
     def _fail(self, text: str) -> None:
         self.failure = self.failure or text
+        if threading.current_thread() is self._command_thread:
+            self.busy = ""
         self._notify(Notice(text, good=False))
 
     # --- the command thread ------------------------------------------------------------------
@@ -180,10 +178,9 @@ class RobotWorker:
                 self._execute(node)
 
     def _check_commands(self) -> None:
-        if self._closing.is_set() and (self._starting or self._is_quiet):
-            raise _ClosedError
-        if self._is_quiet and not self._commands.empty():
-            raise _PostponedError
+        closing, waiting = self._closing.is_set(), not self._commands.empty()
+        if (self._starting and closing) or (self._is_quiet and (closing or waiting)):
+            raise _AbortedError
 
     def _on_start_progress(self, text: str) -> None:
         """Report the progress of the start, or that a node was restarted. Between commands, `busy` stays empty."""
@@ -207,7 +204,7 @@ class RobotWorker:
             result = command(node)
             if description:
                 self._notify(Notice(result))
-        except _PostponedError:
+        except _AbortedError:
             self.submit_quietly(command)
         except (*FAILURES, InputError, OSError) as error:
             self._notify(Notice(str(error), good=False))
@@ -234,7 +231,7 @@ class RobotWorker:
 
     def _check_stop(self) -> None:
         if self._closing.is_set() and not self._command_thread.is_alive():
-            raise _ClosedError
+            raise _AbortedError
 
     def _stop(self, node: OperatorNode) -> None:
         if not self._stop_requested.is_set():

@@ -218,6 +218,7 @@ def test_a_robot_that_does_not_start_is_reported(request):
     request.addfinalizer(bench.close)
     assert not bench.notice("twin has ended").good
     assert bench.worker.hindrance == "twin has ended"
+    assert not bench.worker.busy  # the pages show the failure, and the end waits for nothing
     assert not bench.worker.submit("working", lambda node: "")
 
 
