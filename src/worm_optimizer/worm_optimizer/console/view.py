@@ -122,7 +122,8 @@ def margin_text(twin: StateRecord | None) -> str:
     if twin is None:
         return ""
     keeps = twin.keeps_probability
-    chance = f"kept with the measured probability {keeps:.3f}" if math.isfinite(keeps) else ""
+    value = f"{keeps:.3f}" if keeps < 0.9985 else "above 0.998"
+    chance = f"kept with the measured probability {value}" if math.isfinite(keeps) else ""
     phase = f"groove phase {1e3 * twin.groove_phase:.1f} mm"
     return "; ".join(filter(None, (spare_of(twin), chance, phase)))
 

@@ -277,7 +277,7 @@ class OptimizerNode(Node):
             resting = self._computed(make_front, content, settings, front.direction)
             if settings.robustness is Robustness.MARGIN:
                 phase = 1e3 * front.cruise.groove_phase
-                reason = f"as at groove phase {phase:.1f} mm ({front.reason})"
+                reason = f"as at groove phase {phase:.1f} mm: {front.reason}"
                 resting = dataclasses.replace(resting, reason=reason)
             self._resting[key] = resting
         return self._resting[key]

@@ -103,6 +103,7 @@ def test_the_measured_margin_as_text():
     assert "probability" not in view.margin_text(measured)  # of one fin only
     both = view.margin_text(replace(measured, keeps_probability=0.9634))
     assert "measured probability 0.963" in both
+    assert "above 0.998" in view.margin_text(replace(measured, keeps_probability=1.0))
     assert "spare" not in view.margin_text(TWIN)
     assert view.margin_text(None) == ""
 
