@@ -25,7 +25,7 @@ KINDS: Mapping[str, Mapping[str, float]] = {
     "sticky": {"coulomb": 0.6, "breakaway": 1.0, "hysteresis_N": 0.6},
     "even pipe": {"pitch_scatter": 0.004},
 }
-ROBOTS = 5  # of each kind
+ROBOTS = 10  # of each kind
 FROM = (Gait(0.0713, 0.2), Gait(0.08, 0.3))  # the robust cruise of the optimizer, and a fast gait
 PROBABILITY, GROOVES, CYCLES, COUNTED, MOST_RUNS = 0.99, 2, 5, 25, 5
 G = 9.80665  # m/s²

@@ -74,7 +74,7 @@ class RunMargin:
         gait: the gait.
         grooves: grooves per cycle that the margins refer to.
         cycles: one entry for each complete cycle.
-        source: "tracker" or "power"; empty if nothing was measured.
+        source: "tracker"; empty if nothing was measured.
     """
 
     gait: Gait

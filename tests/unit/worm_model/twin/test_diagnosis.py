@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The twin's findings about faulty robots, which are integrated independently of worm_model."""
 
+import dataclasses
 import math
 from functools import lru_cache
 
@@ -9,11 +10,15 @@ import pytest
 from faulty_robots import ONSET, Fault, Lab, Robots, run_robots
 from scipy.stats import multivariate_normal
 from twin_samples import run_of_rows
+from virtual_campaign import REST, run_of
 
+from worm_driver.virtual_robot.offline_run import run_offline
+from worm_driver.virtual_robot.virtual_settings import load_settings
 from worm_model.analysis.replay_metrics import report_replay
 from worm_model.gait import Gait
 from worm_model.parameters import PAPER
-from worm_model.twin.data.records import Event, Health
+from worm_model.run import LengthSamples, TrackerSamples
+from worm_model.twin.data.records import Event, Health, Severity
 from worm_model.twin.data.samples import SampleKind
 from worm_model.twin.inference import NullModel
 from worm_model.twin.offline_replay import replay_run
@@ -215,3 +220,23 @@ def test_one_marker_distinguishes_a_wrong_l0_from_misses():
     assert codes.count("initial_length") == 1
     assert len(codes) <= 2  # one cycle cannot distinguish it from a gained groove
     assert state.initial_length == pytest.approx(0.293, abs=1.5e-3)
+
+
+@pytest.mark.parametrize("phase", [-0.0075, 0.002])
+@pytest.mark.parametrize("tracked", [True, False])
+def test_a_compliant_cable_that_the_model_lacks_is_no_fault(phase: float, tracked: bool):
+    """The body is longer than the command in every cycle, by an amount that depends on the fins."""
+    count = round((PAPER.initial_length - phase) / PAPER.pitch)
+    parameters = PAPER.replace(initial_length=count * PAPER.pitch + phase)
+    usual = load_settings()
+    robot = dataclasses.replace(
+        usual,
+        effects=dataclasses.replace(usual.effects, cable_stiffness=6400.0),
+        body=dataclasses.replace(usual.body, initial_length=parameters.initial_length),
+    )
+    run = run_of(run_offline(robot, GAIT.length_change, 5.1 * GAIT.period, REST), GAIT, robot)
+    length = run.tracker.front_position - run.tracker.rear_position
+    seen = LengthSamples(run.tracker.stamp, length, length - parameters.initial_length)
+    changes = {"measured": seen} if tracked else {"tracker": TrackerSamples()}
+    replay = replay_run(dataclasses.replace(run, **changes), parameters)
+    assert {event.code for event in replay.notices if event.severity > Severity.INFO} == set()

@@ -58,6 +58,8 @@ def test_the_margins_are_published_from_the_end_of_each_cycle_on():
         shown = states[f"{fin.value}_margin"][-1]
         assert shown == pytest.approx(whole.beliefs[fin].expected, abs=0.0005)
     assert states["margin_grooves"][-1] == whole.grooves
+    assert whole.keeps is not None
+    assert states["keeps_probability"][-1] == pytest.approx(whole.keeps.value, abs=0.05)
 
 
 def test_without_a_tracker_the_margins_are_nan():

@@ -118,6 +118,11 @@ def test_a_failed_process_is_reported_with_its_last_line(tmp_path):
         process.wait(20.0)
         with pytest.raises(ProcessError, match="bad ended with exit status 1: no such port"):
             group.check()
+        killed = group.start("killed", python(OBEDIENT))
+        killed.wait_for_line("ready", 20.0)
+        killed.kill()
+        killed.wait(20.0)
+        assert killed.report() == "killed ended with exit status -9 (SIGKILL)"
         with pytest.raises(
             ProcessError, match=r"bad ended with exit status 1: no such port; .*'ready'"
         ):

@@ -128,6 +128,7 @@ def test_a_short_run_is_held_against_the_same_cycles_of_the_model(tmp_path: Path
     steady = cycles > 3  # with fewer, there is nothing to compare
     assert {row.agrees for row in agreement.agreements(gait)} == {True if steady else None}
     assert (agreement.TOO_SHORT in agreement.describe([gait])) != steady
+    assert math.isnan(agreement.agreements(gait)[0].difference) != steady
     assert gait.early_end == ""
 
 
