@@ -26,8 +26,14 @@ with contextlib.suppress(ImportError):  # ROS is not installed, or the workspace
     network.bind(os.environ, os.environ.get("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp"))
 os.environ.setdefault("MPLBACKEND", "Agg")
 
+ALL = bool(os.environ.get("WORM_ALL_RANDOM_CASES"))  # set by ./worm test --all
 # No test is timed: a busy machine is not a failure.
-settings.register_profile("untimed", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile(
+    "untimed",
+    deadline=None,
+    max_examples=100 if ALL else 30,
+    suppress_health_check=[HealthCheck.too_slow],
+)
 settings.load_profile("untimed")
 
 # A shell ignores SIGINT in its background jobs, and processes that the tests start would inherit that.
@@ -61,7 +67,7 @@ class CpuTimes:
         if config.option.durations is None:  # only runs of whole folders, which ./worm test starts
             return
         committed = tomllib.loads((ROOT / "tests" / "cpu_seconds.toml").read_text())[
-            "all" if os.environ.get("WORM_ALL_RANDOM_CASES") else "default"
+            "all" if ALL else "default"
         ]
         terminalreporter.section("processor time of each folder, s (committed)")
         for folder, spent in self.spent.most_common():

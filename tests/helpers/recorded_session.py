@@ -86,13 +86,10 @@ def _run(
         power=PowerSamples(
             stamp[fast], np.zeros(fast.size, np.int64), 12.0 + 0 * power, power / 12.0, power
         ),
-        gait_state=GaitStates(
-            stamp=begins + np.array([-1_500_000_000, 0, round(cycles * GAIT.period * 1e9)]),
+        gait_state=GaitStates.of(
+            GAIT,
+            begins + np.array([-1_500_000_000, 0, round(cycles * GAIT.period * 1e9)]),
             state=np.array([RESTING, RUNNING, IDLE]),
-            stroke=np.full(3, GAIT.stroke),
-            frequency=np.full(3, GAIT.frequency),
-            direction=np.full(3, GAIT.direction),
-            margin=np.full(3, GAIT.margin),
             onset=np.array([0, begins, begins]),
             cycle=np.array([0, 1, cycles]),
             cycles=np.full(3, cycles),

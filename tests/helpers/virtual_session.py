@@ -161,14 +161,6 @@ class Session:
         self.rig.robot.activate(self.rig.clock.now)
         self.rest(0.1)
 
-    def restart_driver(self) -> None:
-        """Start another driver process on the same robot; it counts its runs from 1."""
-        self.deactivate()
-        self.rig = _Rig(self.rig.settings, self.rig.virtual, self.rig.clock)
-        self._shown = None
-        self.rig.activate()
-        self._note()
-
     def carry(self, distance: float) -> None:
         """Move the robot by a distance (m) as a person would, and put its fins into the nearest grooves."""
         virtual = self.rig.virtual
