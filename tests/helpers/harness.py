@@ -24,7 +24,7 @@ from worm_optimizer.operation.processes import Process, ProcessGroup, executable
 from worm_optimizer.operation.system import installed_system_file
 
 NAMESPACE = "/worm"
-TIMEOUT_S = 30.0  # long, as only a failing test waits so long
+TIMEOUT_S = 100.0  # long, as only a failing test waits so long
 RETRY_S = 1.0
 LATCHED = QoSProfile(
     depth=1,
