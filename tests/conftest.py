@@ -28,11 +28,9 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 
 ALL = bool(os.environ.get("WORM_ALL_RANDOM_CASES"))  # set by ./worm test --all
 # No test is timed: a busy machine is not a failure.
+MOST = 100 if ALL else 33
 settings.register_profile(
-    "untimed",
-    deadline=None,
-    max_examples=100 if ALL else 30,
-    suppress_health_check=[HealthCheck.too_slow],
+    "untimed", deadline=None, max_examples=MOST, suppress_health_check=[HealthCheck.too_slow]
 )
 settings.load_profile("untimed")
 

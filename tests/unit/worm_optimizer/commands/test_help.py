@@ -19,6 +19,10 @@ print(*sys.modules)
     ("name", "absent"),
     [
         *(
+            (f"worm_model.commands.{name}", {"matplotlib", "numba", "numpy", "rosbags"})
+            for name in ("bags", "evaluate_gait", "simulate")
+        ),
+        *(
             (f"worm_model.commands.{name}", {"matplotlib", "numba", "scipy"})
             for name in ("export", "health", "identify", "margin", "phase_map", "replay")
         ),
