@@ -18,7 +18,6 @@ from worm_model.bags.formats.finding import (
     is_storage,
 )
 from worm_model.bags.formats.mcap_file import McapFile
-from worm_model.bags.formats.sqlite_file import SqliteFile
 from worm_model.bags.formats.stored_file import LONGEST_GAP_NS, StoredFile
 
 # metadata record of a recovered bag, with its source and what is missing
@@ -97,8 +96,11 @@ def _split_number(name: str) -> tuple[int, str]:
 
 
 def _open_file(path: Path) -> StoredFile:
-    is_sqlite = path.name.removesuffix(COMPRESSED).endswith(".db3")
-    return SqliteFile(path) if is_sqlite else McapFile(path)
+    if not path.name.removesuffix(COMPRESSED).endswith(".db3"):
+        return McapFile(path)
+    from worm_model.bags.formats.sqlite_file import SqliteFile  # here: rosbags.rosbag2 loads slowly
+
+    return SqliteFile(path)
 
 
 def _report(bag: Bag) -> None:

@@ -12,7 +12,6 @@ from textwrap import indent
 from typing import Any
 
 import yaml
-from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
 
 from worm_model.bags.formats.bag_errors import RECOVER, BagError
 from worm_model.bags.formats.finding import METADATA_FILE
@@ -125,6 +124,8 @@ def named_qos(text: str) -> str:
     """
     if not re.search(r"durability: *\d", text):
         return text
+    from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos  # here: these load slowly
+
     try:
         return dump_yaml(dump_qos_v9(parse_qos(text)))
     except Exception:  # noqa: BLE001 - the library also raises AssertionError
