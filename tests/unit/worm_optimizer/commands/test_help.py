@@ -15,9 +15,18 @@ print(*sys.modules)
 """
 
 
-SLOW = {"distributed", "matplotlib", "numba", "pymoo", "rosbags.rosbag2", "scipy", "xarray"}
+SLOW = {
+    "distributed",
+    "matplotlib",
+    "numba",
+    "pydantic",
+    "pymoo",
+    "rosbags.rosbag2",
+    "scipy",
+    "xarray",
+}
 COMMANDS = {
-    "worm_driver.commands": ("bench_tests", "calibrate"),
+    "worm_driver.commands": ("calibrate",),
     "worm_model.commands": (
         *("bags", "evaluate_gait", "export", "health", "identify", "import_lab", "margin"),
         *("phase_map", "recover", "replay", "simulate"),
