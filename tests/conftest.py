@@ -23,7 +23,10 @@ with contextlib.suppress(ImportError):  # ROS is not installed, or the workspace
 os.environ.setdefault("MPLBACKEND", "Agg")
 
 # No test is timed: a busy machine is not a failure.
-settings.register_profile("untimed", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+MOST = 100 if os.environ.get("WORM_ALL_RANDOM_CASES") else 33
+settings.register_profile(
+    "untimed", deadline=None, max_examples=MOST, suppress_health_check=[HealthCheck.too_slow]
+)
 settings.load_profile("untimed")
 
 # A shell ignores SIGINT in its background jobs, and processes that the tests start would inherit that.

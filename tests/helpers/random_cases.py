@@ -7,6 +7,7 @@ import dataclasses
 import os
 
 import numpy as np
+from hypothesis import settings
 
 from worm_model.gait import FORWARD, REVERSE, Gait, Profile
 from worm_model.parameters import PAPER, Parameters
@@ -17,6 +18,11 @@ KINDS = ("paper", "perturbed", "heavy", "light damping", "double root", "resonan
 def seeds(count: int) -> range:
     """Return the seeds of costly random cases: ``count`` in continuous integration, a third of them elsewhere."""
     return range(count if os.environ.get("WORM_ALL_RANDOM_CASES") else count // 3)
+
+
+def examples(count: int) -> settings:
+    """Return the settings for as many random examples of Hypothesis."""
+    return settings(max_examples=len(seeds(count)))
 
 
 def random_case(seed: int) -> tuple[str, Gait, Parameters]:

@@ -57,17 +57,13 @@ def _gait_states(cycles: int, end: float) -> GaitStates:
     begins = REST_S + np.arange(cycles) * GAIT.period
     times = np.concatenate([[0.0], begins, [end - 0.1]])
     cycle = np.array([0, *range(1, cycles + 1), cycles])
-    count = times.size
-    return GaitStates(
-        stamp=_stamp(times),
+    return GaitStates.of(
+        GAIT,
+        _stamp(times),
         state=np.array([RESTING, *[RUNNING] * cycles, IDLE]),
-        stroke=np.full(count, GAIT.stroke),
-        frequency=np.full(count, GAIT.frequency),
-        direction=np.full(count, GAIT.direction),
-        margin=np.full(count, GAIT.margin),
         onset=np.where(cycle > 0, int(_stamp(np.array(REST_S))), 0),
         cycle=cycle,
-        cycles=np.full(count, cycles),
+        cycles=np.full(times.size, cycles),
     )
 
 

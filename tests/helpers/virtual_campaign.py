@@ -36,10 +36,8 @@ CAMPAIGN = (
 SHORT = (CAMPAIGN[4], CAMPAIGN[5], CAMPAIGN[6], CAMPAIGN[7])
 SPREAD = 0.05  # relative, of the true parameters about the virtual robot's
 FORCE_NOISE = 0.12, 0.35  # N, of the fin and of the bellows test
-REST, REST_UNDER_PRETENSION = (
-    2.0,
-    3.0,
-)  # s before a gait; the cable is tensioned in their first half
+# s before a gait; the cable is tensioned in their first half
+REST, REST_UNDER_PRETENSION = 2.0, 3.0
 EPOCH = 10**18  # ns
 RESTING, RUNNING = 2, 3
 TICK = 2.0 * np.pi / 4096  # rad
@@ -104,8 +102,8 @@ def bench_tests(truth: Parameters, random: np.random.Generator) -> tuple[BenchTe
     return bellows, fin
 
 
-def run_of(rehearsal: Rehearsal, gait: Gait, settings: RobotSettings) -> Run:
-    """Return a rehearsal as a bag would contain it."""
+def run_of(rehearsal: Rehearsal, gait: Gait, settings: RobotSettings, epoch: int = EPOCH) -> Run:
+    """Return a rehearsal as a bag would contain it, which begins at a time in ns."""
     servo = settings.cable_servos[0]
     metres = -servo.sign * servo.spool_radius * TICK
     power = rehearsal.bus_voltage * rehearsal.current
@@ -115,6 +113,7 @@ def run_of(rehearsal: Rehearsal, gait: Gait, settings: RobotSettings) -> Run:
         (rehearsal.tracker_time, rehearsal.rear_position, rehearsal.front_position),
         (rehearsal.servo_time, rehearsal.goal_ticks * metres),
         (rehearsal.power_time, power),
+        epoch,
     )
 
 
@@ -124,18 +123,19 @@ def make_run(
     camera: tuple[np.ndarray, np.ndarray, np.ndarray],
     command: tuple[np.ndarray, np.ndarray],
     power: tuple[np.ndarray, np.ndarray],
+    epoch: int = EPOCH,
 ) -> Run:
     """Return a run of (time s, x1 m, x2 m), (time s, u_cmd m) and (time s, power W), onset in s."""
 
     def stamp(time: np.ndarray) -> np.ndarray:
-        return EPOCH + np.rint(np.asarray(time) * 1e9).astype(np.int64)
+        return epoch + np.rint(np.asarray(time) * 1e9).astype(np.int64)
 
     length = np.asarray(camera[2]) - np.asarray(camera[1])
     initial = float(np.nanmedian(length[camera[0] < onset])) if np.any(camera[0] < onset) else 0.3
     states = np.array([RESTING, RUNNING])
     onset_stamp = int(stamp(np.array(onset)))
     return Run(
-        origin=EPOCH,
+        origin=epoch,
         commanded=LengthSamples(stamp(command[0]), initial + command[1], np.asarray(command[1])),
         tracker=TrackerSamples(stamp(camera[0]), np.asarray(camera[1]), np.asarray(camera[2])),
         power=PowerSamples(

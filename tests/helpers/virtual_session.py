@@ -77,7 +77,6 @@ class Session:
     ) -> None:
         self.rig: Rig = _Rig(driver, VirtualRobot(virtual or virtual_settings()))
         self.camera = True
-        self.power = True
         self.played: list[Played] = []
         self._rows: list[tuple[float, ...]] = []
         self._shown: tuple[object, ...] | None = None
@@ -148,38 +147,6 @@ class Session:
         self.played.append(played)
         return played
 
-    def deactivate(self) -> None:
-        """Bring the robot to rest, and switch the torque off."""
-        robot = self.rig.robot
-        robot.ramp_to_rest(self.rig.clock.now, "the driver is deactivated")
-        self._follow(LONGEST_S, lambda _: robot.released)
-        robot.release()
-        self.rest(0.1)
-
-    def activate(self) -> None:
-        """Switch the torque on."""
-        self.rig.robot.activate(self.rig.clock.now)
-        self.rest(0.1)
-
-    def restart_driver(self) -> None:
-        """Start another driver process on the same robot; it counts its runs from 1."""
-        self.deactivate()
-        self.rig = _Rig(self.rig.settings, self.rig.virtual, self.rig.clock)
-        self._shown = None
-        self.rig.activate()
-        self._note()
-
-    def carry(self, distance: float) -> None:
-        """Move the robot by a distance (m) as a person would, and put its fins into the nearest grooves."""
-        virtual = self.rig.virtual
-        plant, state = virtual.plant, virtual.state
-        moved = state._replace(centre=state.centre + distance)
-        rear, front = plant.positions(moved)
-        pitch = plant.parameters.pitch
-        virtual.state = moved._replace(
-            rear_groove=round(rear / pitch), front_groove=round(front / pitch)
-        )
-
     # --- topics ---------------------------------------------------------------------------------
 
     def _follow(self, duration: float, until: Callable[[CycleSnapshot], bool]) -> None:
@@ -195,7 +162,7 @@ class Session:
         for snapshot in rig.snapshots:
             self._note_snapshot(snapshot)
         for sample in rig.samples:
-            if self.power and sample.status is SampleStatus.VALID:
+            if sample.status is SampleStatus.VALID:
                 self._add(SampleKind.POWER, sample.time, sample.power)
         rig.valid = rig._valid_samples()
         rig.samples.clear()

@@ -143,6 +143,7 @@ def test_where_the_robot_rests_the_front_is_another(start, user):
     assert resting.success
     assert resting.prediction.groove_phase == pytest.approx(0.2902 - 17 * 0.0173, abs=1e-9)
     assert resting.prediction.gait.stroke != own.prediction.gait.stroke
+    assert "margin 2.00 mm, as at groove phase" in resting.message
     assert not user.request_gait(initial_length=2.0).success
 
 

@@ -2,7 +2,6 @@
 """The recorder with real publishers over real DDS."""
 
 import json
-import shutil
 import signal
 from collections.abc import Callable
 from pathlib import Path
@@ -251,19 +250,6 @@ def test_the_last_seconds_are_written_when_the_twin_raises_an_alarm(
     recorder.interrupt()
     assert outcome_of(recorder)["bags"] == [str(tmp_path / "bag_snapshot_1")]
     assert recorded(tmp_path / "bag_snapshot_1") == [float(i) for i in range(20)]
-
-
-def test_a_folder_that_is_removed_is_noticed_at_once(
-    processes: Processes, probe: Probe, tmp_path: Path
-):
-    positions = probe.node.create_publisher(Tracker, "tracker", 1000)
-    recorder = processes.start_node("worm_model", "record", "tracker", "-o", str(tmp_path / "bag"))
-    recorder.wait_for_line("recording /worm/tracker ", TIMEOUT_S)
-    publish(positions, range(25))
-    shutil.rmtree(tmp_path / "bag")
-    assert recorder.wait(TIMEOUT_S) == 1
-    assert "was removed while it was recorded: 25 messages are lost" in recorder.last_line()
-    assert "Traceback" not in recorder.output()
 
 
 def test_each_run_of_a_gait_is_noted_once(processes: Processes, probe: Probe, tmp_path: Path):

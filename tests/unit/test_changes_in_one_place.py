@@ -127,7 +127,7 @@ GAIT = """
 import dataclasses, json
 from pathlib import Path
 import numpy as np
-from worm_model.bags.formats.cdr import Converter, encode
+from worm_model.bags.formats.cdr import MessageConverter, encode
 from worm_model.bags.formats.bag_writer import new_bag
 from worm_model.bags.formats.message_types import topic_of
 from worm_model.bags.opening import open_bag
@@ -160,7 +160,7 @@ with open_bag(Path(OLD)) as bag:
     channel = next(c for c in bag.channels if c.name == "/worm/gait_state")
     data = next(iter(bag.messages([channel.name]))).data
 state_type = topic_of(channel.name, channel.type_name)
-converted = Converter(channel, state_type)(data)
+converted = MessageConverter(channel, state_type)(data)
 share = np.frombuffer(converted, "<f8", 1, converted.index(np.float64(0.375).tobytes()))[0]
 rows = rows_of_run(again, 10**9)
 Path("gaits.csv").write_text("stroke_m,frequency_Hz,ripple_share\\n0.07,0.2,0.4\\n")

@@ -97,7 +97,7 @@ def test_a_gait_is_run_stopped_found_and_reported(page: "sync_api.Page", console
     for part in page.locator(".minute, .front, .scene, .fields, .numbers").all():
         expect(part).to_be_in_viewport(ratio=1.0)
     press(page, "Run")
-    expect(status(page)).to_contain_text(re.compile(r"cycle ([2-9]|\d\d)"))
+    expect(page.get_by_text(re.compile("to spare; kept with the measured"))).to_be_visible()
     page.keyboard.press("Escape")
     expect(state(page)).to_have_text("stopped, holding")
     press(page, "Deactivate")  # waits for the end of the recording
@@ -140,8 +140,12 @@ def test_on_a_phone_a_gait_in_numbers_is_predicted_run_and_stopped_with_the_keyb
     stroke.fill("500")
     expect(page.get_by_text(re.compile("Run is not possible:.*500 mm"))).to_be_visible()
     expect(run).to_be_disabled()
+    stroke.fill("0")
+    expect(page.get_by_text(re.compile("Run is not possible:.*more than 0"))).to_be_visible()
+    expect(predicted(page).nth(2)).to_have_text("–")  # that of the former stroke has gone
     stroke.fill("70")
-    expect(predicted(page).nth(10)).to_have_text(re.compile(r"^[01]"))  # the probability
+    expect(page.get_by_text("probability, if the model is right")).to_be_visible()
+    expect(predicted(page).nth(10)).to_have_text(re.compile(r"^[01]"))
     power = predicted(page).nth(4).text_content()
     page.get_by_text("trapezoid", exact=True).click()
     expect(predicted(page).nth(4)).to_have_text(re.compile(rf"^(?!{re.escape(str(power))})\d"))

@@ -5,10 +5,8 @@ import inspect
 import re
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from worm_model.gait import Gait, GaitError
 from worm_model.parameters import (
     KEYS,
     PAPER,
@@ -39,12 +37,6 @@ def test_the_representation_holds_what_differs_from_the_paper():
     assert repr(own) == "Parameters(gain=0.85, one_sided_cable=True)"
     assert eval(repr(own), {"Parameters": Parameters}) == own
     assert len(str(inspect.signature(evaluate_gait))) < 200
-
-
-def test_missing_key_means_the_papers_value(tmp_path: Path) -> None:
-    path = tmp_path / "p.yaml"
-    path.write_text("viscous_friction: 90\n")
-    assert load_parameters(path) == PAPER.replace(viscous_friction=90.0)
 
 
 def test_round_trip_with_intervals_and_provenance(tmp_path: Path) -> None:
@@ -79,36 +71,25 @@ def test_the_form_of_the_power_is_written_and_no_number(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("correlations: {slack: gain}", "correlations must be a list"),
         ("correlations: [[slack, gain]]", "correlations: .* is missing"),
         ("correlations: [[slack, gian, 0.5]]", "did you mean gain"),
         ("correlations: [[slack, slack, 0.5]]", "correlations: slack, slack"),
         ("correlations: [[slack, gain, 1.5]]", "less than or equal to 1"),
-        ("correlations: [[slack, gain, .nan]]", "finite number"),
-        ("travel_error: -0.001", "travel_error must be"),
-        ("travel_error: {value: -0.001}", "travel_error: sd is missing"),
         ("travel_error: {value: -0.001, sd: -0.1}", "greater than or equal to 0"),
-        ("run_to_run: [slack]", "run_to_run must be .* mapping"),
         ("run_to_run: {slak: 0.1}", "did you mean slack"),
         ("run_to_run: {slack: -0.1}", "slack must be greater than or equal to 0"),
-        ("run_to_run: {slack: .nan}", "finite number"),
         ("viscous_frition: 90", "did you mean viscous_friction"),
         ("pitch: 17.3", "is it in another unit"),
         ("engaged_stiffness: -1833", r"k_eng, N/m"),
         ("rear_mass: .nan", "finite number"),
         ("rear_mass: heavy", "rear_mass must be a valid number"),
-        ("rear_mass: true", "valid number"),
-        ("rear_mass: null", "valid number"),
         ("switching_threshold: 0.008", "switch back at once"),
         ("clearance: 0.04", "never touch the grooves"),
         ("- 1", "the file must be a mapping"),
         ("a: [", "not valid YAML at line"),
         ("intervals: {gain: [1.0, 0.5]}", "intervals: gain: .* 1 .* 0.5"),
-        ("intervals: {gain: 1}", "gain must be a list"),
-        ("intervals: {gian: [0, 1]}", "did you mean gain"),
         ("provenance: 7", "provenance"),
         ("one_sided_cable: 1", "valid boolean"),
-        ("one_sided_cable: null", "valid boolean"),
         ("one_sided_cabel: true", "did you mean one_sided_cable"),
         ("intervals: {one_sided_cable: [0, 1]}", "intervals: a key must be"),
         ("one_sided_cable: true", "identify --one-sided-cable"),
@@ -141,11 +122,6 @@ def test_unreadable_files_are_rejected(tmp_path: Path) -> None:
         load_parameters(tmp_path / "binary.yaml")
 
 
-def test_numpy_numbers_are_numbers() -> None:
-    assert Parameters(rear_mass=np.float64(0.5)).rear_mass == 0.5
-    assert type(Parameters(rear_mass=np.float64(0.5)).rear_mass) is float
-
-
 def test_the_table_of_the_docs_is_that_of_the_code() -> None:
     """Each parameter has a cell with its symbol, key, default and unit."""
     text = (ROOT / "docs" / "model.md").read_text(encoding="utf-8")
@@ -154,29 +130,3 @@ def test_the_table_of_the_docs_is_that_of_the_code() -> None:
         row = rf"\| {re.escape(SYMBOLS[key])} \| `{key}` \| ([0-9.]+){unit}(?:, \*\*ours\*\*)? \|"
         found = re.findall(row, text)
         assert [float(value) for value in found] == [getattr(PAPER, key)], key
-
-
-@pytest.mark.parametrize(
-    "values",
-    [
-        (0.0, 0.2, 1, 0.0),
-        (-0.07, 0.2, 1, 0.0),
-        (0.07, -0.2, 1, 0.0),
-        (0.07, float("nan"), 1, 0.0),
-        (float("inf"), 0.2, 1, 0.0),
-        (70.0, 0.2, 1, 0.0),
-        (0.07, 0.2, 0, 0.0),
-        (0.07, 0.2, 1, -0.001),
-        (0.07, 0.2, 1, float("nan")),
-    ],
-)
-def test_impossible_gaits_are_rejected(values: tuple[float, float, int, float]) -> None:
-    with pytest.raises(GaitError):
-        Gait(*values)
-
-
-def test_command_starts_and_ends_a_cycle_at_rest() -> None:
-    gait = Gait(0.07, 0.2)
-    assert gait.command(0.0) == 0.0
-    assert gait.command(0.5 * gait.period) == pytest.approx(-0.07)
-    assert gait.command(gait.period) == pytest.approx(0.0, abs=1e-15)

@@ -1,11 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """worm_model.run has the constants of the messages, which it does not import."""
 
-import pytest
-
 from worm_model import run
-
-messages = pytest.importorskip("worm_msgs.msg", reason="worm_msgs is not built")
+from worm_msgs import msg as messages
 
 
 def test_states_and_statuses_are_those_of_the_messages():

@@ -6,7 +6,7 @@ import math
 import pytest
 
 from worm_model.errors import InputError
-from worm_model.gait import Gait, Profile
+from worm_model.gait import Gait
 from worm_optimizer.robot_commands import GaitCommand, RunProgress
 
 GAIT = Gait(0.07, 0.2, -1)
@@ -26,21 +26,6 @@ GAIT = Gait(0.07, 0.2, -1)
 def test_an_impossible_end_is_rejected(ends, complaint):
     with pytest.raises(InputError, match=complaint):
         GaitCommand(GAIT, **ends)
-
-
-def test_an_order_describes_the_run():
-    text = str(GaitCommand(GAIT, cycles=9, distance=0.5))
-    assert text == "stroke 70.0 mm, frequency 0.200 Hz, reverse, 9 cycles or 500 mm"
-
-
-def test_an_order_names_a_waveform_that_is_not_the_papers():
-    gait = Gait(0.07, 0.2, 1, 0.0, 0.01, 0.6, Profile.TRAPEZOID, 0.2)
-    waveform = str(GaitCommand(gait, cycles=1)).split(", ")[2:5]
-    assert waveform == [
-        "pretension 10.0 mm",
-        "contraction share 0.6",
-        "trapezoid with ramp share 0.2",
-    ]
 
 
 def test_progress_leaves_out_missing_measurements():

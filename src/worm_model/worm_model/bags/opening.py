@@ -1,14 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Opening of bags. Reading never writes: what can be read of an unclosed or damaged bag is read, the rest reported."""
+"""Opening and reading of bags in any supported format.
+
+Reading never writes: what can be read of an unclosed or damaged bag is read, the rest reported. The files of a bag are
+read lazily, in parts (`stored_file.Extent`).
+"""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
-from itertools import pairwise
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from itertools import groupby, pairwise
+from operator import itemgetter
 from pathlib import Path, PurePath
 
-from worm_model.bags.formats.bag import Bag, Notify
+import numpy as np
+import zstandard
+
 from worm_model.bags.formats.bag_errors import BagError
 from worm_model.bags.formats.bag_metadata import is_unfinished, read_metadata
 from worm_model.bags.formats.finding import (
@@ -17,13 +27,29 @@ from worm_model.bags.formats.finding import (
     check_readable,
     is_storage,
 )
-from worm_model.bags.formats.mcap_file import McapFile
-from worm_model.bags.formats.stored_file import LONGEST_GAP_NS, StoredFile
+from worm_model.bags.formats.mcap_file import LARGEST_CHUNK, McapFile
+from worm_model.bags.formats.message_block import (
+    Message,
+    Messages,
+    Topic,
+    cells,
+    merge,
+    messages_of,
+)
+from worm_model.bags.formats.message_types import PACKAGE, with_definition
+from worm_model.bags.formats.stored_file import (
+    LONGEST_GAP_NS,
+    AttachedFile,
+    StoredFile,
+    joined_spans,
+)
 
 # metadata record of a recovered bag, with its source and what is missing
 RECOVERY_RECORD = "worm_recovery"
 SOURCE, LOSS = "recovered_from", "loss"
 _log = logging.getLogger("worm_model.bags")
+
+Notify = Callable[[str], None]
 
 
 def open_bag(path: Path, notify: Notify = _log.warning, definitions: Path | None = None) -> Bag:
@@ -32,38 +58,45 @@ def open_bag(path: Path, notify: Notify = _log.warning, definitions: Path | None
     Args:
         path: a rosbag2 directory, or one of its files (``.mcap``, ``.db3``).
         notify: called with one line for each file that is not complete, and for each inconsistency.
-        definitions: folder of message definitions, see `Bag.define`.
+        definitions: folder with the ``.msg`` files of worm_msgs from the time of the recording, used for the topics
+            whose type is in it.
 
     Raises:
         BagError: The bag is missing or of an unknown format, or none of its files can be read; or the definitions do
             not match its messages.
     """
     check_readable(path)
-    if path.is_file():
-        bag = Bag(path, [_open_file(path)], notify)
-    else:
-        bag = _open_folder(path, notify)
-    try:
-        if definitions is not None:
-            bag.define(definitions)
-    except BagError:
-        bag.close()
-        raise
-    _report(bag)
-    return bag
-
-
-def _open_folder(path: Path, notify: Notify) -> Bag:
+    names = [""] if path.is_file() else _file_names(path, notify)
     files: list[StoredFile] = []
     errors: dict[str, BagError] = {}
-    for name in _file_names(path, notify):
+    for name in names:
         try:
             files.append(_open_file(path / name))
         except BagError as error:
             errors[name] = error
     if errors and not files:
         raise next(reversed(errors.values()))
-    return Bag(path, files, notify, [f"{name} is left out: {e}" for name, e in errors.items()])
+    if definitions is not None:
+        _define(path, files, definitions)
+    bag = Bag(path, files, notify, [f"{name} is left out: {e}" for name, e in errors.items()])
+    _report(bag)
+    return bag
+
+
+def _define(path: Path, files: Sequence[StoredFile], definitions: Path) -> None:
+    """Replace the definitions of the topics whose type is in a folder."""
+    found = False
+    for file in files:
+        for number, topic in file.channels.items():
+            package, _, kind = topic.type_name.partition("/msg/")
+            if package == PACKAGE and (definitions / f"{kind}.msg").is_file():
+                file.channels[number] = with_definition(topic, definitions)
+                found = True
+    if not found:
+        raise BagError(
+            f"{definitions} has no definition of a type in {path}; give the folder with the .msg files of "
+            f"{PACKAGE}, such as {PACKAGE}/msg"
+        )
 
 
 def _file_names(path: Path, notify: Notify) -> Sequence[str]:
@@ -122,3 +155,164 @@ def _report(bag: Bag) -> None:
             f"{bag.path} contains no definitions of {', '.join(bare)}; the installed definitions are used if type hash "
             "and length of the messages match"
         )
+
+
+# --- reading -------------------------------------------------------------------------------------
+
+
+class Bag:
+    """Bag that is open for reading; a context manager.
+
+    Args:
+        path: directory or file from which the bag was opened.
+        files: the open files; closed with the bag.
+        notify: called with one line for each inconsistency of the bag.
+        damage: one line for each file of the bag that is missing or cannot be read.
+
+    Attributes:
+        channels: topics with their layouts; a topic whose layout changes occurs once for each layout.
+        topics: topics by name. Each topic has its last layout, and its count includes the messages of all layouts.
+        records: metadata records in the order of the files; identical records occur once. A recording has one record
+            ``worm_gait`` for each gait that was run.
+        spans: first and last log time (ns since the epoch) of each part of the bag without a gap.
+        damage: one line for each file that is not complete.
+        remarks: one line for each inconsistency of a file.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        files: Sequence[StoredFile],
+        notify: Notify = lambda _: None,
+        damage: Sequence[str] = (),
+    ) -> None:
+        self.path = path
+        self.notify = notify
+        self._files = files
+        counts: Counter[Topic] = Counter()
+        for file in files:
+            for number, topic in file.channels.items():
+                counts[topic] += file.counts[number]
+        by_name = sorted(counts.items(), key=lambda item: item[0].name)
+        self.channels = tuple(replace(topic, count=count) for topic, count in by_name)
+        self.topics = _by_name(self.channels)
+        self.records = tuple(dict.fromkeys(r for file in files for r in file.metadata))
+        self.spans = joined_spans(span for file in files for span in file.spans)
+        self.damage = (*damage, *(f"{f.path.name}: {f.damage}" for f in files if f.damage))
+        self.remarks = [f"{f.path.name}: {remark}" for f in files for remark in f.remarks]
+
+    def close(self) -> None:
+        """Close the files."""
+        for file in self._files:
+            file.close()
+
+    def __enter__(self) -> Bag:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @property
+    def start(self) -> int:
+        """Smallest log time, ns since the epoch; 0 in an empty bag."""
+        return self.spans[0][0] if self.spans else 0
+
+    @property
+    def duration_s(self) -> float:
+        """Duration without gaps, s."""
+        return sum(last - first for first, last in self.spans) * 1e-9
+
+    def time_at(self, position_s: float) -> int:
+        """Return the log time (ns) at a time since the start of the bag (s), which does not include gaps."""
+        rest, time = round(position_s * 1e9), 0
+        for first, last in self.spans:
+            time = first + rest
+            if time <= last:
+                break
+            rest -= last - first
+        return time
+
+    def position_at(self, log_time: int) -> float:
+        """Return the time since the start of the bag at a log time (ns), s, without gaps."""
+        passed = (min(log_time, last) - first for first, last in self.spans if log_time > first)
+        return sum(passed) * 1e-9
+
+    @property
+    def message_count(self) -> int:
+        """Number of messages."""
+        return sum(topic.count for topic in self.topics.values())
+
+    @property
+    def metadata(self) -> dict[str, dict[str, str]]:
+        """Last metadata record of each name, such as ``worm_run``; empty if the format has no metadata."""
+        return {record.name: dict(record.values) for record in self.records}
+
+    def attachments(self) -> Iterator[AttachedFile]:
+        """Yield the files stored inside the bag, such as the parameter file of the run, each once."""
+        return iter(dict.fromkeys(a for file in self._files for a in file.attachments))
+
+    def messages(self, topics: Iterable[str] | None = None) -> Iterator[Message]:
+        """Yield the messages in order of log time, lazily, so that memory does not grow with the bag.
+
+        Args:
+            topics: names of the topics to read; None: all.
+
+        Raises:
+            BagError: A topic does not exist, or a file is damaged.
+        """
+        for block in self.blocks(topics):
+            yield from block
+
+    def blocks(self, topics: Iterable[str] | None = None) -> Iterator[Messages]:
+        """Yield the messages in blocks. One after the other, the blocks have the order of `messages`.
+
+        However long the files are, memory holds only the extents that overlap in time.
+        """
+        wanted = frozenset(self.topics if topics is None else topics)
+        unknown = sorted(wanted - self.topics.keys())
+        if unknown:
+            raise BagError(
+                f"{self.path} has no topic {unknown[0]}; it has {', '.join(self.topics) or 'none'}"
+            )
+        extents = [(file, extent) for file in self._files for extent in file.extents]
+        # Extents with equal times stay in the order of the files.
+        extents.sort(key=lambda item: (item[1].start, item[1].end))
+        runs = groupby(extents if wanted else (), key=itemgetter(0))
+        for block in merge(
+            b for file, run in runs for b in file.blocks((e for _, e in run), wanted)
+        ):
+            yield _decompressed(block)
+
+
+def _by_name(channels: Iterable[Topic]) -> dict[str, Topic]:
+    """Return the topics by name, each with its last layout and with the number of its messages in all layouts."""
+    topics: dict[str, Topic] = {}
+    for channel in channels:
+        known = topics.get(channel.name)
+        topics[channel.name] = replace(channel, count=channel.count + (known.count if known else 0))
+    return topics
+
+
+def _decompressed(block: Messages) -> Messages:
+    """Return the messages of a block, decompressed; rosbag2's compression mode MESSAGE compresses each message.
+
+    A compressed message begins with the magic number of Zstandard, with which no CDR message begins.
+    """
+    rows = np.flatnonzero(block.size >= len(zstandard.FRAME_HEADER))
+    beginnings = cells(block.buffer, len(zstandard.FRAME_HEADER))[block.offset[rows]]
+    if not (beginnings.view("<u4") == int.from_bytes(zstandard.FRAME_HEADER, "little")).any():
+        return block
+    return messages_of([message._replace(data=_payload(message)) for message in block])
+
+
+def _payload(message: Message) -> bytes:
+    """Return the decompressed payload of a message.
+
+    A payload is returned unchanged if it is not compressed, is damaged, or decompresses to more than LARGEST_CHUNK
+    bytes.
+    """
+    data = message.data
+    with suppress(zstandard.ZstdError):
+        if zstandard.frame_content_size(data) <= LARGEST_CHUNK:
+            return zstandard.ZstdDecompressor().decompress(data, max_output_size=LARGEST_CHUNK)
+    return data

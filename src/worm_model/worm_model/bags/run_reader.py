@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from worm_model.bags.formats.bag import Bag
 from worm_model.bags.formats.bag_errors import BagError, NoRunError
-from worm_model.bags.formats.cdr import ColumnBuilder, Columns
+from worm_model.bags.formats.cdr import ColumnBuilder, MessageColumns
 from worm_model.bags.formats.message_block import Topic
+from worm_model.bags.opening import Bag
 from worm_model.bags.worm_topics import SERIES, TWIN_INPUTS, TYPES, find_topic, path_of
 from worm_model.run import GaitStates, Run, Stamps, concatenated
 from worm_msgs.gait import GAIT_DEFAULTS
@@ -77,7 +77,7 @@ class RunReader:
     def parts(self) -> Iterator[Run]:
         """Yield the samples in the order of reception, in parts, each from about a megabyte of the bag.
 
-        The first complete iteration reports repeated messages, infinite numbers and stamps that go back. If the
+        The first complete iteration reports infinite numbers and stamps that go back. If the
         topics have more than MOST_KEPT messages, further iterations read the bag again.
 
         Raises:
@@ -127,7 +127,6 @@ class RunReader:
         for name, counts in filters.items():
             topic = self._topics[name].name
             for count, text in (
-                (counts.repeated, "{} messages of {} are repeated; each counts once"),
                 (
                     counts.infinite,
                     "{} messages of {} contain an infinite number and are excluded",
@@ -201,7 +200,7 @@ def received_at(bag: Bag, name: str) -> dict[int, int]:
     return received
 
 
-def read_columns(bag: Bag, topics: Sequence[Topic]) -> dict[str, Columns]:
+def read_columns(bag: Bag, topics: Sequence[Topic]) -> dict[str, MessageColumns]:
     """Return all fields of some topics of a bag as columns, by topic name; other types of a topic are left out.
 
     Raises:
@@ -216,49 +215,30 @@ def read_columns(bag: Bag, topics: Sequence[Topic]) -> dict[str, Columns]:
 
 
 class _Filter:
-    """Filter of one topic's messages; it excludes and counts repeated messages and messages with an infinite number.
-
-    A message counts as repeated if its numbers equal those of the previous one, as in a recording that was merged with
-    itself. Texts are not compared.
+    """Filter of one topic's messages; it excludes and counts messages with an infinite number.
 
     Attributes:
-        repeated, infinite: number of excluded messages of each kind.
+        infinite: number of excluded messages.
         backwards: number of stamps that are smaller than the previous one.
     """
 
     def __init__(self) -> None:
-        self.repeated = self.infinite = self.backwards = 0
-        self._last: dict[str, NDArray[Any]] = {}
+        self.infinite = self.backwards = 0
         self._last_stamp: Stamps = np.empty(0, np.int64)
 
-    def filter(self, columns: Columns) -> Columns:
+    def filter(self, columns: MessageColumns) -> MessageColumns:
         """Return the columns of the next messages without the excluded messages."""
-        rows = {
-            path: values.reshape(len(values), -1)
-            for path, values in columns.numbers.items()
+        infinite = [
+            np.isinf(values.reshape(len(values), -1)).any(axis=1)
+            for values in columns.numbers.values()
             if values.dtype != object
-        }
-        if not rows:
+        ]
+        excluded = np.any(infinite, axis=0)
+        if not excluded.any():
             return columns
-        size = len(next(iter(rows.values())))
-        last, self._last = self._last, {path: values[-1:] for path, values in rows.items()}
-        comparable = {p: v.shape[1] for p, v in last.items()} == {
-            p: v.shape[1] for p, v in rows.items()
-        }
-        repeated, infinite = np.full(size, True), np.full(size, False)
-        for path, values in rows.items():
-            before = np.concatenate([last[path] if comparable else values[:1], values[:-1]])
-            same = (values == before) | ((values != values) & (before != before))
-            repeated &= same.all(axis=1)
-            infinite |= np.isinf(values).any(axis=1)
-        repeated[0] &= comparable
-        infinite &= ~repeated
-        self.repeated += int(np.count_nonzero(repeated))
-        self.infinite += int(np.count_nonzero(infinite))
-        kept = np.flatnonzero(~(repeated | infinite))
-        if len(kept) == size:
-            return columns
-        return Columns(
+        self.infinite += int(np.count_nonzero(excluded))
+        kept = np.flatnonzero(~excluded).tolist()
+        return MessageColumns(
             {path: values[kept] for path, values in columns.numbers.items()},
             {path: [texts[row] for row in kept] for path, texts in columns.texts.items()},
         )
@@ -269,7 +249,7 @@ class _Filter:
         self._last_stamp = np.append(self._last_stamp, stamp)[-1:]
 
 
-def stamps_of(columns: Columns, path: str = "header.stamp") -> NDArray[np.int64]:
+def stamps_of(columns: MessageColumns, path: str = "header.stamp") -> NDArray[np.int64]:
     """Return the times in the field ``path`` of messages, ns since the epoch. Raises BagError without this field."""
     if not columns.numbers:
         return np.empty(0, np.int64)
@@ -295,7 +275,7 @@ def clock_offset(bag: Bag, namespace: str) -> int:
     return 0
 
 
-def _numbers(columns: Columns, path: str, kind: type = np.float64) -> NDArray[Any]:
+def _numbers(columns: MessageColumns, path: str, kind: type = np.float64) -> NDArray[Any]:
     if path not in columns.numbers:
         raise BagError(
             f"the definition in the bag has no field {path}: it is not a definition of worm_msgs"
@@ -309,7 +289,7 @@ def _numbers(columns: Columns, path: str, kind: type = np.float64) -> NDArray[An
     return values.astype(kind)
 
 
-def _series(kind: type[Any], columns: Columns | None) -> Any:
+def _series(kind: type[Any], columns: MessageColumns | None) -> Any:
     """Return columns as samples of ``kind``, a class of `worm_model.run`; empty without columns."""
     nothing = kind()
     if columns is None or not columns.numbers:
@@ -327,7 +307,9 @@ def _series(kind: type[Any], columns: Columns | None) -> Any:
     return kind(**arrays)
 
 
-def _numbers_or_default(columns: Columns, path: str, kind: type, default: float) -> NDArray[Any]:
+def _numbers_or_default(
+    columns: MessageColumns, path: str, kind: type, default: float
+) -> NDArray[Any]:
     """Return the numbers of a field, with a default for older messages, whose type lacks the field."""
     size = len(next(iter(columns.numbers.values())))
     values = columns.numbers.get(path, np.full(size, default))
@@ -336,7 +318,7 @@ def _numbers_or_default(columns: Columns, path: str, kind: type, default: float)
     return values.astype(kind)
 
 
-def _joint_names(columns: Columns) -> tuple[str, ...]:
+def _joint_names(columns: MessageColumns) -> tuple[str, ...]:
     names = [texts for path, texts in columns.texts.items() if path.startswith("name[")]
     if any(set(texts) != {texts[0]} or texts[0] is None for texts in names):
         raise BagError("the joints of joint_states change within the bag")
@@ -345,7 +327,7 @@ def _joint_names(columns: Columns) -> tuple[str, ...]:
 
 #: fields that messages of older recordings lack, with their defaults; run 0 means no run number
 _ABSENT: Mapping[str, Any] = {**GAIT_DEFAULTS, "run": 0}
-_READERS: Mapping[str, Callable[[Columns], Any]] = {
+_READERS: Mapping[str, Callable[[MessageColumns], Any]] = {
     "stamp": stamps_of,
     "onset": partial(stamps_of, path="onset"),
     "names": _joint_names,

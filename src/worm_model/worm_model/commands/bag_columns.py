@@ -30,13 +30,13 @@ class Number:
 
 
 @dataclass(frozen=True)
-class Column:
+class RunColumn:
     """Column of the table of recorded runs. To add a column, add a row to COLUMNS.
 
     Attributes:
         key: key of the value in a row and in `--json`.
         title: title in the printed table; empty: the column is not printed.
-        value: returns the value from the `bag_runs.RunMetrics` of a run.
+        value: returns the value from the `bag_runs.RunFigures` of a run.
         text: returns the printed text of a value that is not None.
         label: title in the console's list; empty: the list does not contain the column.
     """
@@ -69,32 +69,32 @@ def _local_time(start: str) -> str:
 
 
 COLUMNS = (
-    Column("start", "start", lambda run: run.start, _local_time, "start"),
-    Column("duration_s", "s", lambda run: run.duration_s, Number(1.0, 1)),
-    Column("gait", "gait", lambda run: named_values(run.played.gait), _gait_text, "gait"),
-    Column(
+    RunColumn("start", "start", lambda run: run.start, _local_time, "start"),
+    RunColumn("duration_s", "s", lambda run: run.duration_s, Number(1.0, 1)),
+    RunColumn("gait", "gait", lambda run: named_values(run.played.gait), _gait_text, "gait"),
+    RunColumn(
         "conditions",
         "conditions",
         lambda run: asdict(run.conditions),
         lambda values: "" if (stated := Conditions(**values)) == LEVEL else str(stated),
     ),
-    Column("cycles", "cycles", lambda run: run.cycles, Number(1.0, 0), "cycles"),
-    Column("groove_phase", "φ mm", lambda run: run.groove_phase, Number(1e3, 2)),
-    Column("grooves_per_cycle", "grooves", lambda run: run.grooves_per_cycle, Number(1.0, 2)),
-    Column("speed", "mm/s", lambda run: run.speed, Number(1e3, 2), "speed, mm/s"),
-    Column("power", "W", lambda run: run.power, Number(1.0, 2), "power, W"),
-    Column(
+    RunColumn("cycles", "cycles", lambda run: run.cycles, Number(1.0, 0), "cycles"),
+    RunColumn("groove_phase", "φ mm", lambda run: run.groove_phase, Number(1e3, 2)),
+    RunColumn("grooves_per_cycle", "grooves", lambda run: run.grooves_per_cycle, Number(1.0, 2)),
+    RunColumn("speed", "mm/s", lambda run: run.speed, Number(1e3, 2), "speed, mm/s"),
+    RunColumn("power", "W", lambda run: run.power, Number(1.0, 2), "power, W"),
+    RunColumn(
         "cost_of_transport",
         "COT",
         lambda run: run.cost_of_transport,
         Number(1.0, 1),
         "cost of transport",
     ),
-    Column("rear_margin_m", "", lambda run: run.margins["rear_margin_m"]),
-    Column("front_margin_m", "", lambda run: run.margins["front_margin_m"]),
-    Column("keeps_probability", "", lambda run: run.margins["keeps_probability"]),
-    Column("margin_m", "margin mm", lambda run: run.margin, Number(1e3, 1), "margin, mm"),
-    Column("health", "health", lambda run: run.report.health.name.lower(), label="health"),
-    Column("notes", "", lambda run: run.notes),
+    RunColumn("rear_margin_m", "", lambda run: run.margins["rear_margin_m"]),
+    RunColumn("front_margin_m", "", lambda run: run.margins["front_margin_m"]),
+    RunColumn("keeps_probability", "", lambda run: run.margins["keeps_probability"]),
+    RunColumn("margin_m", "margin mm", lambda run: run.margin, Number(1e3, 1), "margin, mm"),
+    RunColumn("health", "health", lambda run: run.report.health.name.lower(), label="health"),
+    RunColumn("notes", "", lambda run: run.notes),
 )
 STATE = "state"  # key of the state of the files, which belongs to a bag, not to a run

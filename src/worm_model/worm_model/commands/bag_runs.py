@@ -14,10 +14,9 @@ import numpy as np
 
 from worm_model.analysis import run_metrics
 from worm_model.analysis.replay_metrics import RunReport, report_replay
-from worm_model.bags.formats.bag import Bag
 from worm_model.bags.formats.bag_errors import RECOVER, BagError, NoRunError
 from worm_model.bags.formats.bag_metadata import is_unclosed
-from worm_model.bags.opening import open_bag
+from worm_model.bags.opening import Bag, open_bag
 from worm_model.bags.recording.run_manifest import (
     RUN_RECORD,
     recorded_conditions,
@@ -84,12 +83,12 @@ def _rows_of_runs(bag: Bag, parameters: str, remarks: list[str]) -> list[dict[st
     if not reports:
         raise NoRunError("no gait was run")
     offset_ns = clock_offset(bag, "")
-    figures = [RunMetrics(run, replay, r, values, conditions, offset_ns, remarks) for r in reports]
+    figures = [RunFigures(run, replay, r, values, conditions, offset_ns, remarks) for r in reports]
     return [{column.key: column.value(f) for column in bag_columns.COLUMNS} for f in figures]
 
 
 @dataclass(frozen=True)
-class RunMetrics:
+class RunFigures:
     """Metrics of one run for `bag_columns.COLUMNS`. Metrics that cannot be computed are NaN.
 
     Attributes:

@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Any
 from worm_model.commands import command_line
 
 if TYPE_CHECKING:
-    from worm_model.bags.formats.bag import Bag
+    from worm_model.bags.opening import Bag
 
 TABLE = "table"
+PARTS = "trim", "filter"
 FOLDER = Path("bags")  # where ./worm records
 
 
@@ -51,19 +52,24 @@ def _parser() -> command_line.Parser:
     )
     table.add_parameters("the file in each bag, else the paper's values")
     add_verb("info", _info, help="content of a bag")
-    trim = add_verb(
-        "trim",
-        _trim,
-        help="write a part of a bag, by time or by run",
-        description="Write a bag with the messages of a span, or of one run and the time since the previous run.",
-    )
-    trim.add_argument("--output", required=True, metavar="BAG2", help="must not exist")
-    trim.add_definitions()
-    trim.add_number("--start", "S", "start of the span, in s since the start of the bag")
-    trim.add_number("--end", "S", "end of the span, in s since the start of the bag")
-    trim.add_argument(
-        "--run", type=int, metavar="N", help="number of the run, from 1, instead of a span"
-    )
+    for name in PARTS:
+        part = add_verb(
+            name,
+            _part,
+            help="write a part of a bag, by time, by run or by topic",
+            description="Write a bag with the messages of some topics in a span, or in one run and the time since the "
+            "previous run.",
+        )
+        part.add_argument("--output", required=True, metavar="BAG2", help="must not exist")
+        part.add_argument(
+            "--topic", action="append", default=[], help="topic to copy; may be repeated"
+        )
+        part.add_definitions()
+        part.add_number("--start", "S", "start of the span, in s since the start of the bag")
+        part.add_number("--end", "S", "end of the span, in s since the start of the bag")
+        part.add_argument(
+            "--run", type=int, metavar="N", help="number of the run, from 1, instead of a span"
+        )
     return parser
 
 
@@ -105,11 +111,16 @@ def _info(options: argparse.Namespace) -> None:
     command_line.print_result(options, content, "\n".join(lines))
 
 
-def _trim(options: argparse.Namespace) -> None:
-    from worm_model.bags.operations.copies import trim
+def _part(options: argparse.Namespace) -> None:
+    from worm_model.bags.operations.copies import write_part
 
-    if (options.run is None) == (options.start is None and options.end is None):
-        raise command_line.InputError("give a span (--start, --end or both) or --run, but not both")
+    has_span = options.start is not None or options.end is not None
+    if (options.run is not None) + has_span > 1 or not (
+        options.run is not None or has_span or options.topic
+    ):
+        raise command_line.InputError(
+            "give a span (--start, --end or both) or --run, but not both, or topics (--topic)"
+        )
     output = command_line.new_file(options.output)
     with _opened(options) as bag:
         if options.run is not None:
@@ -122,7 +133,7 @@ def _trim(options: argparse.Namespace) -> None:
         else:
             first = bag.time_at(options.start or 0.0)
             last = bag.time_at(bag.duration_s if options.end is None else options.end)
-        count = trim(bag, output, first, last)
+        count = write_part(bag, output, first, last, options.topic or bag.topics)
     content = {"bag": str(output), "messages": count}
     command_line.print_result(options, content, f"{output}: {count} messages")
 
@@ -141,7 +152,7 @@ def _spans(bag: Bag) -> list[tuple[int, int]]:
     return list(zip(starts, [*ends, end], strict=True)) if played else []
 
 
-VERBS = (TABLE, "info", "trim")
+VERBS = (TABLE, "info", *PARTS)
 
 
 def _arguments(given: list[str]) -> list[str]:

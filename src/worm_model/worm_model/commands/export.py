@@ -12,10 +12,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from worm_model.bags.formats.bag import Bag
 from worm_model.bags.formats.bag_errors import BagError
-from worm_model.bags.formats.whole_folder import new_folder
-from worm_model.bags.opening import open_bag
+from worm_model.bags.formats.bag_writer import new_folder
+from worm_model.bags.opening import Bag, open_bag
 from worm_model.bags.operations.tables import (
     MOST_ELEMENTS,
     TEXT,

@@ -15,11 +15,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from worm_model.bags.formats.bag import Bag
 from worm_model.bags.formats.bag_errors import BagError
 from worm_model.bags.formats.message_block import Message, Topic
 from worm_model.bags.formats.message_types import parse_ahead, topic_of
-from worm_model.bags.opening import open_bag
+from worm_model.bags.opening import Bag, open_bag
 from worm_model.bags.operations.copies import write_copy
 from worm_model.bags.recording.run_manifest import recorded_conditions
 from worm_model.bags.run_reader import RunReader, clock_offset, namespace_of

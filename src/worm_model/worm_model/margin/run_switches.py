@@ -130,6 +130,7 @@ def _usual(places: Sequence[float], pitch: float) -> float:
     known = np.array([place for place in places if math.isfinite(place)])
     if not known.size:
         return math.nan
-    residual = known - pitch * np.round((known - np.median(known)) / pitch)  # all at one switch
+    middle = float(np.quantile(known, 0.5, method="lower"))  # not between two switches
+    residual = known - pitch * np.round((known - middle) / pitch)  # all at one switch
     agree = known[np.abs(residual - np.median(residual)) < _UNUSUAL_M]
     return float(np.median(agree[agree > agree.max() - 0.5 * pitch])) if agree.size else math.nan

@@ -21,14 +21,12 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 
-from worm_model.bags.formats.bag import Bag
 from worm_model.bags.formats.bag_errors import BagError
-from worm_model.bags.formats.bag_metadata import first_qos_profile
-from worm_model.bags.formats.cdr import Converter
+from worm_model.bags.formats.bag_metadata import first_qos_profile, is_latched
+from worm_model.bags.formats.cdr import MessageConverter
 from worm_model.bags.formats.message_block import Message, Topic
 from worm_model.bags.formats.message_types import topic_of, with_definition
-from worm_model.bags.opening import open_bag
-from worm_model.bags.recording.recording_session import is_latched
+from worm_model.bags.opening import Bag, open_bag
 from worm_model.commands.command_line import InputError, Parser, not_negative, number, run_command
 from worm_model.nodes.raw_subscriptions import message_class
 from worm_msgs.claim import ClaimedError, claim_robot
@@ -82,7 +80,7 @@ class PlayNode(Node):
         self._bag = bag
         self._options = options
         self._first_ns = bag.time_at(options.start)
-        self._converters: dict[Topic, Converter] = {}
+        self._converters: dict[Topic, MessageConverter] = {}
         self._skipped: set[str] = set()  # topics with messages that could not be converted
         self._publishers_by_topic = self._advertise()
         self._clock_publisher = self.create_publisher(Clock, "/clock", 10)
@@ -122,10 +120,10 @@ class PlayNode(Node):
             raise InputError(f"{self._bag.path}: none of the selected topics can be played")
         return publishers
 
-    def _converter(self, channel: Topic) -> Converter:
+    def _converter(self, channel: Topic) -> MessageConverter:
         """Return a converter from the message type in the bag to the installed one, and log the fields that it adds."""
         installed = topic_of(channel.name, channel.type_name)
-        converter = Converter(with_definition(channel), installed)
+        converter = MessageConverter(with_definition(channel), installed)
         if converter.added:
             added = ", ".join(converter.added)
             self.get_logger().warning(

@@ -91,7 +91,7 @@ def _parser() -> command_line.Parser:
     return parser
 
 
-class _Recording:
+class _Recorder:
     """Recorder node and session, with their totals as a live line on standard error."""
 
     def __init__(self, node: RecordNode, session: RecordingSession) -> None:
@@ -201,7 +201,7 @@ def _run(arguments: argparse.Namespace, command: Sequence[str], ended: ShutdownR
     node.offer_service("snapshot", session.snapshot)
     what = f"the last {session.ring_s:g} s, for snapshots named after" if session.ring_s else "to"
     node.get_logger().info(f"recording {what} {session.output}")
-    recording = _Recording(node, session)
+    recording = _Recorder(node, session)
     ended.again = recording.request_immediate_end
     try:
         recording.run(partial(recording.to_rest, ended) if arguments.to_rest else ended)
@@ -211,7 +211,7 @@ def _run(arguments: argparse.Namespace, command: Sequence[str], ended: ShutdownR
 
 
 def _report(
-    recording: _Recording,
+    recording: _Recorder,
     node: RecordNode,
     session: RecordingSession,
     arguments: argparse.Namespace,
@@ -229,12 +229,9 @@ def _report(
         }
         command_line.print_json(outcome)
     error = session.error
-    if isinstance(error, FileNotFoundError):
-        lost = session.dropped.messages
-        notify(f"{session.failed} was removed while it was recorded: {lost} messages are lost")
-    elif error is not None:
+    if error is not None:
         notify(
-            f"{session.failed} could not be written: {error}. All commands read the part that was written"
+            f"{session.failed} could not be written: {error}. All commands read what is on the disk"
         )
     return command_line.DONE if error is None else command_line.FAILED
 

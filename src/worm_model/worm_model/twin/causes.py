@@ -148,9 +148,7 @@ def weigh_causes(
     # The limit takes effect only where a healthy robot (weight 1) is practically impossible.
     logs, unexplained = np.split(_limited(np.append(logs, unexplained)), [len(logs)])
     weights = np.exp(logs)
-    weights[
-        [_is_impossible(*c) for c in zip(candidates, weighed.size, weighed.deviation, strict=True)]
-    ] = 0.0
+    weights[[_is_impossible(*c) for c in zip(candidates, weighed.size, strict=True)]] = 0.0
     # The first two cycles of a robot that the parameters do not describe only show how it differs. Power alone cannot
     # distinguish a cause that exists from the start from such a difference.
     since = cycles[0].number + (2 if cycles[0].is_misfit else 0 if tracked else 1)
@@ -194,10 +192,10 @@ def _code(candidate: Candidate, size: float) -> EventCode:
     return candidate.code if row is None else row.code(size)
 
 
-def _is_impossible(candidate: Candidate, size: float, deviation: float) -> bool:
-    """Return True if the candidate implies a negative parameter, even two standard deviations above its size."""
+def _is_impossible(candidate: Candidate, size: float) -> bool:
+    """Return True if the estimated size of the candidate implies a negative parameter."""
     row = LASTING.get(candidate.name)
-    return row is not None and size + 2.0 * deviation < row.least
+    return row is not None and size < row.least
 
 
 class Data:

@@ -24,7 +24,7 @@ SLIPPING_M = 0.0045  # largest such difference if a fin is about to slip or has 
 FEWEST = 3  # smallest number of positions in the window
 STEP_M = 0.0015  # residual at the end of a cycle above which there is a step
 UNDERWAY = 0.15  # a position is on the way between the shares UNDERWAY and 1 − UNDERWAY of a step
-MISFIT = 2.0  # model error, relative to that of a healthy robot, of a robot that the parameters do not describe
+MISFIT = 1.5  # model error, relative to that of a healthy robot, of a robot that the parameters do not describe
 LEAD = 4  # number of bins before the phase of a step in which the step may have begun
 
 # Standard deviation of the residuals of a healthy robot in addition to noise, by channel: m, m, W. POWER_SHARE times

@@ -32,6 +32,7 @@ class MarginRecord:
     front_margin_scatter: float = math.nan
     last_rear_margin: float = math.nan
     last_front_margin: float = math.nan
+    keeps_probability: float = math.nan
 
 
 class RunPositions:
@@ -80,6 +81,8 @@ def _record(run: RunMargin) -> MarginRecord:
         if belief is not None:
             values[f"{fin.value}_margin"] = belief.expected
             values[f"{fin.value}_margin_scatter"] = belief.expected_scatter
+    if run.least is not None:
+        values["keeps_probability"] = math.prod(fin.chance for fin in run.beliefs.values())
     return MarginRecord(margin_grooves=run.grooves, **values)
 
 

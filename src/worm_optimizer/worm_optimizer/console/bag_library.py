@@ -82,13 +82,15 @@ class BagLibrary:
             InputError: A bag is missing, or the report cannot be made.
         """
         bags = [self.bag(name) for name in names]
-        digest = _digest([*(bag / METADATA_FILE for bag in bags), *_files(parameter_file)])
+        stated = [parameter_file] if parameter_file else []
+        digest = _digest([*(bag / METADATA_FILE for bag in bags), *map(Path, stated)])
         folder = bags[0].with_name(
             report_name([*(b.name for b in bags[:-1]), f"{bags[-1].name}_{digest}"])
         )
         if not (folder / PAGE).is_file():
-            arguments = [*map(str, bags), "--output", str(folder), "--without-front"]
-            await _run(_report_command(), *arguments, *_options(parameter_file))
+            options = [part for file in stated for part in ("--parameters", file)]
+            options += ["--output", str(folder), "--without-front"]
+            await _run(executable_command("worm_optimizer", "report"), *map(str, bags), *options)
         return str(folder.relative_to(self.folder))
 
     async def packed(self, name: str, folder: Path) -> Path:
@@ -103,18 +105,6 @@ class BagLibrary:
             shutil.make_archive, str(folder / bag.name), "zip", bag.parent, bag.name
         )
         return Path(made)
-
-
-def _report_command() -> list[str]:
-    return executable_command("worm_optimizer", "report")
-
-
-def _options(parameter_file: str) -> list[str]:
-    return ["--parameters", parameter_file] if parameter_file else []
-
-
-def _files(parameter_file: str) -> list[Path]:
-    return [Path(parameter_file)] if parameter_file else []
 
 
 def _digest(files: Sequence[Path]) -> str:

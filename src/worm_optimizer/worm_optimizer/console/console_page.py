@@ -79,9 +79,8 @@ class ConsolePage:
             with ui.tabs(value=COCKPIT).props("dense") as tabs:
                 ui.tab(COCKPIT)
                 ui.tab(RECORDINGS)
-            ui.button(icon="dark_mode", on_click=lambda: _toggle(dark)).props(
-                'flat dense aria-label="Light or dark"'
-            )
+            toggle = ui.button(icon="dark_mode", on_click=lambda: dark.set_value(not dark.value))
+            toggle.props('flat dense aria-label="Light or dark"')
             self._message = ui.label().classes("line message").props("id=message role=status")
         with ui.tab_panels(tabs, value=COCKPIT).classes("w-full"):
             with ui.tab_panel(COCKPIT):
@@ -154,11 +153,10 @@ class ConsolePage:
     def _control_text(self) -> str:
         """Return a sentence about the page that has control; empty if no page has it."""
         control = self._state.control
-        if control.holder == self._id:
-            return (
-                f"This page has control{'; another page asks for it' if control.requester else ''}."
-            )
-        return "Another page has control." if control.holder else ""
+        if control.holder != self._id:
+            return "Another page has control." if control.holder else ""
+        asked = "; another page asks for it" if control.requester else ""
+        return f"This page has control{asked}."
 
     # --- what is shown -----------------------------------------------------------------------
 
@@ -171,7 +169,3 @@ class ConsolePage:
         self._hand_over.set_visibility(control.holder == self._id and bool(control.requester))
         self._message.set_text(message.text)
         self._message.classes(remove="error") if message.good else self._message.classes("error")
-
-
-def _toggle(dark: ui.dark_mode) -> None:
-    dark.value = not dark.value

@@ -77,11 +77,6 @@ class ConsoleState:
         """Return the state of the twin; None if it is silent."""
         return live_twin(self.snapshot(), time.monotonic())
 
-    def initial_length(self) -> float:
-        """Return L0 according to the twin, m; 0 without a twin."""
-        twin = self.twin()
-        return 0.0 if twin is None else twin.initial_length
-
     def picture(self) -> str:
         """Return a picture of the robot in its pipe. All pages share the picture of a snapshot."""
         snapshot = self.snapshot()

@@ -18,6 +18,7 @@ from worm_optimizer.nodes.operator_node import OperatorNode
 from worm_optimizer.nodes.service_caller import OperatorError
 from worm_optimizer.search.gait_request import SAME_LENGTH
 
+_READING = "reading the front"
 _DIRECTIONS = {FORWARD: "Forward", REVERSE: "Reverse"}
 _WALK = {
     **dict.fromkeys(("ArrowLeft", "ArrowDown"), -1),
@@ -143,8 +144,8 @@ class FrontChart:
     def _read_front(self) -> None:
         """Read the front and the driver's limits. A change of the end of the front is explained."""
         state, direction = self._state, self.direction
-        length, before = state.initial_length(), state.fronts.get(direction)
-        state.front_notes[direction] = "reading the front"
+        length, before = page_actions.initial_length(state.twin()), state.fronts.get(direction)
+        state.front_notes[direction] = _READING
 
         def read(node: OperatorNode) -> str:
             try:
@@ -190,13 +191,12 @@ class FrontChart:
     def _front_note(self) -> str:
         """Return the note about the front, and that it has to be read again after a change of the groove phase."""
         note = self._state.front_notes.get(self.direction, "")
-        twin, front = self._state.twin(), self._shown
-        if twin is None or front is None:
+        change = page_actions.phase_change(self._state.twin(), self._shown)
+        if abs(change) < SAME_LENGTH or note == _READING:
             return note
-        if abs(twin.groove_phase - front.groove_phase) < SAME_LENGTH:
-            return note
-        phase = 1e3 * twin.groove_phase
-        return f"The groove phase is now {phase:.1f} mm: read the front again. {note}"
+        return (
+            f"The groove phase has changed by {1e3 * change:+.1f} mm: read the front again. {note}"
+        )
 
 
 def _axes(front: Front) -> tuple[Axis, Axis]:

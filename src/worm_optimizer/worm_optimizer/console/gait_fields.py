@@ -81,10 +81,9 @@ def field_error(values: Mapping[str, float]) -> str:
         if math.isnan(value):
             return f"{field.label}: enter a number"
         if not field.low <= value <= field.high or (name in _NOT_ZERO and value == 0.0):
-            above = "more than " if name in _NOT_ZERO else ""
+            least = f"{'more than ' * (name in _NOT_ZERO)}{field.scale * field.low:g}"
             return (
-                f"{field.label}: {field.text(value)} is not between {above}{field.text(field.low)} "
-                f"and {field.text(field.high)}"
+                f"{field.label} is {field.text(value)}: enter {least} to {field.text(field.high)}"
             )
     return ""
 

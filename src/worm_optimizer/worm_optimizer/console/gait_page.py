@@ -33,8 +33,8 @@ _PREDICTED = (
     ("power, W", 1.0, "power", "nominal_power"),
     ("cost of transport", 1.0, "cost_of_transport", "nominal_cost_of_transport"),
     ("grooves per cycle", 1.0, "grooves_per_cycle", "nominal_grooves_per_cycle"),
-    ("probability to keep them", 1.0, "success_probability", ""),
-    ("… at any groove phase", 1.0, "success_probability_any_phase", ""),
+    ("probability, if the model is right", 1.0, "success_probability", ""),
+    ("… and at any groove phase", 1.0, "success_probability_any_phase", ""),
 )
 
 
@@ -194,6 +194,7 @@ class GaitPage:
         }
         self._error = field_error({n: v / FIELDS[n].scale for n, v in shown.items()})
         if self._error:
+            self._prediction = self._asked = None
             return
         profile = Profile(self._profile.value)
         gait = edited(self._gait, changed, self._front.direction, profile)
@@ -205,7 +206,8 @@ class GaitPage:
 
     def _predict(self) -> None:
         """Request the prediction of the gait, again when the robot has another length at rest."""
-        gait, length = self._gait, self._state.initial_length()
+        gait, front = self._gait, self._state.fronts.get(self._front.direction)
+        length = page_actions.initial_length(self._state.twin(), front)
         if gait is None or self._error or self._pending:
             return
         asked = self._asked
@@ -220,7 +222,7 @@ class GaitPage:
                 prediction, remark = node.predict_gait(gait, length)
             except OperatorError as error:
                 remark = str(error)
-            if gait == self._gait:
+            if gait == self._gait and not self._error:
                 self._prediction, self._remark = prediction, remark
             self._pending = False
             return ""
@@ -230,7 +232,7 @@ class GaitPage:
     def _set_conditions(self) -> None:
         state = self._state
         try:
-            stated = Conditions(**{name: _value(f) for name, f in self._conditions.items()})
+            stated = Conditions(**{n: f.value or 0.0 for n, f in self._conditions.items()})
         except InputError as error:
             self._condition_text.set_text(_in_words_of_the_page(str(error)))
             return
@@ -265,7 +267,7 @@ class GaitPage:
         self._run_note.set_text(
             f"Run is not possible: {obstacle}"
             if obstacle
-            else f"Every run is recorded. {self._remark}"
+            else self._remark or "Every run is recorded."
         )
         self._show_prediction()
         self._show_conditions()

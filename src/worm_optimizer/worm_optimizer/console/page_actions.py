@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
 
+from worm_model.twin.data.records import StateRecord
 from worm_optimizer.console.gait_fields import DriverLimits
 from worm_optimizer.console.robot_worker import STOP_PRESSED
 from worm_optimizer.gait_prediction import Prediction
@@ -18,7 +19,7 @@ from worm_optimizer.nodes.service_caller import OperatorError
 from worm_optimizer.operation.bring_up import Say
 from worm_optimizer.operation.recorded_run import new_bag, recorded
 from worm_optimizer.robot_commands import GaitCommand
-from worm_optimizer.search.gait_request import GaitRequest, Objective
+from worm_optimizer.search.gait_request import SAME_LENGTH, GaitRequest, Objective
 
 _GAITS = 32  # number of equal steps into which the displayed front is divided by speed
 _FIRST_S = 5.0  # longest wait for the optimizer, s; meanwhile, no other command begins
@@ -39,6 +40,21 @@ class Front:
     def groove_phase(self) -> float:
         """Groove phase for which the front was computed, m."""
         return self.cruise.groove_phase
+
+
+def phase_change(twin: StateRecord | None, front: Front | None) -> float:
+    """Return the groove phase according to the twin minus that of a front, m; 0 if one of them is missing."""
+    return 0.0 if twin is None or front is None else twin.groove_phase - front.groove_phase
+
+
+def initial_length(twin: StateRecord | None, front: Front | None = None) -> float:
+    """Return L0 according to the twin, m, 0 without a twin; that of a front as long as this front holds.
+
+    Gaits of a front often lie on an edge, so a smaller difference, too, would let their predictions contradict it.
+    """
+    change = phase_change(twin, front)
+    known = 0.0 if twin is None else twin.initial_length
+    return known - change if abs(change) < SAME_LENGTH else known
 
 
 def read_front(node: OperatorNode, direction: int, initial_length: float) -> Front:

@@ -59,16 +59,17 @@ h1 { font-size: 1.1rem; line-height: 1.4; font-weight: 500 }
 .error { color: #b71c1c } .body--dark .error { color: #ff8a80 }
 .scene { width: 100%; height: 25vh; min-height: 8rem } .scene svg { width: 100%; height: 100%; display: block }
 .worm text { font: 7px sans-serif; fill: currentColor }
-.worm .pipe { fill: #8a8d9855; stroke: #8a8d98; stroke-width: .8 }
-.worm .scale { stroke: currentColor; stroke-width: 1.5 } .worm .anchor { fill: currentColor }
-.worm .bellows { fill: #0072b218; stroke: #0072b2; stroke-width: .8 }
-.worm .module { fill: #bfd7ea; stroke: #0072b2; stroke-width: 1.2 }
-.worm .cable { stroke: currentColor; stroke-width: 1.2 }
-.worm .twin { fill: none; stroke: #d55e00; stroke-width: 1.2; stroke-dasharray: 4 2.5 }
-.worm .twin.bellows, .worm .twin.cable { stroke: none }
-.worm .fin { fill: none; stroke-width: 4; stroke-linecap: round }
-.worm .hold { stroke: #1ab333 } .worm .yield { stroke: #f2991a; stroke-dasharray: 7 5 }
-.worm .touch { stroke: #999; stroke-width: 2 }
+.worm * { vector-effect: non-scaling-stroke; stroke-width: 2 }
+.worm .pipe { fill: #8a8d9855; stroke: #8a8d98; stroke-width: 1.5 }
+.worm .scale { stroke: currentColor } .worm .anchor { fill: currentColor }
+.worm .bellows { fill: #0072b218; stroke: #0072b2; stroke-width: 1.5 }
+.worm .module { fill: #bfd7ea; stroke: #0072b2 }
+.worm .cable { stroke: currentColor }
+.worm .twin { fill: none; stroke: #d55e00; stroke-dasharray: 6 4 }
+.worm .robot ~ .twin:not(.module) { stroke: none } /* only its modules next to the measured robot */
+.worm .fin { fill: none; stroke-width: 5; stroke-linecap: round }
+.worm .hold { stroke: #1ab333 } .worm .yield { stroke: #f2991a; stroke-dasharray: 5 9 }
+.worm .touch { stroke: #999; stroke-width: 3 }
 .legend { display: flex; flex-wrap: wrap; gap: 0 .6rem; font-size: .7rem; font-variant-numeric: tabular-nums }
 .legend svg { display: inline-block; width: 20px; height: 10px }
 .chart { position: relative; font-size: .75rem } .chart .area { position: relative; height: 18vh; min-height: 7rem }

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from urllib.parse import quote
 
 from nicegui import ui
@@ -32,8 +33,8 @@ class RecordingsPage:
             ui.button("Read list", on_click=self.read)
             self._search = ui.input("Search", on_change=self._fill).classes("grow")
         with ui.row().classes("gap-2 q-my-sm"):
-            ui.button("Open report", on_click=self._report)
-            ui.button("Compare two", on_click=self._compare)
+            ui.button("Open report", on_click=partial(self._report, 1, "one bag"))
+            ui.button("Compare two", on_click=partial(self._report, 2, "two bags"))
             ui.button("Download", on_click=self._download)
         self._note = ui.label().classes("line").props("role=status")
         columns = [
@@ -79,20 +80,11 @@ class RecordingsPage:
         """Return the names of the selected bags."""
         return list(dict.fromkeys(row["name"] for row in self._table.selected))
 
-    def _selection(self, numbers: tuple[int, ...], request: str) -> list[str]:
-        """Return the selected bags if their number is among ``numbers``. Otherwise show ``request`` and return none."""
+    async def _report(self, count: int, words: str) -> None:
+        """Make and show the report of the selected bags, which are ``count``, in words ``words``."""
         names = self.selected()
-        self._note.set_text("" if len(names) in numbers else request)
-        return names if len(names) in numbers else []
-
-    async def _report(self) -> None:
-        await self._make_report(self._selection((1,), "select one bag in the list"))
-
-    async def _compare(self) -> None:
-        await self._make_report(self._selection((2,), "select two bags in the list"))
-
-    async def _make_report(self, names: list[str]) -> None:
-        if not names:
+        if len(names) != count:
+            self._note.set_text(f"select {words} in the list")
             return
         self._note.set_text("making the report, which takes some seconds")
         state = self._state
@@ -101,15 +93,15 @@ class RecordingsPage:
         except InputError as error:
             self._note.set_text(str(error))
             return
-        self._show()
-        with self._shown:
-            report_frame(report)
-
-    def _show(self) -> None:
         self._note.set_text("")
         self._shown.clear()
         self._list.set_visibility(False)
         self._detail.set_visibility(True)
+        with self._shown:
+            ui.element("iframe").props(  # without scripts
+                f'src="/reports/{quote(report)}" title="Report" sandbox="" '
+                'style="width:100%;height:75vh;border:0;background:white"'
+            )
 
     def _back(self) -> None:
         self._shown.clear()
@@ -122,11 +114,3 @@ class RecordingsPage:
             self._note.set_text("select a bag in the list")
         for name in names:
             ui.download.from_url(f"/bags/{quote(name)}")
-
-
-def report_frame(report: str) -> None:
-    """Show a report in the page, without scripts."""
-    ui.element("iframe").props(
-        f'src="/reports/{quote(report)}" title="Report" sandbox="" '
-        'style="width:100%;height:75vh;border:0;background:white"'
-    )

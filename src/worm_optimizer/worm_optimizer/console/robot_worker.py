@@ -26,8 +26,8 @@ _JOIN_S = 0.1  # period of the checks while the console ends, s
 Command = Callable[[OperatorNode], str]
 
 
-class _ClosedError(RuntimeError):
-    """The console ends, and the thread must not wait any longer."""
+class _AbortedError(RuntimeError):
+    """The console ends or another command waits, and the thread must not wait any longer."""
 
 
 @dataclass(frozen=True)
@@ -63,12 +63,13 @@ class RobotWorker:
     ) -> None:
         self._open_robot, self._open_stop, self._notify = open_robot, open_stop, notify
         self._commands: SimpleQueue[tuple[str, Command]] = SimpleQueue()
+        self._quiet_commands: SimpleQueue[tuple[str, Command]] = SimpleQueue()
         self._next = ""  # description of the command of `submit_next` that waits
         self._closing = threading.Event()
         self._stop_requested = threading.Event()
         self._stop_node: OperatorNode | None = None
         self._has_driver = True
-        self._can_abort = True  # True during the start and during quiet commands
+        self._starting, self._is_quiet = True, False  # a start or quiet command can be aborted
         self.busy = "starting"
         self.failure = ""
         self.cancellation = ""
@@ -131,8 +132,11 @@ class RobotWorker:
         return True
 
     def submit_quietly(self, command: Command) -> None:
-        """Submit a command that does not operate the robot. Others can be submitted meanwhile. It reports no result."""
-        self._commands.put(("", command))
+        """Submit a command that does not operate the robot. It reports no result.
+
+        Other commands go first: they interrupt it, and it is executed again from its beginning.
+        """
+        self._quiet_commands.put(("", command))
 
     def stop(self) -> None:
         """Request the stop thread to hold the robot where it is, and end a run. Other commands continue."""
@@ -149,7 +153,7 @@ class RobotWorker:
         """Run the work of a thread. If it fails, report the reason, because the pages would otherwise wait forever."""
         try:
             work()
-        except _ClosedError:
+        except _AbortedError:
             pass
         except FAILURES as error:
             self._fail(f"{prefix}{error}")
@@ -159,21 +163,24 @@ class RobotWorker:
 
     def _fail(self, text: str) -> None:
         self.failure = self.failure or text
+        if threading.current_thread() is self._command_thread:
+            self.busy = ""
         self._notify(Notice(text, good=False))
 
     # --- the command thread ------------------------------------------------------------------
 
     def _run_commands(self) -> None:
         with self._open_robot(self._on_start_progress, self._check_commands) as node:
-            self._can_abort = False
+            self._starting = False
             self.busy = ""
             while not self._closing.is_set():
-                node.wait(lambda: self._closing.is_set() or not self._commands.empty(), _POLL_S)
+                node.wait(lambda: self._closing.is_set() or not self._waiting.empty(), _POLL_S)
                 self._execute(node)
 
     def _check_commands(self) -> None:
-        if self._closing.is_set() and self._can_abort:
-            raise _ClosedError
+        closing, waiting = self._closing.is_set(), not self._commands.empty()
+        if (self._starting and closing) or (self._is_quiet and (closing or waiting)):
+            raise _AbortedError
 
     def _on_start_progress(self, text: str) -> None:
         """Report the progress of the start, or that a node was restarted. Between commands, `busy` stays empty."""
@@ -182,21 +189,27 @@ class RobotWorker:
         self._notify(Notice(text))
         self._check_commands()
 
+    @property
+    def _waiting(self) -> SimpleQueue[tuple[str, Command]]:
+        return self._quiet_commands if self._commands.empty() else self._commands
+
     def _execute(self, node: OperatorNode) -> None:
         try:
-            description, command = self._commands.get_nowait()
+            description, command = self._waiting.get_nowait()
         except Empty:
             return
         self.busy = description or self.busy
-        self._can_abort = not description
+        self._is_quiet = not description
         try:
             result = command(node)
             if description:
                 self._notify(Notice(result))
+        except _AbortedError:
+            self.submit_quietly(command)
         except (*FAILURES, InputError, OSError) as error:
             self._notify(Notice(str(error), good=False))
         finally:
-            self._can_abort = False
+            self._is_quiet = False
             if description:
                 self.busy, self._next = self._next, ""
 
@@ -218,7 +231,7 @@ class RobotWorker:
 
     def _check_stop(self) -> None:
         if self._closing.is_set() and not self._command_thread.is_alive():
-            raise _ClosedError
+            raise _AbortedError
 
     def _stop(self, node: OperatorNode) -> None:
         if not self._stop_requested.is_set():

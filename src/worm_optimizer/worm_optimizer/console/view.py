@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from worm_model.run import Activity, LengthSource
-from worm_model.twin.data.records import StateRecord
+from worm_model.twin.data.records import Health, StateRecord
 from worm_model.twin.run_margins import spare_of
 from worm_model.twin.watch_view import STALE_S
 from worm_optimizer.snapshot import Snapshot
@@ -82,7 +82,8 @@ def twin_text(snapshot: Snapshot, now: float) -> str:
     if residuals is None or not is_live(snapshot, "twin/residuals", now):
         return "twin: no message"
     age = f"{snapshot.twin_age:.1f} s behind" if math.isfinite(snapshot.twin_age) else ""
-    parts = (f"twin: {residuals.health.name.lower()}", residuals.message, age)
+    unknown = "nothing to compare with yet" if residuals.health is Health.UNKNOWN else ""
+    parts = (f"twin: {residuals.health.name.lower()}", residuals.message or unknown, age)
     return ", ".join(part for part in parts if part)
 
 
@@ -120,8 +121,11 @@ def margin_text(twin: StateRecord | None) -> str:
     """Return the grooves per cycle with what they have to spare, and the groove phase; empty without a twin."""
     if twin is None:
         return ""
+    keeps = twin.keeps_probability
+    value = f"{keeps:.3f}" if keeps < 0.9985 else "above 0.998"
+    chance = f"kept with the measured probability {value}" if math.isfinite(keeps) else ""
     phase = f"groove phase {1e3 * twin.groove_phase:.1f} mm"
-    return "; ".join(filter(None, (spare_of(twin), phase)))
+    return "; ".join(filter(None, (spare_of(twin), chance, phase)))
 
 
 @dataclass(frozen=True)

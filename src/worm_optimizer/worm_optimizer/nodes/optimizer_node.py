@@ -30,7 +30,7 @@ from worm_optimizer.nodes import optimizer_messages
 from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.search import gait_request
 from worm_optimizer.search.front import RobustFront, given_gait, make_front, scanned_price
-from worm_optimizer.search.search_settings import SETTINGS, Settings, settings_of
+from worm_optimizer.search.search_settings import SETTINGS, Robustness, Settings, settings_of
 
 PARAMETER_FILE = "parameter_file"
 # Largest number of stored fronts for initial lengths other than that of the parameters
@@ -266,15 +266,20 @@ class OptimizerNode(Node):
     def _resting_front(self, front: RobustFront, content: ParameterFile) -> RobustFront:
         """Return the front for the initial length in ``content``.
 
-        With the criterion `Robustness.MARGIN`, it has the margin of ``front``. Any other criterion is evaluated again
-        for the new initial length.
+        With the criterion `Robustness.MARGIN`, it has the margin of ``front``, and its reason states this. Any other
+        criterion is evaluated again for the new initial length.
         """
         key = front.direction, round(content.parameters.initial_length / gait_request.SAME_LENGTH)
         if key not in self._resting:
             settings = front.settings.with_margin(front.margin)
             if len(self._resting) >= MOST_RESTING:
                 self._resting.pop(next(iter(self._resting)))
-            self._resting[key] = self._computed(make_front, content, settings, front.direction)
+            resting = self._computed(make_front, content, settings, front.direction)
+            if settings.robustness is Robustness.MARGIN:
+                phase = 1e3 * front.cruise.groove_phase
+                reason = f"as at groove phase {phase:.1f} mm: {front.reason}"
+                resting = dataclasses.replace(resting, reason=reason)
+            self._resting[key] = resting
         return self._resting[key]
 
     # --- actions --------------------------------------------------------------------------------

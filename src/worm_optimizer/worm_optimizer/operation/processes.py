@@ -165,6 +165,8 @@ class Process:
                 f"{self.name} did not end within {self.grace_s:g} s and was killed; see {self._log}"
             )
         code = self.exit_code
+        if code is not None and code < 0:  # a signal ended it, of which its last line knows nothing
+            return f"{self.name} ended with exit status {code} ({signal.Signals(-code).name})"
         state = "still runs" if code is None else f"ended with exit status {code}"
         return f"{self.name} {state}: {self.last_line()}"
 

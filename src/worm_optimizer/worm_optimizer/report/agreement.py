@@ -176,8 +176,10 @@ class Agreement:
 
     @property
     def difference(self) -> float:
-        """Relative difference, measured / expected − 1; NaN if it is undefined."""
-        return self.measured.value / self.expected.value - 1.0 if self.expected.value else math.nan
+        """Relative difference, measured / expected − 1; NaN if it is undefined or the values are not compared."""
+        if self.obstacle or not self.expected.value:
+            return math.nan
+        return self.measured.value / self.expected.value - 1.0
 
 
 def title_of(name: str) -> str:

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from worm_model.bags.formats.bag import Bag
-from worm_model.bags.formats.cdr import Columns
+from worm_model.bags.formats.cdr import MessageColumns
 from worm_model.bags.formats.message_block import Topic
+from worm_model.bags.opening import Bag
 from worm_model.bags.run_reader import read_columns
 from worm_model.bags.worm_topics import find_topic
 from worm_model.run import POWER_VALID, Activity, Run, power_status_name, state_name
@@ -100,19 +100,19 @@ def _diagnostic_events(bag: Bag, run: Run, holds: Holds) -> Iterator[Event]:
         yield Event((time - run.origin) * 1e-9, name, kind, f"{message} ({often})")
 
 
-def _columns(bag: Bag, topic: Topic | None) -> Columns | None:
+def _columns(bag: Bag, topic: Topic | None) -> MessageColumns | None:
     """Return the messages of a topic, or None if there are none."""
     columns = None if topic is None else read_columns(bag, [topic])[topic.name]
     return columns if columns is not None and columns.numbers else None
 
 
-def _stamps(columns: Columns) -> list[int]:
+def _stamps(columns: MessageColumns) -> list[int]:
     """Return the header stamps of messages, ns since the epoch."""
     stamp = columns.numbers["header.stamp.sec"].astype(np.int64) * 10**9
     return (stamp + columns.numbers["header.stamp.nanosec"].astype(np.int64)).tolist()
 
 
-def _statuses(columns: Columns, row: int) -> Iterator[tuple[str, int, str]]:
+def _statuses(columns: MessageColumns, row: int) -> Iterator[tuple[str, int, str]]:
     """Yield (name, level, message) of each status in a message.
 
     All rows have as many status columns as the row with the most statuses. In other rows the remaining names are empty.

@@ -9,10 +9,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from worm_model.analysis.run_parts import last_stamp, parts_of
-from worm_model.bags.formats.bag import Bag
 from worm_model.bags.formats.bag_errors import BagError
 from worm_model.bags.formats.finding import METADATA_FILE
-from worm_model.bags.opening import open_bag
+from worm_model.bags.opening import Bag, open_bag
 from worm_model.bags.recording.run_manifest import (
     RUN_RECORD,
     recorded_conditions,

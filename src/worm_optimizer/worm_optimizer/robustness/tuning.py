@@ -32,8 +32,11 @@ from worm_optimizer.evaluation.command_shape import shapes_of_gaits
 from worm_optimizer.evaluation.task import MarginTask
 
 _STEP_M = 0.0005  # of the stroke
-_SAME_M = 0.0015  # difference of a stroke from the smallest one below which the run is not repeated
-_RESERVE_M = 0.0005  # of the stroke, so that the next run confirms its probability
+_SAME_M = 0.001  # difference of a stroke from the smallest one below which the run is not repeated
+_RESERVE_M = 0.0003  # of the stroke, so that the next run confirms its probability
+_REAR_SHARE = (
+    0.1  # of the lost cycles that the rear fin may lose where the front fin has too little margin
+)
 _SLOWER = 0.98  # step of the frequency
 _SLOWEST_STEP = 0.6  # of the frequency from one run to the next
 _WORTHWHILE_M = 0.0005  # increase of the front margin for which a lower frequency is tried
@@ -164,12 +167,13 @@ def _slower(known: _Knowledge, probability: float, limits: GaitLimits) -> Tuning
         found = _smallest_stroke(known, gait, limits, probability, *Fin)
         if found is not None:
             return _run(known, found, reason)
-    # Of the cycles that may be lost, the rear fin may lose one half.
-    fitting = _smallest_stroke(known, last, limits, 0.5 * (1.0 + probability), Fin.REAR)
+    # The front fin loses the cycles that may be lost, so the rear one, which a longer stroke helps, loses few of them.
+    almost = 1.0 - _REAR_SHARE * (1.0 - probability)
+    fitting = _smallest_stroke(known, last, limits, almost, Fin.REAR)
     if fitting is not None and _gain_of_front(known, gait) > _WORTHWHILE_M:
         stroke = min(gait.stroke, limits.largest_stroke(gait))
         return _run(known, replace(gait, stroke=stroke), reason)
-    if fitting is not None and abs(fitting.stroke - last.stroke) > _SAME_M:
+    if fitting is not None and fitting.stroke - last.stroke > _SAME_M:
         return _run(known, fitting, _margins(known, last))
     reason = f"{reason} within the limits, nor a slower gait"
     return Tuning(TuneState.IMPOSSIBLE, known.best, known.keeps(known.best), reason)

@@ -58,18 +58,6 @@ def test_the_last_three_of_five_cycles_are_averaged():
     assert run_metrics.averaged_cycles(Run(gait_state=states), played) == (3, 5)
 
 
-def test_a_short_run_is_averaged_as_a_whole():
-    states = gait_states([RUNNING], [EPOCH], 2)
-    assert run_metrics.averaged_cycles(
-        Run(gait_state=states), run_metrics.last_played_gait(states)
-    ) == (1, 2)
-
-
-def test_a_recording_without_a_gait_is_rejected():
-    with pytest.raises(run_metrics.RecordingError, match="no run of a gait"):
-        run_metrics.last_played_gait(gait_states([INACTIVE, RESTING], [0, 0], 5))
-
-
 @pytest.mark.parametrize(
     ("state", "reason"),
     [
@@ -116,11 +104,6 @@ def test_a_recording_that_ends_before_the_gait_names_its_complete_cycles(cycles,
     power = PowerSamples(*(getattr(run.power, field.name)[recorded] for field in fields))
     early = dataclasses.replace(run, power=power)
     assert f"{whole} of 3 cycles" in run_metrics.early_end(early, played)
-
-
-def test_the_end_of_a_whole_gait_is_no_early_end():
-    run = simulated_run(3)
-    assert run_metrics.early_end(run, run_metrics.last_played_gait(run.gait_state)) == ""
 
 
 # --- separation of runs ---------------------------------------------------------------------------
@@ -192,20 +175,6 @@ def test_samples_that_are_missing_do_not_count():
     assert performance((stamps(time), position), energy, window, 1)[:2] == pytest.approx(
         (0.01, 2.0)
     )
-
-
-def test_energy_is_the_integral_of_power():
-    time = np.linspace(0.0, 2.0, 201)
-    _, energy = run_metrics.accumulated_energy((stamps(time), 3.0 * time))
-    assert energy[-1] == pytest.approx(6.0, rel=1e-6)
-    assert run_metrics.accumulated_energy((stamps([]), np.empty(0)))[1].size == 0
-
-
-def test_standing_still_has_no_finite_cost_of_transport():
-    time = np.arange(0.0, 30.0, 0.1)
-    window = run_metrics.Window(EPOCH, EPOCH + 20_000_000_000)
-    energy = run_metrics.accumulated_energy((stamps(time), np.ones(time.size)))
-    assert performance((stamps(time), 0.0 * time), energy, window, 1)[2] == math.inf
 
 
 @pytest.mark.parametrize("name", ["position of x1", "power"])

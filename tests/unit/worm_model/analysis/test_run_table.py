@@ -11,7 +11,7 @@ from recorded_session import joined_session
 
 from worm_model.analysis.run_table import run_table
 from worm_model.errors import InputError
-from worm_model.run import JointSamples, Run, TrackerSamples
+from worm_model.run import JointSamples
 
 RUN = simulated_run(cycles=2)
 
@@ -62,14 +62,6 @@ def test_each_gait_of_a_recording_has_a_time_of_its_own():
     for number in (1, 2):
         time = columns["time_s"][columns["gait"] == number]
         assert time.min() < 0.0 < time.max()
-
-
-def test_two_samples_at_one_moment_are_two_rows():
-    stamp = np.array([5, 5, 7], np.int64)
-    run = Run(origin=5, tracker=TrackerSamples(stamp, np.arange(3.0), np.arange(3.0)))
-    columns = run_table(run).columns
-    assert columns["x1_m"].tolist() == [0.0, 1.0, 2.0]
-    assert columns["gait"].tolist() == [0, 0, 0]
 
 
 def test_a_power_that_is_not_valid_is_no_number():

@@ -17,7 +17,7 @@ from worm_model.bags.formats.cdr import ColumnBuilder, encode
 from worm_model.bags.formats.message_block import Message, Topic, messages_of
 from worm_model.bags.formats.message_types import SEPARATOR, parse_types, topic_of
 from worm_model.bags.opening import open_bag
-from worm_model.bags.operations.copies import trim
+from worm_model.bags.operations.copies import write_part
 from worm_model.bags.run_reader import clock_offset, read_run
 from worm_model.commands import bags, export
 
@@ -204,7 +204,7 @@ def test_durations_and_positions_leave_out_gaps_of_log_time(tmp_path: Path, far:
         first = bag.time_at(2.5)
         assert first == begin + 25 * 10**8
         assert bag.position_at(first) == pytest.approx(2.5)
-        assert trim(bag, tmp_path / "part", first, bag.time_at(4.5)) == 2
+        assert write_part(bag, tmp_path / "part", first, bag.time_at(4.5), bag.topics) == 2
     (line,) = reported
     assert "gap" in line
 

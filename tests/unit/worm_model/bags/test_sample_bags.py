@@ -15,8 +15,6 @@ from worm_model.bags.run_reader import namespace_of, read_run
 from worm_model.parameters import PAPER
 from worm_model.run import POWER_VALID, Activity
 from worm_model.twin.offline_replay import replay_run
-from worm_model.twin.recorded_samples import rows_of_run
-from worm_model.twin.twin import Twin
 
 BAGS = Path(__file__).resolve().parents[4] / "bags"
 NAMES = ("forward", "reverse", "faults", "killed")
@@ -26,13 +24,6 @@ WHOLE = NAMES[:3]
 @pytest.fixture
 def bag(request: pytest.FixtureRequest) -> Path:
     return BAGS / request.param
-
-
-def test_they_are_small_and_each_is_explained():
-    size = sum(path.stat().st_size for name in NAMES for path in (BAGS / name).iterdir())
-    assert size < 5_000_000
-    readme = (BAGS / "README.md").read_text()
-    assert all(f"`{name}`" in readme for name in NAMES)
 
 
 @pytest.mark.parametrize("bag", WHOLE, indirect=True)
@@ -67,23 +58,6 @@ def test_the_twin_follows_them(bag: Path):
     complete = [cycle for cycle in report.cycles if cycle.complete]
     assert complete
     assert all(cycle.grooves * direction > 0 for cycle in complete)
-
-
-@pytest.mark.parametrize("bag", NAMES, indirect=True)
-def test_a_live_twin_and_a_replay_agree_to_the_bit(bag: Path):
-    """A few samples at a time, as in the node, or the whole recording at once."""
-    with open_bag(bag, lambda _: None) as opened:
-        run = read_run(opened)
-    rows = rows_of_run(run, 10**9)
-    twin = Twin()
-    state = twin.start()
-    outputs = [twin.advance(state, rows[k : k + 7]) for k in range(0, len(rows), 7)]
-    outputs.append(twin.advance(state, rows[:0], to_the_end=True))
-    whole = twin.advance(twin.start(), rows, to_the_end=True)
-    for name in ("states", "residuals", "lengths"):
-        live = np.concatenate([getattr(output, name) for output in outputs])
-        assert live.tobytes() == getattr(whole, name).tobytes()
-    assert repr([e for output in outputs for e in output.events]) == repr(list(whole.events))
 
 
 @pytest.mark.parametrize("bag", ["faults"], indirect=True)

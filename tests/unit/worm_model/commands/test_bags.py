@@ -154,6 +154,19 @@ def test_a_trimmed_bag_begins_with_the_last_messages_of_latched_topics(run, tmp_
     assert run("trim", SAMPLES / "forward", "--output", tmp_path / "no")[0] == 2
 
 
+def test_a_filtered_bag_has_the_messages_of_its_topics(run, tmp_path):
+    output = tmp_path / "part"
+    topics = ("--topic", "/worm/power", "--topic", "/worm/gait_state")
+    assert run("filter", SAMPLES / "forward", *topics, "--output", output)[0] == 0
+    with open_bag(SAMPLES / "forward") as whole, open_bag(output) as part:
+        assert sorted(part.topics) == ["/worm/gait_state", "/worm/power"]
+        assert list(part.messages()) == list(whole.messages(part.topics))
+        assert part.metadata["worm_run"] == whole.metadata["worm_run"]
+    nothing = ("--output", tmp_path / "no")
+    assert run("filter", SAMPLES / "forward", "--topic", "/no", *nothing)[0] == 2
+    assert run("filter", SAMPLES / "forward", *topics, "--start", 1e4, *nothing)[0] == 2
+
+
 def test_a_run_is_cut_out_by_its_number(run, tmp_path):
     output = tmp_path / "run"
     assert run("trim", SAMPLES / "forward", "--run", 1, "--output", output)[0] == 0
@@ -165,7 +178,9 @@ def test_a_run_is_cut_out_by_its_number(run, tmp_path):
 def test_a_column_is_a_row_of_the_table_of_columns(run, monkeypatch):
     """An index from before the change is not used."""
     run("table", SAMPLES / "forward")
-    column = bag_columns.Column("strokes", "strokes mm", lambda figures: figures.played.gait.stroke)
+    column = bag_columns.RunColumn(
+        "strokes", "strokes mm", lambda figures: figures.played.gait.stroke
+    )
     monkeypatch.setattr(bag_columns, "COLUMNS", (*bag_columns.COLUMNS, column))
     (row,) = json.loads(run("table", SAMPLES / "forward", "--json")[1])["runs"]
     assert row["strokes"] == row["gait"]["stroke"]

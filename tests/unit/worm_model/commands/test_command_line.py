@@ -2,7 +2,7 @@
 import sys
 import threading
 
-from worm_model.commands.command_line import ProgressLine, duration, elapsed
+from worm_model.commands.command_line import ProgressLine, elapsed
 
 
 def test_progress_shows_the_time_left_at_the_mean_speed(capsys):
@@ -14,15 +14,6 @@ def test_progress_shows_the_time_left_at_the_mean_speed(capsys):
     assert capsys.readouterr().err == (
         "study: 20%\nstudy: 35%, 2.2 min left\nstudy: 60%, 60 s left\nstudy: 100%\n"
     )
-
-
-def test_durations_have_the_largest_fitting_unit():
-    assert [duration(value) for value in (5.0, 120.0, 7200.0, 200_000.0)] == [
-        "5 s",
-        "2.0 min",
-        "2.0 h",
-        "2.3 days",
-    ]
 
 
 def test_a_long_computation_writes_the_time_so_far_to_standard_error(monkeypatch) -> None:

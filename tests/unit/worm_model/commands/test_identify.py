@@ -8,10 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from recorded_run import write_bag
 from virtual_campaign import Instruments, exact_run
 
-from worm_model.bags.formats.bag_writer import new_bag
-from worm_model.bags.run_writer import write_run
 from worm_model.commands import identify
 from worm_model.commands.import_lab import import_lab
 from worm_model.gait import Gait
@@ -55,6 +54,7 @@ def outcome(shared, tmp_path_factory):
     return status, "".join(printed), folder
 
 
+@pytest.mark.night
 def test_the_campaign_gives_every_key_of_the_contract(outcome):
     status, printed, _ = outcome
     assert status == 0
@@ -68,6 +68,7 @@ def test_the_campaign_gives_every_key_of_the_contract(outcome):
     assert set(found["validation"]) == {"run_04"}
 
 
+@pytest.mark.night
 def test_the_campaign_is_predicted_to_the_cameras_noise(outcome):
     found = json.loads(outcome[1])
     for errors in [*found["runs"].values(), *found["validation"].values()]:
@@ -80,6 +81,7 @@ def test_the_campaign_is_predicted_to_the_cameras_noise(outcome):
     assert max(offsets) < 0.01
 
 
+@pytest.mark.night
 def test_the_parameter_file_is_that_of_the_nodes(outcome):
     found = json.loads(outcome[1])["parameters"]
     file = load_parameter_file(outcome[2] / "parameters.yaml")
@@ -98,6 +100,7 @@ def test_the_parameter_file_is_that_of_the_nodes(outcome):
     assert file.provenance["code"].startswith("worm_model")
 
 
+@pytest.mark.night
 def test_the_report_has_a_figure_of_everything(outcome):
     report = outcome[2] / "report"
     text = (report / "report.md").read_text(encoding="utf-8")
@@ -120,33 +123,12 @@ def test_nothing_is_written_before_all_is_known(shared, tmp_path, monkeypatch, c
     assert not output.exists()
 
 
+@pytest.mark.night
 def test_nothing_is_overwritten(outcome, monkeypatch, capsys):
     folder = outcome[2]
     for option, path in (("--output", "parameters.yaml"), ("--report", "report")):
         assert run_identify(monkeypatch, folder / "campaign", option, folder / path) == 2
         assert "exists already" in capsys.readouterr().err
-
-
-def test_two_runs_a_spoilt_one_and_a_validation_are_reported_as_text(
-    shared, tmp_path, monkeypatch, capsys
-):
-    campaign = tmp_path / "campaign"
-    campaign.mkdir()
-    for name in ("runs.json", "bellows.csv", "fin.csv"):
-        shutil.copy(shared / "campaign" / name, campaign)
-    for name in ("run_06", "run_07"):
-        shutil.copytree(shared / "campaign" / name, campaign / name)
-    power = (campaign / "run_07" / "power.csv").read_text(encoding="utf-8").splitlines()
-    (campaign / "run_07" / "power.csv").unlink()
-    (campaign / "run_07" / "power.csv").write_text("\n".join(power[:175]), encoding="utf-8")
-    runs = [campaign / "run_06", campaign / "run_07"]
-    validation = ("--validation", shared / "campaign" / "run_08")
-    assert run_identify(monkeypatch, *runs, *validation) == 0
-    reported = capsys.readouterr()
-    assert "run_07: 7" in reported.err
-    assert "validation: run_08: 8 camera samples with a hidden marker" in reported.err
-    assert "| run_08 |" in reported.out
-    assert "one run cannot separate c_b from α_P" in reported.out
 
 
 def test_a_bag_gives_the_result_of_the_folder(shared, tmp_path):
@@ -158,39 +140,6 @@ def test_a_bag_gives_the_result_of_the_folder(shared, tmp_path):
         assert getattr(bag, name) == pytest.approx(getattr(log, name), abs=1e-8, nan_ok=True)
     assert bag.date.startswith("2001-09-09")
     assert any(len(checksum) == 64 for checksum in bag.sources.values())
-
-
-def write_bag(path, run):
-    with new_bag(path) as writer:
-        write_run(writer, run)
-
-
-def test_a_bag_without_a_needed_topic_is_rejected_in_one_line(tmp_path, monkeypatch, capsys):
-    run = exact_run(GAIT, PAPER, Instruments(), 0, 7.0)
-    write_bag(tmp_path / "blind", type(run)(**{**vars(run), "tracker": type(run.tracker)()}))
-    assert run_identify(monkeypatch, tmp_path / "blind") == 2
-    captured = capsys.readouterr()
-    assert captured.err == "identify: blind: contains no tracker; record this topic\n"
-    assert captured.out == ""
-
-
-@pytest.mark.parametrize(
-    ("arguments", "reason"),
-    [
-        (["nowhere"], "nowhere does not exist"),
-        (["."], "is not a bag"),
-        (["x", "--seed", "-1"], "must not be negative"),
-        (["x", "--output", "no/such/folder.yaml"], "does not exist"),
-        (["x", "--parameters", "none.yaml"], "none.yaml"),
-    ],
-)
-def test_bad_input_is_one_line_and_status_two(arguments, reason, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    write_bag(tmp_path / "x", exact_run(GAIT, PAPER, Instruments(), 0, 7.0))
-    assert run_identify(monkeypatch, *arguments) == 2
-    error = capsys.readouterr().err
-    assert reason in error
-    assert error.count("\n") == 1
 
 
 @pytest.mark.parametrize(
@@ -246,15 +195,6 @@ def test_a_folder_of_runs_stands_for_all_of_them(shared):
     assert names == [f"run_{k:02d}" for k in range(1, 9)]
 
 
-def test_a_fitted_run_is_no_validation(shared, tmp_path, monkeypatch, capsys):
-    campaign = tmp_path / "campaign"
-    campaign.mkdir()
-    shutil.copy(shared / "campaign" / "runs.json", campaign)
-    shutil.copytree(shared / "campaign" / "run_07", campaign / "run_07")
-    assert run_identify(monkeypatch, campaign, "--validation", campaign) == 2
-    assert "run_07" in capsys.readouterr().err
-
-
 def test_a_readme_may_give_bounds_and_leave_keys_out(tmp_path):
     text = "M1 = 0.433 ± 0.002 kg, M2 = 424 g +/- 3 g; d = 17.5 ± 0.02 mm. B = d = 4."
     (tmp_path / "README.md").write_text(text, encoding="utf-8")
@@ -268,34 +208,12 @@ def test_a_readme_may_give_bounds_and_leave_keys_out(tmp_path):
     assert reference.estimate("slack").note == "as given by the paper"
 
 
-def test_values_of_a_readme_are_used(tmp_path):
-    text = "Known: M1 = 433 g, M2 = 0.424 kg, L_free = 301 mm, pitch d = 0.0175 m."
-    (tmp_path / "README.md").write_text(text, encoding="utf-8")
-    reference = reference_by_folder(tmp_path)
-    assert reference.parameters == PAPER.replace(
-        rear_mass=0.433, front_mass=0.424, unstressed_length=0.301, pitch=0.0175
-    )
-    assert reference.estimate("rear_mass").high == pytest.approx(0.434)
-    assert not reference.estimate("slack").identifiable
-    assert reference_by_folder(tmp_path / "none").parameters == PAPER
-
-
 @pytest.mark.parametrize(("name", "direction"), [("forward", 1), ("reverse", -1)])
 def test_bags_of_the_driver_are_read_from_rest_to_the_end_of_the_gait(name, direction):
     path = ROOT / "bags" / name
-    if not path.is_dir():
-        pytest.skip(f"no bag {path}")
     recording = read_recordings([path])[0]
     assert recording.gait.direction == direction
     assert recording.at_rest.sum() >= 10
     cycles = recording.command_time[-1] * recording.gait.frequency
     assert cycles == pytest.approx(round(cycles), abs=0.02)
     assert np.nanmax(direction * recording.x1) > 0.03
-
-
-def test_every_sample_of_a_bag_is_read(tmp_path):
-    run = exact_run(GAIT, PAPER, Instruments(), 0, 7.0)
-    write_bag(tmp_path / "x", run)
-    recording = read_recordings([tmp_path / "x"])[0]
-    assert recording.camera_time.size == run.tracker.stamp.size
-    assert np.diff(recording.power_time) == pytest.approx(0.02, abs=1e-6)

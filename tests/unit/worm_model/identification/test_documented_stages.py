@@ -5,6 +5,7 @@ import re
 from pathlib import Path
 
 import numpy as np
+import pytest
 from virtual_campaign import Instruments, exact_run
 
 from worm_model.bags.formats.bag_writer import new_bag
@@ -15,6 +16,7 @@ from worm_model.parameters import PAPER
 PAGE = Path(__file__).resolve().parents[4] / "docs" / "identification.md"
 
 
+@pytest.mark.night
 def test_the_example_runs(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     bags = [Gait(0.08, 0.15), Gait(0.08, 0.25)]

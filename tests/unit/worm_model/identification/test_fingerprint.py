@@ -4,7 +4,6 @@
 from worm_model.identification.fingerprint import (
     ENTRY,
     PACKAGE,
-    code_version,
     imported_files,
 )
 
@@ -36,9 +35,3 @@ def test_imports_are_followed_in_every_form(tmp_path):
     (tmp_path / "beside.py").touch()  # like other packages in pip's folder
     found = [file.name for file in imported_files(package, "start.py")]
     assert found == ["__init__.py", "one.py", "start.py", "three.py", "two.py"]
-
-
-def test_the_version_contains_both():
-    version = code_version()
-    assert version.startswith("worm_model ")
-    assert version == code_version()

@@ -100,6 +100,7 @@ def test_an_uneven_pitch_shows_in_the_strides_and_is_no_wrong_pitch(recordings):
         check_pitch(recordings, off * ROBOT.pitch, 2.5e-5)
 
 
+@pytest.mark.night
 def test_a_foreign_lab_gets_a_file_a_report_and_a_verdict(tmp_path, capsys, monkeypatch):
     lab = write_foreign_lab(tmp_path / "lab", some_robot(1), Camera(), PLAN)
     file, report = tmp_path / "robot.yaml", tmp_path / "report"

@@ -12,14 +12,13 @@ from twin_samples import run_of_rows
 from virtual_campaign import RESTING, RUNNING, Instruments, exact_run
 from virtual_session import Session
 
-from worm_model.gait import Gait, Profile
+from worm_model.gait import Gait
 from worm_model.identification.actuation_stage import identify_actuation
 from worm_model.identification.data.identification_errors import IdentificationError
 from worm_model.identification.data.observed_run import recording_of, recordings_of
 from worm_model.identification.fits.locomotion import traverse_of
 from worm_model.identification.fits.measured_length import measured_length
 from worm_model.identification.fits.quality import (
-    follows_command,
     longest_gap,
     remarks,
     starts_apart,
@@ -27,7 +26,7 @@ from worm_model.identification.fits.quality import (
 )
 from worm_model.identification.idle import idle_power, idle_power_of
 from worm_model.parameters import PAPER
-from worm_model.run import GaitStates, LengthSamples, PowerSamples, Run, TrackerSamples
+from worm_model.run import GaitStates, LengthSamples, Run, TrackerSamples
 
 GAIT = Gait(0.08, 0.25)
 
@@ -62,12 +61,6 @@ def length_of(**instruments):
 def test_a_run_without_a_needed_topic_is_rejected_by_its_name(field, nothing, topic):
     with pytest.raises(IdentificationError, match=f"r: .*{topic}"):
         recording_of(run(**{field: nothing}), "r")
-
-
-def test_a_run_without_power_is_used_for_all_else():
-    found = recording_of(run(power=PowerSamples()), "r")
-    assert found.power_time.size == 0
-    assert not np.isfinite(idle_power_of(found).value)
 
 
 def twice(later: float, moved: float) -> Run:
@@ -150,15 +143,6 @@ def test_only_the_rest_before_the_gait_and_the_gait_count():
     assert idle_power_of(found).value == pytest.approx(idle_samples.mean())
 
 
-def test_a_power_sensor_that_pauses_is_named():
-    found = recording()
-    kept = (found.power_time < 2.0) | (found.power_time > 3.0)
-    paused = replace(found, power_time=found.power_time[kept], power=found.power[kept])
-    length = measured_length(paused)
-    texts = remarks(paused, length, traverse_of(paused, length, PAPER.pitch))
-    assert "without a power sample" in " ".join(texts)
-
-
 def test_commands_that_are_not_the_gait_are_rejected():
     states = run().gait_state
     wrong = replace(states, stroke=np.full(2, 0.06))
@@ -183,14 +167,6 @@ def test_times_count_from_the_onset_and_x1_from_rest():
     assert found.command_time[0] == found.command[0] == 0.0
     assert found.camera_time[0] == pytest.approx(-2.0, abs=1e-3)
     assert abs(np.mean(found.x1[found.at_rest])) < 1e-4
-
-
-def test_idle_power_is_the_mean_of_the_first_ten():
-    found = recording(power_noise=0.02)
-    idle = idle_power_of(found)
-    assert idle.value == pytest.approx(np.mean(found.power[:10]))
-    assert idle.warning == ""
-    assert idle.value == pytest.approx(PAPER.idle_power, abs=5 * idle.deviation)
 
 
 def test_a_slow_sensor_does_not_bill_motion_as_idle_power():
@@ -275,27 +251,12 @@ def test_a_run_of_too_few_ridges_is_named():
     assert "5 ridges" in " ".join(remarks(found, length, traverse))
 
 
-def test_one_outlier_is_no_arrival():
-    found = recording()
-    plain = traverse_of(found, length_of(), PAPER.pitch)
-    x1 = found.x1.copy()
-    x1[100] = 0.2
-    spoilt = replace(found, x1=x1)
-    assert traverse_of(spoilt, measured_length(spoilt), PAPER.pitch).end == plain.end
-
-
 def stuck(found, time):
     """Return a run in which the servo stops at a time, and the body with it."""
     at = np.flatnonzero(found.camera_time > time)
     x2 = found.x2.copy()
     x2[at] = found.x1[at] + (found.x2 - found.x1)[at[0]]
     return replace(found, x2=x2)
-
-
-def test_a_tracker_without_a_length_after_the_onset_is_named():
-    found = recording()
-    blind = with_hidden_marker(found, 0.0, np.inf)
-    assert "no length after the gait's onset" in follows_command(blind, length_of())
 
 
 @pytest.mark.parametrize("time", [0.3, 2.0, 4.0])
@@ -307,24 +268,6 @@ def test_a_stuck_servo_is_left_out_or_rejected_and_never_averaged(time):
     assert "stuck servo" in reasons[0]
     with pytest.raises(IdentificationError, match="stuck servo"):
         usable([spoilt], lengths[1:])
-
-
-SHAPES = (
-    Gait(0.075, 0.2, contraction_share=0.4, profile=Profile.TRAPEZOID),
-    Gait(0.06, 0.25, contraction_share=0.7),
-)
-
-
-@pytest.mark.parametrize("gait", SHAPES)
-def test_gaits_of_other_shapes_determine_the_actuation(gait):
-    session = Session()
-    session.run(gait, 3)
-    truth = session.rig.virtual.plant.parameters
-    recording = recordings_of(run_of_rows(session.rows), "shaped")[0]
-    assert recording.gait == gait
-    found = identify_actuation([recording], np.random.default_rng(0))
-    assert found.gain.low - 0.005 <= truth.gain <= found.gain.high + 0.005
-    assert found.slack.low - 2e-4 <= truth.slack <= found.slack.high + 2e-4
 
 
 def test_a_gait_with_pretension_begins_once_the_driver_has_tensioned_the_cable():

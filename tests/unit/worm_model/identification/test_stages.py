@@ -61,18 +61,6 @@ def test_actuation_is_found_and_the_clocks_with_it():
     assert fit.initial_length == pytest.approx(np.full(3, TRUTH.initial_length), abs=1e-5)
 
 
-def test_gross_outliers_hardly_move_the_actuation():
-    found = recordings()
-    plain = fit_actuation(found)
-    random = np.random.default_rng(5)
-    spoilt = []
-    for recording in found:
-        x2 = recording.x2.copy()
-        x2[random.integers(70, x2.size, 6)] += 0.04
-        spoilt.append(replace(recording, x2=x2))
-    assert fit_actuation(spoilt).values == pytest.approx(plain.values, rel=0.01)
-
-
 def test_the_bootstrap_repeats_with_its_seed():
     found = recordings()
     first, again, other = (
@@ -129,38 +117,6 @@ def test_how_the_body_sets_in_is_found(onset):
     assert solution.shared[0] == pytest.approx(95.0, rel=0.02)
 
 
-def test_a_pitch_that_is_given_as_exact_stays():
-    runs = traverses(camera_noise=1e-4)
-    start = np.array([90.0, 0.0172, 0.05, 0.05, TRUTH.pitch, 0.5])
-    own = locomotion.first_own(runs)
-    solution = solve(locomotion.locomotion_problem(runs, locomotion.Known(TRUTH, 0.0)), start, own)
-    assert solution.shared[4] == pytest.approx(TRUTH.pitch, abs=1e-7)
-
-
-def test_the_scales_error_does_not_show_in_friction():
-    """So masses need not be nuisances: a gram changes η by less than a thousandth."""
-    runs = traverses(camera_noise=1e-4)
-    own = locomotion.first_own(runs)
-    start = np.array([90.0, 0.0172, 0.05, 0.05, TRUTH.pitch, 0.5])
-    heavier = TRUTH.replace(rear_mass=TRUTH.rear_mass + 1e-3, front_mass=TRUTH.front_mass - 1e-3)
-    plain, moved = (
-        solve(
-            locomotion.locomotion_problem(runs, locomotion.Known(p, PITCH_DEVIATION)), start, own
-        ).shared
-        for p in (TRUTH, heavier)
-    )
-    assert moved[0] == pytest.approx(plain[0], rel=1e-3)
-    assert moved[1] == pytest.approx(plain[1], abs=2e-6)
-
-
-def test_clock_offsets_have_standard_deviations():
-    found = recordings(camera_noise=2e-4, camera_behind=0.007)
-    result = identify_actuation(found, np.random.default_rng(0))
-    off = np.abs(result.fit.clock_offset - 0.007)
-    assert np.all(off < 3.0 * result.clock_deviation)
-    assert np.all(result.clock_deviation < 0.005)
-
-
 def test_a_clock_offset_without_information_is_not_identifiable():
     slow = recordings(gaits=[Gait(0.012, 0.1)], camera_noise=2e-3)
     result = identify_actuation(slow, np.random.default_rng(0))
@@ -184,14 +140,6 @@ def test_a_cable_without_slack_is_not_given_an_interval_at_the_bound():
     assert "bound" in slack.note
 
 
-def test_commands_that_never_reach_the_slack_do_not_determine_it():
-    found = [replace(r, command=r.command - 0.002) for r in recordings(TRUTH.replace(slack=0.0))]
-    result = identify_actuation(found, np.random.default_rng(0))
-    assert not result.slack.identifiable
-    assert result.slack.note
-    assert result.gain.identifiable
-
-
 @pytest.fixture
 def fitted(monkeypatch):
     """Return runs and the groove fit from which the stage starts, without a search."""
@@ -206,35 +154,6 @@ def fitted(monkeypatch):
     monkeypatch.setattr(locomotion, "find_locomotion", lambda *_: solution)
     monkeypatch.setattr(locomotion_stage, "fit_grooves", lambda *_: fit)
     return runs, fit
-
-
-def test_the_variances_are_inflated_by_the_residuals_of_the_final_fit(fitted, monkeypatch):
-    runs, fit = fitted
-    better = replace(fit.solution, residuals=tuple(2.0 * r for r in fit.solution.residuals))
-    used = []
-
-    def profiles(_runs, _known, present, inflation):
-        used.append(inflation)
-        value = present.means[list(locomotion_stage.SOUGHT)]
-        ends = list(zip(0.9 * value, 1.1 * value, strict=True))
-        return (ends, None) if present.solution is better else ([], better)
-
-    monkeypatch.setattr(locomotion_stage, "_profiles", profiles)
-    result = locomotion_stage.identify_locomotion(runs, KNOWN)
-    assert result.fit.solution is better
-    assert used[1] > used[0]
-    assert result.inflation == used[1] == locomotion_stage.variance_inflation(runs, better)
-
-
-def test_a_fit_that_never_settles_has_values_but_no_intervals(fitted, monkeypatch):
-    runs, fit = fitted
-    monkeypatch.setattr(locomotion_stage, "_profiles", lambda *_: ([], fit.solution))
-    result = locomotion_stage.identify_locomotion(runs, KNOWN)
-    assert result.trouble
-    for estimate in (result.viscous_friction, result.switching_threshold, result.pitch):
-        assert not estimate.identifiable
-        assert estimate.note == result.trouble
-    assert result.viscous_friction.value == fit.means[0]
 
 
 @pytest.mark.parametrize("gain", [2.0, 30.0])
@@ -393,7 +312,3 @@ def test_one_frequency_cannot_distinguish_damping_from_power_factor():
         assert np.isnan(estimate.low)
         assert "another frequency" in estimate.note
     assert result.bellows_damping.value == 862.4  # as entered, without false digits
-
-
-def test_one_run_cannot_distinguish_them_either():
-    assert "several frequencies" in energy_of(GAITS[:1]).power_factor.note

@@ -3,8 +3,9 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from random_cases import examples
 from scipy.special import ndtr
 
 from worm_model.margin.keeping import (
@@ -57,7 +58,7 @@ def test_two_cycles_leave_the_probability_open():
     assert found.high > 0.98
 
 
-@settings(max_examples=20)
+@examples(20)
 @given(margins, margins)
 def test_both_fins_keep_their_grooves_less_often_than_one(rear, front):
     fins = [belief(*each) for each in (rear, front)]

@@ -12,15 +12,13 @@ import numpy as np
 import pytest
 from foreign_robot import EPOCH, Camera, ForeignRobot, crawl, some_robot
 
-from worm_driver.virtual_robot.offline_run import run_offline
-from worm_driver.virtual_robot.virtual_settings import load_settings
 from worm_model.analysis.run_metrics import measure_margin
 from worm_model.errors import RecordingError
 from worm_model.gait import REVERSE, Gait
 from worm_model.margin.half_cycles import Fin, half_cycles, motion_of
 from worm_model.margin.measured_margin import RunMargin, measure_cycles
 from worm_model.margin.predicted_margin import predicted_margin
-from worm_model.parameters import KEYS, PAPER
+from worm_model.parameters import PAPER
 from worm_model.run import Run, TrackerSamples
 from worm_model.simulation.simulator import simulate
 
@@ -198,13 +196,6 @@ def test_without_a_tracker_nothing_is_measured():
         measure_margin(Run(), PAPER)
 
 
-def test_a_single_cycle_states_no_probability():
-    found = measure_margin(crawl(some_robot(0), GAIT, 1).run, PAPER)
-    assert len(found.cycles) == 1
-    assert found.cycles[0].front.length > 0.0
-    assert found.keeps is None
-
-
 def test_a_stopped_run_is_measured_up_to_its_last_whole_cycle():
     run = recorded(some_robot(0))
     until = EPOCH + round(3.6 * GAIT.period * 1e9)
@@ -235,17 +226,6 @@ def test_on_the_model_itself_the_predicted_margin_is_measured(groove_phase):
     assert least == pytest.approx(predicted, abs=0.0007)
 
 
-def test_on_the_virtual_robot_the_predicted_margin_is_measured():
-    settings = load_settings()
-    seen = run_offline(settings, GAIT.length_change, CYCLES * GAIT.period)
-    stamps = np.rint((seen.tracker_time - seen.onset) * 1e9).astype(np.int64)
-    run = Run(tracker=TrackerSamples(stamps, seen.rear_position, seen.front_position))
-    truth = PAPER.replace(**{key: getattr(seen.truth, key) for key in KEYS})
-    found = measure_cycles(run, GAIT, 0, CYCLES, PAPER)
-    least = min(found.margins(fin)[0].mean() for fin in Fin)
-    assert least == pytest.approx(predicted_margin(GAIT, truth, found.grooves), abs=0.0007)
-
-
 def test_the_predicted_margin_counts_from_the_requested_grooves():
     one, two, three = (predicted_margin(Gait(0.075, 0.2), PAPER, n) for n in (1, 2, 3))
     assert one > two > 0.0 > three
@@ -259,3 +239,10 @@ def test_the_predicted_margin_counts_from_the_requested_grooves():
         for change in (-1e-5, 1e-5)
     ]
     assert gained[0] > gained[1] + PAPER.pitch
+
+
+def test_a_single_cycle_states_no_probability():
+    found = measure_margin(crawl(some_robot(0), GAIT, 1).run, PAPER)
+    assert len(found.cycles) == 1
+    assert found.cycles[0].front.length > 0.0
+    assert found.keeps is None

@@ -3,15 +3,15 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from random_cases import examples
 
 from worm_model.gait import Gait
 from worm_model.parameters import PAPER
 from worm_model.simulation import actuation
 from worm_model.simulation.batch import evaluate_gaits
 from worm_model.simulation.closed_form import cliff_margin, groove_phase, grooves_per_cycle
-from worm_model.simulation.simulator import evaluate_gait, simulate
 
 
 def test_step_and_ramp_of_a_sampled_command_have_their_closed_form() -> None:
@@ -43,7 +43,7 @@ def test_a_ramp_through_the_slack_is_the_same_in_one_step_or_in_many() -> None:
     assert whole[~before] == pytest.approx(expected, abs=1e-15)
 
 
-@settings(max_examples=30, deadline=None)
+@examples(30)
 @given(
     st.lists(st.tuples(st.floats(0.001, 1.0), st.floats(-0.09, 0.0)), min_size=2, max_size=12),
     st.lists(st.floats(0.0, 10.0), min_size=1, max_size=9),
@@ -62,28 +62,6 @@ def test_where_one_looks_does_not_change_the_answer(
     )
     assert found == pytest.approx(np.interp(at, merged, split), abs=1e-12)
     assert not found[at < engaged].any()
-
-
-@settings(max_examples=30, deadline=None)
-@given(st.floats(0.01, 0.09), st.floats(0.08, 0.4))
-def test_sampled_command_approaches_the_gait(stroke: float, frequency: float) -> None:
-    gait = Gait(stroke, frequency)
-    times = np.linspace(0.0, 2.0 * gait.period, 4000)
-    commands = np.array([gait.command(t) for t in times])
-    sampled = actuation.length_change_of_command(times, commands, PAPER)
-    exact = simulate(gait, cycles=2).at(times).length - PAPER.initial_length
-    assert sampled == pytest.approx(exact, abs=1e-6)
-
-
-@settings(max_examples=30, deadline=None)
-@given(st.floats(0.004, 0.09), st.floats(0.08, 0.4))
-def test_range_is_that_of_the_periodic_state(stroke: float, frequency: float) -> None:
-    gait = Gait(stroke, frequency)
-    times = np.linspace(14.0 * gait.period, 15.0 * gait.period, 5001)
-    change = simulate(gait, cycles=15).at(times).length - PAPER.initial_length
-    lowest, highest = actuation.length_change_range(gait, PAPER)
-    assert lowest == pytest.approx(change.min(), abs=1e-7)
-    assert highest == pytest.approx(change.max(), abs=1e-7)
 
 
 def test_mismatched_samples_are_rejected() -> None:
@@ -116,12 +94,3 @@ def test_groove_count_matches_the_simulator_over_the_box(margin: float, phase: f
         for s in stroke[:, 0]
     ]
     assert np.mean(simulated == np.array(closed)) >= 0.98
-
-
-def test_past_the_cliff_the_branch_of_two_grooves_is_lost_for_the_slowest_gait() -> None:
-    cliff = cliff_margin(PAPER)
-    for frequency in (0.08, 0.1):
-        gaits = [Gait(0.0755, frequency, 1, cliff + offset) for offset in (-2e-4, 2e-4)]
-        before, after = (evaluate_gait(gait).grooves_per_cycle for gait in gaits)
-        assert round(before) == 2
-        assert round(after) < 2

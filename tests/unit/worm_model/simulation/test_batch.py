@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Batches of any shape return the results of single gaits."""
 
+from dataclasses import fields
+
 import numpy as np
 import pytest
-from random_cases import random_case
+from random_cases import random_case, random_loaded_case
 
 from worm_model.gait import Gait, GaitError
 from worm_model.parameters import KEYS, PAPER, ParameterError
@@ -11,18 +13,16 @@ from worm_model.simulation.batch import CHUNK, evaluate_gaits, sample_cycle
 from worm_model.simulation.simulator import evaluate_gait, simulate
 
 
-def test_batch_equals_single_gaits() -> None:
-    cases = [random_case(seed) for seed in range(60)]
-    overrides = {key: np.array([getattr(p, key) for _, _, p in cases]) for key in KEYS}
+@pytest.mark.parametrize("one_sided", [False, True])
+def test_batch_equals_single_gaits(one_sided: bool) -> None:
+    cases = [random_loaded_case(seed) for seed in range(30)]
     table = evaluate_gaits(
-        [g.stroke for _, g, _ in cases],
-        [g.frequency for _, g, _ in cases],
-        [g.margin for _, g, _ in cases],
-        [g.direction for _, g, _ in cases],
-        overrides=overrides,
+        **{row.name: [getattr(g, row.name) for _, g, _ in cases] for row in fields(Gait)},
+        parameters=PAPER.replace(one_sided_cable=one_sided),
+        overrides={key: np.array([getattr(p, key) for _, _, p in cases]) for key in KEYS},
     )
     for k, (_, gait, parameters) in enumerate(cases):
-        single = evaluate_gait(gait, parameters)
+        single = evaluate_gait(gait, parameters.replace(one_sided_cable=one_sided))
         for name in ("speed", "power", "cost_of_transport", "grooves_per_cycle", "min_grooves"):
             assert getattr(table, name)[k] == getattr(single, name), name
         assert table.switches[k] == single.switches
@@ -93,6 +93,9 @@ def test_bad_rows_are_rejected() -> None:
         evaluate_gaits([0.07, 0.07, 0.07], 0.2, direction=[-1, 0, 1])
     with pytest.raises(ValueError, match="finite"):
         evaluate_gaits([0.07, np.nan], 0.2)
+    for field in ({"pretension": -1e-3}, {"contraction_share": 0.0}, {"ramp_share": 0.09}):
+        with pytest.raises(GaitError, match=next(iter(field))):
+            evaluate_gaits([0.07, 0.07], 0.2, **field)
     with pytest.raises(ParameterError, match="no such parameter"):
         evaluate_gaits(0.07, 0.2, overrides={"pich": 0.017})
     with pytest.raises(ParameterError, match="switch back"):

@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from random_cases import examples
 
 from worm_model.gait import Gait, Profile
 from worm_model.parameters import PAPER
@@ -51,7 +52,7 @@ ROBOTS = st.tuples(
 )
 
 
-@settings(max_examples=100, deadline=None)
+@examples(100)
 @given(ROBOTS, st.lists(SIZES, min_size=9, max_size=9), st.floats(0.0, 0.5), st.floats(0.01, 0.6))
 def test_work_agrees_with_a_quadrature_for_zero_and_slow_roots(
     robot: tuple[float, float, float, float], sizes: list[float], offset: float, duration: float

@@ -1,14 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Dry friction of the model, compared with an independent integration, balances and limits."""
+"""Dry friction of the model, compared with balances and limits."""
 
 import numpy as np
 import pytest
-from oracle import Oracle
-from random_cases import random_dry_case, seeds
 
-from worm_model.gait import FORWARD, REVERSE, Gait
+from worm_model.gait import Gait
 from worm_model.parameters import PAPER
-from worm_model.simulation.batch import evaluate_gaits
 from worm_model.simulation.simulator import Locomotion, evaluate_gait, simulate
 
 GAIT = Gait(0.07, 0.2)
@@ -16,31 +13,6 @@ GAIT = Gait(0.07, 0.2)
 
 def with_dry(rear, front, **more):
     return PAPER.replace(rear_dry_friction=rear, front_dry_friction=front, **more)
-
-
-# From 7791 on: a new segment begins while both modules rest and the rate of ΔL is about to reverse.
-@pytest.mark.parametrize("seed", [*seeds(20), 7791, 10132, 14494, 15686, 16703])
-def test_random_gaits_agree_with_the_oracle(seed):
-    _, gait, parameters = random_dry_case(seed)
-    result = evaluate_gait(gait, parameters)
-    oracle = Oracle(gait, parameters).run()
-    x1 = simulate(gait, parameters).at(np.arange(6) * gait.period).x1
-    assert x1 == pytest.approx([x1 for x1, _ in oracle.boundaries], rel=0, abs=1e-9)
-    power = parameters.idle_power + parameters.power_factor * oracle.work(3) * gait.frequency
-    assert result.power == pytest.approx(power, rel=1e-6)
-    assert result.switches == oracle.switches
-
-
-def test_positions_between_cycles_agree_with_the_oracle():
-    parameters = with_dry(1.3, 0.6)
-    times = np.linspace(0.01, 5 * GAIT.period, 97)
-    oracle = Oracle(GAIT, parameters).run(samples=times)
-    states = np.concatenate(oracle.states, axis=1)
-    motions = simulate(GAIT, parameters).at(np.concatenate(oracle.times))
-    assert motions.x1 == pytest.approx(states[0], abs=1e-9)
-    assert motions.v1 == pytest.approx(states[1], abs=1e-7)
-    energy = parameters.idle_power * motions.time + parameters.power_factor * states[3]
-    assert motions.energy == pytest.approx(energy, rel=1e-8)
 
 
 def test_a_module_that_sticks_does_not_move():
@@ -67,27 +39,11 @@ def test_the_cable_pays_for_what_friction_and_damping_take():
     assert np.trapezoid(given, time) == pytest.approx(np.trapezoid(dissipated, time), rel=1e-5)
 
 
-def test_with_equal_frictions_the_directions_are_mirror_images():
-    parameters = with_dry(0.9, 0.9, initial_length=17 * PAPER.pitch)
-    forward, reverse = (
-        evaluate_gait(Gait(0.07, 0.2, direction), parameters) for direction in (FORWARD, REVERSE)
-    )
-    assert forward.speed == pytest.approx(reverse.speed, rel=1e-9)
-    assert forward.power == pytest.approx(reverse.power, rel=1e-9)
-
-
 def test_less_and_less_dry_friction_is_none():
     exact = evaluate_gait(GAIT, PAPER).power
     found = [evaluate_gait(GAIT, with_dry(dry, dry)).power for dry in (1e-3, 1e-5, 1e-12)]
     assert found == pytest.approx([exact] * 3, rel=1e-4)
     assert abs(found[1] - exact) < 0.02 * abs(found[0] - exact)
-
-
-def test_a_batch_takes_dry_friction_of_each_row():
-    rear = np.array([0.0, 0.5, 5.0])
-    table = evaluate_gaits(0.07, 0.2, overrides={"rear_dry_friction": rear})
-    alone = [evaluate_gait(GAIT, with_dry(float(dry), 0.0)).power for dry in rear]
-    assert table.power == pytest.approx(alone, rel=1e-14)
 
 
 @pytest.mark.parametrize("pieces", [1, 7, 50])

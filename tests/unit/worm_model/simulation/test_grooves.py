@@ -63,12 +63,6 @@ def test_the_length_may_begin_with_the_rear_module_at_rest():
     assert shared[march.V1] == pytest.approx(-rate * PAPER.front_mass / PAPER.mass)
 
 
-def test_a_run_may_begin_with_a_bent_fin():
-    bent = follow(GAITS[0], deflection=-0.002)
-    assert bent[0, march.X1] == pytest.approx(-0.002)
-    assert bent[0, march.X2] == pytest.approx(PAPER.initial_length - 0.002)
-
-
 @pytest.mark.parametrize("parameters", [DRY, DRY.replace(rear_load=0.5)])
 @pytest.mark.parametrize("length_change", [-0.008, -0.015, -0.03])
 def test_a_pretension_bends_the_fins_to_their_balance_from_which_a_pose_deviates(

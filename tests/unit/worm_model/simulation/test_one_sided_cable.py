@@ -3,14 +3,13 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
-from random_cases import random_case
+from random_cases import examples, random_case
 
 from worm_model.analysis.simulated_run import simulated_run
 from worm_model.gait import AVERAGED, CYCLES, Gait
-from worm_model.parameters import KEYS, PAPER
-from worm_model.simulation.batch import evaluate_gaits
+from worm_model.parameters import PAPER
 from worm_model.simulation.simulator import evaluate_gait, simulate
 from worm_model.twin.offline_replay import replay_run
 
@@ -32,7 +31,7 @@ def test_the_energy_is_that_of_a_dense_quadrature() -> None:
     assert evaluate_gait(FAST).power / power - 1.0 == pytest.approx(0.22, abs=0.01)
 
 
-@settings(max_examples=40, deadline=None)
+@examples(40)
 @given(st.integers(0, 2**32 - 1))
 def test_motion_is_the_same_and_power_never_more(seed: int) -> None:
     _, gait, parameters = random_case(seed)
@@ -50,15 +49,6 @@ def test_a_cable_that_pulls_throughout_has_the_papers_power() -> None:
     assert simulate(SLOW).at(np.linspace(0.0, CYCLES * SLOW.period, 5000)).cable_force.min() > 0.0
     assert evaluate_gait(SLOW, ONE_SIDED) == evaluate_gait(SLOW)
     assert evaluate_gait(FAST, ONE_SIDED).speed == evaluate_gait(FAST).speed
-
-
-def test_a_batch_has_the_form_of_its_parameters() -> None:
-    stroke, frequency = [FAST.stroke, SLOW.stroke], [FAST.frequency, SLOW.frequency]
-    drawn = {key: np.full(2, getattr(PAPER, key)) for key in KEYS}
-    for overrides in ({}, drawn):
-        table = evaluate_gaits(stroke, frequency, parameters=ONE_SIDED, overrides=overrides)
-        for k, gait in enumerate((FAST, SLOW)):
-            assert table.power[k] == evaluate_gait(gait, ONE_SIDED).power
 
 
 def test_the_twin_bills_nothing_where_the_cable_would_push() -> None:

@@ -66,10 +66,6 @@ def test_bias_of_power_from_a_camera_is_the_stated_one(frequency: float, bias: f
     model = Locomotion()
     _, seen = model.follow_polynomial(model.start(), *smoothed.cubic(), times)
     averaged = times >= 2.0 * gait.period
-    energy = _trapezoid(seen.power[averaged], times[averaged])
+    energy = np.trapezoid(seen.power[averaged], times[averaged])
     truth = exact.energy[averaged][-1] - exact.energy[averaged][0]
     assert energy / truth - 1.0 == pytest.approx(bias, abs=0.0015)
-
-
-def _trapezoid(y: np.ndarray, x: np.ndarray) -> float:
-    return float(np.sum(0.5 * (y[1:] + y[:-1]) * np.diff(x)))  # np.trapezoid is numpy 2

@@ -35,7 +35,7 @@ def alarms(events: tuple[Event, ...]) -> list[tuple[str, int]]:
     return [(event.code, event.cycle) for event in events if event.severity > Severity.INFO]
 
 
-@pytest.mark.parametrize("offset", [-0.0005, -0.0002, 0.0, 0.0002, 0.0005])
+@pytest.mark.parametrize("offset", [-0.0005, 0.0, 0.0002])
 def test_near_an_edge_whole_grooves_are_not_judged(offset: float):
     gait = Gait(EDGE.stroke + offset, EDGE.frequency)
     robots = run_robots(gait, [Fault()] * 3, seed=4)

@@ -15,7 +15,7 @@ from worm_model.parameters import PAPER
 from worm_model.run import Run, TrackerSamples
 from worm_model.twin.data.samples import NO_SAMPLES, topic_rows
 from worm_model.twin.offline_replay import replay_run
-from worm_model.twin.run_margins import STORED, MarginRecord, RunPositions, spare_of
+from worm_model.twin.run_margins import STORED, MarginRecord, RunPositions
 from worm_model.twin.twin import Twin
 
 GAIT, CYCLES = Gait(0.075, 0.2), 6
@@ -58,6 +58,8 @@ def test_the_margins_are_published_from_the_end_of_each_cycle_on():
         shown = states[f"{fin.value}_margin"][-1]
         assert shown == pytest.approx(whole.beliefs[fin].expected, abs=0.0005)
     assert states["margin_grooves"][-1] == whole.grooves
+    assert whole.keeps is not None
+    assert states["keeps_probability"][-1] == pytest.approx(whole.keeps.value, abs=0.05)
 
 
 def test_without_a_tracker_the_margins_are_nan():
@@ -79,10 +81,3 @@ def test_the_number_of_stored_positions_is_bounded():
         for each in rows.values():
             positions.add(each)
     assert len(positions.__dict__["_samples"]) == STORED
-
-
-def test_the_line_of_the_cockpit_shows_the_fin_with_the_smaller_margin():
-    record = MarginRecord(2, 0.0019, 0.0031, 0.0008, 0.0005)
-    assert spare_of(record) == "2 grooves, 1.9 ± 0.8 mm to spare"
-    assert spare_of(dataclasses.replace(record, margin_grooves=1)).startswith("1 groove,")
-    assert spare_of(MarginRecord()) == ""

@@ -2,13 +2,13 @@
 """The twin's core, compared with the simulator, and with every kind of bad sample."""
 
 import math
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from random_cases import examples
 from twin_samples import (
     CommandedLength,
     GaitSample,
@@ -22,11 +22,10 @@ from twin_samples import (
 from worm_model.gait import REVERSE, Gait
 from worm_model.parameters import PAPER
 from worm_model.run import Activity, LengthSource
-from worm_model.simulation.simulator import evaluate_gait, simulate
-from worm_model.twin.cause_table import CAMERA_MOVED, GAP
+from worm_model.simulation.simulator import simulate
+from worm_model.twin.cause_table import GAP
 from worm_model.twin.data.records import Health
 from worm_model.twin.twin import Twin
-from worm_model.twin.twin_settings import TwinSettings
 
 GAIT = Gait(0.07, 0.2)
 FAR = Gait(0.08, 0.2)  # far from the edges of the grooves per cycle
@@ -116,7 +115,7 @@ def test_how_samples_are_cut_into_calls_does_not_matter_to_the_bit(chunk):
     assert repr(follow(samples, chunk=chunk)) == repr(follow(samples))
 
 
-@settings(max_examples=10, deadline=None)
+@examples(10)
 @given(st.integers(0, 2**32 - 1))
 def test_the_order_within_the_delay_does_not_matter_to_the_bit(seed):
     """Every sample is late by a different time within the delay."""
@@ -127,18 +126,7 @@ def test_the_order_within_the_delay_does_not_matter_to_the_bit(seed):
     assert repr(follow(shuffled)) == repr(follow(samples))
 
 
-def test_what_comes_later_than_the_delay_is_counted_and_left():
-    samples = full_run(4.0)
-    late = [s for s in samples if isinstance(s, TrackerSample) and at(1.0) < s.stamp_ns < at(2.0)]
-    kept = [s for s in samples if s not in late]
-    spoilt = sorted([*kept, *late], key=lambda s: s.stamp_ns + (s in late) * 600_000_000)
-    twin = Twin()
-    state = twin.start()
-    assert repr(follow(spoilt, twin, state=state)) == repr(follow(kept))
-    assert state.counts["late"] == len(late)
-
-
-@settings(max_examples=20, deadline=None)
+@examples(20)
 @given(
     places=st.lists(st.integers(0, 600), min_size=1, max_size=10),
     kind=st.sampled_from(["duplicate", "late", "nan", "infinite", "millimetres", "zero stamp"]),
@@ -199,13 +187,6 @@ def test_stale_measurements_hand_over_to_the_command_and_back():
     assert states[-1].rear_position == pytest.approx(ORIGIN + exact.x1[0], abs=1e-4)
 
 
-def test_a_pause_is_reported_and_survived():
-    kept = [s for s in commands(GAIT, 12.0) if not at(3.0) < s.stamp_ns < at(5.0)]
-    output = run(in_order(announcements(GAIT), kept))
-    assert "no length for 2.0" in texts(output)
-    assert all(math.isfinite(s.rear_position) for s in output.states)
-
-
 @pytest.mark.parametrize("one_by_one", [True, False])
 def test_a_pause_of_a_measured_length_is_survived(one_by_one: bool):
     samples = in_order(announcements(GAIT), commands(GAIT, 3.0), observed(GAIT, 8.0))
@@ -226,16 +207,6 @@ def test_a_pause_ends_at_the_next_length_of_any_kind(command: float, length: flo
     assert GAP.code not in {notice.code for notice in output.notices}
 
 
-def test_a_clock_that_jumps_back_restarts_the_twin():
-    first = in_order(announcements(GAIT), commands(GAIT, 6.0))
-    output = run(first + first)
-    assert texts(output).count("clock jumped back") == 1
-    assert texts(output).count("a run begins") == 2
-    once = run(first)
-    assert output.states[-1].rear_position == pytest.approx(once.states[-1].rear_position, abs=1e-9)
-    assert output.states[-1].energy == pytest.approx(once.states[-1].energy, rel=1e-9)
-
-
 WILD = {
     "command": lambda t: CommandedLength(at(t), -0.01),
     "length": lambda t: MeasuredLength(at(t), 0.29),
@@ -243,20 +214,6 @@ WILD = {
     "power": lambda t: PowerSample(at(t), 2.0),
     "gait": lambda t: GaitSample(at(t), Activity.IDLE),
 }
-
-
-# A latched gait state may have any age.
-WILD_STAMPS = [(k, t) for k in WILD for t in (-1000.0, 7.0, 1000.0) if k != "gait" or t > 0.0]
-
-
-@pytest.mark.parametrize(("kind", "time"), WILD_STAMPS)
-@pytest.mark.parametrize("count", [1, 2])
-def test_wild_stamps_restart_nothing(kind, time, count):
-    clean = in_order(announcements(GAIT), commands(GAIT, 4.0), observed(GAIT, 4.0))
-    place = next(k for k, s in enumerate(clean) if s.stamp_ns > at(2.0))
-    wild = [WILD[kind](time + k / 100) for k in range(count)]
-    spoilt = run([*clean[:place], *wild, *clean[place:]])
-    assert repr(spoilt) == repr(run(clean))
 
 
 def later(samples: list, seconds: float) -> list:
@@ -272,9 +229,10 @@ def later(samples: list, seconds: float) -> list:
     return [moved(sample) for sample in samples]
 
 
-def test_a_clock_that_jumps_ahead_restarts_the_twin():
+@pytest.mark.parametrize("ahead", [0.0, 1000.0])
+def test_a_clock_that_jumps_restarts_the_twin(ahead: float):
     first = full_run()
-    output = run(first + later(first, 1000.0))
+    output = run(first + later(first, ahead))
     assert [n.code for n in output.notices].count("clock_jump") == 1
     assert texts(output).count("a run begins") == 2
     once = run(first)
@@ -300,9 +258,11 @@ def test_one_stream_alone_does_not_move_the_clock_ahead():
         [("command", 2.0), ("command", 2.01), ("gait", 2.02)],
         [("gait", 2.0), ("tracker", 2.01), ("tracker", 2.02)],
         [("gait", 2.0), ("gait", 2.01), ("gait", 2.02)],
+        *([(kind, t), (kind, t + 0.01)] for kind in WILD for t in (5.0, 998.0)),
+        *([(kind, -1002.0)] * 2 for kind in WILD if kind != "gait"),  # a latched state has any age
     ],
 )
-def test_samples_ahead_that_do_not_confirm_each_other_leave_no_trace(ahead):
+def test_wild_stamps_that_do_not_confirm_each_other_leave_no_trace(ahead):
     """Some stamps disagree, or those of a single topic agree; a driver state confirms nothing."""
     clean = in_order(announcements(GAIT), commands(GAIT, 4.0), observed(GAIT, 4.0))
     place = next(k for k, s in enumerate(clean) if s.stamp_ns > at(2.0))
@@ -349,9 +309,9 @@ def slipped(samples: list, time: float, offset: float, lasts: float = 1.0) -> li
     return [moved(s) if isinstance(s, TrackerSample) else s for s in samples]
 
 
-@pytest.mark.parametrize("gait", [GAIT, Gait(0.05, 0.1), Gait(0.08, 0.4)])
+@pytest.mark.parametrize("gait", [GAIT, Gait(0.08, 0.4)])
 @pytest.mark.parametrize("channel", ["position", "power"])
-@pytest.mark.parametrize("size", [0.8, 1.2, 1.8, 3.0, 6.0])
+@pytest.mark.parametrize("size", [0.8, 1.8, 6.0])
 def test_health_does_not_flicker_with_what_comes_and_goes_in_each_cycle(gait, channel, size):
     """The residual is a multiple of the usual one in the middle of each cycle, and 0 at its ends."""
     end = 5 * gait.period
@@ -405,8 +365,7 @@ def with_end(samples: list, gait: Gait, end: float) -> list:
     return in_order(announcements(gait), samples, after, [GaitSample(at(end + 0.003), IDLE)])
 
 
-@pytest.mark.parametrize("camera_s", [0.0, 0.03, 0.15])
-@pytest.mark.parametrize("offset_ms", [0, 12, 33])
+@pytest.mark.parametrize(("camera_s", "offset_ms"), [(0.0, 0), (0.03, 12), (0.15, 33)])
 def test_a_miss_in_the_last_cycle_is_reported(camera_s, offset_ms):
     shift = offset_ms * 1_000_000
     seen = [
@@ -430,15 +389,10 @@ def test_a_miss_in_the_last_cycle_is_reported_by_a_tracker_that_goes_with_it():
     assert "cycle 3: the robot missed a groove" in texts(output)
 
 
-def test_what_comes_after_the_run_is_no_cycle():
-    seen = slipped(observed(GAIT, 40.0), 22.0, -PAPER.pitch)
-    output = run(with_end(commands(GAIT, 15.0) + seen, GAIT, 15.0))
-    assert "cycle" not in texts(output)
-
-
-def test_a_run_that_is_stopped_in_a_cycle_does_not_judge_it():
-    seen = slipped(observed(GAIT, 17.0), 11.0, -PAPER.pitch)
-    output = run(with_end(commands(GAIT, 14.6) + seen, GAIT, 14.6))
+@pytest.mark.parametrize(("end", "slip"), [(15.0, 22.0), (14.6, 11.0)])
+def test_neither_the_rest_after_a_run_nor_a_cycle_that_was_stopped_is_judged(end, slip):
+    seen = slipped(observed(GAIT, slip + 6.0), slip, -PAPER.pitch)
+    output = run(with_end(commands(GAIT, end) + seen, GAIT, end))
     assert "cycle" not in texts(output)
 
 
@@ -453,14 +407,6 @@ def test_a_short_jump_of_the_tracker_is_rejected():
     inside = [r.rear_position for r in output.residuals if r.stamp_ns > at(0)]
     assert np.nanmax(np.abs(inside)) < 1e-3
     assert {r.health for r in output.residuals if r.stamp_ns > at(0)} == {Health.HEALTHY}
-
-
-def test_a_tracker_that_was_moved_gets_a_new_zero():
-    seen = slipped(observed(GAIT, 6.0), 3.0, 0.2, lasts=1e-3)
-    output = run(in_order(announcements(GAIT), commands(GAIT, 6.0), seen))
-    assert CAMERA_MOVED.code in {notice.code for notice in output.notices}
-    after = [r.rear_position for r in output.residuals if r.stamp_ns > at(4.0)]
-    assert np.nanmax(np.abs(after)) < 2e-3
 
 
 def test_hidden_markers_and_missing_power_give_no_residual():
@@ -492,15 +438,6 @@ def test_before_a_run_the_twin_stands_still_and_reports_it():
     assert last.energy == pytest.approx(PAPER.idle_power * elapsed, rel=1e-3)
 
 
-def test_a_twin_that_comes_late_takes_the_gait_as_commanded():
-    late = [s for s in commands(GAIT, 25.0) if s.stamp_ns > at(7.0)]
-    gait = GaitSample(at(5.0), Activity.RUNNING, GAIT, ONSET)
-    output = run([gait, *late])
-    assert "7.01 s" in texts(output)  # the first command after the onset
-    exact = simulate(GAIT).at([25.0])
-    assert output.states[-1].length == pytest.approx(exact.length[0], abs=1e-5)
-
-
 def test_parameters_may_change_during_a_run():
     samples = in_order(announcements(GAIT), commands(GAIT, 10.0))
     half = len(samples) // 2
@@ -512,94 +449,3 @@ def test_parameters_may_change_during_a_run():
     assert first.states[-1].energy < second.states[-1].energy
     assert second.states[-1].energy > unchanged.states[-1].energy
     assert second.states[-1].rear_position == unchanged.states[-1].rear_position
-
-
-def test_a_second_run_starts_from_rest_with_no_energy():
-    period = round(30e9)
-    again = [
-        replace(s, stamp_ns=s.stamp_ns + period)
-        if not isinstance(s, GaitSample)
-        else replace(
-            s, stamp_ns=s.stamp_ns + period, onset_ns=s.onset_ns + period if s.onset_ns else 0
-        )
-        for s in full_run()
-    ]
-    idle = GaitSample(at(6.1), Activity.IDLE)
-    output = run([*full_run(), idle, *again])
-    second = [s for s in output.states if s.stamp_ns >= ONSET + period]
-    assert second[0].energy == 0.0
-    assert second[0].rear_position == pytest.approx(ORIGIN, abs=1e-9)
-    assert second[-1].energy == pytest.approx(run(full_run()).states[-1].energy, rel=1e-6)
-
-
-def test_settings_out_of_range_are_rejected():
-    with pytest.raises(ValueError, match="measured_stale_s: 0 is not between"):
-        TwinSettings(measured_stale_s=0)
-
-
-def hours_of_it(gait: Gait, hours: int) -> Iterator[list]:
-    """Yield hour by hour: commands and power at 1 Hz, a camera at 30 Hz for a cycle in which a groove is missed."""
-    steady = simulate(gait, cycles=10)
-    per_cycle = float(np.diff(steady.at([180.0, 200.0]).x1)[0])
-    for hour in range(hours):
-        times = np.arange(hour * 3600, (hour + 1) * 3600) + 1.0
-        begins = hour * 3600 + 1800.0
-        looks = begins + np.arange(0.8 * gait.period, 2.0 * gait.period, 1.0 / 30.0)
-        cycle, within = np.divmod(looks, gait.period)
-        order = np.argsort(within)
-        seen = steady.at(180.0 + within[order])
-        length, x1 = np.empty_like(looks), np.empty_like(looks)
-        length[order], x1[order] = seen.length, seen.x1
-        x1 += (cycle - 9.0) * per_cycle
-        misses = hour + np.clip((looks - begins) / gait.period - 1.6, 0.0, 0.2) / 0.2
-        x1 -= misses * PAPER.pitch
-        yield in_order(
-            [CommandedLength(at(t), gait.command(t)) for t in times],
-            [PowerSample(at(t), 1.0) for t in times[::4]],
-            [MeasuredLength(at(t), v) for t, v in zip(looks, length, strict=True)],
-            [TrackerSample(at(t), v, math.nan) for t, v in zip(looks, x1, strict=True)],
-        )
-
-
-def test_hours_with_misses_need_no_more_memory_and_lose_no_accuracy():
-    gait, hours = Gait(0.07, 0.05), 2
-    twin = Twin(settings=TwinSettings(pause_s=1.5, delay_s=0.5, measured_stale_s=1.1))
-    state = twin.start()
-    follow(announcements(gait), twin, state=state, end=False)
-    size, last, residuals = sum(part.nbytes for part in state.memory), None, []
-    for samples in hours_of_it(gait, hours):
-        output = follow(samples, twin, state=state, end=False)
-        last = output.states[-1]
-        positions = [r.rear_position for r in output.residuals if math.isfinite(r.rear_position)]
-        residuals.append(np.abs(positions[: len(positions) // 3]))
-        assert sum(part.nbytes for part in state.memory) == size
-        assert len(state.history.cycles) <= 8
-        assert len(state.history.reported) <= 8
-        assert len(state.warnings) <= 8
-    assert state.history.missed == hours
-    assert min(len(found) for found in residuals) > 150
-    assert max(found.max() for found in residuals) < 3e-3
-    assert (last.stamp_ns - ONSET) * 1e-9 == pytest.approx(hours * 3600, abs=3.0)
-    per_cycle = float(np.diff(simulate(gait, cycles=10).at([180.0, 200.0]).x1)[0])
-    expected = hours * 3600 * gait.frequency * per_cycle - hours * PAPER.pitch
-    assert last.rear_position == pytest.approx(expected, abs=3e-2)
-
-
-@pytest.mark.parametrize(("stroke", "true_length"), [(0.0725, 0.2985), (0.07, 0.293)])
-def test_the_groove_phase_is_found_from_the_first_cycles(stroke, true_length):
-    """Only the rear module is tracked; the twin assumes another L0, with another number of grooves."""
-    truth = PAPER.replace(initial_length=true_length)
-    gait = Gait(stroke, 0.2)
-    wanted = evaluate_gait(gait, truth).grooves_per_cycle
-    assert round(wanted) != round(evaluate_gait(gait, PAPER).grooves_per_cycle)
-    times = np.arange(-60, 900) / 30
-    x1 = simulate(gait, truth, cycles=7).at(np.maximum(times, 0.0)).x1
-    seen = [TrackerSample(at(t), ORIGIN + x, math.nan) for t, x in zip(times, x1, strict=True)]
-    output = run(in_order(announcements(gait), commands(gait, 30.0), seen))
-    fits = [n for n in output.notices if n.code == "initial_length"]
-    assert len(fits) == 1
-    last = output.states[-1]
-    found = PAPER.replace(initial_length=last.initial_length)
-    assert round(evaluate_gait(gait, found).grooves_per_cycle) == round(wanted)
-    late = [n.text for n in output.notices if n.stamp_ns > at(21.0)]
-    assert late == []

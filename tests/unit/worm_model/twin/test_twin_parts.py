@@ -2,7 +2,6 @@
 """The twin's forecast, scene and rest pose."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -33,27 +32,6 @@ def test_a_forecast_from_rest_is_the_simulators():
     assert found.rear_position[100:] == pytest.approx(exact.x1[100:], abs=1e-6)
     assert found.energy == pytest.approx(exact.energy[-1], rel=0.01)
     assert found.nominal.speed > 0.0
-
-
-def test_a_forecast_begins_where_the_twin_is():
-    twin = Twin()
-    state = twin.start()
-    follow(
-        [GaitSample(ONSET, Activity.RUNNING, GAIT, ONSET)]
-        + [
-            CommandedLength(ONSET + round(t * 1e9), GAIT.command(t))
-            for t in np.arange(1, 1001) * 0.01
-        ],
-        twin,
-        state=state,
-    )
-    now = simulate(GAIT).at([10.0])
-    found = forecast(twin, state, replace(GAIT, direction=REVERSE))
-    # The fins turn while the slack is taken up. When it returns, the body pushes the rear module back.
-    pushed = PAPER.gain * PAPER.slack
-    assert found.rear_position[0] == pytest.approx(now.x1[0] - pushed, abs=1e-3)
-    assert found.rear_position[-1] < now.x1[0] - PAPER.pitch
-    assert found.grooves >= 1
 
 
 @pytest.mark.parametrize("horizon", [-1.0, math.nan, 1000.0])

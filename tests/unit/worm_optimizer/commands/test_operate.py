@@ -2,13 +2,10 @@
 """The command operate, as far as it needs no robot."""
 
 import math
-import sys
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-
-pytest.importorskip("worm_msgs.msg", reason="worm_msgs is not built")
 
 from worm_model.errors import InputError
 from worm_model.run import Activity
@@ -57,14 +54,6 @@ def test_without_an_optimizer_the_conditions_are_those_of_the_options():
     )
     assert operate_run.conditions_of(robot, options_of(), print) == LEVEL
     assert robot.parameters == {}
-
-
-def test_help_is_printed(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture):
-    monkeypatch.setattr(sys, "argv", ["operate", "run", "--help"])
-    with pytest.raises(SystemExit) as end:
-        operate.main()
-    assert end.value.code == 0
-    assert "--tether-length" in capsys.readouterr().out
 
 
 def test_a_run_without_a_complete_cycle_names_its_recording():

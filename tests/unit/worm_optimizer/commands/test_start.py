@@ -8,14 +8,6 @@ import pytest
 from worm_optimizer.commands import start
 
 
-def test_a_setting_that_does_not_exist_is_bad_input(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-):
-    monkeypatch.setattr(sys, "argv", ["start", "--set", "prot=/dev/ttyUSB0"])
-    assert start.main() == 2
-    assert "'prot'" in capsys.readouterr().err
-
-
 def test_an_unusable_domain_is_reported_in_one_line(
     monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ):

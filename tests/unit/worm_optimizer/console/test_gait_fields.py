@@ -19,7 +19,7 @@ LIMITS = DriverLimits(0.09, 0.4, 0.12)
     [
         ("pretension", -0.003, ("pretension", "-3 mm")),
         ("stroke", 1.5, ("stroke", "1500 mm", "1000 mm")),
-        ("stroke", 0.0, ("stroke", "0 mm")),
+        ("stroke", 0.0, ("stroke", "0 mm", "more than 0")),
         ("frequency", math.nan, ("frequency",)),
         ("contraction_share", 1.2, ("contraction share", "1.2", "0.99")),
     ],

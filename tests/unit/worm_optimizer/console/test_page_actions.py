@@ -116,3 +116,13 @@ def test_a_front_that_ends_elsewhere_than_before_says_so_with_both_groove_phases
         assert "8.00 mm/s" not in text
     text = page_actions.described(after, before)
     assert all(fact in text for fact in ("11.90 mm/s", "8.00 mm/s", "1.1 mm", "1.3 mm"))
+
+
+def test_predictions_hold_for_the_length_of_the_front_until_the_groove_phase_has_changed():
+    front = page_actions.read_front(Optimizer(), 1, 1.1e-3)
+    twin = SimpleNamespace(initial_length=0.29524, groove_phase=1.14e-3)
+    assert page_actions.initial_length(twin, front) == pytest.approx(0.2952)
+    assert page_actions.initial_length(twin) == twin.initial_length
+    moved = SimpleNamespace(initial_length=0.2954, groove_phase=1.3e-3)
+    assert page_actions.initial_length(moved, front) == moved.initial_length
+    assert page_actions.initial_length(None, front) == 0.0

@@ -188,22 +188,25 @@ def test_one_command_may_wait_for_the_end_of_the_present_one(bench: Bench):
     assert [notice.text for notice in bench.notices[1:3]] == ["first", "deactivating"]
 
 
-def test_a_quiet_command_blocks_no_other_one_and_the_end_abandons_it():
+def test_a_quiet_command_gives_way_to_each_other_one_and_the_end_abandons_it():
     bench = Bench()
     bench.worker.start()
     bench.submit(lambda node: "up")
     bench.notice("up")
-    begun = threading.Event()
+    begun = threading.Semaphore(0)
 
     def predict(node: Node) -> str:
-        begun.set()
+        begun.release()
         while True:
             node.wait(lambda: False, TIMEOUT_S)
 
     bench.worker.submit_quietly(predict)
-    assert begun.wait(TIMEOUT_S)
-    assert not bench.worker.hindrance
-    assert bench.worker.submit("working", lambda node: "never")
+    for result in ("first", "second"):
+        assert begun.acquire(timeout=TIMEOUT_S)  # from its beginning
+        assert not bench.worker.hindrance
+        bench.submit(lambda node, result=result: result)
+        assert bench.notice(result).good
+    assert begun.acquire(timeout=TIMEOUT_S)
     bench.close()
     assert bench.ends == 1
     assert bench.worker.failure == ""
@@ -215,6 +218,7 @@ def test_a_robot_that_does_not_start_is_reported(request):
     request.addfinalizer(bench.close)
     assert not bench.notice("twin has ended").good
     assert bench.worker.hindrance == "twin has ended"
+    assert not bench.worker.busy  # the pages show the failure, and the end waits for nothing
     assert not bench.worker.submit("working", lambda node: "")
 
 

@@ -82,6 +82,8 @@ def test_the_age_of_the_twins_data_is_shown():
     assert view.twin_text(known, NOW) == "twin: suspect, a fin slips, 0.4 s behind"
     assert view.twin_text(replace(known, twin_age=math.nan), NOW) == "twin: suspect, a fin slips"
     assert view.twin_text(known, NOW + 2.0) == "twin: no message"
+    no_run = replace(known, residuals=replace(residuals, health=Health.UNKNOWN, message=""))
+    assert "nothing to compare with" in view.twin_text(no_run, NOW)
 
 
 def test_a_common_obstacle_is_the_reason_for_each_action():
@@ -98,6 +100,10 @@ def test_deactivate_is_possible_while_a_recording_closes_but_not_during_a_run():
 def test_the_measured_margin_as_text():
     measured = replace(TWIN, margin_grooves=2, rear_margin=1.9e-3, rear_margin_scatter=8e-4)
     assert "2 grooves, 1.9 ± 0.8 mm to spare" in view.margin_text(measured)
+    assert "probability" not in view.margin_text(measured)  # of one fin only
+    both = view.margin_text(replace(measured, keeps_probability=0.9634))
+    assert "measured probability 0.963" in both
+    assert "above 0.998" in view.margin_text(replace(measured, keeps_probability=1.0))
     assert "spare" not in view.margin_text(TWIN)
     assert view.margin_text(None) == ""
 

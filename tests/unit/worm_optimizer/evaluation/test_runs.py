@@ -49,12 +49,3 @@ def test_a_run_thinner_than_the_scan_next_to_a_step_is_found():
 def test_without_columns_there_are_no_runs():
     runs = find_runs(lambda stroke, _: stroke.astype(int), np.empty((0, 5)), TOLERANCE)
     assert len(runs.column) == len(runs.low) == 0
-
-
-def test_a_single_stroke_is_a_run():
-    runs = find_runs(lambda stroke, _: np.full(stroke.size, 3), np.full((1, 4), 0.07), TOLERANCE)
-    assert (runs.low.tolist(), runs.high.tolist(), runs.stepped.tolist()) == (
-        [0.07],
-        [0.07],
-        [False],
-    )

@@ -1,14 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Limits from the driver's parameter file and its servo models, and fronts that satisfy them."""
+"""Limits from the driver's parameter file and its servo models."""
 
 import dataclasses
 import math
 from pathlib import Path
 
-import numpy as np
 import pytest
 import yaml
-from gaits_for_tests import coarse_front
 
 from worm_driver.servos import registers
 from worm_driver.virtual_robot.servo import control_table
@@ -23,7 +21,7 @@ from worm_optimizer.evaluation.servo_limits import (
     servo_models,
     within,
 )
-from worm_optimizer.evaluation.task import Bounds, MarginTask
+from worm_optimizer.evaluation.task import Bounds
 from worm_optimizer.optimizer_errors import OptimizerError
 
 ROOT = Path(__file__).resolve().parents[4]
@@ -85,11 +83,6 @@ def test_an_xm430_on_the_drivers_spool():
     assert limits.no_load_speed == pytest.approx(0.025 * 46.0 * 2 * math.pi / 60)
 
 
-@pytest.mark.parametrize("name", ["XM430-W350", "XM430-W350-T", "XM430-W350-R"])
-def test_a_model_has_the_names_of_its_connectors(name):
-    assert servo_model(name) == servo_models()["XM430-W350"]
-
-
 def test_a_weaker_supply_means_less_speed_and_torque():
     driver, model = load_driver_file(DRIVER_FILE), servo_model("XM430-W350")
     full, weak = limits_of(driver, model, None), limits_of(driver, model, 10.0)
@@ -108,12 +101,6 @@ def test_two_cables_pull_together_and_the_slimmer_spool_is_the_slower(driver_fil
     assert limits.cable_force == pytest.approx(2 * 0.9 * 1.5 / 0.025)
     assert limits.stall_force == pytest.approx(2 * 1.5 / 0.025)
     assert limits.no_load_speed == pytest.approx(0.02 * 61.0 * 2 * math.pi / 60)
-
-
-def test_without_a_model_the_drivers_own_limits_are_left():
-    driver = load_driver_file(DRIVER_FILE)
-    assert limits_of(driver, None, None) == ActuatorLimits(cable_speed=0.12)
-    assert limits_of(driver, None, 12.0).electrical_power == pytest.approx(38.4)
 
 
 def test_the_range_of_the_sensor_is_that_of_its_shunt_or_none(driver_file):
@@ -153,49 +140,6 @@ def test_an_invalid_file_is_rejected_with_its_path(tmp_path, content, expected):
     with pytest.raises(OptimizerError, match=expected) as reported:
         load_driver_file(path)
     assert str(reported.value).startswith(str(path))
-
-
-def test_incomplete_or_invalid_limits_are_rejected():
-    with pytest.raises(OptimizerError, match="'XM1' is none of XL330-M288"):
-        within(Bounds(), NO_LIMITS, str(DRIVER_FILE), "XM1", None)
-    with pytest.raises(OptimizerError, match="without the driver's parameter file"):
-        within(Bounds(), NO_LIMITS, "", "XM430-W350", None)
-    with pytest.raises(OptimizerError, match="supply voltage: -1"):
-        within(Bounds(), NO_LIMITS, str(DRIVER_FILE), "", -1.0)
-
-
-def front_under(limits: ActuatorLimits):
-    return coarse_front(MarginTask(margin=0.002, limits=limits)).front
-
-
-@pytest.mark.parametrize(
-    ("limits", "peak"),
-    [
-        (ActuatorLimits(cable_force=90.0), "force"),
-        (ActuatorLimits(electrical_power=12.0), "power"),
-        (ActuatorLimits(stall_force=164.0, no_load_speed=0.12), "motor_load"),
-        (ActuatorLimits(no_load_speed=0.06), "motor_load"),
-        (ActuatorLimits(pushing_force=15.0), "push"),
-    ],
-)
-def test_a_front_satisfies_a_limit_that_needs_a_simulation(limits, peak):
-    free, limited = front_under(NO_LIMITS), front_under(limits)
-    bound = {
-        "force": limits.cable_force,
-        "power": limits.electrical_power,
-        "motor_load": 1.0,
-        "push": limits.pushing_force,
-    }[peak]
-
-    def worst(front) -> float:
-        found = peaks(front.stroke, front.frequency, FORWARD, PAPER, limits)
-        return float(getattr(found, peak).max())
-
-    assert worst(free) > bound  # so the limit has an effect
-    assert worst(limited) <= bound
-    assert 0.0 < limited.speed.max() < free.speed.max()
-    slow = free.speed < 0.5 * limited.speed.max()
-    assert np.isin(np.round(free.speed[slow], 6), np.round(limited.speed, 6)).all()
 
 
 def test_the_motors_line_counts_while_the_cable_is_pulled():

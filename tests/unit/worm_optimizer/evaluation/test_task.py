@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from worm_model.gait import FORWARD, REVERSE, Gait
+from worm_model.gait import FORWARD, Gait
 from worm_model.parameters import PAPER
 from worm_model.simulation.batch import branch_of, evaluate_gaits
 from worm_model.simulation.simulator import simulate
@@ -31,26 +31,12 @@ def test_an_invalid_margin_is_rejected(margin):
         MarginTask(margin=margin)
 
 
-def test_an_invalid_direction_is_rejected():
-    with pytest.raises(OptimizerError, match=r"neither 1 .* nor -1"):
-        MarginTask(direction=0)
-
-
 def test_standing_still_is_not_admissible():
     """A standing robot needs the least power of all, so it would be Pareto-optimal (model_notes.md, 5)."""
     points = MarginTask().points([0.01, 0.05, 0.07], [0.3575, 0.2, 0.2])
     assert points.count.tolist() == [0, 0, 3]
     assert points.admissible.tolist() == [False, False, True]
     assert points.power.argmin() == 0
-
-
-def test_speed_counts_along_the_direction():
-    forward, reverse = (
-        MarginTask(direction=way).points([0.0762], [0.2325]) for way in (1, REVERSE)
-    )
-    assert forward.speed[0] == pytest.approx(2 * 0.0173 * 0.2325, rel=1e-6)
-    assert reverse.speed[0] == pytest.approx(forward.speed[0], rel=1e-9)
-    assert reverse.count.tolist() == [6]
 
 
 def test_longer_strokes_at_equal_frequency_are_not_faster():
@@ -83,18 +69,6 @@ def test_the_cable_speed_limit_is_that_of_the_command():
     task = MarginTask(limits=ActuatorLimits(cable_speed=math.pi * 0.08 * 0.3))
     points = task.points([0.0799, 0.0801], [0.3, 0.3])
     assert points.admissible.tolist() == [True, False]
-
-
-def test_peaks_at_the_fast_corner_are_those_of_the_notes():
-    """model_notes.md, 16: the electrical peak there is 38 W, beyond a 3.2 A sensor at 12 V."""
-    peak = peaks([0.09], [0.4], FORWARD, PAPER)
-    assert 130.0 < peak.force < 140.0
-    assert 38.0 < peak.power < 41.0
-
-
-def test_a_limit_must_be_positive():
-    with pytest.raises(OptimizerError, match="cable_force = -1"):
-        ActuatorLimits(cable_force=-1.0)
 
 
 def test_the_push_of_a_cycle_is_the_least_cable_force_of_the_simulation():

@@ -7,8 +7,6 @@ import math
 import pytest
 from gaits_for_tests import QUICK, made_up, small_front
 
-pytest.importorskip("worm_msgs.msg", reason="worm_msgs is not built")
-
 from worm_msgs.action import OptimizeGaits, ScanMargin
 from worm_msgs.msg import Gait, GaitPrediction
 from worm_msgs.srv import RequestGait
@@ -56,15 +54,6 @@ def test_an_answer_without_a_gait_has_no_figures():
     assert math.isnan(response.prediction.success_probability)
 
 
-def test_an_answer_carries_its_gait():
-    response = optimizer_messages.fill_response(
-        RequestGait.Response(), GaitAnswer(RequestStatus.DONE, "", made_up(0.005, 2.6))
-    )
-    assert response.success
-    assert response.prediction.gait.stroke == 0.07
-    assert response.prediction.power == 2.6
-
-
 def test_settings_missing_in_a_goal_keep_their_defaults():
     """The seed is an exception, as 0 is seed 0."""
     settings = optimizer_messages.settings_of_goal(QUICK, OptimizeGaits.Goal(margin=math.nan))
@@ -103,12 +92,6 @@ def test_a_scans_margins_are_the_goals_or_the_defaults():
         optimizer_messages.scan_of_goal(QUICK, ScanMargin.Goal(lowest=math.nan))
 
 
-def test_directions_are_the_two():
-    assert (optimizer_messages.direction_of(1), optimizer_messages.direction_of(-1)) == (1, -1)
-    with pytest.raises(OptimizerError, match="direction: 3"):
-        optimizer_messages.direction_of(3)
-
-
 def test_the_result_of_an_optimisation():
     front = small_front()
     message = optimizer_messages.optimize_result(front)
@@ -136,11 +119,3 @@ def test_the_result_of_a_scan():
     without = optimizer_messages.scan_result(PriceOfRobustness(points[:1], None, 1.4e-3, 1.1e-3))
     assert math.isnan(without.cliff_margin)
     assert "no cliff" in without.message
-
-
-def test_the_result_warns_of_a_thin_margin_and_states_the_condition_of_its_probabilities():
-    thin, usual = (optimizer_messages.optimize_result(small_front(m)) for m in (5e-4, 3.4e-3))
-    assert "any_phase" in thin.message
-    assert "any_phase" not in usual.message
-    assert "max_push_force" in usual.message  # of the fastest gait
-    assert "if the model is right" in usual.message

@@ -6,9 +6,6 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-
-pytest.importorskip("worm_msgs.msg", reason="worm_msgs is not built")
-
 from builtin_interfaces.msg import Time
 from std_msgs.msg import Header
 

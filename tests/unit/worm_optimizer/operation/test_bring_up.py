@@ -8,8 +8,7 @@ import pytest
 
 from worm_model.gait import Gait
 from worm_optimizer.nodes.operator_node import GaitFailedError
-from worm_optimizer.operation import bring_up
-from worm_optimizer.operation.bring_up import Session, load
+from worm_optimizer.operation.bring_up import Session
 from worm_optimizer.operation.processes import ProcessGroup
 from worm_optimizer.operation.system import System
 from worm_optimizer.robot_commands import GaitCommand, RunProgress
@@ -75,9 +74,3 @@ def test_a_failure_names_the_load_and_the_late_cycles(monkeypatch, tmp_path):
     expected = r"twice \(the computer was busy: load average 9.0 on 2 processors, 31 cycles of the driver late\)"
     with pytest.raises(GaitFailedError, match=expected):
         run(Operator(2, late_cycles=31), tmp_path)
-
-
-def test_an_idle_computer_is_not_blamed(idle):
-    assert load(0) == ""
-    assert "load average" not in load(3)
-    assert bring_up.BUSY >= 1.0

@@ -2,40 +2,29 @@
 """The validation campaign, as far as it needs no robot."""
 
 import dataclasses
-import json
-import math
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 from recorded_run import GAIT, simulated_run, write_bag
 
-from worm_model.commands.command_line import finite
-from worm_model.gait import named_values
-from worm_model.parameters import PAPER, ParameterFile
+from worm_model.parameters import ParameterFile
 from worm_msgs.conditions import Conditions
-from worm_optimizer.commands import campaign as command
 from worm_optimizer.operation import identification_runs
 from worm_optimizer.operation.bring_up import left_out
 from worm_optimizer.operation.campaign_plan import (
-    PROMISES,
     is_promised,
     make_plan,
     with_comparisons,
     write_promises,
 )
-from worm_optimizer.operation.campaign_runs import (
-    is_recorded,
-    put_aside,
-    run_gaits,
-)
+from worm_optimizer.operation.campaign_runs import is_recorded, put_aside, run_gaits
 from worm_optimizer.operation.processes import ProcessError
 from worm_optimizer.operation.system import Robot, load_system_file
 from worm_optimizer.report.agreement import title_of
 from worm_optimizer.robot_commands import GaitCommand
 from worm_optimizer.search.exact import Resolution
-from worm_optimizer.search.search_settings import ScanSettings, Settings, Waveform
+from worm_optimizer.search.search_settings import ScanSettings, Settings
 
 FILE = load_system_file(Path(__file__).parents[4] / "src/worm_optimizer/config/system.yaml")
 
@@ -61,26 +50,11 @@ def plan():
     return make_plan(ParameterFile(), coarse, 1)
 
 
-def run_command(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
-    monkeypatch.setattr(sys, "argv", ["campaign", *arguments])
-    return command.main()
-
-
 def test_the_plan_has_the_papers_three_gaits_by_rising_speed(plan):
     assert list(plan.gaits) == ["min_power", "cruise", "max_speed"]
     speeds = [gait.nominal_speed for gait in plan.gaits.values()]
     assert speeds == sorted(speeds)
     assert {gait.margin for gait in plan.gaits.values()} == {0.0034}
-
-
-def test_a_margin_as_a_load_is_that_of_all_gaits_of_the_plan(quick):
-    loaded = dataclasses.replace(quick, margin=None, margin_force=0.5)
-    plan = make_plan(ParameterFile(), loaded, 1)
-    margin = 0.5 / (PAPER.engaged_stiffness + PAPER.disengaged_stiffness)
-    compared = with_comparisons(plan, ParameterFile(), loaded, 1, nominal=True)
-    assert plan.optimisation.front.margin == pytest.approx(margin)
-    assert {gait.margin for gait in plan.gaits.values()} == {plan.optimisation.front.margin}
-    assert len(compared.gaits) == 2 * len(plan.gaits)
 
 
 def test_under_conditions_each_gait_is_followed_by_the_one_for_level_ground(quick):
@@ -97,30 +71,6 @@ def test_under_conditions_each_gait_is_followed_by_the_one_for_level_ground(quic
     assert title_of("level_cruise") == "cruising, for level ground"
 
 
-def test_each_shaped_gait_is_followed_by_the_one_of_the_papers_waveform(quick):
-    plan = make_plan(ParameterFile(), quick, 1)
-    shaped = dataclasses.replace(quick, waveform=Waveform.SHAPED)
-    compared = with_comparisons(plan, ParameterFile(), shaped, 1, nominal=False)
-    names = ["min_power", "cruise", "max_speed"]
-    assert list(compared.gaits) == [each for name in names for each in (name, f"sinusoid_{name}")]
-    assert compared.gaits["sinusoid_cruise"].gait == plan.gaits["cruise"].gait
-
-
-def test_promises_of_a_gait_that_does_not_move_are_json(plan, tmp_path: Path):
-    still = dataclasses.replace(plan.gaits["cruise"], cost_of_transport=math.inf)
-    path = write_promises(dataclasses.replace(plan, gaits={"cruise": still}), tmp_path)
-    content = json.loads(path.read_text(), parse_constant=pytest.fail)
-    assert content["cruise"]["cost_of_transport"] is None
-
-
-def test_promises_are_written_once(plan, tmp_path: Path):
-    path = write_promises(plan, tmp_path)
-    content = json.loads(path.read_text())
-    assert content["cruise"] == finite(named_values(plan.gaits["cruise"]))
-    with pytest.raises(FileExistsError):
-        write_promises(plan, tmp_path)
-
-
 @pytest.mark.parametrize("mode", ["virtual", "robot"])
 def test_the_same_nodes_run_but_for_the_robot_itself(mode: str):
     robot = Robot(FILE, mode, {})
@@ -130,55 +80,6 @@ def test_the_same_nodes_run_but_for_the_robot_itself(mode: str):
     assert recorder.arguments[:2] == ("--output", "/tmp/a bag")
     # the recorder starts without waiting for these topics
     assert left_out(recorder) == "^/worm/camera/"
-
-
-def test_a_calibrated_driver_gets_its_file():
-    arguments = (
-        Robot(FILE, "robot", {"driver_file": "driver.yaml"}).system().node("driver").arguments
-    )
-    assert arguments == ("--ros-args", "--params-file", "driver.yaml")
-    assert Robot(FILE, "robot", {}).system().node("driver").arguments == ()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "complaint"),
-    [
-        (("--set", "port"), "write NAME=VALUE"),
-        (("--set", "prot=/dev/ttyUSB0"), "no setting 'prot'"),
-        (("--margin", "-1"), "margin: -1"),
-        (("--slope", "91"), "slope_deg: 91"),
-        (("--tether-length", "1"), "tether_n_per_m"),
-        (("--set", "slope_deg=steep"), "steep"),
-        (("--parameters", "none.yaml"), "none.yaml: cannot be read"),
-        (("--mode", "imaginary"), "invalid choice"),
-    ],
-)
-def test_bad_input_is_one_line_and_leaves_nothing_behind(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture,
-    arguments: tuple[str, ...],
-    complaint: str,
-):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    try:
-        status = run_command(monkeypatch, *arguments, "--output", "folder")
-    except SystemExit as end:  # of argparse
-        status = end.code
-    assert status == 2
-    reported = capsys.readouterr()
-    assert complaint in reported.err.splitlines()[-1]
-    assert not (tmp_path / "folder").exists()
-
-
-def test_an_existing_folder_is_left_alone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
-):
-    (tmp_path / "folder").mkdir()
-    assert run_command(monkeypatch, "--output", str(tmp_path / "folder")) == 2
-    assert "exists already" in capsys.readouterr().err
-    assert list((tmp_path / "folder").iterdir()) == []
 
 
 # --- interrupted campaign ----------------------------------------------------------------------
@@ -235,24 +136,6 @@ def test_a_folder_goes_on_only_with_the_gaits_it_was_begun_with(plan, tmp_path: 
     assert not is_promised(dataclasses.replace(plan, gaits=other), tmp_path)
 
 
-@pytest.mark.parametrize(
-    ("make", "arguments", "complaint"),
-    [
-        ([], [], "contains no campaign"),
-        (["promised.json"], ["--output", "x"], "remove --output"),
-        (["promised.json", "report/report.html"], [], "is complete"),
-    ],
-)
-def test_what_cannot_be_resumed_is_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys, make, arguments, complaint
-):
-    for name in make:
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        (tmp_path / name).touch()
-    assert run_command(monkeypatch, "--resume", str(tmp_path), *arguments) == 2
-    assert complaint in capsys.readouterr().err.splitlines()[-1]
-
-
 @pytest.mark.parametrize("status", [0, 1])
 def test_bench_tests_that_are_interrupted_leave_no_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, status: int
@@ -273,12 +156,3 @@ def test_bench_tests_that_are_interrupted_leave_no_folder(
         with pytest.raises(ProcessError):
             identification_runs.virtual_bench(robot, folder, logs)
     assert [path.name for path in folder.iterdir()] == ["bench_tests"] * (status == 0)
-
-
-def test_only_a_campaign_that_has_begun_can_be_continued(tmp_path: Path):
-    options = SimpleNamespace(identify=False)
-    assert command._hint(options, tmp_path / "campaign") == ""
-    (tmp_path / "campaign").mkdir()
-    assert command._hint(options, tmp_path / "campaign") == ""
-    (tmp_path / "campaign" / PROMISES).touch()
-    assert "--resume" in command._hint(options, tmp_path / "campaign")

@@ -89,19 +89,6 @@ def test_after_the_most_runs_the_next_gait_is_returned_and_not_run(tmp_path: Pat
     assert (tuned.step, len(tuned.bags)) == (endless, MOST_RUNS)
 
 
-def test_a_run_that_ends_early_ends_the_tuning_with_its_reason(tmp_path: Path):
-    operator = Operator(some_robot(1), tmp_path)
-
-    def record(gait: Gait, number: int) -> Path:
-        if number == 2:
-            raise RuntimeError("servo 1 is in FAULT")
-        return operator(gait, number)
-
-    with pytest.raises(RuntimeError, match="FAULT"):
-        tune_gait(FRAGILE, record, step_of(AIM, []), print)
-    assert len(operator.gaits) == 1
-
-
 def test_a_run_without_tracker_ends_the_tuning_with_the_remedy(tmp_path: Path):
     def hidden(run: Run) -> Run:
         nothing = np.full(run.tracker.stamp.size, np.nan)

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The band of power that a measurement is compared with."""
 
-import pytest
-
 from worm_model.gait import Gait
 from worm_model.parameters import PAPER, ParameterFile
 from worm_optimizer.report.expectation import expect
@@ -23,8 +21,3 @@ def test_a_known_correlation_of_damping_and_power_factor_narrows_the_band_of_pow
     known = band({("bellows_damping", "power_factor"): -0.97})
     assert 0.03 < free < 0.06
     assert known < 0.45 * free
-
-
-@pytest.mark.parametrize("pair", [("power_factor", "bellows_damping")])
-def test_the_order_of_a_pair_does_not_matter(pair):
-    assert band({pair: -0.97}) == band({pair[::-1]: -0.97})

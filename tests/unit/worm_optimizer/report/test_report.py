@@ -8,14 +8,13 @@ import json
 import math
 import os
 import re
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from lab_files import write_bench_tests
 from recorded_run import GAIT, simulated_run, write_bag
-from recorded_session import joined_session, recorded_session
+from recorded_session import joined_session
 from unrendered import leave_runs_unrendered
 
 from worm_model.bags.formats.bag_writer import new_bag
@@ -23,24 +22,17 @@ from worm_model.bags.formats.stored_file import AttachedFile
 from worm_model.bags.run_writer import write_run
 from worm_model.commands.command_line import InputError
 from worm_model.gait import Gait
-from worm_model.parameters import KEYS, PAPER, ParameterFile, format_parameter_file
+from worm_model.parameters import PAPER, ParameterFile, format_parameter_file
 from worm_model.run import GaitStates, Run, TrackerSamples
 from worm_model.simulation.simulator import evaluate_gait
 from worm_msgs.robot_parameters import TravelError
 from worm_optimizer.commands import report as command
 from worm_optimizer.report import agreement
-from worm_optimizer.report.events import Event
 from worm_optimizer.report.expectation import Band, GrooveShare, expect
-from worm_optimizer.report.identification_parts import IdentificationParts
 from worm_optimizer.report.optimisation import optimise, why_no_front
 from worm_optimizer.report.recorded_gait import RecordedGait
-from worm_optimizer.report.recordings import (
-    bags_of,
-    newest_recording,
-    read_recorded_gaits,
-)
-from worm_optimizer.report.report_page import Report, build_report, report_name
-from worm_optimizer.report.run_figures import ridges_passed_at
+from worm_optimizer.report.recordings import bags_of, newest_recording, read_recorded_gaits
+from worm_optimizer.report.report_page import Report, build_report
 from worm_optimizer.search.exact import Resolution
 from worm_optimizer.search.search_settings import ScanSettings, Settings
 
@@ -115,12 +107,6 @@ def test_the_twin_follows_and_the_expectation_holds(gait: RecordedGait):
     )
 
 
-def test_bounds_are_those_of_the_single_cycles(gait: RecordedGait):
-    for band in (gait.measured.speed, gait.measured.power):
-        assert band.low <= band.value <= band.high
-        assert band.low < band.high
-
-
 def test_a_recording_that_ends_early_is_averaged_over_its_last_whole_cycles(tmp_path: Path):
     run = simulated_run(4)
     states = dataclasses.replace(run.gait_state, cycles=np.full(run.gait_state.stamp.size, 9))
@@ -131,7 +117,7 @@ def test_a_recording_that_ends_early_is_averaged_over_its_last_whole_cycles(tmp_
     assert gait.measured.speed.value == pytest.approx(evaluate_gait(GAIT).speed, rel=0.02)
 
 
-@pytest.mark.parametrize("cycles", [1, 2, 3, 4])
+@pytest.mark.parametrize("cycles", [1, 3, 4])
 def test_a_short_run_is_held_against_the_same_cycles_of_the_model(tmp_path: Path, cycles: int):
     """Its first cycles begin with straight fins and gain other grooves than the later ones."""
     gait = read(tmp_path / "short", simulated_run(cycles), measured_model(tmp_path))
@@ -142,6 +128,7 @@ def test_a_short_run_is_held_against_the_same_cycles_of_the_model(tmp_path: Path
     steady = cycles > 3  # with fewer, there is nothing to compare
     assert {row.agrees for row in agreement.agreements(gait)} == {True if steady else None}
     assert (agreement.TOO_SHORT in agreement.describe([gait])) != steady
+    assert math.isnan(agreement.agreements(gait)[0].difference) != steady
     assert gait.early_end == ""
 
 
@@ -175,12 +162,6 @@ def test_without_a_tracker_power_is_reported_and_the_reason_of_the_rest(tmp_path
     build_report(Report("blind", [gait]), tmp_path / "report")
 
 
-def test_a_recording_without_a_gait_is_rejected(tmp_path: Path):
-    run = dataclasses.replace(simulated_run(2), gait_state=GaitStates())
-    with pytest.raises(InputError, match=r"idle: .*gait_state"):
-        read(tmp_path / "idle", run)
-
-
 def test_the_parameter_file_inside_the_recording_counts(tmp_path: Path):
     content = ParameterFile(PAPER.replace(idle_power=1.25))
     text = format_parameter_file(content).encode()
@@ -211,40 +192,12 @@ def test_powers_of_two_forms_are_not_compared(tmp_path: Path):
     )
 
 
-@pytest.mark.usefixtures("unrendered")
-def test_warnings_are_no_errors_but_are_announced(gait: RecordedGait, tmp_path: Path):
-    warned = dataclasses.replace(gait, events=(Event(1.0, "twin", "warning", "a fin slips"),))
-    page = build_report(Report("warned", [warned]), tmp_path / "report").read_text()
-    assert "no error was reported. Warnings are listed" in page
-    assert "Errors: 0, warnings: 1" in page
-
-
 def test_events_contain_states_and_gaps(gait: RecordedGait):
     texts = [event.text for event in gait.events]
     assert "running" in texts
     assert any("rear marker hidden in 4 of" in text for text in texts)
     times = [event.time for event in gait.events if math.isfinite(event.time)]
     assert times == sorted(times)
-
-
-def test_invalid_power_samples_are_counted(tmp_path: Path):
-    run = simulated_run(2)
-    status = run.power.status.copy()
-    status[10:13] = 1
-    power = dataclasses.replace(run.power, status=status)
-    gait = read(tmp_path / "overflow", dataclasses.replace(run, power=power))
-    assert any(f"3 of {status.size} power samples" in event.text for event in gait.events)
-
-
-def test_five_ridges_are_passed_according_to_the_tracker(gait: RecordedGait):
-    passed = ridges_passed_at(gait)
-    tracker = gait.run.tracker
-    time = (tracker.stamp - gait.played.onset) * 1e-9
-    rest = np.nanmean(tracker.rear_position[time < 0.0])
-    assert np.nanmax(tracker.rear_position[time < passed - 0.1]) - rest < 5 * PAPER.pitch
-    assert np.nanmax(tracker.rear_position[time <= passed]) - rest == pytest.approx(
-        5 * PAPER.pitch, abs=0.01
-    )
 
 
 # --- several gaits in one recording ---------------------------------------------------------------
@@ -277,24 +230,6 @@ def test_the_twin_goes_on_from_one_gait_to_the_next(two):
         assert gait.judged.cycles[0].grooves == round(gait.judged.cycles[0].measured_grooves)
 
 
-def test_the_start_of_a_bag_without_the_memory_of_a_twin_is_estimated(tmp_path: Path):
-    """The fins are deflected by the gait before, which is in another bag."""
-    paths = [write_bag(tmp_path / f"bag_{k}", run) for k, run in enumerate(recorded_session())]
-    later, earlier = read_recorded_gaits(paths[::-1], "", silent)
-    assert (later.name, earlier.name) == ("bag_1", "bag_0")
-    for gait in (earlier, later):
-        assert gait.judged.residuals.x1_rmse < 1e-3
-        assert gait.judged.cycles[0].grooves == round(gait.judged.cycles[0].measured_grooves)
-        codes = {event.code for _, event in gait.judged.runs[-1].events}
-        assert codes <= {"power_scale", "power_offset"}  # its power sensor is a dummy
-
-
-def test_gaits_of_one_name_are_distinguished(tmp_path: Path):
-    paths = [write_bag(tmp_path / f"{k}" / "same", simulated_run(2)) for k in range(2)]
-    gaits = read_recorded_gaits(paths, "", silent)
-    assert [gait.name for gait in gaits] == ["same (1)", "same (2)"]
-
-
 # --- expectations ---------------------------------------------------------------------------------
 
 
@@ -304,14 +239,6 @@ def test_intervals_hold_the_prediction_and_are_the_same_each_time():
     for band in dataclasses.astuple(first.bands):
         value, low, high = band
         assert low <= value <= high
-
-
-def test_a_file_with_intervals_of_its_parameters_narrows_the_interval():
-    wide = expect(GAIT, ParameterFile()).bands.power
-    exact = {key: (value, value) for key, value in PAPER.as_dict().items()}
-    known = ParameterFile(PAPER, exact, travel_error=TravelError(0.0, 0.0))
-    narrow = expect(GAIT, known).bands.power
-    assert narrow.high - narrow.low < 1e-6 < wide.high - wide.low
 
 
 # --- several gaits --------------------------------------------------------------------------------
@@ -387,14 +314,6 @@ def test_power_is_expected_for_the_grooves_that_were_measured():
     assert math.isnan(expect(EDGE, content, measured_grooves=9.0).bands.power.value)
 
 
-def test_the_text_names_what_is_outside(gait: RecordedGait):
-    text = agreement.describe(
-        [with_speed(gait, "slow", 1.0, 2.0), with_speed(gait, "fast", 0.5, 3.0)]
-    )
-    assert re.search(r"slow +speed \(mm/s\).*-50\.0 % +disagrees", text)
-    assert "order by speed: not preserved; expected slow < fast, measured fast < slow" in text
-
-
 # --- the front of the gaits -----------------------------------------------------------------------
 
 
@@ -413,21 +332,6 @@ def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
         samples=20,
     )
     monkeypatch.setattr("worm_optimizer.report.optimisation.Settings", quick)
-
-
-@pytest.mark.usefixtures("coarse")
-def test_the_front_has_the_margin_that_the_gaits_were_made_with(gait: RecordedGait):
-    found = optimise([made_with(gait, 0.002), made_with(gait, 0.002)])
-    assert found.front.margin == 0.002
-    assert found.note == ""
-
-
-@pytest.mark.usefixtures("coarse")
-def test_next_to_shaped_gaits_the_page_names_the_waveform_of_the_front(gait: RecordedGait):
-    shaped = dataclasses.replace(gait.gait, margin=0.002, pretension=0.005)
-    played = dataclasses.replace(gait.played, gait=shaped)
-    found = optimise([dataclasses.replace(gait, played=played), made_with(gait, 0.002)])
-    assert "waveform" in found.note
 
 
 @pytest.mark.usefixtures("coarse", "unrendered")
@@ -452,14 +356,6 @@ def test_gaits_without_a_front_in_common_are_shown_without(gait: RecordedGait, t
     assert "different parameters" in why_no_front([gait, heavy])
     report = Report("mixed", [gait, back], note=why_no_front([gait, back]))
     assert "different directions" in build_report(report, tmp_path / "report").read_text()
-
-
-@pytest.mark.parametrize(
-    ("difference", "reported"),
-    [(-0.0004, "+0.0 %"), (-0.0006, "-0.1 %"), (0.25, "+25.0 %"), (math.nan, "")],
-)
-def test_differences_have_a_sign_but_nothing_has_none_below_zero(difference: float, reported: str):
-    assert agreement.percent(difference) == reported
 
 
 # --- the page -------------------------------------------------------------------------------------
@@ -503,37 +399,9 @@ def test_the_same_recording_gives_the_same_bytes(page: Path, special: RecordedGa
         assert path.read_bytes() == other.read_bytes(), path.name
 
 
-def test_identified_parameters_are_next_to_the_papers(tmp_path: Path):
-    content = ParameterFile(
-        PAPER.replace(gain=0.9, rear_dry_friction=0.28),  # the paper has none
-        {"gain": (0.88, 0.92), "rear_dry_friction": (0.24, 0.32)},
-        {"bags": ["run_01"], "seed": 1},
-    )
-    page = build_report(
-        Report("identified", identification=IdentificationParts(content, "mine.yaml")),
-        tmp_path / "r",
-    )
-    text = page.read_text(encoding="utf-8")
-    assert "0.88 to 0.92" in text
-    assert "run_01" in text
-    assert "cannot push" not in text
-    assert (tmp_path / "r" / "figures" / "parameters.png").stat().st_size > 0
-
-
-def test_values_of_another_form_of_the_power_are_not_held_against_the_papers(tmp_path: Path):
-    content = ParameterFile(PAPER.replace(one_sided_cable=True), {"power_factor": (3.1, 3.3)})
-    parts = IdentificationParts(content, "mine.yaml")
-    page = build_report(Report("identified", identification=parts), tmp_path / "r")
-    text = page.read_text(encoding="utf-8")
-    assert "with the power model of a cable that cannot push" in text
-    rows = {key: line for line in text.splitlines() for key in KEYS if f"<code>{key}<" in line}
-    assert rows["bellows_damping"].count("862.4") == rows["power_factor"].count("3.22") == 1
-    assert rows["bellows_stiffness"].count("968.8") == 2  # its value and the paper's
-
-
 @pytest.mark.usefixtures("unrendered")
 def test_fits_of_the_bench_tests_and_the_report_of_identify_are_on_the_page(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run
 ):
     monkeypatch.chdir(tmp_path)
     bellows, fin = write_bench_tests(tmp_path)
@@ -548,7 +416,7 @@ def test_fits_of_the_bench_tests_and_the_report_of_identify_are_on_the_page(
     (tmp_path / "mine.yaml").write_text("gain: 0.9\nintervals: {gain: [0.88, 0.92]}\n")
     options = ("--bellows", bellows, "--fin", fin, "--identification", folder)
     options += ("--identification", "mine.yaml", "--without-front", "--output", "page")
-    assert run_command(monkeypatch, "run", *options) == 0
+    assert run(command, "run", *options)[0] == 0
     text = (tmp_path / "page" / "report.html").read_text(encoding="utf-8")
     for kind in ("bellows", "fin"):
         image = (tmp_path / "page" / "figures" / f"{kind}.png").read_bytes()
@@ -561,37 +429,19 @@ def test_fits_of_the_bench_tests_and_the_report_of_identify_are_on_the_page(
     assert "0.88 to 0.92" in text
 
 
-@pytest.mark.usefixtures("unrendered")
-def test_the_page_fits_narrow_screens_and_names_the_campaigns_gaits(
-    gait: RecordedGait, tmp_path: Path
-):
-    named = dataclasses.replace(gait, name="min_power")
-    text = build_report(Report("narrow", [named]), tmp_path / "report").read_text(encoding="utf-8")
-    assert '<meta name="viewport"' in text
-    assert len(re.findall(r'<div class="wide"><table>', text)) == text.count("<table>") > 0
-    assert text.count('<table class="cards">') == 1
-    assert text.count('<div class="wide"><img') == text.count("<img") == 4
-    assert "Run minimum power</h2>" in text
-    assert "min_power" not in re.sub(r"(?s)<details>.*?</details>", "", text)
-
-
 # --- the command ----------------------------------------------------------------------------------
-
-
-def run_command(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
-    monkeypatch.setattr(sys, "argv", ["report", *map(str, arguments)])
-    return command.main()
 
 
 @pytest.mark.usefixtures("unrendered")
 def test_the_newest_recording_is_reported_by_default(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run
 ):
     monkeypatch.chdir(tmp_path)
     write_bag(tmp_path / "bags" / "mine", simulated_run(CYCLES))
     model = measured_model(tmp_path)
-    assert run_command(monkeypatch, "--without-front", "--json", "--parameters", model) == 0
-    content = json.loads(capsys.readouterr().out)
+    status, out, _ = run(command, "--without-front", "--json", "--parameters", model)
+    content = json.loads(out)
+    assert status == 0
     assert Path(content["page"]) == tmp_path / "bags" / "mine_report" / "report.html"
     assert Path(content["page"]).is_file()
     assert content["runs"][0]["agrees"] == {"speed": True, "power": True, "cost_of_transport": True}
@@ -631,41 +481,3 @@ def test_a_recording_without_a_gait_or_a_broken_one_is_passed_over(tmp_path: Pat
     assert [line.startswith("skipped: ") for line in reported] == [True, True]
     assert "is not rosbag2's" in reported[0]
     assert reported[1].endswith("failed contains no gait")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "complaint"),
-    [
-        ((), "no recording of a gait in"),
-        (("nowhere",), "nowhere does not exist"),
-        (("nowhere", "--output", "."), "exists already"),
-        (("nowhere", "--identification", "none.yaml"), "none.yaml: cannot be read"),
-        (("nowhere", "--identification", "."), "no report.md"),
-        (("nowhere", "--bellows", "none.csv"), "--bellows none.csv"),
-    ],
-)
-def test_bad_input_is_one_line_and_status_2(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture,
-    arguments: tuple[str, ...],
-    complaint: str,
-):
-    monkeypatch.chdir(tmp_path)
-    assert run_command(monkeypatch, *arguments) == 2
-    reported = capsys.readouterr()
-    assert reported.out == ""
-    assert complaint in reported.err
-    assert reported.err.count("\n") == 1
-
-
-@pytest.mark.parametrize(
-    ("names", "folder"),
-    [
-        (["A"], "A_report"),
-        (["A", "B"], "A_with_B_report"),
-        (["A", "B", "C"], "A_with_2_others_report"),
-    ],
-)
-def test_the_report_of_several_bags_has_a_name_of_its_own(names: list[str], folder: str):
-    assert report_name(names) == folder

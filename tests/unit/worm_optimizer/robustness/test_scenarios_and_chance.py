@@ -4,8 +4,6 @@
 import numpy as np
 import pytest
 from gaits_for_tests import coarse_front
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from worm_model.parameters import PAPER, ParameterFile
 from worm_model.simulation.closed_form import groove_phase
@@ -97,26 +95,6 @@ def test_a_files_intervals_replace_the_defaults_on_each_side():
     assert np.quantile(draws["slack"], [0.025, 0.975]) == pytest.approx([0.0079, 0.0090], abs=6e-5)
 
 
-def test_assumed_values_are_distinguished_from_those_of_the_file():
-    assert uncertainty.description(FILE).startswith(
-        "assumed at 95 %: rear_mass ±1 %, front_mass ±1 %, pitch ±0.5 %"
-    )
-    mixed = uncertainty.description(
-        ParameterFile(travel_error=EXACT, intervals={"slack": (0.0079, 0.0090)})
-    )
-    assert mixed.startswith("the parameter file's 95 % intervals of slack; assumed")
-    assert "slack ±" not in mixed
-    everything = {key: (0.9 * PAPER.as_dict()[key], 1.1) for key in uncertainty.MOTION_HALF_WIDTHS}
-    assert (
-        uncertainty.description(ParameterFile(travel_error=EXACT, intervals=everything))
-        == "the parameter file's 95 % intervals; measured travel error +0.0 ± 0.0 mm"
-    )
-    phase = uncertainty.description(
-        ParameterFile(travel_error=EXACT, intervals=everything, run_to_run={"initial_length": 4e-4})
-    )
-    assert "the parameter file's 95 % intervals; φ known to ±0.78 mm in the next run;" in phase
-
-
 def test_the_known_phase_is_held_whatever_the_pitch():
     scenarios = uncertainty.phase_known(FILE, 200, seed=1)
     assert np.ptp(scenarios.overrides["pitch"]) > 1e-4
@@ -163,29 +141,6 @@ def test_correlations_that_exclude_each_other_are_drawn_as_near_as_can_be():
     assert -0.9 < drawn[0, 2] < 0.0
 
 
-def test_the_unknown_phase_fills_the_pitch():
-    phases = phases_of(uncertainty.phase_unknown(FILE, 1000, seed=1)) / PITCH
-    assert phases.min() < -0.48
-    assert phases.max() > 0.48
-    assert abs(np.mean(phases)) < 0.03
-
-
-def test_every_phase_is_even_and_changes_nothing_else():
-    scenarios = uncertainty.every_phase(PAPER)
-    assert set(scenarios.overrides) == {"initial_length"}
-    spacing = PITCH / len(scenarios)
-    assert np.diff(np.sort(phases_of(scenarios))) == pytest.approx(
-        np.full(len(scenarios) - 1, spacing)
-    )
-
-
-@given(st.integers(0, 1000), st.integers(1, 20))
-@settings(max_examples=20, deadline=None)
-def test_the_same_seed_draws_the_same(seed, samples):
-    first, second = (uncertainty.phase_unknown(FILE, samples, seed).overrides for _ in range(2))
-    assert all(np.array_equal(first[key], second[key]) for key in first)
-
-
 def test_wide_intervals_stay_admissible():
     wide = {key: (0.01 * value, 3.0 * value) for key, value in PAPER.as_dict().items() if value}
     scenarios = uncertainty.phase_known(
@@ -211,19 +166,6 @@ def test_nominal_gaits_are_fragile_and_robust_ones_are_not():
     assert success[1].min() > 0.99
 
 
-def test_without_the_phase_even_robust_gaits_fail_at_times():
-    task = MarginTask(margin=3.4e-3)
-    front = coarse_front(task).front
-    gaits = front.stroke, front.frequency, front.count // 3
-    probability = success_probability(task, *gaits, uncertainty.phase_unknown(FILE, 200, seed=1))
-    assert 0.3 < probability.min() <= probability.max() < 0.8
-
-
-def test_a_gait_that_promises_nothing_keeps_it():
-    scenarios = uncertainty.phase_known(FILE, 10, seed=1)
-    assert success_probability(MarginTask(), [0.05], [0.2], [0], scenarios).tolist() == [1.0]
-
-
 # --- edges ----------------------------------------------------------------------------------------
 
 
@@ -241,12 +183,6 @@ def test_the_branch_ends_at_the_computed_distances():
     assert np.all(nominal.grooves(stroke + upper + hair, frequency)[inside] != branch[inside])
 
 
-def test_a_branch_that_reaches_the_bound_ends_there():
-    task = MarginTask()
-    _, upper = stroke_to_ends(task, np.array([0.08]), np.array([0.2]))
-    assert upper[0] == pytest.approx(0.01)
-
-
 # --- promises -------------------------------------------------------------------------------------
 
 
@@ -257,14 +193,6 @@ def test_any_phase_gaits_keep_their_promise_at_phases_that_they_were_not_made_wi
     other = uncertainty.Scenarios({"initial_length": PAPER.initial_length + phase})
     gaits = front.stroke, front.frequency, front.count // 3
     assert success_probability(MarginTask(), *gaits, other).min() == 1.0
-
-
-def test_any_phase_gaits_cost_stroke():
-    known = coarse_front(MarginTask(), FEW).front
-    every = coarse_front(any_phase_task(), FEW).front
-    for branch in (1, 2):
-        shortest = [front.stroke[front.count == 3 * branch].min() for front in (known, every)]
-        assert shortest[1] > shortest[0] + 5e-3
 
 
 def test_a_chance_constrained_front_keeps_its_probability_on_other_draws():
@@ -280,15 +208,6 @@ def test_a_chance_constrained_front_keeps_its_probability_on_other_draws():
     )
     assert kept.min() > 0.82  # 200 draws give 0.9 to within 0.02, one standard deviation
     assert np.median(kept) > 0.86
-
-
-def test_a_higher_probability_amounts_to_a_larger_margin():
-    task, scenarios = MarginTask(), uncertainty.phase_known(FILE, 60, seed=7)
-    least = [
-        tolerated_margins(task, coarse_front(PromiseTask(task, scenarios, p), FEW).front).min()
-        for p in (0.6, 0.95)
-    ]
-    assert 0.0 < least[0] < least[1] < 3.4e-3
 
 
 def test_the_edge_of_a_promise_is_the_shortest_stroke_that_keeps_it():

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from worm_optimizer.robustness.sobol import SALTELLI, Sample, indices_of, percent, warnings_of
+from worm_optimizer.robustness.sobol import SALTELLI, Sample, indices_of, warnings_of
 
 RANDOM = Sample(SALTELLI, 1024, 3).draw(3)
 
@@ -38,8 +38,3 @@ def test_a_total_index_below_the_first_is_reported():
     assert few.inconsistent.size
     (text,) = warnings_of("speed", few, ("a", "b"))
     assert all(("a", "b")[k] in text for k in few.inconsistent)
-
-
-def test_percentages_are_those_of_shares_and_have_no_negative_zero():
-    assert percent(-1e-6) == "0.0 %"
-    assert (percent(-0.012), percent(1.04)) == ("< 0 %", "> 100 %")

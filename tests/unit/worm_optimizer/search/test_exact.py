@@ -1,14 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The exact front, compared with dense grids of gaits, with the closed form, and with finer scans of single edges."""
 
-import dataclasses
-import math
-
 import numpy as np
 import pytest
-from gaits_for_tests import COARSE, coarse_front, random_robot
-from hypothesis import given, settings
+from gaits_for_tests import coarse_front, random_robot
+from hypothesis import given
 from hypothesis import strategies as st
+from random_cases import examples
 
 from worm_model.gait import Gait
 from worm_model.parameters import PAPER
@@ -49,7 +47,7 @@ def test_the_papers_robot_is_as_good_as_the_best_that_is_known(margin, cost):
     assert exact.power_rises
 
 
-@settings(max_examples=8, deadline=None)
+@examples(8)
 @given(st.integers(0, 10_000), st.sampled_from([0.0, 1e-3, 2.5e-3]), st.sampled_from([1, -1]))
 def test_no_gait_of_a_dense_grid_is_cheaper(seed, margin, direction):
     task = MarginTask(random_robot(seed), direction, margin)
@@ -59,7 +57,7 @@ def test_no_gait_of_a_dense_grid_is_cheaper(seed, margin, direction):
     assert excess(exact.front, grid) < ACCEPTED
 
 
-@settings(max_examples=5, deadline=None)
+@examples(5)
 @given(
     st.integers(0, 10_000),
     st.floats(20.0, 120.0),
@@ -94,7 +92,7 @@ def test_an_edge_is_the_shortest_stroke_but_for_the_stated_allowance():
 
 
 @given(st.integers(0, 10_000))
-@settings(max_examples=5, deadline=None)
+@examples(5)
 def test_in_the_slow_limit_the_edges_are_those_of_the_closed_form(seed):
     """With little friction the module whose fins hold does not move, and counting needs no simulation."""
     slow = 0.01  # Hz
@@ -119,53 +117,7 @@ def test_a_speed_is_answered_between_the_columns():
         assert gait.power[0] <= finer.power[finer.speed >= speed].min() * (1.0 + ACCEPTED)
 
 
-def test_the_end_of_a_branch_between_two_columns_is_reached():
-    exact = coarse_front(MarginTask(margin=3.4e-3))
-    assert exact.front.speed[-1] == pytest.approx(0.0081197, rel=1e-4)
-
-
-def test_a_single_stroke_or_frequency_is_a_box():
-    single = exact_front(MarginTask(bounds=Bounds(0.07, 0.07, 0.1, 0.3)), COARSE, Zoom())
-    assert set(single.front.stroke.tolist()) == {0.07}
-    assert len(single.front) > 1
-    tiny = exact_front(MarginTask(bounds=Bounds(0.01, 0.09, 0.2, 0.2)), COARSE, Zoom())
-    assert tiny.front.grooves.tolist() == [1.0, 2.0]
-    assert (
-        exact_front(
-            MarginTask(bounds=Bounds(0.03, 0.03, 0.2, 0.2)), COARSE, Zoom()
-        ).front.stroke.tolist()
-        == []
-    )
-
-
-def test_strokes_that_the_body_cannot_make_are_no_box():
-    with pytest.raises(OptimizerError, match=r"stroke up to 0.5 m; the body is 0.2952 m long"):
-        MarginTask(bounds=Bounds(stroke_high=0.5))
-
-
-def test_a_power_below_the_idle_power_is_no_limit():
-    with pytest.raises(OptimizerError, match=r"electrical_power = 0.5 W .* idle power of 0.82 W"):
-        MarginTask(limits=ActuatorLimits(electrical_power=0.5))
-
-
 @pytest.mark.parametrize("wrong", [(2, 17), (21, 1)])
 def test_a_resolution_that_is_none_is_rejected(wrong):
     with pytest.raises(OptimizerError, match="resolution:"):
         Resolution(*wrong)
-
-
-def test_what_was_verified_is_stated():
-    stated = coarse_front(MarginTask()).verification
-    assert (stated["strokes"], stated["frequencies"]) == (21, 17)
-    assert stated["stroke_step"] == pytest.approx(4e-3)
-    assert stated["counts_verified"] == len(coarse_front(MarginTask()).front)
-    assert math.isclose(stated["edge_allowance"], EDGE_ALLOWANCE)
-
-
-def test_unequal_modules_have_a_front_in_each_direction():
-    robot = PAPER.replace(front_mass=0.9)
-    fronts = [coarse_front(MarginTask(robot, way, 1e-3)).front for way in (1, -1)]
-    equal = [coarse_front(MarginTask(PAPER, way, 1e-3)).front for way in (1, -1)]
-    assert not np.allclose(fronts[0].power[0], fronts[1].power[0], rtol=1e-6)
-    assert np.allclose(equal[0].power[0], equal[1].power[0], rtol=1e-6)
-    assert dataclasses.astuple(equal[0])[4].tolist() == dataclasses.astuple(equal[1])[4].tolist()

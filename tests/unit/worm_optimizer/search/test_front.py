@@ -2,23 +2,19 @@
 """From parameters to a robust front with its predictions."""
 
 import dataclasses
-import math
 
-import numpy as np
 import pytest
 from gaits_for_tests import QUICK, coarse_front, small_front
 
 from worm_model.gait import Gait, GaitError
 from worm_model.parameters import PAPER, ParameterFile
 from worm_model.simulation.simulator import evaluate_gait
-from worm_optimizer.commands.search_options import gait_table
 from worm_optimizer.evaluation.actuator_limits import ActuatorLimits
 from worm_optimizer.evaluation.task import Bounds, MarginTask
 from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.search.front import (
     given_gait,
     make_front,
-    nominal_gaits,
     pushing_warning,
     thin_margin_warning,
     thinned,
@@ -59,26 +55,11 @@ def test_a_prediction_is_the_simulators():
         assert predicted.groove_phase == pytest.approx(0.0011)
 
 
-def test_the_three_gaits_are_gaits_of_the_front_with_all_that_is_predicted():
-    front = small_front(2e-3)
-    outlines = {(gait.stroke, gait.frequency) for gait in front.gaits}
-    for gait in front.three.values():
-        assert (gait.stroke, gait.frequency) in outlines
-        assert all(math.isfinite(value) for value in dataclasses.astuple(gait))
-    assert math.isnan(front.gaits[0].success_probability)
-
-
 def test_past_the_cliff_the_robust_prediction_is_half_of_the_nominal_one():
     """model_notes.md, 14: both are predicted, so that the difference is visible."""
     fastest = small_front(5e-3).max_speed
     assert fastest.nominal_grooves_per_cycle == pytest.approx(2.0, abs=1e-3)
     assert fastest.grooves_per_cycle == pytest.approx(1.0, abs=1e-3)
-
-
-def test_the_same_settings_make_the_same_front():
-    again = make_front(FILE, small_front(2e-3).settings, 1)
-    assert again.three == small_front(2e-3).three
-    assert [gait.gait for gait in again.gaits] == [gait.gait for gait in small_front(2e-3).gaits]
 
 
 @pytest.mark.parametrize("direction", [1, -1])
@@ -126,13 +107,6 @@ def test_a_gait_that_needs_a_pushing_cable_is_a_warning():
     assert "31 N" in pushing_warning([fast], PAPER)
 
 
-def test_limits_hold_for_all_of_the_front():
-    limits = ActuatorLimits(cable_speed=0.04)
-    front = make_front(FILE, dataclasses.replace(QUICK, margin=2e-3, limits=limits), 1)
-    fastest = max(np.pi * gait.stroke * gait.frequency for gait in front.gaits)
-    assert 0.0395 < fastest <= 0.04
-
-
 @pytest.mark.parametrize("margin", [None, 2e-3])
 @pytest.mark.parametrize(
     ("limits", "name"),
@@ -171,16 +145,3 @@ def test_thinning_keeps_the_ends_and_the_cheapest():
     assert kept.speed[-1] == front.speed.max()
     assert (front.power / front.speed).argmin() in rows
     assert thinned(front, PAPER, 1000).tolist() == list(range(len(front)))
-
-
-def test_the_table_shows_fragile_nominal_and_reliable_robust_gaits():
-    settings = dataclasses.replace(QUICK, margin=3.4e-3, samples=100)
-    robust = make_front(FILE, settings, 1).three
-    nominal = nominal_gaits(FILE, settings, 1)
-    assert list(nominal) == list(robust) == ["min_power", "cruise", "max_speed"]
-    for name, gait in nominal.items():
-        assert gait.success_probability < 0.7 < 0.95 < robust[name].success_probability
-        assert gait.stroke_to_lower_edge < 1e-4 < 3e-3 < robust[name].stroke_to_lower_edge
-    lines = gait_table(robust, nominal).splitlines()
-    assert len(lines) == 7
-    assert len({len(line) for line in lines}) == 1

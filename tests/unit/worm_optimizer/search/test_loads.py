@@ -11,7 +11,7 @@ from gaits_for_tests import COARSE, QUICK, coarse_front
 from worm_model.gait import Gait
 from worm_model.loads import content_under, under
 from worm_model.parameters import PAPER, ParameterFile
-from worm_model.simulation.closed_form import cliff_margin, largest_load
+from worm_model.simulation.closed_form import largest_load
 from worm_model.simulation.simulator import evaluate_gait
 from worm_msgs.conditions import Conditions
 from worm_optimizer.evaluation.task import Bounds, MarginTask
@@ -20,8 +20,7 @@ from worm_optimizer.robustness.uncertainty import phase_known
 from worm_optimizer.search.capability import capabilities, curve, strongest
 from worm_optimizer.search.exact import Zoom, exact_front
 from worm_optimizer.search.front import make_front
-from worm_optimizer.search.price_of_robustness import price_of_robustness
-from worm_optimizer.search.search_settings import Settings, settings_of
+from worm_optimizer.search.search_settings import settings_of
 
 UPHILL = under(Conditions(slope_deg=20.0, tether_n=2.0), PAPER)
 
@@ -49,18 +48,6 @@ def test_forward_and_reverse_differ_under_a_load():
     pushed = UPHILL.replace(rear_load=-UPHILL.front_load, front_load=-UPHILL.rear_load)
     mirrored = coarse_front(MarginTask(pushed, -1, 1e-3)).front
     assert mirrored.power.min() == pytest.approx(forward.power.min(), rel=1e-6)
-
-
-@pytest.mark.parametrize("load", [0.0, 2.0, 4.0])
-def test_the_cliff_under_a_load_is_that_of_the_closed_form_in_the_slow_limit(load):
-    slow = Bounds(0.01, 0.12, 0.01, 0.01)
-    robot = PAPER.replace(rear_load=0.5 * load, front_load=0.5 * load, viscous_friction=5.0)
-    expected = cliff_margin(robot)
-    margins = expected + np.array([-1e-4, 1e-4])
-    price = price_of_robustness(MarginTask(robot, bounds=slow), np.maximum(margins, 0.0))
-    assert price.cliff is not None
-    assert price.cliff.margin == pytest.approx(expected, abs=5e-5)
-    assert price.closed_form_cliff_margin == expected
 
 
 def test_a_margin_may_be_stated_as_a_force():
@@ -134,7 +121,3 @@ def test_a_load_that_the_fins_do_not_hold_is_the_reason():
     settings = dataclasses.replace(QUICK, margin=0.0, conditions=Conditions(tether_n=200.0))
     with pytest.raises(OptimizerError, match="200 N; the fins hold up to"):
         make_front(ParameterFile(), settings, 1)
-
-
-def test_settings_without_conditions_are_level():
-    assert settings_of({}) == Settings()

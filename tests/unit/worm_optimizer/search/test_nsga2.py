@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """NSGA-II as an iterator, and its comparison with the exact front."""
 
-import itertools
-
 import numpy as np
 import pytest
 from gaits_for_tests import coarse_front, random_robot
@@ -35,23 +33,11 @@ def test_every_generation_reports_and_the_front_only_grows():
     assert areas[-1] > areas[0] > 0.0
 
 
-def test_the_search_may_end_early():
-    endless = generations(TASK, Nsga2Settings(population=10, generations=100_000), 10.0)
-    assert [step.number for step in itertools.islice(endless, 3)] == [1, 2, 3]
-
-
 def test_a_box_of_one_gait_has_this_gait():
     task = MarginTask(bounds=Bounds(0.0755, 0.0755, 0.15, 0.15))
     *_, last = generations(task, SMALL, 10.0)
     assert last.front.stroke.tolist() == [0.0755]
     assert last.front.frequency.tolist() == [0.15]
-
-
-def test_all_of_the_front_moves_within_the_bounds():
-    front = list(generations(TASK, SMALL, 10.0))[-1].front
-    assert np.all(front.count >= 3)
-    assert np.all((front.stroke >= 0.01) & (front.stroke <= 0.09))
-    assert np.all((front.frequency >= 0.08) & (front.frequency <= 0.4))
 
 
 @pytest.mark.parametrize("wrong", [{"population": 1}, {"generations": 0}, {"seed": -1}])
@@ -60,6 +46,7 @@ def test_invalid_settings_are_rejected(wrong):
         Nsga2Settings(**wrong)
 
 
+@pytest.mark.night
 @pytest.mark.parametrize("margin", [0.0, 3.4e-3, 5e-3])
 def test_the_papers_settings_come_near_the_exact_front_and_never_beyond(margin):
     exact = coarse_front(MarginTask(margin=margin), frequencies=81)
@@ -70,7 +57,7 @@ def test_the_papers_settings_come_near_the_exact_front_and_never_beyond(margin):
     assert -1e-7 <= comparison.largest_excess_power < 0.05
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_no_gait_of_nsga2_is_cheaper_than_the_exact_front(seed):
     exact = coarse_front(MarginTask(random_robot(seed)), frequencies=41)
     *_, last = generations(exact.task, Nsga2Settings(30, 12, seed), reference_power_of(exact))

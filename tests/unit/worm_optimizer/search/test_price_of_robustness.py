@@ -70,13 +70,6 @@ def test_the_lowest_cost_is_that_of_the_exact_front(seed, margin):
     assert found.cost_of_transport == pytest.approx(best, rel=2e-5)
 
 
-def test_a_scan_of_many_margins_is_the_scan_of_each():
-    margins = np.array([0.0, 2e-3, 5e-3])
-    for margin, together in zip(margins, scan(TASK, margins), strict=True):
-        (alone,) = scan(TASK, np.array([margin]))
-        assert together == alone
-
-
 def test_a_dearer_optimum_on_a_kept_branch_is_no_cliff():
     assert find_cliff(TASK, [point(0.0, 50.0, 2), point(1e-3, 80.0, 2)]) is None
     assert find_cliff(TASK, [point(0.0, 50.0, 2), point(1e-3, 80.0, 1, 1, 2)]) is None
@@ -114,13 +107,6 @@ def test_without_a_cliff_the_greatest_moving_margin_is_chosen():
 def test_a_scan_in_which_nothing_moves_has_no_margin_to_choose():
     with pytest.raises(OptimizerError, match="no gait within the bounds moves at any margin"):
         _ = priced(STILL).margin
-
-
-def test_the_default_margins_are_tenths_of_millimetres():
-    margins = ScanSettings().margins()
-    assert len(margins) == 81
-    assert margins[34] == 0.0034
-    assert margins[-1] == 0.008
 
 
 @pytest.mark.parametrize(

@@ -6,20 +6,13 @@ from functools import cache
 
 import numpy as np
 import pytest
-from gaits_for_tests import COARSE, coarse_front
+from gaits_for_tests import COARSE
 
 from worm_model.gait import Gait, Profile
 from worm_model.parameters import PAPER
 from worm_model.simulation.simulator import cost_of_transport, evaluate_gait, simulate
 from worm_optimizer.evaluation.actuator_limits import ActuatorLimits, peaks
-from worm_optimizer.evaluation.command_shape import (
-    SHAPE_ROW,
-    SINUSOID,
-    peak_rate,
-    pull_rate,
-    sample_phases,
-    shapes_of,
-)
+from worm_optimizer.evaluation.command_shape import SHAPE_ROW, SINUSOID, peak_rate, shapes_of
 from worm_optimizer.evaluation.task import Bounds, MarginTask, Points
 from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.search.corners import FINE, Columns, ShapeBounds, corners
@@ -80,36 +73,6 @@ def test_no_random_gait_of_the_box_dominates_the_front(margin):
     )
 
 
-@pytest.mark.parametrize("margin", [0.0, 3.4e-3])
-def test_gaits_near_those_of_the_front_are_not_cheaper(margin):
-    """Except in the last percent of the frequencies of a branch, where the shares change within a few millihertz."""
-    task, front = MarginTask(margin=margin), shaped_front(margin).front
-    front = front.take(front.frequency < 0.99 * front.frequency.max())
-    rng, near = np.random.default_rng(5), 1000
-    gaits = front.take(np.repeat(np.arange(len(front)), near))
-    shape, size = gaits.shape.copy(), 10.0 ** rng.uniform(-4.0, -0.3, len(gaits))
-    box = ShapeBounds()
-    for name, reach in (("pretension", 0.02), ("contraction_share", 0.2), ("ramp_share", 0.2)):
-        moved = shape[name] + reach * size * rng.normal(size=len(gaits))
-        shape[name] = np.clip(moved, *getattr(box, name))
-    stroke = gaits.stroke + 0.02 * size * rng.normal(size=len(gaits))
-    stroke = np.clip(stroke, task.bounds.stroke_low, task.bounds.stroke_high - shape["pretension"])
-    tried = task.points(stroke, gaits.frequency, shape)
-    same = tried.admissible & (tried.count == gaits.count)
-    assert same.sum() > len(gaits) / 20
-    assert np.all(tried.power[same] > gaits.power[same] * (1.0 - 10.0 * ACCEPTED))
-
-
-@pytest.mark.parametrize("margin", [0.0, 3.4e-3])
-def test_the_papers_front_does_not_dominate_the_front(margin):
-    """The sinusoid is one of the shapes."""
-    front = shaped_front(margin).front
-    paper = coarse_front(MarginTask(margin=margin)).front
-    assert largest_excess(front, paper) < ACCEPTED
-    assert front.speed[-1] >= paper.speed[-1] * (1.0 - ACCEPTED)
-    assert front.power[0] <= paper.power[0]
-
-
 def test_every_gait_gains_its_grooves_when_it_is_evaluated_again():
     front = shaped_front(3.4e-3).front
     for row in range(0, len(front), 7):
@@ -157,6 +120,7 @@ def test_ramps_too_short_for_any_pretension_become_as_long_as_needed():
     assert np.all(task.points(found.stroke, found.frequency, shorter).count < 6)
 
 
+@pytest.mark.night
 def test_limits_hold_for_every_gait_of_the_front():
     limits = ActuatorLimits(cable_speed=0.05, cable_force=60.0, electrical_power=5.0)
     task = MarginTask(limits=limits)
@@ -185,15 +149,6 @@ def test_a_limit_of_the_pushing_force_bounds_the_contraction_share_at_every_freq
     assert np.unique(two.frequency).tolist() == frequency.tolist()
     within = random_gaits(task, 20_000, 3)
     assert largest_excess(front, within) < ACCEPTED
-
-
-def test_samples_of_a_cycle_contain_the_ends_of_the_ramps():
-    shape = shapes_of(2, profile=[0, 1], contraction_share=[0.5, 0.8], ramp_share=[0.25, 0.1])
-    sinusoid, trapezoid = sample_phases(shape, 400)
-    assert sinusoid == pytest.approx(np.arange(400) / 400, abs=1e-15)
-    assert np.all(np.diff(trapezoid) > 0.0)
-    for end in (0.0, 0.08, 0.72, 0.8, 0.82, 0.98):
-        assert np.abs(trapezoid - end).min() < 1e-12
 
 
 def test_the_mean_force_does_not_depend_on_the_samples():
@@ -247,22 +202,6 @@ def test_a_holding_power_makes_pretension_dearer():
     assert np.all(front.power > again.power)
 
 
-def test_the_rate_of_the_waveform_is_that_of_the_command():
-    rng = np.random.default_rng(3)
-    phases = (np.arange(4000) + 0.5) / 4000
-    for profile in Profile:
-        gait = Gait(
-            0.05, 1.0, contraction_share=rng.uniform(0.2, 0.8), profile=profile, ramp_share=0.3
-        )
-        fields = {name: getattr(gait, name) for name in SHAPE_ROW.names}
-        shape = shapes_of(1, **fields)
-        steps = -np.diff(gait.command(np.append(phases - 0.5 / 4000, 1.0 - 1e-12))) * 4000
-        pulls = np.maximum(steps, 0.0)
-        assert pull_rate(shape, phases[np.newaxis])[0] * 0.05 == pytest.approx(pulls, abs=2e-3)
-        assert np.all(pull_rate(shape, phases[np.newaxis])[0][steps < -0.001] == 0.0)
-        assert peak_rate(shape)[0] * 0.05 == pytest.approx(gait.peak_speed)
-
-
 @pytest.mark.parametrize(
     "wrong",
     [
@@ -275,15 +214,6 @@ def test_the_rate_of_the_waveform_is_that_of_the_command():
 def test_bounds_that_no_gait_has_are_rejected(wrong):
     with pytest.raises(OptimizerError, match=next(iter(wrong))):
         ShapeBounds(**wrong)
-
-
-def test_a_reverse_gait_of_equal_modules_costs_the_same():
-    task = MarginTask(direction=-1, bounds=Bounds(frequency_low=0.15, frequency_high=0.15))
-    reverse = exact_front(ShapedTask(task, ShapeBounds()), COARSE, Zoom(5, 4)).front
-    forward = exact_front(
-        ShapedTask(dataclasses.replace(task, direction=1), ShapeBounds()), COARSE, Zoom(5, 4)
-    ).front
-    assert reverse.power == pytest.approx(forward.power, rel=1e-6)
 
 
 def test_between_margins_shares_at_a_bound_stay_within_it():

@@ -1,37 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Workers that the tests of studies share.
-
-Without the optional packages of studies, the tests that need them are skipped.
-"""
-
-from __future__ import annotations
+"""Workers that the tests of studies share."""
 
 from collections.abc import Iterator
-from importlib.util import find_spec
-from pathlib import Path
-from typing import TYPE_CHECKING
 
+import dask
 import pytest
+from distributed import LocalCluster
 from study_cases import Here
 
-if TYPE_CHECKING:
-    from distributed import LocalCluster
-
-NEEDS_IT = {"test_blocks.py", "test_study_run.py", "test_study_command.py"}
-
-
-class Absent(pytest.Module):
-    """Test module that is not imported."""
-
-    def collect(self):
-        pytest.skip("needs pip install --group study", allow_module_level=True)
-
-
-def pytest_pycollect_makemodule(module_path: Path, parent: pytest.Collector):
-    if module_path.name in NEEDS_IT and find_spec("distributed") is None:
-        return Absent.from_parent(parent, path=module_path)
-    return None
-
+from worm_optimizer.study import blocks
 
 # Without these settings, a cluster that waits needs an eighth of a processor to watch itself.
 QUIET = {
@@ -44,9 +21,6 @@ QUIET = {
 @pytest.fixture(scope="module")  # "package" would keep it until all tests have ended
 def cluster() -> Iterator[LocalCluster]:
     """Start two workers in processes of their own, for the tests that start none themselves."""
-    import dask
-    from distributed import LocalCluster
-
     with (
         dask.config.set(QUIET),
         LocalCluster(
@@ -63,8 +37,6 @@ def cluster() -> Iterator[LocalCluster]:
 @pytest.fixture
 def here(monkeypatch) -> Here:
     """Compute in this process."""
-    from worm_optimizer.study import blocks
-
     here = Here()
     monkeypatch.setattr(blocks, "_computed", here)
     return here

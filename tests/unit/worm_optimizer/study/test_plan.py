@@ -37,11 +37,6 @@ def test_a_grid_holds_every_combination_once():
     }
 
 
-def test_an_even_grid_holds_its_ends_and_plain_numbers():
-    study = parse_study(changed(vary={"slack": {"from": 0.0, "to": 0.012, "count": 5}}), HERE)
-    assert study.axes[0].values == (0.0, 0.003, 0.006, 0.009, 0.012)
-
-
 @pytest.mark.parametrize("method", ["sobol", "latin_hypercube"])
 def test_samples_fill_their_ranges_and_repeat_with_their_seed(method):
     vary = {"slack": {"range": [0.002, 0.01]}, "gain": {"range": [0.7, 0.9]}, "direction": [1, -1]}
@@ -129,34 +124,19 @@ def test_parameter_files_are_an_axis(tmp_path):
     assert study.points()[:, 0].tolist() == [0.0, 0.0, 1.0, 1.0]
 
 
-def test_blocks_grow_with_the_points():
-    assert parse_study(changed(block_points=None), HERE).block_points == 1
-    vary = {"slack": {"from": 0.001, "to": 0.01, "count": 10_000}}
-    many = parse_study(changed(vary=vary, block_points=None), HERE)
-    assert 1 < many.block_points <= 500
-
-
 WRONG: list[tuple[list[str], dict[str, object]]] = [
     (["vary", "'slak'", "slack"], {"vary": {"slak": [1.0]}}),
     (["vary", "'one_sided_cable'"], {"vary": {"one_sided_cable": [0.0, 1.0]}}),
     (["vary: slack", "'much'"], {"vary": {"slack": ["much"]}}),
-    (["vary: slack", "1000", "number"], {"vary": {"slack": [10**400]}}),
     (["vary: slack", "list"], {"vary": {"slack": {"from": 0.0}}}),
     (["vary: slack", "twice"], {"vary": {"slack": [0.001, 0.001]}}),
     (["vary: slack", "8 m", "0 to 0.1 m"], {"vary": {"slack": [0.004, 8.0]}}),
-    (
-        ["vary: slack: to", "8 m", "0 to 0.1 m"],
-        {"vary": {"slack": {"from": 0.0, "to": 8.0, "count": 3}}},
-    ),
     (
         ["vary: slack: count", "2.5"],
         {"vary": {"slack": {"from": 0.0, "to": 0.01, "count": 2.5}}},
     ),
     (["vary: slack: range", "-0.1 m", "0 to 0.1 m"], {"vary": {"slack": {"range": [-0.1, 0.1]}}}),
     (["fixed: margin_m", "3.4 m", "0 to 0.1 m"], {"fixed": {"margin_m": 3.4}}),
-    (["fixed: margin_m", "-0.001 m", "0 to 0.1 m"], {"fixed": {"margin_m": -0.001}}),
-    (["fixed: pitch", "17.3 m", "0.001 to 0.2 m"], {"fixed": {"pitch": 17.3, "margin_m": 0.0}}),
-    (["fixed: direction", "0.5"], {"fixed": {"direction": 0.5, "margin_m": 0.0}}),
     (["max_ramp_share", "waveform: shaped"], {"vary": {"max_ramp_share": [0.1, 0.2]}}),
     (["any_phase", "waveform"], {"compute": ["any_phase"], "waveform": "shaped"}),
     (["waveform", "'square'", "shaped"], {"waveform": "square"}),
@@ -165,27 +145,14 @@ WRONG: list[tuple[list[str], dict[str, object]]] = [
         ["sample: points", "6", "power of two"],
         {"vary": RANGES, "sample": {"method": "saltelli", "points": 6}},
     ),
-    (
-        ["sample: saltelli", "ranges"],
-        {
-            "vary": {**RANGES, "pitch": [0.017, 0.018]},
-            "sample": {"method": "saltelli", "points": 4},
-        },
-    ),
     (["sample: method", "'sobol'", "'grid'"], {"vary": RANGES, "sample": {"method": "grid"}}),
-    (["vary: slack: range", "0.1"], {"vary": {"slack": {"range": [0.1, 0.1]}}}),
     (["sample", "range"], {"vary": {"slack": {"range": [0.001, 0.01]}}}),
     (["vary: direction", "2"], {"vary": {"direction": [2]}}),
     (["vary: direction", "list of 1 and -1"], {"vary": {"direction": {"range": [-1, 1]}}}),
     (["slack", "vary", "fixed"], {"fixed": {"slack": 0.01, "margin_m": 0.0}}),
     (["compute: front", "margin"], {"fixed": None}),
     (["compute", "'fronts'", "front"], {"compute": ["fronts"]}),
-    (["compute", "list", "'front'"], {"compute": "front"}),
-    (["compute", "missing"], {"compute": None}),
-    (["sample", "vary"], {"sample": {"points": 4}}),
     (["resolution: strokes", "3", "2"], {"resolution": {"strokes": 2}}),
-    (["resolution", "'tolerance_m'"], {"resolution": {"tolerance_m": 0.5}}),
-    (["scan", "-1.0 m"], {"scan": {"highest_m": -1.0}}),
     (["spool_radius_m", "servo"], {"vary": {"spool_radius_m": [0.02]}}),
     (
         ["groove_phase_m", "initial_length"],
@@ -217,12 +184,3 @@ def test_an_invalid_study_is_rejected_in_one_line(facts, changes, tmp_path):
     assert message.startswith(f"{file}: ")
     assert "\n" not in message
     assert [fact for fact in facts if fact not in message.removeprefix(str(tmp_path))] == []
-
-
-def test_a_broken_file_is_reported_with_its_line(tmp_path):
-    file = tmp_path / "study.yaml"
-    file.write_text("title: a\nvary: [\n")
-    with pytest.raises(StudyError, match="is not valid YAML at line 3"):
-        load_study(file)
-    with pytest.raises(StudyError, match="cannot be read"):
-        load_study(tmp_path / "absent.yaml")

@@ -70,24 +70,6 @@ def test_a_point_that_is_not_admissible_has_a_reason_and_the_others_stay():
     assert np.isfinite(results["speed"][1]).all()
 
 
-def test_results_have_the_shapes_that_are_announced():
-    sizes = {name: len(values) for name, values in dimensions(STUDY).items()}
-    results = compute_block(STUDY, POINTS[:1])
-    announced = {
-        name: (1, *(sizes[d] for d in v.dimensions)) for name, v in variables(STUDY).items()
-    }
-    assert {name: results[name].shape for name in announced} == announced
-    assert set(results) == {*announced, "state", "reason"}
-
-
-def test_where_no_gait_moves_there_is_none_and_nothing_fails():
-    study = parse_study(SMALL.replace("margin_m: 0.002", "margin_m: 0.09"), Path())
-    results = compute_block(study, POINTS[1:2])
-    assert results["state"].tolist() == [DONE]
-    assert np.isnan(results["speed"]).all()
-    assert results["front_size"] == [0.0]
-
-
 def test_the_groove_phase_can_be_held_while_the_pitch_varies():
     robots = [
         content_of(STUDY, {"pitch": pitch, "groove_phase_m": 0.001}).parameters
@@ -96,29 +78,6 @@ def test_the_groove_phase_can_be_held_while_the_pitch_varies():
     assert [groove_phase(robot) for robot in robots] == pytest.approx([0.001] * 3, abs=1e-12)
     with pytest.raises(InputError, match="not within half a pitch"):
         content_of(STUDY, {"groove_phase_m": 0.02})
-
-
-def test_an_interval_moves_with_its_value():
-    content = ParameterFile(PAPER, {"gain": (0.80, 0.92)}, run_to_run={"gain": 0.01})
-    study = dataclasses.replace(STUDY, files=(("robot", content),))
-    changed = content_of(study, {"gain": 0.43})
-    assert changed.intervals["gain"] == pytest.approx((0.40, 0.46))
-    assert changed.run_to_run["gain"] == pytest.approx(0.005)
-
-
-def test_slope_and_tether_vary_as_loads():
-    content = ParameterFile(PAPER, {"rear_load": (-1.0, 1.0)})
-    study = dataclasses.replace(STUDY, files=(("robot", content),))
-    robot = content_of(study, {"slope_deg": 30.0, "tether_n": 2.0})
-    weight = 9.80665 * 0.5
-    assert robot.parameters.rear_load == pytest.approx(PAPER.rear_mass * weight + 2.0)
-    assert robot.parameters.front_load == pytest.approx(PAPER.front_mass * weight)
-    assert robot.intervals["rear_load"] == pytest.approx(
-        (robot.parameters.rear_load - 1.0, robot.parameters.rear_load + 1.0)
-    )
-    text = SMALL.replace("switching_threshold: [0.008, 0.0175]", "tether_n: [0.0, 5.0]")
-    varied = parse_study(text, Path())
-    assert varied.varied == ("parameter_file", "slack", "tether_n")
 
 
 @pytest.mark.parametrize("slope", [20.0, -20.0])
@@ -146,21 +105,6 @@ def test_a_value_of_the_other_sign_keeps_the_order_of_its_interval():
     robot = content_of(study, {"rear_load": -0.5})
     assert robot.intervals["rear_load"] == pytest.approx((-0.7, -0.4))
     assert robot.run_to_run["rear_load"] == pytest.approx(0.05)
-
-
-def test_a_larger_spool_pulls_faster_and_weaker(tmp_path):
-    driver = tmp_path / "driver.yaml"
-    driver.write_text(
-        "driver:\n  ros__parameters:\n    cable_servos.spool_radius_m: [0.025]\n"
-        "    limits.max_cable_speed_m_per_s: 2.0\n"
-    )
-    text = SMALL + f"hardware: {{driver: {driver}, servo_model: XL330-M288}}\n"
-    study = parse_study(text, Path())
-    small, large = (
-        task_of(study, {"spool_radius_m": radius}, PAPER).limits for radius in (0.01, 0.02)
-    )
-    assert large.no_load_speed == pytest.approx(2.0 * small.no_load_speed)
-    assert large.stall_force == pytest.approx(0.5 * small.stall_force)
 
 
 def test_a_fixed_limit_is_that_of_the_task():

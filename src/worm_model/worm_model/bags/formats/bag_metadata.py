@@ -13,29 +13,20 @@ from typing import Any
 
 import yaml
 
-from worm_model.bags.formats.bag_errors import RECOVER, BagError
-from worm_model.bags.formats.finding import METADATA_FILE
+from worm_model.bags.formats.bag_errors import BagError
+from worm_model.bags.formats.finding import METADATA_FILE, check_readable
 from worm_model.bags.formats.message_block import Topic
 
 METADATA_ROOT = "rosbag2_bagfile_information"
 VERSION = 9
 STATE = "state"  # key in custom_data of a bag that this package records
 UNFINISHED, CLOSED = "being recorded", "closed"  # its values
-LARGEST_YAML = 16 << 20  # bytes; a bag of a thousand files and topics has a tenth of that
-
-
-class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc] # C is ten times faster
-    """YAML reader without the merging of keys, by which a small file could grow without limit."""
-
-    def flatten_mapping(self, node: yaml.MappingNode) -> None:
-        """Leave the keys as they are."""
-
-
+_LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # C is ten times faster
 _DUMPER: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
 
 @dataclass
-class Extent:
+class LogTimes:
     """Number of messages and span of their log times (ns since the epoch)."""
 
     count: int = 0
@@ -67,37 +58,23 @@ def read_metadata(directory: Path) -> dict[str, Any]:
         BagError: The file is missing, cannot be read, or is not rosbag2's.
     """
     path = directory / METADATA_FILE
-    if path.exists() and not path.is_file():
-        raise BagError(f"{path} cannot be read: it is not a regular file; move it away")
+    if not path.exists():
+        raise BagError(f"{path} is missing")
+    check_readable(path)
     try:
-        if path.stat().st_size > LARGEST_YAML:
-            raise ValueError(f"it has {path.stat().st_size} bytes, more than {LARGEST_YAML}")
-        document = yaml.load(path.read_text(encoding="utf-8"), Loader=_Loader)
-    except FileNotFoundError:
-        raise BagError(f"{path} is missing; create it: {RECOVER} {directory}") from None
-    except (OSError, UnicodeDecodeError, yaml.YAMLError, ValueError, RecursionError) as error:
-        reason = " ".join(str(error).split())
-        raise BagError(f"{path} cannot be read: {reason}") from None
-    content = document.get(METADATA_ROOT) if isinstance(document, dict) else None
-    files = content.get("relative_file_paths") if isinstance(content, dict) else None
-    if (
-        not isinstance(content, dict)
-        or not isinstance(files, list)
-        or not all(isinstance(name, str) for name in files)
-    ):
-        raise BagError(f"{path} is not rosbag2's: no {METADATA_ROOT} with relative_file_paths")
-    return content
-
-
-def custom_data(content: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return the entries that a writer added to metadata.yaml for its own use."""
-    custom = content.get("custom_data")
-    return custom if isinstance(custom, dict) else {}
+        content = yaml.load(path.read_text(encoding="utf-8"), Loader=_LOADER)[METADATA_ROOT]
+        if not all(isinstance(name, str) for name in content["relative_file_paths"]):
+            raise TypeError("relative_file_paths contains other values than names")
+    except (OSError, ValueError, yaml.YAMLError, RecursionError, LookupError, TypeError) as error:
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        raise BagError(f"{path} cannot be read as the metadata of rosbag2 ({reason})") from None
+    return dict(content)
 
 
 def is_unfinished(content: Mapping[str, Any]) -> bool:
     """Return True if a bag's metadata shows that its recorder has not closed it."""
-    return custom_data(content).get(STATE) == UNFINISHED
+    custom = content.get("custom_data")
+    return isinstance(custom, dict) and custom.get(STATE) == UNFINISHED
 
 
 def is_unclosed(path: Path) -> bool:
@@ -109,33 +86,30 @@ def is_unclosed(path: Path) -> bool:
 
 
 def qos_profiles(text: str) -> list[Any]:
-    """Return the QoS profiles of a channel; empty if its text is not a list of profiles."""
+    """Return the QoS profiles of a channel in the format of version 9, which has names in place of the numbers.
+
+    Returns an empty list if the text is not a list of profiles.
+    """
     try:
-        profiles = yaml.load(text, Loader=_Loader)
-    except (yaml.YAMLError, ValueError, RecursionError):
+        profiles = yaml.load(text, Loader=_LOADER)
+        if re.search(r"durability: *\d", text):
+            from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos  # here: these load slowly
+
+            profiles = dump_qos_v9(parse_qos(profiles))
+    except Exception:  # noqa: BLE001 - the library also raises AssertionError
         return []
     return profiles if isinstance(profiles, list) else []
-
-
-def named_qos(text: str) -> str:
-    """Return the text of QoS profiles with the names of metadata version 9 in place of the numbers of older versions.
-
-    Invalid text is returned unchanged.
-    """
-    if not re.search(r"durability: *\d", text):
-        return text
-    from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos  # here: these load slowly
-
-    try:
-        return dump_yaml(dump_qos_v9(parse_qos(text)))
-    except Exception:  # noqa: BLE001 - the library also raises AssertionError
-        return text
 
 
 def first_qos_profile(topic: Topic) -> dict[str, Any]:
     """Return the QoS profile that a topic's first publisher offered; empty if the bag does not contain the profile."""
     first, *_ = qos_profiles(topic.offered_qos) or [None]
     return first if isinstance(first, dict) else {}
+
+
+def is_latched(topic: Topic) -> bool:
+    """Return True if a topic was published with transient-local durability: later subscribers receive it."""
+    return first_qos_profile(topic).get("durability") == "transient_local"
 
 
 # --- writing --------------------------------------------------------------------------------------
@@ -155,9 +129,9 @@ def dump_yaml(document: Any) -> str:
 
 
 def metadata_text(
-    total: Extent,
+    total: LogTimes,
     topics: Iterable[tuple[Topic, int]],
-    files: Mapping[str, Extent],
+    files: Mapping[str, LogTimes],
     custom: Mapping[str, str],
 ) -> str:
     """Return the content of metadata.yaml below its root key.

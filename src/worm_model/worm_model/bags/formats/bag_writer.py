@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+import errno
 import os
+import shutil
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -12,12 +14,11 @@ from typing import BinaryIO
 
 from mcap.writer import CompressionType, Writer
 
-from worm_model.bags.formats.bag import Bag
-from worm_model.bags.formats.bag_errors import UnwritableError
-from worm_model.bags.formats.bag_metadata import Extent, metadata_text, write_metadata
+from worm_model.bags.formats.bag_errors import ExistsError, UnwritableError
+from worm_model.bags.formats.bag_metadata import LogTimes, metadata_text, write_metadata
 from worm_model.bags.formats.message_block import Message, Topic
 from worm_model.bags.formats.stored_file import AttachedFile
-from worm_model.bags.formats.whole_folder import new_folder
+from worm_model.bags.opening import Bag
 from worm_model.errors import printable
 
 CHUNK_BYTES = 768 * 1024  # size at which a chunk is closed even if no synchronisation is due
@@ -42,7 +43,7 @@ class BagWriter:
         self.custom = dict(custom or {})
         self.path = directory / f"{printable(name)}_0.mcap"
         self._counts: Counter[Topic] = Counter()
-        self._extent = Extent()
+        self._extent = LogTimes()
         self._schemas: dict[tuple[str, str], int] = {}
         self._channels: dict[Topic, int] = {}
         self._stream: BinaryIO = self.path.open("xb")
@@ -120,15 +121,7 @@ class BagWriter:
         with suppress(OSError):  # the buffer still contains bytes for which the disk had no space
             self._stream.close()
 
-    @property
-    def is_there(self) -> bool:
-        """True if the open file still exists under its name."""
-        try:
-            return os.path.samestat(os.fstat(self._stream.fileno()), self.path.stat())
-        except OSError:
-            return False
-
-    def _text(self, files: Mapping[str, Extent]) -> str:
+    def _text(self, files: Mapping[str, LogTimes]) -> str:
         """Return the content of metadata.yaml.
 
         The copy inside an MCAP file lists no files, so that the bytes of that file do not depend on the bag's name.
@@ -180,3 +173,28 @@ def new_bag(directory: Path) -> Iterator[BagWriter]:
         raise
     except OSError as error:
         raise UnwritableError(f"{directory} cannot be written: {error.strerror}") from error
+
+
+@contextmanager
+def new_folder(target: Path) -> Iterator[Path]:
+    """Yield a temporary folder that is renamed to the target when the context ends, or removed after an exception.
+
+    Raises:
+        ExistsError: The target exists, or another process has created it in the meantime.
+        OSError: The operating system cannot create or write the target.
+    """
+    if target.exists():
+        raise ExistsError(f"{target} exists already and is not overwritten; choose another name")
+    unfinished = target.with_name(f".{target.name}.{os.getpid()}")
+    unfinished.mkdir(parents=True)
+    try:
+        yield unfinished
+        unfinished.rename(target)  # replaces an empty folder, and fails if the folder has content
+    except OSError as error:
+        if error.errno not in (errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR):
+            raise
+        raise ExistsError(
+            f"{target} exists already: another process has created it; choose another name"
+        ) from None
+    finally:
+        shutil.rmtree(unfinished, ignore_errors=True)

@@ -48,7 +48,7 @@ _CODES = {"bool": "?", "byte": "u1", "char": "u1", "octet": "u1"} | {
 
 
 @dataclass(frozen=True)
-class Columns:
+class MessageColumns:
     """All fields of messages by path, such as ``header.stamp.sec`` or ``status[0].message``.
 
     Attributes:
@@ -103,7 +103,7 @@ class ColumnBuilder:
                 self._texts.setdefault(path, []).append((rows, texts))
             waiting = np.setdiff1d(waiting, candidates[same], assume_unique=True)
 
-    def columns(self) -> Columns:
+    def columns(self) -> MessageColumns:
         """Return the columns of all messages added so far."""
         numbers = {path: _joined(parts, self.count) for path, parts in self._numbers.items()}
         texts: dict[str, list[str | None]] = {}
@@ -112,7 +112,7 @@ class ColumnBuilder:
             for rows, values in parts:
                 for row, value in zip(rows.tolist(), values, strict=True):
                     column[row] = value
-        return Columns(numbers, texts)
+        return MessageColumns(numbers, texts)
 
 
 def types_of(topic: Topic) -> Types:
@@ -299,7 +299,7 @@ def _setter(message: Any, path: str) -> Callable[[Any], None]:
     return lambda value: setattr(message, name, value)
 
 
-class Converter:
+class MessageConverter:
     """Converter of messages to a later definition of their type, which has additional fields.
 
     An additional field gets its value from DEFAULTS. A field without a value in DEFAULTS is zero or empty.

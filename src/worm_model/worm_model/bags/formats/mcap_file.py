@@ -3,8 +3,8 @@
 
 Opening a file surveys its records in their order. Records of kinds that the specification reserves are skipped, and so
 are additional fields at the end of a record, as later versions of the format may have them. A chunk that does not
-decompress, fails its checksum, or declares more than LARGEST_CHUNK bytes is skipped. Where the sequence of records is
-broken, reading continues at the next intact chunk; if there is none, the file ends there, as at a cut.
+decompress, fails its checksum, or declares or yields more than LARGEST_CHUNK bytes is skipped. Where the sequence of
+records is broken, reading continues at the next intact chunk; if there is none, the file ends there, as at a cut.
 """
 
 from __future__ import annotations
@@ -13,24 +13,22 @@ import mmap
 import re
 import struct
 import zlib
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import lz4.frame
 import numpy as np
 import zstandard
 from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
+from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Metadata, Schema, Statistics
 from numpy.typing import NDArray
 
 from worm_model.bags.formats.bag_errors import BagError
-from worm_model.bags.formats.bag_metadata import named_qos
 from worm_model.bags.formats.message_block import Messages, Topic
 from worm_model.bags.formats.stored_file import (
     AttachedFile,
@@ -58,7 +56,6 @@ DAMAGE = (
 """Exceptions for damaged content."""
 
 _RECORD = struct.Struct("<BQ")  # opcode, length
-_LONGEST = 1 << 40  # bytes; a longer record does not exist
 _HEAD = np.dtype(
     [
         ("opcode", "u1"),
@@ -74,10 +71,8 @@ _MESSAGE_BODY = _HEAD.itemsize - _RECORD.size  # bytes before the payload
 _CHUNK = struct.Struct("<QQQII")
 # beginning of the record of a chunk; the length of the name of its compression algorithm precedes the name
 _BEGINNING = re.compile(rb"(?s)\x06(?=.{36}(?:\0{4}|\x04\0{3}zstd|\x03\0{3}lz4))")
-_BEGINNING_BYTES = 45
-_CONTAINERS = (Opcode.ATTACHMENT, Opcode.MESSAGE)  # may contain any bytes
-_FOOTER = struct.Struct("<QQI")  # start of the summary, start of the summary's offsets, checksum
-_MESSAGE = Opcode.MESSAGE.value
+_MESSAGE, _CHUNK_RECORD = Opcode.MESSAGE.value, Opcode.CHUNK.value
+_CONTAINERS = (_CHUNK_RECORD, _MESSAGE, Opcode.ATTACHMENT)  # may contain any bytes
 _READERS: dict[int, Callable[[ReadDataStream], Any]] = {
     Opcode.SCHEMA: Schema.read,
     Opcode.CHANNEL: Channel.read,
@@ -89,30 +84,39 @@ _READERS: dict[int, Callable[[ReadDataStream], Any]] = {
 class McapFile(StoredFile):
     """MCAP file. Opening it reads every record once.
 
+    Of several definitions with one number, the first counts. The copies of the definitions in the summary section serve
+    topics without messages, and topics whose definition is damaged.
+
     Raises BagError if the file is empty or not an MCAP file.
     """
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
-        self._stream = opened(path)
-        try:
-            self._map = mmap.mmap(self._stream.fileno(), 0, access=mmap.ACCESS_READ)
-        except ValueError:
-            self._stream.close()
-            raise BagError(f"{path} is empty: nothing was recorded, or its disk was full") from None
-        self._data = memoryview(self._map)
+        with opened(path) as stream:
+            try:
+                mapped = mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
+            except ValueError:
+                raise BagError(
+                    f"{path} is empty: nothing was recorded, or its disk was full"
+                ) from None
+        self._data = memoryview(mapped)
         if self._data[: len(MAGIC)] != MAGIC:
             beginning = bytes(self._data[: len(MAGIC)])
-            self.close()
             raise BagError(f"{path} is not an MCAP file: it begins with {beginning!r}")
-        survey = _Survey(self._data)
-        self.counts, self.extents, self.spans = survey.counts, survey.extents, survey.spans
-        self.metadata, self.damage, self.remarks = survey.metadata, survey.damage, survey.remarks
-        self._attachments = survey.attachments
+        self._schemas: dict[int, Schema] = {}
+        self._channels: dict[int, Channel] = {}
+        self._declared: int | None = None  # number of messages according to the summary
+        self._missing = 0  # bytes that cannot be read
+        self._is_chunked = False
+        self._is_altered = False  # the checksum of the data section is wrong
+        self._survey()
         self.channels = {
-            number: _topic(channel, survey.schemas.get(channel.schema_id))
-            for number, channel in sorted(survey.channels.items())
+            number: _topic(channel, self._schemas.get(channel.schema_id))
+            for number, channel in sorted(self._channels.items())
         }
+        for number in self.counts.keys() - self.channels.keys():
+            lost = self.counts.pop(number)
+            self.remarks.append(f"{lost} messages of channel {number} have no definition")
 
     def blocks(
         self, extents: Iterable[Extent], topics: frozenset[str]
@@ -125,7 +129,7 @@ class McapFile(StoredFile):
         parts: list[Buffer] = []
         start, size = 0, 0
         for extent in extents:
-            records = _extent_records(self._data, extent)
+            records = self._records_of(extent)
             if parts and size + len(records) > TOGETHER_BYTES:
                 yield start, self._messages(parts, topics)
                 parts, size = [], 0
@@ -154,18 +158,126 @@ class McapFile(StoredFile):
             heads["publish_time"][rows].astype(np.uint64),
         )
 
-    def attachments(self) -> Iterator[AttachedFile]:
-        """Yield the attached files."""
-        for first, last in self._attachments:
-            attached = Attachment.read(_Fields(self._data[first:last]))
-            yield AttachedFile(attached.name, attached.media_type, attached.data)
+    def _records_of(self, extent: Extent) -> Buffer:
+        """Return the records of an extent, decompressed."""
+        part = self._data[extent.first : extent.last]
+        return part if part[0] == _MESSAGE else _content(part)[0]
 
-    def close(self) -> None:
-        """Close the file; arrays that were read from it stay valid."""
-        with suppress(BufferError):  # while arrays refer to the map, it stays open
-            self._data.release()
-            self._map.close()
-        self._stream.close()
+    # --- survey -----------------------------------------------------------------------------------
+
+    def _survey(self) -> None:
+        end = None
+        for opcode, first, last, content in self._walk():
+            if opcode == Opcode.FOOTER and self._data[last : last + len(MAGIC)] == MAGIC:
+                end = last + len(MAGIC)
+                break
+            try:
+                self._read(opcode, first, last, content)
+            except DAMAGE:
+                self._missing += last - first
+        size, found = len(self._data), self.counts.total()
+        if self._declared not in (None, found):
+            self.remarks.append(
+                f"its summary declares {self._declared} messages, its data holds {found}"
+            )
+        damage = ["it was not closed, or its end is missing"] if end is None else []
+        if end is not None and end < size:
+            self.remarks.append(
+                f"{size - end} bytes after its end are not read, such as another file"
+            )
+        if self._missing:
+            share = self._missing / size
+            damage.append(f"{self._missing} of its {size} bytes ({share:.2%}) cannot be read")
+        elif self._is_altered:
+            self.remarks.append(
+                "the checksum of its data section is wrong: metadata records, such as the parameters and the seed of a "
+                "run, may have been altered"
+            )
+        self.damage = "; ".join(damage)
+
+    def _read(self, opcode: int, first: int, last: int, content: Buffer) -> None:
+        """Read a record; raise one of DAMAGE if it is damaged."""
+        if opcode == _CHUNK_RECORD:
+            self._is_chunked = True
+            self._add_extent(content, first, last)
+        elif opcode == _MESSAGE:
+            if self._is_chunked:
+                raise ValueError("a damaged record between chunks, not a message")
+            self._add_extent(content, first, last)
+        elif opcode == Opcode.ATTACHMENT:
+            self._add_attachment(content)
+        elif opcode == Opcode.DATA_END:
+            (checksum,) = struct.unpack_from("<I", content)
+            self._is_altered = checksum not in (0, zlib.crc32(self._data[:first]))
+        elif opcode in _READERS:
+            self._register(_READERS[opcode](_fields(content)))
+
+    def _walk(self) -> Iterator[tuple[int, int, int, Buffer]]:
+        """Yield (opcode, first byte, last byte, content) of the records in their order; the last byte is exclusive.
+
+        Successive messages outside of chunks are one item. The content of a chunk is its decompressed records; a
+        damaged chunk is left out.
+        """
+        data = self._data
+        place = searched = len(MAGIC)
+        while place < len(data):
+            opcode, end = _record(data, place)
+            is_too_long = opcode not in _CONTAINERS and _next_chunk(data[:end], place + 1)[0] < end
+            if not opcode or is_too_long:
+                chunk, end = _next_chunk(data, searched)
+                # Only a head is missing if the length of this chunk, or of a record before it, is wrong.
+                self._missing += max(chunk - place, 0) or _RECORD.size
+                opcode, place, searched = _CHUNK_RECORD, chunk, chunk + 1
+            following = _record(data, end)
+            while opcode == following[0] == _MESSAGE and end - place < TOGETHER_BYTES:
+                end = following[1]
+                following = _record(data, end)
+            first, place = place, end
+            content: Buffer = data[first + (0 if opcode == _MESSAGE else _RECORD.size) : end]
+            if opcode == _CHUNK_RECORD:
+                try:
+                    content, length = _content(data[first:end])
+                except DAMAGE:
+                    self._missing += end - first
+                    continue
+                searched = first + length
+            yield opcode, first, end, content
+
+    def _add_extent(self, records: Buffer, first: int, last: int) -> None:
+        _, heads, others = _sorted_out(records)
+        for opcode, start, end in others:
+            if opcode in _READERS:
+                try:
+                    self._register(_READERS[opcode](_fields(records[start:end])))
+                except DAMAGE:
+                    self.remarks.append("a definition of a topic is not complete, or not UTF-8")
+        if len(heads):
+            times = heads["log_time"]
+            numbers, counts = np.unique(heads["channel"], return_counts=True)
+            self.counts.update(dict(zip(numbers.tolist(), counts.tolist(), strict=True)))
+            self.spans += spans_of(times)
+            self.extents.append(Extent(int(times.min()), int(times.max()), first, last))
+
+    def _add_attachment(self, body: Buffer) -> None:
+        fields = _fields(body)
+        attached = Attachment.read(fields)
+        (checksum,) = struct.unpack("<I", body[fields.count - 4 : fields.count])
+        if checksum and zlib.crc32(body[: fields.count - 4]) != checksum:
+            raise ValueError("the checksum of an attachment is wrong")
+        self.attachments.append(AttachedFile(attached.name, attached.media_type, attached.data))
+
+    def _register(self, record: Any) -> None:
+        if isinstance(record, Metadata):
+            self.metadata.append(MetadataRecord(record.name, tuple(record.metadata.items())))
+        elif isinstance(record, Statistics):
+            self._declared = record.message_count
+        else:
+            kind = type(record).__name__.lower()
+            known: dict[int, Any] = {"schema": self._schemas, "channel": self._channels}[kind]
+            if known.setdefault(record.id, record) != record:
+                self.remarks.append(
+                    f"{kind} {record.id} is defined twice, differently; the first is used"
+                )
 
 
 def _topic(channel: Channel, schema: Schema | None) -> Topic:
@@ -176,31 +288,34 @@ def _topic(channel: Channel, schema: Schema | None) -> Topic:
         definition=schema.data.decode(errors="replace") if schema else "",
         definition_format=schema.encoding if schema else "",
         encoding=channel.message_encoding,
-        metadata=tuple(
-            (key, named_qos(text) if key == "offered_qos_profiles" else text)
-            for key, text in channel.metadata.items()
-        ),
+        metadata=tuple(channel.metadata.items()),
     )
 
 
 # --- records --------------------------------------------------------------------------------------
 
 
-class _Fields(ReadDataStream):
-    """Stream of the fields of a record. It raises ValueError if a field extends beyond the end of the record.
+def _record(data: Buffer, place: int) -> tuple[int, int]:
+    """Return opcode and end of the record at a place; opcode 0 if none begins there, or it would exceed the data."""
+    if place + _RECORD.size <= len(data):
+        opcode, length = _RECORD.unpack_from(data, place)
+        if place + _RECORD.size + length <= len(data):
+            return opcode, place + _RECORD.size + length
+    return 0, place
 
-    The library's stream would return the bytes up to the end, and a damaged length would not be detected.
-    """
 
-    def __init__(self, body: Buffer) -> None:
-        super().__init__(BytesIO())
-        self._body = body
+class _StrictBytes(BytesIO):
+    """Stream that raises EndOfFile where `BytesIO` would return fewer bytes, so that a damaged length is detected."""
 
-    def read(self, length: int) -> bytes:
-        if length > len(self._body) - self._count:
-            raise ValueError("a field is longer than its record")
-        self._count += length
-        return bytes(self._body[self._count - length : self._count])
+    def read(self, size: int | None = -1, /) -> bytes:
+        data = super().read(size)
+        if len(data) != size:
+            raise EndOfFile
+        return data
+
+
+def _fields(body: Buffer) -> ReadDataStream:
+    return ReadDataStream(_StrictBytes(body))
 
 
 def _sorted_out(
@@ -236,55 +351,35 @@ def _sorted_out(
     return offset, heads, others
 
 
-class _Chunk(NamedTuple):
-    """Head of a chunk.
-
-    Attributes:
-        size: number of bytes of the decompressed records.
-        checksum: CRC-32 of these bytes; 0: none.
-        compression: name of the algorithm; empty: none.
-        first, last: location of the compressed records in the chunk's body, the last byte exclusive.
-    """
-
-    size: int
-    checksum: int
-    compression: bytes
-    first: int
-    last: int
-
-
-def _chunk(body: Buffer) -> _Chunk:
-    """Return the head of a chunk; raise one of DAMAGE if it is invalid."""
-    _, _, size, checksum, name_length = _CHUNK.unpack_from(body)
-    first = _CHUNK.size + name_length + 8
-    name = bytes(body[_CHUNK.size : first - 8])
-    (length,) = struct.unpack_from("<Q", body, first - 8)
-    if name not in _DECOMPRESS:
-        raise ValueError(f"a chunk is compressed by {name[:8]!r}, which is neither zstd nor lz4")
-    if size > LARGEST_CHUNK:
-        raise ValueError(f"a chunk declares {size} bytes, more than {LARGEST_CHUNK}")
-    return _Chunk(size, checksum, name, first, first + length)
-
-
-def _chunk_records(body: Buffer) -> Buffer:
-    """Return the decompressed records of a chunk; raise one of DAMAGE unless they are intact.
+def _content(record: Buffer) -> tuple[Buffer, int]:
+    """Return the decompressed records of a chunk, and the length of its record without additional fields.
 
     Compressed records end by themselves, and others have the declared size. Their declared length does not count.
+
+    Raises one of DAMAGE unless they are intact.
     """
-    chunk = _chunk(body)
-    records = _DECOMPRESS[chunk.compression](body[chunk.first :], chunk.size)
-    if chunk.checksum and zlib.crc32(records) != chunk.checksum:
+    _, _, size, checksum, name_length = _CHUNK.unpack_from(record, _RECORD.size)
+    first = _RECORD.size + _CHUNK.size + name_length + 8
+    name = bytes(record[first - 8 - name_length : first - 8])
+    (length,) = struct.unpack_from("<Q", record, first - 8)
+    if name not in _DECOMPRESS or size > LARGEST_CHUNK:
+        raise ValueError(f"a chunk of {size} bytes, compressed by {name[:8]!r}, is not read")
+    records = _DECOMPRESS[name](record[first:], size)
+    if checksum and zlib.crc32(records) != checksum:
         raise ValueError("the checksum of a chunk is wrong")
-    if not chunk.checksum and len(records) != chunk.size:
-        raise ValueError(f"a chunk does not hold the {chunk.size} bytes that it declares")
-    return records
+    if not checksum and len(records) != size:
+        raise ValueError(f"a chunk does not hold the {size} bytes that it declares")
+    return records, min(first + length, len(record))
 
 
-def _is_intact_chunk(body: Buffer) -> bool:
-    """Return True for the body of a chunk with a correct checksum, whose opcode is damaged if it is not that of one."""
-    with suppress(*DAMAGE):
-        return _chunk(body).checksum != 0 and _chunk_records(body) is not None
-    return False
+def _next_chunk(data: Buffer, place: int) -> tuple[int, int]:
+    """Return first and last byte of the next intact chunk with content, twice the size of the data without one."""
+    for match in _BEGINNING.finditer(data, place):
+        with suppress(*DAMAGE):
+            records, length = _content(data[match.start() :])
+            if len(records):
+                return match.start(), match.start() + length
+    return len(data), len(data)
 
 
 def _from_zstd(data: Buffer, size: int) -> bytes:
@@ -306,197 +401,3 @@ _DECOMPRESS: dict[bytes, Callable[[Buffer, int], Buffer]] = {
     b"zstd": _from_zstd,
     b"lz4": _from_lz4,
 }
-
-
-def _extent_records(data: Buffer, extent: Extent) -> Buffer:
-    """Return the records of an extent, decompressed."""
-    if data[extent.first] == _MESSAGE:
-        return data[extent.first : extent.last]
-    return _chunk_records(data[extent.first + _RECORD.size : extent.last])
-
-
-# --- survey ---------------------------------------------------------------------------------------
-
-
-class _Survey:
-    """Contents of a file, from its records in their order; for the attributes see `StoredFile`.
-
-    Of several definitions with one number, the first counts. The copies of the definitions in the summary section serve
-    topics without messages, and topics whose definition is damaged.
-    """
-
-    def __init__(self, data: memoryview) -> None:
-        self.schemas: dict[int, Schema] = {}
-        self.channels: dict[int, Channel] = {}
-        self.counts: Counter[int] = Counter()
-        self.extents: list[Extent] = []
-        self.spans: list[tuple[int, int]] = []
-        self.metadata: list[MetadataRecord] = []
-        self.attachments: list[tuple[int, int]] = []
-        self.remarks: list[str] = []
-        self._data = data
-        self._intact = len(MAGIC)  # bytes of intact records
-        self._is_closed = False
-        self._is_protected = False  # the chunks have checksums
-        self._altered = False  # the checksum of the data section is wrong
-        self._summary: list[Any] | None = None  # records after the data section
-        self._read_all()
-        for number in self.counts.keys() - self.channels.keys():
-            lost = self.counts.pop(number)
-            self.remarks.append(f"{lost} messages of channel {number} have no definition")
-        self.damage = self._describe_damage()
-
-    def _read_all(self) -> None:
-        place, run = len(MAGIC), len(MAGIC)  # `run` is the first of successive messages
-        while place < len(self._data) and not self._is_closed:
-            end = self._end(place)
-            if end is None or self._data[place] != _MESSAGE or end - run > TOGETHER_BYTES:
-                self._add_messages(run, place)
-                run = place
-            if end is None:
-                place = run = self._next_chunk(place, len(self._data))
-                continue
-            if self._data[place] != _MESSAGE:
-                with suppress(*DAMAGE):
-                    self._add(place, end)
-                    self._intact += end - place
-                run = end
-            place = end
-        self._add_messages(run, place)
-
-    def _end(self, place: int) -> int | None:
-        """Return the end of the record at a place; None if there is none, or its length is wrong.
-
-        Another record or the end of the file follows a record of the right length, which contains no chunk. An intact
-        chunk ends where its content ends.
-        """
-        opcode, size = self._data[place], len(self._data)
-        end = self._declared_end(place)
-        if end is not None and end <= size:
-            is_last = end > size - _RECORD.size or self._data[end : end + len(MAGIC)] == MAGIC
-            is_followed = is_last or self._declared_end(end) is not None
-            if is_followed and (opcode in _CONTAINERS or self._next_chunk(place, end) == end):
-                return end
-        if opcode == Opcode.CHUNK:
-            with suppress(*DAMAGE):
-                body = self._data[place + _RECORD.size :]
-                _chunk_records(body)
-                return place + _RECORD.size + _chunk(body).last
-        return None
-
-    def _declared_end(self, place: int) -> int | None:
-        if place + _RECORD.size > len(self._data):
-            return None
-        opcode, length = _RECORD.unpack_from(self._data, place)
-        return place + _RECORD.size + length if opcode and length < _LONGEST else None
-
-    def _next_chunk(self, place: int, limit: int) -> int:
-        """Return the location of the next intact chunk after a place; ``limit`` if none begins before it.
-
-        If the place is that of a chunk, the search begins after its content.
-        """
-        with suppress(*DAMAGE):
-            if self._data[place] == Opcode.CHUNK:
-                place = min(place + _chunk(self._data[place + _RECORD.size : limit]).last, limit)
-        for match in _BEGINNING.finditer(self._data, place + 1, limit + _BEGINNING_BYTES):
-            if match.start() >= limit:
-                break
-            with suppress(*DAMAGE):
-                _chunk_records(self._data[match.start() + _RECORD.size :])
-                return match.start()
-        return limit
-
-    def _add(self, place: int, end: int) -> None:
-        """Add a record that is not a message; raise one of DAMAGE if it is damaged."""
-        opcode, body = self._data[place], self._data[place + _RECORD.size : end]
-        if opcode == Opcode.CHUNK or _is_intact_chunk(body):
-            self._add_extent(_chunk_records(body), place, end)
-            self._is_protected |= _chunk(body).checksum != 0
-        elif opcode == Opcode.ATTACHMENT:
-            fields = _Fields(body)
-            Attachment.read(fields)
-            (checksum,) = struct.unpack("<I", body[fields.count - 4 : fields.count])
-            if checksum and zlib.crc32(body[: fields.count - 4]) != checksum:
-                raise ValueError("the checksum of an attachment is wrong")
-            self.attachments.append((place + _RECORD.size, end))
-        elif opcode == Opcode.DATA_END:
-            (checksum,) = struct.unpack_from("<I", body)
-            self._altered = bool(checksum) and zlib.crc32(self._data[:place]) != checksum
-            self._summary = []
-        elif opcode == Opcode.FOOTER:
-            self._close(place, end)
-        elif opcode in _READERS:
-            record = _READERS[opcode](_Fields(body))
-            if self._summary is None:
-                self._register(record)
-            else:
-                self._summary.append(record)
-
-    def _add_messages(self, first: int, last: int) -> None:
-        """Add successive messages outside of chunks, unless they can only be damaged indexes between the chunks."""
-        if last > first and not self._is_protected:
-            with suppress(*DAMAGE):
-                self._add_extent(self._data[first:last], first, last)
-                self._intact += last - first
-
-    def _add_extent(self, records: Buffer, first: int, last: int) -> None:
-        _, heads, others = _sorted_out(records)
-        for opcode, start, end in others:
-            if opcode in _READERS:
-                try:
-                    self._register(_READERS[opcode](_Fields(records[start:end])))
-                except DAMAGE:
-                    self.remarks.append("a definition of a topic is not complete, or not UTF-8")
-        if len(heads):
-            times = heads["log_time"]
-            numbers, counts = np.unique(heads["channel"], return_counts=True)
-            self.counts.update(dict(zip(numbers.tolist(), counts.tolist(), strict=True)))
-            self.spans += spans_of(times)
-            self.extents.append(Extent(int(times.min()), int(times.max()), first, last))
-
-    def _register(self, record: Any) -> None:
-        if isinstance(record, Metadata):
-            self.metadata.append(MetadataRecord(record.name, tuple(record.metadata.items())))
-        elif isinstance(record, Schema | Channel):
-            known: dict[int, Any] = self.schemas if isinstance(record, Schema) else self.channels
-            if known.setdefault(record.id, record) != record:
-                kind = type(record).__name__.lower()
-                self.remarks.append(
-                    f"{kind} {record.id} is defined twice, differently; the first is used"
-                )
-
-    def _close(self, place: int, end: int) -> None:
-        """Evaluate the footer: register the definitions of the summary, and compare its number of messages."""
-        first, _, checksum = _FOOTER.unpack_from(self._data, place + _RECORD.size)
-        summary = self._data[first or place : place + _RECORD.size + _FOOTER.size - 4]
-        if self._data[end : end + len(MAGIC)] != MAGIC:
-            raise ValueError("the end of the file does not follow its footer")
-        self._is_closed = True
-        self._intact += len(MAGIC)
-        if surplus := len(self._data) - end - len(MAGIC):
-            self.remarks.append(f"{surplus} bytes after its end are not read, such as another file")
-            self._intact += surplus
-        if checksum and zlib.crc32(summary) != checksum:
-            self.remarks.append("the checksum of its summary is wrong; the summary is not used")
-            return
-        for record in self._summary or ():
-            found, declared = self.counts.total(), getattr(record, "message_count", None)
-            if declared not in (None, found):
-                self.remarks.append(
-                    f"its summary declares {declared} messages, its data holds {found}"
-                )
-            self._register(record)
-
-    def _describe_damage(self) -> str:
-        lost, size = len(self._data) - self._intact, len(self._data)
-        parts = []
-        if not self._is_closed:
-            parts.append("it was not closed, or its end is missing")
-        if lost:
-            parts.append(f"{lost} of its {size} bytes ({lost / size:.2%}) cannot be read")
-        elif self._altered:
-            self.remarks.append(
-                "the checksum of its data section is wrong: metadata records, such as the parameters and the seed of a "
-                "run, may have been altered"
-            )
-        return "; ".join(parts)

@@ -68,6 +68,7 @@ class StoredFile(ABC):
         extents: parts of the file with messages.
         spans: first and last log time (ns) of each part without a gap, unsorted.
         metadata: metadata records, in the order of the file.
+        attachments: the attached files.
         damage: one line on what is missing or damaged; empty for a file that is complete.
         remarks: one line per inconsistency of the file.
     """
@@ -79,6 +80,7 @@ class StoredFile(ABC):
         self.extents: list[Extent] = []
         self.spans: list[Span] = []
         self.metadata: list[MetadataRecord] = []
+        self.attachments: list[AttachedFile] = []
         self.damage = ""
         self.remarks: list[str] = []
 
@@ -91,12 +93,7 @@ class StoredFile(ABC):
         ``extents`` are in order of start. No message of a block has a log time before the start of the block.
         """
 
-    def attachments(self) -> Iterator[AttachedFile]:
-        """Yield the attached files."""
-        return iter(())
-
-    @abstractmethod
-    def close(self) -> None:
+    def close(self) -> None:  # noqa: B027 - a file in memory needs none
         """Close the file; arrays that were read from it stay valid."""
 
 

@@ -1,19 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Copies of bags: a part in time, or everything that can be read of a damaged bag. Equal inputs give equal bytes."""
+"""Copies of bags: a part, or all that can be read of a damaged bag. Equal inputs give equal bytes."""
 
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from operator import attrgetter
 from pathlib import Path
 
-from worm_model.bags.formats.bag import Bag
 from worm_model.bags.formats.bag_errors import BagError
 from worm_model.bags.formats.bag_writer import new_bag
 from worm_model.bags.formats.finding import recovered_path
 from worm_model.bags.formats.message_block import Message, Topic
-from worm_model.bags.opening import LOSS, RECOVERY_RECORD, SOURCE, open_bag
+from worm_model.bags.opening import LOSS, RECOVERY_RECORD, SOURCE, Bag, open_bag
 from worm_model.bags.worm_topics import LATCHED
 from worm_model.errors import printable
 
@@ -67,23 +66,24 @@ def recover(path: Path, output: Path | None) -> tuple[Path, int, str]:
         return output, count, "; ".join([*bag.damage, *bag.remarks])
 
 
-def trim(bag: Bag, output: Path, first: int, last: int) -> int:
-    """Write the messages with log times from ``first`` to ``last`` (ns since the epoch); return their number.
+def write_part(bag: Bag, output: Path, first: int, last: int, topics: Collection[str]) -> int:
+    """Write the messages of some topics from log time ``first`` to ``last`` (ns since the epoch); return their number.
 
     The last message of each latched topic before the span is included, because a subscriber that joins at the start
     of the span would receive it. Its log time is set to the start of the span.
 
     Raises:
-        BagError: The span contains no message, or the output exists.
+        BagError: The bag lacks a topic, the span contains no message of the topics, or the output exists.
     """
-    return write_copy(bag, output, [_within(bag, first, last)], bag.channels)
+    channels = [channel for channel in bag.channels if channel.name in topics]
+    return write_copy(bag, output, [_within(bag, first, last, topics)], channels)
 
 
-def _within(bag: Bag, first: int, last: int) -> Iterator[Message]:
+def _within(bag: Bag, first: int, last: int, topics: Iterable[str]) -> Iterator[Message]:
     """Yield the messages of a span, preceded by the latest earlier message of each latched topic."""
     held: dict[str, Message] = {}
     begun = False
-    for message in bag.messages():
+    for message in bag.messages(topics):
         if message.log_time > last:
             break
         if message.log_time < first:
@@ -97,6 +97,6 @@ def _within(bag: Bag, first: int, last: int) -> Iterator[Message]:
     if not begun:
         start, end = (bag.position_at(time) for time in (first, last))
         raise BagError(
-            f"{bag.path} holds no message from {start:.3f} s to {end:.3f} s of its {bag.duration_s:.3f} s: give a "
+            f"{bag.path} holds no such message from {start:.3f} s to {end:.3f} s of its {bag.duration_s:.3f} s: give a "
             "span with messages"
         )

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from worm_model.bags.formats.bag import Bag
 from worm_model.bags.formats.bag_errors import BagError
-from worm_model.bags.formats.cdr import ColumnBuilder, Columns, types_of
+from worm_model.bags.formats.cdr import ColumnBuilder, MessageColumns, types_of
 from worm_model.bags.formats.message_block import Messages, Topic
+from worm_model.bags.opening import Bag
 
 LOG_TIME = "log_time_ns"
 TEXT = "text"
@@ -25,7 +25,7 @@ TableRows = Mapping[str, list[Any]]
 
 
 @dataclass(frozen=True)
-class Table:
+class TopicTable:
     """Columns of a topic in their order. A time is one column in ns; a short array has one column per element.
 
     Attributes:
@@ -70,7 +70,7 @@ class _Field:
             yield f"{path}[{i}]", [_element(value, i) for value in self.values]
 
 
-def find_tables(bag: Bag, topics: Iterable[str]) -> tuple[list[Table], dict[str, BagError]]:
+def find_tables(bag: Bag, topics: Iterable[str]) -> tuple[list[TopicTable], dict[str, BagError]]:
     """Return the tables of the topics that can be decoded, and the errors of all that is left out by name.
 
     Of a topic with several types or encodings, those that can be decoded are in its table. Topics without messages have
@@ -118,7 +118,7 @@ def _readable(bag: Bag, topics: Collection[str]) -> tuple[frozenset[Topic], dict
     }
 
 
-def _table(topic: Topic, channels: frozenset[Topic], fields: Mapping[str, _Field]) -> Table:
+def _table(topic: Topic, channels: frozenset[Topic], fields: Mapping[str, _Field]) -> TopicTable:
     kinds = {
         column: known.kind
         for path, known in fields.items()
@@ -126,10 +126,10 @@ def _table(topic: Topic, channels: frozenset[Topic], fields: Mapping[str, _Field
         for column, _ in known.columns(path, known.width)
     }
     lists = {path: known.kind for path, known in fields.items() if known.is_list}
-    return Table(topic, channels, kinds, lists)
+    return TopicTable(topic, channels, kinds, lists)
 
 
-def read_tables(bag: Bag, tables: Iterable[Table]) -> Iterator[tuple[Table, TableRows]]:
+def read_tables(bag: Bag, tables: Iterable[TopicTable]) -> Iterator[tuple[TopicTable, TableRows]]:
     """Yield (table, rows) in batches. Rows are a list of values for each column; None if a message lacks the field."""
     by_topic = {table.topic.name: table for table in tables}
     for block in bag.blocks(by_topic):
@@ -161,7 +161,7 @@ def _fields(messages: Messages) -> dict[str, _Field]:
     return fields_read
 
 
-def _nanoseconds(columns: Columns, stem: str) -> list[Any]:
+def _nanoseconds(columns: MessageColumns, stem: str) -> list[Any]:
     """Return times in ns as Python integers, because they would overflow the number type of the seconds."""
     seconds, rest = columns.numbers[stem + SECONDS], columns.numbers[stem + NANOSECONDS]
     pairs = zip(seconds.tolist(), rest.tolist(), strict=True)

@@ -5,14 +5,14 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import reduce
 from operator import methodcaller
 from pathlib import Path
 
 from worm_model.bags.formats.bag_errors import BagError
-from worm_model.bags.formats.bag_metadata import first_qos_profile, is_unclosed
+from worm_model.bags.formats.bag_metadata import is_latched, is_unclosed
 from worm_model.bags.formats.message_block import Message, Topic
-from worm_model.bags.recording.recorder import BagRecorder, Manifest
-from worm_model.bags.recording.recording_thread import RecordingThread, Tally
+from worm_model.bags.recording.recorder import BagRecorder, Manifest, RecordingThread, Tally
 
 # bytes, largest size of the messages that wait for the disk, and of the ring buffer: rosbag2's default cache size
 BACKLOG_BYTES = 100 * 2**20
@@ -59,12 +59,12 @@ class RecordingSession:
     @property
     def offered(self) -> Tally:
         """Messages passed on for writing."""
-        return sum((thread.offered for thread in self._threads), Tally())
+        return reduce(Tally.plus, (thread.offered for thread in self._threads), Tally())
 
     @property
     def dropped(self) -> Tally:
         """Offered messages that were not written to the disk."""
-        return sum((thread.dropped for thread in self._threads), Tally())
+        return reduce(Tally.plus, (thread.dropped for thread in self._threads), Tally())
 
     def offer(self, messages: Sequence[Message]) -> None:
         """Record messages; never block."""
@@ -163,8 +163,3 @@ class _Ring:
         self._messages.clear()
         self._bytes = 0
         return messages
-
-
-def is_latched(topic: Topic) -> bool:
-    """Return True if a topic was published with transient-local durability: later subscribers receive it."""
-    return first_qos_profile(topic).get("durability") == "transient_local"

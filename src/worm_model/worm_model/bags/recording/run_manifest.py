@@ -14,9 +14,9 @@ from pathlib import Path
 
 import yaml
 
-from worm_model.bags.formats.bag import Bag
 from worm_model.bags.formats.bag_errors import BagError
 from worm_model.bags.formats.stored_file import AttachedFile
+from worm_model.bags.opening import Bag
 from worm_model.bags.recording.recorder import Manifest
 from worm_model.errors import printable
 from worm_model.loads import content_under

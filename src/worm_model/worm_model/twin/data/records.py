@@ -59,6 +59,7 @@ class StateRecord:
     front_margin_scatter: float = math.nan
     last_rear_margin: float = math.nan
     last_front_margin: float = math.nan
+    keeps_probability: float = math.nan
 
 
 def row_type(record: type, more: Mapping[str, type] | None = None) -> np.dtype[np.void]:

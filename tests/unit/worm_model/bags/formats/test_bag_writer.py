@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Other readers read written messages and metadata back unchanged."""
 
-import errno
 import resource
-import struct
 from collections import Counter
 from dataclasses import replace
 from io import BytesIO
@@ -16,12 +14,11 @@ import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from rosbags.rosbag2 import Reader as RosbagsReader
 
-from worm_model.bags.formats.bag_errors import UnwritableError
-from worm_model.bags.formats.bag_writer import new_bag
+from worm_model.bags.formats.bag_errors import ExistsError, UnwritableError
+from worm_model.bags.formats.bag_writer import new_bag, new_folder
 from worm_model.bags.formats.message_block import Message, Topic
 from worm_model.bags.formats.stored_file import LONGEST_GAP_NS, AttachedFile
 from worm_model.bags.opening import open_bag
@@ -62,7 +59,7 @@ def columns(messages: list[Message]) -> Counter:
     return Counter((m.topic, m.log_time, m.data, m.publish_time) for m in messages)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(MESSAGES)
 def test_any_messages_are_read_back(messages: list[Message]):
     with TemporaryDirectory() as folder:
@@ -84,7 +81,7 @@ def test_any_messages_are_read_back(messages: list[Message]):
             assert own.metadata["worm_run"] == {"seed": "4"}
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(MESSAGES.map(lambda found: [m for m in found if m.log_time < 2**62]))
 def test_rosbags_reads_them(messages: list[Message]):
     with (
@@ -110,19 +107,6 @@ def test_two_layouts_of_a_topic_stay_two(tmp_path: Path):
             assert own.topics["/a"].count == 10
 
 
-def test_a_bag_without_messages_keeps_its_topics(tmp_path: Path):
-    with open_bag(write(tmp_path / "bag", [])) as bag:
-        assert tuple(bag.topics) == NAMES
-        assert list(bag.messages()) == []
-
-
-def test_an_entirely_empty_bag(tmp_path: Path):
-    with new_bag(tmp_path / "bag"):
-        pass
-    with open_bag(tmp_path / "bag") as bag:
-        assert (list(bag.messages()), bag.topics, bag.start, bag.duration_s) == ([], {}, 0, 0.0)
-
-
 def test_a_disk_that_is_full_in_the_middle_is_reported_and_nothing_is_left(tmp_path: Path):
     """A limit of the process ends writing as on a full disk."""
     draw = np.random.default_rng(4)
@@ -135,32 +119,6 @@ def test_a_disk_that_is_full_in_the_middle_is_reported_and_nothing_is_left(tmp_p
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_disk_that_accepts_no_file_is_reported_and_nothing_is_left(tmp_path: Path, monkeypatch):
-    def reject(path: Path, mode: str):
-        raise OSError(errno.ENOSPC, "No space left on device", path)
-
-    monkeypatch.setattr(Path, "open", reject)
-    with pytest.raises(UnwritableError, match="bag cannot be written: No space left on device"):
-        write(tmp_path / "bag", [])
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_damaged_summary_is_not_used_and_reported(tmp_path: Path):
-    """With any of its bits flipped, all messages are read, in their order, of their topics."""
-    messages = [message(TOPICS[i % 3], i, bytes(40), i) for i in range(60)]
-    file = file_of(write(tmp_path / "bag", messages))
-    data = bytearray(file.read_bytes())
-    summary = data.rindex(Opcode.DATA_END.to_bytes(1, "little") + struct.pack("<Q", 4)) + 13
-    for place in np.random.default_rng(1).integers(summary, len(data) - 37, 40):
-        data[place] ^= 0x40
-        file.write_bytes(data)
-        reported: list[str] = []
-        with open_bag(file, reported.append) as bag:
-            assert list(bag.messages()) == messages
-        assert any("summary" in line for line in reported)
-        data[place] ^= 0x40
 
 
 def test_metadata_of_a_bag_next_to_and_inside_its_file(tmp_path: Path):
@@ -191,3 +149,26 @@ def test_metadata_of_a_bag_next_to_and_inside_its_file(tmp_path: Path):
     assert counts == {"/a": 0, "/b": 2, "/c": 0}
     assert copies[-1] == {**content, "relative_file_paths": [], "files": []}
     assert copies[0]["message_count"] == 0
+
+
+def test_nothing_is_left_after_an_exception(tmp_path: Path):
+    def interrupted() -> None:
+        with new_folder(tmp_path / "bag") as folder:
+            (folder / "file").write_text("content")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_was_made_meanwhile_is_not_overwritten(tmp_path: Path):
+    def too_late() -> None:
+        with new_folder(tmp_path / "bag") as folder:
+            (folder / "file").write_text("late")
+            (tmp_path / "bag").mkdir()
+            (tmp_path / "bag" / "file").write_text("early")
+
+    with pytest.raises(ExistsError, match="meanwhile"):
+        too_late()
+    assert (tmp_path / "bag" / "file").read_text() == "early"

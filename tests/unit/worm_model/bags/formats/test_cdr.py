@@ -14,9 +14,9 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from worm_model.bags.formats.bag_errors import BagError
-from worm_model.bags.formats.cdr import ColumnBuilder, Columns, Converter, encode
+from worm_model.bags.formats.cdr import ColumnBuilder, MessageColumns, MessageConverter, encode
 from worm_model.bags.formats.message_block import Message, Topic, messages_of
-from worm_model.bags.formats.message_types import installed_definition, parse_types, topic_of
+from worm_model.bags.formats.message_types import topic_of
 from worm_model.bags.run_writer import stamped_messages
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
@@ -39,7 +39,7 @@ BOUNDS = {
 TEXTS = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]), max_size=9)
 
 
-def decode(payloads: list[bytes], *topics: Topic) -> Columns:
+def decode(payloads: list[bytes], *topics: Topic) -> MessageColumns:
     """Return columns of messages, of each topic in turn if there are several."""
     builder = ColumnBuilder()
     channels = [topics[i % len(topics)] for i in range(len(payloads))]
@@ -151,15 +151,6 @@ def test_encoding_is_byte_for_byte_that_of_an_independent_encoder():
         assert payload == bytes(STORE.serialize_cdr(message, type_name))
 
 
-def test_arrays_are_encoded_row_by_row():
-    positions = np.arange(6.0).reshape(2, 3)
-    kind = "sensor_msgs/msg/JointState"
-    found = encode(topic_of("/x", kind), 2, {"position": positions}, {})
-    decoded = [STORE.deserialize_cdr(data, kind) for data in found]
-    assert [list(m.position) for m in decoded] == positions.tolist()
-    assert all(m.name == [] and len(m.effort) == 0 for m in decoded)
-
-
 def test_a_stamp_from_before_the_epoch_is_rejected():
     with pytest.raises(BagError, match="before 1970"):
         stamped_messages(topic_of("/x", "worm_msgs/msg/Tracker"), np.array([5, -1]), {})
@@ -202,7 +193,7 @@ def test_a_message_has_the_length_of_its_definition(surplus: int, rejected: bool
 
 def test_messages_of_an_older_definition_become_those_of_the_installed_one():
     (data,) = encode(OLD, 1, {"x": 4.5, "sec": 7}, {})
-    converter = Converter(OLD, NEW)
+    converter = MessageConverter(OLD, NEW)
     assert converter.added == ["run", "more"]
     columns = decode([converter(data)], NEW)
     assert {path: values[0].tolist() for path, values in columns.numbers.items()} == {
@@ -211,13 +202,13 @@ def test_messages_of_an_older_definition_become_those_of_the_installed_one():
         "sec": 7,
         "more": [],
     }
-    assert Converter(OLD, OLD)(data) == data
+    assert MessageConverter(OLD, OLD)(data) == data
 
 
 @pytest.mark.parametrize("definition", ["float64 x\n", "float32 x\nint32 sec\n"])
 def test_a_definition_that_lacks_a_field_or_has_another_type_is_rejected(definition: str):
     with pytest.raises(BagError, match=r"(x|sec) of a/msg/B"):
-        Converter(OLD, bare("a/msg/B", definition))
+        MessageConverter(OLD, bare("a/msg/B", definition))
 
 
 def rejection(call: Callable[[], object]) -> str:
@@ -255,13 +246,3 @@ def test_the_definition_that_is_written_is_the_one_that_is_installed():
     alone = get_typestore(Stores.EMPTY)
     alone.register(get_types_from_msg(topic.definition, topic.type_name))
     assert alone.hash_rihs01(topic.type_name) == dict(topic.metadata)["topic_type_hash"]
-
-
-@pytest.mark.parametrize("type_name", [*FILES, "std_msgs/msg/Header"])
-def test_types_of_the_worm_are_those_that_all_standard_types_give(type_name: str):
-    """The types are made without the standard types, which takes a tenth of the time."""
-    own = parse_types(type_name, installed_definition(type_name), "ros2msg")
-    assert {name: list(STORE.fielddefs[name][1]) for name in own} == own
-    assert dict(topic_of("/x", type_name).metadata)["topic_type_hash"] == STORE.hash_rihs01(
-        type_name
-    )

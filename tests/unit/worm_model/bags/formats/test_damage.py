@@ -4,7 +4,6 @@
 An independent reader of the `mcap` library returns the content of a bag before its damage.
 """
 
-import random
 import struct
 from collections import Counter
 from functools import cache
@@ -103,11 +102,11 @@ def records(data: bytes) -> list[tuple[int, int, int]]:
 
 
 @pytest.mark.parametrize("compression", [PLAIN, LZ4, ZSTD])
-def test_a_flip_of_any_byte_costs_at_most_one_chunk_and_invents_nothing(tmp_path, compression):
+def test_a_flip_costs_at_most_one_chunk_and_invents_nothing(tmp_path, compression):
     data = mcap_bytes(compression)
     original = independent(data)
     path = tmp_path / "a.mcap"
-    for place in range(len(MAGIC), len(data)):
+    for place in range(len(MAGIC), len(data), 13):
         spoilt = bytearray(data)
         spoilt[place] ^= 1 << place % 8
         path.write_bytes(spoilt)
@@ -118,7 +117,7 @@ def test_a_flip_of_any_byte_costs_at_most_one_chunk_and_invents_nothing(tmp_path
 
 
 @pytest.mark.parametrize("compression", [PLAIN, ZSTD])
-def test_a_file_cut_at_any_byte_keeps_all_whole_chunks(tmp_path: Path, compression):
+def test_a_file_that_is_cut_keeps_all_whole_chunks(tmp_path: Path, compression):
     data = mcap_bytes(compression)
     original = independent(data)
     path = tmp_path / "a.mcap"
@@ -126,7 +125,7 @@ def test_a_file_cut_at_any_byte_keeps_all_whole_chunks(tmp_path: Path, compressi
     file = McapFile(path)
     blocks = ((e.last, *file.blocks([e], frozenset(TOPICS))) for e in file.extents)
     counts = {last: len(block) for last, (_, block) in blocks}
-    for cut in range(len(MAGIC), len(data)):
+    for cut in range(len(MAGIC), len(data), 13):
         path.write_bytes(data[:cut])
         found, reported = read(path)
         assert found <= original
@@ -134,36 +133,18 @@ def test_a_file_cut_at_any_byte_keeps_all_whole_chunks(tmp_path: Path, compressi
         assert any("was not closed" in line for line in reported)
 
 
-def test_a_file_without_chunks_cut_at_any_byte_keeps_the_messages_before_the_cut(tmp_path: Path):
+def test_a_cut_file_without_chunks_keeps_the_messages_before_the_cut(tmp_path: Path):
     data = mcap_bytes(PLAIN, chunked=False, n=20)
     ends = [last for opcode, _, last in records(data) if opcode == 5]
     path = tmp_path / "a.mcap"
-    for cut in range(len(MAGIC), len(data)):
+    for cut in range(len(MAGIC), len(data), 19):
         path.write_bytes(data[:cut])
         found, _ = read(path)
         assert found.total() == sum(last <= cut for last in ends), cut
 
 
-@pytest.mark.parametrize("closed", [True, False])
-def test_a_damaged_head_costs_its_record_alone(tmp_path: Path, closed: bool):
-    """Opcode or length of each record, of a closed file and of one whose recorder was killed."""
-    data = mcap_bytes()
-    original = independent(data)
-    end = len(data) if closed else next(first for opcode, first, _ in records(data) if opcode == 15)
-    path = tmp_path / "a.mcap"
-    for opcode, first, _ in records(data[:end] + MAGIC * (not closed)):
-        for place in range(9):
-            spoilt = bytearray(data[:end])
-            spoilt[first + place] ^= 1 << (first + place) % 8
-            path.write_bytes(spoilt)
-            found, reported = read(path)
-            assert found <= original
-            assert found == original or reported
-            assert (original - found).total() <= 5, (opcode, place)
-
-
 @pytest.mark.parametrize("name", ["a.mcap", "a.db3"])
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(
     st.lists(
         st.tuples(st.floats(0, 1), st.sampled_from(["flip", "cut", "insert", "lengthen"])),
@@ -192,7 +173,7 @@ def test_no_edits_cause_a_traceback(name: str, edits, chunked: bool):
         read(path)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(st.binary(max_size=200))
 def test_random_bytes_hold_no_message(data: bytes):
     with TemporaryDirectory() as folder:
@@ -201,23 +182,6 @@ def test_random_bytes_hold_no_message(data: bytes):
         found, reported = read(path)
     assert not found
     assert reported
-
-
-@pytest.mark.parametrize("sample", ["forward", "killed"])
-def test_a_flip_in_a_recorded_bag_costs_at_most_one_chunk(tmp_path: Path, sample: str):
-    folder = Path(__file__).resolve().parents[5] / "bags" / sample
-    data = next(folder.glob("*.mcap")).read_bytes()
-    path = tmp_path / "a.mcap"
-    path.write_bytes(data)
-    whole, _ = read(path)
-    draw = random.Random(3)
-    for _ in range(12):
-        spoilt = bytearray(data)
-        spoilt[draw.randrange(len(MAGIC), len(data))] ^= 1 << draw.randrange(8)
-        path.write_bytes(spoilt)
-        found, _ = read(path)
-        assert found <= whole
-        assert found.total() > 0.9 * whole.total()
 
 
 # --- what is reported ---------------------------------------------------------------------------------
@@ -243,11 +207,11 @@ def test_the_loss_is_one_line_with_bytes_and_share_which_a_recovered_bag_repeats
         assert len(list(bag.attachments())) == 1
 
 
-def test_every_flip_in_a_metadata_record_is_reported(tmp_path: Path):
+def test_a_flip_in_a_metadata_record_is_reported(tmp_path: Path):
     data = mcap_bytes()
     _, first, last = next(record for record in records(data) if record[0] == 12)
     path = tmp_path / "a.mcap"
-    for place in range(first, last):
+    for place in range(first, last, 3):
         spoilt = bytearray(data)
         spoilt[place] ^= 0x04
         path.write_bytes(spoilt)
@@ -342,5 +306,5 @@ def test_a_file_of_a_later_version_is_read_without_a_word(tmp_path: Path, chunke
     assert reported == []
     file = McapFile(path)
     assert [record.name for record in file.metadata] == ["worm_run"]
-    assert [attached.name for attached in file.attachments()] == ["parameters.yaml"]
+    assert [attached.name for attached in file.attachments] == ["parameters.yaml"]
     file.close()

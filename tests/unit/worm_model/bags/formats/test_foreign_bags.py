@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bags that other programs merged, renamed or made: contradictions are reported, and no bag causes a traceback."""
 
-import json
 import math
 import shutil
 import struct
@@ -17,11 +16,10 @@ from recorded_run import simulated_run, write_bag
 from worm_model.bags.formats.bag_errors import BagError
 from worm_model.bags.formats.bag_writer import new_bag
 from worm_model.bags.formats.message_block import Message, Topic
-from worm_model.bags.formats.message_types import parse_types
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import read_run
 from worm_model.bags.run_writer import write_run
-from worm_model.commands import export, replay
+from worm_model.commands import export
 from worm_model.run import Run
 
 RUN = simulated_run(cycles=1)
@@ -119,45 +117,6 @@ def test_stamps_that_go_back_are_reported(tmp_path: Path, recorded: list[Message
     assert reports_of(in_order) == []
 
 
-def test_a_recording_merged_with_itself_counts_once_which_is_reported(
-    tmp_path: Path, recorded: list[Message]
-):
-    path = by_mcap(tmp_path / "a.mcap", [m for m in recorded for _ in range(2)])
-    reported: list[str] = []
-    with open_bag(path, reported.append) as bag:
-        found = read_run(bag)
-    for name in ("commanded", "measured", "tracker", "power", "gait_state"):
-        for mine, right in zip(
-            vars(getattr(found, name)).values(), vars(getattr(RUN, name)).values(), strict=True
-        ):
-            np.testing.assert_array_equal(mine, right)
-    repeated = f"{path}: {len(RUN.power.stamp)} messages of {POWER} "
-    assert sum(line.startswith(repeated) for line in reported) == 1
-    assert len(reported) == 5
-
-
-def test_the_twin_follows_it_as_if_it_were_there_once(
-    tmp_path: Path, recorded: list[Message], monkeypatch, capsys
-):
-    errors = []
-    for name, times in (("once", 1), ("twice", 2)):
-        path = by_mcap(tmp_path / f"{name}.mcap", [m for m in recorded for _ in range(times)])
-        output = ["--output", str(tmp_path / f"{name}_out")]
-        monkeypatch.setattr("sys.argv", ["replay", str(path), "--json", *output])
-        assert replay.main() == 0
-        found = json.loads(capsys.readouterr().out)
-        errors.append({k: v for k, v in found.items() if k.endswith("_rmse")})
-    assert errors[0] == errors[1]
-
-
-def test_samples_of_one_stamp_that_differ_all_count(tmp_path: Path):
-    """A lab's clock may have a coarser resolution than its sensor's period."""
-    stamp = RUN.power.stamp // 10**8 * 10**8
-    run = replace(RUN, power=replace(RUN.power, stamp=stamp))
-    with open_bag(write_bag(tmp_path / "bag", run)) as bag:
-        assert len(read_run(bag).power.stamp) == len(stamp)
-
-
 @pytest.mark.parametrize("value", [math.inf, -math.inf])
 def test_infinite_samples_are_left_out_which_is_reported(tmp_path: Path, value: float):
     power = RUN.power.power.copy()
@@ -209,13 +168,6 @@ def test_a_file_that_metadata_does_not_name_is_reported(tmp_path: Path, whole: P
     assert any("other.mcap not read" in line for line in reports_of(bag))
 
 
-def test_a_file_appended_to_a_file_is_reported(tmp_path: Path, recorded: list[Message]):
-    one = by_mcap(tmp_path / "a.mcap", recorded).read_bytes()
-    (tmp_path / "both.mcap").write_bytes(one + one)
-    reported = reports_of(tmp_path / "both.mcap")
-    assert any(f"{len(one)} bytes after its end" in line for line in reported)
-
-
 def test_a_definition_that_contains_itself_is_rejected(
     tmp_path: Path, recorded: list[Message], monkeypatch, capsys
 ):
@@ -242,10 +194,3 @@ def test_any_name_of_a_topic_becomes_that_of_a_file(
     assert len(tables) == 6
     assert all(file.isprintable() and not file.startswith(".csv") for file in tables)
     assert [f"{recorded[0].log_time},5"] in [lines[1:] for lines in tables.values()]
-
-
-def test_a_complaint_about_a_definition_does_not_repeat_it(recorded: list[Message]):
-    channel = next(m.channel for m in recorded if m.topic == POWER)
-    with pytest.raises(BagError, match="cannot be read") as caught:
-        parse_types(channel.type_name, channel.definition, "ros2idl")
-    assert len(str(caught.value)) < 300

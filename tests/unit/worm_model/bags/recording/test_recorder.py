@@ -4,14 +4,12 @@
 import struct
 from pathlib import Path
 
-import pytest
 import yaml
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability, QosReliability
 
-from worm_model.bags.formats.bag_errors import BagError
 from worm_model.bags.formats.bag_metadata import dump_yaml, qos_profile
 from worm_model.bags.formats.message_block import Topic
 from worm_model.bags.formats.stored_file import AttachedFile
@@ -111,20 +109,6 @@ def test_metadata_exists_from_the_start_and_shows_the_state(tmp_path: Path):
     assert metadata(tmp_path / "bag")["custom_data"] == {"state": "closed"}
 
 
-def test_a_bag_without_messages_can_be_read(tmp_path: Path):
-    record(tmp_path / "bag", count=0).close()
-    assert values(tmp_path / "bag") == []
-
-
-def test_synchronised_messages_are_on_the_disk_before_the_bag_is_closed(tmp_path: Path):
-    recorder = record(tmp_path / "bag", count=4)
-    before = (tmp_path / "bag" / "bag_0.mcap").stat().st_size
-    recorder.sync()
-    after = (tmp_path / "bag" / "bag_0.mcap").stat().st_size
-    recorder.close()
-    assert after > before
-
-
 def records(path: Path) -> tuple[dict[str, dict[str, str]], dict[str, bytes]]:
     with path.open("rb") as stream:
         reader = make_reader(stream)
@@ -144,11 +128,3 @@ def test_the_manifest_is_in_the_file(tmp_path: Path):
     assert found["worm_run"] == {"seed": "4"}
     assert found["worm_gait"] == {"stroke": "0.07"}
     assert attachments == {"parameters.yaml": b"pitch: 0.0173\n"}
-
-
-def test_nothing_is_overwritten(tmp_path: Path):
-    record(tmp_path / "bag").close()
-    before = (tmp_path / "bag" / "bag_0.mcap").read_bytes()
-    with pytest.raises(BagError, match="exists already"):
-        record(tmp_path / "bag")
-    assert (tmp_path / "bag" / "bag_0.mcap").read_bytes() == before

@@ -12,8 +12,7 @@ from pathlib import Path
 import pytest
 from rosbags.highlevel import AnyReader
 
-from worm_model.bags.formats.bag import Bag
-from worm_model.bags.opening import open_bag
+from worm_model.bags.opening import Bag, open_bag
 from worm_model.bags.operations.copies import recover
 
 SOURCES = [
@@ -26,8 +25,7 @@ RECORD = """
 import struct, sys, time
 from pathlib import Path
 from worm_model.bags.formats.message_block import Message, Topic
-from worm_model.bags.recording.recorder import BagRecorder, Manifest
-from worm_model.bags.recording.recording_thread import RecordingThread
+from worm_model.bags.recording.recorder import BagRecorder, Manifest, RecordingThread
 
 class Telling(BagRecorder):
     def sync(self):
@@ -71,7 +69,7 @@ def counters(bag: Bag) -> list[int]:
     return [struct.unpack_from("<Q", message.data, 4)[0] for message in bag.messages()]
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_a_killed_recorder_loses_nothing_that_was_synchronised(tmp_path: Path, seed: int):
     draw = random.Random(seed)
     bag = tmp_path / "bag"
@@ -108,30 +106,6 @@ def test_a_disk_that_takes_no_more_keeps_what_it_took(tmp_path: Path):
     assert "File too large" in lines
     safe = max(int(line) for line in lines if line.isdecimal())
     with open_bag(tmp_path / "bag", lambda _: None) as recovered:
-        found = counters(recovered)
-    assert found == list(range(len(found)))
-    assert len(found) >= safe > 0
-
-
-def test_a_full_disk_keeps_what_it_took(tmp_path: Path):
-    """A file system of 1 MB for this test, if the system permits it."""
-    disk, saved = tmp_path / "disk", tmp_path / "saved"
-    disk.mkdir()
-    script = (
-        f"mount -t tmpfs -o size=1m tmpfs {disk} && "
-        f'{{ {sys.executable} -c "$1" {disk}/bag; echo status $?; cp -r {disk}/bag {saved}; }}'
-    )
-    process = subprocess.run(
-        ["unshare", "--user", "--map-root-user", "--mount", "sh", "-c", script, "sh", RECORD],
-        capture_output=True,
-        text=True,
-        env={"PYTHONPATH": ":".join(SOURCES), "PATH": "/usr/bin:/bin:/usr/sbin:/sbin"},
-    )
-    if "status" not in process.stdout:
-        pytest.skip(f"no file system can be mounted here: {process.stderr.strip()}")
-    assert "No space left on device\nstatus 1" in process.stdout
-    safe = max(int(line) for line in process.stdout.split("\n") if line.isdecimal())
-    with open_bag(saved, lambda _: None) as recovered:
         found = counters(recovered)
     assert found == list(range(len(found)))
     assert len(found) >= safe > 0

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Requests to a recorder while it runs."""
 
-import shutil
 import time
 from pathlib import Path
 
@@ -105,19 +104,6 @@ def test_a_ring_does_not_outgrow_the_memory(tmp_path: Path):
     recording.snapshot()
     recording.close()
     assert seconds(tmp_path / "bag_snapshot_1") == [5, 6, 7]
-
-
-def test_a_folder_that_is_removed_ends_the_recording_and_all_in_it_is_counted(tmp_path: Path):
-    recording = session(tmp_path / "bag")
-    recording.offer([message(1), message(2)])
-    shutil.rmtree(tmp_path / "bag")
-    recording.offer([message(3)])
-    while recording.error is None:  # the next synchronisation reports it
-        pass
-    recording.close()
-    assert isinstance(recording.error, FileNotFoundError)
-    assert recording.failed == tmp_path / "bag"
-    assert recording.dropped.messages == recording.offered.messages == 3
 
 
 def test_after_a_crash_it_goes_on_in_the_next_bag_and_what_is_closed_is_not_touched(tmp_path: Path):

@@ -8,8 +8,7 @@ from pathlib import Path
 
 from worm_model.bags.formats.message_block import Message, Topic
 from worm_model.bags.opening import open_bag
-from worm_model.bags.recording.recorder import BagRecorder, Manifest
-from worm_model.bags.recording.recording_thread import RecordingThread, Tally
+from worm_model.bags.recording.recorder import BagRecorder, Manifest, RecordingThread, Tally
 
 TOPIC = Topic("/counter", "std_msgs/msg/UInt64", 0, "uint64 data\n", "ros2msg", "cdr")
 DEADLINE_S = 30.0
@@ -64,15 +63,6 @@ def test_what_does_not_fit_into_the_backlog_is_dropped_and_counted(tmp_path: Pat
     assert thread.dropped == Tally(2, 24)
     with open_bag(tmp_path / "bag") as bag:
         assert bag.message_count == 5
-
-
-def test_messages_are_synchronised_without_further_ones(tmp_path: Path):
-    held = Held(tmp_path / "bag")
-    held.allowed.set()
-    thread = RecordingThread(held, sync_s=0.05, backlog_bytes=10**6)
-    thread.offer([sample(1)])
-    assert held.synchronised.wait(DEADLINE_S)
-    thread.close()
 
 
 class Broken(BagRecorder):

@@ -19,8 +19,6 @@ from worm_model.bags.recording.run_manifest import (
     run_manifest,
 )
 from worm_model.bags.run_writer import write_run
-from worm_model.identification.data.identification_errors import IdentificationError
-from worm_model.identification.inputs import read_inputs
 from worm_model.loads import under
 from worm_model.parameters import PAPER, ParameterFile
 from worm_msgs.conditions import LEVEL, Conditions
@@ -105,13 +103,6 @@ def test_runs_of_different_conditions_are_not_judged_by_one_of_them(tmp_path: Pa
         recorded_robot(bag)
 
 
-def test_the_identification_rejects_bags_that_state_conditions(tmp_path: Path):
-    bag = _bag_under(tmp_path / "steep", STEEP)
-    with pytest.raises(IdentificationError, match="slope 20 deg, tether 2 N"):
-        read_inputs([bag])
-    assert read_inputs([_bag_under(tmp_path / "level", LEVEL)]).recordings
-
-
 def test_stored_conditions_that_cannot_be_used_are_reported(tmp_path: Path):
     with new_bag(tmp_path / "bag") as writer:
         writer.add_metadata("worm_run", {"slope_deg": "steep"})
@@ -120,26 +111,10 @@ def test_stored_conditions_that_cannot_be_used_are_reported(tmp_path: Path):
         recorded_robot(bag)
 
 
-def test_without_a_parameter_file_none_is_claimed():
-    manifest = run_manifest(None, None, [], ["record"], NOW)
-    assert manifest.attachments == ()
-    assert manifest.metadata["worm_run"]["parameter_sha256"] == ""
-
-
 @pytest.mark.parametrize("note", ["pipe", "=B"])
 def test_a_note_has_a_key_and_a_value(note: str):
     with pytest.raises(ManifestError, match="KEY=VALUE"):
         run_manifest(None, None, [note], ["record"], NOW)
-
-
-def test_a_parameter_file_that_is_missing_is_named(tmp_path: Path):
-    with pytest.raises(ManifestError, match=r"robot\.yaml"):
-        run_manifest(tmp_path / "robot.yaml", None, [], ["record"], NOW)
-
-
-def test_a_note_that_is_not_text_is_rejected():
-    with pytest.raises(ManifestError, match="UTF-8"):
-        run_manifest(None, None, ["pipe=\udcff"], ["record"], NOW)
 
 
 def test_an_argument_that_is_not_text_is_kept_with_escapes():

@@ -3,7 +3,6 @@
 
 import json
 import math
-import shutil
 import sys
 from pathlib import Path
 
@@ -101,7 +100,6 @@ def test_without_a_list_of_gaits_none_is_claimed(folder: Path):
         ("camera.csv", "time_s,x1_m,x2_m\n0,a,1\n", "line 2: x1_m is 'a', not a number"),
         ("camera.csv", "time_s,x1_m,x2_m\n0,0,1\n0,0,1\n", "line 3: time_s does not rise"),
         ("camera.csv", "time_s,x1_m,x2_m\n0,0,1\n1,0\n", "line 3: x2_m is missing"),
-        ("camera.csv", "time_s,x1_m,x2_m\n,0,1\n", "time_s does not rise"),
         (
             "power.csv",
             "time_s,bus_voltage_V,current_A\n0,1e999,0\n",
@@ -112,11 +110,9 @@ def test_without_a_list_of_gaits_none_is_claimed(folder: Path):
         ("../runs.json", "{}", "lacks 'run_07'"),
         ("../runs.json", '{"run_07": {"stroke_m": 1}}', "lacks 'frequency_Hz'"),
         ("../runs.json", '{"run_07": {"stroke_m": -1, "frequency_Hz": 1}}', "run_07 is invalid"),
-        ("../runs.json", '{"run_07": {"stroke_m": "a", "frequency_Hz": 1}}', "run_07 is invalid"),
         ("../runs.json", "[", "not a list of gaits"),
         ("../runs.json", '{"run_07": 3}', "not a list of gaits"),
         ("../runs.json", GAITS_TEXT.replace("0.07", "1" + 400 * "0"), "runs.json"),
-        ("../runs.json", GAITS_TEXT.replace("0.07", "1e999"), "runs.json"),
         ("../runs.json", GAITS_TEXT.replace("0.5", "1e300"), "runs.json"),
     ],
 )
@@ -227,28 +223,6 @@ def test_bad_input_ends_with_status_2_and_leaves_nothing(
     assert not (tmp_path / "bag").exists()
 
 
-@pytest.mark.parametrize("number", range(1, 9))
-def test_every_run_of_the_campaign_is_imported(
-    shared: Path, tmp_path: Path, monkeypatch, number: int
-):
-    source = shared / "campaign" / f"run_{number:02}"
-    assert command(monkeypatch, source, "--output", tmp_path / "bag") == 0
-    rows = {p.stem: len(p.read_text().splitlines()) - 1 for p in source.glob("*.csv")}
-    gait = json.loads((shared / "campaign" / "runs.json").read_text())[source.name]
-    with open_bag(tmp_path / "bag") as bag:
-        run = read_run(bag)
-    assert len(run.tracker.stamp) == rows["camera"]
-    assert len(run.power.stamp) == rows["power"]
-    assert len(run.commanded.stamp) == rows["servo"]
-    assert run.gait_state.stroke[-1] == gait["stroke_m"]
-    # The stroke is that of the servo, to a tick of the spool, and the gait starts at 2.0 s.
-    assert -run.commanded.length_change.min() == pytest.approx(gait["stroke_m"], abs=2e-5)
-    moved = run.commanded.stamp[np.abs(run.commanded.length_change) > 0.0][0]
-    assert (run.gait_state.onset[-1] - moved) * 1e-9 == pytest.approx(0.0, abs=0.3)
-    assert 0.293 < np.median(run.measured.length[:50]) < 0.298
-    shutil.rmtree(tmp_path / "bag")
-
-
 def played(
     folder: Path, radius: float, onset: float, gait: Gait = PLAIN, tensioned: float = 0.0
 ) -> Path:
@@ -267,18 +241,8 @@ def played(
     return folder
 
 
-@pytest.mark.parametrize(("radius", "onset"), [(0.012, 2.0), (0.0125, 1.37), (0.025, 3.0)])
-def test_spool_and_onset_are_found_and_reported(folder: Path, radius: float, onset: float):
-    found = read_lab_run(played(folder, radius, onset), SETTINGS).transmission
-    assert found.spool_radius == pytest.approx(radius, rel=1e-12)  # a tenth of a millimetre
-    assert found.onset == pytest.approx(onset, abs=0.01)
-    assert [("servo's goal" in text, "assumed" in text) for text in found.remarks] == [
-        (True, False),
-        (True, False),
-    ]
-
-
-SHAPED = (
+GAITS_PLAYED = (
+    PLAIN,
     Gait(0.07, 0.5, contraction_share=0.7, profile=Profile.TRAPEZOID, ramp_share=0.1),
     Gait(0.06, 0.5, pretension=0.01),
     Gait(0.05, 0.4, pretension=0.015, contraction_share=0.3, profile=Profile.TRAPEZOID),
@@ -286,8 +250,8 @@ SHAPED = (
 
 
 @pytest.mark.parametrize("tensioned", [0.0, 0.8])
-@pytest.mark.parametrize("gait", SHAPED)
-def test_spool_and_onset_of_shaped_gaits_are_found(folder: Path, gait: Gait, tensioned: float):
+@pytest.mark.parametrize("gait", GAITS_PLAYED)
+def test_spool_and_onset_are_found(folder: Path, gait: Gait, tensioned: float):
     columns = {GAIT_COLUMNS[name]: value for name, value in named_values(gait).items()}
     (folder.parent / "runs.json").write_text(json.dumps({"run_07": columns}))
     lab = read_lab_run(played(folder, 0.0125, 1.5, gait, tensioned), SETTINGS)
@@ -295,6 +259,7 @@ def test_spool_and_onset_of_shaped_gaits_are_found(folder: Path, gait: Gait, ten
     assert lab.transmission.spool_radius == pytest.approx(0.0125, rel=1e-12)
     assert lab.transmission.onset == pytest.approx(1.5, abs=0.01)
     assert lab.initial_length == pytest.approx(0.296 - resting_change(gait, PAPER), abs=2e-3)
+    assert not any("assumed" in text for text in lab.transmission.remarks)
 
 
 def test_a_given_spool_that_contradicts_the_stroke_is_reported(folder: Path):
@@ -306,10 +271,3 @@ def test_a_given_spool_that_contradicts_the_stroke_is_reported(folder: Path):
     assert "with 12.00 mm" in remark
     right = LabSettings(epoch=EPOCH, onset=2.0, spool_radius=0.012)
     assert read_lab_run(folder, right).transmission.remarks == ()
-
-
-def test_values_in_no_log_are_assumed_and_reported(folder: Path):
-    (folder / "servo.csv").unlink()
-    found = read_lab_run(folder, SETTINGS).transmission
-    assert (found.onset, found.spool_radius) == (2.0, 0.012)
-    assert all("assumed" in text for text in found.remarks)

@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every command without ROS ends with status 2, one line with the facts and no output if it cannot use its input."""
+
+import importlib
+from pathlib import Path
+
+import pytest
+from recorded_run import simulated_run, write_bag
+from study_cases import SMALL
+
+BAGS = Path(__file__).resolve().parents[2] / "bags"
+FORWARD, REVERSE, FAULTS = (str(BAGS / name) for name in ("forward", "reverse", "faults"))
+GAIT = "--stroke 0.07 --frequency 0.2"
+EVALUATE, SIMULATE, IDENTIFY, REPLAY = (
+    f"worm_model.commands.{name}" for name in ("evaluate_gait", "simulate", "identify", "replay")
+)
+OPTIMIZE, CAMPAIGN, REPORT, STUDY, TUNE = (
+    f"worm_optimizer.commands.{name}"
+    for name in ("optimize", "campaign", "report", "study", "tune")
+)
+BAD = [
+    (EVALUATE, "--stroke 0.07 --frequency -0.2", "frequency: -0.2 Hz"),
+    (EVALUATE, "--stroke nan --frequency 0.2", "--stroke"),
+    (EVALUATE, "--stroke 0.07", "--frequency"),
+    (EVALUATE, f"{GAIT} --direction 2", "--direction"),
+    (EVALUATE, f"{GAIT} --parameters none.yaml", "none.yaml: cannot be read"),
+    (EVALUATE, "--gaits gaits.csv", "--output"),
+    (EVALUATE, "--gaits none.csv --output out.csv", "none.csv: cannot be read"),
+    (EVALUATE, "--gaits gaits.csv --output nowhere/out.csv", "nowhere does not exist"),
+    (EVALUATE, "--gaits gaits.csv --output gaits.csv", "gaits.csv: exists"),
+    (EVALUATE, "--gaits gaits.csv --output out.csv --slope 10", "rear_load"),
+    (EVALUATE, f"{GAIT} --tether 200", "200 N"),
+    (EVALUATE, f"{GAIT} --flow 1", "drag_area_m2"),
+    (EVALUATE, f"{GAIT} --profile sawtooth", "sawtooth"),
+    (EVALUATE, f"{GAIT} --pretension 0.25", "stroke: 0.32 m"),
+    ("worm_model.commands.phase_map", "--points 1", "--points"),
+    ("worm_model.commands.phase_map", "--lowest 0.05 --highest 0.04", "--lowest"),
+    ("worm_model.commands.phase_map", "--frequency -1 --points 4", "-1"),
+    (SIMULATE, f"{GAIT} --output x.txt", "end its name in .csv, .mcap"),
+    (SIMULATE, f"{GAIT} --output x.csv --cycles 0", "--cycles 0"),
+    (SIMULATE, f"{GAIT} --output x.csv --rate 1e9", "--rate"),
+    (SIMULATE, f"{GAIT} --output gaits.csv", "exists already"),
+    (SIMULATE, f"{GAIT} --output x.gif --rate 30", "--rate 30"),
+    (SIMULATE, f"{GAIT} --output x.gif --cycles 100", "6250 frames"),
+    (IDENTIFY, "nowhere", "nowhere does not exist"),
+    (IDENTIFY, ".", "is not a bag"),
+    (IDENTIFY, "bag --seed -1", "must not be negative"),
+    (IDENTIFY, "bag --output no/such/folder.yaml", "does not exist"),
+    (IDENTIFY, "bag --parameters none.yaml", "none.yaml"),
+    (REPLAY, "nowhere", "nowhere"),
+    (REPLAY, "bag --output bag", "bag"),
+    (REPLAY, "bag --namespace /x", "/x"),
+    (OPTIMIZE, "--margin -1", "margin: -1.0 m is not between 0 and 0.1 m"),
+    (OPTIMIZE, "--margin nan", "not a finite number"),
+    (OPTIMIZE, "--strokes 0.09 0.01", "bounds: stroke from 0.09 to 0.01 m"),
+    (OPTIMIZE, "--strokes 0.01 0.5", "the body is 0.2952 m long"),
+    (OPTIMIZE, "--method nsga2 --population 1", "give a population of at least 4"),
+    (OPTIMIZE, "--method nsga2 --waveform shaped", "--waveform sinusoid"),
+    (OPTIMIZE, "--population 20", "need --method nsga2"),
+    (OPTIMIZE, "--max-power 0.8", "idle power of 0.82 W"),
+    (OPTIMIZE, "--max-power 1 --frequencies 0.2 0.2", "electrical_power excludes every gait"),
+    (OPTIMIZE, "--max-power -3", "limits: electrical_power = -3.0"),
+    (OPTIMIZE, "--servo-model XM430-W350", "without the driver's parameter file"),
+    (OPTIMIZE, "--limits-from none.yaml", "none.yaml: cannot be read"),
+    (OPTIMIZE, "--figure nowhere/front.png", "its folder nowhere does not exist"),
+    (OPTIMIZE, "--figure front.txt", "end its name in .png, .pdf, .svg"),
+    (OPTIMIZE, "--robustness luck", "invalid choice: 'luck'"),
+    (OPTIMIZE, "--robustness chance --margin 0.002", "--margin 0.002 has no effect"),
+    (OPTIMIZE, "--robustness chance --margin-n 2", "--margin-n 2 has no effect"),
+    (OPTIMIZE, "--robustness chance --probability 2", "at most 1, not 2.0"),
+    ("worm_optimizer.commands.sensitivity", f"{GAIT} --samples 10", "power of two"),
+    ("worm_optimizer.commands.start", "--set prot=/dev/ttyUSB0", "'prot'"),
+    (CAMPAIGN, "--output x --set port", "write NAME=VALUE"),
+    (CAMPAIGN, "--output x --set prot=/dev/ttyUSB0", "no setting 'prot'"),
+    (CAMPAIGN, "--output x --margin -1", "margin: -1"),
+    (CAMPAIGN, "--output x --slope 91", "slope_deg: 91"),
+    (CAMPAIGN, "--output x --tether-length 1", "tether_n_per_m"),
+    (CAMPAIGN, "--output x --set slope_deg=steep", "steep"),
+    (CAMPAIGN, "--output x --parameters none.yaml", "none.yaml: cannot be read"),
+    (CAMPAIGN, "--output x --mode imaginary", "invalid choice"),
+    (CAMPAIGN, "--output bag", "exists already"),
+    (CAMPAIGN, "--resume bag", "contains no campaign"),
+    (CAMPAIGN, "--resume begun --output x", "remove --output"),
+    (CAMPAIGN, "--resume complete", "is complete"),
+    (REPORT, "", "no recording of a gait in"),
+    (REPORT, "nowhere", "nowhere does not exist"),
+    (REPORT, "nowhere --output .", "exists already"),
+    (REPORT, "nowhere --identification none.yaml", "none.yaml: cannot be read"),
+    (REPORT, "nowhere --identification .", "no report.md"),
+    (REPORT, "nowhere --bellows none.csv", "--bellows none.csv"),
+    (STUDY, "", "give one of STUDY.yaml"),
+    (STUDY, "s.yaml --bags .", "give one of STUDY.yaml"),
+    (STUDY, "none.yaml", "none.yaml: cannot be read"),
+    (STUDY, "s.yaml", "--output is missing"),
+    (STUDY, "s.yaml --output no/s.nc", "no does not exist"),
+    (STUDY, "s.yaml --output s.nc --workers 0", "give at least 1"),
+    (STUDY, "--bags bag", "name the fleet's table"),
+    (STUDY, "--bags begun --output f.parquet", "holds no bag"),
+    (STUDY, "--bags bag --output f.parquet --page f.html", "for studies"),
+    (STUDY, "s.yaml --parameters none.yaml --dry-run", "cannot be read"),
+    (TUNE, f"{FORWARD} --probability 1", "--probability"),
+    (TUNE, f"{FORWARD} --grooves 0", "--grooves"),
+    (TUNE, f"{FORWARD} {FORWARD}", "twice"),
+    (TUNE, f"{FORWARD} {REVERSE}", "both directions"),
+    (TUNE, FAULTS, "not measured"),
+    (TUNE, "nowhere", "nowhere"),
+]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = tmp_path_factory.mktemp("input")
+    write_bag(made / "bag", simulated_run(cycles=1))
+    (made / "gaits.csv").write_text("stroke_m,frequency_Hz\n0.07,0.2\n")
+    (made / "s.yaml").write_text(SMALL)
+    for name in ("begun/promised.json", "complete/promised.json", "complete/report/report.html"):
+        (made / name).parent.mkdir(parents=True, exist_ok=True)
+        (made / name).touch()
+    return made
+
+
+@pytest.mark.parametrize(("module", "arguments", "fact"), BAD)
+def test_bad_input_is_one_line_and_status_2_and_leaves_nothing(
+    module, arguments, fact, folder, run, monkeypatch, tmp_path
+):
+    before = sorted(folder.rglob("*"))
+    monkeypatch.chdir(folder)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    status, out, err = run(importlib.import_module(module), *arguments.split())
+    assert (status, out) == (2, "")
+    # a busy computer computes for long enough to report it
+    (line,) = [line for line in err.splitlines() if ": computing" not in line]
+    assert fact in line
+    assert sorted(folder.rglob("*")) == before
