@@ -143,8 +143,11 @@ def test_a_gait_is_tuned_on_the_robot_within_the_limits_of_its_driver(lab: Lab, 
     assert tuned["keeps_probability"]["value"] >= 0.9
     assert tuned["gait"]["stroke"] <= 0.09
     assert sorted(Path(bag) for bag in tuned["bags"]) == sorted((tmp_path / "bags").iterdir())
+    recorded = sorted((tmp_path / "bags").iterdir())
     rejected = ("--stroke", "0.5", *gait[2:])
     assert "outside" in lab.operate("tune", *rejected, status=2)
+    assert "outside" in lab.operate("run", *rejected, status=2)
+    assert sorted((tmp_path / "bags").iterdir()) == recorded
 
 
 def test_the_emergency_stop_holds_and_rejects_every_start_also_of_the_next_driver(lab: Lab):
