@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from documented_commands import PAGES, ROOT, Command, commands, entry_points
+from documented_commands import PACKAGE_OF, PAGES, ROOT, Command, commands, entry_points
 from lab_files import write_bench_tests, write_lab
 from recorded_run import simulated_run, write_bag
 from unrendered import leave_runs_unrendered
@@ -107,7 +107,7 @@ def test_there_are_commands():
 @pytest.mark.parametrize("command", COMMANDS, ids=str)
 def test_the_command_exists(command: Command):
     if command.parts[0] == "./worm":
-        assert command.parts[1] in {*subcommands(), "--version"}
+        assert command.parts[1] in {*subcommands(), *PACKAGE_OF, "--version"}
     if command.executable:
         assert command.executable in ENTRY_POINTS
 
