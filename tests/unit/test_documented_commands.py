@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from documented_commands import PAGES, ROOT, Command, commands, entry_points
+from documented_commands import PACKAGE_OF, PAGES, ROOT, Command, commands, entry_points
 from lab_files import write_bench_tests, write_lab
 from recorded_run import simulated_run, write_bag
 from unrendered import leave_runs_unrendered
@@ -100,7 +100,7 @@ def test_each_command_exists_with_its_benchmarks_and_paths():
     assert {"demo", "test", "build"} <= {command.parts[1] for command in COMMANDS}
     for command in COMMANDS:
         program, name, *arguments = command.parts
-        assert program != "./worm" or name in {*subcommands(), "--version"}, command
+        assert program != "./worm" or name in {*subcommands(), *PACKAGE_OF, "--version"}, command
         assert not command.executable or command.executable in ENTRY_POINTS, command
         for shown in arguments:
             if name == "bench":
