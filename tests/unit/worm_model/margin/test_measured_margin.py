@@ -20,6 +20,7 @@ from worm_model.margin.measured_margin import RunMargin, measure_cycles
 from worm_model.margin.predicted_margin import predicted_margin
 from worm_model.parameters import PAPER
 from worm_model.run import Run, TrackerSamples
+from worm_model.simulation.closed_form import deflected_share
 from worm_model.simulation.simulator import simulate
 
 CYCLES = 5
@@ -132,6 +133,27 @@ def test_lost_grooves_are_negative_margins_of_the_fin_that_lost_them(fin):
     assert found.margins(other)[0].min() > 0.0
     assert found.keeps is not None
     assert found.keeps.high < 0.2
+
+
+def test_a_groove_more_than_wanted_is_to_spare_for_both_fins():
+    gait = Gait(0.095, 0.15)
+    three, two = (
+        measure_margin(recorded(some_robot(0), gait), PAPER, grooves) for grooves in (3, 2)
+    )
+    for fin in Fin:
+        more = two.margins(fin)[0] - three.margins(fin)[0]
+        assert more == pytest.approx(deflected_share(PAPER) * PAPER.pitch)
+    assert two.keeps is not None
+    assert two.keeps.low > 0.99
+
+
+def test_a_cycle_that_missed_a_groove_narrowly_has_a_negative_margin():
+    gait = Gait(0.09, 0.38)
+    found = measure_margin(recorded(some_robot(0), gait), PAPER, grooves=2)
+    assert {cycle.grooves for cycle in found.cycles[1:]} == {1}
+    assert found.least is not None
+    for cycle in found.cycles[1:-1]:
+        assert not min(cycle.rear.margin, cycle.front.margin) >= 0.0
 
 
 def test_three_grooves_and_shaped_gaits_are_measured():
