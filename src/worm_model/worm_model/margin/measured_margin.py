@@ -14,11 +14,16 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.special import log_ndtr
 
 from worm_model.arrays import Array
 from worm_model.gait import Gait, named_values
-from worm_model.margin.cycle_margin import Release, margin_sd, release_of, threshold_margin
+from worm_model.margin.cycle_margin import (
+    Release,
+    margin_sd,
+    negative_margin,
+    release_of,
+    threshold_margin,
+)
 from worm_model.margin.fin_switch import Switches
 from worm_model.margin.half_cycles import Fin, HalfCycle, Motion, half_cycles, motion_of
 from worm_model.margin.keeping import (
@@ -243,10 +248,4 @@ def _fin_margin(
     short = (missing + lacking) * deflected_share(p) * p.pitch
     margin = threshold_margin(motion, half, time, release, p) - short
     sd = margin_sd(length_sd, release, half.end - time, p)
-    return FinMargin(length, length_sd, _negative(margin, sd) if short > 0.0 else margin, sd)
-
-
-def _negative(margin: float, sd: float) -> float:
-    """Return the mean of a normal margin that is known to be negative, because a groove was missed, m."""
-    ratio = margin / sd
-    return margin - sd * math.exp(-0.5 * ratio**2 - float(log_ndtr(-ratio))) / math.sqrt(math.tau)
+    return FinMargin(length, length_sd, negative_margin(margin, sd) if short > 0.0 else margin, sd)
