@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Package definition, read by colcon (ament_python)."""
+"""Package definition, read by colcon (ament_python) and by pip; see src/worm_msgs/setup.py."""
 
+import sys
 from glob import glob
+from tempfile import TemporaryDirectory
+from xml.etree import ElementTree
 
 from setuptools import find_packages, setup
 
 NAME = "worm_model"
-EXECUTABLES: list[str] = [  # "executable = module:function", each is installed in lib/NAME
+EXECUTABLES: list[str] = [  # "executable = module:function"
     "evaluate_gait = worm_model.commands.evaluate_gait:main",
     "simulate = worm_model.commands.simulate:main",
     "phase_map = worm_model.commands.phase_map:main",
@@ -23,28 +26,48 @@ EXECUTABLES: list[str] = [  # "executable = module:function", each is installed 
     "margin = worm_model.commands.margin:main",
     "watch = worm_model.nodes.executables:watch",
 ]
-# Dependencies that pip installs without rosdep, for example for a worker of a study; pyproject.toml pins versions.
-NEEDED = ["numpy", "scipy", "numba", "PyYAML", "matplotlib", "pillow", "mcap", "rosbags", "pyarrow"]
+NEEDED = [
+    "worm_msgs",
+    "apsw>=3.40",
+    "lz4>=4",
+    "matplotlib>=3.6",
+    "mcap>=1.1",
+    "numba>=0.58",
+    "numpy>=1.26",
+    "pillow>=10",
+    "pyarrow>=14",
+    "PyYAML>=6",
+    "rosbags>=0.11",
+    "scipy>=1.11",
+    "zstandard>=0.22",
+]
+IS_WHEEL = "setuptools.build_meta" in sys.modules
 
-setup(
-    name=NAME,
-    version="0.1.0",
-    description="Exact simulator, digital twin and identification of the worm.",
-    license="Apache-2.0",
-    maintainer="The worm robot maintainers",
-    maintainer_email="maintainers@worm.example",
-    packages=find_packages(),
-    package_data={NAME: ["config/*"]},
-    install_requires=NEEDED,
-    data_files=[
-        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
-        (f"share/{NAME}", ["package.xml"]),
-        (f"share/{NAME}/config", sorted(glob("config/*") + glob(f"{NAME}/config/*"))),
-        (f"share/{NAME}/rviz", sorted(glob("rviz/*"))),
-        (f"share/{NAME}/urdf", sorted(glob("urdf/*"))),
-        (f"share/{NAME}/foxglove", sorted(glob("foxglove/*"))),
-        (f"share/{NAME}/launch", sorted(glob("launch/*.launch.py"))),
-    ],
-    extras_require={"test": ["pytest"]},  # colcon test runs pytest because of this entry
-    entry_points={"console_scripts": EXECUTABLES},
-)
+package = ElementTree.parse("package.xml")
+maintainer = package.find("maintainer")
+with TemporaryDirectory() as scratch:
+    build = {"build": {"build_base": scratch}, "egg_info": {"egg_base": scratch}}
+    setup(
+        name=NAME,
+        version=package.findtext("version"),
+        description=package.findtext("description"),
+        license=package.findtext("license"),
+        maintainer=maintainer.text,
+        maintainer_email=maintainer.get("email"),
+        packages=find_packages(),
+        package_data={NAME: ["py.typed"]},
+        python_requires=">=3.11",
+        install_requires=NEEDED,
+        extras_require={"frames": ["pandas"], "test": ["pytest"]},
+        entry_points={"worm.commands" if IS_WHEEL else "console_scripts": EXECUTABLES},
+        options=build if IS_WHEEL else {},
+        data_files=[
+            ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+            (f"share/{NAME}", ["package.xml"]),
+            (f"share/{NAME}/config", sorted(glob("config/*") + glob(f"{NAME}/config/*"))),
+            (f"share/{NAME}/rviz", sorted(glob("rviz/*"))),
+            (f"share/{NAME}/urdf", sorted(glob("urdf/*"))),
+            (f"share/{NAME}/foxglove", sorted(glob("foxglove/*"))),
+            (f"share/{NAME}/launch", sorted(glob("launch/*.launch.py"))),
+        ],
+    )

@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Package definition, read by colcon (ament_python)."""
+"""Package definition, read by colcon (ament_python) and by pip; see src/worm_msgs/setup.py."""
 
+import sys
 from glob import glob
+from tempfile import TemporaryDirectory
+from xml.etree import ElementTree
 
 from setuptools import find_packages, setup
 
 NAME = "worm_optimizer"
-EXECUTABLES: list[str] = [  # "executable = module:function"; each is installed in lib/NAME
+EXECUTABLES: list[str] = [  # "executable = module:function"
     "optimizer_node = worm_optimizer.nodes.executables:optimizer_node",
     "optimize = worm_optimizer.commands.optimize:main",
     "scan_margin = worm_optimizer.commands.scan_margin:main",
@@ -22,31 +25,45 @@ EXECUTABLES: list[str] = [  # "executable = module:function"; each is installed 
     "capability = worm_optimizer.commands.capability:main",
     "sensitivity = worm_optimizer.commands.sensitivity:main",
 ]
-# Dependencies that pip installs for a worker of a study, which needs no ROS; pyproject.toml pins the versions.
-NEEDED = ["worm_model", "numpy", "scipy", "PyYAML", "matplotlib", "pymoo", "jinja2", "markdown2"]
-CONSOLE = ["nicegui"]
-STUDY = ["distributed", "xarray"]
+NEEDED = [
+    "worm_model",
+    "worm_msgs",
+    "jinja2>=3.1",
+    "markdown2>=2.4",
+    "matplotlib>=3.6",
+    "numpy>=1.26",
+    "pyarrow>=14",
+    "pymoo>=0.6.1",
+    "scipy>=1.11",
+]
+IS_WHEEL = "setuptools.build_meta" in sys.modules
 
-setup(
-    name=NAME,
-    version="0.1.0",
-    description="Robust gaits for the worm, and the bring-up of its node graph.",
-    license="Apache-2.0",
-    maintainer="The worm robot maintainers",
-    maintainer_email="maintainers@worm.example",
-    packages=find_packages(),
-    package_data={NAME: ["config/*", "report/*.jinja", "study/*.jinja"]},
-    install_requires=NEEDED,
-    extras_require={
-        "study": STUDY,
-        "console": CONSOLE,
-        "test": ["pytest"],
-    },  # because of "test", colcon test uses pytest
-    data_files=[
-        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
-        (f"share/{NAME}", ["package.xml"]),
-        (f"share/{NAME}/config", sorted(glob("config/*") + glob(f"{NAME}/config/*.yaml"))),
-        (f"share/{NAME}/launch", sorted(glob("launch/*.launch.py"))),
-    ],
-    entry_points={"console_scripts": EXECUTABLES},
-)
+package = ElementTree.parse("package.xml")
+maintainer = package.find("maintainer")
+with TemporaryDirectory() as scratch:
+    build = {"build": {"build_base": scratch}, "egg_info": {"egg_base": scratch}}
+    setup(
+        name=NAME,
+        version=package.findtext("version"),
+        description=package.findtext("description"),
+        license=package.findtext("license"),
+        maintainer=maintainer.text,
+        maintainer_email=maintainer.get("email"),
+        packages=find_packages(),
+        package_data={NAME: ["py.typed", "config/*", "report/*.jinja", "study/*.jinja"]},
+        python_requires=">=3.11",
+        install_requires=NEEDED,
+        extras_require={
+            "console": ["nicegui>=3"],
+            "study": ["distributed", "xarray"],
+            "test": ["pytest"],  # because of it, colcon test runs pytest
+        },
+        entry_points={"worm.commands" if IS_WHEEL else "console_scripts": EXECUTABLES},
+        options=build if IS_WHEEL else {},
+        data_files=[
+            ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+            (f"share/{NAME}", ["package.xml"]),
+            (f"share/{NAME}/config", sorted(glob("config/*") + glob(f"{NAME}/config/*.yaml"))),
+            (f"share/{NAME}/launch", sorted(glob("launch/*.launch.py"))),
+        ],
+    )

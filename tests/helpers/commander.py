@@ -19,7 +19,7 @@ from worm_msgs.action import RunGait
 from worm_msgs.msg import BodyLength, Gait, GaitState
 from worm_msgs.srv import InjectFault
 
-SERVOS = (1, 11, 12)
+SERVOS = (1, 11, 12)  # of the virtual robot: one cable servo, two fin servos
 SUCCEEDED, CANCELED, ABORTED = 4, 5, 6  # action_msgs/GoalStatus
 
 

@@ -17,11 +17,22 @@ BLOCK_LINE = re.compile(
     r"^(?: {4,}|\t)?(?:\$ )?((?:\./worm|ros2 (?:run|launch)) .*)$", re.MULTILINE
 )
 INLINE = re.compile(r"`((?:\./worm|ros2 (?:run|launch)) [^`\n]+)`")
-# Subcommands that are executables, with their packages.
-SHORTCUTS = dict.fromkeys(
-    ("start", "operate", "demo", "report", "campaign", "study", "console"), "worm_optimizer"
-)
-SHORTCUTS["watch"] = "worm_model"
+
+
+def entry_points() -> dict[tuple[str, str], str]:
+    """Return module and function (``module:function``) by package and executable, as declared in the setup.py files."""
+    found = {}
+    for setup in sorted((ROOT / "src").glob("*/setup.py")):
+        for node in ast.walk(ast.parse(setup.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.AnnAssign) and getattr(node.target, "id", "") == "EXECUTABLES":
+                for entry in ast.literal_eval(node.value):  # type: ignore[arg-type]
+                    name, target = (part.strip() for part in entry.split("="))
+                    found[setup.parent.name, name] = target
+    return found
+
+
+# Packages of the executables, which are subcommands of ./worm, too.
+PACKAGE_OF = {name: package for package, name in entry_points()}
 
 
 @dataclass(frozen=True)
@@ -40,14 +51,14 @@ class Command:
         runs = self.parts[:2] in (("./worm", "run"), ("ros2", "run"))
         if runs and len(self.parts) >= 4 and self.parts[2] != "PACKAGE":
             return self.parts[2], self.parts[3]
-        if self.parts[0] == "./worm" and self.parts[1] in SHORTCUTS:
-            return SHORTCUTS[self.parts[1]], self.parts[1]
+        if self.parts[0] == "./worm" and self.parts[1] in PACKAGE_OF:
+            return PACKAGE_OF[self.parts[1]], self.parts[1]
         return None
 
     @property
     def arguments(self) -> tuple[str, ...]:
         """Arguments of the executable, without those of ROS."""
-        start = 2 if self.parts[1] in SHORTCUTS else 4
+        start = 2 if self.parts[1] in PACKAGE_OF else 4
         parts = self.parts[start:]
         return parts[: parts.index("--ros-args")] if "--ros-args" in parts else parts
 
@@ -71,15 +82,3 @@ def _split(line: str) -> tuple[str, ...]:
     return tuple(
         shell_part.strip("[]") for shell_part in parts if shell_part.strip("[]") not in ("", "...")
     )
-
-
-def entry_points() -> dict[tuple[str, str], str]:
-    """Return module and function (``module:function``) by package and executable, as declared in the setup.py files."""
-    found = {}
-    for setup in sorted((ROOT / "src").glob("*/setup.py")):
-        for node in ast.walk(ast.parse(setup.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.AnnAssign) and getattr(node.target, "id", "") == "EXECUTABLES":
-                for entry in ast.literal_eval(node.value):  # type: ignore[arg-type]
-                    name, target = (part.strip() for part in entry.split("="))
-                    found[setup.parent.name, name] = target
-    return found

@@ -16,6 +16,7 @@ from worm_optimizer.robot_commands import GaitCommand
 GAITS = {"slow": Gait(0.06, 0.38), "fast": Gait(0.08, 0.4)}
 
 
+@pytest.mark.night
 @pytest.mark.timeout(300)
 def test_each_gait_has_a_recording_of_its_own_that_agrees(ros_domain: int, tmp_path: Path):
     (tmp_path / "logs").mkdir()

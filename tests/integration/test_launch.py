@@ -24,7 +24,7 @@ from rcl_interfaces.srv import SetParameters
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import read_run
 from worm_msgs.action import RunGait
-from worm_msgs.msg import BodyLength, Gait, GaitState, Power, Tracker, TwinState
+from worm_msgs.msg import BodyLength, Gait, GaitState, Tracker, TwinState
 from worm_optimizer.operation.system import installed_system_file
 
 pytest.importorskip("launch_ros", reason="no launch system is installed")
@@ -109,10 +109,6 @@ def pids(output: str) -> dict[str, int]:
     return {name: int(number) for name, number in found}
 
 
-def stamp(message) -> int:
-    return message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
-
-
 def runs(pid: int) -> bool:
     try:
         return "\nState:\tZ" not in Path(f"/proc/{pid}/status").read_text()
@@ -145,6 +141,7 @@ def test_after_one_failure_a_robot_is_its_operators(launched, probe, processes, 
     assert state_of(probe) == State.PRIMARY_STATE_INACTIVE
 
 
+@pytest.mark.night
 def test_launch_is_as_patient_as_a_slow_return(launched, probe, tmp_path):
     """The return from ΔL = -60 mm at 12 mm/s takes 8 s, longer than launch waits by default, and is recorded."""
     file = tmp_path / "driver.yaml"
@@ -172,19 +169,7 @@ def test_launch_is_as_patient_as_a_slow_return(launched, probe, tmp_path):
     assert abs(run.cable.length_change[-1]) < 0.002
 
 
-@pytest.mark.skipif(shutil.which("setpriv") is None, reason="no setpriv (util-linux)")
-def test_sigterm_to_launch_leaves_no_gait_running(launched, probe, tmp_path):
-    launch = launched(*virtual(tmp_path))
-    wait_for_active(probe)
-    states = probe.collect(GaitState, "gait_state", LATCHED)
-    assert probe.send_goal(RunGait, "run_gait", GAIT).accepted
-    probe.wait_for(lambda: states and states[-1].cycle >= 1, "running gait", START_S)
-    started = pids(launch.output())
-    os.kill(launch.pid, signal.SIGTERM)
-    probe.wait_for(lambda: states[-1].state == GaitState.INACTIVE, "end of the driver", START_S)
-    probe.wait_for(lambda: not any(map(runs, started.values())), "end of all", START_S)
-
-
+@pytest.mark.night
 def test_two_robots_of_one_launch_file_do_not_mix(launched, probe, tmp_path):
     """Each is under a PushRosNamespace, with its own twin."""
     file = tmp_path / "pair.launch.py"
@@ -232,6 +217,7 @@ def test_two_robots_of_one_launch_file_do_not_mix(launched, probe, tmp_path):
     assert launch.wait(START_S) == 0
 
 
+@pytest.mark.night
 def test_the_twin_is_missed_and_starts_again_but_the_driver_ends_all(launched, probe, tmp_path):
     launch = launched(*virtual(tmp_path))
     wait_for_active(probe)
@@ -246,41 +232,7 @@ def test_the_twin_is_missed_and_starts_again_but_the_driver_ends_all(launched, p
     assert not any(map(runs, pids(launch.output()).values()))
 
 
-def test_a_recorder_that_crashes_goes_on_in_the_next_bag(launched, probe, tmp_path):
-    bag = tmp_path / "bag"
-    launch = launched(*virtual(tmp_path, bag=bag))
-    wait_for_active(probe)
-    before = pids(launch.output())
-    states = probe.collect(GaitState, "gait_state", LATCHED)
-    assert probe.send_goal(RunGait, "run_gait", GAIT).accepted
-    probe.wait_for(lambda: states and states[-1].cycle >= 1, "running gait", START_S)
-    os.kill(before["recorder"], signal.SIGKILL)
-    launch.wait_for_line(f"recording to {bag}_2", START_S)
-    cycle = states[-1].cycle
-    probe.wait_for(lambda: states[-1].cycle > cycle + 1, "the gait that goes on", START_S)
-    launch.interrupt()
-    assert launch.wait(START_S) == 0
-    for name in ("bag", "bag_2"):
-        with open_bag(tmp_path / name, lambda _: None) as content:
-            assert read_run(content).gait_state.state.size
-
-
-def test_a_replay_waits_for_a_twin_that_takes_its_time(launched, probe, tmp_path):
-    """The twin is halted at its start, like one that still compiles."""
-    powers = probe.collect(Power, "/worm/power")
-    states = probe.collect(TwinState, "/worm/twin/state")
-    launch = launched("mode:=replay", f"bag:={Path(__file__).parents[2] / 'bags/forward'}")
-    launch.wait_for_line(r"\[twin-1\]: process started", START_S)
-    os.kill(pids(launch.output())["twin"], signal.SIGSTOP)
-    launch.wait_for_line("waiting for twin to subscribe", START_S)
-    assert powers == []
-    os.kill(pids(launch.output())["twin"], signal.SIGCONT)
-    probe.wait_for(lambda: powers and states, "replay with a twin", START_S)
-    assert stamp(states[0]) - stamp(powers[0]) < 2 * 10**9
-    launch.interrupt()
-    assert launch.wait(START_S) == 0
-
-
+@pytest.mark.night
 def test_a_second_graph_ends_before_it_publishes_or_commands_anything(launched, probe, tmp_path):
     first = launched(*virtual(tmp_path))
     wait_for_active(probe)
@@ -296,6 +248,7 @@ def test_a_second_graph_ends_before_it_publishes_or_commands_anything(launched, 
     assert first.wait(START_S) == 0
 
 
+@pytest.mark.night
 def test_settings_of_an_including_group_reach_all_nodes(launched, probe, tmp_path):
     file = tmp_path / "group.launch.py"
     file.write_text(GROUP.format(folder=tmp_path))

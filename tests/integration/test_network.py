@@ -55,15 +55,16 @@ class Host:
         command = ["ip", "netns", "exec", self.name, "tc", "qdisc", action, "dev", "cable", "root"]
         return subprocess.run([*command, *command_line], capture_output=True, text=True).stderr
 
-    def udp_ports(self) -> list[str]:
-        """Return the addresses to which programs of this host are bound."""
+    def udp_ports(self, process: Process) -> list[str]:
+        """Return the addresses to which a program of this host is bound."""
         given = subprocess.run(
-            ["ip", "netns", "exec", self.name, "ss", "-H", "-l", "-u", "-n"],
+            ["ip", "netns", "exec", self.name, "ss", "-H", "-l", "-u", "-n", "-p"],
             check=True,
             capture_output=True,
             text=True,
         )
-        return [line.split()[3] for line in given.stdout.splitlines()]
+        lines = [line for line in given.stdout.splitlines() if f"pid={process.pid}," in line]
+        return [line.split()[3] for line in lines]
 
 
 @pytest.fixture
@@ -120,19 +121,21 @@ def start_driver(processes, host: Host, *environment: str, name: str = "driver")
     return processes.start(name, host.command("env", *environment, *command))
 
 
+@pytest.mark.night
 def test_a_neighbour_with_static_peers_finds_nothing(processes, probe, hosts):
     robot, neighbour = hosts
-    start_driver(processes, robot)
-    probe.wait_for(robot.udp_ports, "driver with its ports")
+    driver = start_driver(processes, robot)
+    probe.wait_for(lambda: robot.udp_ports(driver), "driver with its ports")
     assert look(neighbour, robot, LOOKING_S) == "found:\n"
 
 
+@pytest.mark.night
 def test_the_same_neighbour_finds_a_driver_that_may_use_the_network(processes, probe, hosts):
     """Otherwise the test above would prove nothing."""
     robot, neighbour = hosts
     driver = start_driver(processes, robot, "WORM_NETWORK=1")
     driver.wait_for_line(r"network: reachable from the network \(WORM_NETWORK=1\)", TIMEOUT_S)
-    probe.wait_for(robot.udp_ports, "driver with its ports")
+    probe.wait_for(lambda: robot.udp_ports(driver), "driver with its ports")
     assert "driver" in look(neighbour, robot, LOOKING_S)
 
 
@@ -145,6 +148,7 @@ def test_a_second_driver_on_the_network_ends_before_it_serves_anything(processes
     assert "waiting for conf" not in other.output()
 
 
+@pytest.mark.night
 def test_two_drivers_that_discover_each_other_late_do_not_start(processes, hosts):
     """The cable between their computers transmits nothing before both are ready."""
     cut = [host.tc("add", "pfifo", "limit", "0") for host in hosts]
@@ -158,17 +162,13 @@ def test_two_drivers_that_discover_each_other_late_do_not_start(processes, hosts
         driver.wait_for_line("/ has 2 drivers on the network: nothing starts", 2 * TIMEOUT_S)
 
 
-def virtual_nodes() -> list:
-    return installed_system_file().system("virtual", bag="bag", directory="robot").nodes
-
-
-@pytest.mark.parametrize("node", virtual_nodes(), ids=lambda node: node.name)
 def test_every_process_is_bound_to_the_loopback_interface_alone(
-    processes, probe, hosts, tmp_path: Path, monkeypatch, node
+    processes, probe, hosts, tmp_path: Path, monkeypatch
 ):
     robot, _ = hosts
     monkeypatch.chdir(tmp_path)
-    command = executable_command(node.package, node.executable)
-    processes.start(node.name, robot.command(*command, *node.arguments))
-    ports = probe.wait_for(robot.udp_ports, "process with its ports")
-    assert [port for port in ports if not re.match(r"127\.0\.0\.1:\d+$", port)] == []
+    for node in installed_system_file().system("virtual", bag="bag", directory="robot").nodes:
+        command = executable_command(node.package, node.executable)
+        process = processes.start(node.name, robot.command(*command, *node.arguments))
+        ports = probe.wait_for(lambda p=process: robot.udp_ports(p), f"{node.name} with its ports")
+        assert [port for port in ports if not re.match(r"127\.0\.0\.1:\d+$", port)] == []

@@ -5,12 +5,12 @@ import json
 import signal
 import sys
 import threading
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from harness import LATCHED, NAMESPACE, TIMEOUT_S, Probe, Processes
-from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import ChangeState
+from commander import Commander
+from harness import LATCHED, TIMEOUT_S, Processes
 from rclpy.qos import QoSProfile
 from std_msgs.msg import Bool
 
@@ -24,27 +24,25 @@ EVERY_STATE = QoSProfile(depth=1000, reliability=LATCHED.reliability, durability
 LONG = ("--stroke", "0.03", "--frequency", "0.4", "--cycles", "200")
 
 
-@pytest.fixture(autouse=True)
-def _state_of_its_own(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setenv("WORM_STATE_DIRECTORY", str(tmp_path / "state"))
+# one process runs all, so that they share one robot
+pytestmark = pytest.mark.xdist_group("operate")
+
+
+@pytest.fixture
+def ros_domain(robot, module_domain: int) -> int:
+    """Let probe and processes of each test join the shared robot."""
+    return module_domain
 
 
 class Lab:
-    """Virtual robot, its driver, and an operator who uses commands."""
+    """Virtual robot, its active driver, and an operator who uses commands."""
 
-    def __init__(self, processes: Processes, probe: Probe, folder: Path) -> None:
-        self.processes, self.probe, self.folder = processes, probe, folder
-        robot = processes.start_node("worm_driver", "virtual_robot", "--directory", str(folder))
-        robot.wait_for_line("^ready: ", TIMEOUT_S)
-        self.start_driver("driver")
-        self.states = probe.collect(GaitState, "gait_state", EVERY_STATE)
+    def __init__(self, robot, processes: Processes, commander: Commander) -> None:
+        self.robot, self.processes, self.probe = robot, processes, commander.probe
+        self.states = self.probe.collect(GaitState, "gait_state", EVERY_STATE)
+        robot.start_driver()
+        commander.activate()
         self._commands = 0
-
-    def start_driver(self, name: str, port: str = "servo_bus") -> Process:
-        ros = ["--ros-args", "-r", f"__ns:={NAMESPACE}", "-p", "home_at_start:=true"]
-        ros += ["-p", f"port:={self.folder / port}"]
-        ros += ["-p", f"i2c_bus:={self.folder / 'i2c.sock'}"]
-        return self.processes.start_executable("worm_driver", "driver_node", *ros, name=name)
 
     def begin(self, *arguments: str) -> Process:
         self._commands += 1
@@ -74,13 +72,32 @@ class Lab:
 
 
 @pytest.fixture
-def lab(processes: Processes, probe: Probe, tmp_path: Path) -> Lab:
-    lab = Lab(processes, probe, tmp_path / "robot")
-    lab.operate("activate")
-    return lab
+def lab(robot, processes: Processes, commander: Commander) -> Iterator[Lab]:
+    yield Lab(robot, processes, commander)
+    robot.end_driver(commander)
 
 
-@pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGSTOP])
+def test_state_and_commands_before_the_first_run(lab: Lab):
+    # `state` listens for a second. On a busy machine no camera sample may arrive in it.
+    states = iter(lambda: json.loads(lab.operate("state", "--json")), None)
+    state = next(each for each in states if each["rear_position"] is not None)
+    assert (state["lifecycle"], state["state"], state["homed"]) == ("active", "IDLE", True)
+    assert state["power"] > 0.0
+    assert abs(state["rear_position"]) < 0.01
+    assert "homing needs the torque off" in lab.operate("home", status=1)
+    too_long = lab.begin("run", *LONG[2:], "--stroke", "0.5")
+    assert too_long.wait(4 * TIMEOUT_S) == 2
+    assert too_long.output().count("outside") == 1
+    lab.operate("deactivate")
+    lab.operate("home")
+    assert "shaft" in lab.operate("fault", "stalled", "--target", "1", "--delay", "100")
+    assert "no fault" in lab.operate("fault", "nonsense", status=1)
+    assert "the torque is off" in lab.operate("run", *LONG, status=1)
+
+
+@pytest.mark.parametrize(
+    "end", [signal.SIGSTOP, pytest.param(signal.SIGKILL, marks=pytest.mark.night)]
+)
 def test_a_robot_whose_operator_is_killed_or_cut_off_comes_to_rest(lab: Lab, end: signal.Signals):
     run = lab.run()
     run.signal(end)
@@ -118,6 +135,7 @@ def test_a_run_ends_when_it_has_gained_its_grooves_or_makes_no_progress(lab: Lab
     assert "gains no groove with this gait" in without_progress
 
 
+@pytest.mark.night
 def test_a_gait_is_tuned_on_the_robot_within_the_limits_of_its_driver(lab: Lab, tmp_path: Path):
     gait = ("--stroke", "0.0754", "--frequency", "0.3", "--record", str(tmp_path / "bags"))
     tuned = json.loads(lab.operate("tune", *gait, "--probability", "0.9", "--json"))
@@ -125,8 +143,11 @@ def test_a_gait_is_tuned_on_the_robot_within_the_limits_of_its_driver(lab: Lab, 
     assert tuned["keeps_probability"]["value"] >= 0.9
     assert tuned["gait"]["stroke"] <= 0.09
     assert sorted(Path(bag) for bag in tuned["bags"]) == sorted((tmp_path / "bags").iterdir())
+    recorded = sorted((tmp_path / "bags").iterdir())
     rejected = ("--stroke", "0.5", *gait[2:])
     assert "outside" in lab.operate("tune", *rejected, status=2)
+    assert "outside" in lab.operate("run", *rejected, status=2)
+    assert sorted((tmp_path / "bags").iterdir()) == recorded
 
 
 def test_the_emergency_stop_holds_and_rejects_every_start_also_of_the_next_driver(lab: Lab):
@@ -159,68 +180,22 @@ def test_the_emergency_stop_holds_and_rejects_every_start_also_of_the_next_drive
 
     lab.probe.wait_for(is_rejected, "rejection")
 
-    lab.processes.processes["driver"].kill()
-    (lab.folder / "ttyUSB0").symlink_to("servo_bus")
-    lab.start_driver("second_driver", "ttyUSB0")  # the same device under another name
+    driver = lab.robot.driver()
+    driver.kill()
+    driver.wait(TIMEOUT_S)
+    lab.robot.processes.forget("driver_node")
+    other_name = lab.robot.directory / "ttyUSB0"
+    other_name.symlink_to("servo_bus")  # the same device
+    lab.robot.start_driver(port=other_name)
     assert "the emergency stop is on" in lab.operate("activate", status=1)
     assert json.loads(lab.operate("state", "--json"))["emergency_stop"]
     assert "permitted" in lab.operate("emergency_stop", "off")
     lab.operate("activate")
     assert lab.operate("run", *LONG[:4], "--cycles", "1", "--json")
-    request = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_DEACTIVATE))
-    assert lab.probe.call(ChangeState, "driver/change_state", request).success
-
-
-def test_state_and_commands_without_a_run(lab: Lab):
-    # `state` listens for a second. On a busy machine no camera sample may arrive in it.
-    states = iter(lambda: json.loads(lab.operate("state", "--json")), None)
-    state = next(each for each in states if each["rear_position"] is not None)
-    assert (state["lifecycle"], state["state"], state["homed"]) == ("active", "IDLE", True)
-    assert state["power"] > 0.0
-    assert abs(state["rear_position"]) < 0.01
-    assert "homing needs the torque off" in lab.operate("home", status=1)
-    too_long = lab.begin("run", *LONG[2:], "--stroke", "0.5")
-    assert too_long.wait(4 * TIMEOUT_S) == 2
-    assert too_long.output().count("outside") == 1
     lab.operate("deactivate")
-    lab.operate("home")
-    assert "shaft" in lab.operate("fault", "stalled", "--target", "1", "--delay", "100")
-    assert "no fault" in lab.operate("fault", "nonsense", status=1)
-    assert "the torque is off" in lab.operate("run", *LONG, status=1)
 
 
-def test_a_missing_driver_is_reported(processes: Processes):
-    command = processes.start_executable("worm_optimizer", "operate", "state", "--timeout", "1")
-    assert command.wait(TIMEOUT_S) == 1
-    assert "no driver in /worm within 1 s" in command.last_line()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "complaint"),
-    [
-        (("run", "--stroke", "0.05"), "give --stroke and --frequency"),
-        (("run", "--stroke", "-1", "--frequency", "0.2"), "stroke"),
-        (("run", *LONG[:4], "--objective", "cruise"), "omit --objective"),
-        (("run", "--pretension", "0.01"), "--pretension needs a gait in numbers"),
-        (("run", "--profile", "trapezoid", "--objective", "cruise"), "--profile needs"),
-        (("run", *LONG[:4], "--contraction-share", "1"), "contraction_share"),
-        (("run", "--cycles", "-3"), "cycles: -3"),
-        (("tune", "--stroke", "0.05"), "give --stroke and --frequency"),
-        (("tune", "--probability", "1"), "--probability 1"),
-        (("tune", "--grooves", "0"), "--grooves 0"),
-        (("dance",), "invalid choice"),
-    ],
-)
-def test_bad_input_is_one_line(
-    arguments: tuple[str, ...],
-    complaint: str,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture,
-):
-    monkeypatch.setattr(sys, "argv", ["operate", *arguments])
-    try:
-        status = operate.main()
-    except SystemExit as end:  # of argparse
-        status = end.code
-    assert status == 2
-    assert complaint in capsys.readouterr().err.splitlines()[-1]
+def test_a_missing_driver_is_reported(module_domain, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["operate", "state", "--namespace", "/none", "--timeout", "1"])
+    assert operate.main() == 1
+    assert "no driver in /none within 1 s" in capsys.readouterr().err.splitlines()[-1]

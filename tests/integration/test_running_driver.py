@@ -39,46 +39,14 @@ from worm_optimizer.operation.processes import Process
 pytestmark = pytest.mark.xdist_group("running driver")
 
 
-class Robot:
-    """Virtual robot and its driver, which starts with the first test that needs it."""
-
-    def __init__(self, processes: Processes, directory: Path) -> None:
-        self.processes, self.directory = processes, directory
-        robot = processes.start_node("worm_driver", "virtual_robot", "--directory", str(directory))
-        robot.wait_for_line("^ready: ", TIMEOUT_S)
-
-    def driver(self) -> Process:
-        running = self.processes.processes.get("driver_node")
-        return running or self.processes.start_node(
-            "worm_driver", "driver_node", **parameters(self.directory)
-        )
-
-
-@pytest.fixture(scope="module")
-def robot(module_domain: int, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Robot]:
-    folder = tmp_path_factory.mktemp("logs")
-    with Processes(folder) as group:
-        yield Robot(group, folder / "robot")
-
-
 @pytest.fixture
-def ros_domain(robot: Robot, module_domain: int) -> int:
+def ros_domain(robot, module_domain: int) -> int:
     """Let probe and processes of each test join the shared robot."""
     return module_domain
 
 
 @pytest.fixture
-def directory(robot: Robot) -> Path:
-    return robot.directory
-
-
-@pytest.fixture
-def commander(probe) -> Commander:
-    return Commander(probe)
-
-
-@pytest.fixture
-def driver(robot: Robot, commander: Commander) -> Iterator[Process]:
+def driver(robot, commander: Commander) -> Iterator[Process]:
     """Return the driver, unconfigured. Afterwards bring it to this state again."""
     yield robot.driver()
     commander.inject(name="clear")
@@ -130,11 +98,17 @@ def test_a_wrong_configuration_is_reported_in_one_line(directory, capfd, change,
 # --- one driver for all ---------------------------------------------------------------------------------
 
 
+SHAPED = {"contraction_share": 0.6, "profile": Gait.TRAPEZOID, "ramp_share": 0.2}
+
+
 def test_a_gait_from_rest_to_figures(driver, commander, probe):
     feedback = []
     commander.activate()
     commander.wait_for_state(GaitState.IDLE, "activation")
-    goal = commander.send(cycles=2, feedback=lambda m: feedback.append(m.feedback))
+    goal = commander.send(cycles=2, feedback=lambda m: feedback.append(m.feedback), **SHAPED)
+    running = commander.wait_for_state(GaitState.RUNNING, "shaped gait")
+    played = {name: getattr(running.gait, name) for name in SHAPED}
+    assert played == pytest.approx(SHAPED)
     answer = commander.result(goal)
     result = answer.result
     assert answer.status == SUCCEEDED
@@ -251,59 +225,6 @@ def test_a_gait_right_after_another_leaves_both_their_results(driver, commander,
     assert commander.result(first).status == SUCCEEDED
 
 
-def test_stop_holds_at_once_and_the_next_gait_returns_to_rest_first(driver, commander, probe):
-    lengths = probe.collect(BodyLength, "body_length/commanded")
-    commander.activate()
-    goal = commander.send(stroke=0.06, cycles=5)
-    contracted = lambda: lengths and lengths[-1].length_change < -0.02  # noqa: E731
-    probe.wait_for(contracted, "contraction")
-    assert commander.trigger("stop").success
-    answer = commander.result(goal)
-    assert answer.status == ABORTED
-    assert "stopped: the service stop was called" in answer.result.message
-    held = commander.wait_for_state(GaitState.IDLE, "hold")
-    assert "stop was called" in held.message
-    assert lengths[-1].length_change < -0.015
-    assert commander.result(commander.send(cycles=1)).status == SUCCEEDED
-    probe.wait_for(lambda: lengths[-1].length_change == 0.0, "rest")
-
-
-SHAPED = {
-    "pretension": 0.012,
-    "contraction_share": 0.6,
-    "profile": Gait.TRAPEZOID,
-    "ramp_share": 0.2,
-}
-
-
-def test_a_shaped_gait_is_stopped_and_then_played_to_its_end(driver, commander, probe):
-    commanded = probe.collect(BodyLength, "body_length/commanded")
-    commander.activate()
-    probe.wait_for(lambda: commanded, "first command")
-    stopped = commander.send(stroke=0.05, cycles=5, **SHAPED)
-    running = commander.wait_for_state(GaitState.RUNNING, "shaped gait")
-    played = {name: getattr(running.gait, name) for name in SHAPED}
-    assert played == pytest.approx(SHAPED)
-    onset = running.onset.sec + running.onset.nanosec * 1e-9
-    probe.wait_for(lambda: commanded[-1].length_change < -0.03, "contraction")
-    assert commander.trigger("stop").success
-    assert commander.result(stopped).status == ABORTED
-    probe.wait_for(lambda: stamp(commanded[-1]) > onset + 1.0, "commands of a second")
-    tensioned = [m.length_change for m in commanded if onset - 0.8 <= stamp(m) < onset]
-    assert set(tensioned) == {-0.012}
-
-    begin = len(commanded)
-    goal = commander.send(stroke=0.05, cycles=1, **SHAPED)
-    answer = commander.result(goal)
-    assert answer.status == SUCCEEDED
-    assert answer.result.cycles_completed == 1
-    assert math.isfinite(answer.result.idle_power)
-    probe.wait_for(lambda: commanded[-1].length_change == 0.0, "return to rest")
-    changes = [m.length_change for m in commanded[begin:]]
-    assert min(changes) == pytest.approx(-0.062, abs=2e-4)
-    commander.wait_for_state(GaitState.IDLE, "rest")
-
-
 def test_during_an_emergency_stop_a_deactivation_does_not_move_the_robot(driver, commander, probe):
     cable = probe.collect(BodyLength, "body_length/cable")
     commander.activate()
@@ -380,26 +301,6 @@ def test_a_driver_accepts_its_own_parameters_as_ros2_param_load_sets_them(
     file.write_text("rear_mass: 0.429\n")  # for the next configure of the shared driver
 
 
-def test_faults_of_the_power_sensor_are_samples_without_a_value(driver, commander, probe):
-    samples = probe.collect(Power, "power")
-    commander.activate()
-
-    def seen(status: int):
-        return lambda: [sample for sample in samples if sample.status == status]
-
-    for name, status, expected in (
-        ("i2c_nack", Power.BUS_ERROR, "bus error"),
-        ("ina219_overflow", Power.OVERFLOW, "overflow"),
-        ("ina219_reset", Power.SENSOR_RESET, "sensor reset"),
-    ):
-        commander.inject(name=name)
-        found = probe.wait_for(seen(status), f"sample with {expected}")
-        assert all(math.isnan(sample.power) for sample in found)
-        commander.wait_for_report("worm/driver: power sensor", DiagnosticStatus.WARN, expected)
-    count = len(seen(Power.VALID)())
-    probe.wait_for(lambda: len(seen(Power.VALID)()) > count + 10, "valid samples")
-
-
 def test_a_failed_configuration_leaves_the_node_unconfigured_and_can_be_repeated(
     driver, commander, directory, probe
 ):
@@ -423,13 +324,6 @@ def test_a_second_driver_in_the_namespace_ends_before_it_serves_anything(
     assert commander.lifecycle_state() == State.PRIMARY_STATE_ACTIVE
 
 
-def test_a_second_driver_on_the_same_port_is_rejected(driver, processes, commander, directory):
-    commander.activate()
-    second = start_other(processes, directory, autostart="true")
-    assert second.wait(TIMEOUT_S) == 1
-    second.wait_for_line("in use by another program", TIMEOUT_S)
-
-
 def test_stop_answers_every_call_of_a_flood(driver, commander, probe):
     commander.activate()
     client = probe.node.create_client(Trigger, "stop", qos_profile=EVERY_ANSWER)
@@ -443,6 +337,7 @@ def test_diagnostics_report_which_computers_can_discover_the_driver(driver, comm
     commander.wait_for_report("worm/driver: network", DiagnosticStatus.OK, "this machine only")
 
 
+@pytest.mark.night
 def test_on_a_busy_machine_no_deadline_is_missed_and_no_servo_is_blamed(
     driver, commander, processes, probe
 ):
@@ -463,3 +358,101 @@ def test_on_a_busy_machine_no_deadline_is_missed_and_no_servo_is_blamed(
     values = {value.key: value.value for value in timing.values}
     assert values["missed_deadlines"] == "0"
     assert "virtual" in values["real_time_priority"]
+
+
+def test_every_goal_of_a_flood_is_answered(driver, commander, probe):
+    commander.activate()
+    before = len(driver.output().splitlines())
+    goals = goal_client(probe)
+    goal = RunGait.Goal(gait=Gait(stroke=0.05, frequency=0.4, direction=1), cycles=100)
+    sent = [goals.send_goal_async(goal) for _ in range(150)]
+    probe.wait_for(lambda: all(call.done() for call in sent), "answer to every goal")
+    assert sum(call.result().accepted for call in sent) == 1
+    assert len(driver.output().splitlines()) < before + 100
+
+
+def test_limits_take_effect_at_once_and_all_else_is_rejected_while_configured(
+    driver, commander, directory
+):
+    commander.activate()
+    assert commander.set_parameter("limits.max_stroke_m", 0.02).successful
+    assert "limits.max_stroke_m" in commander.probe.rejection(commander.send(stroke=0.03))
+    for name, lower, higher in (
+        ("limits.max_stroke_m", 0.02, 0.2),
+        ("limits.max_servo_current_a", 1.0, 1.1),
+        ("return_speed_m_per_s", 0.04, 0.05),
+    ):
+        assert commander.set_parameter(name, lower).successful
+        raised = commander.set_parameter(name, higher)
+        assert not raised.successful
+        assert f"{lower:g}" in raised.reason
+        assert "lowered" in raised.reason
+    assert not commander.set_parameter("use_sim_time", True).successful
+    rejected = commander.set_parameter("port", "/dev/other")
+    assert not rejected.successful
+    assert "takes effect at configure" in rejected.reason
+    assert commander.change(Transition.TRANSITION_DEACTIVATE)
+    assert commander.change(Transition.TRANSITION_CLEANUP)
+    assert commander.set_parameter("port", "/dev/other").successful
+    for name, value in (
+        ("port", str(directory / "servo_bus")),
+        ("limits.max_stroke_m", 0.09),
+        ("limits.max_servo_current_a", 2.0),
+        ("return_speed_m_per_s", 0.05),
+    ):
+        assert commander.set_parameter(name, value).successful
+
+
+def test_a_silent_servo_is_a_fault_that_is_named_and_cleared(driver, commander):
+    commander.activate()
+    goal = commander.send(stroke=0.06, cycles=20)
+    commander.wait_for_state(GaitState.RUNNING, "running gait")
+    commander.inject(name="no_answer", target=1, duration=3600.0)
+    answer = commander.result(goal)
+    assert answer.status == ABORTED
+    assert "fault: servo 1 has returned no state" in answer.result.message
+    assert "servo 1" in commander.wait_for_state(GaitState.FAULT, "fault").message
+    line = [line for line in driver.output().splitlines() if "FAULT: " in line][-1]
+    assert "[ERROR]" in line
+    assert "servo 1 has returned no state" in line
+    assert "then deactivate and activate" in line
+    commander.wait_for_report(
+        "worm/driver: gait", DiagnosticStatus.ERROR, "servo 1 has returned no state"
+    )
+    commander.wait_for_report("worm/driver: servo bus", DiagnosticStatus.WARN, "timeouts")
+    assert "in fault" in commander.probe.rejection(commander.send())
+    commander.inject(name="clear")
+    assert commander.change(Transition.TRANSITION_DEACTIVATE)
+    assert commander.change(Transition.TRANSITION_ACTIVATE)
+    assert commander.result(commander.send(cycles=1)).status == SUCCEEDED
+
+
+def test_an_unplugged_port_is_a_fault_and_a_new_configuration_mends_it(
+    driver, commander, directory, probe
+):
+    run_into_a_gait(commander, probe)
+    commander.inject(name="unplugged", duration=1.0)
+    assert "is gone" in commander.wait_for_state(GaitState.FAULT, "fault").message
+    commander.wait_for_report("worm/driver: gait", DiagnosticStatus.ERROR, "is gone")
+    assert not commander.change(Transition.TRANSITION_DEACTIVATE)
+    commander.wait_for_report("worm/driver: gait", DiagnosticStatus.ERROR, "torque may still be on")
+    assert commander.lifecycle_state() == State.PRIMARY_STATE_UNCONFIGURED
+    probe.wait_for((directory / "servo_bus").is_symlink, "port")
+    commander.activate()
+    commander.wait_for_state(GaitState.IDLE, "activation")
+
+
+def test_a_transition_that_the_state_does_not_have_is_rejected_and_the_node_lives(
+    driver, commander
+):
+    unconfigured = [Transition.TRANSITION_CLEANUP, Transition.TRANSITION_ACTIVE_SHUTDOWN, 99, 255]
+    active = [Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE, 99, 255]
+    for state, wrong in (
+        (State.PRIMARY_STATE_UNCONFIGURED, unconfigured),
+        (State.PRIMARY_STATE_ACTIVE, active),
+    ):
+        if wrong is active:
+            commander.activate()
+        assert not any(commander.change(number) for number in wrong)
+        assert commander.lifecycle_state() == state
+    driver.wait_for_line("there is no transition 99 .* only: ", TIMEOUT_S)

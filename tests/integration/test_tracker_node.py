@@ -15,7 +15,6 @@ from sensor_msgs.msg import CompressedImage, Image
 
 from worm_driver.tracking.vision import write_image
 from worm_msgs.msg import BodyLength, Tracker
-from worm_optimizer.operation.system import installed_system_file
 
 BEST_EFFORT = QoSProfile(depth=2, reliability=ReliabilityPolicy.BEST_EFFORT)
 
@@ -53,14 +52,11 @@ def send_until(probe, publisher, message, condition, what):
     return probe.wait_for(sent, what)
 
 
-@pytest.mark.parametrize(
-    "quality", [QoSProfile(depth=5), BEST_EFFORT], ids=["reliable", "best_effort"]
-)
-def test_positions_carry_the_stamps_of_the_images(processes, probe, pictures, quality):
+def test_positions_carry_the_stamps_of_the_images(processes, probe, pictures):
     node = start(processes)
     positions = probe.collect(Tracker, "tracker")
     lengths = probe.collect(BodyLength, "body_length/measured")
-    publisher = probe.node.create_publisher(Image, "camera/image_raw", quality)
+    publisher = probe.node.create_publisher(Image, "camera/image_raw", BEST_EFFORT)
     for index, picture in enumerate(pictures):
         stamp = 1000 + index
         send_until(
@@ -105,24 +101,6 @@ def test_compressed_images_and_refusals_by_name(processes, probe, pictures, tmp_
     assert positions[-1].rear_position == pytest.approx(0.001, abs=4e-4)
 
 
-@pytest.mark.parametrize(
-    ("parameters", "status", "line"),
-    [
-        ({"setup_file": "/none.yaml"}, 2, "tracker: /none.yaml: "),
-        ({"setup_file": str(SETUP_FILE), "image_transport": "theora"}, 2, "one of raw, compressed"),
-        (
-            {"setup_file": str(SETUP_FILE), "source": "/dev/video99"},
-            1,
-            "/dev/video99 cannot be opened",
-        ),
-    ],
-)
-def test_what_cannot_be_used_ends_with_a_line(processes, parameters, status, line):
-    node = processes.start_node("worm_driver", "tracker_node", **parameters)
-    assert node.wait(TIMEOUT_S) == status
-    assert line in node.output()
-
-
 def test_a_folder_of_images_is_played(processes, probe, pictures, tmp_path):
     for index, picture in enumerate([pictures[2]] * 200):
         if index == 0:
@@ -138,10 +116,3 @@ def test_a_folder_of_images_is_played(processes, probe, pictures, tmp_path):
     steps = np.diff(stamps) / 0.1
     assert steps == pytest.approx(np.round(steps), abs=0.05)  # images are dropped, never shifted
     assert positions[-1].rear_position == pytest.approx(0.002, abs=3e-4)
-
-
-def test_the_graph_of_a_robot_has_the_tracker_where_it_is_requested():
-    plain = {node.name for node in installed_system_file().system("robot").nodes}
-    system = installed_system_file().system("robot", tracker_setup="tracker.yaml")
-    assert {node.name for node in system.nodes} - plain == {"tracker"}
-    assert system.node("tracker").parameters["setup_file"] == "tracker.yaml"

@@ -104,6 +104,7 @@ print(json.dumps({
 """
 
 
+@pytest.mark.night
 def test_a_parameter_is_a_row_of_the_table(copy):
     """Every step from the parameter file to draws and plant includes it; only the equations are added by hand."""
     row = '    front_load: float = _row(0.0, "N", -1e3, 1e3, "Q2")\n'
@@ -185,6 +186,7 @@ print(json.dumps({
 """
 
 
+@pytest.mark.night
 def test_a_field_of_the_gait_is_a_field_of_its_two_declarations(copy):
     """After the message and the dataclass, only the waveform is added by hand."""
     field = '    ramp_share: float = _row("1", "accelerated share of contraction and extension", 0.25)\n'
@@ -202,70 +204,6 @@ def test_a_field_of_the_gait_is_a_field_of_its_two_declarations(copy):
     assert seen["table"] == seen["rebuilt"] == 0.4
     assert "ripple_share" in seen["header"]
     assert seen["prediction"] == 0.375
-
-
-SERVO = """
-import dataclasses, json, sys
-from pathlib import Path
-sys.path.insert(0, TESTS)
-import yaml
-from driver_rig import Rig
-from worm_driver.servos.registers import MODELS
-from worm_driver.virtual_robot.servo import control_table
-from worm_driver.virtual_robot.virtual_robot import VirtualRobot
-from worm_driver.virtual_robot.virtual_settings import DEFAULT_FILE, load_settings
-from worm_optimizer.evaluation.servo_limits import limits_of, load_driver_file, servo_model
-
-robot = yaml.safe_load(DEFAULT_FILE.read_text())
-robot["cable_servos"][0]["model"] = "XM540-W270"
-Path("robot.yaml").write_text(yaml.safe_dump(robot))
-rig = Rig(virtual=VirtualRobot(load_settings(Path("robot.yaml"))))
-rig.activate()
-rig.start(frequency=0.2)
-rig.run(5.0, until=lambda snapshot: snapshot.player.phase.name == "RUNNING")
-rig.run(1.0)
-limits = limits_of(
-    load_driver_file("worm_driver/config/driver.yaml"), servo_model("XM540-W270-R"), None
-)
-print(json.dumps({
-    "driver": MODELS[1120].name,
-    "strongest": MODELS[1120].strongest_current,
-    "virtual": control_table.MODELS["XM540-W270"].number,
-    "identified": rig.robot.actuators.servos[0].model.name,
-    "cable_speed": [rig.robot.limits.max_cable_speed, rig.cable_speed],
-    "stall_force": limits.stall_force,
-}))
-"""
-
-
-def test_a_servo_model_is_a_row_of_the_table(copy):
-    """The driver identifies it, the virtual robot moves with it and the optimizer satisfies its limits."""
-    first = "SERVO_MODELS: tuple[ServoRow, ...] = (\n"
-    row = """    ServoRow(
-        name="XM540-W270",
-        number=1120,
-        minimum_firmware=38,
-        modes=frozenset({0, 1, 3, 4, 5, 16}),
-        supply_range=(10.0, 14.8),
-        nominal_voltage=12.0,
-        no_load_speed=30.0,
-        stall_torque=10.6,
-        stall_current=4.4,
-        velocity_limit=(128, 0, 1023),
-        current_unit=2.69e-3,
-        current_limit=2047,
-        initial={"firmware_version": 48},
-    ),
-"""
-    copy.edit("worm_msgs/worm_msgs/servo_models.py", first, first + row)
-    seen = copy.run(SERVO.replace("TESTS", repr(str(ROOT / "tests" / "helpers"))))
-    assert seen["driver"] == seen["identified"] == "XM540-W270-T"
-    assert seen["strongest"] == pytest.approx(2047 * 2.69e-3)
-    assert seen["virtual"] == 1120
-    slowest, moving = seen["cable_speed"]
-    assert slowest == pytest.approx(128 * 0.0239691227 * 0.025)
-    assert 0.01 < moving < slowest
-    assert seen["stall_force"] == pytest.approx(10.6 / 0.025)
 
 
 CAUSE = """
@@ -319,6 +257,7 @@ print(json.dumps({
 """
 
 
+@pytest.mark.night
 def test_a_cause_of_the_twin_is_a_row_of_the_table(tmp_path):
     """Signature, event, message, page and benchmark include it, also for a parameter that is 0 by default."""
     first = "#: lasting causes by name\nLASTING = {\n    row.name: row\n    for row in (\n"

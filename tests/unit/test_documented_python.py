@@ -16,6 +16,7 @@ GLOSSARY = (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8")
 NOTEBOOKS = sorted((ROOT / "examples").glob("*.ipynb"))
 
 
+@pytest.mark.night
 def test_the_examples_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ):
@@ -36,6 +37,7 @@ def test_the_examples_run(
     assert sorted(path.name for path in tmp_path.iterdir() if path.is_file()) == []
 
 
+@pytest.mark.night
 @pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.name)
 def test_a_notebook_runs_and_holds_no_outputs(notebook: Path, monkeypatch: pytest.MonkeyPatch):
     pytest.importorskip("pandas", reason="pandas is optional")
@@ -49,10 +51,6 @@ def test_a_notebook_runs_and_holds_no_outputs(notebook: Path, monkeypatch: pytes
             exec("".join(lines), names)
 
 
-def test_there_is_a_notebook():
-    assert NOTEBOOKS
-
-
-@pytest.mark.parametrize("name", sorted(set(re.findall(r"`(worm_\w+\.[\w.]+)`", PAGE + GLOSSARY))))
-def test_its_modules_exist(name: str):
-    assert importlib.util.find_spec(name) is not None
+def test_their_modules_exist():
+    for name in set(re.findall(r"`(worm_\w+\.[\w.]+)`", PAGE + GLOSSARY)):
+        assert importlib.util.find_spec(name) is not None, name

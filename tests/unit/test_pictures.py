@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 from documented_commands import PAGES, ROOT
 
-pytest.importorskip("matplotlib")
 FOLDER = ROOT / "docs" / "figures" / "model"
 GENERATOR = runpy.run_path(str(ROOT / "docs" / "generate_pictures.py"))
 DRAWN = {f"{name}.png" for name in GENERATOR["PICTURES"]} | {GENERATOR["ANIMATION"]}

@@ -12,6 +12,9 @@ from worm_msgs.gait import FORWARD, REVERSE, Gait, GaitError, Profile, gait_of  
 STROKE_RANGE = (0.01, 0.09)  # m
 FREQUENCY_RANGE = (0.08, 0.4)  # Hz
 
+CYCLES = 5  # number of cycles of a run, from the start
+AVERAGED = 3  # number of cycles at the end of the run over which speed and power are averaged
+
 
 def named_values(gait: Gait) -> dict[str, Any]:
     """Return the fields of a gait, or of a prediction with the fields of a gait, for JSON and YAML files.

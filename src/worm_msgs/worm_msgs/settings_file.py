@@ -4,7 +4,11 @@
 A field is declared as ``spool_radius: Annotated[float, key("spool_radius_m", gt=0.0)]``. Values are validated
 as strictly as in JSON: a boolean is not a number, numbers are finite, and an unknown key is an error. The same
 declaration yields the JSON Schema, with which an editor completes and checks the file.
+
+The functions import pydantic, because this takes a fifth of a second, and --help needs none of it.
 """
+
+from __future__ import annotations
 
 import difflib
 import json
@@ -13,17 +17,18 @@ import reprlib
 from collections.abc import Callable, Iterable, Mapping
 from functools import cache
 from pathlib import Path
-from typing import Any, Generic, TypeVar
-
-from pydantic import ConfigDict, Field, GetCoreSchemaHandler, TypeAdapter, ValidationError
-from pydantic_core import ErrorDetails, core_schema
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from worm_msgs.yaml_file import SettingsFileError, read_yaml, unknown_name
 
+if TYPE_CHECKING:
+    from pydantic import ConfigDict, GetCoreSchemaHandler, TypeAdapter
+    from pydantic_core import ErrorDetails, core_schema
+
 T = TypeVar("T")
-_CONFIG = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
+_CONFIG: ConfigDict = {"strict": True, "extra": "forbid", "allow_inf_nan": False}
 #: ``__pydantic_config__`` of a dataclass for files of other programs, whose unknown keys are ignored.
-FOREIGN = ConfigDict(strict=True, extra="ignore", allow_inf_nan=False)
+FOREIGN: ConfigDict = {"strict": True, "extra": "ignore", "allow_inf_nan": False}
 _BOUNDS = ("greater_than", "greater_than_equal", "less_than", "less_than_equal")
 _YAML_TERMS = {"an object": "a mapping", "valid array": "list", " after validation": ""}
 
@@ -35,6 +40,8 @@ def key(name: str | None = None, **bounds: Any) -> Any:
         name: key in the file; None: the name of the field.
         bounds: arguments of pydantic.Field, such as gt and le.
     """
+    from pydantic import Field
+
     return Field(alias=name, **bounds)
 
 
@@ -51,6 +58,8 @@ class OneOf(Generic[T]):
         self, source: Any, handler: GetCoreSchemaHandler
     ) -> core_schema.CoreSchema:
         """Return the schema, as pydantic requires."""
+        from pydantic_core import core_schema
+
         schema = core_schema.literal_schema(list(self._choices))
         if not isinstance(self._choices, Mapping):
             return core_schema.no_info_before_validator_function(_reject_boolean, schema)
@@ -73,6 +82,8 @@ class Converted:
         self, source: Any, handler: GetCoreSchemaHandler
     ) -> core_schema.CoreSchema:
         """Return the schema, as pydantic requires."""
+        from pydantic_core import core_schema
+
         schema = handler.generate_schema(self._kind)
         return core_schema.no_info_after_validator_function(self._function, schema)
 
@@ -92,6 +103,8 @@ def read_settings(path: Path, kind: type[T], error: type[Exception] = SettingsFi
 
 def settings_of(content: Any, kind: type[T]) -> T:
     """Return the parsed content of a file as an instance of the dataclass ``kind``. Raises SettingsFileError."""
+    from pydantic import ValidationError
+
     try:
         text = json.dumps([content], default=str)
     except (TypeError, ValueError, RecursionError) as error:
@@ -116,6 +129,8 @@ def json_schema(kind: type[Any]) -> dict[str, Any]:
 
 @cache
 def _adapter(kind: type[T]) -> TypeAdapter[tuple[T]]:
+    from pydantic import TypeAdapter
+
     # Pydantic rejects a configuration for a plain dataclass, but accepts it for a tuple that contains one.
     return TypeAdapter(tuple[kind], config=_CONFIG)  # type: ignore[arg-type, valid-type]
 

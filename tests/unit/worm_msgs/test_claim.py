@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from worm_msgs.claim import DRIVER, ROBOT, ClaimedError, claim, claim_robot, domain_of, holder
+from worm_msgs.claim import DRIVER, ROBOT, ClaimedError, claim, claim_robot, domain_of
 
 DOMAIN = 100_000 + os.getpid()  # a domain that no other test uses at the same time
 
@@ -42,12 +42,6 @@ def go(process: subprocess.Popen[str]) -> None:
 def test_a_second_claim_names_the_process_that_has_the_first():
     with claim(ROBOT, "/worm", DOMAIN), pytest.raises(ClaimedError, match=f"process {os.getpid()}"):
         claim(ROBOT, "worm", DOMAIN)  # with or without the leading slash
-
-
-def test_the_holder_of_a_claim_is_known():
-    assert holder(ROBOT, "/worm", DOMAIN) == 0
-    with claim(ROBOT, "/worm", DOMAIN):
-        assert holder(ROBOT, "/worm", DOMAIN) == os.getpid()
 
 
 @pytest.mark.parametrize(

@@ -5,15 +5,12 @@ import math
 from collections.abc import Iterator
 
 import pytest
+import rclpy
+from rclpy.node import Node
 
-pytest.importorskip("worm_msgs", reason="worm_msgs is not built")
-rclpy = pytest.importorskip("rclpy", reason="no ROS is installed")
-
-from rclpy.node import Node  # noqa: E402
-
-from worm_msgs.driver_file import read_driver_file  # noqa: E402
-from worm_msgs.ros_parameter_file import matches, read_sections  # noqa: E402
-from worm_msgs.yaml_file import SettingsFileError  # noqa: E402
+from worm_msgs.driver_file import read_driver_file
+from worm_msgs.ros_parameter_file import matches, read_sections
+from worm_msgs.yaml_file import SettingsFileError
 
 SCALARS = (
     *("3e-2", "-1E3", "5.", ".5", "+7", "0x1F", "-010", "08", "1_000", "12:30", "2027-02-30"),

@@ -6,10 +6,9 @@ import signal
 from collections.abc import Iterator
 
 import pytest
+import rclpy
 
-rclpy = pytest.importorskip("rclpy", reason="no ROS is installed")
-
-from worm_msgs.ros_process import ShutdownRequest, own_arguments, ros_process  # noqa: E402
+from worm_msgs.ros_process import ShutdownRequest, own_arguments, ros_process
 
 SIGNALS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
 

@@ -8,12 +8,7 @@ from typing import Annotated
 
 import pytest
 
-from worm_msgs.settings_file import (
-    OneOf,
-    json_schema,
-    key,
-    read_settings,
-)
+from worm_msgs.settings_file import OneOf, json_schema, key, read_settings
 from worm_msgs.yaml_file import SettingsFileError
 
 MODELS = {"small": 1.5, "large": 3.0}
@@ -57,8 +52,6 @@ def test_a_valid_file_makes_a_dataclass(tmp_path):
     ("text", "facts"),
     [
         ("", ["mapping", "None"]),
-        ("[1, 2]", ["mapping", "[1, 2]"]),
-        ("step_s: [", ["YAML"]),
         ("step_s: 1\nstep_s: 2", ["YAML", "line 2", "step_s"]),
         ("step_s: 1\nplaces:\n  1: [1, 2]\n  1.0: [3, 4]", ["YAML", "line 4", "1.0"]),
         ("step_s: 2026-13-41", ["month"]),
@@ -68,19 +61,16 @@ def test_a_valid_file_makes_a_dataclass(tmp_path):
         ('{step_s: 1, mode: "\\ud800"}', ["Unicode"]),
         ("step_s: true", ["step_s", "number", "True"]),
         ("step_s: .inf", ["step_s", "finite", "inf"]),
-        ("step_s: .nan", ["step_s", "finite", "nan"]),
         ("step_s: 1e-3", ["step_s", "'1e-3'", "1.0e-3"]),
         ("step_s: 3", ["step_s", "3 s never works"]),
         ("{step_s: 1, moves: 1}", ["moves", "boolean", "1"]),
         ("{step_s: 1, mode: quick}", ["mode", "'slow'", "'fast'", "'quick'"]),
-        ("{step_s: 1, servos: {id: 1}}", ["servos", "list"]),
         ("{step_s: 1, servos: [{id: 1}, {id: 1.5}]}", ["servos: [1]: id", "integer", "1.5"]),
         ("{step_s: 1, servos: [{id: 253}]}", ["servos: [0]: id", "252", "253"]),
         ("{step_s: 1, servos: [{id: 1, radius_m: 25}]}", ["radius_m", "0.5", "25", "unit"]),
         ("{step_s: 1, servos: [{id: 1, radius: 1}]}", ["servos: [0]", "'radius'", "radius_m"]),
         ("{step_s: 1, servos: [{id: 1, model: tiny}]}", ["model", "'small'", "'tiny'"]),
         ("{step_s: 1, places: {a: [1, 2]}}", ["places", "integer", "'a'"]),
-        ("{step_s: 1, places: {1: [1]}}", ["places: 1", "missing"]),
         ("{step_s: 1, places: {1: [1, 2, 3]}}", ["places: 1", "2 items", "[1, 2, 3]"]),
         ("{step_s: 1, places: {2026-11-23: [1, 2]}}", ["keys"]),
         ("{step_s: 1, places: &a {1: *a}}", ["YAML"]),
@@ -98,14 +88,6 @@ def test_an_invalid_file_is_rejected_in_one_line(tmp_path, text, facts):
 def test_a_merge_key_adds_the_keys_of_another_mapping(tmp_path):
     text = "step_s: 1\nservos: [&first {id: 1, radius_m: 0.1}, {<<: *first, id: 2}]\n"
     assert read(tmp_path, text).servos == (Servo(1, 0.1), Servo(2, 0.1))
-
-
-def test_an_unreadable_file_raises_the_error_of_the_caller(tmp_path):
-    with pytest.raises(KeyError, match="No such file"):
-        read_settings(tmp_path / "none.yaml", Robot, KeyError)
-    (tmp_path / "bytes.yaml").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(KeyError, match="text"):
-        read_settings(tmp_path / "bytes.yaml", Robot, KeyError)
 
 
 def test_the_schema_has_the_keys_of_the_file_and_their_bounds():

@@ -16,10 +16,10 @@ from worm_model.analysis.run_metrics import (
 from worm_model.analysis.run_plots import Curve, Curves, Frame, overview_figure, simulation_figure
 from worm_model.analysis.simulated_run import SimulatedRun
 from worm_model.arrays import Array
+from worm_model.gait import AVERAGED
 from worm_model.parameters import Parameters
 from worm_model.run import LengthSamples, Run, seconds
 from worm_model.simulation.actuation import effective_command, length_change_of_command
-from worm_model.simulation.simulator import AVERAGED
 from worm_model.twin.offline_replay import Replay, Series
 
 TWIN = "twin, from the measured length"

@@ -37,7 +37,6 @@ from worm_model.bags.formats.message_block import (
     messages_of,
 )
 from worm_model.bags.formats.message_types import PACKAGE, with_definition
-from worm_model.bags.formats.sqlite_file import SqliteFile
 from worm_model.bags.formats.stored_file import (
     LONGEST_GAP_NS,
     AttachedFile,
@@ -130,8 +129,11 @@ def _split_number(name: str) -> tuple[int, str]:
 
 
 def _open_file(path: Path) -> StoredFile:
-    is_sqlite = path.name.removesuffix(COMPRESSED).endswith(".db3")
-    return SqliteFile(path) if is_sqlite else McapFile(path)
+    if not path.name.removesuffix(COMPRESSED).endswith(".db3"):
+        return McapFile(path)
+    from worm_model.bags.formats.sqlite_file import SqliteFile  # here: rosbags.rosbag2 loads slowly
+
+    return SqliteFile(path)
 
 
 def _report(bag: Bag) -> None:

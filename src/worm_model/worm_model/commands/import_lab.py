@@ -6,15 +6,16 @@ from __future__ import annotations
 import argparse
 from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from worm_model.bags.formats.bag_writer import new_bag
-from worm_model.bags.run_writer import write_run
 from worm_model.commands import command_line
-from worm_model.identification.data.lab_logs import LabRun, LabSettings, read_lab_run
 from worm_model.parameters import Parameters, load_parameters
 from worm_msgs.gait import Gait
+
+if TYPE_CHECKING:  # Numba loads slowly
+    from worm_model.identification.data.lab_logs import LabRun, LabSettings
 
 _notify = command_line.notifier("import_lab")
 EPOCH_S = 1767225600  # 2026-01-01 00:00 UTC; the logs have no date, and a stamp of 0 means "unknown" in ROS
@@ -30,6 +31,10 @@ def import_lab(folder: Path, output: Path, settings: LabSettings, namespace: str
         LabError: The folder cannot be used.
         BagError: The bag cannot be written.
     """
+    from worm_model.bags.formats.bag_writer import new_bag
+    from worm_model.bags.run_writer import write_run
+    from worm_model.identification.data.lab_logs import read_lab_run
+
     lab = read_lab_run(folder, settings)
     with new_bag(output) as writer:
         writer.add_metadata("worm_run", _manifest(folder, lab))
@@ -83,6 +88,8 @@ def _parser() -> command_line.Parser:
 
 
 def _run(options: argparse.Namespace) -> None:
+    from worm_model.identification.data.lab_logs import LabSettings
+
     parameters = load_parameters(options.parameters) if options.parameters else Parameters()
     if options.spool_radius is not None:
         _check_length("--spool-radius", options.spool_radius, _LARGEST_SPOOL)

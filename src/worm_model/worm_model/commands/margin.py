@@ -10,10 +10,6 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from worm_model.bags.opening import open_bag
-from worm_model.bags.recording.run_manifest import recorded_robot
-from worm_model.bags.run_reader import read_run
-from worm_model.bags.worm_topics import REPLAY_INPUTS
 from worm_model.commands.command_line import (
     InputError,
     Parser,
@@ -64,6 +60,10 @@ def measured_margins(
     """
     from worm_model.analysis.run_metrics import measure_margin  # here: SciPy and Numba load slowly
     from worm_model.analysis.run_parts import parts_of
+    from worm_model.bags.opening import open_bag
+    from worm_model.bags.recording.run_manifest import recorded_robot
+    from worm_model.bags.run_reader import read_run
+    from worm_model.bags.worm_topics import REPLAY_INPUTS
 
     with open_bag(path, notify) as bag:
         run = read_run(bag, names=REPLAY_INPUTS)

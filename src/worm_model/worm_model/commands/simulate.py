@@ -18,7 +18,7 @@ from worm_model.commands.command_line import (
     print_result,
 )
 from worm_model.commands.evaluate_gait import describe, gait_json
-from worm_model.gait import Gait, gait_of
+from worm_model.gait import AVERAGED, Gait, gait_of
 from worm_model.loads import under
 from worm_model.parameters import load_parameters
 from worm_msgs.conditions import conditions_of
@@ -137,7 +137,7 @@ def _run(options: argparse.Namespace) -> None:
     conditions = conditions_of(options)
     parameters = under(conditions, load_parameters(options.parameters))
     from worm_model.analysis.simulated_run import simulated_run
-    from worm_model.simulation.simulator import AVERAGED, evaluate_gait
+    from worm_model.simulation.simulator import evaluate_gait
 
     run = simulated_run(gait, parameters, options.cycles, rate)
     figures = evaluate_gait(gait, parameters, options.cycles, min(AVERAGED, options.cycles))

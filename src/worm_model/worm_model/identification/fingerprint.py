@@ -10,7 +10,7 @@ from typing import Any
 
 PACKAGE = Path(__file__).resolve().parents[1]
 ENTRY = "commands/identify.py"  # file whose direct and indirect imports the fingerprint covers
-VERSION = "0.1.0"
+VERSION = "1.0.0"  # of package.xml
 
 
 def code_version() -> str:

@@ -23,7 +23,6 @@ from rclpy.qos import (
     qos_check_compatible,
 )
 from rclpy.serialization import deserialize_message
-from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from std_srvs.srv import Trigger
 
@@ -48,17 +47,12 @@ class _RawSubscription:
     def __init__(self, node: Node, topic: Topic, message: type) -> None:
         self.topic = topic
         self.loss = LossCounter(lambda: node.count_publishers(topic.name))
-        self._node = node
         self._message = message
-        self._qos, self._subscription = self._subscribe()
-
-    def _subscribe(self) -> tuple[QoSProfile, Subscription]:
-        publishers = self._node.get_publishers_info_by_topic(self.topic.name)
-        qos = _subscription_qos([info.qos_profile for info in publishers])
-        subscription = self._node.create_subscription(
-            self._message, self.topic.name, lambda _: None, qos, raw=True
+        publishers = node.get_publishers_info_by_topic(topic.name)
+        self._qos = _subscription_qos([info.qos_profile for info in publishers])
+        self._subscription = node.create_subscription(
+            message, topic.name, lambda _: None, self._qos, raw=True
         )
-        return qos, subscription
 
     def take(self) -> Iterator[Message]:
         """Yield all waiting messages."""
@@ -70,17 +64,11 @@ class _RawSubscription:
                 received, sent = info["received_timestamp"], info["source_timestamp"]
                 yield Message(self.topic.name, received, data, sent, self.topic)
 
-    def is_compatible(self) -> bool:
-        """Return True if all present publishers are compatible with this subscription."""
-        return all(
-            qos_check_compatible(info.qos_profile, self._qos)[0] != QoSCompatibility.ERROR
-            for info in self._node.get_publishers_info_by_topic(self.topic.name)
+    def misses(self, publisher: TopicEndpointInfo) -> bool:
+        """Return True if a publisher offers less than this subscription requires, and is not received."""
+        return bool(
+            qos_check_compatible(publisher.qos_profile, self._qos)[0] == QoSCompatibility.ERROR
         )
-
-    def resubscribe(self) -> None:
-        """Replace the subscription by one that is compatible with all present publishers."""
-        self._node.destroy_subscription(self._subscription)
-        self._qos, self._subscription = self._subscribe()
 
 
 def _subscription_qos(offered: Sequence[QoSProfile]) -> QoSProfile:
@@ -138,7 +126,7 @@ class RecordNode(Node):
         self._run, self._onset = 0, 0  # number and onset (ns) of the last reported run
         self._reported = False
         self._drivers: dict[str, int] = {}  # last state of each driver, by topic
-        self._several: set[str] = set()  # recorded topics that were reported to have several types
+        self._warned: set[str] = set()
 
     def _full_name(self, name: str) -> str:
         try:
@@ -191,14 +179,14 @@ class RecordNode(Node):
         return [subscription.topic for subscription in self._subscriptions_by_name.values()]
 
     def discover(self) -> None:
-        """Subscribe to new topics, and adapt existing subscriptions to new publishers."""
-        for subscription in self._subscriptions_by_name.values():
-            if not subscription.is_compatible():
-                subscription.resubscribe()
-                self.get_logger().warning(
-                    f"{subscription.topic.name}: subscribed again, because a new publisher offers a lower quality of "
-                    "service; messages may be missing in between"
-                )
+        """Subscribe to new topics, and log publishers that are not recorded."""
+        for name, subscription in self._subscriptions_by_name.items():
+            for publisher in self.get_publishers_info_by_topic(name):
+                if subscription.misses(publisher):
+                    self._warn(
+                        f"{name}: messages of {publisher.node_name} are not recorded, because it offers a lower "
+                        "quality of service than earlier publishers; start the recorder again"
+                    )
         for name, types in self.get_topic_names_and_types():
             new = name not in self._subscriptions_by_name and name not in self._rejected
             if new and self._selection.takes(name) and self.count_publishers(name):
@@ -207,13 +195,17 @@ class RecordNode(Node):
                 self._warn_of_types(self._subscriptions_by_name[name].topic, types)
 
     def _warn_of_types(self, topic: Topic, types: Sequence[str]) -> None:
-        """Log once that a recorded topic has further types."""
-        if topic.name not in self._several:
-            self._several.add(topic.name)
-            others = ", ".join(sorted(set(types) - {topic.type_name}))
-            self.get_logger().warning(
-                f"{topic.name} is also published as {others}: only {topic.type_name} is recorded"
-            )
+        """Log that a recorded topic has further types."""
+        others = ", ".join(sorted(set(types) - {topic.type_name}))
+        self._warn(
+            f"{topic.name} is also published as {others}: only {topic.type_name} is recorded"
+        )
+
+    def _warn(self, line: str) -> None:
+        """Log a warning once."""
+        if line not in self._warned:
+            self._warned.add(line)
+            self.get_logger().warning(line)
 
     def _subscribe(self, name: str) -> None:
         publishers = self.get_publishers_info_by_topic(name)

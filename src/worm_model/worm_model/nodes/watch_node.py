@@ -32,7 +32,6 @@ from worm_model.nodes.message_stamps import nanoseconds
 from worm_model.parameters import load_parameters
 from worm_model.run import Activity, LengthSource
 from worm_model.twin.data.records import Health
-from worm_model.twin.run_margins import spare_of
 from worm_model.twin.watch_view import CLEAR, NAN, STALE_S, Trend, View, render
 from worm_msgs.msg import BodyLength, GaitState, Power, Tracker, TwinResiduals, TwinState
 from worm_msgs.node_command import declare_none
@@ -103,6 +102,8 @@ class WatchNode(Node):
     def _on_state(self, message: Any) -> None:
         self._note("twin")
         self._stamp = nanoseconds(message.header.stamp)
+        from worm_model.twin.run_margins import spare_of  # here: SciPy and Numba load slowly
+
         self.view = replace(
             self.view,
             source=LengthSource(message.length_source),

@@ -12,18 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from worm_model.gait import check_body
+from worm_model.gait import AVERAGED, CYCLES, check_body
 from worm_model.parameters import KEYS, PAPER, ParameterError, Parameters
 from worm_model.simulation.kernel import whole_run as run
 from worm_model.simulation.kernel.mode import nearest_groove
 from worm_model.simulation.kernel.work import cable_power
 from worm_model.simulation.rows import GAIT_ROW, Rows, parameter_rows
-from worm_model.simulation.simulator import (
-    AVERAGED,
-    CYCLES,
-    check_cycles,
-    cost_of_transport,
-)
+from worm_model.simulation.simulator import check_cycles, cost_of_transport
 from worm_msgs.gait import GAIT_DEFAULTS, Gait, GaitError, Profile
 
 Array = NDArray[np.float64]

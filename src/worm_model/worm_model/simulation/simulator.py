@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from worm_model.errors import InputError
-from worm_model.gait import FORWARD, Gait, check_body
+from worm_model.gait import AVERAGED, CYCLES, FORWARD, Gait, check_body
 from worm_model.parameters import PAPER, Parameters
 from worm_model.simulation.closed_form import front_groove, groove_phase, largest_static_load
 from worm_model.simulation.kernel import guard, march
@@ -27,9 +27,6 @@ from worm_model.simulation.rows import gait_rows, parameter_rows
 from worm_msgs.robot_parameters import STANDARD_GRAVITY
 
 Array = NDArray[np.float64]
-
-CYCLES = 5  # number of cycles of a run, from the start
-AVERAGED = 3  # number of cycles at the end of the run over which speed and power are averaged
 
 _NO_ROWS = np.empty((0, march.SAMPLE_COLUMNS))
 

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Command line: the validation campaign, on the virtual robot or on a real one."""
+"""Command line: the validation campaign, on the virtual robot or on a real one.
+
+The functions import what they use, because these imports take seconds, and --help needs none of them.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +10,10 @@ import argparse
 import json
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from worm_model.commands.command_line import (
     FAILED,
@@ -24,33 +27,22 @@ from worm_model.commands.identify import StageProgress
 from worm_model.errors import InputError
 from worm_model.parameters import load_parameter_file
 from worm_model.text_table import labelled
-from worm_optimizer.commands.campaign_tune import settings_of_campaign, tuned_plan
 from worm_optimizer.commands.report import add_identification
 from worm_optimizer.commands.robot_options import add_robot, robot_of
 from worm_optimizer.commands.search_options import add_campaign_options
 from worm_optimizer.commands.tuning_options import PROBABILITY
 from worm_optimizer.nodes.service_caller import OperatorError
-from worm_optimizer.operation import identification_runs
 from worm_optimizer.operation.bring_up import CYCLES, FAILURES, ProgressLog, Session, work_folder
-from worm_optimizer.operation.campaign_plan import (
-    PROMISES,
-    Plan,
-    is_promised,
-    make_plan,
-    with_comparisons,
-    write_promises,
-)
-from worm_optimizer.operation.campaign_runs import Prepare, put_aside, run_gaits
 from worm_optimizer.operation.processes import termination_as_interrupt
-from worm_optimizer.operation.spread import Spread, draw_spread, run_names, spread, spread_table
 from worm_optimizer.operation.system import Robot
-from worm_optimizer.operation.tuning_runs import TUNING
-from worm_optimizer.report.agreement import QUANTITIES, agreement_json, describe
-from worm_optimizer.report.identification_parts import identification_of
-from worm_optimizer.report.recorded_gait import RecordedGait
-from worm_optimizer.report.recordings import read_recorded_gaits
-from worm_optimizer.report.report_page import PAGE, Report, build_report
 from worm_optimizer.robot_commands import GaitCommand
+
+if TYPE_CHECKING:
+    from worm_optimizer.operation.campaign_plan import Plan
+    from worm_optimizer.operation.campaign_runs import Prepare
+    from worm_optimizer.operation.spread import Spread
+    from worm_optimizer.report.identification_parts import IdentificationParts
+    from worm_optimizer.report.recorded_gait import RecordedGait
 
 _GAITS = 3  # gaits of a plan without comparisons; with more runs than this, the spread is drawn
 SPREAD_FIGURE = "spread.png"
@@ -121,6 +113,12 @@ def _parser() -> Parser:
 
 
 def _campaign(options: argparse.Namespace) -> int:
+    from worm_optimizer.commands.campaign_tune import tuned_plan
+    from worm_optimizer.operation import identification_runs
+    from worm_optimizer.operation.campaign_runs import run_gaits
+    from worm_optimizer.operation.spread import run_names
+    from worm_optimizer.report.identification_parts import identification_of
+
     load_parameter_file(options.parameters)
     if options.repeats < 1:
         raise InputError(f"--repeats {options.repeats}: give 1 or more")
@@ -161,6 +159,25 @@ def _campaign(options: argparse.Namespace) -> int:
         sys.stderr.write(_hint(options, folder))
         raise
     say("comparing")
+    _compare(options, plan, names, folder, identification, summary, say)
+    return 0
+
+
+def _compare(
+    options: argparse.Namespace,
+    plan: Plan,
+    names: Mapping[str, str],
+    folder: Path,
+    identification: IdentificationParts | None,
+    summary: dict[str, Any],
+    say: ProgressLog,
+) -> None:
+    """Write the report on the runs, whose gaits ``names`` contains by run, and print it with the ``summary``."""
+    from worm_optimizer.operation.campaign_runs import put_aside
+    from worm_optimizer.operation.spread import draw_spread, spread
+    from worm_optimizer.report.recordings import read_recorded_gaits
+    from worm_optimizer.report.report_page import Report, build_report
+
     bags = [folder / run for run in names]
     recorded = read_recorded_gaits(bags, options.parameters, notifier("campaign"))
     title = f"Validation campaign ({options.mode} robot)"
@@ -176,11 +193,13 @@ def _campaign(options: argparse.Namespace) -> int:
     if len(recorded) > _GAITS:
         draw_spread(folder / SPREAD_FIGURE, spreads)
     _print(options, recorded, spreads, folder, page, summary)
-    return 0
 
 
 def _plan(options: argparse.Namespace, robot: Robot) -> Plan:
     """Return the plan of the validation: three gaits of the exact front, and the gaits to compare them with."""
+    from worm_optimizer.commands.campaign_tune import settings_of_campaign
+    from worm_optimizer.operation.campaign_plan import make_plan, with_comparisons
+
     content = load_parameter_file(options.parameters)
     settings = settings_of_campaign(options, robot)
     plan = make_plan(content, settings, options.direction)
@@ -195,6 +214,9 @@ def _identify(
 
     Return the results of `identify`, the path of the parameter file and the paths of the bags.
     """
+    from worm_optimizer.operation import identification_runs
+    from worm_optimizer.operation.campaign_runs import put_aside
+
     known = load_parameter_file(options.parameters)
     folder.mkdir(parents=True, exist_ok=True)
     orders = identification_runs.identification_orders(options.direction, known.parameters.pitch)
@@ -250,6 +272,9 @@ def _prompt(instruction: str) -> Prepare:
 
 def _folder(options: argparse.Namespace) -> Path:
     """Return the folder for bags and report. Raises InputError."""
+    from worm_optimizer.operation.campaign_plan import PROMISES
+    from worm_optimizer.report.report_page import PAGE
+
     if options.resume is not None:
         if options.output is not None:
             raise InputError("--resume names the folder: remove --output")
@@ -270,7 +295,11 @@ def _folder(options: argparse.Namespace) -> Path:
 
 def _is_begun(options: argparse.Namespace, folder: Path) -> bool:
     """Return True if a folder contains a campaign that can be continued."""
-    identified = options.identify and (folder / identification_runs.RUNS).is_dir()
+    from worm_optimizer.operation.campaign_plan import PROMISES
+    from worm_optimizer.operation.identification_runs import RUNS
+    from worm_optimizer.operation.tuning_runs import TUNING
+
+    identified = options.identify and (folder / RUNS).is_dir()
     return (folder / PROMISES).is_file() or identified or (folder / TUNING).is_dir()
 
 
@@ -281,6 +310,8 @@ def _hint(options: argparse.Namespace, folder: Path) -> str:
 
 def _promise(plan: Plan, folder: Path) -> None:
     """Write the predictions of a new campaign. If a continued campaign has other predictions, raise `InputError`."""
+    from worm_optimizer.operation.campaign_plan import PROMISES, is_promised, write_promises
+
     folder.mkdir(parents=True, exist_ok=True)
     if not (folder / PROMISES).exists():
         write_promises(plan, folder)
@@ -298,6 +329,9 @@ def _print(
     page: Path,
     summary: dict[str, Any],
 ) -> None:
+    from worm_optimizer.operation.spread import spread_table
+    from worm_optimizer.report.agreement import QUANTITIES, agreement_json, describe
+
     judged = agreement_json(gaits)
     content = {
         "folder": str(folder),

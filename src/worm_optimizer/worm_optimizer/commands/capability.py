@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import asdict, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from worm_model.commands.command_line import (
     InputError,
@@ -20,14 +20,9 @@ from worm_model.loads import content_under
 from worm_model.parameters import load_parameter_file
 from worm_model.text_table import text_table
 from worm_optimizer.commands.search_options import add_front_options, chosen_settings
-from worm_optimizer.search.capability import (
-    Capability,
-    LoadPoint,
-    capabilities,
-    curve,
-    strongest,
-)
-from worm_optimizer.search.front import make_front, task_of
+
+if TYPE_CHECKING:  # Numba loads slowly
+    from worm_optimizer.search.capability import Capability, LoadPoint
 
 
 def _parser() -> Parser:
@@ -87,6 +82,9 @@ def describe(found: dict[str, Capability], points: tuple[LoadPoint, ...], per_me
 
 
 def _capability(options: argparse.Namespace) -> None:
+    from worm_optimizer.search.capability import capabilities, curve, strongest
+    from worm_optimizer.search.front import make_front, task_of
+
     content = load_parameter_file(options.parameters)
     per_metre = 0.0
     if options.tether_length is None and options.tether_per_metre is not None:

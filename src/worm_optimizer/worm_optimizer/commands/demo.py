@@ -11,24 +11,19 @@ import argparse
 import sys
 from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from worm_model.analysis.plot_style import save_figure
-from worm_model.analysis.run_curves import plot_run
 from worm_model.commands.command_line import FAILED, Parser, notifier, print_result, run_command
 from worm_model.parameters import load_parameter_file
 from worm_model.text_table import labelled
 from worm_optimizer.gait_prediction import Prediction
-from worm_optimizer.operation.bring_up import (
-    FAILURES,
-    ProgressLog,
-    Say,
-    work_folder,
-)
-from worm_optimizer.operation.demo_run import Comparison, compare, comparison_table, run_demo_gait
+from worm_optimizer.operation.bring_up import FAILURES, ProgressLog, Say, work_folder
 from worm_optimizer.operation.processes import termination_as_interrupt
 from worm_optimizer.operation.recorded_run import new_bag
 from worm_optimizer.operation.system import installed_system_file
-from worm_optimizer.report.recordings import read_recorded_gaits
+
+if TYPE_CHECKING:  # matplotlib, SciPy and Numba load slowly
+    from worm_optimizer.operation.demo_run import Comparison
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -78,6 +73,8 @@ def _demo(options: argparse.Namespace) -> int:
 
 
 def _drive(options: argparse.Namespace, bag: Path, say: Say) -> tuple[Prediction, Path]:
+    from worm_optimizer.operation.demo_run import run_demo_gait
+
     with work_folder("demo") as folder:
         settings = {
             "directory": str(folder),
@@ -96,6 +93,11 @@ def _absolute(path: str) -> str:
 
 def _look_back(bag: Path, prediction: Prediction, parameter_file: str) -> tuple[Comparison, Path]:
     """Replay a recording with the twin, compare it with the prediction, and write the figure next to the bag."""
+    from worm_model.analysis.plot_style import save_figure
+    from worm_model.analysis.run_curves import plot_run
+    from worm_optimizer.operation.demo_run import compare
+    from worm_optimizer.report.recordings import read_recorded_gaits
+
     gait = read_recorded_gaits([bag], parameter_file, notifier("demo"))[-1]
     comparison, figure = compare(gait, prediction), bag.with_suffix(".png")
     title, parameters = _title(prediction), gait.content.parameters
@@ -118,6 +120,8 @@ def _print(
     bag: Path,
     figure: Path,
 ) -> None:
+    from worm_optimizer.operation.demo_run import comparison_table
+
     content = {
         "gait": asdict(prediction),
         **asdict(comparison),

@@ -20,8 +20,12 @@ from worm_msgs.conditions import CONDITION_ROWS, LEVEL, Conditions
 from worm_msgs.gait import GAIT_DEFAULTS, WAVEFORM, Gait, gait_of
 from worm_optimizer.commands.objective_options import add_objective, request_of_options
 from worm_optimizer.gait_prediction import Prediction
-from worm_optimizer.nodes.operator_node import OPTIMIZER, OperatorNode, UnreachableError
-from worm_optimizer.nodes.service_caller import OperatorError
+from worm_optimizer.nodes.operator_node import (
+    OPTIMIZER,
+    OperatorNode,
+    RejectedStartError,
+    UnreachableError,
+)
 from worm_optimizer.operation.bring_up import CYCLES, ProgressLog
 from worm_optimizer.operation.processes import counted_interrupts
 from worm_optimizer.operation.recorded_run import new_bag, recorded
@@ -145,7 +149,8 @@ def attended(node: OperatorNode, command: GaitCommand, say: ProgressLog) -> RunR
 
     Raises:
         InputError: The driver rejects the gait, although it is ready for a run.
-        OperatorError: The driver rejects the gait in its present state, or does not answer.
+        RejectedStartError: The driver rejects the gait in its present state.
+        OperatorError: The driver does not answer.
     """
     with counted_interrupts() as interrupts:
         run = node.begin(command)
@@ -166,7 +171,7 @@ def attended(node: OperatorNode, command: GaitCommand, say: ProgressLog) -> RunR
 def _rejection(node: OperatorNode, message: str) -> Exception:
     driver = node.current_snapshot().driver
     ready = driver is not None and driver.state == Activity.IDLE and not driver.emergency_stop
-    return InputError(message) if ready else OperatorError(message)
+    return InputError(message) if ready else RejectedStartError(message)
 
 
 def _progress(say: ProgressLog) -> Callable[[RunProgress], None]:

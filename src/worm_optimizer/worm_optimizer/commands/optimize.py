@@ -27,11 +27,10 @@ from worm_optimizer.commands.search_options import (
     success_lines,
 )
 from worm_optimizer.gait_prediction import Prediction
-from worm_optimizer.robustness.uncertainty import description
-from worm_optimizer.search.front import RobustFront, make_front, nominal_gaits, replaced
 from worm_optimizer.search.search_settings import Nsga2Settings, Waveform
 
 if TYPE_CHECKING:
+    from worm_optimizer.search.front import RobustFront
     from worm_optimizer.search.nsga2 import Comparison
 
 # Fields of `Prediction` that are computed only for the three gaits. For the other gaits of the front they are NaN.
@@ -132,6 +131,9 @@ def _comparison_text(comparison: Comparison) -> str:
 
 
 def _optimize(options: argparse.Namespace) -> None:
+    from worm_optimizer.robustness.uncertainty import description  # here: Numba loads slowly
+    from worm_optimizer.search.front import make_front, nominal_gaits, replaced
+
     content = load_parameter_file(options.parameters)
     settings, figure = chosen_settings(options), figure_file(options)
     given = {name: vars(options)[name] for name in _SIZES if vars(options)[name] is not None}

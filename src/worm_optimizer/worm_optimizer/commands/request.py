@@ -24,8 +24,6 @@ from worm_optimizer.commands.search_options import (
     success_lines,
 )
 from worm_optimizer.gait_prediction import Prediction
-from worm_optimizer.robustness.uncertainty import description
-from worm_optimizer.search.front import make_front
 from worm_optimizer.search.gait_request import RequestStatus, select
 
 
@@ -49,6 +47,9 @@ def describe(gait: Prediction, uncertainty: str, warning: str) -> str:
 
 
 def _request(options: argparse.Namespace) -> None:
+    from worm_optimizer.robustness.uncertainty import description  # here: Numba loads slowly
+    from worm_optimizer.search.front import make_front
+
     content = load_parameter_file(options.parameters)
     settings, request = chosen_settings(options), request_of_options(options)
     figure = figure_file(options)

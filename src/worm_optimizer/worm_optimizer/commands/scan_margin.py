@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import argparse
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from worm_model.commands.command_line import (
     Parser,
@@ -16,15 +16,16 @@ from worm_model.commands.command_line import (
 from worm_model.parameters import load_parameter_file
 from worm_model.text_table import labelled, text_table
 from worm_optimizer.commands.search_options import add_scan_options, chosen_settings
-from worm_optimizer.search.front import price_warning, scanned_price
-from worm_optimizer.search.price_of_robustness import CLIFF_RULE, PriceOfRobustness
+
+if TYPE_CHECKING:  # Numba loads slowly
+    from worm_optimizer.search.price_of_robustness import PriceOfRobustness
 
 
 def _parser() -> Parser:
     parser = Parser(
         prog="scan_margin",
         description="Compute the lowest cost of transport over the robustness margin, minimised over the gaits of the "
-        f"box, and its cliff. {CLIFF_RULE.capitalize()}.",
+        "box, and its cliff. The result states the rule that defines a cliff.",
     )
     add_scan_options(parser)
     return parser
@@ -32,6 +33,9 @@ def _parser() -> Parser:
 
 def price_json(price: PriceOfRobustness) -> dict[str, Any]:
     """Return a scan for the machine-readable output."""
+    from worm_optimizer.search.front import price_warning
+    from worm_optimizer.search.price_of_robustness import CLIFF_RULE
+
     cliff = price.cliff
     return {
         "margins": [point.margin for point in price.points],
@@ -51,6 +55,9 @@ def price_json(price: PriceOfRobustness) -> dict[str, Any]:
 
 def describe(price: PriceOfRobustness) -> str:
     """Return a scan as text."""
+    from worm_optimizer.search.front import price_warning
+    from worm_optimizer.search.price_of_robustness import CLIFF_RULE
+
     rows = [("margin (mm)", "lowest COT", "at S (mm)", "f (Hz)", "branches")]
     for point in price.points[:: max(1, len(price.points) // 16)]:
         branches = ", ".join(f"{branch:g}" for branch in point.branches) or "none moves"
@@ -70,6 +77,8 @@ def describe(price: PriceOfRobustness) -> str:
 
 
 def _scan(options: argparse.Namespace) -> None:
+    from worm_optimizer.search.front import scanned_price
+
     content = load_parameter_file(options.parameters)
     settings, figure = chosen_settings(options), figure_file(options)
     with elapsed("margins"):

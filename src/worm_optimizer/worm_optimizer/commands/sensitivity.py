@@ -6,7 +6,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from textwrap import indent
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,7 +22,6 @@ from worm_model.parameters import load_parameter_file
 from worm_model.text_table import text_table
 from worm_msgs.conditions import conditions_of
 from worm_msgs.gait import WAVEFORM, gait_of
-from worm_optimizer.robustness.sensitivity import SYMBOLS, UNITS, Sensitivity, sensitivity
 from worm_optimizer.robustness.sobol import (
     INDEX_HEADS,
     NO_INDICES,
@@ -30,6 +29,9 @@ from worm_optimizer.robustness.sobol import (
     index_json,
     warnings_of,
 )
+
+if TYPE_CHECKING:  # SciPy and Numba load slowly
+    from worm_optimizer.robustness.sensitivity import Sensitivity
 
 MOST_SAMPLES = 1 << 16  # largest number of base samples
 
@@ -80,6 +82,8 @@ def _warnings(content: Sensitivity) -> list[str]:
 
 def describe(content: Sensitivity) -> str:
     """Return the most important parameters of each quantity as text."""
+    from worm_optimizer.robustness.sensitivity import SYMBOLS, UNITS
+
     shown = {"speed": (1e3, "mm/s"), "power": (1.0, "W"), "cliff_margin": (1e3, "mm")}
     heads = ("parameter", "symbol", *INDEX_HEADS, "range of the parameter")
     lines = []
@@ -109,6 +113,8 @@ def _run(options: argparse.Namespace) -> None:
     gait = gait_of(options)
     content = content_under(conditions_of(options), load_parameter_file(options.parameters))
     figure = figure_file(options)
+    from worm_optimizer.robustness.sensitivity import sensitivity
+
     result = sensitivity(gait, content, options.samples, options.seed)
     if figure is not None:
         from worm_model.analysis.plot_style import save_figure  # here: matplotlib loads slowly

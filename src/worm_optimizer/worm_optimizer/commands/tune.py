@@ -18,15 +18,14 @@ from worm_model.commands.command_line import (
 )
 from worm_model.commands.margin import measured_margins
 from worm_model.gait import named_values
-from worm_model.margin.measured_margin import RunMargin
 from worm_model.parameters import load_parameter_file
 from worm_optimizer.commands.search_options import add_limit_options, chosen_settings
 from worm_optimizer.commands.tuning_options import add_aim, check_aim
-from worm_optimizer.robustness.tuning import GaitLimits, Tuning, limits_of, next_gait
-from worm_optimizer.search.front import task_of
 
-if TYPE_CHECKING:  # ROS loads slowly
+if TYPE_CHECKING:  # ROS, SciPy and Numba load slowly
+    from worm_model.margin.measured_margin import RunMargin
     from worm_optimizer.operation.tuning_runs import Tuned
+    from worm_optimizer.robustness.tuning import GaitLimits, Tuning
 
 
 def _parser() -> Parser:
@@ -68,6 +67,9 @@ class Aim:
 
 def aim_of(options: argparse.Namespace, direction: int) -> Aim:
     """Return the aim that the options describe. Raises `InputError` if they are inadmissible."""
+    from worm_optimizer.robustness.tuning import limits_of
+    from worm_optimizer.search.front import task_of
+
     check_aim(options)
     content = load_parameter_file(options.parameters)
     limits = limits_of(task_of(content, chosen_settings(options), direction))
@@ -108,6 +110,8 @@ def _last_run(
 
 def tuning_of(runs: Sequence[RunMargin], aim: Aim, last: Path) -> Tuning:
     """Return the next step of a tuning from its runs; raise `InputError` if the bag ``last`` was not measured."""
+    from worm_optimizer.robustness.tuning import next_gait
+
     parameters = load_parameter_file(aim.parameter_file).parameters
     tuning = next_gait(runs, aim.probability, aim.limits, parameters)
     if (

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from worm_model.parameters import Parameters
-from worm_model.simulation.batch import sample_cycle
 from worm_optimizer.evaluation.command_shape import (
     SINUSOID,
     Shapes,
@@ -138,6 +137,8 @@ def peaks(
     ``stroke`` in m and ``frequency`` in Hz have shape (n,). Of ``limits``, only the ends of the motors' speed-torque
     line are used.
     """
+    from worm_model.simulation.batch import sample_cycle  # here: Numba loads slowly
+
     shapes = np.broadcast_to(shape, np.shape(stroke))
     phases = sample_phases(shapes, _SAMPLES)
     force, power = sample_cycle(

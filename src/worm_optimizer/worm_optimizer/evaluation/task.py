@@ -10,20 +10,21 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from worm_model.gait import FREQUENCY_RANGE, STROKE_RANGE
+from worm_model.gait import AVERAGED, FREQUENCY_RANGE, STROKE_RANGE
 from worm_model.parameters import PAPER, Parameters
-from worm_model.simulation.batch import GaitTable, branch_of, evaluate_gaits
-from worm_model.simulation.simulator import AVERAGED
 from worm_msgs.gait import FORWARD, MAX_FREQUENCY, MAX_MARGIN, MAX_STROKE, REVERSE
 from worm_optimizer.evaluation.actuator_limits import NO_LIMITS, ActuatorLimits, Peaks, peaks
 from worm_optimizer.evaluation.command_shape import SINUSOID, Shapes, fields_of, peak_rate
 from worm_optimizer.evaluation.runs import Array, Index, find_runs
 from worm_optimizer.optimizer_errors import OptimizerError
+
+if TYPE_CHECKING:  # Numba loads slowly
+    from worm_model.simulation.batch import GaitTable
 
 Mask = NDArray[np.bool_]
 
@@ -108,6 +109,8 @@ class Points:
 
 def gained_of(table: GaitTable) -> Index:
     """Return the grooves gained in all averaged cycles together, or 0 if one of these cycles gains none."""
+    from worm_model.simulation.batch import branch_of
+
     gained = np.where(branch_of(table) >= 1, AVERAGED * table.grooves_per_cycle, 0.0)
     return np.rint(gained).astype(np.int64)
 
@@ -192,6 +195,8 @@ class MarginTask:
 
         ``margin`` in m replaces that of the task. ``overrides`` contains arrays of parameter values by key.
         """
+        from worm_model.simulation.batch import evaluate_gaits
+
         return evaluate_gaits(
             stroke,
             frequency,
@@ -211,6 +216,8 @@ class MarginTask:
         shape: Shapes = SINUSOID,
     ) -> Index:
         """Return the grooves gained along the direction in the worst averaged cycle, at least 0; see `table`."""
+        from worm_model.simulation.batch import branch_of
+
         return branch_of(self.table(stroke, frequency, margin, overrides, shape))
 
     def points(

@@ -75,6 +75,10 @@ class GaitFailedError(OperatorError):
     """The driver rejected a gait, or a gait did not reach its end."""
 
 
+class RejectedStartError(OperatorError):
+    """The driver rejected a gait because of its present state, so nothing moved."""
+
+
 @contextmanager
 def operator(
     namespace: str, check: Callable[[], None] = lambda: None, name: str = "operator"

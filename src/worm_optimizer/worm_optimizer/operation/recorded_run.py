@@ -3,14 +3,15 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from worm_model.bags.formats.finding import METADATA_FILE, TIME_FIELD
 from worm_model.errors import InputError
 from worm_msgs.conditions import Conditions
-from worm_optimizer.nodes.operator_node import OperatorNode
+from worm_optimizer.nodes.operator_node import OperatorNode, RejectedStartError
 from worm_optimizer.operation.bring_up import recording, work_folder
 from worm_optimizer.operation.processes import ProcessGroup
 from worm_optimizer.operation.system import RECORDER, installed_system_file, settings_of
@@ -42,6 +43,8 @@ def recorded(
 ) -> Iterator[Path]:
     """Record during this context with a separate recorder, and provide the path of the bag; see `recording`.
 
+    If the driver rejects the gait, the bag is removed.
+
     Args:
         node: the operator.
         bag: path of a new bag, see `new_bag`.
@@ -57,8 +60,13 @@ def recorded(
         **settings_of(conditions),
     )
     with (
+        ExitStack() as removal,
         work_folder("record") as work,
         ProcessGroup(work / "logs") as group,
-        recording(group, node, system.node(RECORDER), f"{RECORDER}_{name}") as recorded_bag,
+        recording(group, node, system.node(RECORDER), f"{RECORDER}_{name}") as path,
     ):
-        yield recorded_bag
+        try:
+            yield path
+        except (InputError, RejectedStartError):  # nothing moved
+            removal.callback(shutil.rmtree, path)  # when the recorder has ended
+            raise

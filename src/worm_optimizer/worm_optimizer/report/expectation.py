@@ -10,16 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from worm_model.arrays import Array
-from worm_model.gait import Gait
+from worm_model.gait import AVERAGED, CYCLES, Gait
 from worm_model.parameters import ParameterFile
 from worm_model.simulation.batch import evaluate_gaits
-from worm_model.simulation.simulator import (
-    AVERAGED,
-    CYCLES,
-    GaitResult,
-    cost_of_transport,
-    evaluate_gait,
-)
+from worm_model.simulation.simulator import GaitResult, cost_of_transport, evaluate_gait
 from worm_optimizer.robustness.uncertainty import phase_known, power_draws, travel_described
 
 SAMPLES = 500  # number of draws of the parameters

@@ -18,8 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from worm_model.gait import AVERAGED
 from worm_model.margin.predicted_margin import largest_margins
-from worm_model.simulation.simulator import AVERAGED
 from worm_optimizer.evaluation.command_shape import SINUSOID, Shapes
 from worm_optimizer.evaluation.task import (
     EDGE_ALLOWANCE,

@@ -14,9 +14,10 @@ from typing import Protocol
 
 import numpy as np
 
+from worm_model.gait import AVERAGED
 from worm_model.parameters import Parameters
 from worm_model.simulation import closed_form
-from worm_model.simulation.simulator import AVERAGED, cost_of_transport
+from worm_model.simulation.simulator import cost_of_transport
 from worm_optimizer.evaluation.task import Array, Bounds, Edges, Index, Points
 from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.search import exact

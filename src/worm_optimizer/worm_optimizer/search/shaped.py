@@ -18,9 +18,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from worm_model.gait import Profile
+from worm_model.gait import AVERAGED, Profile
 from worm_model.parameters import Parameters
-from worm_model.simulation.simulator import AVERAGED
 from worm_optimizer.evaluation.actuator_limits import NO_LIMITS
 from worm_optimizer.evaluation.command_shape import SINUSOID, Shapes
 from worm_optimizer.evaluation.task import (

@@ -44,20 +44,17 @@ def test_readings_to_the_millimetre_give_the_radius_to_a_few_percent():
     assert spool_from(1, readings)[0].radius == pytest.approx(radius, rel=0.03)
 
 
-def test_a_misread_ruler_is_noticed():
-    readings = [Reading(0, 0.300), Reading(700, 0.273), Reading(1400, 0.236), Reading(2100, 0.219)]
-    with pytest.raises(ConfigurationError, match="off the straight line"):
-        spool_from(1, readings)
-
-
-def test_a_cable_that_is_not_attached_is_noticed():
-    with pytest.raises(ConfigurationError, match="is the cable attached"):
-        spool_from(1, [Reading(t, 0.3) for t in (0, 700, 1400)])
-
-
-def test_one_position_is_not_enough():
-    with pytest.raises(ConfigurationError, match=r"cable servo 1: .*two"):
-        spool_from(1, [Reading(0, 0.3), Reading(0, 0.2)])
+@pytest.mark.parametrize(
+    ("ticks", "lengths", "reason"),
+    [
+        ((0, 700, 1400, 2100), (0.300, 0.273, 0.236, 0.219), "off the straight line"),
+        ((0, 700, 1400), (0.3, 0.3, 0.3), "is the cable attached"),
+        ((0, 0), (0.3, 0.2), r"cable servo 1: .*two"),
+    ],
+)
+def test_readings_that_show_no_spool_are_noticed(ticks, lengths, reason):
+    with pytest.raises(ConfigurationError, match=reason):
+        spool_from(1, list(map(Reading, ticks, lengths)))
 
 
 def test_the_file_is_one_that_ros_reads():
@@ -343,7 +340,7 @@ def test_an_invalid_answer_repeats_the_question():
     assert bench.output == ["answer with one of c, f, n"] * 2
 
 
-@pytest.mark.parametrize("answer", ["nan", "inf", "-inf", "1e999", "0", "-295", "", "x"])
+@pytest.mark.parametrize("answer", ["nan", "1e999", "0", "-295", "", "x"])
 def test_a_reading_that_is_no_length_repeats_the_question(answer):
     bench = Bench()
     ask, wrong = bench.answer, iter([answer])

@@ -4,7 +4,6 @@
 import pytest
 from driver_rig import CABLE, Rig, idle, moving, settings, two_spools
 from hypothesis import given
-from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
 from worm_driver.driver_errors import DriverError
@@ -16,7 +15,7 @@ GIVEN = settings()
 REACH = GIVEN.limits.following_error + 2 * GIVEN.period * GIVEN.max_cable_speed
 #: m, largest motion of a standing robot, and largest offset of a hold, because of one wrong sample
 STANDS = 0.001
-JUMPS = [-8192, -4096, -1000, -600, -300, -200, 200, 300, 600, 1000, 4096, 12288]
+JUMPS = [-8192, -600, -200, 200, 1000, 12288]
 FIN = 11
 
 
@@ -51,27 +50,16 @@ def check_goals(rig: Rig, since: int = 0) -> None:
             assert goal.distance <= REACH, goal
 
 
+@pytest.mark.parametrize("make", [idle, moving])
 @pytest.mark.parametrize("jump", JUMPS)
-def test_one_wrong_sample_moves_nothing_while_idle_and_ends_nothing(jump):
-    rig = idle()
-    since = len(rig.positions)
+def test_one_wrong_sample_moves_nothing_and_ends_nothing(jump, make):
+    rig = make()
+    since, begin, phase = len(rig.positions), len(rig.snapshots), rig.robot.player.phase
     rig.inject("wrong_position", target=CABLE, count=1, value=jump)
-    rig.run(1.0)
-    assert rig.bus.counters.implausible == 1
-    assert rig.robot.player.phase is Phase.IDLE
-    assert moved(rig, since) < STANDS
-    assert all(abs(s.cable) < 1e-3 for s in rig.snapshots if s.active)
-    check_goals(rig)
-
-
-@pytest.mark.parametrize("jump", JUMPS)
-def test_one_wrong_sample_does_not_disturb_a_gait(jump):
-    rig = moving()
-    rig.inject("wrong_position", target=CABLE, count=1, value=jump)
-    begin = len(rig.snapshots)
     rig.run(0.5)
     assert rig.bus.counters.implausible == 1
-    assert rig.robot.player.phase is Phase.RUNNING
+    assert rig.robot.player.phase is phase
+    assert phase is Phase.RUNNING or moved(rig, since) < STANDS
     lengths = [s.cable for s in rig.snapshots[begin:]]
     assert lengths == pytest.approx([s.commanded for s in rig.snapshots[begin:]], abs=6e-3)
     check_goals(rig)
@@ -89,7 +77,7 @@ def test_one_wrong_sample_after_a_missing_answer_is_no_second_reading():
     check_goals(rig)
 
 
-@pytest.mark.parametrize("count", [2, 3, 20, 0], ids=["twice", "thrice", "for a while", "for ever"])
+@pytest.mark.parametrize("count", [2, 0], ids=["twice", "for ever"])
 @pytest.mark.parametrize("jump", JUMPS)
 def test_wrong_samples_while_idle_are_a_fault_and_move_nothing(jump, count):
     rig = idle()
@@ -119,7 +107,6 @@ def test_wrong_samples_during_a_gait_stop_it_where_it_is(jump):
     check_goals(rig)
 
 
-@hypothesis_settings(max_examples=60)
 @given(
     st.lists(
         st.tuples(st.integers(0, 8), st.integers(-5000, 5000), st.integers(1, 3)),
@@ -141,14 +128,6 @@ def test_sequences_of_wrong_samples(errors, in_motion):
         assert abs(GIVEN.spools[0].length_change(rig.cable.shaft.position - here)) < 0.006
 
 
-def test_a_wrong_sample_followed_by_a_real_fault_holds():
-    rig = moving()
-    rig.inject("wrong_position", target=CABLE, count=1, value=600)
-    rig.inject("no_answer", duration=5.0)
-    assert rig.time_to_stop(1.0) < 0.100
-    check_goals(rig)
-
-
 def test_a_wrong_sample_at_a_stop_does_not_move_the_hold():
     rig = moving()
     rig.inject("wrong_position", target=CABLE, count=1, value=1000)
@@ -160,7 +139,7 @@ def test_a_wrong_sample_at_a_stop_does_not_move_the_hold():
     check_goals(rig)
 
 
-@pytest.mark.parametrize("ticks_per_cycle", [5, 20, 60, 110])
+@pytest.mark.parametrize("ticks_per_cycle", [5, 110])
 def test_samples_that_drift_become_a_fault_and_move_nothing(ticks_per_cycle):
     """Each step is possible for the servo. But no servo pulls at the position that the samples report."""
     rig = idle()
@@ -175,7 +154,7 @@ def test_samples_that_drift_become_a_fault_and_move_nothing(ticks_per_cycle):
 
 
 @pytest.mark.parametrize("seconds", [0.2, 0.6, 0.8], ids=["slow", "pulling", "at the turn"])
-@pytest.mark.parametrize("ticks_per_cycle", [-100, -30, 30, 100])
+@pytest.mark.parametrize("ticks_per_cycle", [-100, 30])
 def test_samples_that_drift_during_a_gait_do_not_move_the_hold(ticks_per_cycle, seconds):
     """A gait pulls with more than half of the limit: that alone does not support a measurement."""
     rig = Rig()
@@ -199,14 +178,15 @@ def test_samples_that_drift_during_a_gait_do_not_move_the_hold(ticks_per_cycle, 
 
 
 @pytest.mark.parametrize("count", [1, 4, 0], ids=["once", "four times", "for ever"])
-@pytest.mark.parametrize(("sender", "claimed"), [(11, 1), (12, 1), (1, 11), (12, 11), (1, 77)])
-@pytest.mark.parametrize("quiet", [None, 1])
-def test_a_status_packet_with_another_servos_id_moves_nothing(sender, claimed, count, quiet):
+@pytest.mark.parametrize(
+    ("sender", "claimed", "quiet"), [(11, 1, 0), (12, 1, 1), (1, 11, 0), (12, 11, 1), (1, 77, 0)]
+)
+def test_a_status_packet_with_another_servos_id_moves_nothing(sender, claimed, quiet, count):
     rig = idle()
     since = len(rig.positions)
     length = {"count": count} if count else {"duration": 1e6}
     rig.inject("wrong_id", target=sender, value=claimed, **length)
-    if quiet is not None and quiet != sender:
+    if quiet:
         rig.inject("no_answer", target=quiet, **length)
     rig.run(1.0)
     if not count:
@@ -243,37 +223,21 @@ def before_nth_read(rig: Rig, number: int, deed) -> None:
     rig.wire.write = write
 
 
-@pytest.mark.parametrize("jump", [-600, 4096])
+@pytest.mark.parametrize("takes_over", [False, True])
 @pytest.mark.parametrize("number", range(1, 11))
-def test_a_wrong_sample_at_any_moment_of_an_activation_moves_nothing(number, jump):
-    rig = Rig()
+def test_a_wrong_sample_at_any_moment_of_an_activation_moves_nothing(number, takes_over):
+    """If a contracted robot is taken over, its torque is on: a wrong goal would act at once."""
+    rig = moving().restarted_driver(settings(home_at_start=False)) if takes_over else Rig()
     rig.run(0.1)
-    since = len(rig.positions)
+    assert bool(rig.robot.actuators.left_on) == takes_over
+    since, jump = len(rig.positions), (-600, 4096)[number % 2]
     before_nth_read(
         rig, number, lambda: rig.inject("wrong_position", target=CABLE, count=1, value=jump)
     )
     rig.robot.activate(rig.clock.now)
     rig.run(0.5)
     assert moved(rig, since) < STANDS
-    assert rig.robot.player.phase is Phase.IDLE
-    check_goals(rig)
-
-
-@pytest.mark.parametrize("jump", [-600, 4096])
-@pytest.mark.parametrize("number", range(1, 11))
-def test_a_wrong_sample_while_a_contracted_robot_is_taken_over_moves_nothing(number, jump):
-    """Its torque is on: a wrong goal would act at once."""
-    first = moving()
-    rig = first.restarted_driver(settings(home_at_start=False))
-    rig.run(0.1)
-    assert rig.robot.actuators.left_on
-    since = len(rig.positions)
-    before_nth_read(
-        rig, number, lambda: rig.inject("wrong_position", target=CABLE, count=1, value=jump)
-    )
-    rig.robot.activate(rig.clock.now)
-    rig.run(0.5)
-    assert moved(rig, since) < STANDS
+    assert takes_over or rig.robot.player.phase is Phase.IDLE
     check_goals(rig)
 
 
@@ -306,7 +270,7 @@ def two_cables() -> Rig:
 
 
 @pytest.mark.parametrize("servo", [1, 2])
-@pytest.mark.parametrize("jump", [-4096, -600, 600, 4096])
+@pytest.mark.parametrize("jump", [-600, 4096])
 def test_a_wrong_position_of_one_of_two_cable_servos_stops_both(servo, jump):
     rig = two_cables()
     rig.inject("wrong_position", target=servo, value=jump, duration=1e6)

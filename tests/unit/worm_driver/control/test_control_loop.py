@@ -171,16 +171,6 @@ def test_a_command_without_deadline_is_executed_however_late(robot, loop):
     wait_for(lambda: len(done) == 1)
 
 
-def test_leaving_brings_the_robot_to_rest_and_releases_it_once(robot, loop):
-    wait_for(lambda: robot.cycles > 3)
-    loop.shutdown("over")
-    assert loop.join(TIMEOUT_S)
-    assert robot.releasing == "over"
-    assert robot.until_rest <= 0
-    assert robot.releases == 1
-    assert loop.release_problems == ["a servo kept silent"]
-
-
 def test_a_robot_that_does_not_come_to_rest_keeps_its_torque(robot):
     robot.until_rest, robot.springs_back = 10**9, True
     loop = ControlLoop(robot, lambda _: None)
@@ -191,7 +181,7 @@ def test_a_robot_that_does_not_come_to_rest_keeps_its_torque(robot):
     assert loop.release_problems == ["the torque stays on"]
 
 
-def test_leaving_twice_does_not_begin_a_second_return(robot, loop):
+def test_leaving_twice_begins_one_return_and_releases_once_at_rest(robot, loop):
     robot.until_rest = 10**9
     loop.shutdown("the signal")
     wait_for(lambda: robot.releasing)
@@ -199,7 +189,11 @@ def test_leaving_twice_does_not_begin_a_second_return(robot, loop):
     done = robot.cycles
     wait_for(lambda: robot.cycles > done + 5)
     assert robot.releasing == "the signal"
-    loop.release_at_once()
+    assert robot.releases == 0
+    robot.until_rest = 0
+    assert loop.join(TIMEOUT_S)
+    assert robot.releases == 1
+    assert loop.release_problems == ["a servo kept silent"]
 
 
 def test_an_immediate_release_does_not_wait_for_rest(robot, loop):
@@ -210,25 +204,24 @@ def test_an_immediate_release_does_not_wait_for_rest(robot, loop):
     assert robot.releases == 1
 
 
-def test_an_exception_in_the_cycle_releases_the_robot_and_is_kept(robot, loop):
-    robot.failure = RuntimeError("a bug")
+@pytest.mark.parametrize("place", ["cycle", "hand over"])
+def test_an_exception_releases_the_robot_and_is_kept(robot, place):
+    error = RuntimeError("a bug")
+
+    def publish(_: object) -> None:
+        if place == "hand over":
+            raise error
+
+    robot.failure = error if place == "cycle" else None
+    loop = ControlLoop(robot, publish)
+    loop.start()
     wait_for(lambda: not loop.alive)
     assert robot.releases == 1
-    assert loop.failure is robot.failure
+    assert loop.failure is error
     with pytest.raises(DriverError, match="has ended: RuntimeError"):
         loop.check()
     with pytest.raises(DriverError, match="has ended: RuntimeError"):
         loop.run(lambda _: 1, timeout=0.01)
-
-
-def test_an_exception_in_the_hand_over_releases_the_robot(robot):
-    def full(_: object) -> None:
-        raise MemoryError
-
-    loop = ControlLoop(robot, full)
-    loop.start()
-    wait_for(lambda: not loop.alive)
-    assert robot.releases == 1
 
 
 @pytest.mark.parametrize("failure", [None, RuntimeError("a bug")])

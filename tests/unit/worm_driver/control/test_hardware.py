@@ -141,12 +141,6 @@ def test_a_latency_timer_that_a_slow_rate_tolerates_is_reported(given, monkeypat
     hardware.close("over")
 
 
-def test_closing_gives_port_and_sensor_back(given):
-    for _ in range(2):
-        hardware = Hardware(given)
-        assert hardware.close("over") == []
-
-
 @pytest.mark.parametrize(
     "change",
     [{"port": "/dev/no_worm"}, {"power": PowerSettings(i2c_bus="/dev/i2c-77")}],

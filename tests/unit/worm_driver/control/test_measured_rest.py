@@ -56,8 +56,10 @@ def slowed(rig: Rig, index: int, speed: float) -> None:
 # --- rest ------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("speed", [0.01, 0.02, 0.03, 0.12])
-@pytest.mark.parametrize("deed", ["deactivate", "shutdown"])
+@pytest.mark.parametrize(
+    ("speed", "deed"),
+    [(0.01, "shutdown"), (0.02, "deactivate"), (0.03, "shutdown"), (0.12, "deactivate")],
+)
 def test_torque_goes_off_only_at_measured_rest_however_slow_the_cable_is(speed, deed):
     rig = stopped(slow(speed), -0.03)
     longest = 2 * math.pi / 2 * 0.035 / min(speed, 0.05) + 2.0
@@ -233,7 +235,7 @@ def apart(distance: float) -> Rig:
     return rig
 
 
-@pytest.mark.parametrize("distance", [0.0, 0.002, 0.004, -0.004])
+@pytest.mark.parametrize("distance", [0.004, -0.004])
 def test_activation_holds_each_servo_where_it_is(distance):
     rig = apart(distance)
     before = shaft_lengths(rig)
@@ -247,7 +249,7 @@ def test_activation_holds_each_servo_where_it_is(distance):
     assert contracted(rig) <= REST
 
 
-@pytest.mark.parametrize("distance", [0.006, 0.015, 0.031, -0.009])
+@pytest.mark.parametrize("distance", [0.006, 0.031, -0.009])
 def test_activation_rejects_cables_that_differ(distance):
     rig = apart(distance)
     before = shaft_lengths(rig)

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
-from driver_rig import CABLE, Rig, moving, settings
+from driver_rig import CABLE, Rig, idle, moving, settings
 
 from worm_driver.control.supervision import Limits
 from worm_driver.driver_errors import BusError, ConfigurationError, HomingError, RejectedError
@@ -52,18 +52,12 @@ def before_write(rig: Rig, servo: int, register: str, deed: Callable[[], None]) 
 # --- configure, activate, release -----------------------------------------------------------------
 
 
-def test_opening_leaves_the_torque_off(rig):
+def test_opening_leaves_the_torque_off_and_finds_the_models(rig):
     rig.run(0.5)
     assert [servo.memory["torque_enable"] for servo in rig.virtual.servos] == [0, 0, 0]
     assert rig.snapshots[-1].active is False
-
-
-def test_servos_are_known_by_the_model_that_they_answer(rig):
-    assert [servo.model.name for servo in rig.robot.actuators.servos] == [
-        "XM430-W350-T",
-        "XL430-W250-T",
-        "XL430-W250-T",
-    ]
+    found = [servo.model.name for servo in rig.robot.actuators.servos]
+    assert found == ["XM430-W350-T", "XL430-W250-T", "XL430-W250-T"]
     assert rig.robot.actuators.servos[0].firmware == 48
 
 
@@ -136,22 +130,20 @@ def test_a_stop_reports_whether_the_robot_holds(rig):
     assert rig.robot.stop(rig.clock.now, "asked to") == "stopped, and holding"
 
 
-def test_a_stop_does_not_claim_that_a_torque_is_off_that_was_left_on():
-    rig = moving().restarted_driver(settings(home_at_start=False))
-    rig.run(0.1)
-    assert rig.cable.memory["torque_enable"] == 1
-    message = rig.robot.stop(rig.clock.now, "asked to")
-    assert "torque is off" not in message
-    assert "left the torque on" in message
-
-
-def test_a_stop_does_not_claim_that_a_torque_is_off_whose_release_failed():
+@pytest.mark.parametrize("cause", ["left on", "release failed"])
+def test_a_stop_does_not_claim_that_a_torque_is_off_that_may_be_on(cause):
     rig = moving()
-    rig.inject("no_answer", duration=10.0)
-    problems = rig.robot.release()
+    if cause == "left on":
+        rig = rig.restarted_driver(settings(home_at_start=False))
+        rig.run(0.1)
+        assert rig.cable.memory["torque_enable"] == 1
+        expected = "left the torque on"
+    else:
+        rig.inject("no_answer", duration=10.0)
+        expected = rig.robot.release()[0]
     message = rig.robot.stop(rig.clock.now, "asked to")
     assert "torque is off" not in message
-    assert problems[0] in message
+    assert expected in message
 
 
 # --- gaits ----------------------------------------------------------------------------------------
@@ -185,15 +177,6 @@ def test_every_cycle_gives_a_sample_with_its_own_time(rig):
     assert len(times) == pytest.approx(510, abs=3)
     assert min(steps) > 0.005
     assert all(state is not SILENT for snapshot in rig.snapshots for state in snapshot.servos)
-
-
-def test_a_reverse_gait_sets_the_fins_first_and_at_rest(rig):
-    rig.activate()
-    rig.start(0.06, 0.4, cycles=1, direction=-1)
-    rig.run(5.0, until=lambda s: s.player.phase is Phase.RUNNING)
-    for servo in rig.virtual.servos[1:]:
-        assert servo.motor_angle == pytest.approx(3.927, abs=0.07)
-    assert all(s.commanded == 0.0 for s in rig.snapshots if s.active)
 
 
 def test_a_gait_while_inactive_is_rejected(rig):
@@ -261,7 +244,7 @@ def test_a_fault_stops_the_motion_within_100_ms_and_is_named(fault, arguments, e
         rig.start()
 
 
-@pytest.mark.parametrize("cycles", range(10))
+@pytest.mark.parametrize("cycles", [0, 3, 6, 9])
 def test_a_cable_servo_whose_supply_sags_stops_more_slowly_as_it_is_weak(cycles):
     rig = moving()
     if cycles:
@@ -295,6 +278,7 @@ def test_a_cable_servo_that_releases_torque_is_a_fault_and_no_goal_is_sent_beyon
         ("duplicated", {"duration": 1.0}),
         ("error", {"count": 1, "value": 3}),
         ("late", {"count": 1, "value": 0.012}),
+        ("i2c_nack", {"duration": 0.5}),  # the gait continues without the power sensor
     ],
 )
 def test_a_passing_disturbance_does_not_stop_the_gait_nor_falsify_a_sample(fault, arguments):
@@ -306,7 +290,7 @@ def test_a_passing_disturbance_does_not_stop_the_gait_nor_falsify_a_sample(fault
     check_samples(rig, begin)
 
 
-@pytest.mark.parametrize("value", [0.006, 0.009, 0.0095, 0.012, 0.02, 0.045, 0.1])
+@pytest.mark.parametrize("value", [0.006, 0.0095, 0.02, 0.1])
 def test_a_late_answer_never_gives_an_old_value_a_new_stamp(value):
     rig = moving()
     begin = len(rig.snapshots)
@@ -326,13 +310,6 @@ def check_samples(rig: Rig, begin: int) -> None:
             continue
         near = [truth[t] for t in truth if abs(t - snapshot.read_time) < 0.0035]
         assert min(near) - 3 <= state.ticks + home <= max(near) + 3, snapshot.read_time
-
-
-def test_the_gait_goes_on_without_the_power_sensor():
-    rig = moving()
-    rig.inject("i2c_nack", duration=0.5)
-    rig.run(0.3)
-    assert rig.robot.player.phase is Phase.RUNNING
 
 
 def test_an_unplugged_port_is_a_fault_that_stays_until_the_next_configuration():
@@ -359,25 +336,16 @@ def test_without_the_driver_the_watchdog_stops_the_servo():
     assert rig.cable.memory["bus_watchdog"] == -1
 
 
-def test_a_driver_that_was_suspended_finds_the_watchdog_expired_and_does_not_go_on():
-    rig = moving()
+@pytest.mark.parametrize("make", [idle, moving])
+def test_a_driver_that_was_suspended_finds_the_watchdog_expired_and_does_not_go_on(make):
+    rig = make()
     rig.advance(rig.clock.now + 1.0)
     rig.clock.now += 1.0
-    snapshot = rig.run(0.1)
-    assert snapshot.player.phase is Phase.FAULT
-    assert re.search(r"began no cycle for 10\d\d ms.*load \d", snapshot.player.message)
+    player = rig.run(0.1).player
+    assert player.phase is Phase.FAULT
+    assert re.search(r"began no cycle for 10\d\d ms.*load \d", player.message)
+    assert "servo 1" not in player.message
     assert rig.time_to_stop(0.5) < STOP
-
-
-def test_a_suspension_at_rest_is_found_by_the_expired_watchdog():
-    rig = Rig()
-    rig.activate()
-    rig.run(0.1)
-    rig.advance(rig.clock.now + 1.0)
-    rig.clock.now += 1.0
-    message = rig.run(0.1).player.message
-    assert re.search(r"began no cycle for 10\d\d ms", message)
-    assert "servo 1" not in message
 
 
 def test_a_new_activation_ends_a_fault():
@@ -517,13 +485,6 @@ def test_a_reboot_with_the_torque_on_is_rejected(rig):
     rig.activate()
     with pytest.raises(ConfigurationError, match="deactivate"):
         rig.robot.reboot()
-
-
-def test_fins_that_are_not_there_are_not_needed():
-    rig = Rig(settings(fins=()))
-    rig.activate()
-    rig.start(0.05, 0.4, cycles=1)
-    rig.run(10.0, until=lambda s: s.player.run.ending is Ending.COMPLETED)
 
 
 # --- other robots ---------------------------------------------------------------------------------

@@ -3,7 +3,7 @@ import itertools
 from dataclasses import replace
 
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from worm_driver.driver_errors import RejectedError
@@ -51,6 +51,9 @@ def test_the_rest_waits_for_ten_idle_samples():
     assert states[-1][1].phase is Phase.RESTING
     now, state = states[-1]
     assert play(state, now, DT)[-1][1].phase is Phase.RUNNING
+    assert (
+        play(state, now, 2.0, seen=few)[-1][1].phase is Phase.RUNNING
+    )  # it does not wait for ever
 
 
 def test_the_rest_waits_for_the_tracker_but_not_for_ever():
@@ -60,12 +63,6 @@ def test_the_rest_waits_for_the_tracker_but_not_for_ever():
     assert states[-1][0] - states[-1][1].run.rest_start >= SETTINGS.rest_timeout - DT
     assert states[-1][1].message == "the tracker did not see the robot at rest before the gait"
     assert play(state, 0.0, 10.0, until=lambda s: s.phase is Phase.RUNNING)[-1][1].message == ""
-
-
-def test_a_rest_without_samples_ends_all_the_same():
-    state = gait_player.start(PlayerState(), 0.0, Gait(0.07, 0.4), 5)
-    none = Observation(fins_set=True, idle_samples=0)
-    assert play(state, 0.0, 4.0, seen=none)[-1][1].phase is Phase.RUNNING
 
 
 SHAPED = Gait(
@@ -82,7 +79,6 @@ GAITS = st.builds(
 )
 
 
-@settings(max_examples=60, deadline=None)
 @given(GAITS, st.integers(1, 4))
 @example(Gait(0.0625, 0.359375, pretension=0.000726), 1)  # the run ends between two steps
 def test_a_run_ends_at_rest_after_its_cycles_and_never_jumps(gait, cycles):
@@ -117,7 +113,6 @@ def test_the_cable_is_tensioned_once_the_fins_are_set_and_rests_before_the_gait(
     assert states[-1][1].run.onset - states[-1][1].run.rest_start >= SETTINGS.rest_duration - DT
 
 
-@settings(max_examples=60, deadline=None)
 @given(st.floats(0.0, 12.0), st.sampled_from(["cancel", "release", "stop", "fault"]))
 def test_at_any_time_of_a_shaped_gait_it_comes_to_rest_or_holds(when, deed):
     state = gait_player.start(PlayerState(), 0.0, SHAPED, 2)
@@ -145,18 +140,6 @@ def test_at_any_time_of_a_shaped_gait_it_comes_to_rest_or_holds(when, deed):
         assert set(lengths) == {here}
     expected = {"cancel": Ending.CANCELLED, "fault": Ending.FAILED}.get(deed, Ending.STOPPED)
     assert after[-1][1].run.ending is (expected if ended is None else ended)
-
-
-def test_a_cancelled_shaped_gait_plays_its_cycle_to_the_end():
-    now, state = running(SHAPED, 5)
-    onset = state.run.onset
-    now, state = play(state, now, 3.0)[-1]
-    state = gait_player.cancel(state, now, "cancelled")
-    states = play(state, now, 10.0, until=lambda s: s.phase is Phase.IDLE)
-    assert states[-1][1].run.end == pytest.approx(onset + 2 / SHAPED.frequency)
-    returning = [s for _, s in states if s.phase is Phase.RETURNING]
-    assert returning[0].run.ending is Ending.CANCELLED
-    assert returning[0].length_change == -SHAPED.pretension
 
 
 def test_a_run_may_begin_while_the_cable_still_returns_from_the_one_before():
@@ -244,20 +227,6 @@ def test_a_return_lasts_until_the_encoders_show_the_cable_at_rest(cancelled):
     assert (state.phase, state.length_change) == (returning, 0.0)
     now, state = play(state, now, DT)[-1]
     assert state.phase is (Phase.IDLE if cancelled else Phase.FLIPPING)
-
-
-def test_after_a_stop_a_run_returns_to_rest_before_it_begins():
-    now, state = running()
-    now, state = play(state, now, 0.6)[-1]
-    state = replace(gait_player.stop(state, now, "asked to"), length_change=-0.05)
-    state = gait_player.start(state, now, Gait(0.07, 0.4), 1)
-    states = play(state, now, 10.0, until=lambda s: s.phase is Phase.RUNNING)
-    lengths = [-0.05, *(s.length_change for _, s in states)]
-    assert lengths[-1] == 0.0
-    steps = [b - a for a, b in itertools.pairwise(lengths)]
-    assert min(steps) >= 0.0
-    assert max(steps) <= SETTINGS.return_speed * DT * 1.01
-    assert states[-1][1].run.number == 2
 
 
 def test_a_second_run_is_rejected_with_the_reason():

@@ -12,7 +12,7 @@ from worm_driver.servos.servo_state import SILENT
 from worm_driver.virtual_robot.wire.faults import make_fault
 
 #: s, delays of responses: less than a wait, about one, a cycle, several
-LATE = [0.001, 0.003, 0.005, 0.008, 0.012, 0.016, 0.020, 0.030, 0.040]
+LATE = [0.003, 0.008, 0.012, 0.020, 0.040]
 #: causes that must not be reported for a late response
 FALSE = re.compile("input voltage|overheating|encoder|shock|overload|restarted|turn count|reports")
 
@@ -26,11 +26,11 @@ def true_zero(rig: Rig) -> float:
     return rig.cable._encoder.shaft(0)
 
 
-@pytest.mark.parametrize("count", [1, 2, 5])
+@pytest.mark.parametrize("count", [1, 5])
 @pytest.mark.parametrize("late", LATE)
 def test_a_home_with_late_answers_is_right_or_leaves_no_mark(late, count):
     """A stale offset that is read as a position moves the zero. With a mark, the next gait would then pay out cable."""
-    for begin in range(12):
+    for begin in range(0, 12, 3):
         rig = Rig()
         rig.run(0.05)
         fault = make_fault("late", count=count, value=late)
@@ -57,35 +57,26 @@ def test_a_home_that_failed_is_not_activated_and_can_be_repeated():
     rig.robot.activate(rig.clock.now)
 
 
+@pytest.mark.parametrize("opened", [False, True])
 @pytest.mark.parametrize("late", LATE)
-def test_half_a_second_of_late_answers_is_forgotten(late):
+def test_half_a_second_of_late_answers_is_forgotten(late, opened):
+    """Also by a driver that was opened on late answers."""
     rig = Rig()
     rig.run(0.2)
     rig.inject("late", duration=0.5, value=late)
-    rig.run(0.6)
-    snapshot = rig.run(0.05)
-    assert SILENT not in snapshot.servos
+    if opened:
+        try:
+            rig = rig.restarted_driver()
+        except DriverError:
+            rig.run(1.0)
+            rig = rig.restarted_driver()
+    rig.run(0.65)
+    assert SILENT not in rig.snapshots[-1].servos
     rig.robot.activate(rig.clock.now)
     assert rig.run(0.2).player.phase is Phase.IDLE
 
 
-@pytest.mark.parametrize("late", [0.001, 0.003, 0.008, 0.012, 0.020])
-def test_a_driver_that_was_opened_on_late_answers_learns_better(late):
-    rig = Rig()
-    rig.inject("late", count=20, value=late)
-    try:
-        rig = rig.restarted_driver()
-    except DriverError:
-        rig.run(1.0)
-        rig = rig.restarted_driver()
-    rig.run(0.3)
-    rig.robot.activate(rig.clock.now)
-    rig.run(0.2)
-    assert SILENT not in rig.snapshots[-1].servos
-    assert rig.robot.player.phase is Phase.IDLE
-
-
-@pytest.mark.parametrize("duration", [0.02, 0.06, 0.3])
+@pytest.mark.parametrize("duration", [0.02, 0.3])
 @pytest.mark.parametrize("late", LATE)
 def test_lateness_in_a_gait_is_called_lateness(late, duration):
     rig = moving()
@@ -97,7 +88,7 @@ def test_lateness_in_a_gait_is_called_lateness(late, duration):
 
 
 #: s, delays around the wait for an answer, the period of the cycle, and the timeout of a silent servo
-LASTING = [0.006, 0.008, 0.012, 0.016, 0.020, 0.030, 0.045, 0.080, 0.100, 0.150, 0.200, 0.290]
+LASTING = [0.006, 0.010, 0.012, 0.030, 0.060, 0.290]
 
 
 @pytest.mark.parametrize("late", LASTING)

@@ -5,6 +5,7 @@ import fcntl
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
 
 import pytest
 
@@ -13,6 +14,15 @@ from worm_driver.servos import serial_port
 from worm_driver.servos.servo_bus import ServoBus
 
 TIOCGEXCL = 0x80045440
+
+
+@pytest.fixture
+def terminal() -> Iterator[tuple[int, str]]:
+    """Open a pseudo-terminal, and return the descriptor and the name of its end."""
+    master, slave = os.openpty()
+    yield slave, os.ttyname(slave)
+    os.close(master)
+    os.close(slave)
 
 
 def _exclusive(descriptor: int) -> bool:
@@ -36,38 +46,27 @@ def test_a_port_without_a_latency_timer_has_none(tmp_path):
     assert serial_port.latency_timer_ms("/dev/null", tmp_path) is None
 
 
-def test_other_openers_are_admitted_again():
-    master, slave = os.openpty()
+def test_a_pseudo_terminal_is_not_marked_and_other_openers_are_admitted_again(terminal):
+    slave, _ = terminal
+    serial_port.open_exclusively(slave)
+    assert not _exclusive(slave)
     fcntl.ioctl(slave, 0x540C)  # TIOCEXCL
     assert _exclusive(slave)
     serial_port.end_exclusive_use(slave)
     assert not _exclusive(slave)
-    os.close(master)
-    os.close(slave)
 
 
-def test_a_pseudo_terminal_is_not_marked():
-    master, slave = os.openpty()
-    serial_port.open_exclusively(slave)
-    assert not _exclusive(slave)
-    os.close(master)
-    os.close(slave)
-
-
-def test_each_failure_to_open_has_its_remedy(tmp_path):
+def test_each_failure_to_open_has_its_remedy(tmp_path, terminal):
     missing = str(tmp_path / "no")
     assert "udev rule" in serial_port.explain_open_failure(missing, FileNotFoundError())
     (tmp_path / "file").touch()
     file = str(tmp_path / "file")
     explain = serial_port.explain_open_failure
     assert "set the parameter port" in explain(file, OSError())
-    master, slave = os.openpty()
-    port = os.ttyname(slave)
+    _, port = terminal
     assert "dialout" in explain(port, PermissionError(errno.EACCES, "no"))
     assert f"lsof {port}" in explain(port, OSError(errno.EWOULDBLOCK, "lock"))
     assert "bad fd" in explain(port, OSError(errno.EBADF, "bad fd"))
-    os.close(master)
-    os.close(slave)
 
 
 def test_a_file_that_is_no_port_is_rejected_before_it_is_opened_in_one_line_with_the_remedy(
@@ -88,9 +87,8 @@ def test_a_file_that_is_no_port_is_rejected_before_it_is_opened_in_one_line_with
         assert "\n" not in str(rejected.value)
 
 
-def test_the_controlling_terminal_is_rejected_although_no_stream_uses_it():
-    master, slave = os.openpty()
-    name = os.ttyname(slave)
+def test_the_controlling_terminal_is_rejected_although_no_stream_uses_it(terminal):
+    _, name = terminal
     script = (
         "import os, sys\n"
         "from worm_driver.servos import serial_port\n"
@@ -105,19 +103,15 @@ def test_the_controlling_terminal_is_rejected_although_no_stream_uses_it():
         start_new_session=True,
         check=True,
     )
-    os.close(master)
-    os.close(slave)
     assert name in done.stdout
     assert "terminal" in done.stdout
 
 
-def test_the_terminal_of_the_driver_itself_is_rejected(monkeypatch):
-    master, slave = os.openpty()
+def test_the_terminal_of_the_driver_itself_is_rejected(monkeypatch, terminal):
+    slave, name = terminal
     number = os.fstat(slave).st_rdev
-    assert serial_port.why_no_port(os.ttyname(slave)) == ""
+    assert serial_port.why_no_port(name) == ""
     monkeypatch.setattr(serial_port, "_own_terminals", lambda: {number})
-    reason = serial_port.why_no_port(os.ttyname(slave))
-    assert os.ttyname(slave) in reason
+    reason = serial_port.why_no_port(name)
+    assert name in reason
     assert "terminal" in reason
-    os.close(master)
-    os.close(slave)

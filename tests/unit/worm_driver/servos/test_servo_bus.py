@@ -9,10 +9,9 @@ import tty
 from collections.abc import Iterator
 
 import pytest
-import serial
 from driver_rig import CABLE, Clock, SimulatedPort, Wire
-from dynamixel_sdk import COMM_PORT_BUSY, Protocol2PacketHandler
-from hypothesis import given, settings
+from dynamixel_sdk import Protocol2PacketHandler
+from hypothesis import given
 from hypothesis import strategies as st
 
 from worm_driver.driver_errors import (
@@ -25,7 +24,7 @@ from worm_driver.driver_errors import (
 )
 from worm_driver.servos.bus_types import Identity
 from worm_driver.servos.registers import COMMON, Register
-from worm_driver.servos.servo_bus import BusPort, ServoBus, stuff, unstuff
+from worm_driver.servos.servo_bus import ServoBus, stuff, unstuff
 from worm_driver.servos.servo_state import STATE_SIZE, STATE_START
 from worm_driver.virtual_robot.virtual_robot import VirtualRobot
 from worm_driver.virtual_robot.virtual_settings import load_settings
@@ -68,30 +67,24 @@ def line() -> Line:
 # --- the protocol --------------------------------------------------------------------------------
 
 
-def test_a_ping_is_the_manuals_and_returns_model_and_firmware(line):
-    assert line.bus.ping(1) == Identity(1020, 48)
-    assert line.wire.sent == [bytes.fromhex("FFFFFD00010300 01 194E")]
-
-
-def test_a_read_is_the_manuals(line):
-    line.bus.read(1, POSITION)
-    assert line.wire.sent[0] == bytes.fromhex("FFFFFD00010700 02 8400 0400 1D15")
-
-
-def test_a_reboot_is_the_manuals(line):
-    line.bus.reboot(1)
-    assert line.wire.sent[0] == bytes.fromhex("FFFFFD00010300 08 2F4E")
+@pytest.mark.parametrize(
+    ("request_", "sent"),
+    [
+        (lambda bus: bus.ping(1), "FFFFFD00010300 01 194E"),
+        (lambda bus: bus.read(1, POSITION), "FFFFFD00010700 02 8400 0400 1D15"),
+        (lambda bus: bus.reboot(1), "FFFFFD00010300 08 2F4E"),
+    ],
+    ids=["ping", "read", "reboot"],
+)
+def test_a_request_is_the_manuals(line, request_, sent):
+    answer = request_(line.bus)
+    assert line.wire.sent[0] == bytes.fromhex(sent)
+    assert not isinstance(answer, Identity) or answer == Identity(1020, 48)
 
 
 def test_a_negative_value_comes_back_negative(line):
     line.bus.write(1, GOAL, -131073 * 2)
     assert line.bus.read(1, GOAL) == -262146
-
-
-def test_one_sync_write_sets_all(line):
-    line.bus.sync_write(GOAL, {11: 1000, 12: 2000})
-    assert len(line.wire.sent) == 1
-    assert (line.bus.read(11, GOAL), line.bus.read(12, GOAL)) == (1000, 2000)
 
 
 def test_torque_off_needs_no_answer(line):
@@ -137,27 +130,14 @@ def test_the_sdk_loses_a_byte_where_this_does_not():
     assert unstuff(stuff(body)) == body
 
 
-def test_a_value_with_a_header_in_it_arrives(line):
+def test_a_sync_write_with_a_header_in_it_arrives(line):
     """The SDK sends it unstuffed, and a servo reads the header as the start of another packet."""
     assert b"\xff\xff\xfd" in GOAL.pack(-131073)
-    line.bus.write(1, GOAL, -131073)
-    assert line.bus.read(1, GOAL) == -131073
-
-
-def test_a_sync_write_with_a_header_in_it_arrives(line):
     line.bus.sync_write(GOAL, {1: -131073, 11: 5})
+    assert len(line.wire.sent) == 1
     assert (line.bus.read(1, GOAL), line.bus.read(11, GOAL)) == (-131073, 5)
 
 
-def test_the_sdk_alone_does_not_get_it_through(line):
-    """When this fails, the SDK has been corrected, and _PacketHandler may be removed."""
-    line.port.packet_timeout = 5.0
-    data = list(GOAL.pack(-131073))
-    result, error = Protocol2PacketHandler().writeTxRx(line.port, 1, GOAL.address, 4, data)
-    assert (result, error) != (0, 0)
-
-
-@settings(max_examples=200)
 @given(st.lists(st.sampled_from([0xFF, 0xFD, 0x00]), min_size=4, max_size=4).map(bytes))
 def test_an_answer_with_headers_in_it_is_read_whole(data):
     clock = Clock()
@@ -167,7 +147,6 @@ def test_an_answer_with_headers_in_it_is_read_whole(data):
     assert bus.read(1, register) == int.from_bytes(data, "little")
 
 
-@settings(max_examples=200)
 @given(st.lists(st.sampled_from([0xFF, 0xFD, 0x00, 0x01]), max_size=40).map(bytes))
 def test_what_is_sent_is_what_a_receiver_unstuffs(data):
     seen = []
@@ -273,20 +252,13 @@ def test_bytes_that_keep_coming_do_not_hang_the_bus():
 # --- errors that the SDK's sync read drops --------------------------------------------------------
 
 
-@pytest.mark.parametrize("number", range(1, 8))
-def test_each_error_number_is_an_error_with_a_text(line, number):
-    line.inject("error", count=2, value=number)
-    with pytest.raises(StatusError, match="servo 1 ") as caught:
-        line.bus.read(1, MODEL)
-    assert caught.value.number == number
-
-
 def test_only_a_garbled_request_is_repeated(line):
     line.inject("error", count=1, value=3)
     assert line.bus.read(1, MODEL) == 1020
     line.inject("error", count=1, value=4)
-    with pytest.raises(StatusError):
+    with pytest.raises(StatusError, match="servo 1 ") as caught:
         line.bus.read(1, MODEL)
+    assert caught.value.number == 4
 
 
 @pytest.mark.parametrize("number", range(1, 8))
@@ -363,12 +335,6 @@ def test_a_step_of_the_wall_clock_does_not_shorten_a_wait(line, monkeypatch):
     assert line.bus.counters.timeouts == 0
 
 
-def test_the_default_clock_is_monotonic(terminal, monkeypatch):
-    monkeypatch.setattr(time, "time", lambda: 0.0)
-    port = BusPort(terminal, 1_000_000)
-    assert port.getCurrentTime() == pytest.approx(time.monotonic() * 1e3, abs=1e3)
-
-
 def test_an_exception_in_an_exchange_leaves_the_bus_usable(line):
     """Otherwise the SDK's busy flag would remain set, and every later call fail with COMM_PORT_BUSY."""
     line.bus.ping(1)
@@ -377,14 +343,6 @@ def test_an_exception_in_an_exchange_leaves_the_bus_usable(line):
         line.bus.ping(1)
     line.wire.unplugged = False
     assert line.bus.ping(1).model_number == 1020
-
-
-def test_the_sdks_flag_does_stick_without_that(line):
-    line.wire.unplugged = True
-    with pytest.raises(serial.SerialException):
-        Protocol2PacketHandler().ping(line.port, 1)
-    line.wire.unplugged = False
-    assert Protocol2PacketHandler().ping(line.port, 1)[1] == COMM_PORT_BUSY
 
 
 def test_two_threads_do_not_get_into_each_others_way(line):
@@ -456,13 +414,8 @@ def test_ten_thousand_fuzzed_packets_give_the_truth_or_an_error():
             outcomes["error"] += 1
     assert outcomes["value"] > 2000
     assert outcomes["error"] > 2000
-
-
-def test_pure_noise_never_looks_like_a_servo():
-    dice = random.Random(7)
-    clock = Clock()
     wire = Wire(clock, lambda _, now: [(now, dice.randbytes(dice.randrange(60)))])
-    bus = ServoBus(SimulatedPort(wire, clock), retries=0)
+    noisy = ServoBus(SimulatedPort(wire, clock), retries=0)
     for _ in range(1000):
         with pytest.raises(BusError):
-            bus.ping(1)
+            noisy.ping(1)

@@ -32,8 +32,8 @@ SPARSE = replace(
 @pytest.mark.parametrize(
     ("settings", "yaw", "pitch"),
     [
-        (HARSH, 0.0, -0.05),
-        (HARSH, -0.30, -0.18),  # 20 degrees
+        pytest.param(HARSH, 0.0, -0.05, marks=pytest.mark.night),
+        pytest.param(HARSH, -0.30, -0.18, marks=pytest.mark.night),  # 20 degrees
         (HARSH, 0.28, 0.2),
         (SPARSE, 0.1, -0.1),
     ],

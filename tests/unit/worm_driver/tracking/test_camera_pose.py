@@ -20,9 +20,8 @@ def corners(camera: PaperCamera, *left_out: int) -> dict[int, np.ndarray]:
     return {d.number: d.corners for d in camera.references() if d.number not in left_out}
 
 
-def fixed(settings=SETTINGS) -> FixedCamera:
-    setup = setup_of(settings)
-    return FixedCamera(setup, setup.camera)
+def fixed() -> FixedCamera:
+    return FixedCamera(SETUP, SETUP.camera)
 
 
 @given(st.floats(-0.35, 0.35), st.floats(-0.3, 0.3), st.floats(-0.2, 0.2), st.floats(0.4, 1.0))
@@ -56,21 +55,22 @@ def test_a_camera_on_the_other_side_of_the_pipe():
     assert pose.position == pytest.approx([-x, -y, z], abs=1e-5)
 
 
-def test_one_marker_is_too_few():
-    with pytest.raises(PoseError, match="10; at least 2"):
-        find_pose(SETUP, SETUP.camera, corners(PaperCamera(), 11, 12, 13))
+MISPLACED = setup_of(replace(SETTINGS, reference={**SETTINGS.reference, 11: (0.41, -0.035, 0.075)}))
+UPSIDE_DOWN = {n: np.roll(quad, 2, axis=0) for n, quad in corners(PaperCamera()).items()}
 
 
-def test_a_wrong_position_in_the_setup_is_reported():
-    wrong = setup_of(replace(SETTINGS, reference={**SETTINGS.reference, 11: (0.41, -0.035, 0.075)}))
-    with pytest.raises(PoseError, match=r"0\.9 mm.*reference"):
-        find_pose(wrong, wrong.camera, corners(PaperCamera()))
-
-
-def test_prints_on_their_heads_are_moved():
-    upside_down = {n: np.roll(quad, 2, axis=0) for n, quad in corners(PaperCamera()).items()}
-    with pytest.raises(PoseError, match="upright"):
-        find_pose(SETUP, SETUP.camera, upside_down)
+@pytest.mark.parametrize(
+    ("setup", "seen", "reason"),
+    [
+        (SETUP, corners(PaperCamera(), 11, 12, 13), "10; at least 2"),
+        (MISPLACED, corners(PaperCamera()), r"0\.9 mm.*reference"),
+        (SETUP, UPSIDE_DOWN, "upright"),
+    ],
+    ids=["one marker", "wrong position in the setup", "prints on their heads"],
+)
+def test_markers_that_give_no_pose_are_reported(setup, seen, reason):
+    with pytest.raises(PoseError, match=reason):
+        find_pose(setup, setup.camera, seen)
 
 
 def test_ambiguous_poses_are_rejected():
@@ -150,8 +150,7 @@ def test_one_visible_marker_does_not_decide_whether_it_or_the_camera_moved():
 @pytest.mark.parametrize("images_before", [2, 130])
 def test_a_misplaced_marker_that_appears_later_is_reported_with_every_image(images_before):
     """The pose without this marker is not used again, and the last estimate with it is not the 128th image's."""
-    wrong = {**SETTINGS.reference, 11: (0.41, -0.035, 0.075)}
-    camera = fixed(replace(SETTINGS, reference=wrong))
+    camera = FixedCamera(MISPLACED, MISPLACED.camera)
     others, everything = corners(PaperCamera(), 11), corners(PaperCamera())
     for _ in range(images_before):
         assert camera.update(others).pose is not None
@@ -162,7 +161,7 @@ def test_a_misplaced_marker_that_appears_later_is_reported_with_every_image(imag
 
 
 def test_a_rejected_pose_is_found_again_without_the_marker_that_moved():
-    camera = fixed(replace(SETTINGS, reference={**SETTINGS.reference, 11: (0.41, -0.035, 0.075)}))
+    camera = FixedCamera(MISPLACED, MISPLACED.camera)
     exact = corners(PaperCamera())
     for _ in range(3):
         assert camera.update(exact).pose is None

@@ -3,12 +3,11 @@
 
 import threading
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
-from worm_driver.virtual_robot.camera import TrackerSample
 from worm_driver.virtual_robot.robot_server import I2C_NAME, SERIAL_NAME, RobotServer
 from worm_driver.virtual_robot.virtual_robot import VirtualRobot
 from worm_driver.virtual_robot.virtual_settings import RobotSettings, load_settings
@@ -16,13 +15,12 @@ from worm_driver.virtual_robot.virtual_settings import RobotSettings, load_setti
 
 @dataclass
 class Served:
-    """Robot with its ports; ``samples`` grows with the camera's samples."""
+    """Robot with its ports."""
 
     robot: VirtualRobot
     directory: Path
     server: RobotServer
     thread: threading.Thread
-    samples: list[TrackerSample] = field(default_factory=list)
 
     def end(self) -> None:
         """Clean up as the process does at its end."""
@@ -50,11 +48,10 @@ def settings() -> RobotSettings:
 def served(settings: RobotSettings, tmp_path: Path) -> Iterator[Served]:
     """Start a robot behind a pseudo-terminal and a socket."""
     robot = VirtualRobot(settings)
-    samples: list[TrackerSample] = []
-    server = RobotServer(robot, tmp_path, samples.extend)
+    server = RobotServer(robot, tmp_path, lambda _: None)
     server.open()
     thread = threading.Thread(target=server.run)
     thread.start()
-    served = Served(robot, tmp_path, server, thread, samples)
+    served = Served(robot, tmp_path, server, thread)
     yield served
     served.end()

@@ -17,7 +17,6 @@ from worm_driver.virtual_robot.virtual_robot import VirtualRobot
 from worm_driver.virtual_robot.wire import faults
 from worm_driver.virtual_robot.wire.faults import FaultBoard, make_fault
 from worm_driver.virtual_robot.wire.ina219_chip import BUS, CALIBRATION, CONFIGURATION, SHUNT
-from worm_msgs.conditions import Conditions
 from worm_msgs.gait import FORWARD, REVERSE, Gait, Profile
 
 ADDRESS = 0x40
@@ -38,14 +37,13 @@ def grooves_per_cycle(run, frequency, pitch=0.0173, cycles=5, last=3):
     return (position(end) - position(end - last / frequency)) / pitch / last
 
 
-@pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize(
-    ("stroke", "frequency", "grooves"), [(0.07, 0.2, 1), (0.0755, 0.15, 2), (0.0762, 0.2325, 2)]
+    ("stroke", "frequency", "direction", "grooves"),
+    [(0.07, 0.2, FORWARD, 1), (0.0762, 0.2325, FORWARD, 2), (0.07, 0.2, REVERSE, -1)],
 )
-def test_robust_gaits_gain_the_predicted_grooves(settings, seed, stroke, frequency, grooves):
-    run = run_offline(
-        settings.with_seed(seed), Gait(stroke, frequency).length_change, 5 / frequency, rest=0.5
-    )
+def test_robust_gaits_gain_the_predicted_grooves(settings, stroke, frequency, direction, grooves):
+    change = Gait(stroke, frequency).length_change
+    run = run_offline(settings, change, 5 / frequency, rest=0.5, direction=direction)
     assert grooves_per_cycle(run, frequency) == pytest.approx(grooves, abs=0.1)
 
 
@@ -57,30 +55,6 @@ def test_a_shaped_gait_rests_at_its_pretension_and_walks(settings):
     assert run.goal_ticks[resting] * metres == pytest.approx(0.01, abs=metres)
     assert run.goal_ticks.max() * metres == pytest.approx(gait.reach, abs=2 * metres)
     assert grooves_per_cycle(run, gait.frequency) == pytest.approx(2, abs=0.1)
-
-
-def test_a_slope_and_a_tether_cost_power_and_no_speed_with_a_margin(settings):
-    gait = Gait(0.0754, 0.147)
-    uphill = replace(settings, conditions=Conditions(20.0, 2.0))
-    level, loaded = (
-        run_offline(robot, gait.length_change, 5 / gait.frequency) for robot in (settings, uphill)
-    )
-    assert grooves_per_cycle(loaded, gait.frequency) == pytest.approx(2, abs=0.1)
-    first, last = level.onset + 2 / gait.frequency, level.onset + 5 / gait.frequency
-    power = [
-        np.mean((run.bus_voltage * run.current)[(run.power_time > first) & (run.power_time < last)])
-        for run in (level, loaded)
-    ]
-    # the load's work: weight and tether over two grooves per cycle, times the power factor
-    mass = level.truth.rear_mass + level.truth.front_mass
-    force = mass * 9.80665 * math.sin(math.radians(20.0)) + 2.0
-    work = level.truth.power_factor * force * 2 * level.truth.pitch * gait.frequency
-    assert power[1] - power[0] == pytest.approx(work, rel=0.3)
-
-
-def test_fins_turned_around_walk_backward(settings):
-    run = run_offline(settings, Gait(0.07, 0.2).length_change, 25.0, rest=0.5, direction=REVERSE)
-    assert grooves_per_cycle(run, 0.2) == pytest.approx(-1, abs=0.1)
 
 
 def test_a_rehearsal_repeats_exactly_and_differs_with_the_seed(settings):
@@ -118,19 +92,6 @@ def test_what_the_instruments_of_a_rehearsal_see(settings):
     assert np.max(run.goal_ticks) == round(0.07 / 0.025 * 4096 / (2 * math.pi))
     error = run.goal_ticks - run.encoder_ticks
     assert 5 < np.max(error) < 100
-
-
-def test_the_same_bytes_at_the_same_times_give_the_same_answers(settings):
-    def play():
-        robot = VirtualRobot(settings)
-        responses = []
-        request = bytes.fromhex("FFFFFD0001070002840004001D15")  # read the cable's position
-        for index in range(50):
-            responses += [answer.data for answer in robot.receive(request, index * 0.0123)]
-            responses.append(read(robot, SHUNT, index * 0.0123).to_bytes(2, "big"))
-        return responses
-
-    assert play() == play()
 
 
 def test_fins_between_their_angles_hold_nothing(settings):

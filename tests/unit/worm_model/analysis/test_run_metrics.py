@@ -13,6 +13,7 @@ from recorded_run import GAIT, simulated_run
 from worm_driver.gait import gait_limits, gait_metrics, gait_player
 from worm_driver.power.ina219 import PowerSample, SampleStatus
 from worm_model.analysis import run_metrics
+from worm_model.gait import Gait
 from worm_model.parameters import PAPER
 from worm_model.run import Activity, GaitStates, PowerSamples, Run
 from worm_model.simulation.simulator import cost_of_transport
@@ -23,22 +24,16 @@ EPOCH = 1_700_000_000_000_000_000  # ns
 MASS = PAPER.mass
 
 
-def gait_states(state, onset, cycles, frequency=0.2, **more):
+def gait_states(state, onset, cycles, **more):
     count = len(state)
-    return GaitStates(
-        **{
-            "stamp": EPOCH + np.arange(count, dtype=np.int64),
-            "state": np.array(state),
-            "stroke": np.full(count, 0.07),
-            "frequency": np.full(count, frequency),
-            "direction": np.ones(count, np.int64),
-            "margin": np.zeros(count),
-            "onset": np.array(onset, np.int64),
-            "cycle": np.arange(count),
-            "cycles": np.full(count, cycles),
-            **more,
-        }
-    )
+    rows = {
+        "state": np.array(state),
+        "onset": np.array(onset, np.int64),
+        "cycle": np.arange(count),
+        "cycles": np.full(count, cycles),
+        **more,
+    }
+    return GaitStates.of(Gait(0.07, 0.2), EPOCH + np.arange(count, dtype=np.int64), **rows)
 
 
 def stamps(seconds):

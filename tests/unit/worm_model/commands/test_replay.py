@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Offline replay of a bag through the twin."""
 
+import dataclasses
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +11,13 @@ from recorded_run import GAIT, REST_S, simulated_run, write_bag
 from rosbags.highlevel import AnyReader
 
 from worm_model.analysis.replay_metrics import report_replay
+from worm_model.bags.formats.bag_writer import new_bag
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import read_run
+from worm_model.bags.run_writer import write_run
 from worm_model.commands import replay
 from worm_model.parameters import PAPER
+from worm_model.run import GaitStates, Run
 from worm_model.twin.offline_replay import replay_run
 
 CYCLES = 3
@@ -27,15 +30,11 @@ def bag(tmp_path_factory) -> Path:
     return write_bag(tmp_path_factory.mktemp("bags") / "bag", RUN)
 
 
-def command(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
-    monkeypatch.setattr(sys, "argv", ["replay", *map(str, arguments)])
-    return replay.main()
-
-
-def test_the_twin_follows_a_robot_of_its_own_kind(bag: Path, monkeypatch, capsys):
+def test_the_twin_follows_a_robot_of_its_own_kind(bag: Path, run):
     """The recorded motion is the simulator's: only the added noise remains."""
-    assert command(monkeypatch, bag, "--json") == 0
-    report = json.loads(capsys.readouterr().out)
+    status, out, _ = run(replay, bag, "--json")
+    report = json.loads(out)
+    assert status == 0
     assert report.keys() >= KEYS
     assert report["x1_rmse"] < 4e-4
     assert report["length_rmse"] < 4e-4
@@ -51,19 +50,16 @@ def test_the_twin_follows_a_robot_of_its_own_kind(bag: Path, monkeypatch, capsys
     assert sum(c["grooves"] for c in report["cycles"]) > CYCLES
 
 
-def test_another_robot_differs(bag: Path, tmp_path: Path, monkeypatch, capsys):
+def test_another_robot_differs(bag: Path, tmp_path: Path, run):
     parameters = tmp_path / "robot.yaml"
     parameters.write_text("idle_power: 1.82\ngain: 0.80\n")
-    assert command(monkeypatch, bag, "--parameters", parameters, "--json") == 0
-    report = json.loads(capsys.readouterr().out)
+    report = json.loads(run(replay, bag, "--parameters", parameters, "--json")[1])
     assert report["energy_error"] < -0.05
     assert report["length_rmse"] > 1e-3
 
 
-def test_the_twins_topics_are_written_next_to_the_original_ones(
-    bag: Path, tmp_path: Path, monkeypatch
-):
-    assert command(monkeypatch, bag, "--output", tmp_path / "both") == 0
+def test_the_twins_topics_are_written_next_to_the_original_ones(bag: Path, tmp_path: Path, run):
+    assert run(replay, bag, "--output", tmp_path / "both")[0] == 0
     offline = replay_run(RUN, PAPER)
     with open_bag(bag) as before, open_bag(tmp_path / "both") as after:
         assert before.topics.keys() < after.topics.keys()
@@ -84,39 +80,31 @@ def test_the_twins_topics_are_written_next_to_the_original_ones(
     assert len(found["/worm/twin/residuals"]) == len(offline.residuals["stamp_ns"])
 
 
-def test_a_replayed_bag_is_replayed_again(bag: Path, tmp_path: Path, monkeypatch):
+def test_a_replayed_bag_is_replayed_again(bag: Path, tmp_path: Path, run):
     """The recorded topics of the twin are replaced: the result is the same bag."""
-    assert command(monkeypatch, bag, "--output", tmp_path / "a") == 0
-    assert command(monkeypatch, tmp_path / "a", "--output", tmp_path / "b") == 0
+    assert run(replay, bag, "--output", tmp_path / "a")[0] == 0
+    assert run(replay, tmp_path / "a", "--output", tmp_path / "b")[0] == 0
     assert (tmp_path / "a/a_0.mcap").read_bytes() == (tmp_path / "b/b_0.mcap").read_bytes()
 
 
-def test_two_robots_in_a_bag_are_distinguished(tmp_path: Path, monkeypatch, capsys):
-    from worm_model.bags.formats.bag_writer import new_bag
-    from worm_model.bags.run_writer import write_run
-
+def test_two_robots_in_a_bag_are_distinguished(tmp_path: Path, run):
     with new_bag(tmp_path / "two") as writer:
         write_run(writer, RUN, "/one")
         write_run(writer, RUN, "/two")
-    assert command(monkeypatch, tmp_path / "two") == 2
-    assert "choose with --namespace" in capsys.readouterr().err
-    assert command(monkeypatch, tmp_path / "two", "--namespace", "/two") == 0
+    status, _, error = run(replay, tmp_path / "two")
+    assert status == 2
+    assert "choose with --namespace" in error
+    assert run(replay, tmp_path / "two", "--namespace", "/two")[0] == 0
 
 
 def test_without_a_gait_state_everything_is_judged_and_no_cycles_are_claimed():
-    from dataclasses import replace
-
-    from worm_model.run import GaitStates
-
-    run = replace(RUN, gait_state=GaitStates())
+    run = dataclasses.replace(RUN, gait_state=GaitStates())
     report = report_replay(run, replay_run(run, PAPER), PAPER.pitch)
     assert report.cycles == ()
     assert np.isfinite(report.residuals.x1_rmse)
 
 
 def test_without_measurements_there_are_no_residuals():
-    from worm_model.run import Run
-
     run = Run(origin=RUN.origin, commanded=RUN.commanded, gait_state=RUN.gait_state)
     offline = replay_run(run, PAPER)
     report = report_replay(run, offline, PAPER.pitch)

@@ -1,11 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The fingerprint depends on the code that identification uses, and on no other."""
 
-from worm_model.identification.fingerprint import (
-    ENTRY,
-    PACKAGE,
-    imported_files,
-)
+from worm_model.identification.fingerprint import ENTRY, PACKAGE, imported_files
 
 
 def test_what_identification_imports_is_in_it_and_nothing_else():

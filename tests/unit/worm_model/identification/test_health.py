@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from recorded_run import EPOCH, simulated_run, write_bag
+from virtual_campaign import run_of
 
 from worm_driver.virtual_robot.offline_run import run_offline
 from worm_driver.virtual_robot.virtual_settings import load_settings
@@ -23,12 +24,11 @@ from worm_model.identification.data.observed_run import recording_of
 from worm_model.identification.drift_estimates import estimate_bag, estimate_bags
 from worm_model.identification.fits.estimate import Estimate, not_identifiable
 from worm_model.parameters import PAPER, ParameterFile
-from worm_model.run import GaitStates, LengthSamples, PowerSamples, Run, TrackerSamples
+from worm_model.run import Run, TrackerSamples
 
 GAIT = Gait(0.07, 0.4)
 CYCLES = 4
 HOUR = 3_600_000_000_000  # ns
-PULSES_PER_RADIAN = 4096 / (2.0 * np.pi)
 PAPER_FILE = ParameterFile()
 
 
@@ -41,45 +41,7 @@ def robot_run(seed: int, recording: int, gain: float = 1.0) -> Run:
     settings = replace(load_settings(), seed=seed, recording=recording)
     settings = replace(settings, body=replace(settings.body, gain=settings.body.gain * gain))
     seen = run_offline(settings, GAIT.length_change, CYCLES / GAIT.frequency)
-    start = EPOCH + recording * HOUR
-
-    def stamp(time):
-        return start + np.rint(np.asarray(time) * 1e9).astype(np.int64)
-
-    command = -seen.goal_ticks / PULSES_PER_RADIAN * settings.cable_servos[0].spool_radius
-    onset = int(stamp(seen.onset))
-    return Run(
-        origin=start,
-        commanded=LengthSamples(stamp(seen.servo_time), PAPER.initial_length + command, command),
-        tracker=TrackerSamples(stamp(seen.tracker_time), seen.rear_position, seen.front_position),
-        power=PowerSamples(
-            stamp(seen.power_time),
-            np.zeros(seen.power_time.size, np.int64),
-            seen.bus_voltage,
-            seen.current,
-            seen.bus_voltage * seen.current,
-        ),
-        gait_state=GaitStates(
-            stamp=stamp([0.0, seen.onset]),
-            state=np.array([2, 3]),
-            stroke=np.full(2, GAIT.stroke),
-            frequency=np.full(2, GAIT.frequency),
-            direction=np.full(2, GAIT.direction),
-            margin=np.zeros(2),
-            onset=np.array([0, onset]),
-            cycle=np.array([0, 1]),
-            cycles=np.full(2, CYCLES),
-        ),
-    )
-
-
-def run_health(capsys, *arguments):
-    """Return exit status, standard output and standard error of the command."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("sys.argv", ["health", *map(str, arguments)])
-        status = health_command.main()
-    captured = capsys.readouterr()
-    return status, captured.out, captured.err
+    return run_of(seen, GAIT, settings, EPOCH + recording * HOUR)
 
 
 def test_limits_are_those_of_a_chart_for_individuals():
@@ -196,7 +158,7 @@ def test_a_steady_robot_is_not_reported(seed):
     assert states == dict.fromkeys(drift.ADVICE, drift.State.WITHIN)
 
 
-def test_a_falling_gain_is_found_and_what_is_no_bag_of_a_run_left_out(tmp_path: Path, capsys):
+def test_a_falling_gain_is_found_and_what_is_no_bag_of_a_run_left_out(tmp_path: Path, run):
     factors = [1.0, 1.0, *(0.97**k for k in range(1, 6))]
     bags = [
         write_bag(tmp_path / f"bag{k}", robot_run(7, k, factor)) for k, factor in enumerate(factors)
@@ -204,7 +166,7 @@ def test_a_falling_gain_is_found_and_what_is_no_bag_of_a_run_left_out(tmp_path: 
     broken = tmp_path / "broken"
     broken.mkdir()
     (broken / "broken_0.mcap").write_bytes(b"no bag")
-    status, out, err = run_health(capsys, *reversed(bags), broken, bags[0], "--json")
+    status, out, err = run(health_command, *reversed(bags), broken, bags[0], "--json")
     assert status == 0
     found = json.loads(out)
     assert [bag["bag"] for bag in found["bags"]] == [bag.name for bag in bags]
@@ -235,12 +197,11 @@ def test_a_parameter_that_no_bag_identifies_is_not_within_its_limits():
     assert chart.state is drift.State.NOT_IDENTIFIABLE
 
 
-def test_no_usable_bag_is_bad_input_of_one_line(tmp_path: Path, capsys):
-    run = simulated_run()
-    without = write_bag(tmp_path / "blind", replace(run, tracker=TrackerSamples()))
+def test_no_usable_bag_is_bad_input_of_one_line(tmp_path: Path, run):
+    without = write_bag(tmp_path / "blind", replace(simulated_run(), tracker=TrackerSamples()))
     broken = tmp_path / "broken"
     broken.mkdir()
-    status, out, err = run_health(capsys, without, broken)
+    status, out, err = run(health_command, without, broken)
     assert (status, out) == (2, "")
     line = err.strip().splitlines()[-1]
     assert line.startswith("health: no bag can be used: blind: contains no tracker")

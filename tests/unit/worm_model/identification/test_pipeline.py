@@ -17,11 +17,7 @@ from worm_model.identification.fit_verdict import Verdict, judge_fit
 from worm_model.identification.fits import locomotion
 from worm_model.identification.fits.estimate import Estimate
 from worm_model.identification.inputs import Inputs
-from worm_model.identification.reference_values import (
-    MEASURED,
-    ReferenceValues,
-    reference_by_file,
-)
+from worm_model.identification.reference_values import MEASURED, ReferenceValues, reference_by_file
 from worm_model.identification.report.advice import FREQUENCIES, STAGES, STROKES, advise
 from worm_model.identification.report.identification_report import text_of
 from worm_model.identification.report.results import correlations, parameter_file, summary

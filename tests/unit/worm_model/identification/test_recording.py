@@ -18,12 +18,7 @@ from worm_model.identification.data.identification_errors import IdentificationE
 from worm_model.identification.data.observed_run import recording_of, recordings_of
 from worm_model.identification.fits.locomotion import traverse_of
 from worm_model.identification.fits.measured_length import measured_length
-from worm_model.identification.fits.quality import (
-    longest_gap,
-    remarks,
-    starts_apart,
-    usable,
-)
+from worm_model.identification.fits.quality import longest_gap, remarks, starts_apart, usable
 from worm_model.identification.idle import idle_power, idle_power_of
 from worm_model.parameters import PAPER
 from worm_model.run import GaitStates, LengthSamples, Run, TrackerSamples

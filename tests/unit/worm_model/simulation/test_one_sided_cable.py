@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from random_cases import examples, random_case
 
 from worm_model.analysis.simulated_run import simulated_run
-from worm_model.gait import Gait
+from worm_model.gait import AVERAGED, CYCLES, Gait
 from worm_model.parameters import PAPER
-from worm_model.simulation.simulator import AVERAGED, CYCLES, evaluate_gait, simulate
+from worm_model.simulation.simulator import evaluate_gait, simulate
 from worm_model.twin.offline_replay import replay_run
 
 FAST = Gait(0.09, 0.4)

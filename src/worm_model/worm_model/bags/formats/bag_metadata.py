@@ -12,7 +12,6 @@ from textwrap import indent
 from typing import Any
 
 import yaml
-from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
 
 from worm_model.bags.formats.bag_errors import BagError
 from worm_model.bags.formats.finding import METADATA_FILE, check_readable
@@ -94,6 +93,8 @@ def qos_profiles(text: str) -> list[Any]:
     try:
         profiles = yaml.load(text, Loader=_LOADER)
         if re.search(r"durability: *\d", text):
+            from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos  # here: these load slowly
+
             profiles = dump_qos_v9(parse_qos(profiles))
     except Exception:  # noqa: BLE001 - the library also raises AssertionError
         return []

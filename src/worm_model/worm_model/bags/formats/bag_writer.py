@@ -18,7 +18,6 @@ from worm_model.bags.formats.bag_errors import ExistsError, UnwritableError
 from worm_model.bags.formats.bag_metadata import LogTimes, metadata_text, write_metadata
 from worm_model.bags.formats.message_block import Message, Topic
 from worm_model.bags.formats.stored_file import AttachedFile
-from worm_model.bags.opening import Bag
 from worm_model.errors import printable
 
 CHUNK_BYTES = 768 * 1024  # size at which a chunk is closed even if no synchronisation is due
@@ -88,14 +87,6 @@ class BagWriter:
         for message in messages:
             self.write(message.channel, message.data, message.log_time, message.publish_time)
         return self._extent.count - before
-
-    def copy_records(self, bag: Bag) -> None:
-        """Copy the attachments and metadata records of a bag, except rosbag2's copy of metadata.yaml."""
-        for attached in bag.attachments():
-            self.add_attachment(attached)
-        for record in bag.records:
-            if record.name != ROSBAG2_RECORD:
-                self.add_metadata(record.name, dict(record.values))
 
     def sync(self) -> None:
         """Close the open chunk, and write all messages to the disk."""

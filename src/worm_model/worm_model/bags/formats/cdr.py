@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rosbags.convert.converter import default_message, migrate_message
 from rosbags.interfaces import Nodetype
 from rosbags.serde import SerdeError
 
@@ -267,6 +266,8 @@ def encode(
     Raises:
         BagError: The type lacks one of the fields.
     """
+    from rosbags.convert.converter import default_message  # here: it loads slowly
+
     store = typestore(topic.type_name, topic.definition, topic.definition_format)
     message: Any = default_message(store, topic.type_name)
     setters: list[tuple[Callable[[Any], None], Sequence[Any]]] = []
@@ -316,6 +317,8 @@ class MessageConverter:
     """
 
     def __init__(self, source: Topic, target: Topic) -> None:
+        from rosbags.convert.converter import default_message
+
         one, other = types_of(source), types_of(target)
         self.added: list[str] = []
         for name in sorted(one.keys() & other.keys()):
@@ -351,6 +354,8 @@ class MessageConverter:
         Raises:
             BagError: The length contradicts the source's definition.
         """
+        from rosbags.convert.converter import migrate_message
+
         old, new = self._stores
         try:
             content = old.deserialize_cdr(data, self._source.type_name)

@@ -9,7 +9,7 @@ from operator import attrgetter
 from pathlib import Path
 
 from worm_model.bags.formats.bag_errors import BagError
-from worm_model.bags.formats.bag_writer import new_bag
+from worm_model.bags.formats.bag_writer import ROSBAG2_RECORD, BagWriter, new_bag
 from worm_model.bags.formats.finding import recovered_path
 from worm_model.bags.formats.message_block import Message, Topic
 from worm_model.bags.opening import LOSS, RECOVERY_RECORD, SOURCE, Bag, open_bag
@@ -36,13 +36,22 @@ def write_copy(
         UnwritableError: The operating system cannot create or write the output.
     """
     with new_bag(output) as writer:
-        writer.copy_records(bag)
+        copy_records(bag, writer)
         if bag.damage:
             loss = printable("; ".join(bag.damage))
             writer.add_metadata(RECOVERY_RECORD, {SOURCE: printable(bag.path.name), LOSS: loss})
         for topic in topics:
             writer.add_topic(topic)
         return writer.write_all(heapq.merge(*series, key=attrgetter("log_time")))
+
+
+def copy_records(bag: Bag, writer: BagWriter) -> None:
+    """Copy the attachments and metadata records of a bag, except rosbag2's copy of metadata.yaml."""
+    for attached in bag.attachments():
+        writer.add_attachment(attached)
+    for record in bag.records:
+        if record.name != ROSBAG2_RECORD:
+            writer.add_metadata(record.name, dict(record.values))
 
 
 def recover(path: Path, output: Path | None) -> tuple[Path, int, str]:

@@ -14,11 +14,7 @@ from worm_driver.virtual_robot.servo.control_table import (
     XL430_W250,
     XM430_W350,
 )
-from worm_driver.virtual_robot.servo.measurement import (
-    INPUT_VOLTAGE_ERROR,
-    OVERHEATING_ERROR,
-    OVERLOAD_ERROR,
-)
+from worm_driver.virtual_robot.servo.measurement import OVERLOAD_ERROR
 from worm_driver.virtual_robot.servo.register_memory import RegisterError
 from worm_driver.virtual_robot.servo.virtual_servo import Servo
 from worm_driver.virtual_robot.wire.packet import ALERT, Error
@@ -84,12 +80,6 @@ def test_the_tables_are_the_manuals(name, number, position_limits):
     assert all(end <= start for (_, end), (start, _) in pairwise(ends))
 
 
-def test_only_the_xl430_has_no_current():
-    assert "goal_current" not in Bench(XL430_W250).servo.memory
-    assert "present_load" in Bench(XL430_W250).servo.memory
-    assert "goal_current" in Bench(XL330_M288).servo.memory
-
-
 @pytest.mark.parametrize(
     ("name", "value", "number"),
     [
@@ -108,7 +98,10 @@ def test_invalid_values_are_rejected(name, value, number):
     assert Bench().rejected(name, value) == number
 
 
-def test_the_xl430_has_no_current_modes():
+def test_only_the_xl430_has_no_current_and_no_current_modes():
+    assert "goal_current" not in Bench(XL430_W250).servo.memory
+    assert "present_load" in Bench(XL430_W250).servo.memory
+    assert "goal_current" in Bench(XL330_M288).servo.memory
     assert Bench(XL430_W250).rejected("operating_mode", 5) == Error.DATA_RANGE
 
 
@@ -298,15 +291,6 @@ def test_the_watchdog_stops_the_motor_and_rejects_goals_until_it_is_cleared():
     assert bench.read("present_position") == pytest.approx(1100, abs=1)
 
 
-def test_packets_feed_the_watchdog():
-    bench = extended()
-    bench.write("bus_watchdog", 5)
-    for _ in range(10):
-        bench.run(0.09)
-        bench.servo.feed_watchdog(bench.time)
-    assert bench.read("bus_watchdog") == 5
-
-
 def test_the_watchdog_sleeps_while_torque_is_off():
     bench = Bench()
     bench.write("bus_watchdog", 1)
@@ -330,23 +314,6 @@ def test_a_blocked_shaft_overloads_and_only_a_reboot_helps():
     bench.servo.reboot(bench.time)
     bench.write("torque_enable", 1)
     assert bench.servo.alert() == 0
-
-
-def test_an_alert_outside_the_mask_leaves_the_torque_on():
-    bench = extended()
-    bench.servo.surroundings.voltage = 9.0  # an XM430 requires 9.5 V
-    bench.supervise(0.1)
-    assert bench.read("hardware_error_status") == INPUT_VOLTAGE_ERROR
-    assert bench.read("present_input_voltage") == 90
-    assert bench.read("torque_enable") == 1
-
-
-def test_heat_shuts_down():
-    bench = extended()
-    bench.servo.surroundings.ambient = 100.0
-    bench.supervise(0.1)
-    assert bench.read("hardware_error_status") == OVERHEATING_ERROR
-    assert bench.read("torque_enable") == 0
 
 
 def test_the_current_shows_the_load():

@@ -10,6 +10,7 @@ from recorded_run import simulated_run
 from worm_model.bags.formats.bag_writer import new_bag
 from worm_model.bags.formats.stored_file import AttachedFile
 from worm_model.bags.opening import open_bag
+from worm_model.bags.operations.copies import copy_records
 from worm_model.bags.recording.run_manifest import (
     PARAMETER_ATTACHMENT,
     ManifestError,
@@ -97,7 +98,7 @@ def test_runs_of_different_conditions_are_not_judged_by_one_of_them(tmp_path: Pa
         new_bag(tmp_path / "both") as writer,
     ):
         for recorded in (level, steep):
-            writer.copy_records(recorded)
+            copy_records(recorded, writer)
             writer.write_all(recorded.messages())
     with open_bag(tmp_path / "both") as bag, pytest.raises(ManifestError, match="conditions"):
         recorded_robot(bag)

@@ -3,7 +3,6 @@
 
 import json
 import math
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -136,16 +135,9 @@ def test_folders_that_hold_no_run_are_rejected(tmp_path: Path):
         read_lab_run(tmp_path / "no", SETTINGS)
 
 
-def command(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
-    monkeypatch.setattr(sys, "argv", ["import_lab", *map(str, arguments)])
-    return import_lab.main()
-
-
-def test_an_imported_bag_holds_what_the_logs_hold(
-    folder: Path, tmp_path: Path, monkeypatch, capsys
-):
-    assert command(monkeypatch, folder, "--output", tmp_path / "bag", "--json") == 0
-    assert json.loads(capsys.readouterr().out)["occluded"] == 2  # x1 hidden once, x2 once
+def test_an_imported_bag_holds_what_the_logs_hold(folder: Path, tmp_path: Path, run):
+    status, out, _ = run(import_lab, folder, "--output", tmp_path / "bag", "--json")
+    assert (status, json.loads(out)["occluded"]) == (0, 2)  # x1 hidden once, x2 once
     expected = read_lab_run(folder, SETTINGS).run
     with open_bag(tmp_path / "bag") as bag:
         assert namespace_of(bag) == "/worm"
@@ -191,11 +183,12 @@ def test_times_of_any_clock_give_the_same_run(folder: Path, start: int):
     ],
 )
 def test_times_without_a_stamp_of_ros_are_one_line(
-    folder: Path, tmp_path: Path, monkeypatch, capsys, start: int, options: list[str], hint: str
+    folder: Path, tmp_path: Path, run, start: int, options: list[str], hint: str
 ):
     shifted(folder, start)
-    assert command(monkeypatch, folder, "--output", tmp_path / "bag", *options) == 2
-    (line,) = capsys.readouterr().err.splitlines()
+    status, _, error = run(import_lab, folder, "--output", tmp_path / "bag", *options)
+    (line,) = error.splitlines()
+    assert status == 2
     assert hint in line
     assert not (tmp_path / "bag").exists()
 
@@ -206,20 +199,18 @@ def test_files_of_two_clocks_are_rejected(folder: Path):
         read_lab_run(folder, LabSettings())
 
 
-def test_the_same_logs_give_the_same_bytes(folder: Path, tmp_path: Path, monkeypatch):
+def test_the_same_logs_give_the_same_bytes(folder: Path, tmp_path: Path, run):
     for name in ("a", "b"):
-        assert command(monkeypatch, folder, "--output", tmp_path / name) == 0
+        assert run(import_lab, folder, "--output", tmp_path / name)[0] == 0
     one, other = ((tmp_path / n / f"{n}_0.mcap").read_bytes() for n in ("a", "b"))
     assert one == other
 
 
-def test_bad_input_ends_with_status_2_and_leaves_nothing(
-    folder: Path, tmp_path: Path, monkeypatch, capsys
-):
+def test_bad_input_ends_with_status_2_and_leaves_nothing(folder: Path, tmp_path: Path, run):
     (folder / "power.csv").write_text("x")
-    assert command(monkeypatch, folder, "--output", tmp_path / "bag") == 2
-    assert capsys.readouterr().err.count("\n") == 1
-    assert command(monkeypatch, folder, "--output", folder) == 2
+    status, _, error = run(import_lab, folder, "--output", tmp_path / "bag")
+    assert (status, error.count("\n")) == (2, 1)
+    assert run(import_lab, folder, "--output", folder)[0] == 2
     assert not (tmp_path / "bag").exists()
 
 
