@@ -9,12 +9,14 @@ compliant cable travel further, which it would not have done without the switch.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import log_ndtr
 
 from worm_model.arrays import Array
 from worm_model.gait import Gait
@@ -138,3 +140,9 @@ def margin_sd(
         step_response(np.asarray(remaining), release.time_constant)
     )
     return deflected_share(parameters) * float(np.hypot(length_sd, release.sd * effect))
+
+
+def negative_margin(margin: float, sd: float) -> float:
+    """Return the mean (m) of a normal margin that is known to be negative, because a groove was missed."""
+    ratio = margin / sd
+    return margin - sd * math.exp(-0.5 * ratio**2 - float(log_ndtr(-ratio))) / math.sqrt(math.tau)

@@ -17,7 +17,13 @@ import numpy as np
 
 from worm_model.arrays import Array
 from worm_model.gait import Gait, named_values
-from worm_model.margin.cycle_margin import Release, margin_sd, release_of, threshold_margin
+from worm_model.margin.cycle_margin import (
+    Release,
+    margin_sd,
+    negative_margin,
+    release_of,
+    threshold_margin,
+)
 from worm_model.margin.fin_switch import Switches
 from worm_model.margin.half_cycles import Fin, HalfCycle, Motion, half_cycles, motion_of
 from worm_model.margin.keeping import (
@@ -206,10 +212,11 @@ def _lengths(
 def _lacking(lengths: dict[Fin, tuple[Release, float]], grooves: int) -> dict[Fin, int]:
     """Return how many grooves each fin lacks in every cycle of a run that gains ``grooves`` too few.
 
-    Each groove is gained by the fin that needs the smaller additional travel for it, and the other one follows.
+    Each groove is gained by the fin that needs the smaller additional travel for it, and the other one follows. Grooves
+    that the run gains beyond the wanted ones (negative) are a surplus of both fins.
     """
     nearer = max(lengths, key=lambda fin: lengths[fin][1])
-    return {fin: max(grooves, 0) if fin is nearer else 0 for fin in Fin}
+    return {fin: grooves if fin is nearer else min(grooves, 0) for fin in Fin}
 
 
 def _remaining(motion: Motion, half: HalfCycle, time: float, release: Release) -> float:
@@ -241,4 +248,4 @@ def _fin_margin(
     short = (missing + lacking) * deflected_share(p) * p.pitch
     margin = threshold_margin(motion, half, time, release, p) - short
     sd = margin_sd(length_sd, release, half.end - time, p)
-    return FinMargin(length, length_sd, margin, sd)
+    return FinMargin(length, length_sd, negative_margin(margin, sd) if short > 0.0 else margin, sd)

@@ -167,16 +167,31 @@ def _slower(known: _Knowledge, probability: float, limits: GaitLimits) -> Tuning
         found = _smallest_stroke(known, gait, limits, probability, *Fin)
         if found is not None:
             return _run(known, found, reason)
+    relaxed = _less_pretension(known, limits, probability)
+    if relaxed is not None:
+        return _run(known, relaxed, f"{_margins(known, last)}; less pretension helps the front fin")
     # The front fin loses the cycles that may be lost, so the rear one, which a longer stroke helps, loses few of them.
     almost = 1.0 - _REAR_SHARE * (1.0 - probability)
     fitting = _smallest_stroke(known, last, limits, almost, Fin.REAR)
-    if fitting is not None and _gain_of_front(known, gait) > _WORTHWHILE_M:
+    # Also where the rear fin seems to lack it: of a lost groove, the fin that lost it is not certain.
+    if _gain_of_front(known, gait) > _WORTHWHILE_M:
         stroke = min(gait.stroke, limits.largest_stroke(gait))
         return _run(known, replace(gait, stroke=stroke), reason)
     if fitting is not None and fitting.stroke - last.stroke > _SAME_M:
         return _run(known, fitting, _margins(known, last))
     reason = f"{reason} within the limits, nor a slower gait"
     return Tuning(TuneState.IMPOSSIBLE, known.best, known.keeps(known.best), reason)
+
+
+def _less_pretension(known: _Knowledge, limits: GaitLimits, probability: float) -> Gait | None:
+    """Return the gait with the largest lower pretension that has the probability, None if none has it."""
+    last = known.about
+    for less in np.arange(_STEP_M, last.pretension + 1e-9, _STEP_M):
+        trial = replace(last, pretension=round(max(last.pretension - float(less), 0.0), 5))
+        found = _smallest_stroke(known, trial, limits, probability, *Fin)
+        if found is not None:
+            return found
+    return None
 
 
 def _gain_of_front(known: _Knowledge, gait: Gait) -> float:

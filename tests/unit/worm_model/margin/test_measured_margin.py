@@ -15,11 +15,13 @@ from foreign_robot import EPOCH, Camera, ForeignRobot, crawl, some_robot
 from worm_model.analysis.run_metrics import measure_margin
 from worm_model.errors import RecordingError
 from worm_model.gait import REVERSE, Gait
+from worm_model.margin.cycle_margin import negative_margin
 from worm_model.margin.half_cycles import Fin, half_cycles, motion_of
 from worm_model.margin.measured_margin import RunMargin, measure_cycles
 from worm_model.margin.predicted_margin import predicted_margin
 from worm_model.parameters import PAPER
 from worm_model.run import Run, TrackerSamples
+from worm_model.simulation.closed_form import deflected_share
 from worm_model.simulation.simulator import simulate
 
 CYCLES = 5
@@ -132,6 +134,25 @@ def test_lost_grooves_are_negative_margins_of_the_fin_that_lost_them(fin):
     assert found.margins(other)[0].min() > 0.0
     assert found.keeps is not None
     assert found.keeps.high < 0.2
+
+
+def test_a_groove_more_than_wanted_is_to_spare_for_both_fins():
+    gait = Gait(0.095, 0.15)
+    three, two = (
+        measure_margin(recorded(some_robot(0), gait), PAPER, grooves) for grooves in (3, 2)
+    )
+    for fin in Fin:
+        more = two.margins(fin)[0] - three.margins(fin)[0]
+        assert more == pytest.approx(deflected_share(PAPER) * PAPER.pitch)
+    assert two.keeps is not None
+    assert two.keeps.low > 0.99
+
+
+@pytest.mark.parametrize("measured_m", [-0.005, 0.0, 0.0004, 0.004])
+def test_the_margin_of_a_cycle_that_missed_a_groove_is_negative(measured_m):
+    margin = negative_margin(measured_m, 0.0004)
+    assert margin < 0.0
+    assert margin == pytest.approx(min(measured_m, 0.0), abs=0.0004)
 
 
 def test_three_grooves_and_shaped_gaits_are_measured():

@@ -98,3 +98,19 @@ def test_a_run_without_tracker_ends_the_tuning_with_the_remedy(tmp_path: Path):
     with pytest.raises(InputError, match="tracker must see both modules"):
         tune_gait(FRAGILE, operator, step_of(AIM, []), print)
     assert len(operator.gaits) == 1
+
+
+def test_a_run_without_grooves_ends_the_tuning_and_asks_for_a_longer_stroke(tmp_path: Path):
+    operator = Operator(some_robot(1), tmp_path)
+    with pytest.raises(InputError, match="longer stroke"):
+        tune_gait(Gait(0.04, 0.2), operator, step_of(AIM, []), print)
+
+
+def test_a_slow_gait_whose_front_fin_lacks_margin_gets_less_pretension(tmp_path: Path):
+    operator = Operator(some_robot(1, front_excess=0.003), tmp_path)
+    first = Gait(0.065, 0.15, pretension=0.01)
+    step = measured_step([operator(first, 1)], AIM, print)
+    assert step.state is TuneState.RUN
+    assert step.gait.pretension < first.pretension
+    assert step.gait.frequency == first.frequency
+    assert step.gait.reach <= LARGEST_M
