@@ -112,8 +112,11 @@ class _Knowledge:
 
     @property
     def best(self) -> Gait:
-        """Gait of the runs that keeps its grooves with the highest probability."""
-        return max(self.gaits, key=lambda gait: self.keeps(gait).value)
+        """Gait of the runs that keeps its grooves with the highest probability, of alike ones the last.
+
+        The last one was chosen after more measurements, and its rear fin has more margin.
+        """
+        return max(reversed(self.gaits), key=lambda gait: round(self.keeps(gait).value, 1))
 
     def beliefs(self, gait: Gait) -> dict[Fin, MarginBelief]:
         return {
