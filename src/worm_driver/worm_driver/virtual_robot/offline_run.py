@@ -25,7 +25,7 @@ from worm_msgs.robot_parameters import RobotParameters
 Array = NDArray[np.float64]
 
 _PERIOD = 0.01  # s, time between two commands
-_AVERAGING = 0x1DDF  # 16 V, 320 mV, each value the mean of 8 conversions of 12 bit, a pair of values every 8.5 ms
+_AVERAGING = 0x3DDF  # 32 V, 320 mV, each value the mean of 8 conversions of 12 bit, a pair of values every 8.5 ms
 _SHUNT_LSB = 10e-6  # V per raw unit of the shunt voltage
 _BUS_LSB = 4e-3  # V per raw unit of the bus voltage
 _READY = 0x0002  # bit of BUS: there is a new conversion

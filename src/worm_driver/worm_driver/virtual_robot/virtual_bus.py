@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Servo bus: receives instruction packets and returns status packets, with faults of the serial line."""
 
+import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from random import Random
@@ -17,15 +18,11 @@ from worm_driver.virtual_robot.wire.packet import (
     Instruction,
     InstructionReader,
     Packet,
-    fast_status_packet,
     status_packet,
 )
 
 #: Register present_position. Its address is the same in every model.
 _POSITION = XM430_W350.registers["present_position"]
-#: Largest sum of requested bytes for which a fast answer is sent, because the length field of a packet has 16 bits
-_LONGEST = 0x7FFF
-_FAST = (Instruction.FAST_SYNC_READ, Instruction.FAST_BULK_READ)
 #: s, longest gap between the bytes of a packet; 1.5 ms on a real line, but a pseudo-terminal is read when the scheduler
 #: permits
 _ALLOWED_GAP = 0.050
@@ -96,12 +93,10 @@ class ServoBus:
             ]
             return self._send_each(answers, time)
         match packet.instruction:
-            case Instruction.SYNC_READ | Instruction.BULK_READ:
-                answers = _group_read(packet, listening, time)[0]
+            case Instruction.SYNC_READ:
+                answers = _group_read(packet, listening, time)
                 return self._send_each(self._misread(packet, answers, time), time)
-            case Instruction.FAST_SYNC_READ | Instruction.FAST_BULK_READ:
-                return self._send_fast(*_group_read(packet, listening, time), time)
-            case Instruction.SYNC_WRITE | Instruction.BULK_WRITE:
+            case Instruction.SYNC_WRITE:
                 _group_write(packet, listening, time)
                 return []
             case _:
@@ -135,18 +130,6 @@ class ServoBus:
             due += answer.delay
             sent += self._spoil(answer, due)
         return sent
-
-    def _send_fast(
-        self, answers: Sequence[_Answer], lengths: list[int], time: float
-    ) -> list[Transmission]:
-        parts = []
-        for answer in answers:
-            if self._board.consume(faults.NO_ANSWER, time, answer.servo_id):
-                break  # Each servo waits for the one before it.
-            parts.append((answer.error, answer.servo_id, answer.data))
-        if not parts or sum(lengths) > _LONGEST:
-            return []
-        return [Transmission(time + answers[0].delay, fast_status_packet(parts, lengths))]
 
     def _spoil(self, answer: _Answer, due: float) -> list[Transmission]:
         """Return the status packet of an answer, changed by the active faults of the serial line."""
@@ -215,7 +198,7 @@ def _do(servo: Servo, packet: Packet, time: float) -> _Answer:
         data = _execute(servo, packet, time)
     except RegisterError as error:
         return replace(before, error=error.number | servo.alert())
-    if packet.instruction in (Instruction.REBOOT, Instruction.FACTORY_RESET):
+    if packet.instruction == Instruction.REBOOT:
         return before
     return replace(before, error=servo.alert(), data=data)
 
@@ -229,14 +212,6 @@ def _execute(servo: Servo, packet: Packet, time: float) -> bytes:
             return servo.read(*_range(parameters, exactly=True))
         case Instruction.WRITE:
             servo.write(_address(parameters), parameters[2:])
-        case Instruction.REG_WRITE:
-            servo.register_write(_address(parameters), parameters[2:])
-        case Instruction.ACTION:
-            servo.action()
-        case Instruction.CLEAR:
-            servo.clear_turns(parameters)
-        case Instruction.FACTORY_RESET:
-            servo.factory_reset(parameters, time)
         case Instruction.REBOOT:
             servo.reboot(time)
         case _:
@@ -257,75 +232,40 @@ def _range(parameters: bytes, *, exactly: bool) -> tuple[int, int]:
     return int.from_bytes(parameters[:2], "little"), int.from_bytes(parameters[2:4], "little")
 
 
-def _group_read(
-    packet: Packet, listening: Sequence[Servo], time: float
-) -> tuple[list[_Answer], list[int]]:
-    """Return the answers of the servos that listen, and the data lengths requested from all servos.
+def _group_read(packet: Packet, listening: Sequence[Servo], time: float) -> list[_Answer]:
+    """Return the answers to a Sync Read in the order of its ids; an empty list if it is malformed.
 
     The request resets the watchdog of each servo in it, also of a servo whose status return level forbids an answer.
     """
+    if len(packet.parameters) < 5:
+        return []
+    address, length = _range(packet.parameters, exactly=False)
     by_id = {servo.servo_id: servo for servo in listening}
-    answers, lengths = [], []
-    for servo_id, address, length in _requests(packet):
-        lengths.append(length)
-        servo = by_id.get(servo_id)
-        if servo is None:
-            continue
+    answers = []
+    for servo in filter(None, map(by_id.get, packet.parameters[4:])):
         servo.feed_watchdog(time)
         if servo.memory["status_return_level"] == 0:
             continue
         try:
             answers.append(_answer_of(servo, data=servo.read(address, length)))
         except RegisterError as error:
-            # The length at the head of a fast answer counts the data of every servo.
-            data = bytes(length) if packet.instruction in _FAST else b""
-            answers.append(_answer_of(servo, error.number, data))
-    return answers, lengths
-
-
-def _requests(packet: Packet) -> list[tuple[int, int, int]]:
-    """Return (id, address, length) of each part of a sync or bulk read; an empty list if it is malformed."""
-    parameters = packet.parameters
-    if packet.instruction in (Instruction.SYNC_READ, Instruction.FAST_SYNC_READ):
-        if len(parameters) < 5:
-            return []
-        address, length = _range(parameters, exactly=False)
-        return [(servo_id, address, length) for servo_id in parameters[4:]]
-    items = [parameters[i : i + 5] for i in range(0, len(parameters), 5)]
-    if any(len(item) != 5 for item in items):
-        return []
-    return [(item[0], *_range(item[1:], exactly=True)) for item in items]
+            answers.append(_answer_of(servo, error.number))
+    return answers
 
 
 def _group_write(packet: Packet, listening: Sequence[Servo], time: float) -> None:
-    """Execute a group write. There is no answer, so a rejected write is not reported."""
-    by_id = {servo.servo_id: servo for servo in listening}
-    for servo_id, address, data in _writes(packet):
-        servo = by_id.get(servo_id)
-        if servo is None:
-            continue
-        servo.feed_watchdog(time)
-        try:
-            servo.write(address, data)
-        except RegisterError:
-            continue
-
-
-def _writes(packet: Packet) -> list[tuple[int, int, bytes]]:
-    """Return (id, address, data) of each part of a sync or bulk write; an empty list if it is malformed."""
+    """Execute a Sync Write, unless it is malformed. There is no answer, so a rejected write is not reported."""
     parameters = packet.parameters
-    if packet.instruction == Instruction.SYNC_WRITE:
-        if len(parameters) < 4:
-            return []
-        address, length = _range(parameters, exactly=False)
-        items = [parameters[i : i + length + 1] for i in range(4, len(parameters), length + 1)]
-        writes = [(item[0], address, item[1:]) for item in items]
-        return writes if all(len(data) == length for _, _, data in writes) else []
-    writes = []
-    while len(parameters) >= 5:
-        address, length = _range(parameters[1:], exactly=False)
-        if len(parameters) < 5 + length:
-            return []
-        writes.append((parameters[0], address, parameters[5 : 5 + length]))
-        parameters = parameters[5 + length :]
-    return [] if parameters else writes
+    if len(parameters) < 4:
+        return
+    address, length = _range(parameters, exactly=False)
+    items = [parameters[i : i + length + 1] for i in range(4, len(parameters), length + 1)]
+    if any(len(item) != length + 1 for item in items):
+        return
+    by_id = {servo.servo_id: servo for servo in listening}
+    for item in items:
+        servo = by_id.get(item[0])
+        if servo is not None:
+            servo.feed_watchdog(time)
+            with contextlib.suppress(RegisterError):
+                servo.write(address, item[1:])

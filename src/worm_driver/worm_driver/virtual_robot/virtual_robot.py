@@ -22,7 +22,7 @@ from worm_driver.virtual_robot.servo.control_table import (
     EXTENDED_POSITION_MODE,
     POSITION_MODE,
 )
-from worm_driver.virtual_robot.servo.measurement import OVERLOAD_ERROR
+from worm_driver.virtual_robot.servo.drive import OVERLOAD_ERROR
 from worm_driver.virtual_robot.servo.motor import PULSES_PER_RADIAN
 from worm_driver.virtual_robot.servo.virtual_servo import Servo
 from worm_driver.virtual_robot.virtual_bus import ServoBus, Transmission

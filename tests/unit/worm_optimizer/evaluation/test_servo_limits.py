@@ -13,6 +13,7 @@ from worm_driver.virtual_robot.servo import control_table
 from worm_model.gait import FORWARD, Gait
 from worm_model.parameters import PAPER
 from worm_msgs.driver_file import DriverFile
+from worm_msgs.servo_models import RPM
 from worm_optimizer.evaluation.actuator_limits import NO_LIMITS, ActuatorLimits, peaks
 from worm_optimizer.evaluation.servo_limits import (
     limits_of,
@@ -62,7 +63,7 @@ def test_the_models_are_those_of_the_driver():
     for name, model in servo_models().items():
         virtual = control_table.MODELS[name]
         assert model.voltage == virtual.nominal_voltage
-        assert model.no_load_speed == pytest.approx(virtual.no_load_speed, rel=2e-3)
+        assert model.no_load_speed == pytest.approx(virtual.no_load_speed * RPM, rel=2e-3)
         assert model.stall_torque == virtual.stall_torque
         assert model.stall_current == virtual.stall_current
         limit = virtual.registers["velocity_limit"].initial * 0.0239691227

@@ -7,10 +7,10 @@ addressing (168 and above) is not implemented; an access to it returns an access
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
-from worm_msgs.servo_models import RPM, SERVO_MODELS, Initial, ServoRow
+from worm_msgs.servo_models import SERVO_MODELS, Initial, ServoRow
 
 EEPROM_END = 64  # registers at lower addresses are locked while torque is on
 TABLE_END = 168  # first address that cannot be read; the last register is at 147
@@ -19,7 +19,7 @@ CURRENT_MODE = 0
 VELOCITY_MODE = 1
 POSITION_MODE = 3
 EXTENDED_POSITION_MODE = 4
-CURRENT_POSITION_MODE = 5
+CURRENT_POSITION_MODE = 5  # without a limit of the current
 PWM_MODE = 16
 
 PULSES_PER_TURN = 4096  # a pulse is one count of the position registers; the driver calls it a tick
@@ -57,28 +57,10 @@ class Register:
 
 
 @dataclass(frozen=True)
-class VirtualServoModel:
-    """Servo model: control table and motor data.
+class VirtualServoModel(ServoRow):
+    """Servo model: its data, and its control table by register name."""
 
-    Attributes:
-        modes: allowed values of Operating Mode.
-        current_unit: scale of the current registers, A; 0 for a model that reports load instead.
-        supply_range: lowest and highest supply voltage, V.
-        nominal_voltage: voltage of the motor data, V.
-        no_load_speed: rad/s, from the data sheet.
-        stall_torque, stall_current: N*m and A, from the data sheet.
-    """
-
-    name: str
-    number: int
-    modes: frozenset[int]
-    registers: Mapping[str, Register]
-    current_unit: float
-    supply_range: tuple[float, float]
-    nominal_voltage: float
-    no_load_speed: float
-    stall_torque: float
-    stall_current: float
+    registers: Mapping[str, Register] = field(default_factory=dict)
 
     @property
     def torque_constant(self) -> float:
@@ -181,18 +163,7 @@ def _table(extra: tuple[Register, ...], initial: Mapping[str, Initial]) -> dict[
 def _model(row: ServoRow) -> VirtualServoModel:
     extra = _current_registers(row.current_limit) if row.measures_current else _LOAD_REGISTERS
     own = {**row.initial, "model_number": row.number, "velocity_limit": row.velocity_limit}
-    return VirtualServoModel(
-        name=row.name,
-        number=row.number,
-        modes=row.modes,
-        registers=_table(extra, own),
-        current_unit=row.current_unit,
-        supply_range=row.supply_range,
-        nominal_voltage=row.nominal_voltage,
-        no_load_speed=row.no_load_speed * RPM,
-        stall_torque=row.stall_torque,
-        stall_current=row.stall_current,
-    )
+    return VirtualServoModel(**vars(row), registers=_table(extra, own))
 
 
 MODELS: Mapping[str, VirtualServoModel] = {row.name: _model(row) for row in SERVO_MODELS}

@@ -1,23 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Conversion of servo registers to motor commands."""
+"""Between registers and motor: encoder, motor command, measured registers, protections."""
 
 import math
+from dataclasses import dataclass
 
 from worm_driver.virtual_robot.servo import motor
 from worm_driver.virtual_robot.servo.control_table import (
     CURRENT_MODE,
-    CURRENT_POSITION_MODE,
     PULSES_PER_TURN,
     PWM_MODE,
     VELOCITY_MODE,
     VirtualServoModel,
 )
-from worm_driver.virtual_robot.servo.motor import PULSES_PER_RADIAN, MotorCommand
+from worm_driver.virtual_robot.servo.motor import PULSES_PER_RADIAN, MotorCommand, MotorState
 from worm_driver.virtual_robot.servo.register_memory import RegisterMemory
+from worm_msgs.servo_models import RPM
 
 REVERSE_DRIVE = 0x01
-TIME_BASED_PROFILE = 0x04
 TORQUE_ON_BY_GOAL = 0x08
+
+INPUT_VOLTAGE_ERROR = 1 << 0
+OVERHEATING_ERROR = 1 << 2
+OVERLOAD_ERROR = 1 << 5
 
 SPEED_UNIT = 0.229 / 60 * PULSES_PER_TURN  # pulses/s per raw unit of a velocity register
 FULL_PWM = 885  # raw value of a PWM register at full output
@@ -28,6 +32,71 @@ _GAIN_UNIT = (
 # pulses/s^2 per raw unit of profile_acceleration
 _ACCELERATION_UNIT = 214.577 / 3600 * PULSES_PER_TURN
 
+_BLOCKED_ERROR = 0.2  # rad; following error at which a blocked motor reaches its strongest torque
+_OVERLOAD_LEVEL = 0.9  # torque above which a servo is overloaded, relative to its strongest torque
+_OVERLOAD_TIME = 1.0  # s; duration of an overload after which the servo reports it
+_HEAT = 5.0  # degC; temperature of a servo above ambient
+
+
+@dataclass
+class Surroundings:
+    """External conditions of a servo, set by the caller.
+
+    Attributes:
+        load: torque on the shaft, N*m; positive when it turns the shaft backward.
+        voltage: supply voltage, V.
+        ambient: ambient temperature, degC.
+        blocked: True if the shaft cannot turn.
+    """
+
+    load: float = 0.0
+    voltage: float = 12.0
+    ambient: float = 25.0
+    blocked: bool = False
+
+    @property
+    def voltage_raw(self) -> int:
+        """Supply voltage in units of 0.1 V."""
+        return max(round(self.voltage * 10), 0)
+
+    @property
+    def temperature(self) -> float:
+        """Temperature of the servo, degC."""
+        return self.ambient + _HEAT
+
+
+@dataclass(frozen=True)
+class Encoder:
+    """Conversion between shaft position and position registers: reverse mode, folding, homing offset.
+
+    Folding removes the whole turns from the position registers, for example when the servo boots. The shaft position
+    continues to count all turns (unfolded).
+
+    Attributes:
+        direction: 1; -1 in reverse mode.
+        folded_turns: number of turns that folding has removed.
+        homing_offset: value of the register homing_offset, pulses.
+    """
+
+    direction: int
+    folded_turns: int
+    homing_offset: int
+
+    def raw(self, shaft: float) -> int:
+        """Return the register value for a shaft position (pulses, unfolded)."""
+        counted = math.floor(self.direction * shaft) - self.folded_turns * PULSES_PER_TURN
+        return counted + self.homing_offset
+
+    def shaft(self, raw: int) -> float:
+        """Return the centre of the range of shaft positions (pulses, unfolded) that have a register value."""
+        counted = raw - self.homing_offset + self.folded_turns * PULSES_PER_TURN
+        return self.direction * (counted + 0.5)
+
+
+def turns_of(shaft: float, direction: int) -> int:
+    """Return the number of turns that folding removes at a shaft position (pulses, unfolded)."""
+    return math.floor(direction * shaft) // PULSES_PER_TURN
+
 
 def direction_of(memory: RegisterMemory) -> int:
     """Return the direction in which the registers count: 1, or -1 in reverse mode (drive_mode)."""
@@ -35,7 +104,7 @@ def direction_of(memory: RegisterMemory) -> int:
 
 
 def motor_command(
-    memory: RegisterMemory, model: VirtualServoModel, voltage: float, goal: float, planned: float
+    memory: RegisterMemory, model: VirtualServoModel, voltage: float, goal: float
 ) -> MotorCommand:
     """Return the motor command for the present registers.
 
@@ -44,32 +113,30 @@ def motor_command(
         model: servo model.
         voltage: supply voltage, V.
         goal: shaft position of the goal, pulses.
-        planned: present position of the profile, pulses. A time-based profile starts there.
     """
     full_speed = _full_speed(model, voltage)
     speed = _speed_goal(memory, full_speed)
     kind = motor.POSITION if speed is None else motor.VELOCITY
-    acceleration, velocity = _profile(memory, abs(goal - planned))
     return MotorCommand(
         kind if memory["torque_enable"] else motor.LIMP,
         goal if speed is None else speed,
-        acceleration,
-        velocity,
+        memory["profile_acceleration"] * _ACCELERATION_UNIT or math.inf,
+        memory["profile_velocity"] * SPEED_UNIT or math.inf,
         full_speed * min(abs(memory["goal_pwm"]), memory["pwm_limit"]) / FULL_PWM,
-        _torque_limit(memory, model),
         _compliance(memory, model) if memory["torque_enable"] and speed is None else 0.0,
     )
 
 
 def _full_speed(model: VirtualServoModel, voltage: float) -> float:
     """Return the no-load speed at a voltage (V), pulses/s."""
-    return model.no_load_speed * voltage / model.nominal_voltage * PULSES_PER_RADIAN
+    return model.no_load_speed * RPM * voltage / model.nominal_voltage * PULSES_PER_RADIAN
 
 
 def _speed_goal(memory: RegisterMemory, full_speed: float) -> float | None:
     """Return the commanded speed, pulses/s; None if the motor controls its position.
 
-    The motor controls its position in the position modes and, after the Bus Watchdog has fired, in all modes.
+    The motor controls its position in the position modes and, after the Bus Watchdog has fired, in all modes. The
+    driver uses no other mode: a servo on which another program left one turns away when its torque goes on.
     """
     if memory["bus_watchdog"] < 0:
         return None
@@ -85,13 +152,6 @@ def _speed_goal(memory: RegisterMemory, full_speed: float) -> float | None:
     return None
 
 
-def _torque_limit(memory: RegisterMemory, model: VirtualServoModel) -> float:
-    """Return the torque limit set by the goal current, N*m; inf in modes without current control."""
-    if memory["operating_mode"] not in (CURRENT_MODE, CURRENT_POSITION_MODE):
-        return math.inf
-    return abs(memory["goal_current"]) * model.current_unit * model.torque_constant
-
-
 def _compliance(memory: RegisterMemory, model: VirtualServoModel) -> float:
     """Return the position error per load of the position controller, pulses/(N*m).
 
@@ -105,13 +165,76 @@ def _compliance(memory: RegisterMemory, model: VirtualServoModel) -> float:
     return FULL_PWM / gain / model.stall_torque
 
 
-def _profile(memory: RegisterMemory, distance: float) -> tuple[float, float]:
-    """Return acceleration (pulses/s^2) and velocity (pulses/s) of a profile over a distance (pulses); inf: no limit."""
-    velocity, acceleration = memory["profile_velocity"], memory["profile_acceleration"]
-    if memory["drive_mode"] & TIME_BASED_PROFILE:  # The registers contain duration and ramp in ms.
-        if velocity == 0:
-            return math.inf, math.inf
-        ramp = min(acceleration, velocity / 2) * 1e-3
-        speed = distance / (velocity * 1e-3 - ramp)
-        return (speed / ramp if ramp > 0 else math.inf), speed
-    return acceleration * _ACCELERATION_UNIT or math.inf, velocity * SPEED_UNIT or math.inf
+def _strongest_torque(memory: RegisterMemory, model: VirtualServoModel) -> float:
+    """Return the motor's largest torque, N*m."""
+    if "current_limit" not in memory:
+        return model.stall_torque
+    limit = memory["current_limit"] * model.current_unit * model.torque_constant
+    return min(limit, model.stall_torque)
+
+
+def motor_torque(
+    command: MotorCommand,
+    position: float,
+    around: Surroundings,
+    memory: RegisterMemory,
+    model: VirtualServoModel,
+) -> float:
+    """Return the motor torque, N*m; positive when it acts forward, against the load or the obstacle.
+
+    ``position`` is that of the shaft, pulses.
+    """
+    if command.kind == motor.LIMP:
+        return 0.0
+    if not around.blocked:
+        return around.load
+    strongest = _strongest_torque(memory, model)
+    if command.kind == motor.VELOCITY:
+        return math.copysign(strongest, command.goal) if command.goal else 0.0
+    error = (command.goal - position) / PULSES_PER_RADIAN
+    return min(max(error / _BLOCKED_ERROR, -1.0), 1.0) * strongest
+
+
+def is_overloaded(torque: float, memory: RegisterMemory, model: VirtualServoModel) -> bool:
+    """Return True if a torque (N*m) overloads the servo."""
+    return abs(torque) >= _OVERLOAD_LEVEL * _strongest_torque(memory, model)
+
+
+def alerts(memory: RegisterMemory, around: Surroundings, overload: float) -> int:
+    """Return the bits of Hardware Error Status that the surroundings and an overload of a duration (s) set."""
+    bits = 0
+    if not memory["min_voltage_limit"] <= around.voltage_raw <= memory["max_voltage_limit"]:
+        bits |= INPUT_VOLTAGE_ERROR
+    if around.temperature > memory["temperature_limit"]:
+        bits |= OVERHEATING_ERROR
+    if overload >= _OVERLOAD_TIME:
+        bits |= OVERLOAD_ERROR
+    return bits
+
+
+def motion_registers(encoder: Encoder, state: MotorState) -> dict[str, int]:
+    """Return the raw values of the registers that report motion."""
+    return {
+        "present_velocity": encoder.direction * round(state.velocity / SPEED_UNIT),
+        "present_position": encoder.raw(state.position),
+        "position_trajectory": encoder.raw(state.trajectory_position),
+    }
+
+
+def torque_register(
+    memory: RegisterMemory, model: VirtualServoModel, torque: float, noise: float
+) -> dict[str, int]:
+    """Return the raw value of the register that reports the torque.
+
+    Args:
+        memory: registers of the servo.
+        model: servo model.
+        torque: motor torque, N*m.
+        noise: measurement noise, raw units of Present Current or Present Load.
+    """
+    signed = direction_of(memory) * torque
+    if model.measures_current:
+        counts = signed / model.torque_constant / model.current_unit + noise
+        return {"present_current": round(min(max(counts, -32767), 32767))}
+    share = signed / model.stall_torque
+    return {"present_load": round(min(max(share * 1000 + noise, -1000), 1000))}

@@ -44,7 +44,6 @@ class MotorCommand(NamedTuple):
         goal: pulses, or pulses/s for VELOCITY.
         acceleration, velocity: limits of the profile, pulses/s^2 and pulses/s; inf for none.
         speed_limit: limit by supply voltage and goal PWM, pulses/s.
-        torque_limit: limit by goal current, N*m; inf for none, so that the motor holds any load.
         compliance: position error per load, pulses/(N*m). It is 0 for a controller with an integral part.
     """
 
@@ -53,7 +52,6 @@ class MotorCommand(NamedTuple):
     acceleration: float
     velocity: float
     speed_limit: float
-    torque_limit: float
     compliance: float = 0.0
 
 
@@ -72,9 +70,9 @@ def at_rest(position: float) -> MotorState:
 def step(
     state: MotorState, command: MotorCommand, load: float, model: VirtualServoModel, step_s: float
 ) -> MotorState:
-    """Return the state one step (s) later. A positive load (N*m) turns the shaft backward."""
+    """Return the state one step (s) later. A positive load (N*m) turns a limp shaft backward; a motor holds it."""
     kind, goal = command.kind, command.goal
-    if kind == POSITION and load_is_held(load, command, model):
+    if kind == POSITION:
         if (
             abs(goal - state.position) < _STILL
             and abs(state.velocity) < _STILL
@@ -84,14 +82,13 @@ def step(
         position, velocity = _profile(state, command, step_s)
         wanted = velocity + (position - state.position) / _POSITION_LOOP_TIME
         return _turn(state, wanted, position, velocity, command.speed_limit, step_s)
-    if kind == VELOCITY and load_is_held(load, command, model):
+    if kind == VELOCITY:
         velocity = _approach(state.trajectory_velocity, goal, command.acceleration * step_s)
         return _turn(state, velocity, state.position, velocity, command.speed_limit, step_s)
     if kind == BLOCKED:
         position, velocity = _profile(state, command, step_s)
         return MotorState(state.position, 0.0, position, velocity)
-    motor_torque = 0.0 if kind == LIMP else command.torque_limit
-    velocity = backdrive_velocity(load, motor_torque, model)
+    velocity = _backdrive_velocity(load, model)
     position = state.position + velocity * step_s
     return MotorState(position, velocity, position, 0.0)
 
@@ -104,14 +101,9 @@ def step_yield(before: Yield, command: MotorCommand, load: float, step_s: float)
     return Yield(before.distance + rate * step_s, rate)
 
 
-def load_is_held(load: float, command: MotorCommand, model: VirtualServoModel) -> bool:
-    """Return True if motor and gear friction together hold the load."""
-    return abs(load) <= command.torque_limit + _BREAKAWAY * model.stall_torque
-
-
-def backdrive_velocity(load: float, motor_torque: float, model: VirtualServoModel) -> float:
-    """Return the velocity (pulses/s) at which a load (N*m) turns a shaft against the torque (N*m) of its motor."""
-    excess = abs(load) - motor_torque - _BREAKAWAY * model.stall_torque
+def _backdrive_velocity(load: float, model: VirtualServoModel) -> float:
+    """Return the velocity (pulses/s) at which a load (N*m) turns a shaft without torque."""
+    excess = abs(load) - _BREAKAWAY * model.stall_torque
     if excess <= 0:
         return 0.0
     speed = _BACKDRIVE_SPEED * excess / model.stall_torque * PULSES_PER_RADIAN

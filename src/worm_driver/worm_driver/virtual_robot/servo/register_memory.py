@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Register memory of one virtual servo: raw values by name, bytes by address, write rules."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 
 from worm_driver.virtual_robot.servo import control_table
 from worm_driver.virtual_robot.wire.packet import Error
@@ -34,8 +34,8 @@ class RegisterMemory:
             for name, row in self._rows.items()
         }
         self._bytes = bytearray(control_table.TABLE_END)
-        self.set_to_factory(keep=())
-        for name, value in settings.items():
+        initial = {name: row.initial for name, row in self._rows.items()}
+        for name, value in {**initial, **settings}.items():
             self[name] = value
 
     def __getitem__(self, name: str) -> int:
@@ -48,14 +48,6 @@ class RegisterMemory:
 
     def __contains__(self, name: str) -> bool:
         return name in self._rows
-
-    def set_to_factory(self, keep: Iterable[str]) -> None:
-        """Reset all registers to factory values, except those to keep."""
-        kept = {name: self[name] for name in keep}
-        for row in self._rows.values():
-            self[row.name] = row.initial
-        for name, value in kept.items():
-            self[name] = value
 
     def power_up(self) -> None:
         """Reset the RAM to its values after power-up; the EEPROM is unchanged."""

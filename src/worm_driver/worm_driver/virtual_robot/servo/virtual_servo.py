@@ -5,7 +5,7 @@ Times are seconds of the virtual robot's clock and do not decrease. Where the e-
 follows. Only an intact packet resets the Bus Watchdog. A group read or write resets it for the servos in its list; any
 other packet for the servo with its id, or for all servos with the broadcast id. After the watchdog has fired, the shaft
 holds its position in all modes until 0 is written to the watchdog's register. The servo answers with the error Result
-Fail to a write that turns the torque on after a shutdown, and to a factory reset while the torque is on.
+Fail to a write that turns the torque on after a shutdown.
 """
 
 import math
@@ -13,29 +13,27 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from random import Random
 
-from worm_driver.virtual_robot.servo import measurement, motor
+from worm_driver.virtual_robot.servo import drive, motor
 from worm_driver.virtual_robot.servo.control_table import (
     GOALS,
     POSITION_MODE,
     Register,
     VirtualServoModel,
 )
-from worm_driver.virtual_robot.servo.drive import TORQUE_ON_BY_GOAL, direction_of, motor_command
-from worm_driver.virtual_robot.servo.encoder import Encoder, turns_of
+from worm_driver.virtual_robot.servo.drive import (
+    TORQUE_ON_BY_GOAL,
+    Encoder,
+    Surroundings,
+    direction_of,
+    motor_command,
+    turns_of,
+)
 from worm_driver.virtual_robot.servo.motor import PULSES_PER_RADIAN, MotorState, Yield
 from worm_driver.virtual_robot.servo.register_memory import RegisterError, RegisterMemory
 from worm_driver.virtual_robot.wire.packet import ALERT, Error
 
 _WATCHDOG_UNIT = 0.020  # s per raw unit of bus_watchdog
 _TICK_WRAP = 32768  # ms, period of Realtime Tick
-_CLEAR_KEY = b"\x01\x44\x58\x4c\x22"  # required parameters of the Clear instruction
-_CLEAR_FIRMWARE = 42  # first firmware version with the Clear instruction
-# Registers that a Factory Reset does not change, by the parameter of the instruction.
-_FACTORY_RESET_KEEPS: Mapping[int, tuple[str, ...]] = {
-    0xFF: (),
-    0x01: ("id",),
-    0x02: ("id", "baud_rate"),
-}
 
 
 @dataclass
@@ -44,7 +42,7 @@ class Servo:
 
     Attributes:
         settings: raw EEPROM values that differ from the factory values.
-        start: shaft position at time 0, pulses, unfolded (see `encoder`).
+        start: shaft position at time 0, pulses, unfolded (see `drive.Encoder`).
         boot_time: time for which the servo does not answer after a reboot, s.
     """
 
@@ -53,7 +51,7 @@ class Servo:
     start: float
     boot_time: float
     random: Random
-    surroundings: measurement.Surroundings = field(default_factory=measurement.Surroundings)
+    surroundings: Surroundings = field(default_factory=Surroundings)
 
     def __post_init__(self) -> None:
         self.memory = RegisterMemory(self.model, self.settings)
@@ -61,7 +59,6 @@ class Servo:
         self._yield = Yield()
         self._time = 0.0
         self._silent_until = 0.0
-        self._wear = measurement.Wear()
         self._power_up()
 
     # --- life ---------------------------------------------------------------------------------
@@ -76,9 +73,8 @@ class Servo:
         self.memory.power_up()
         self._booted_at = self._time
         self._shut_down = False
-        self._wear = measurement.Wear(self._wear.heat)
+        self._overload = 0.0  # s, duration of the present overload
         self._fed_at = self._time
-        self._registered: tuple[int, bytes] | None = None
         self._fold()
         self._hold()
 
@@ -137,41 +133,6 @@ class Servo:
         for row, value in changes:
             self._apply(row, value)
         self._update_command()
-
-    def register_write(self, address: int, data: bytes) -> None:
-        """Store a write until `action` executes it. Raises RegisterError."""
-        self.memory.check_write(address, data)
-        self._registered = (address, data)
-        self.memory["registered_instruction"] = 1
-
-    def action(self) -> None:
-        """Execute the registered write. Raises RegisterError."""
-        if self._registered is None:
-            raise RegisterError(Error.INSTRUCTION)
-        (address, data), self._registered = self._registered, None
-        self.memory["registered_instruction"] = 0
-        self.write(address, data)
-
-    def clear_turns(self, parameters: bytes) -> None:
-        """Execute the Clear instruction: fold the position to one turn. Raises RegisterError."""
-        if parameters != _CLEAR_KEY:
-            raise RegisterError(Error.DATA_RANGE)
-        if self.memory["firmware_version"] < _CLEAR_FIRMWARE:
-            raise RegisterError(Error.INSTRUCTION)
-        self._measure()
-        if self.memory["moving"]:
-            raise RegisterError(Error.RESULT_FAIL)
-        self._fold()
-        self._hold()
-
-    def factory_reset(self, parameters: bytes, time: float) -> None:
-        """Execute the Factory Reset instruction, then reboot. Raises RegisterError."""
-        if len(parameters) != 1 or parameters[0] not in _FACTORY_RESET_KEEPS:
-            raise RegisterError(Error.DATA_RANGE)
-        if self.memory["torque_enable"]:
-            raise RegisterError(Error.RESULT_FAIL)
-        self.memory.set_to_factory(_FACTORY_RESET_KEEPS[parameters[0]])
-        self.reboot(time)
 
     def _apply(self, row: Register, value: int) -> None:
         """Set one register and apply its side effects."""
@@ -251,17 +212,16 @@ class Servo:
         watchdog = self.memory["bus_watchdog"]
         armed = watchdog > 0 and self.memory["torque_enable"]
         self._watchdog_time = watchdog * _WATCHDOG_UNIT if armed else math.inf
-        planned = self.motor.trajectory_position
         voltage = self.surroundings.voltage
-        self._command = motor_command(self.memory, self.model, voltage, self._goal, planned)
+        self._command = motor_command(self.memory, self.model, voltage, self._goal)
 
     # --- measurements and protections ---------------------------------------------------------
 
     def supervise(self, duration: float) -> None:
-        """Update temperature and protections for the duration (s) since the last call."""
-        self._wear, bits = measurement.supervise(
-            self._wear, self._torque(), self.memory, self.model, self.surroundings, duration
-        )
+        """Update the protections for the duration (s) since the last call."""
+        overloaded = drive.is_overloaded(self._torque(), self.memory, self.model)
+        self._overload = self._overload + duration if overloaded else 0.0
+        bits = drive.alerts(self.memory, self.surroundings, self._overload)
         if bits:
             self.raise_alert(bits)
 
@@ -274,19 +234,21 @@ class Servo:
             self._update_command()
 
     def _torque(self) -> float:
-        strongest = measurement.strongest_torque(self.memory, self.model)
-        return measurement.motor_torque(self._command, self.motor, self.surroundings, strongest)
+        position = self.motor.position
+        return drive.motor_torque(
+            self._command, position, self.surroundings, self.memory, self.model
+        )
 
     def _measure(self) -> None:
         """Write the measured values into their registers."""
         memory, around = self.memory, self.surroundings
         noise = self.random.gauss(0.0, 1.0) if memory["torque_enable"] else 0.0
         registers = {
-            **measurement.motion_registers(memory, self._encoder, self.shaft, self._command),
-            **measurement.torque_registers(memory, self.model, self._torque(), noise),
+            **drive.motion_registers(self._encoder, self.shaft),
+            **drive.torque_register(memory, self.model, self._torque(), noise),
             "realtime_tick": int((self._time - self._booted_at) * 1000) % _TICK_WRAP,
-            "present_input_voltage": measurement.voltage_raw(around),
-            "present_temperature": min(round(around.ambient + self._wear.heat), 255),
+            "present_input_voltage": around.voltage_raw,
+            "present_temperature": min(round(around.temperature), 255),
         }
         for name, value in registers.items():
             memory[name] = value

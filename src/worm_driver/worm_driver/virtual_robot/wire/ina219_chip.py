@@ -2,7 +2,9 @@
 """INA219 power sensor at register level, and its I2C bus.
 
 Each step of the virtual robot sets shunt and bus voltage (V). A conversion yields the mean voltage over its duration.
-The integer arithmetic is that of the data sheet SBOS448G.
+The integer arithmetic is that of the data sheet SBOS448G. Whatever the configuration register contains, the chip
+measures continuously with the largest ranges and 12 bit, with the same averaging of both voltages. The driver rejects
+samples with another configuration than its own.
 """
 
 import errno
@@ -23,34 +25,16 @@ _CONVERSION_READY = 0x0002
 _OVERFLOW = 0x0001
 _SHUNT_LSB = 10e-6  # V per raw unit of the shunt voltage
 _BUS_LSB = 4e-3  # V per raw unit of the bus voltage
-_BUS_PIN_LIMIT = 26.0  # V, largest measurable bus voltage, also in the 32 V range
-_BASE_TIMES = (84e-6, 148e-6, 276e-6, 532e-6)  # s, one conversion of 9, 10, 11, 12 bit
+_SHUNT_LIMIT = 32000  # raw shunt voltage at the ends of the range +-320 mV
+_BUS_PIN_LIMIT = 26.0  # V, largest measurable bus voltage
+_CONVERSION = 532e-6  # s, one 12-bit conversion without averaging
 _RELEASED = 0xFF  # value of a bus that no device drives
-_UNAVERAGED = 532e-6  # s, one 12-bit conversion
 
 
-@dataclass(frozen=True)
-class Converter:
-    """Setting of a converter.
-
-    Attributes:
-        time: duration of a conversion with all its samples, s.
-        samples: number of averaged samples.
-        lost_bits: number of low bits that are always 0.
-    """
-
-    time: float
-    samples: int
-    lost_bits: int
-
-
-def converter(field: int) -> Converter:
-    """Return the setting that a 4-bit field of the configuration (BADC or SADC) selects."""
-    if field & 0x8:
-        samples = 1 << (field & 0x7)
-        return Converter(_UNAVERAGED * samples, samples, 0)
-    bits = field & 0x3
-    return Converter(_BASE_TIMES[bits], 1, 3 - bits)
+def samples_of(configuration: int) -> int:
+    """Return the number of averaged samples of a conversion, which the configuration selects for the shunt (SADC)."""
+    field = configuration >> 3 & 0xF
+    return 1 << (field & 0x7) if field & 0x8 else 1
 
 
 @dataclass(frozen=True)
@@ -112,23 +96,12 @@ class Ina219:
 
     def _restart(self) -> None:
         """Apply the configuration and start its first conversion."""
-        configuration = self._registers[CONFIGURATION]
-        mode = configuration & 0x7
-        self._continuous = mode > 4
-        self._sequence = [channel for channel, bit in ((SHUNT, 1), (BUS, 2)) if mode & bit]
-        self._shunt_adc = converter(configuration >> 3 & 0xF)
-        self._bus_adc = converter(configuration >> 7 & 0xF)
-        self._shunt_limit = 4000 << (configuration >> 11 & 0x3)  # counts, 40 mV times the gain
-        self._bus_limit = 8000 if configuration & 0x2000 else 4000  # counts, 32 V or 16 V
-        self._begin(0, self._time)
+        self._samples = samples_of(self._registers[CONFIGURATION])
+        self._begin(SHUNT, self._time)
 
-    def _begin(self, index: int, time: float) -> None:
-        self._index = index
-        if index >= len(self._sequence):
-            self._end = math.inf
-            return
-        adc = self._shunt_adc if self._sequence[index] == SHUNT else self._bus_adc
-        self._end = time + adc.time
+    def _begin(self, channel: int, time: float) -> None:
+        self._channel = channel
+        self._end = time + _CONVERSION * self._samples
         self._sum = 0.0
         self._weight = 0.0
 
@@ -143,38 +116,25 @@ class Ina219:
         self._time = time
 
     def _observe(self, duration: float, shunt_voltage: float, bus_voltage: float) -> None:
-        if self._end != math.inf:
-            voltage = shunt_voltage if self._sequence[self._index] == SHUNT else bus_voltage
-            self._sum += voltage * duration
-            self._weight += duration
+        self._sum += (shunt_voltage if self._channel == SHUNT else bus_voltage) * duration
+        self._weight += duration
 
     def _convert(self, shunt_voltage: float, bus_voltage: float) -> None:
-        is_shunt = self._sequence[self._index] == SHUNT
-        present = shunt_voltage if is_shunt else bus_voltage
+        present = shunt_voltage if self._channel == SHUNT else bus_voltage
         mean = self._sum / self._weight if self._weight > 0 else present
-        if is_shunt:
-            self._registers[SHUNT] = self._shunt_counts(mean) & 0xFFFF
+        if self._channel == SHUNT:
+            counts = round((mean + self._noise_of(self._noise.shunt)) / _SHUNT_LSB)
+            self._registers[SHUNT] = min(max(counts, -_SHUNT_LIMIT), _SHUNT_LIMIT) & 0xFFFF
+            self._begin(BUS, self._end)
         else:
-            self._registers[BUS] = self._bus_counts(mean) << 3
-        if self._index + 1 < len(self._sequence):
-            self._begin(self._index + 1, self._end)
-            return
-        self._compute()
-        self._ready = True
-        self._begin(0 if self._continuous else len(self._sequence), self._end)
+            voltage = min(mean + self._noise_of(self._noise.bus), _BUS_PIN_LIMIT)
+            self._registers[BUS] = max(round(voltage / _BUS_LSB), 0) << 3
+            self._compute()
+            self._ready = True
+            self._begin(SHUNT, self._end)
 
-    def _shunt_counts(self, voltage: float) -> int:
-        adc = self._shunt_adc
-        noise = self._random.gauss(0.0, self._noise.shunt / math.sqrt(adc.samples))
-        counts = round((voltage + noise) / _SHUNT_LSB) >> adc.lost_bits << adc.lost_bits
-        return min(max(counts, -self._shunt_limit), self._shunt_limit)
-
-    def _bus_counts(self, voltage: float) -> int:
-        adc = self._bus_adc
-        noise = self._random.gauss(0.0, self._noise.bus / math.sqrt(adc.samples))
-        noisy = min(voltage + noise, _BUS_PIN_LIMIT)
-        counts = round(noisy / _BUS_LSB) >> adc.lost_bits << adc.lost_bits
-        return min(max(counts, 0), self._bus_limit)
+    def _noise_of(self, deviation: float) -> float:
+        return self._random.gauss(0.0, deviation / math.sqrt(self._samples))
 
     def _compute(self) -> None:
         """Compute Current = Shunt x Calibration / 4096 and Power = Current x Bus / 5000, in integers."""

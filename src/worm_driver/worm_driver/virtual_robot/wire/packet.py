@@ -22,22 +22,14 @@ _BARE_HEADER = re.compile(rb"\xff\xff\xfd(?!\xfd)")
 
 
 class Instruction(IntEnum):
-    """Instruction codes of the X series."""
+    """Instructions that the virtual servos obey. They reject the others of the X series with an error number."""
 
     PING = 0x01
     READ = 0x02
     WRITE = 0x03
-    REG_WRITE = 0x04
-    ACTION = 0x05
-    FACTORY_RESET = 0x06
     REBOOT = 0x08
-    CLEAR = 0x10
     SYNC_READ = 0x82
     SYNC_WRITE = 0x83
-    FAST_SYNC_READ = 0x8A
-    BULK_READ = 0x92
-    BULK_WRITE = 0x93
-    FAST_BULK_READ = 0x9A
 
 
 class Error(IntEnum):
@@ -80,8 +72,9 @@ def _crc_table() -> tuple[int, ...]:
 _CRC_TABLE = _crc_table()
 
 
-def crc16(data: bytes, crc: int = 0) -> int:
+def crc16(data: bytes) -> int:
     """Return the protocol's CRC-16: polynomial 0x8005, most significant bit first, no final xor."""
+    crc = 0
     for byte in data:
         crc = (crc << 8 & 0xFFFF) ^ _CRC_TABLE[crc >> 8 ^ byte]
     return crc
@@ -111,26 +104,6 @@ def instruction_packet(servo_id: int, instruction: int, parameters: bytes = b"")
 def status_packet(servo_id: int, error: int, parameters: bytes = b"") -> bytes:
     """Return the bytes of a status packet. ``error`` is the complete error byte, with the alert bit."""
     return frame(servo_id, stuff(bytes([STATUS, error]) + parameters))
-
-
-def fast_status_packet(answers: list[tuple[int, int, bytes]], lengths: list[int]) -> bytes:
-    """Return the single status packet of a Fast Sync Read or Fast Bulk Read, which is not stuffed.
-
-    Args:
-        answers: (error byte, servo id, data) of each servo in the order of the request.
-        lengths: requested number of data bytes of each servo. With fewer answers the packet ends early, as on a bus
-            with a silent servo.
-    """
-    length = 1 + sum(size + 4 for size in lengths)
-    packet = _PREFIX + bytes([BROADCAST_ID]) + length.to_bytes(2, "little") + bytes([STATUS])
-    crc = crc16(packet)
-    for error, servo_id, data in answers:
-        part = bytes([error, servo_id]) + data
-        crc = crc16(part, crc)
-        tail = crc.to_bytes(2, "little")
-        packet += part + tail
-        crc = crc16(tail, crc)  # the next servo's checksum covers all bytes before it
-    return packet
 
 
 class InstructionReader:

@@ -11,7 +11,6 @@ from worm_driver.virtual_robot.wire.packet import (
     InstructionReader,
     Packet,
     crc16,
-    fast_status_packet,
     instruction_packet,
     status_packet,
     stuff,
@@ -32,10 +31,6 @@ tricky = st.lists(st.sampled_from([0xFF, 0xFD, 0x00, 0x55, 0xFE]), max_size=40).
             "FFFFFD00010700 02 84000400 1D15",
         ),
         (instruction_packet(1, Instruction.REBOOT), "FFFFFD00010300 08 2F4E"),
-        (
-            instruction_packet(1, Instruction.CLEAR, bytes.fromhex("0144584C22")),
-            "FFFFFD00010800 10 0144584C22 B1DC",
-        ),
     ],
 )
 def test_the_manuals_packets(sent, expected):
@@ -97,11 +92,3 @@ def test_an_unstuffed_header_in_a_body_loses_the_packet_but_not_the_next():
     packet = head + body + crc16(head + body).to_bytes(2, "little")
     ping = instruction_packet(1, Instruction.PING)
     assert InstructionReader(1.0).feed(packet + ping, 0.0) == [Packet(1, Instruction.PING, b"")]
-
-
-def test_a_fast_status_ends_where_a_servo_is_silent():
-    whole = fast_status_packet([(0, 1, b"ab"), (0, 2, b"cd")], [2, 2])
-    cut = fast_status_packet([(0, 1, b"ab")], [2, 2])
-    assert whole.startswith(cut)
-    assert len(whole) == 7 + int.from_bytes(whole[5:7], "little")
-    assert crc16(whole[:-2]) == int.from_bytes(whole[-2:], "little")
