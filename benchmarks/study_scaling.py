@@ -22,7 +22,6 @@ _STUDY = """\
 vary: {{slack: {{from: 0.004, to: 0.010, count: {points}}}}}
 fixed: {{margin_m: 0.002}}
 compute: [front, gaits]
-block_points: 2
 """
 
 

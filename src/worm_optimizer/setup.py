@@ -32,7 +32,6 @@ NEEDED = [
     "markdown2>=2.4",
     "matplotlib>=3.6",
     "numpy>=1.26",
-    "pyarrow>=14",
     "pymoo>=0.6.1",
     "scipy>=1.11",
 ]

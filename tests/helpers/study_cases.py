@@ -12,7 +12,6 @@ vary:
 fixed: {margin_m: 0.002, at_power_W: 2.6}
 compute: [front, gaits]
 resolution: {strokes: 9, frequencies: 5, front_gaits: 4, samples: 10}
-block_points: 1
 """
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Command line: computations for many parameter sets, or for many bags, on this machine or on a cluster.
+"""Command line: computations for many parameter sets, on this machine or on a cluster.
 
 The functions import what they use, so that --help takes no longer than for other commands.
 """
@@ -27,14 +27,13 @@ _say = command_line.notifier("study")
 def _parser() -> command_line.Parser:
     parser = command_line.Parser(
         prog="study",
-        description="Compute fronts, gaits, cliffs and success probabilities for many parameter sets, or read many "
-        "bags, on all cores of this machine or on a Dask cluster. Finished blocks are stored next to the output; after "
-        "an interruption, the same command computes the others.",
+        description="Compute fronts, gaits, cliffs and success probabilities for many parameter sets, on all cores of "
+        "this machine or on a Dask cluster. Finished blocks are stored next to the output; after an interruption, the "
+        "same command computes the others.",
     )
     add = parser.add_argument
-    add("study", nargs="?", type=Path, metavar="STUDY.yaml", help="study file")
-    add("--bags", type=Path, metavar="FOLDER", help="read all bags below a folder instead")
-    add("--output", type=Path, metavar="OUT", help="STUDY.nc, or FLEET.parquet for bags")
+    add("study", type=Path, metavar="STUDY.yaml", help="study file")
+    add("--output", type=Path, metavar="STUDY.nc", help="NetCDF file of the results")
     add("--page", metavar="PAGE.html", help="write a page with figures of the results")
     add("--table", metavar="TABLE.csv", help="write a table with a row for each point")
     add(
@@ -44,22 +43,13 @@ def _parser() -> command_line.Parser:
         help="address of a Dask cluster; default: this machine",
     )
     add("--workers", type=int, metavar="N", help="workers on this machine (default: one per core)")
-    add(
-        "--accept-failures",
-        action="store_true",
-        help="exit status 0 even if all points or some bags fail",
-    )
     add("--dry-run", action="store_true", help="only print points, blocks and an estimated time")
     parser.add_json()
-    parser.add_parameters(
-        "the file that the study names, with --bags the file in each bag, else the paper's values"
-    )
+    parser.add_parameters("the file that the study names, else the paper's values")
     return parser
 
 
 def _study(options: argparse.Namespace) -> int:
-    if (options.study is None) == (options.bags is None):
-        raise command_line.InputError("give one of STUDY.yaml and --bags FOLDER")
     if options.workers is not None and not (options.workers >= 1 and not options.scheduler):
         raise command_line.InputError(
             "--workers: give at least 1, and not together with --scheduler"
@@ -74,7 +64,7 @@ def _study(options: argparse.Namespace) -> int:
     page = command_line.new_file(options.page) if options.page else None
     table = command_line.new_file(options.table) if options.table else None
     try:
-        return _fleet(options) if options.bags else _points(options, page, table)
+        return _points(options, page, table)
     except LostError as error:
         _say(str(error))
         return command_line.FAILED
@@ -120,44 +110,14 @@ def _points(options: argparse.Namespace, page: Path | None, table: Path | None) 
     inputs = [axis.name for axis in study.ranges]
     content = {"indices": {name: index_json(each, inputs) for name, each in indices.items()}}
     _print(options, counts, content if indices else {}, _indices_text(indices, inputs))
-    return _status(options, counts, tolerated=counts.points - 1)
-
-
-def _fleet(options: argparse.Namespace) -> int:
-    """Read all bags of a folder, and return the exit status."""
-    from worm_optimizer.study.blocks import Workers
-    from worm_optimizer.study.fleet import read_fleet
-
-    if options.output is None or options.output.suffix != ".parquet":
-        raise command_line.InputError("--output: name the fleet's table, e.g. FLEET.parquet")
-    if options.page or options.table or options.dry_run:
-        raise command_line.InputError(
-            "--page, --table and --dry-run are for studies; remove them, or --bags"
-        )
-    workers = Workers(options.scheduler, options.workers)
-    progress = command_line.ProgressLine("bags")
-    counts = read_fleet(options.bags, options.parameters, options.output, workers, _say, progress)
-    _print(options, counts, {}, [])
-    return _status(options, counts, tolerated=0)
-
-
-def _status(options: argparse.Namespace, counts: Counts, tolerated: int) -> int:
-    """Return the exit status. If more than ``tolerated`` points or bags failed, print a message, too."""
-    if counts.failed <= tolerated or options.accept_failures:
-        return command_line.DONE
-    _say(
-        f"{counts.failed} of {counts.points} failed, so the exit status is {command_line.FAILED}; "
-        "with --accept-failures it is 0"
-    )
-    return command_line.FAILED
+    return command_line.FAILED if counts.failed == counts.points else command_line.DONE
 
 
 def _print(
     options: argparse.Namespace, counts: Counts, more: dict[str, Any], lines: list[str]
 ) -> None:
     content = {**dataclasses.asdict(counts), "output": str(options.output), **more}
-    what = "bags" if options.bags else "points"
-    text = f"{counts.done} of {counts.points} {what} in {options.output}"
+    text = f"{counts.done} of {counts.points} points in {options.output}"
     if counts.failed:
         text += f"; {counts.failed} of them failed, the reasons are in the column reason"
     command_line.print_result(options, content, "\n".join([text, *lines]))

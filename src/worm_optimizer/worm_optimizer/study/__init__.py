@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Studies of many parameter sets or many bags, on the cores of one machine or of a cluster.
+"""Studies of many parameter sets, on the cores of one machine or of a cluster.
 
 - `study_file` reads and validates the description of a study, and `plan` defines it.
 - `point` computes the results of one parameter set: fronts, gaits, margin scans and success probabilities.
 - `blocks` distributes points to Dask workers and stores finished blocks, and `study_run` writes the result.
 - `summary` finds the best points; `study_page` and `study_plots` present them.
-- `fleet` compares many bags with the model, as a table.
 
 Only this package needs the packages of the group study in pyproject.toml.
 """

@@ -44,10 +44,7 @@ class LostError(RuntimeError):
 
 @dataclass(frozen=True)
 class Counts:
-    """Numbers of points of a study: all ``points``, finished ones (``done``), and ``failed`` ones among the finished.
-
-    If a study compares many bags (see `fleet`), each point is a bag.
-    """
+    """Numbers of points: all ``points``, finished ones (``done``), and ``failed`` ones of these."""
 
     points: int
     done: int

@@ -171,7 +171,6 @@ class Study:
         resolution: resolution of the computation.
         scan: margins of the margin scan.
         waveform: waveforms among which the search chooses.
-        most_points: largest number of points in a block; None chooses it by the number of points.
     """
 
     title: str
@@ -186,7 +185,6 @@ class Study:
     resolution: Resolution
     scan: ScanSettings
     waveform: Waveform
-    most_points: int | None
 
     @property
     def varied(self) -> tuple[str, ...]:
@@ -226,7 +224,7 @@ class Study:
     @property
     def block_points(self) -> int:
         """Largest number of points in a block."""
-        return self.most_points or math.ceil(self.size / _MOST_BLOCKS)
+        return math.ceil(self.size / _MOST_BLOCKS)
 
     def points(self) -> Array:
         """Return the value of each of `varied` at each point, shape (size, len(varied)); for a file, its index."""
@@ -243,10 +241,8 @@ class Study:
     def identity(self) -> str:
         """Return a hash of the code and of all that determines the results of a point with given values.
 
-        Two studies that differ in title, points and blocks only have the same identity.
+        Two studies that differ in title and points only have the same identity.
         """
-        plain = dataclasses.replace(
-            self, title="", text="", axes=(), sample=Sample(), most_points=None
-        )
+        plain = dataclasses.replace(self, title="", text="", axes=(), sample=Sample())
         content = f"{identity()} {self.varied} {plain}"
         return hashlib.sha256(content.encode()).hexdigest()[:24]

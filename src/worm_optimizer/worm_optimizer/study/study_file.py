@@ -63,7 +63,6 @@ class StudyFile:
     compute: Annotated[tuple[Annotated[str, OneOf(plan.COMPUTABLE)], ...], key(min_length=1)]
     resolution: plan.Resolution = _RESOLUTION
     scan: _ScanFile = _ScanFile()
-    block_points: Annotated[int | None, key(ge=1, le=MOST_POINTS)] = None
     waveform: Annotated[str, OneOf(tuple(kind.value for kind in Waveform))] = (
         Waveform.SINUSOID.value
     )
@@ -126,7 +125,6 @@ def parse_study(text: str, folder: Path, parameters: str = "") -> plan.Study:
         resolution=file.resolution,
         scan=ScanSettings(**dataclasses.asdict(file.scan)),
         waveform=Waveform(file.waveform),
-        most_points=file.block_points,
     )
     _check(study)
     return study

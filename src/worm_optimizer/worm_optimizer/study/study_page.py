@@ -92,10 +92,6 @@ def _lead(summary: Summary) -> list[str]:
     if summary.best is None:
         return [*lines, f"No point has {summary.goal}."]
     lines.append(f"Best is {summary.goal}: {_sentence(summary, summary.best)}")
-    if summary.own is not None and summary.own != summary.best:
-        lines.append(
-            f"The robot of the parameter file, for comparison: {_sentence(summary, summary.own)}"
-        )
     return lines
 
 

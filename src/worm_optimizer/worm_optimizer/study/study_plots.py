@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of a study: results over two quantities, neighbours of the best point, and all points."""
+"""Figures of a study: results over two quantities, and neighbours of the best point."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from matplotlib import colormaps
 from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -19,7 +18,6 @@ from worm_optimizer.study.summary import Column, Summary
 Array = NDArray[np.float64]
 
 _ACROSS = 3  # largest number of panels next to each other
-_LINES = 400  # largest number of lines of parallel coordinates; more are not distinguishable
 _SHOWN = {"m": (1e3, "mm"), "m/s": (1e3, "mm/s")}  # units that are shown instead of SI units
 
 
@@ -62,14 +60,6 @@ def pictures(summary: Summary) -> list[Picture]:
                 png(_neighbours(summary)),
                 "The best point (star) and, on a line, the points that differ from it in one quantity alone. Panels "
                 "without such points show all points in grey.",
-            )
-        )
-    if len(varied) > 2:
-        made.append(
-            Picture(
-                png(_parallel(summary)),
-                f"Parallel coordinates: each line is a point, coloured by {label(summary.figures[0])}; "
-                "the broad line is the best point.",
             )
         )
     return made
@@ -138,50 +128,6 @@ def _neighbours(summary: Summary) -> Figure:
             if j == len(columns) - 1:
                 axes.set_xlabel(label(quantity))
     return figure
-
-
-def _parallel(summary: Summary) -> Figure:
-    columns = [*summary.varied, *summary.figures]
-    known = np.flatnonzero(np.isfinite(summary.figures[0].values))
-    rows = (
-        known[np.linspace(0, known.size - 1, min(known.size, _LINES)).astype(int)]
-        if known.size
-        else known
-    )
-    figure = new_figure(1.7 * len(columns) + 1.0, 4.2)
-    axes = figure.subplots()
-    scaled = np.stack([_unit(column.values) for column in columns], axis=1)
-    shade = colormaps["viridis"]
-    colour = _unit(summary.figures[0].values)
-    for row in rows:
-        axes.plot(scaled[row], color=shade(colour[row]), linewidth=0.7, alpha=0.6)
-    if summary.best is not None:
-        axes.plot(scaled[summary.best], color=VERMILION, linewidth=2.5)
-    axes.set_xticks(
-        range(len(columns)),
-        [label(column).replace(" ", "\n") for column in columns],
-        fontsize="small",
-    )
-    axes.set_yticks([])
-    axes.set_ylim(-0.12, 1.12)
-    for place, column in enumerate(columns):
-        values = shown(column)[np.isfinite(column.values)]
-        axes.axvline(place, color="black", linewidth=0.6)
-        if values.size:
-            axes.text(place, -0.03, f"{values.min():.4g}", ha="center", va="top", fontsize="small")
-            axes.text(
-                place, 1.03, f"{values.max():.4g}", ha="center", va="bottom", fontsize="small"
-            )
-    return figure
-
-
-def _unit(values: Array) -> Array:
-    """Return the values scaled to 0 to 1; 0.5 if all are equal."""
-    known = values[np.isfinite(values)]
-    low, high = (known.min(), known.max()) if known.size else (0.0, 0.0)
-    return (
-        (values - low) / (high - low) if high > low else np.where(np.isfinite(values), 0.5, np.nan)
-    )
 
 
 def png(figure: Figure) -> bytes:

@@ -12,7 +12,6 @@ import numpy as np
 import xarray
 from numpy.typing import NDArray
 
-from worm_msgs.conditions import CONDITION_ROWS
 from worm_optimizer.robustness.sobol import SALTELLI, Indices, indices_of
 from worm_optimizer.study.plan import PARAMETER_FILE, Study
 from worm_optimizer.study.point import DONE, FAILED, REQUESTS
@@ -46,7 +45,6 @@ class Summary:
         figures: results to show. The first one decides which point is best.
         rank: rank of each of these points, 0 is best.
         best: index of the best point; None if no point has the first result.
-        own: index of the point with the values of the parameter file; None if there is no such point.
         goal: criterion of the best point, as text.
         points: number of all points of the study.
         failed: number of failed points by reason.
@@ -57,7 +55,6 @@ class Summary:
     figures: tuple[Column, ...]
     rank: NDArray[np.int64]
     best: int | None
-    own: int | None
     goal: str
     points: int
     failed: Counter[str]
@@ -83,7 +80,6 @@ def summarise(output: Path, study: Study) -> Summary:
         figures=figures,
         rank=rank,
         best=int(np.argmin(rank)) if known.any() else None,
-        own=_own(varied, study),
         goal=goal,
         points=study.size,
         failed=Counter(map(str, data[REASON].values[state == FAILED])),
@@ -101,27 +97,6 @@ def study_indices(output: Path, study: Study) -> Mapping[str, Indices]:
     columns, _ = _figures(point_table(output), study)
     inputs = len(study.ranges)
     return {column.name: indices_of(column.values, inputs, study.sample.seed) for column in columns}
-
-
-def _own(varied: tuple[Column, ...], study: Study) -> int | None:
-    """Return the index of the point with the values of the parameter file.
-
-    Return None if there are several files, a varied quantity is no parameter, no point has these values, or a fixed
-    parameter, condition or groove phase makes the robot of every point another one.
-    """
-    values = study.files[0][1].parameters.as_dict()
-    if len(study.files) > 1 or not all(column.name in values for column in varied):
-        return None
-    usual = {**values, **dict.fromkeys(CONDITION_ROWS, 0.0)}
-    if "groove_phase_m" in study.fixed or any(
-        not np.isclose(value, usual[name], rtol=1e-9)
-        for name, value in study.fixed.items()
-        if name in usual
-    ):
-        return None
-    same = [np.isclose(column.values, values[column.name], rtol=1e-9) for column in varied]
-    rows = np.flatnonzero(np.all(same, axis=0)) if same else np.empty(0)
-    return int(rows[0]) if rows.size else None
 
 
 def _figures(data: xarray.Dataset, study: Study) -> tuple[tuple[Column, ...], str]:

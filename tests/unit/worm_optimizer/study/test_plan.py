@@ -98,7 +98,7 @@ def test_all_that_determines_a_result_is_in_the_identity(tmp_path):
 
     same = identity()
     more = {"slack": [0.004], "switching_threshold": [0.0175]}
-    assert {identity(title="other"), identity(vary=more), identity(block_points=7)} == {same}
+    assert {identity(title="other"), identity(vary=more)} == {same}
     different = [
         identity(hardware={**hardware, "supply_voltage_V": 5.0}),
         identity(parameters=None),
@@ -170,7 +170,6 @@ WRONG: list[tuple[list[str], dict[str, object]]] = [
         },
     ),
     (["'varies'", "vary"], {"varies": {}}),
-    (["block_points", "1", "0"], {"block_points": 0}),
 ]
 
 

@@ -9,16 +9,13 @@ import sys
 import time
 from pathlib import Path
 
-import pyarrow.parquet as parquet
 import pytest
 import xarray
-from recorded_run import simulated_run, write_bag
 from study_cases import SMALL
 
 from worm_model.parameters import KEYS as KEYS_OF_ROBOT
 from worm_optimizer.commands import study as command
 from worm_optimizer.robustness.sobol import METHODS
-from worm_optimizer.study import fleet
 from worm_optimizer.study.plan import COMPUTABLE, QUANTITIES
 from worm_optimizer.study.study_file import StudyFile
 
@@ -69,35 +66,6 @@ def test_a_study_on_this_machine_its_page_and_its_table(tmp_path, run):
     status, _, err = run(command, *arguments, "--page", str(page))
     assert status == 2
     assert "exists already" in err
-
-
-def test_a_fleet_is_a_table_with_a_row_for_the_broken_bag(tmp_path, monkeypatch, run, here):
-    folder, output = tmp_path / "bags", tmp_path / "f.parquet"
-    write_bag(folder / "good", simulated_run(5, 1))
-    (folder / "broken").mkdir()
-    (folder / "broken" / "x.mcap").write_bytes(b"junk")
-    arguments = ("--bags", str(folder), "--output", str(output), "--json")
-    status, out, err = run(command, *arguments)
-    assert status == 1
-    assert "1 of 2 failed" in err
-    assert json.loads(out) == {"points": 2, "done": 2, "failed": 1, "output": str(output)}
-    rows = {row["bag"]: row for row in parquet.read_table(output).to_pylist()}
-    assert rows["broken/x.mcap"]["state"] == "failed"
-    assert "is not an MCAP file" in rows["broken/x.mcap"]["reason"]
-    assert rows["good"]["speed_m_s"] == pytest.approx(rows["good"]["expected_speed_m_s"], rel=0.1)
-    assert run(command, *arguments, "--accept-failures")[0] == 0
-    assert here.pieces == 2  # nothing was left to read
-    with monkeypatch.context() as other:
-        other.setattr(fleet, "identity_of_all", lambda: "another version")
-        assert run(command, *arguments)[0] == 2
-    write_bag(folder / "new", simulated_run(5, 2))
-    status, _, err = run(command, *arguments)
-    assert status == 2
-    assert "nothing is overwritten" in err
-    output.unlink()
-    assert run(command, *arguments)[0] == 1
-    assert here.pieces == 3  # only the new bag
-    assert parquet.read_table(output, columns=["bag"]).num_rows == 3
 
 
 def test_a_saltelli_study_has_sobol_indices(tmp_path, run, here):

@@ -12,14 +12,12 @@ import yaml
 from study_cases import SMALL, Here
 
 from worm_model.errors import InputError
-from worm_model.parameters import PAPER
-from worm_optimizer.study import summary
 from worm_optimizer.study.blocks import Counts, Workers
 from worm_optimizer.study.point import compute_block
 from worm_optimizer.study.study_file import parse_study
 from worm_optimizer.study.study_page import write_page
 from worm_optimizer.study.study_run import point_table, run_study, write_csv
-from worm_optimizer.study.summary import Column, summarise
+from worm_optimizer.study.summary import summarise
 
 STUDY = parse_study(SMALL, Path())
 
@@ -57,17 +55,17 @@ def test_more_samples_continue_a_study(tmp_path, here):
         content = yaml.safe_load(SMALL.replace("[front, gaits]", "[front]"))
         content["vary"] = {"slack": {"range": [0.004, 0.012]}, "direction": [1, -1]}
         content["sample"] = {"points": points}
-        return parse_study(yaml.safe_dump({**content, "block_points": 2}), Path())
+        return parse_study(yaml.safe_dump(content), Path())
 
     path = tmp_path / "study.nc"
     finish(path, study(3))
     first = xarray.load_dataset(path)["hypervolume"]
-    assert (here.pieces, first.sizes["sample"]) == (3, 3)
+    assert (here.pieces, first.sizes["sample"]) == (6, 3)
     with pytest.raises(InputError, match="nothing is overwritten"):
         finish(path, study(5))
     path.rename(tmp_path / "three.nc")
     finish(path, study(5))
-    assert here.pieces == 5
+    assert here.pieces == 10
     more = xarray.load_dataset(path)
     assert np.array_equal(more["hypervolume"][:, :3], first, equal_nan=True)
     assert np.all(more["state"] == 1)
@@ -126,25 +124,6 @@ def test_the_table_has_a_row_per_point_and_a_column_per_gait(output, tmp_path):
     assert float(rows[3]["speed_max_speed"]) == float(speed)
     assert rows[2]["speed_max_speed"] == ""
     assert "half the pitch" in rows[2]["reason"]
-
-
-@pytest.mark.parametrize(
-    ("fixed", "found"),
-    [
-        ("margin_m: 0.002", True),
-        ("margin_m: 0.002, slope_deg: 0.0", True),
-        ("margin_m: 0.002, slope_deg: 10.0", False),
-        ("margin_m: 0.002, bellows_stiffness: 500.0", False),
-        ("margin_m: 0.002, groove_phase_m: 0.001", False),
-    ],
-)
-def test_another_robot_is_not_taken_for_that_of_the_parameter_file(fixed, found):
-    study = parse_study(SMALL.replace("margin_m: 0.002", fixed), Path())
-    varied = (
-        Column("slack", "m", np.array([0.004, PAPER.slack])),
-        Column("switching_threshold", "m", np.full(2, PAPER.switching_threshold)),
-    )
-    assert summary._own(varied, study) == (1 if found else None)
 
 
 @pytest.mark.parametrize(
