@@ -20,9 +20,6 @@ from worm_optimizer.operation.processes import Process
 
 NANOSECONDS = 10**9
 INFORMATION = "near_edge"  # code of an event that judges nothing
-OUTPUT_DELAY_NS = (
-    2 * NANOSECONDS
-)  # rest at a recording's end; longer than the delay of the live twin's output
 MANY = "40"  # cycles of a gait that is ended earlier
 
 

@@ -2,7 +2,7 @@
 """Clocks of the threads that work with a robot: the clock of the machine, or the clock of a virtual robot.
 
 A virtual robot has its own time, which passes only while every thread that works with the robot waits
-(virtual_robot/wire/simulated_clock.py). A thread that waits only on the virtual robot's clock meets its deadlines on a
+(worm_driver/simulated_clock.py). A thread that waits only on the virtual robot's clock meets its deadlines on a
 slow machine, too.
 """
 

@@ -34,7 +34,6 @@ from worm_driver.virtual_robot.wire.packet import stuff as independent_stuff
 
 GOAL = COMMON["goal_position"]
 POSITION = COMMON["present_position"]
-VELOCITY = COMMON["present_velocity"]
 MODEL = COMMON["model_number"]
 
 
