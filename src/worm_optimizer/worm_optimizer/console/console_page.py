@@ -119,6 +119,9 @@ class ConsolePage:
         """Handle a message of the page. Its argument is True if the connection was interrupted since the last one."""
         if event.args:
             self._lose_control("this page had no connection")
+            # After an interruption, NiceGUI sends older messages once more, and after newer ones.
+            for shown in (self._state_label, self._take, self._holder, self._hand_over):
+                shown.update()
         self._state.control.on_message(self._id)
         self._client.run_javascript("acknowledge()")
 
