@@ -29,7 +29,9 @@ def test_start_keeps_the_graph_for_operate_rejects_a_second_one_and_ends_in_orde
         "worm_optimizer", "start", "--virtual", *place, name="second"
     )
     assert second.wait(2 * TIMEOUT_S) == 1
-    assert re.search(r"/worm has a (virtual robot or player|driver) already, process \d+", second.last_line())
+    assert re.search(
+        r"/worm has a (virtual robot or player|driver) already, process \d+", second.last_line()
+    )
     assert "activating" not in second.output()
     run = processes.start_executable(
         *("worm_optimizer", "operate", "run", "--stroke", "0.03", "--frequency", "0.4"),
