@@ -114,15 +114,12 @@ def tuning_of(runs: Sequence[RunMargin], aim: Aim, last: Path) -> Tuning:
 
     parameters = load_parameter_file(aim.parameter_file).parameters
     tuning = next_gait(runs, aim.probability, aim.limits, parameters)
-    if (
-        tuning is None
-        and runs[-1].cycles
-        and not any(cycle.grooves for cycle in runs[-1].cycles[1:])
-    ):
-        raise InputError(
-            f"{last}: no groove was gained, so there is no margin: run a longer stroke"
-        )
     if tuning is None:
+        later = runs[-1].cycles[1:]
+        if later and not any(cycle.grooves for cycle in later):
+            raise InputError(
+                f"{last}: no groove was gained, so there is no margin: run a longer stroke"
+            )
         raise InputError(
             f"{last}: the margin was not measured: the tracker must see both modules in at least three whole cycles"
         )

@@ -39,6 +39,7 @@ _REAR_SHARE = (
 )
 _SLOWER = 0.98  # step of the frequency
 _SLOWEST_STEP = 0.6  # of the frequency from one run to the next
+_UNCERTAIN_M = 0.003  # negative rear margin that can be one of the front fin
 _WORTHWHILE_M = 0.0005  # increase of the front margin for which a lower frequency is tried
 # standard deviation of the prior of the margin of the first gait: it is measured
 _MEASURED_OFFSET_M = 0.05
@@ -176,8 +177,10 @@ def _slower(known: _Knowledge, probability: float, limits: GaitLimits) -> Tuning
     # The front fin loses the cycles that may be lost, so the rear one, which a longer stroke helps, loses few of them.
     almost = 1.0 - _REAR_SHARE * (1.0 - probability)
     fitting = _smallest_stroke(known, last, limits, almost, Fin.REAR)
-    # Also where the rear fin seems to lack it: of a lost groove, the fin that lost it is not certain.
-    if _gain_of_front(known, gait) > _WORTHWHILE_M:
+    # Also where the rear fin seems to lack a little: of a lost groove, the fin that lost it is not certain.
+    longest = replace(last, stroke=limits.largest_stroke(last))
+    lacks = known.beliefs(longest)[Fin.REAR].expected < -_UNCERTAIN_M
+    if _gain_of_front(known, gait) > _WORTHWHILE_M and not lacks:
         stroke = min(gait.stroke, limits.largest_stroke(gait))
         return _run(known, replace(gait, stroke=stroke), reason)
     if fitting is not None and fitting.stroke - last.stroke > _SAME_M:

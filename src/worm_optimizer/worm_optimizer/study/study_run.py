@@ -88,7 +88,8 @@ def run_study(
         task = Task(compute_block, study, study.points(), study.block_points, study.identity())
         content = _dataset(study, complete(task, output, workers, say, progress))
         with new_output(output) as part:
-            content.to_netcdf(part, engine="scipy", format="NETCDF3_64BIT")
+            # not to a path, for which xarray takes a lock from Dask's last client, even if that one is closed
+            part.write_bytes(content.to_netcdf(engine="scipy", format="NETCDF3_64BIT"))
     with open_result(output) as data:
         if data.attrs.get(_HASH) != _hash(study):
             raise InputError(

@@ -479,5 +479,5 @@ def test_a_recording_without_a_gait_or_a_broken_one_is_passed_over(tmp_path: Pat
     reported: list[str] = []
     assert newest_recording(tmp_path, reported.append) == tmp_path / "good"
     assert [line.startswith("skipped: ") for line in reported] == [True, True]
-    assert "is not rosbag2's" in reported[0]
+    assert str(tmp_path / "broken" / "metadata.yaml") in reported[0]
     assert reported[1].endswith("failed contains no gait")

@@ -62,7 +62,8 @@ def read_metadata(directory: Path) -> dict[str, Any]:
         raise BagError(f"{path} is missing")
     check_readable(path)
     try:
-        content = yaml.load(path.read_text(encoding="utf-8"), Loader=_LOADER)[METADATA_ROOT]
+        whole = yaml.load(path.read_text(encoding="utf-8"), Loader=_LOADER) or {}
+        content = whole[METADATA_ROOT]
         if not all(isinstance(name, str) for name in content["relative_file_paths"]):
             raise TypeError("relative_file_paths contains other values than names")
     except (OSError, ValueError, yaml.YAMLError, RecursionError, LookupError, TypeError) as error:
