@@ -11,8 +11,8 @@ from worm_driver.gait.stillness import Stillness
 from worm_driver.nodes.stamps import Stamps
 from worm_msgs.msg import Tracker
 
-#: s, age up to which the latest sample counts as recent
-_FRESH = 0.2
+#: s, age up to which the latest sample counts as recent; a busy computer delays samples
+_FRESH = 1.0
 #: s, time without any sample after which the driver assumes that there is no tracker; discovery takes up to 3 s
 _DISCOVERY = 5.0
 #: m, a marker farther from the origin counts as hidden, because no pipe is so long
