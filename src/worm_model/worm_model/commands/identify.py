@@ -175,9 +175,8 @@ def _describe(result: Identification, advice: str) -> str:
 
 
 def _run(options: argparse.Namespace) -> None:
-    from worm_model.identification.data.lab_logs import (
-        LabSettings,  # here: SciPy and Numba load slowly
-    )
+    # here: SciPy and Numba load slowly
+    from worm_model.identification.data.lab_logs import LabSettings
     from worm_model.identification.inputs import read_inputs, read_recordings
     from worm_model.identification.report.advice import advise
     from worm_model.identification.report.identification_report import write_report

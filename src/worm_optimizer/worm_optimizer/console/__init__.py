@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Console of the robot in a browser. `access`, `control`, `picture` and `view` need neither ROS nor NiceGUI."""
+"""Console of the robot in a browser. `control`, `picture` and `view` need neither ROS nor NiceGUI."""

@@ -34,9 +34,7 @@ from worm_optimizer.evaluation.task import MarginTask
 _STEP_M = 0.0005  # of the stroke
 _SAME_M = 0.001  # difference of a stroke from the smallest one below which the run is not repeated
 _RESERVE_M = 0.0003  # of the stroke, so that the next run confirms its probability
-_REAR_SHARE = (
-    0.1  # of the lost cycles that the rear fin may lose where the front fin has too little margin
-)
+_REAR_SHARE = 0.1  # of the lost cycles, for the rear fin where the front fin lacks margin
 _SLOWER = 0.98  # step of the frequency
 _SLOWEST_STEP = 0.6  # of the frequency from one run to the next
 _UNCERTAIN_M = 0.003  # negative rear margin that can be one of the front fin
