@@ -172,7 +172,7 @@ class RobotWorker:
     def _run_commands(self) -> None:
         with self._open_robot(self._on_start_progress, self._check_commands) as node:
             self._starting = False
-            self.busy = ""
+            self.busy = self._next
             while not self._closing.is_set():
                 node.wait(lambda: self._closing.is_set() or not self._waiting.empty(), _POLL_S)
                 self._execute(node)
@@ -198,7 +198,8 @@ class RobotWorker:
             description, command = self._waiting.get_nowait()
         except Empty:
             return
-        self.busy = description or self.busy
+        if description:
+            self.busy, self._next = description, ""
         self._is_quiet = not description
         try:
             result = command(node)
@@ -211,7 +212,7 @@ class RobotWorker:
         finally:
             self._is_quiet = False
             if description:
-                self.busy, self._next = self._next, ""
+                self.busy = self._next
 
     # --- the stop thread ---------------------------------------------------------------------
 

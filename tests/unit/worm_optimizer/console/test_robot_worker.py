@@ -188,6 +188,15 @@ def test_one_command_may_wait_for_the_end_of_the_present_one(bench: Bench):
     assert [notice.text for notice in bench.notices[1:3]] == ["first", "deactivating"]
 
 
+def test_a_command_that_waits_for_the_start_is_executed_and_ends():
+    bench = Bench()
+    assert bench.worker.submit_next("deactivating", lambda node: "the torque is off")
+    bench.worker.start()
+    bench.notice("the torque is off")
+    bench.wait_for(lambda: not bench.worker.busy)
+    bench.close()
+
+
 def test_a_quiet_command_gives_way_to_each_other_one_and_the_end_abandons_it():
     bench = Bench()
     bench.worker.start()
