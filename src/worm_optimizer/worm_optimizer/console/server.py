@@ -45,6 +45,7 @@ def serve(state: ConsoleState, port: int, ended: Callable[[], int]) -> None:
         show=False,
         show_welcome_message=False,
         reconnect_timeout=_RECONNECT * state.control.timeout_s,
+        ws_ping_interval=None,  # only `PageControl` decides how long a slow page may be silent
     )
 
 
