@@ -8,11 +8,11 @@ from hypothesis import strategies as st
 
 from worm_driver.driver_errors import DriverError
 from worm_driver.gait.gait_player import Phase, PlayerSettings
-from worm_driver.servos.servo_state import SILENT
+from worm_driver.servos.state_reader import SILENT
 
 GIVEN = settings()
 #: m, from the shaft to a goal: the tolerated following error, and two cycles at full speed
-REACH = GIVEN.limits.following_error + 2 * GIVEN.period * GIVEN.max_cable_speed
+REACH = GIVEN.max_following_error + 2 * GIVEN.period * GIVEN.max_cable_speed
 #: m, largest motion of a standing robot, and largest offset of a hold, because of one wrong sample
 STANDS = 0.001
 JUMPS = [-8192, -600, -200, 200, 1000, 12288]

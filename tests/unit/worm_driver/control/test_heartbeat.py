@@ -3,7 +3,7 @@
 
 import math
 
-from worm_driver.control.heartbeat import PERIOD, HeartbeatMonitor, shorter_timeout
+from worm_driver.gait.run_end import PERIOD, HeartbeatMonitor, shorter_timeout
 
 
 def test_an_owner_that_sends_heartbeats_is_not_silent():

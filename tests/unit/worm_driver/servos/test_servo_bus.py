@@ -22,10 +22,9 @@ from worm_driver.driver_errors import (
     PortError,
     StatusError,
 )
-from worm_driver.servos.bus_types import Identity
 from worm_driver.servos.registers import COMMON, Register
-from worm_driver.servos.servo_bus import ServoBus, stuff, unstuff
-from worm_driver.servos.servo_state import STATE_SIZE, STATE_START
+from worm_driver.servos.servo_bus import Identity, ServoBus, stuff, unstuff
+from worm_driver.servos.state_reader import STATE_SIZE, STATE_START
 from worm_driver.virtual_robot.virtual_robot import VirtualRobot
 from worm_driver.virtual_robot.virtual_settings import load_settings
 from worm_driver.virtual_robot.wire.faults import make_fault

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 from camera_rig import SETTINGS, model_of
 
+from worm_driver.driver_errors import SetupError
 from worm_driver.tracking.camera_model import camera_info_text
 from worm_driver.tracking.tracker_setup import load_setup
-from worm_driver.tracking.tracking_errors import SetupError
 
 GOOD = """\
 dictionary: DICT_4X4_50
@@ -29,7 +29,7 @@ REFERENCE = GOOD[GOOD.index("reference:") : GOOD.index("camera_info")]
 
 @pytest.fixture
 def write(tmp_path: Path):
-    (tmp_path / "camera.yaml").write_text(camera_info_text("camera", model_of(SETTINGS)))
+    (tmp_path / "camera.yaml").write_text(camera_info_text(model_of(SETTINGS)))
 
     def written(text: str) -> Path:
         path = tmp_path / "tracker.yaml"

@@ -8,8 +8,7 @@ from random import Random
 
 import pytest
 
-from worm_driver.virtual_robot.camera import Tracker
-from worm_driver.virtual_robot.virtual_robot import VirtualRobot
+from worm_driver.virtual_robot.virtual_robot import Tracker, VirtualRobot
 from worm_driver.virtual_robot.virtual_settings import TrackerSettings
 
 CLEAR = TrackerSettings(rate=30.0, noise=0.00015, occlusion_rate=0.0, occlusion=0.3, latency=0.0)
