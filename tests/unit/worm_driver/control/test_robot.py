@@ -416,13 +416,6 @@ def test_a_restart_between_two_drivers_is_noticed():
     assert not rig.restarted_driver().robot.actuators.homed
 
 
-def test_another_operating_mode_has_folded_the_turns():
-    rig = Rig()
-    rig.bus.write(CABLE, COMMON["operating_mode"], 3)
-    assert not rig.restarted_driver(settings(home_at_start=False)).robot.actuators.homed
-    assert rig.bus.read(CABLE, COMMON["operating_mode"]) == 4
-
-
 def test_a_position_that_jumps_by_a_turn_is_a_fault():
     rig = moving()
     rig.run(1.0, until=lambda s: s.cable < -0.06)

@@ -90,11 +90,7 @@ def test_where_the_lens_model_folds_over_there_is_no_direction():
             "thin_prism.*plumb_bob, rational_polynomial",
         ),
         ({"distortion_coefficients": {"data": [0.1, 0.2]}}, "4 or 5 coefficients, not 2"),
-        ({"distortion_coefficients": {"data": ["a"] * 5}}, r"distortion_coefficients: data.* 'a'"),
         ({"distortion_coefficients": {"data": [0.0, 0.0, 0.0, math.nan]}}, "nan"),
-        ({"image_width": 1280.5}, r"image_width.* 1280\.5"),
-        ({"distortion_model": None}, "distortion_model.* None"),
-        ({"distortion_model": ["plumb_bob"]}, r"distortion_model.* \['plumb_bob'\]"),
     ],
 )
 def test_invalid_calibrations_are_rejected(change, message, tmp_path):
@@ -102,13 +98,6 @@ def test_invalid_calibrations_are_rejected(change, message, tmp_path):
     path = tmp_path / "camera.yaml"
     path.write_text(yaml.safe_dump({**content, **change}))
     with pytest.raises(SetupError, match=message):
-        load_camera_info(path)
-    del content["camera_matrix"]
-    path.write_text(yaml.safe_dump(content))
-    with pytest.raises(SetupError, match="camera_matrix is missing"):
-        load_camera_info(path)
-    path.write_text("- 1")
-    with pytest.raises(SetupError, match=r"camera\.yaml: the file must be a mapping"):
         load_camera_info(path)
 
 
