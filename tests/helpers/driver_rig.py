@@ -150,7 +150,7 @@ class DirectSMBus:
         self._clock = clock
 
     def read_word_data(self, i2c_addr: int, register: int) -> int:
-        answer = self._transact(frames.Request(frames.READ, i2c_addr, register, 2))
+        answer = self._transact(frames.Request(frames.READ, i2c_addr, register))
         return int.from_bytes(answer.data, "little")
 
     def write_word_data(self, i2c_addr: int, register: int, value: int) -> None:

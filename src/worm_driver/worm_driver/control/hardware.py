@@ -131,10 +131,6 @@ class Hardware:
         travel = self.settings.max_stroke + 0.02
         return _LATENESS * math.pi / 2 * travel / self.robot.return_speed + 1.0
 
-    def rest_line(self) -> str:
-        """Return a sentence with the longest duration of a return to rest."""
-        return f"a return to rest takes at most {self.release_time:.1f} s"
-
     def description(self) -> list[str]:
         """Return the sentences that describe the devices found."""
         lines = [
@@ -153,7 +149,7 @@ class Hardware:
             )
         if self.robot.actuators.left_on:
             lines.append(self.robot.actuators.left_on)
-        lines.append(self.rest_line())
+        lines.append(f"a return to rest takes at most {self.release_time:.1f} s")
         if not self.robot.actuators.homed:
             lines.append("not homed: bring the robot to its initial length, then call home")
         return lines

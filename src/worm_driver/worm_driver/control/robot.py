@@ -120,6 +120,9 @@ class Robot:
         self._reader = StateReader(bus, self.actuators.servos, self.actuators.track)
         self._watch = FaultWatch(self.actuators, self._reader, clock, load)
         self._forget_states()
+        self._player_settings = replace(
+            settings.player, longest_step=settings.period, return_speed=self.return_speed
+        )
         self._releases_fault = False  # True: `ramp_to_rest` was last called in FAULT
         self._fins_set_for = 0  # the direction for which the fins have been set; 0: none
 
@@ -426,12 +429,7 @@ class Robot:
             unset,
             at_rest=not self.actuators.contracted,
         )
-        settings = replace(
-            self.settings.player,
-            longest_step=self.settings.period,
-            return_speed=self.return_speed,
-        )
-        self._adopt(gait_player.step(self.player, now, observation, settings))
+        self._adopt(gait_player.step(self.player, now, observation, self._player_settings))
         if self.player.phase is Phase.RESTING and before.phase is not Phase.RESTING:
             self._idle_from = samples
         if self.player.direction not in (0, before.direction):

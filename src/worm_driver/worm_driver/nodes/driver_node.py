@@ -139,7 +139,7 @@ class DriverNode(LifecycleNode):
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Open and check the devices. Return FAILURE, with the reason in the log and the diagnostics, on an error."""
         try:
-            settings = driver_parameters.settings(self, driver_parameters.body(self))
+            settings = driver_parameters.settings(self)
             self._adopt_emergency()
             self._sole.require()
             self._hardware = Hardware(settings, self._tracker.is_ready, self._why_not_start)

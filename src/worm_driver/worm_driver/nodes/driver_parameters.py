@@ -17,7 +17,6 @@ from worm_driver.gait.gait_player import PlayerSettings
 from worm_driver.power import i2c
 from worm_msgs.driver_file import DriverFile
 from worm_msgs.parameter_rows import ParameterRow
-from worm_msgs.robot_parameters import RobotParameters
 
 HEARTBEAT = "heartbeat_s"
 #: Parameters that the node reads only once, after its start. Later changes would have no effect.
@@ -88,13 +87,8 @@ def wait_for_devices(node: Node, ended: Callable[[], bool]) -> None:
         time.sleep(_POLL)
 
 
-def body(node: Node) -> RobotParameters:
-    """Return the robot parameters in the file that a parameter names. Raises ConfigurationError."""
-    return load_body(node.get_parameter("parameter_file").value)
-
-
-def settings(node: Node, body: RobotParameters) -> DriverSettings:
-    """Return the settings from the node's parameters and those of the robot. Raises ConfigurationError."""
+def settings(node: Node) -> DriverSettings:
+    """Return the settings from the node's parameters and those of the robot in a file. Raises ConfigurationError."""
     given = {name: _value(node, alias) for name, alias in PARAMETER_NAMES.items()}
     rest = given["rest_duration"]
     player = PlayerSettings(
@@ -103,7 +97,7 @@ def settings(node: Node, body: RobotParameters) -> DriverSettings:
         return_speed=given["return_speed"],
         rest_timeout=rest + 2.0,
     )
-    return DriverSettings(**given, body=body, player=player)
+    return DriverSettings(**given, body=load_body(given["parameter_file"]), player=player)
 
 
 def latch_files(node: Node) -> tuple[str, ...]:

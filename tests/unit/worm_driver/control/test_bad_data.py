@@ -19,22 +19,6 @@ JUMPS = [-8192, -600, -200, 200, 1000, 12288]
 FIN = 11
 
 
-def test_a_copied_rig_continues_like_the_original_and_leaves_it_alone():
-    rig = moving()
-    copies = rig.copy(), rig.copy()
-    before = (len(rig.snapshots), len(rig.positions), len(rig.samples), rig.virtual.time)
-    for copied in copies:
-        copied.inject("wrong_position", target=CABLE, count=2, value=600)
-        copied.run(0.3)
-    assert (len(rig.snapshots), len(rig.positions), len(rig.samples), rig.virtual.time) == before
-    rig.inject("wrong_position", target=CABLE, count=2, value=600)
-    rig.run(0.3)
-    for copied in copies:
-        assert copied.snapshots == rig.snapshots
-        assert copied.positions == rig.positions
-        assert copied.wire.sent == rig.wire.sent
-
-
 def moved(rig: Rig, since: int) -> float:
     """Return the range of the cable's positions in m since a count of positions."""
     positions = [position for _, position in rig.positions[since:]]

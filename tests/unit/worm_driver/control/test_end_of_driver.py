@@ -230,12 +230,3 @@ def test_no_gait_begins_while_it_shuts_down():
     rig = closing(0.2)
     with pytest.raises(RejectedError, match="shuts down"):
         rig.start()
-
-
-def test_an_idle_driver_ends_at_once():
-    rig = Rig()
-    rig.run(0.1)
-    rig.loop.shutdown("the driver ends")
-    rig.run(rig.settings.period)
-    assert rig.ended
-    assert rig.end() == []
