@@ -326,19 +326,40 @@ def test_every_executable_has_its_main(package: str):
         assert function in names, f"{entry}: no {function} in {path.relative_to(ROOT)}"
 
 
-def test_the_modules_of_executables_that_are_nodes_have_their_main():
+def test_the_modules_of_executables_have_what_these_call():
     """The modules are imported when the executables are called."""
     wrong = []
     for path in (ROOT / "src").glob("*/*/nodes/executables.py"):
         for call in ast.walk(tree_of(path)):
             if isinstance(call, ast.Call):
-                module = ast.literal_eval(call.args[0])
-                file = ROOT / "src" / module.split(".")[0] / Path(*module.split("."))
-                if not re.search(
-                    r"^(def main\(|main = )", file.with_suffix(".py").read_text("utf-8"), re.M
-                ):
-                    wrong.append(module)
+                modules = [ast.literal_eval(argument) for argument in call.args][-2:]
+                names = ("rows", "run") if ast.unparse(call.func) == "node" else ("main",)
+                for module, name in zip(modules, names, strict=True):
+                    file = ROOT / "src" / module.split(".")[0] / Path(*module.split("."))
+                    text = file.with_suffix(".py").read_text("utf-8")
+                    if not re.search(rf"^(def {name}\(|{name} = )", text, re.M):
+                        wrong.append(f"{module}.{name}")
     assert wrong == []
+
+
+@pytest.mark.parametrize(
+    ("package", "name"),
+    [
+        ("worm_driver", "driver_node"),
+        ("worm_driver", "tracker_node"),
+        ("worm_driver", "virtual_robot"),
+        ("worm_model", "twin_node"),
+        ("worm_optimizer", "optimizer_node"),
+    ],
+)
+def test_the_help_of_a_node_imports_no_large_library(package, name):
+    code = (
+        f"import sys; sys.argv[1:] = ['--help']; from {package}.nodes import executables\n"
+        f"try: executables.{name}()\n"
+        "except SystemExit as end: assert not end.code\n"
+        "assert not {'numba', 'cv2', 'matplotlib', 'scipy', 'pymoo'} & {*sys.modules}"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 def test_the_core_runs_without_ros():

@@ -26,7 +26,7 @@ from lifecycle_msgs.msg import State, Transition
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from worm_driver.nodes import driver_node
+from worm_driver.nodes import executables
 from worm_msgs.action import RunGait
 from worm_msgs.msg import BodyLength, Gait, GaitState, Power
 from worm_optimizer.operation.processes import Process
@@ -85,7 +85,7 @@ def test_a_wrong_configuration_is_reported_in_one_line(directory, capfd, change,
     arguments = ["driver_node", "--ros-args", "-r", "__ns:=/other"]
     for key, value in parameters(directory, autostart="true", **change).items():
         arguments += ["-p", f"{key}:={value}"]
-    assert driver_node.main(arguments) in (1, 2)
+    assert executables.driver_node(arguments) in (1, 2)
     output = capfd.readouterr().err
     assert re.search(f"^driver: .*{expected}", output, re.MULTILINE)
     assert "Traceback" not in output

@@ -36,7 +36,7 @@ from worm_driver.nodes.stop_services import StopServices
 from worm_driver.nodes.telemetry_publisher import TelemetryPublisher
 from worm_driver.nodes.tracker_listener import TrackerListener
 from worm_msgs import network
-from worm_msgs.node_command import declare, run_node
+from worm_msgs.node_command import declare
 from worm_msgs.ros_process import ShutdownRequest, freeze_garbage_collection
 
 T = TypeVar("T")
@@ -62,6 +62,7 @@ _LINGER = 0.3
 
 #: reason that is reported when the end of the process closes the robot
 _END = "the driver ends"
+REJECTIONS = (ConfigurationError,)
 
 _Action = Callable[[Hardware, float], object]
 _SERVICES: tuple[tuple[str, _Action, str], ...] = (
@@ -418,7 +419,7 @@ class DriverNode(LifecycleNode):
         )
 
 
-def main(args: list[str] | None = None) -> int:
+def run(ended: ShutdownRequest) -> int:
     """Run the driver until SIGINT, SIGTERM or SIGHUP.
 
     The first signal brings the robot to rest and releases it; a later Ctrl-C releases it at once. If a stop
@@ -426,15 +427,16 @@ def main(args: list[str] | None = None) -> int:
     torque on. The exit status is then 1.
     """
     sys.setswitchinterval(_SWITCH_INTERVAL)
-    about = "Run gaits on the robot and publish its measurements, as a lifecycle node."
     try:
-        return run_node("driver", about, driver_parameters.rows, _run, (ConfigurationError,), args)
+        return _serve(ended)
+    except ConfigurationError:
+        raise
     except DriverError as error:
         print(f"driver: {error}", file=sys.stderr)  # noqa: T201 (output of a command)
         return 1
 
 
-def _run(ended: ShutdownRequest) -> int:
+def _serve(ended: ShutdownRequest) -> int:
     node = DriverNode(ended)
     ended.first, ended.again = node.begin_shutdown, node.release_at_once
     executor = SingleThreadedExecutor()
