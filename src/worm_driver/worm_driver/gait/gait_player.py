@@ -174,11 +174,7 @@ class PlayerSettings:
 
 
 def start(state: PlayerState, now: float, gait: Gait, cycles: int) -> PlayerState:
-    """Begin a run. If the cable is not at delta L = 0, for example after a hold, it first returns there.
-
-    Raises:
-        RejectedError: A run is in progress, or the player is in fault.
-    """
+    """Begin a run. If the cable is not at delta L = 0, for example after a hold, it first returns there."""
     run = state.active_run
     if run is not None:
         raise RejectedError(

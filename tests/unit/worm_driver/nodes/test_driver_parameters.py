@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """When parameters of the driver can be set, and the reason where they cannot."""
 
-from types import SimpleNamespace
-
 import pytest
 
 pytest.importorskip("worm_msgs", reason="the workspace is not built")
@@ -13,7 +11,7 @@ from worm_driver.nodes.driver_parameters import why_not_set
 
 
 def reason(name: str, value: object, *, configured: bool) -> str:
-    return why_not_set(SimpleNamespace(), [Parameter(name, value=value)], configured=configured)
+    return why_not_set([Parameter(name, value=value)], configured=configured)
 
 
 @pytest.mark.parametrize("configured", [False, True])
@@ -27,5 +25,11 @@ def test_a_parameter_that_is_read_at_the_start_is_rejected_with_this_reason(name
 
 
 def test_a_parameter_that_takes_effect_at_configure_is_rejected_until_cleanup():
-    assert "clean up" in reason("port", "/dev/other", configured=True)
-    assert reason("port", "/dev/other", configured=False) == ""
+    for name, value in (("port", "/dev/other"), ("limits.max_stroke_m", 0.01)):
+        assert "clean up" in reason(name, value, configured=True)
+        assert reason(name, value, configured=False) == ""
+
+
+def test_the_heartbeat_of_the_next_goal_may_change_at_any_time_and_the_clock_never():
+    assert reason("heartbeat_s", 1.0, configured=True) == ""
+    assert "clock" in reason("use_sim_time", True, configured=False)
