@@ -29,7 +29,7 @@ def test_a_parameter_that_is_read_at_the_start_is_rejected_with_this_reason(name
 
 def test_a_parameter_that_takes_effect_at_configure_is_rejected_until_cleanup():
     for name, value in (("port", "/dev/other"), ("limits.max_stroke_m", 0.06)):
-        assert "clean up" in reason(name, value, configured=True)
+        assert "deactivate" in reason(name, value, configured=True)
         assert reason(name, value, configured=False) == ""
 
 
