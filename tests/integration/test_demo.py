@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 from harness import TIMEOUT_S, Processes
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
 DEMO_TIMEOUT_S = 240.0  # the first front on a machine takes a minute, the gait half of one
@@ -78,6 +80,22 @@ def test_rosbags_reads_the_bag(demo):
         ]
     assert len(positions) > 500
     assert positions[-1] - positions[0] > 0.1
+
+
+def test_mcap_ros2_support_reads_the_bag(demo):
+    (file,) = Path(demo["bag"]).glob("*_0.mcap")
+    with file.open("rb") as stream:
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+        summary = reader.get_summary()
+        assert summary is not None
+        assert {schema.encoding for schema in summary.schemas.values()} == {"ros2msg"}
+        states = [
+            message.decoded_message
+            for message in reader.iter_decoded_messages(topics=["/worm/gait_state"])
+        ]
+    gaits = {(s.gait.stroke, s.gait.frequency) for s in states if s.state == 3}
+    assert gaits == {(demo["gait"]["stroke"], demo["gait"]["frequency"])}
+    assert max(s.cycle for s in states) == 5
 
 
 @pytest.mark.night

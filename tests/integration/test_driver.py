@@ -83,6 +83,42 @@ def test_stop_is_served_while_a_deactivation_returns_to_rest(start, commander, p
     assert "stop was called" in commander.states[-1].message
 
 
+# --- measured rest, holds, several cable servos ----------------------------------------------------------
+
+
+def test_a_slow_cable_is_at_rest_before_a_deactivation_releases_it(start, commander, probe):
+    driver = start(**{"limits.max_cable_speed_m_per_s": 0.02})
+    cable = probe.collect(BodyLength, "body_length/cable")
+    commander.activate()
+    commander.send(stroke=0.04, frequency=0.15)
+    probe.wait_for(lambda: cable and cable[-1].length_change < -0.03, "contraction")
+    assert commander.trigger("stop").success
+    assert commander.change(Transition.TRANSITION_DEACTIVATE)
+    released = len(cable)
+    probe.wait_for(lambda: len(cable) > released + 20, "cable after the release")
+    assert cable[-1].length_change > -0.002
+    assert "[ERROR]" not in driver.output()
+
+
+def test_an_emergency_stop_that_is_repeated_moves_nothing(driver, commander, probe):
+    cable = run_into_a_gait(commander, probe)
+    commanded = probe.collect(BodyLength, "body_length/commanded")
+    publisher = probe.node.create_publisher(Bool, "emergency_stop", 10)
+    probe.wait_for(publisher.get_subscription_count, "subscription to the emergency stop")
+    publisher.publish(Bool(data=True))
+    probe.wait_for(lambda: commander.states[-1].holding, "hold")
+    cable.clear()
+    probe.wait_for(lambda: len(cable) > 100, "a second of rest")
+    held = cable[-1].length_change
+    commanded.clear()
+    for _ in range(30):
+        publisher.publish(Bool(data=True))
+        cable.clear()
+        probe.wait_for(lambda: len(cable) > 5, "further samples")
+    assert len({message.length_change for message in commanded}) == 1
+    assert cable[-1].length_change == pytest.approx(held, abs=5e-4)
+
+
 # --- ways to end --------------------------------------------------------------------------------------
 
 

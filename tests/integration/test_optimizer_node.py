@@ -144,6 +144,16 @@ def test_what_cannot_be_computed_has_its_reason_and_changes_nothing(start, user,
     }
 
 
+def test_where_the_robot_rests_the_front_is_another(start, user):
+    start(margin_m=0.002)
+    own, resting = user.request_gait(), user.request_gait(initial_length=0.2902)
+    assert resting.success
+    assert resting.prediction.groove_phase == pytest.approx(0.2902 - 17 * 0.0173, abs=1e-9)
+    assert resting.prediction.gait.stroke != own.prediction.gait.stroke
+    assert "margin 2.00 mm, as at groove phase" in resting.message
+    assert not user.request_gait(initial_length=2.0).success
+
+
 def test_the_scan_finds_the_cliff(start, user):
     start()
     goal = ScanMargin.Goal(lowest=0.0032, highest=0.0036, step=1e-4, direction=1)

@@ -11,10 +11,12 @@ import pytest
 from builtin_interfaces.msg import Time
 from harness import LATCHED, Probe, Processes
 from mcap.reader import make_reader
+from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.duration import Duration
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosbags.highlevel import AnyReader
+from std_srvs.srv import Trigger
 
 from worm_model.bags.formats.bag_writer import new_bag
 from worm_model.bags.formats.cdr import encode
@@ -22,7 +24,7 @@ from worm_model.bags.formats.message_types import topic_of
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import read_run
 from worm_msgs.msg import Gait, GaitState, Power, Tracker, TwinEvent
-from worm_optimizer.operation.processes import Process, wait_for
+from worm_optimizer.operation.processes import Process, executable_command, wait_for
 
 ACKNOWLEDGED = Duration(seconds=20)
 BEST_EFFORT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -150,9 +152,52 @@ def test_a_killed_recorder_leaves_a_bag_that_is_read(
     assert list(tmp_path.glob("bag*")) == [tmp_path / "bag"]  # reading writes nothing
 
 
+def test_a_full_disk_ends_the_recording_with_a_message(
+    processes: Processes, probe: Probe, tmp_path: Path
+):
+    """The system does not let the file grow, as on a full disk."""
+    command = executable_command("worm_model", "record")
+    limited = ["sh", "-c", 'ulimit -f 100; exec "$@"', "sh", *command]  # 51,200 or 102,400 bytes
+    recorder = processes.start("record", [*limited, "/worm/tracker", "-o", str(tmp_path / "bag")])
+    positions = probe.node.create_publisher(Tracker, "tracker", 1000)
+    recorder.wait_for_line("recording /worm/tracker ", TIMEOUT_S)
+    wait_until_discovered(positions)
+    count = 0
+    while recorder.exit_code is None:
+        for number in range(count, count + 100):
+            positions.publish(tracker(number))
+        positions.wait_for_all_acked(Duration(seconds=1))
+        count += 100
+        assert count < 1_000_000
+    assert recorder.exit_code == 1
+    assert "could not be written" in recorder.last_line()
+    assert "Traceback" not in recorder.output()
+    found = recorded(tmp_path / "bag")
+    assert len(found) > 100
+    assert found == [float(i) for i in range(len(found))]
+
+
 def outcome_of(recorder: Process) -> dict[str, Any]:
     assert recorder.wait(TIMEOUT_S) == 0
     return json.loads(next(x for x in recorder.output().splitlines() if x.startswith("{")))
+
+
+def test_its_services_answer_while_it_records(processes: Processes, probe: Probe, tmp_path: Path):
+    recorder = processes.start_node(
+        *("worm_model", "record", "tracker", "-o", str(tmp_path / "bag"), "--json")
+    )
+    names = probe.call(ListParameters, "recorder/list_parameters", ListParameters.Request())
+    assert "use_sim_time" in names.result.names  # as for every node
+    values = GetParameters.Request(names=names.result.names)
+    read = probe.call(GetParameters, "recorder/get_parameters", values).values
+    assert len(read) == len(values.names) > 0
+    rejected = probe.call(Trigger, "/worm/recorder/snapshot", Trigger.Request())
+    assert (rejected.success, rejected.message) == (
+        False,
+        "there is no ring buffer: record with --snapshot S",
+    )
+    recorder.interrupt()
+    assert outcome_of(recorder)["bags"] == [str(tmp_path / "bag")]
 
 
 def test_a_second_type_of_a_recorded_topic_is_reported(

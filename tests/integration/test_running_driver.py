@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from commander import (
     ABORTED,
+    CANCELED,
     EVERY_ANSWER,
     SUCCEEDED,
     Commander,
@@ -21,9 +22,12 @@ from commander import (
     torques,
 )
 from diagnostic_msgs.msg import DiagnosticStatus
-from harness import NAMESPACE, TIMEOUT_S, Processes
+from harness import LATCHED, NAMESPACE, TIMEOUT_S, Processes
 from lifecycle_msgs.msg import State, Transition
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from worm_driver.nodes import executables
@@ -172,7 +176,6 @@ def test_diagnostics_name_every_part(driver, commander, probe):
     probe.wait_for(lambda: set(latest()) == names, "report on every part")
     for part in ("gait", "servo 1", "servo 11", "servo 12", "power sensor"):
         commander.wait_for_report(f"worm/driver: {part}", DiagnosticStatus.OK, "")
-    commander.wait_for_report("worm/driver: network", DiagnosticStatus.OK, "this machine only")
     timing = {value.key: value.value for value in latest()["worm/driver: timing"].values}
     assert {"p99_period_error_s", "missed_deadlines", "mean_period_s"} <= set(timing)
 
@@ -198,6 +201,19 @@ def test_goals_that_cannot_be_played_are_rejected_with_the_reason(driver, comman
     assert commander.result(first).status == SUCCEEDED
 
 
+def test_cancel_ends_at_rest(driver, commander, probe):
+    lengths = probe.collect(BodyLength, "body_length/commanded")
+    commander.activate()
+    goal = commander.send(cycles=20)
+    commander.wait_for_state(GaitState.RUNNING, "running gait")
+    probe.result(goal.cancel_goal_async(), "answer to the cancellation")
+    answer = commander.result(goal)
+    assert answer.status == CANCELED
+    assert answer.result.cycles_completed == 1
+    assert "cancelled, at rest after 1 cycles" in answer.result.message
+    probe.wait_for(lambda: lengths[-1].length_change == 0.0, "rest")
+
+
 def test_a_gait_right_after_another_leaves_both_their_results(driver, commander, probe):
     """The first result waits for camera samples slightly longer than its motion lasts."""
     commander.activate()
@@ -207,6 +223,27 @@ def test_a_gait_right_after_another_leaves_both_their_results(driver, commander,
     second = commander.send(cycles=1)
     assert commander.result(second).status == SUCCEEDED
     assert commander.result(first).status == SUCCEEDED
+
+
+def test_during_an_emergency_stop_a_deactivation_does_not_move_the_robot(driver, commander, probe):
+    cable = probe.collect(BodyLength, "body_length/cable")
+    commander.activate()
+    assert commander.send(stroke=0.03, cycles=200, pretension=0.02).accepted
+    probe.wait_for(lambda: cable and cable[-1].length_change < -0.03, "contraction")
+    button = probe.node.create_publisher(Bool, "emergency_stop", LATCHED)
+    button.publish(Bool(data=True))
+    probe.wait_for(lambda: commander.states[-1].emergency_stop, "emergency stop")
+    commander.wait_for_state(GaitState.IDLE, "hold")
+    assert not commander.change(Transition.TRANSITION_DEACTIVATE)
+    assert commander.lifecycle_state() == State.PRIMARY_STATE_ACTIVE
+    cable.clear()
+    probe.wait_for(lambda: len(cable) > 50, "half a second")
+    assert max(message.length_change for message in cable) < -0.015
+    button.publish(Bool(data=False))
+    reset = Trigger.Request()
+    probe.wait_for(lambda: probe.call(Trigger, "reset_emergency_stop", reset).success, "reset")
+    assert commander.change(Transition.TRANSITION_DEACTIVATE)
+    assert commander.lifecycle_state() == State.PRIMARY_STATE_INACTIVE
 
 
 def test_deactivation_brings_the_gait_to_rest_and_releases(driver, commander, probe, directory):
@@ -241,6 +278,29 @@ def test_no_goal_that_was_received_before_a_stop_is_played_after_it(driver, comm
     assert commander.result(commander.send(cycles=1)).status == SUCCEEDED
 
 
+def test_a_driver_accepts_its_own_parameters_as_ros2_param_load_sets_them(
+    driver, commander, probe, tmp_path
+):
+    """All parameters have their present values, including read-only ones and those that only a cleanup would permit.
+
+    The parameter file was read at configure, and may be gone.
+    """
+    file = tmp_path / "parameters.yaml"
+    file.write_text("rear_mass: 0.429\n")
+    assert commander.set_parameter("parameter_file", str(file)).successful
+    commander.activate()
+    file.unlink()
+    names = probe.call(ListParameters, "driver/list_parameters", ListParameters.Request())
+    get = GetParameters.Request(names=names.result.names)
+    values = probe.call(GetParameters, "driver/get_parameters", get).values
+    assert len(values) == len(get.names) > 30
+    own = [ParameterMessage(name=n, value=v) for n, v in zip(get.names, values, strict=True)]
+    request = SetParameters.Request(parameters=own)
+    results = probe.call(SetParameters, "driver/set_parameters", request).results
+    assert [n for n, r in zip(get.names, results, strict=True) if not r.successful] == []
+    file.write_text("rear_mass: 0.429\n")  # for the next configure of the shared driver
+
+
 def test_a_failed_configuration_leaves_the_node_unconfigured_and_can_be_repeated(
     driver, commander, directory, probe
 ):
@@ -271,6 +331,10 @@ def test_stop_answers_every_call_of_a_flood(driver, commander, probe):
     calls = [client.call_async(Trigger.Request()) for _ in range(1000)]
     probe.wait_for(lambda: all(call.done() for call in calls), "answer to every stop")
     assert all(call.result().success for call in calls)
+
+
+def test_diagnostics_report_which_computers_can_discover_the_driver(driver, commander):
+    commander.wait_for_report("worm/driver: network", DiagnosticStatus.OK, "this machine only")
 
 
 @pytest.mark.night
@@ -307,21 +371,35 @@ def test_every_goal_of_a_flood_is_answered(driver, commander, probe):
     assert len(driver.output().splitlines()) < before + 100
 
 
-def test_a_configured_driver_rejects_other_parameters_until_cleanup(driver, commander, directory):
+def test_limits_take_effect_at_once_and_all_else_is_rejected_while_configured(
+    driver, commander, directory
+):
     commander.activate()
+    assert commander.set_parameter("limits.max_stroke_m", 0.02).successful
+    assert "limits.max_stroke_m" in commander.probe.rejection(commander.send(stroke=0.03))
+    for name, lower, higher in (
+        ("limits.max_stroke_m", 0.02, 0.2),
+        ("limits.max_servo_current_a", 1.0, 1.1),
+    ):
+        assert commander.set_parameter(name, lower).successful
+        raised = commander.set_parameter(name, higher)
+        assert not raised.successful
+        assert f"{lower:g}" in raised.reason
+        assert "lowered" in raised.reason
     assert not commander.set_parameter("use_sim_time", True).successful
-    for name, value in (("port", "/dev/other"), ("limits.max_stroke_m", 0.02)):
+    for name, value in (("port", "/dev/other"), ("return_speed_m_per_s", 0.04)):
         rejected = commander.set_parameter(name, value)
         assert not rejected.successful
         assert "takes effect at configure" in rejected.reason
     assert commander.change(Transition.TRANSITION_DEACTIVATE)
     assert commander.change(Transition.TRANSITION_CLEANUP)
-    assert commander.set_parameter("limits.max_stroke_m", 0.02).successful
-    commander.activate()
-    assert "limits.max_stroke_m" in commander.probe.rejection(commander.send(stroke=0.03))
-    assert commander.change(Transition.TRANSITION_DEACTIVATE)
-    assert commander.change(Transition.TRANSITION_CLEANUP)
-    assert commander.set_parameter("limits.max_stroke_m", 0.09).successful
+    assert commander.set_parameter("port", "/dev/other").successful
+    for name, value in (
+        ("port", str(directory / "servo_bus")),
+        ("limits.max_stroke_m", 0.09),
+        ("limits.max_servo_current_a", 2.0),
+    ):
+        assert commander.set_parameter(name, value).successful
 
 
 def test_a_silent_servo_is_a_fault_that_is_named_and_cleared(driver, commander):

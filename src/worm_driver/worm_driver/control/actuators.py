@@ -40,7 +40,7 @@ class Actuators:
     would spring back. See `left_on`.
 
     Attributes:
-        settings: settings of this robot.
+        settings: settings of this robot. `apply_settings` replaces them.
         cables: servos of the spools, in the order of the settings.
         fins: servos of the fins, in the order of the settings.
         homed: True if the cable servos count their turns from the initial length.
@@ -64,6 +64,7 @@ class Actuators:
         self._has_torque = False
         self._held: Mapping[int, int] = {}
         self._shares: Mapping[int, float] = {}  # see `_hold_at`
+        self._longest_stroke = settings.max_stroke
         with bus.retrying():
             self.cables = tuple(servos.identify(bus, spool.servo) for spool in settings.spools)
             self.fins = tuple(servos.identify(bus, fin.servo) for fin in settings.fins)
@@ -196,6 +197,7 @@ class Actuators:
             DriverError: A servo cannot be enabled.
         """
         settings = self.settings
+        self._longest_stroke = settings.max_stroke
         self._bound_goals()
         self.sprung_back = ""
         name = "position_trajectory"
@@ -228,6 +230,11 @@ class Actuators:
         servos.switch_on(self._bus, servo)
         return position
 
+    def apply_settings(self, settings: DriverSettings) -> None:
+        """Apply lower limits. The range of the goals does not shrink before the next activation."""
+        self.settings = settings
+        self._bound_goals()
+
     def _bound_goals(self) -> None:
         """Set the bounds of the goals.
 
@@ -237,7 +244,7 @@ class Actuators:
         """
         bounds = {servo.number: Bound(*servo.position_range) for servo in self.fins}
         for spool in self.settings.spools:
-            ends = (PAYOUT_TOLERANCE, -self.settings.max_stroke - PAYOUT_TOLERANCE)
+            ends = (PAYOUT_TOLERANCE, -self._longest_stroke - PAYOUT_TOLERANCE)
             low, high = sorted(spool.ticks(end) for end in ends)
             lead, speed = self.settings.max_following_error, self.settings.max_cable_speed
             bounds[spool.servo] = Bound(low, high, abs(spool.ticks(lead)), abs(spool.ticks(speed)))

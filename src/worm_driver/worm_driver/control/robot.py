@@ -77,7 +77,7 @@ class Robot:
     The torque is off until `activate` is called, unless an earlier driver left it on (`Actuators.left_on`).
 
     Args:
-        settings: settings of the robot.
+        settings: present settings, see `apply_settings`.
         bus: open servo bus, owned by the robot from now on.
         valid_power_samples: returns the number of valid power samples since the start.
         tracker_ready: returns True if the tracker sees the robot at rest, or if there is no tracker.
@@ -120,9 +120,6 @@ class Robot:
         self._reader = StateReader(bus, self.actuators.servos, self.actuators.track)
         self._watch = FaultWatch(self.actuators, self._reader, clock, load)
         self._forget_states()
-        self._player_settings = replace(
-            settings.player, longest_step=settings.period, return_speed=self.return_speed
-        )
         self._releases_fault = False  # True: `ramp_to_rest` was last called in FAULT
         self._fins_set_for = 0  # the direction for which the fins have been set; 0: none
 
@@ -261,6 +258,24 @@ class Robot:
         self.player = gait_player.start(self.player, now, gait, cycles)
         assert self.player.run is not None
         return self.player.run.number
+
+    def apply_settings(self, now: float, settings: DriverSettings) -> str:
+        """Apply new limits.
+
+        A run that violates the new limits is cancelled, see `cancel`. In this case return a message, else an empty
+        string.
+        """
+        self.settings = settings
+        self.actuators.apply_settings(settings)
+        run = self.player.active_run
+        if run is None:
+            return ""
+        try:
+            self.limits.check(run.gait, run.cycles)
+        except RejectedError as error:
+            self.cancel(now, f"ended by a new limit ({error})")
+            return f"run {run.number} ends at its next point of rest: {error}"
+        return ""
 
     def finish(self, now: float) -> None:
         """End the run as completed after its present cycle. Has no effect before the first cycle and without a run."""
@@ -429,7 +444,12 @@ class Robot:
             unset,
             at_rest=not self.actuators.contracted,
         )
-        self._adopt(gait_player.step(self.player, now, observation, self._player_settings))
+        settings = replace(
+            self.settings.player,
+            longest_step=self.settings.period,
+            return_speed=self.return_speed,
+        )
+        self._adopt(gait_player.step(self.player, now, observation, settings))
         if self.player.phase is Phase.RESTING and before.phase is not Phase.RESTING:
             self._idle_from = samples
         if self.player.direction not in (0, before.direction):

@@ -126,14 +126,31 @@ class DriverNode(LifecycleNode):
         self.create_timer(_PUBLISH_PERIOD, self._publish, clock=steady)
         self.create_timer(1.0, self._publish_diagnostics, clock=steady)
         self.add_on_set_parameters_callback(self._check_parameters)
+        self.add_post_set_parameters_callback(self._apply_limits)
         self._publish()
 
     # --- parameters ----------------------------------------------------------------------------
 
     def _check_parameters(self, parameters: Sequence[Parameter]) -> SetParametersResult:
-        """Reject parameters that cannot take effect now."""
-        reason = driver_parameters.why_not_set(parameters, configured=self._hardware is not None)
+        """Reject parameters that cannot take effect now, and higher limits while the robot is open."""
+        reason = driver_parameters.why_not_set(
+            self, parameters, configured=self._hardware is not None
+        )
         return SetParametersResult(successful=not reason, reason=reason)
+
+    def _apply_limits(self, _: Sequence[Parameter]) -> None:
+        hardware = self._hardware
+        if hardware is None:
+            return
+        try:
+            warning = hardware.apply_settings(
+                driver_parameters.with_limits(hardware.settings, self)
+            )
+        except DriverError as error:
+            self.get_logger().error(f"the new limits have no effect: {error}")
+            return
+        if warning:
+            self.get_logger().warning(warning)
 
     # --- lifecycle -----------------------------------------------------------------------------
 

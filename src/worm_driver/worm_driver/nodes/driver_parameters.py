@@ -19,6 +19,8 @@ from worm_msgs.driver_file import DriverFile
 from worm_msgs.parameter_rows import ParameterRow
 
 HEARTBEAT = "heartbeat_s"
+#: Prefix of the parameters that a configured driver can lower, with effect at once.
+_LIMITS = "limits."
 #: Parameters that the node reads only once, after its start. Later changes would have no effect.
 _AT_START = ("autostart", "stay_on_failure", "device_timeout_s")
 _SIMULATED_TIME = "use_sim_time"
@@ -45,6 +47,8 @@ def rows() -> list[ParameterRow]:
 
 
 def _effect(name: str) -> str:
+    if name.startswith(_LIMITS):
+        return "Takes effect at once; it can only be lowered while the driver is configured."
     if name == HEARTBEAT:
         return "Takes effect for the next goal."
     if name in _AT_START:
@@ -60,18 +64,26 @@ def check_time(node: Node) -> None:
         )
 
 
-def why_not_set(parameters: Sequence[Parameter], *, configured: bool) -> str:
+def why_not_set(node: Node, parameters: Sequence[Parameter], *, configured: bool) -> str:
     """Return why parameters cannot be set now; empty if they can."""
     for parameter in parameters:
-        name = parameter.name
-        if name == _SIMULATED_TIME and parameter.value:
+        name, value = parameter.name, parameter.value
+        if name == _SIMULATED_TIME and value:
             return f"{name}: the driver uses its robot's clock, no other"
         if name in _AT_START:
             return (
                 f"{name}: the driver reads it only at its start: set it in the parameter file or on the command line, "
                 "and start the driver again"
             )
-        if configured and name in PARAMETER_NAMES.values() and name != HEARTBEAT:
+        if not configured or name not in PARAMETER_NAMES.values() or name == HEARTBEAT:
+            continue
+        present = node.get_parameter(name).value
+        if name.startswith(_LIMITS) and value > present:
+            return (
+                f"{name} is {present:g} and can only be lowered, not raised to {value:g}, while the driver is "
+                "configured: deactivate and clean it up first"
+            )
+        if not name.startswith(_LIMITS):
             return f"{name}: takes effect at configure; deactivate and clean up the driver first"
     return ""
 
@@ -98,6 +110,14 @@ def settings(node: Node) -> DriverSettings:
         rest_timeout=rest + 2.0,
     )
     return DriverSettings(**given, body=load_body(given["parameter_file"]), player=player)
+
+
+def with_limits(settings: DriverSettings, node: Node) -> DriverSettings:
+    """Return settings with the present limits."""
+    names = {name: alias for name, alias in PARAMETER_NAMES.items() if alias.startswith(_LIMITS)}
+    return dataclasses.replace(
+        settings, **{name: _value(node, alias) for name, alias in names.items()}
+    )
 
 
 def latch_files(node: Node) -> tuple[str, ...]:

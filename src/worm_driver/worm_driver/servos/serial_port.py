@@ -53,7 +53,25 @@ def why_no_port(port: str) -> str:
         return f"servo bus {port} is no serial device: {remedy}"
     if os.major(status.st_rdev) in _CONSOLE_MAJORS and os.minor(status.st_rdev) < _SERIAL_MINORS:
         return f"servo bus {port} is a console of this computer: {remedy}"
+    if status.st_rdev in _own_terminals():
+        return f"servo bus {port} is the terminal of this process: {remedy}"
     return ""
+
+
+def _own_terminals() -> set[int]:
+    """Return the device numbers of this process's terminals: its standard streams and its controlling terminal."""
+    terminals = set()
+    for descriptor in (0, 1, 2):
+        with contextlib.suppress(OSError):
+            if os.isatty(descriptor):
+                terminals.add(os.fstat(descriptor).st_rdev)
+    with contextlib.suppress(OSError):
+        # Field tty_nr of proc(5), the fifth after the name; /dev/tty itself has a device number of its own.
+        fields = (
+            Path("/proc/self/stat").read_text(encoding="utf-8", errors="replace").rpartition(")")
+        )
+        terminals.add(int(fields[2].split()[4]))
+    return terminals
 
 
 def open_exclusively(descriptor: int) -> None:

@@ -624,6 +624,20 @@ def test_a_stop_holds_in_every_phase_of_a_shaped_gait(phase):
     assert rig.robot.player.active_run is None
 
 
+def test_a_lower_limit_ends_a_gait_whose_pretension_and_stroke_exceed_it():
+    rig = Rig()
+    rig.activate()
+    rig.start(0.06, 0.4, 5, **SHAPED)
+    rig.run(10.0, until=lambda s: s.player.phase is Phase.RUNNING)
+    assert "run 1 ends" in rig.robot.apply_settings(
+        rig.clock.now, replace(rig.settings, max_stroke=0.07)
+    )
+    rig.run(10.0, until=lambda s: s.player.phase is Phase.IDLE)
+    assert rig.robot.player.run.ending is Ending.CANCELLED
+    with pytest.raises(RejectedError, match="contract the body by"):
+        rig.start(0.06, 0.4, 5, **SHAPED)
+
+
 def test_a_blocked_fin_is_named():
     rig = Rig()
     rig.activate()

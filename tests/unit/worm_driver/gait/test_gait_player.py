@@ -162,6 +162,22 @@ def test_a_late_step_does_not_make_the_tensioning_faster():
     assert abs(late.length_change - state.length_change) <= SETTINGS.return_speed * DT * 1.01
 
 
+@given(st.lists(st.tuples(st.integers(1, 60), st.floats(0.005, 0.2)), min_size=1, max_size=5))
+@example([(110, 0.05), (1, 0.02)])
+def test_another_speed_during_a_return_to_rest_does_not_make_the_cable_jump(changes):
+    now, state = running()
+    state = replace(gait_player.stop(state, now, "asked to"), length_change=-0.07)
+    state = gait_player.return_to_rest(state, now, "deactivated")
+    speeds = [speed for steps, speed in changes for _ in range(steps)]
+    for speed in [*speeds, *itertools.repeat(changes[-1][1], 10_000)]:
+        now, before = now + DT, state
+        state = gait_player.step(state, now, READY, replace(SETTINGS, return_speed=speed))
+        assert 0.0 <= state.length_change - before.length_change <= speed * DT * 1.01
+        if state.phase is Phase.IDLE:
+            break
+    assert gait_player.at_rest(state)
+
+
 @given(st.floats(0.05, 11.0))
 def test_cancel_ends_at_the_next_point_of_rest(when):
     now, state = running(cycles=5)
