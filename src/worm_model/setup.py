@@ -35,7 +35,6 @@ NEEDED = [
     "numba>=0.58",
     "numpy>=1.26",
     "pillow>=10",
-    "pyarrow>=14",
     "PyYAML>=6",
     "rosbags>=0.11",
     "scipy>=1.11",
