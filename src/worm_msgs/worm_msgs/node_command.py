@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import difflib
+import math
 import sys
 from array import array
 from collections.abc import Callable, Sequence
@@ -158,12 +159,17 @@ def _is_float(default: Any) -> bool:
 
 
 def _converted(parameter: Parameter, floats: frozenset[str]) -> Parameter:
-    """Return a parameter, with a float in place of an integer if its name is in ``floats``."""
+    """Return a parameter, with a float in place of an integer if its name is in ``floats``.
+
+    A node's own dump has ``.nan``, which rcl reads as a text.
+    """
     if parameter.name not in floats:
         return parameter
     value = parameter.value
     if parameter.type_ is Parameter.Type.INTEGER:
         return Parameter(parameter.name, value=float(value))
+    if parameter.type_ is Parameter.Type.STRING and value.lower() == ".nan":
+        return Parameter(parameter.name, value=math.nan)
     if parameter.type_ is Parameter.Type.INTEGER_ARRAY:
         return Parameter(parameter.name, value=[float(each) for each in value])
     return parameter

@@ -73,10 +73,12 @@ def rejected(capsys, *arguments: str) -> str:
 
 def test_whole_numbers_are_values_of_floats_at_the_start_and_later():
     given = ("--ros-args", "-p", "speed_m_per_s:=1", "-p", "radii_m:=[1, 2]", "-p", "count:=4")
+    given += ("-p", "margin_m:=.nan")  # as in the node's own dump
     status, values, (answer, value) = started(*given)
     assert status == 0
     assert (values["speed_m_per_s"], values["count"]) == (1.0, 4)
     assert isinstance(values["speed_m_per_s"], float)
+    assert math.isnan(values["margin_m"])
     assert list(values["radii_m"]) == [1.0, 2.0]
     assert answer.successful
     assert value == 1.0

@@ -29,9 +29,9 @@ from worm_driver.control.emergency import EmergencyLatch, state_folder
 from worm_driver.control.hardware import Hardware
 from worm_driver.driver_errors import ConfigurationError, DriverError, ReleaseError, StoppedError
 from worm_driver.nodes import driver_messages, driver_parameters
+from worm_driver.nodes.driver_messages import Stamps
 from worm_driver.nodes.run_gait_action import RunGaitAction
 from worm_driver.nodes.sole_driver import SoleDriver
-from worm_driver.nodes.stamps import Stamps
 from worm_driver.nodes.stop_services import StopServices
 from worm_driver.nodes.telemetry_publisher import TelemetryPublisher
 from worm_driver.nodes.tracker_listener import TrackerListener
@@ -126,7 +126,7 @@ class DriverNode(LifecycleNode):
         self.create_timer(_PUBLISH_PERIOD, self._publish, clock=steady)
         self.create_timer(1.0, self._publish_diagnostics, clock=steady)
         self.add_on_set_parameters_callback(self._check_parameters)
-        self.add_post_set_parameters_callback(self._apply_parameters)
+        self.add_post_set_parameters_callback(self._apply_limits)
         self._publish()
 
     # --- parameters ----------------------------------------------------------------------------
@@ -138,28 +138,26 @@ class DriverNode(LifecycleNode):
         )
         return SetParametersResult(successful=not reason, reason=reason)
 
-    def _apply_parameters(self, _: Sequence[Parameter]) -> None:
-        """Apply the parameters that take effect at once. The file of the robot parameters is not read again."""
+    def _apply_limits(self, _: Sequence[Parameter]) -> None:
         hardware = self._hardware
         if hardware is None:
             return
         try:
             warning = hardware.apply_settings(
-                driver_parameters.settings(self, hardware.settings.body)
+                driver_parameters.with_limits(hardware.settings, self)
             )
         except DriverError as error:
-            self.get_logger().error(f"the new parameters have no effect: {error}")
+            self.get_logger().error(f"the new limits have no effect: {error}")
             return
         if warning:
             self.get_logger().warning(warning)
-        self.get_logger().info(hardware.rest_line())
 
     # --- lifecycle -----------------------------------------------------------------------------
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Open and check the devices. Return FAILURE, with the reason in the log and the diagnostics, on an error."""
         try:
-            settings = driver_parameters.settings(self, driver_parameters.body(self))
+            settings = driver_parameters.settings(self)
             self._adopt_emergency()
             self._sole.require()
             self._hardware = Hardware(settings, self._tracker.is_ready, self._why_not_start)
@@ -278,9 +276,6 @@ class DriverNode(LifecycleNode):
         """Configure and activate the driver if the parameter autostart is true.
 
         If the activation fails, as for a robot that is not homed, the driver stays configured.
-
-        Raises:
-            DriverError: The driver cannot be configured, and the parameter stay_on_failure is false.
         """
         if not self.get_parameter("autostart").value:
             return

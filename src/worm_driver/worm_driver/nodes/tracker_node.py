@@ -15,16 +15,15 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
+from worm_driver.driver_errors import ImageError, SetupError, TrackingError
 from worm_driver.nodes import driver_messages
-from worm_driver.nodes.position_publisher import PositionPublisher
+from worm_driver.nodes.driver_messages import PositionPublisher
 from worm_driver.tracking import vision
 from worm_driver.tracking.camera_model import make_camera_model
-from worm_driver.tracking.frame_thread import FrameThread
-from worm_driver.tracking.image_sources import check_size
+from worm_driver.tracking.image_sources import FrameThread, check_size
 from worm_driver.tracking.tracker import Tracker as ModuleTracker
-from worm_driver.tracking.tracker_report import TrackerReport
+from worm_driver.tracking.tracker import TrackerReport
 from worm_driver.tracking.tracker_setup import TOPIC, load_setup, rows
-from worm_driver.tracking.tracking_errors import ImageError, SetupError, TrackingError
 from worm_msgs.node_command import declare
 from worm_msgs.ros_process import ShutdownRequest, freeze_garbage_collection
 
@@ -38,9 +37,6 @@ class TrackerNode(Node):
 
     Attributes:
         failure: error that ends the node; None while it runs.
-
-    Raises:
-        TrackingError: The parameters are invalid.
     """
 
     def __init__(self) -> None:

@@ -13,10 +13,9 @@ from rclpy.node import Node
 from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
 
-from worm_driver.nodes.position_publisher import PositionPublisher
-from worm_driver.virtual_robot.camera import TrackerSample
+from worm_driver.nodes.driver_messages import PositionPublisher
 from worm_driver.virtual_robot.robot_server import RobotServer
-from worm_driver.virtual_robot.virtual_robot import VirtualRobot
+from worm_driver.virtual_robot.virtual_robot import TrackerSample, VirtualRobot
 from worm_driver.virtual_robot.virtual_settings import load_settings
 from worm_driver.virtual_robot.wire.faults import (
     KINDS,
@@ -44,9 +43,6 @@ class VirtualRobotNode(Node):
         robot: the virtual robot.
         directory: folder of the ports.
         rate: largest number of virtual seconds per second; None: real time, like a real robot.
-
-    Raises:
-        ClaimedError: The namespace has a robot already.
     """
 
     def __init__(self, robot: VirtualRobot, directory: Path, rate: float | None) -> None:

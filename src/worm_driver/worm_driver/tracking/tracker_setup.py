@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
+from worm_driver.driver_errors import SetupError
 from worm_driver.tracking.camera_model import CameraModel, load_camera_info
-from worm_driver.tracking.tracking_errors import SetupError
 from worm_msgs.parameter_rows import ParameterRow
 from worm_msgs.settings_file import OneOf, key, read_settings
 
