@@ -23,9 +23,9 @@ from rosgraph_msgs.msg import Clock
 
 from worm_model.bags.formats.bag_errors import BagError
 from worm_model.bags.formats.bag_metadata import first_qos_profile, is_latched
-from worm_model.bags.formats.cdr import MessageConverter
+from worm_model.bags.formats.cdr import is_whole, types_of
 from worm_model.bags.formats.message_block import Message, Topic
-from worm_model.bags.formats.message_types import topic_of, with_definition
+from worm_model.bags.formats.message_types import topic_of
 from worm_model.bags.opening import Bag, open_bag
 from worm_model.commands.command_line import InputError, Parser, not_negative, number, run_command
 from worm_model.nodes.raw_subscriptions import message_class
@@ -80,8 +80,8 @@ class PlayNode(Node):
         self._bag = bag
         self._options = options
         self._first_ns = bag.time_at(options.start)
-        self._converters: dict[Topic, MessageConverter] = {}
-        self._skipped: set[str] = set()  # topics with messages that could not be converted
+        self._played: dict[Topic, Topic] = {}  # with the installed definition, by channel
+        self._skipped: set[str] = set()  # topics with messages that are not whole
         self._publishers_by_topic = self._advertise()
         self._clock_publisher = self.create_publisher(Clock, "/clock", 10)
         self._clock_due = 0.0
@@ -104,7 +104,7 @@ class PlayNode(Node):
         for channel in self._selected():
             try:
                 kind = message_class(channel.type_name)
-                converter = self._converter(channel)
+                installed = self._installed(channel)
                 known = publishers.get(channel.name)
                 if known is not None and known.msg_type is not kind:
                     raise BagError(f"it is played as another type; {channel.type_name} is left out")
@@ -115,21 +115,20 @@ class PlayNode(Node):
                 reason = str(error).splitlines()[0]
                 self.get_logger().warning(f"{channel.name!r} is not played: {reason}")
                 continue
-            self._converters[channel] = converter
+            self._played[channel] = installed
         if not publishers:
             raise InputError(f"{self._bag.path}: none of the selected topics can be played")
         return publishers
 
-    def _converter(self, channel: Topic) -> MessageConverter:
-        """Return a converter from the message type in the bag to the installed one, and log the fields that it adds."""
+    @staticmethod
+    def _installed(channel: Topic) -> Topic:
+        """Return the topic with the installed definition. Raises BagError if the bag has another one."""
         installed = topic_of(channel.name, channel.type_name)
-        converter = MessageConverter(with_definition(channel), installed)
-        if converter.added:
-            added = ", ".join(converter.added)
-            self.get_logger().warning(
-                f"{channel.name}: the bag is from before {channel.type_name} had {added}; played with default values"
+        if types_of(channel) != types_of(installed):
+            raise BagError(
+                f"the {channel.type_name} of the bag differs from the installed definition"
             )
-        return converter
+        return installed
 
     def _selected(self) -> Iterator[Topic]:
         wanted, exclude = self._options.topic, self._options.exclude
@@ -226,18 +225,16 @@ class PlayNode(Node):
         return bool(self._awaited)
 
     def _publish(self, message: Message) -> None:
-        if message.channel not in self._converters:
+        if message.channel not in self._played:
             return
-        try:
-            data = self._converters[message.channel](message.data)
-        except BagError as error:
+        if not is_whole(self._played[message.channel], message.data):
             if message.topic not in self._skipped:
                 self.get_logger().warning(
-                    f"{message.topic} is played without the messages that cannot be converted: {error}"
+                    f"{message.topic} is played without the messages that are not as long as their definition requires"
                 )
             self._skipped.add(message.topic)
             return
-        self._publishers_by_topic[message.topic].publish(data)
+        self._publishers_by_topic[message.topic].publish(message.data)
         self.published += 1
 
     def _publish_clock(self, now_ns: int) -> None:
@@ -309,7 +306,6 @@ def _parser() -> Parser:
         "--topic", action="append", default=[], help="play only this topic; may be repeated"
     )
     parser.add_argument("-x", "--exclude", default="", metavar="REGEX", help="topics to exclude")
-    parser.add_definitions()
     return parser
 
 
@@ -320,7 +316,7 @@ def _play(ended: Callable[[], bool], options: argparse.Namespace) -> None:
         raise InputError(
             f"--exclude {options.exclude!r} is not a regular expression: {error}"
         ) from None
-    with open_bag(options.bag, _notify, options.definitions) as bag:
+    with open_bag(options.bag, _notify) as bag:
         length = bag.duration_s
         if not bag.message_count:
             raise InputError(f"{options.bag} contains no messages")

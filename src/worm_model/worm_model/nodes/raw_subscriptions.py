@@ -9,8 +9,9 @@ Polling does not affect the accuracy of stamps, because they come from the middl
 from __future__ import annotations
 
 import importlib
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 from rclpy.node import Node
@@ -30,8 +31,6 @@ from worm_model.bags.formats.bag_errors import BagError, DefinitionError
 from worm_model.bags.formats.bag_metadata import dump_yaml, qos_profile
 from worm_model.bags.formats.message_block import Message, Topic
 from worm_model.bags.formats.message_types import installed_definition
-from worm_model.bags.recording.message_loss import LossCounter
-from worm_model.bags.recording.topic_selection import TopicSelection
 from worm_model.bags.worm_topics import GAIT_STATE, TWIN_EVENT
 from worm_model.nodes.message_stamps import nanoseconds
 from worm_model.run import SAME_ONSET_NS, Activity
@@ -39,6 +38,83 @@ from worm_model.twin.cause_table import NEAR_EDGE
 from worm_msgs.node_command import declare_none
 
 DEPTH = 1000  # messages of a topic that may wait between two polls
+
+
+@dataclass(frozen=True)
+class TopicSelection:
+    """Topics selected by name, by regular expression, or all.
+
+    Attributes:
+        names: full topic names, always included.
+        everything: include all topics that are not hidden.
+        regex: pattern of further topics that are not hidden, searched for in the full name; empty: none.
+        exclude: pattern of topics that `everything` and `regex` do not include, searched for like `regex`; empty: none.
+    """
+
+    names: frozenset[str] = frozenset()
+    everything: bool = False
+    regex: str = ""
+    exclude: str = ""
+
+    def __post_init__(self) -> None:
+        if not (self.names or self.everything or self.regex):
+            raise BagError("no topics: name some, or give --regex or --all")
+        for pattern in (self.regex, self.exclude):
+            try:
+                re.compile(pattern)
+            except re.error as error:
+                raise BagError(f"{pattern!r} is not a regular expression: {error}") from None
+
+    def takes(self, topic: str) -> bool:
+        """Return True if a topic with this full name is recorded."""
+        if topic in self.names:
+            return True
+        if any(part.startswith("_") for part in topic.split("/")):
+            return False  # hidden topics, such as an action's feedback
+        if self.exclude and re.search(self.exclude, topic):
+            return False
+        return self.everything or bool(self.regex and re.search(self.regex, topic))
+
+
+class LossCounter:
+    """Counter of the lost messages of one topic, based on the publishers' sequence numbers.
+
+    The middleware numbers the messages of each publisher (1, 2, 3, …) but does not identify the publisher of a number.
+    For each publisher, the number of lost messages is the increase of its numbers minus the number of its messages that
+    were received after its first one. The counter reports the sum over the publishers. This sum is correct even
+    if the counter confuses two publishers that have similar numbers. The counter uses the present number of publishers
+    to distinguish a publisher that joins late from lost messages.
+
+    Args:
+        publishers: returns the present number of publishers of the topic; called only for a number out of sequence.
+
+    Attributes:
+        lost: number of missing messages between received messages of the same publisher.
+    """
+
+    def __init__(self, publishers: Callable[[], int]) -> None:
+        self._publishers = publishers
+        # Last sequence number of each publisher, the least recently received first
+        self._last: list[int] = []
+        self.lost = 0
+
+    def observe(self, sequence: int) -> None:
+        """Account for a received message with a sequence number, which its publisher counts from 1."""
+        if sequence - 1 in self._last:  # the usual case
+            self._last.remove(sequence - 1)
+        else:
+            self._observe_out_of_sequence(sequence)
+        self._last.append(sequence)
+
+    def _observe_out_of_sequence(self, sequence: int) -> None:
+        """Process a number out of sequence: a publisher is new or has restarted, or messages were lost."""
+        publishers = max(self._publishers(), 1)
+        earlier = [last for last in self._last if last < sequence]
+        if earlier and len(self._last) >= publishers:
+            self.lost += sequence - max(earlier) - 1
+            self._last.remove(max(earlier))
+        while len(self._last) >= publishers:
+            self._last.pop(0)  # the number of a publisher that has ended
 
 
 class _RawSubscription:

@@ -15,9 +15,8 @@ from worm_model.bags.formats.finding import TIME_FIELD, dated
 from worm_model.bags.recording.recorder import Manifest
 from worm_model.bags.recording.recording_session import RecordingSession, after_crash
 from worm_model.bags.recording.run_manifest import GAIT_RECORD, is_text, run_manifest
-from worm_model.bags.recording.topic_selection import TopicSelection
 from worm_model.commands import command_line
-from worm_model.nodes.raw_subscriptions import RecordNode
+from worm_model.nodes.raw_subscriptions import RecordNode, TopicSelection
 from worm_msgs.conditions import conditions_of
 from worm_msgs.ros_process import ShutdownRequest, own_arguments, ros_process
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from rosbags.interfaces import Nodetype
 from rosbags.serde import SerdeError
 
-from worm_model.bags.formats.bag_errors import BagError, DefinitionError
+from worm_model.bags.formats.bag_errors import BagError
 from worm_model.bags.formats.message_block import Bytes, Integers, Messages, Topic
 from worm_model.bags.formats.message_types import (
     REMEDY,
@@ -29,10 +29,6 @@ from worm_model.bags.formats.message_types import (
     typestore,
     with_definition,
 )
-from worm_msgs.gait import GAIT_DEFAULTS
-
-#: values of fields that older messages lack, by type
-DEFAULTS: Mapping[str, Mapping[str, Any]] = {"worm_msgs/msg/Gait": GAIT_DEFAULTS}
 
 HEADER_BYTES = 4
 PADDING_BYTES = 3  # largest number of bytes that a middleware appends to a message
@@ -299,70 +295,12 @@ def _setter(message: Any, path: str) -> Callable[[Any], None]:
     return lambda value: setattr(message, name, value)
 
 
-class MessageConverter:
-    """Converter of messages to a later definition of their type, which has additional fields.
-
-    An additional field gets its value from DEFAULTS. A field without a value in DEFAULTS is zero or empty.
-
-    Args:
-        source, target: topics with their definitions.
-
-    Raises:
-        DefinitionError: The target lacks a field of the source, a field has another type in the target, or the message
-            types have different names.
-
-    Attributes:
-        added: names of the fields that only the target has.
-        same: True if both layouts are equal.
-    """
-
-    def __init__(self, source: Topic, target: Topic) -> None:
-        from rosbags.convert.converter import default_message
-
-        one, other = types_of(source), types_of(target)
-        self.added: list[str] = []
-        for name in sorted(one.keys() & other.keys()):
-            before, after = dict(one[name]), dict(other[name])
-            changed = [field for field in before if before[field] != after.get(field)]
-            if changed:
-                raise DefinitionError(
-                    f"{changed[0]} of {name} differs from the installed definition"
-                )
-            self.added += [field for field in after if field not in before]
-        same_order = all(
-            [f for f, _ in other[n] if f in dict(one[n])] == [f for f, _ in one[n]]
-            for n in one.keys() & other.keys()
+def is_whole(topic: Topic, data: bytes) -> bool:
+    """Return True if a message is as long as the definition of its topic requires."""
+    try:
+        typestore(topic.type_name, topic.definition, topic.definition_format).deserialize_cdr(
+            data, topic.type_name
         )
-        if source.type_name not in other:
-            raise DefinitionError(f"it is not a {target.type_name}")
-        self.same = not self.added and same_order
-        self._source, self._target = source, target
-        self._stores = [
-            typestore(t.type_name, t.definition, t.definition_format) for t in (source, target)
-        ]
-        new = self._stores[1]
-        self._defaults: dict[str, object] = {}
-        for name, values in DEFAULTS.items():
-            if name in other:
-                self._defaults[name] = default_message(new, name)
-                for field in values.keys() & dict(other[name]).keys():
-                    setattr(self._defaults[name], field, values[field])
-
-    def __call__(self, data: bytes) -> bytes:
-        """Return a message in the target's layout.
-
-        Raises:
-            BagError: The length contradicts the source's definition.
-        """
-        from rosbags.convert.converter import migrate_message
-
-        old, new = self._stores
-        try:
-            content = old.deserialize_cdr(data, self._source.type_name)
-        except SerdeError:
-            raise BagError("a message is not as long as its definition requires") from None
-        if self.same:
-            return data
-        kinds = self._source.type_name, self._target.type_name
-        message = migrate_message(old, new, *kinds, self._defaults, content)
-        return bytes(new.serialize_cdr(message, self._target.type_name))
+    except SerdeError:
+        return False
+    return True

@@ -14,7 +14,7 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from worm_model.bags.formats.bag_errors import BagError
-from worm_model.bags.formats.cdr import ColumnBuilder, MessageColumns, MessageConverter, encode
+from worm_model.bags.formats.cdr import ColumnBuilder, MessageColumns, encode
 from worm_model.bags.formats.message_block import Message, Topic, messages_of
 from worm_model.bags.formats.message_types import topic_of
 from worm_model.bags.run_writer import stamped_messages
@@ -189,26 +189,6 @@ def test_a_message_has_the_length_of_its_definition(surplus: int, rejected: bool
     complaint = rejection(lambda: decode([data + bytes(surplus)], OLD))
     assert bool(complaint) == rejected
     assert "shorter" in rejection(lambda: decode([data[:-1]], OLD))
-
-
-def test_messages_of_an_older_definition_become_those_of_the_installed_one():
-    (data,) = encode(OLD, 1, {"x": 4.5, "sec": 7}, {})
-    converter = MessageConverter(OLD, NEW)
-    assert converter.added == ["run", "more"]
-    columns = decode([converter(data)], NEW)
-    assert {path: values[0].tolist() for path, values in columns.numbers.items()} == {
-        "x": 4.5,
-        "run": 0,
-        "sec": 7,
-        "more": [],
-    }
-    assert MessageConverter(OLD, OLD)(data) == data
-
-
-@pytest.mark.parametrize("definition", ["float64 x\n", "float32 x\nint32 sec\n"])
-def test_a_definition_that_lacks_a_field_or_has_another_type_is_rejected(definition: str):
-    with pytest.raises(BagError, match=r"(x|sec) of a/msg/B"):
-        MessageConverter(OLD, bare("a/msg/B", definition))
 
 
 def rejection(call: Callable[[], object]) -> str:
