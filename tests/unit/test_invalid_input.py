@@ -57,7 +57,11 @@ BAD = [
     ("play", ["bag", "--topic", "/no"], "no topic /no"),
     ("play", ["bag", "--exclude", "."], "none of the selected topics"),
     ("play", ["bag", "--exclude", "("], "regular expression"),
-    ("play", ["other_layout"], "'/worm/power' is not played: the worm_msgs/msg/Power of the bag differs"),
+    (
+        "play",
+        ["other_layout"],
+        "'/worm/power' is not played: the worm_msgs/msg/Power of the bag differs",
+    ),
     ("play", ["bag", "-p", "frobnicate:=1"], "no parameter frobnicate"),
     ("record", [], "no topics"),
     ("record", ["--regex", "("], "not a regular expression"),

@@ -78,9 +78,6 @@ def literal(
 
     Returns:
         The parameters, and the minimal costs: J_loc and J_act in m², J_E in J².
-
-    Raises:
-        IdentificationError: No run has enough power samples, a run has a pretension, or a bench test cannot be used.
     """
     for recording in inputs.recordings:
         if recording.gait.pretension > 0.0:

@@ -358,11 +358,7 @@ class RecordNode(Node):
 
 
 def message_class(type_name: str) -> type:
-    """Return the Python class of ``package/msg/Type``.
-
-    Raises:
-        DefinitionError: The name is malformed, or no installed package contains the type.
-    """
+    """Return the Python class of ``package/msg/Type``."""
     package, _, kind = type_name.partition("/msg/")
     try:
         kind_class: type = getattr(importlib.import_module(f"{package}.msg"), kind)

@@ -205,9 +205,6 @@ def robot_of(value: Callable[[str], Any]) -> Parameters:
 
     Args:
         value: returns the value of a ROS parameter by name.
-
-    Raises:
-        ParameterError, ConditionsError: The parameter file is invalid, or the conditions are not admissible.
     """
     stated = {name: value(name) for name in CONDITION_ROWS}
     return under(Conditions(**stated), load_parameters(value(PARAMETER_FILE)))

@@ -86,9 +86,6 @@ def installed_definition(type_name: str) -> str:
 
     Args:
         type_name: ``package/msg/Type``.
-
-    Raises:
-        DefinitionError: The name is not the name of a message type, or a definition is missing.
     """
     package, _, kind = type_name.partition("/msg/")
     if not (package and kind) or "/" in package + kind:
@@ -154,22 +151,14 @@ def parse_ahead(type_names: Iterable[str]) -> None:
 
 
 def parse_types(type_name: str, definition: str, definition_format: str) -> Types:
-    """Return the fields of a type and of all types that it needs.
-
-    Raises:
-        DefinitionError: The definition cannot be read, or does not define the type.
-    """
+    """Return the fields of a type and of all types that it needs."""
     store = typestore(type_name, definition, definition_format)
     return {name: fields for name, (_, fields) in store.fielddefs.items()}
 
 
 @lru_cache(maxsize=256)  # the parser is slow
 def typestore(type_name: str, definition: str, definition_format: str) -> Typestore:
-    """Return the types of a definition as a store of `rosbags`, which decodes and encodes messages.
-
-    Raises:
-        DefinitionError: As in `parse_types`.
-    """
+    """Return the types of a definition as a store of `rosbags`, which decodes and encodes messages."""
     try:
         types = _parsed(type_name, definition, definition_format)
         for name in [type_name, *(n for _, fs in types.values() for _, f in fs for n in _named(f))]:
@@ -218,11 +207,7 @@ def without_comments(definition: str) -> str:
 
 
 def type_hash(type_name: str, definition: str, definition_format: str) -> str:
-    """Return the RIHS01 hash of a type; empty if `rosbags` cannot compute it.
-
-    Raises:
-        DefinitionError: As in `parse_types`.
-    """
+    """Return the RIHS01 hash of a type; empty if `rosbags` cannot compute it."""
     store = typestore(type_name, definition, definition_format)
     try:
         return str(store.hash_rihs01(type_name))
@@ -231,11 +216,7 @@ def type_hash(type_name: str, definition: str, definition_format: str) -> str:
 
 
 def with_definition(topic: Topic) -> Topic:
-    """Return the topic with a definition: its own, or the installed one.
-
-    Raises:
-        DefinitionError: The definition is missing, or has another type hash than the recorded one.
-    """
+    """Return the topic with a definition: its own, or the installed one."""
     if topic.definition:
         return topic
     if not topic.type_name:

@@ -40,11 +40,7 @@ def write_report(
     folder: Path,
     progress: Callable[[float], None] = lambda _: None,
 ) -> Path:
-    """Write report.md and figures/* (PNG and PDF) into a new folder and return the page's path.
-
-    Raises:
-        FileExistsError: The folder exists.
-    """
+    """Write report.md and figures/* (PNG and PDF) into a new folder and return the page's path."""
     from worm_model.analysis.plot_style import save_png_and_pdf
     from worm_model.identification.report.identification_figures import all_figures
 
