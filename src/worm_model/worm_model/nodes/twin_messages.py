@@ -15,8 +15,8 @@ from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from worm_model.loads import under
-from worm_model.nodes.message_stamps import nanoseconds
 from worm_model.parameters import Parameters, load_parameters
+from worm_model.run import nanoseconds
 from worm_model.twin import scene
 from worm_model.twin.data.records import (
     NANOSECONDS,

@@ -8,10 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from worm_model.identification.fingerprint import code_version
 from worm_model.identification.fits.estimate import Estimate, quantile
 from worm_model.identification.fits.run_prediction import Errors
-from worm_model.identification.report.results import correlations
+from worm_model.identification.report.results import code_version, correlations
 from worm_model.identification.stages import Identification
 from worm_model.parameters import PAPER, SYMBOLS, UNITS
 
