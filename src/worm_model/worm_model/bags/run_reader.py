@@ -176,6 +176,19 @@ def _none_of_the_worms(bag: Bag, where: str = "") -> NoRunError:
     return NoRunError(f"{bag.path} has none of the worm's topics{where}; it has {names}")
 
 
+def received_at(bag: Bag, name: str) -> dict[int, int]:
+    """Return the log times of the messages of one of the worm's topics, by stamp; both in ns since the epoch."""
+    received: dict[int, int] = {}
+    topic = find_topic(bag.channels, name)
+    for block in bag.blocks([topic.name] if topic else []):
+        builder, messages = ColumnBuilder(), block.like(topic) if topic else block
+        builder.add(messages)
+        received.update(
+            zip(stamps_of(builder.columns()).tolist(), messages.log_time.tolist(), strict=True)
+        )
+    return received
+
+
 def read_columns(bag: Bag, topics: Sequence[Topic]) -> dict[str, MessageColumns]:
     """Return all fields of some topics of a bag as columns, by topic name; other types of a topic are left out."""
     by_name = {topic.name: topic for topic in topics}

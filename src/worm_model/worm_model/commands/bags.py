@@ -54,13 +54,17 @@ def _parser() -> command_line.Parser:
     part = add_verb(
         "trim",
         _part,
-        help="write a part of a bag, by time or by topic",
-        description="Write a bag with the messages of some topics in a span.",
+        help="write a part of a bag, by time, by run or by topic",
+        description="Write a bag with the messages of some topics in a span, or in one run and the time since the "
+        "previous run.",
     )
     part.add_argument("--output", required=True, metavar="BAG2", help="must not exist")
     part.add_argument("--topic", action="append", default=[], help="topic to copy; may be repeated")
     part.add_number("--start", "S", "start of the span, in s since the start of the bag")
     part.add_number("--end", "S", "end of the span, in s since the start of the bag")
+    part.add_argument(
+        "--run", type=int, metavar="N", help="number of the run, from 1, instead of a span"
+    )
     return parser
 
 
@@ -104,15 +108,42 @@ def _info(options: argparse.Namespace) -> None:
 def _part(options: argparse.Namespace) -> None:
     from worm_model.bags.operations.copies import write_part
 
-    if options.start is None and options.end is None and not options.topic:
-        raise command_line.InputError("give a span (--start, --end or both) or topics (--topic)")
+    has_span = options.start is not None or options.end is not None
+    if (options.run is not None) + has_span > 1 or not (
+        options.run is not None or has_span or options.topic
+    ):
+        raise command_line.InputError(
+            "give a span (--start, --end or both) or --run, but not both, or topics (--topic)"
+        )
     output = command_line.new_file(options.output)
     with _opened(options) as bag:
-        first = bag.time_at(options.start or 0.0)
-        last = bag.time_at(bag.duration_s if options.end is None else options.end)
+        if options.run is not None:
+            spans = _spans(bag)
+            if not 1 <= options.run <= len(spans):
+                raise command_line.InputError(
+                    f"--run {options.run}: {bag.path} contains {len(spans)} runs"
+                )
+            first, last = spans[options.run - 1]
+        else:
+            first = bag.time_at(options.start or 0.0)
+            last = bag.time_at(bag.duration_s if options.end is None else options.end)
         count = write_part(bag, output, first, last, options.topic or bag.topics)
     content = {"bag": str(output), "messages": count}
     command_line.print_result(options, content, f"{output}: {count} messages")
+
+
+def _spans(bag: Bag) -> list[tuple[int, int]]:
+    """Return the first and the last log time (ns) of each run. A run includes the time since the previous run's end."""
+    from worm_model.analysis.run_metrics import played_gaits
+    from worm_model.bags.run_reader import read_run, received_at
+
+    played = played_gaits(read_run(bag, names=("gait_state",)).gait_state)
+    received = received_at(bag, "gait_state")
+    # The state that ends a run is also the first state of the next part, because its topic is latched.
+    end = bag.spans[-1][1]
+    ends = [received[gait.end] if gait.end else end for gait in played[:-1]]
+    starts = [bag.start, *(end + 1 for end in ends)]
+    return list(zip(starts, [*ends, end], strict=True)) if played else []
 
 
 VERBS = (TABLE, "info", "trim")

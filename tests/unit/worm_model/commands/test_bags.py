@@ -167,6 +167,14 @@ def test_a_filtered_bag_has_the_messages_of_its_topics(run, tmp_path):
     assert run("trim", SAMPLES / "forward", *topics, "--start", 1e4, *nothing)[0] == 2
 
 
+def test_a_run_is_cut_out_by_its_number(run, tmp_path):
+    output = tmp_path / "run"
+    assert run("trim", SAMPLES / "forward", "--run", 1, "--output", output)[0] == 0
+    with open_bag(SAMPLES / "forward") as whole, open_bag(output) as part:
+        assert list(part.messages()) == list(whole.messages())
+    assert run("trim", SAMPLES / "forward", "--run", 2, "--output", tmp_path / "no")[0] == 2
+
+
 def test_a_column_is_a_row_of_the_table_of_columns(run, monkeypatch):
     """An index from before the change is not used."""
     run("table", SAMPLES / "forward")
