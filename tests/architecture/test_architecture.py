@@ -88,6 +88,7 @@ CONFINED = {
     "mcap": ["worm_model/bags/*.py"],
     "mcap_ros2": ["worm_model/bags/*.py"],
     "rosbags": ["worm_model/bags/*.py"],
+    "pandas": ["worm_model/analysis/run_table.py"],
     "dask": [],
     "distributed": ["worm_optimizer/study/blocks.py"],
     "nicegui": ["worm_optimizer/console/*page*.py", "worm_optimizer/console/server.py"],

@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Animation of a simulated gait: the robot in its pipe, its length and its power, in real time, as GIF."""
+"""Animation of a simulated gait: the robot in its pipe, its length and its power, in real time, as GIF or MP4."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
+from matplotlib.animation import FFMpegWriter
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -28,7 +30,7 @@ from worm_model.errors import InputError
 
 GIF_TICK_HZ = 100.0  # a GIF stores the duration of a frame in hundredths of a second
 MOST_FRAMES = 3000
-_SIZE, _DPI = (8.4, 4.8), 100  # inches; 840 by 480 pixels
+_SIZE, _DPI = (8.4, 4.8), 100  # inches; 840 by 480 pixels, both even as H.264 requires
 # Left, bottom, width and height of the axes of pipe, length and power, relative to the figure and equal in all frames.
 _PLACES = ((0.01, 0.55, 0.98, 0.37), (0.1, 0.325, 0.88, 0.17), (0.1, 0.11, 0.88, 0.17))
 _COLOURS = 128  # largest number of colours in a palette
@@ -45,10 +47,14 @@ def check_animation(path: Path, rate: float, frames: float) -> None:
             "Use fewer --cycles or a lower --rate."
         )
     ticks = GIF_TICK_HZ / rate
-    if ticks < 2.0 or abs(ticks - round(ticks)) > 1e-9:
+    if path.suffix.lower() == ".gif" and (ticks < 2.0 or abs(ticks - round(ticks)) > 1e-9):
         raise InputError(
             f"--rate {rate:g}: a GIF shows a frame for whole hundredths of a second, at least two. "
             "Use 10, 12.5, 20, 25 or 50 Hz."
+        )
+    if path.suffix.lower() == ".mp4" and not FFMpegWriter.isAvailable():
+        raise InputError(
+            f"--output {path}: writing .mp4 requires ffmpeg, which is not installed. Install it, or write a .gif."
         )
 
 
@@ -58,6 +64,7 @@ def write_animation(run: SimulatedRun, path: Path, report: Callable[[float], Non
     ``report`` is called with the fraction done, 0 to 1. After an exception, the unfinished file is removed.
     """
     figure, moving, show = animated_figure(run)
+    write = partial(_write_gif, moving) if path.suffix.lower() == ".gif" else _write_mp4
     rate = 1.0 / float(run.time[1] - run.time[0])
 
     def shown() -> Iterator[int]:
@@ -67,7 +74,7 @@ def write_animation(run: SimulatedRun, path: Path, report: Callable[[float], Non
             report((index + 1) / run.time.size)
 
     try:
-        _write_gif(moving, figure, shown(), rate, path)
+        write(figure, shown(), rate, path)
     except BaseException:
         path.unlink(missing_ok=True)
         raise
@@ -119,6 +126,13 @@ def palette_of(image: Image.Image) -> Image.Image:
     palette = Image.new("P", (1, 1))
     palette.putpalette(chosen.ravel().tolist())
     return palette
+
+
+def _write_mp4(figure: Figure, shown: Iterator[int], rate: float, path: Path) -> None:
+    writer = FFMpegWriter(fps=rate, codec="h264")  # type: ignore[arg-type]  # fractions are accepted
+    with writer.saving(figure, str(path), _DPI):
+        for _ in shown:
+            writer.grab_frame()
 
 
 def animated_figure(

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from worm_model.analysis.replay_metrics import run_end
 from worm_model.analysis.run_metrics import played_gaits
 from worm_model.analysis.run_parts import parts_of
+from worm_model.errors import InputError
 from worm_model.run import Run, Stamps, power_status_name, seconds, state_name
 
 Column = NDArray[Any]
@@ -36,6 +37,14 @@ class RunTable:
     """
 
     columns: dict[str, Column]
+
+    def to_dataframe(self) -> Any:
+        """Return a pandas.DataFrame with these columns; raise `InputError` if pandas is not installed."""
+        try:
+            from pandas import DataFrame
+        except ImportError:
+            raise InputError("a data frame needs pandas: pip install pandas") from None
+        return DataFrame(self.columns)
 
 
 def run_table(run: Run) -> RunTable:

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from worm_model.bags.opening import Bag
 
 TABLE = "table"
+PARTS = "trim", "filter"
 FOLDER = Path("bags")  # where ./worm records
 
 
@@ -51,20 +52,23 @@ def _parser() -> command_line.Parser:
     )
     table.add_parameters("the file in each bag, else the paper's values")
     add_verb("info", _info, help="content of a bag")
-    part = add_verb(
-        "trim",
-        _part,
-        help="write a part of a bag, by time, by run or by topic",
-        description="Write a bag with the messages of some topics in a span, or in one run and the time since the "
-        "previous run.",
-    )
-    part.add_argument("--output", required=True, metavar="BAG2", help="must not exist")
-    part.add_argument("--topic", action="append", default=[], help="topic to copy; may be repeated")
-    part.add_number("--start", "S", "start of the span, in s since the start of the bag")
-    part.add_number("--end", "S", "end of the span, in s since the start of the bag")
-    part.add_argument(
-        "--run", type=int, metavar="N", help="number of the run, from 1, instead of a span"
-    )
+    for name in PARTS:
+        part = add_verb(
+            name,
+            _part,
+            help="write a part of a bag, by time, by run or by topic",
+            description="Write a bag with the messages of some topics in a span, or in one run and the time since the "
+            "previous run.",
+        )
+        part.add_argument("--output", required=True, metavar="BAG2", help="must not exist")
+        part.add_argument(
+            "--topic", action="append", default=[], help="topic to copy; may be repeated"
+        )
+        part.add_number("--start", "S", "start of the span, in s since the start of the bag")
+        part.add_number("--end", "S", "end of the span, in s since the start of the bag")
+        part.add_argument(
+            "--run", type=int, metavar="N", help="number of the run, from 1, instead of a span"
+        )
     return parser
 
 
@@ -146,7 +150,7 @@ def _spans(bag: Bag) -> list[tuple[int, int]]:
     return list(zip(starts, [*ends, end], strict=True)) if played else []
 
 
-VERBS = (TABLE, "info", "trim")
+VERBS = (TABLE, "info", *PARTS)
 
 
 def _arguments(given: list[str]) -> list[str]:

@@ -30,7 +30,7 @@ CYCLES = 5  # number of cycles in the paper's protocol
 MOST_SAMPLES = 10_000_000  # largest number of samples in a file
 MOST_CYCLES = 1000  # largest number of cycles of a simulation
 FIGURES = (".png", ".pdf", ".svg")
-ANIMATION = ".gif"
+ANIMATIONS = (".gif", ".mp4")
 RATE_HZ = 100.0  # default sampling rate of tables, figures and recordings
 FRAME_RATE_HZ = 12.5  # default frame rate of an animation
 
@@ -40,8 +40,8 @@ def _parser() -> Parser:
         prog="simulate",
         description="Simulate a gait from rest. The ending of --output selects the form: a table of positions, "
         "anchors, length, cable force, power and energy (.csv), a figure of positions, anchors, length, forces and "
-        "power (.png, .pdf, .svg), an animation of the robot in its pipe in real time (.gif), or a recording "
-        "by ideal instruments, with two seconds of rest before the gait (.mcap).",
+        "power (.png, .pdf, .svg), an animation of the robot in its pipe in real time (.gif, or .mp4 if ffmpeg is "
+        "installed), or a recording by ideal instruments, with two seconds of rest before the gait (.mcap).",
     )
     parser.add_gait(required=True)
     parser.add_conditions()
@@ -101,8 +101,9 @@ def _write_recording(run: SimulatedRun, path: Path) -> None:
 
 
 def _writer_of(path: Path) -> Callable[[SimulatedRun, Path], None]:
-    writers = {".csv": _write_table, ".mcap": _write_recording, ANIMATION: _write_animation}
+    writers = {".csv": _write_table, ".mcap": _write_recording}
     writers |= dict.fromkeys(FIGURES, _write_figure)
+    writers |= dict.fromkeys(ANIMATIONS, _write_animation)
     if path.suffix.lower() not in writers:
         raise InputError(f"--output {path}: end its name in {', '.join(writers)}")
     return writers[path.suffix.lower()]
@@ -110,7 +111,7 @@ def _writer_of(path: Path) -> Callable[[SimulatedRun, Path], None]:
 
 def _checked_rate(options: argparse.Namespace, gait: Gait, output: Path) -> float:
     """Return the sampling rate in Hz; raise `InputError` if the number of samples or frames is out of range."""
-    animated = output.suffix.lower() == ANIMATION
+    animated = output.suffix.lower() in ANIMATIONS
     rate: float = options.rate
     if rate is None:
         rate = FRAME_RATE_HZ if animated else RATE_HZ

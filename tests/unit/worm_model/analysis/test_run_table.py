@@ -2,6 +2,7 @@
 """A run as one table."""
 
 import dataclasses
+import sys
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from recorded_run import GAIT, REST_S, simulated_run
 from recorded_session import joined_session
 
 from worm_model.analysis.run_table import run_table
+from worm_model.errors import InputError
 from worm_model.run import JointSamples
 
 RUN = simulated_run(cycles=2)
@@ -69,3 +71,14 @@ def test_a_power_that_is_not_valid_is_no_number():
     columns = run_table(run).columns
     row = np.flatnonzero(columns["power_status"] == "overflow")
     assert np.isnan(columns["power_W"][row]).all()
+
+
+def test_a_data_frame_has_the_same_columns(monkeypatch: pytest.MonkeyPatch):
+    pytest.importorskip("pandas", reason="pandas is optional")
+    table = run_table(RUN)
+    frame = table.to_dataframe()
+    assert list(frame) == list(table.columns)
+    assert frame.x1_m.count() == np.isfinite(RUN.tracker.rear_position).sum()
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(InputError, match="pip install pandas"):
+        table.to_dataframe()

@@ -157,14 +157,14 @@ def test_a_trimmed_bag_begins_with_the_last_messages_of_latched_topics(run, tmp_
 def test_a_filtered_bag_has_the_messages_of_its_topics(run, tmp_path):
     output = tmp_path / "part"
     topics = ("--topic", "/worm/power", "--topic", "/worm/gait_state")
-    assert run("trim", SAMPLES / "forward", *topics, "--output", output)[0] == 0
+    assert run("filter", SAMPLES / "forward", *topics, "--output", output)[0] == 0
     with open_bag(SAMPLES / "forward") as whole, open_bag(output) as part:
         assert sorted(part.topics) == ["/worm/gait_state", "/worm/power"]
         assert list(part.messages()) == list(whole.messages(part.topics))
         assert part.metadata["worm_run"] == whole.metadata["worm_run"]
     nothing = ("--output", tmp_path / "no")
-    assert run("trim", SAMPLES / "forward", "--topic", "/no", *nothing)[0] == 2
-    assert run("trim", SAMPLES / "forward", *topics, "--start", 1e4, *nothing)[0] == 2
+    assert run("filter", SAMPLES / "forward", "--topic", "/no", *nothing)[0] == 2
+    assert run("filter", SAMPLES / "forward", *topics, "--start", 1e4, *nothing)[0] == 2
 
 
 def test_a_run_is_cut_out_by_its_number(run, tmp_path):

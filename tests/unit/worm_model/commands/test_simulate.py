@@ -76,6 +76,27 @@ def test_an_animation_plays_in_real_time(run, tmp_path):
         assert not all(shown), name
 
 
+def test_an_mp4_without_ffmpeg_is_one_line(run, tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    status, _, error = run(
+        command, "--stroke", 0.07, "--frequency", 0.2, "--output", tmp_path / "x.mp4"
+    )
+    assert status == 2
+    assert "ffmpeg" in error
+    assert error.count("\n") == 1
+
+
+def test_ffmpeg_receives_every_frame(run, tmp_path, monkeypatch):
+    fake = tmp_path / "ffmpeg"
+    fake.write_text('#!/bin/sh\nfor last; do :; done\nexec /bin/cat > "$last"\n')
+    fake.chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    path = tmp_path / "x.mp4"
+    arguments = ("--stroke", 0.07, "--frequency", 0.4, "--cycles", 1, "--rate", 4, "--output", path)
+    assert run(command, *arguments)[0] == 0
+    assert path.stat().st_size == 11 * 840 * 480 * 4  # RGBA
+
+
 def test_an_animation_that_is_cancelled_leaves_no_file(tmp_path):
     def cancel(_fraction):
         raise KeyboardInterrupt
