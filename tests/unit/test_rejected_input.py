@@ -1,12 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every command without ROS ends with status 2, one line with the facts and no output if it cannot use its input."""
+"""Every command and node ends with status 2, the facts and no output if it cannot use its input."""
 
 import importlib
+import shlex
+import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from camera_rig import SETUP_FILE
 from recorded_run import simulated_run, write_bag
 from study_cases import SMALL
+
+from worm_model.bags.formats.bag_writer import new_bag
+from worm_model.bags.formats.message_block import Topic
 
 BAGS = Path(__file__).resolve().parents[2] / "bags"
 FORWARD, REVERSE, FAULTS = (str(BAGS / name) for name in ("forward", "reverse", "faults"))
@@ -101,11 +108,89 @@ BAD = [
     (TUNE, "nowhere", "nowhere"),
 ]
 
+# with ROS
+DEMO = "worm_optimizer.commands.demo"
+OPERATE = "worm_optimizer.commands.operate"
+OPTIMIZER_NODE = "worm_optimizer optimizer_node"
+PLAY = "worm_model play"
+RECORD = "worm_model record"
+TRACKER_NODE = "worm_driver tracker_node"
+TWIN_NODE = "worm_model twin_node"
+VIRTUAL_ROBOT = "worm_driver virtual_robot"
+WATCH = "worm_model watch"
+SHORT = "--stroke 0.03 --frequency 0.4"
+LIGHT = "-p scan_highest_m:=0.004 -p scan_step_m:=0.001 -p samples:=20"
+BAD_WITH_ROS = [
+    (DEMO, "--parameters nowhere.yaml", "nowhere.yaml"),
+    (OPERATE, "run --stroke 0.05", "give --stroke and --frequency"),
+    (OPERATE, "run --stroke -1 --frequency 0.2", "stroke"),
+    (OPERATE, f"run {SHORT} --objective cruise", "omit --objective"),
+    (OPERATE, "run --pretension 0.01", "--pretension needs a gait in numbers"),
+    (OPERATE, "run --profile trapezoid --objective cruise", "--profile needs"),
+    (OPERATE, f"run {SHORT} --contraction-share 1", "contraction_share"),
+    (OPERATE, "run --cycles -3", "cycles: -3"),
+    (OPERATE, "tune --stroke 0.05", "give --stroke and --frequency"),
+    (OPERATE, "tune --probability 1", "--probability 1"),
+    (OPERATE, "tune --grooves 0", "--grooves 0"),
+    (OPERATE, "dance", "invalid choice"),
+    (OPTIMIZER_NODE, "-p parameter_file:=/nowhere.yaml", "/nowhere.yaml: cannot be read"),
+    (
+        OPTIMIZER_NODE,
+        f"{LIGHT} -p stroke_low_m:=0.09 -p stroke_high_m:=0.01",
+        "bounds: stroke from 0.09 to 0.01 m",
+    ),
+    (
+        OPTIMIZER_NODE,
+        f"{LIGHT} -p limits.servo_model:=XM430-W350",
+        "without the driver's parameter file",
+    ),
+    (PLAY, "no_bag", "no_bag does not exist"),
+    (PLAY, "bag --rate 0", "--rate"),
+    (PLAY, "bag --start 1000", "after the end"),
+    (PLAY, "bag --topic /no", "no topic /no"),
+    (PLAY, "bag --exclude .", "none of the selected topics"),
+    (PLAY, "bag --exclude '('", "regular expression"),
+    (
+        PLAY,
+        "other_layout",
+        "'/worm/power' is not played: the worm_msgs/msg/Power of the bag differs",
+    ),
+    (PLAY, "bag -p frobnicate:=1", "no parameter frobnicate"),
+    (RECORD, "", "no topics"),
+    (RECORD, "--regex '('", "not a regular expression"),
+    (RECORD, "-a --note x", "KEY=VALUE"),
+    (RECORD, "-a --parameters no.yaml", "no.yaml"),
+    (RECORD, "-a --output .", "exists already"),
+    (RECORD, "-a --snapshot -1", "negative"),
+    (RECORD, "-a --snapshot nan", "finite"),
+    (RECORD, "'a b'", "not a name of a topic"),
+    (RECORD, "-a --note 'pipe=\udcff'", "UTF-8"),
+    (RECORD, "-a -p frobnicate:=1", "no parameter frobnicate"),
+    (TRACKER_NODE, "-p setup_file:=/none.yaml", "tracker: /none.yaml: "),
+    (
+        TRACKER_NODE,
+        f"-p setup_file:={SETUP_FILE} -p image_transport:=theora",
+        "one of raw, compressed",
+    ),
+    (TWIN_NODE, "-p parameter_file:=bad.yaml", "did you mean rear_mass"),
+    (VIRTUAL_ROBOT, "--directory r --fault fire", "no fault 'fire'"),
+    (VIRTUAL_ROBOT, "--directory r --parameters /nowhere.yaml", "No such file"),
+    (VIRTUAL_ROBOT, "--directory r --slope 91", "slope_deg"),
+    (VIRTUAL_ROBOT, "--directory r --tether nan", "tether_n"),
+    (VIRTUAL_ROBOT, "--directory /proc/robot", "choose another --directory"),
+    (VIRTUAL_ROBOT, "--directory r -p frobnicate:=1", "no parameter frobnicate"),
+    (WATCH, "-p frobnicate:=1", "no parameter frobnicate"),
+]
+
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     made = tmp_path_factory.mktemp("input")
     write_bag(made / "bag", simulated_run(cycles=1))
+    other = Topic("/worm/power", "worm_msgs/msg/Power", 0, "float32 power\n", "ros2msg", "cdr")
+    with new_bag(made / "other_layout") as writer:
+        writer.write(other, b"\0\1\0\0" + bytes(4), 1, 1)
+    (made / "bad.yaml").write_text("rear_mas: 1\n")
     (made / "gaits.csv").write_text("stroke_m,frequency_Hz\n0.07,0.2\n")
     (made / "s.yaml").write_text(SMALL)
     for name in ("begun/promised.json", "complete/promised.json", "complete/report/report.html"):
@@ -127,3 +212,30 @@ def test_bad_input_is_one_line_and_status_2_and_leaves_nothing(
     (line,) = [line for line in err.splitlines() if ": computing" not in line]
     assert fact in line
     assert sorted(folder.rglob("*")) == before
+
+
+def main_of(executable: str) -> Callable[[], int]:
+    """Return the ``main`` of a node, given as package and name, or of the module of a command."""
+    if " " not in executable:
+        return importlib.import_module(executable).main
+    package, name = executable.split()
+    return getattr(importlib.import_module(f"{package}.nodes.executables"), name)
+
+
+@pytest.mark.parametrize(("executable", "arguments", "fact"), BAD_WITH_ROS)
+def test_bad_input_of_an_executable_with_ros_is_status_2_and_no_traceback(
+    executable, arguments, fact, folder, ros_domain, monkeypatch, capfd, caplog
+):
+    given, dash, parameters = arguments.partition("-p ")
+    ros = ["--ros-args", *shlex.split(dash + parameters)] if dash else []
+    monkeypatch.chdir(folder)
+    monkeypatch.setattr(sys, "argv", ["command", *shlex.split(given), *ros])
+    monkeypatch.setattr(sys, "setswitchinterval", lambda _: None)
+    try:
+        status = main_of(executable)()
+    except SystemExit as end:
+        status = end.code
+    reported = capfd.readouterr().err + caplog.text
+    assert status == 2
+    assert fact in reported
+    assert "Traceback" not in reported

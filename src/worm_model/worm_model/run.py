@@ -81,6 +81,12 @@ def is_another_run(before: tuple[Any, Any, Any], after: tuple[Any, Any, Any]) ->
     return (next_run != run) | np.where(next_run > 0, restarted, moved)
 
 
+def nanoseconds(stamp: Any) -> int:
+    """Return the nanoseconds of a builtin_interfaces/Time."""
+    total: int = stamp.sec * 10**9 + stamp.nanosec
+    return total
+
+
 def seconds(stamp: Stamps, origin: int) -> Array:
     """Return stamps as s since an origin (ns since the epoch), exact to a ns within months of the origin."""
     return (stamp - origin).astype(np.float64) * 1e-9

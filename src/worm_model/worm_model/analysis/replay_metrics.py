@@ -13,9 +13,8 @@ from typing import Any
 import numpy as np
 
 from worm_model.analysis.run_metrics import END_TOLERANCE_NS, PlayedGait, played_gaits
-from worm_model.arrays import Array, Stamps
+from worm_model.arrays import Array, Stamps, accumulated
 from worm_model.run import PLAYING, SAME_ONSET_NS, GaitStates, Run
-from worm_model.simulation.quadrature import accumulated
 from worm_model.twin.data.records import Event, Health
 from worm_model.twin.data.samples import NO_SAMPLES, SampleKind, SampleRows
 from worm_model.twin.offline_replay import Replay, Series

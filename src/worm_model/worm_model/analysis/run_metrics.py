@@ -16,13 +16,12 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from worm_model.arrays import Array, Stamps
+from worm_model.arrays import Array, Stamps, accumulated
 from worm_model.errors import RecordingError
 from worm_model.gait import AVERAGED, Gait, GaitError
 from worm_model.margin.measured_margin import RunMargin, measure_cycles
 from worm_model.parameters import Parameters
 from worm_model.run import PLAYING, Activity, GaitStates, Run, state_name
-from worm_model.simulation.quadrature import accumulated
 
 Samples = tuple[Stamps, Array]  # stamps in ns since the epoch and values, NaN if missing
 

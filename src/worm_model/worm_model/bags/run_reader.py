@@ -59,9 +59,6 @@ class RunReader:
 
     Args:
         bag, namespace, names: see `read_run`.
-
-    Raises:
-        BagError: The bag has several robots, or none of the topics.
     """
 
     def __init__(self, bag: Bag, namespace: str, names: Sequence[str]) -> None:
@@ -79,9 +76,6 @@ class RunReader:
 
         The first complete iteration reports infinite numbers and stamps that go back. If the
         topics have more than MOST_KEPT messages, further iterations read the bag again.
-
-        Raises:
-            BagError: Data cannot be decoded, or runs of gaits overlap.
         """
         if self._kept is not None:
             yield from self._kept
@@ -170,11 +164,7 @@ def _report_unexpected_topics(bag: Bag, topics: Mapping[str, Topic | None], name
 
 
 def namespace_of(bag: Bag) -> str:
-    """Return the namespace of the robot in a bag, such as ``/worm``; empty for the root.
-
-    Raises:
-        BagError: The bag has several robots, or none.
-    """
+    """Return the namespace of the robot in a bag, such as ``/worm``; empty for the root."""
     for name in RUN_TOPICS:
         topic = find_topic(bag.channels, name)
         if topic is not None:
@@ -201,11 +191,7 @@ def received_at(bag: Bag, name: str) -> dict[int, int]:
 
 
 def read_columns(bag: Bag, topics: Sequence[Topic]) -> dict[str, MessageColumns]:
-    """Return all fields of some topics of a bag as columns, by topic name; other types of a topic are left out.
-
-    Raises:
-        BagError: A topic cannot be decoded.
-    """
+    """Return all fields of some topics of a bag as columns, by topic name; other types of a topic are left out."""
     by_name = {topic.name: topic for topic in topics}
     builders = {name: ColumnBuilder() for name in by_name}
     for block in bag.blocks(builders):

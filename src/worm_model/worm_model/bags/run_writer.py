@@ -27,9 +27,6 @@ def write_run(writer: BagWriter, run: Run, namespace: str = "/worm") -> None:
     """Append the samples of a run, except joint states, in order of stamp.
 
     The publish time and the log time of each message equal its stamp.
-
-    Raises:
-        BagError: The definitions of worm_msgs are not installed, or a stamp is before the epoch.
     """
     series = []
     for name, (attribute, _) in SERIES.items():
@@ -55,9 +52,6 @@ def stamped_messages(
         topic: topic of the messages.
         stamp: stamps, ns since the epoch, shape (n,).
         numbers, texts: values of the fields, see `cdr.encode`.
-
-    Raises:
-        BagError: A stamp is before the epoch, or the type lacks one of the fields.
     """
     if len(stamp) and stamp.min() < 0:
         raise BagError(f"a {topic.type_name} has a stamp before 1970, which a bag cannot store")

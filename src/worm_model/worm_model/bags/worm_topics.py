@@ -100,9 +100,6 @@ def find_topic(channels: Iterable[Topic], name: str, namespace: str = "") -> Top
         channels: channels of a bag. Channels of one topic with another type or encoding do not count.
         name: relative name, such as ``body_length/measured``.
         namespace: namespace of the topic, such as ``/worm``; empty: any.
-
-    Raises:
-        BagError: Several topics match, for example if a bag contains two robots.
     """
     ending = f"{namespace.rstrip('/')}/{name}" if namespace else f"/{name}"
     longer = tuple(f"/{other}" for other in TYPES if other.endswith(f"/{name}"))

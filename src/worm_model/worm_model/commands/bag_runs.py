@@ -42,10 +42,6 @@ def rows_of_bag(path: Path, parameters: str) -> list[dict[str, Any]]:
     """Return a row for each run of a closed bag, or a single row that states why there is none.
 
     ``parameters`` is the path of a parameter file; empty: the file in the bag, else the paper's values.
-
-    Raises:
-        InputError: The bag cannot be read.
-        OSError: The bag must not be read.
     """
     if path.is_dir():
         for file in path.iterdir():

@@ -117,10 +117,6 @@ def export(bag: Bag, output: Path, kind: str, topics: list[str], namespace: str 
 
     ``namespace`` is that of the robot; empty: the only one in the bag. Only the merged table is held in memory as a
     whole. If the export fails, no folder remains.
-
-    Raises:
-        BagError: The bag lacks a topic or is damaged.
-        InputError: The format requires a package that is not installed.
     """
     tables, failed = find_tables(bag, topics or bag.topics)
     stems = file_stems(table.topic.name for table in tables)

@@ -25,12 +25,7 @@ _LONGEST_BODY = 2.0  # m, largest accepted initial length
 
 
 def import_lab(folder: Path, output: Path, settings: LabSettings, namespace: str) -> LabRun:
-    """Convert a run's folder to a bag. Equal files, folder names, settings and namespaces produce equal bytes.
-
-    Raises:
-        LabError: The folder cannot be used.
-        BagError: The bag cannot be written.
-    """
+    """Convert a run's folder to a bag. Equal files, folder names, settings and namespaces produce equal bytes."""
     from worm_model.bags.formats.bag_writer import new_bag
     from worm_model.bags.run_writer import write_run
     from worm_model.identification.data.lab_logs import read_lab_run

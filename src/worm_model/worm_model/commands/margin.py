@@ -53,11 +53,7 @@ def check_grooves(options: argparse.Namespace) -> None:
 def measured_margins(
     path: Path, parameters: str, grooves: int | None, notify: Callable[[str], None]
 ) -> list[RunMargin]:
-    """Return the measured margins of the runs of a bag; ``notify`` gets what the bag lacks.
-
-    Raises:
-        InputError: The bag or the parameter file cannot be read.
-    """
+    """Return the measured margins of the runs of a bag; ``notify`` gets what the bag lacks."""
     from worm_model.analysis.run_metrics import measure_margin  # here: SciPy and Numba load slowly
     from worm_model.analysis.run_parts import parts_of
     from worm_model.bags.opening import open_bag

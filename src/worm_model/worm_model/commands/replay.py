@@ -59,9 +59,6 @@ def write_replay(bag: Bag, output: Path, replay: OfflineReplay, namespace: str) 
 
     The twin's messages replace those of the same topics in the original bag. The log time of such a message is its
     stamp plus the offset between log times and stamps in the original bag (`run_reader.clock_offset`).
-
-    Raises:
-        BagError: The output exists or cannot be written.
     """
     found = (find_topic(bag.channels, name, namespace) for name in TWIN_TOPICS)
     live = {topic.name for topic in found if topic is not None}

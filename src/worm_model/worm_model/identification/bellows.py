@@ -42,10 +42,6 @@ def fit_bellows(compression: Array, force: Array) -> BellowsFit:
     Args:
         compression: m, shape (n,), in the order of measurement.
         force: N, shape (n,).
-
-    Raises:
-        IdentificationError: There are fewer than `FEWEST_POINTS` finite points, all points have the same compression,
-            or the stiffness is not positive.
     """
     known = np.isfinite(compression) & np.isfinite(force)
     x, y = compression[known], force[known]

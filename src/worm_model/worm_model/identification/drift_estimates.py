@@ -132,12 +132,7 @@ def _content(recording: Recording) -> str:
 
 
 def estimate_bag(recording: Recording, start: int, parameters: Parameters) -> BagEstimates:
-    """Estimate, from a recording, the parameters that may drift. ``start`` is the start of its bag, ns since the epoch.
-
-    Raises:
-        IdentificationError: A marker was hidden for too long, the body did not follow its command, or the strides
-            contradict the pitch.
-    """
+    """Estimate, from a recording, the parameters that may drift; ``start`` is the start of its bag, ns."""
     _check_seen(recording)
     length = measured_length(recording)
     usable([recording], [length])

@@ -88,10 +88,6 @@ def fit_fin(displacement: Array, force: Array, engages: int = 0) -> FinFit:
         displacement: m, shape (n,).
         force: N, shape (n,).
         engages: sign of the displacement that engages, −1 or +1; 0 detects it.
-
-    Raises:
-        IdentificationError: There are fewer than `FEWEST_POINTS` finite points, or all points are on one side of 0. If
-            the engaging side must be detected: a side shows no force, or the two stiffnesses are too similar.
     """
     known = np.isfinite(displacement) & np.isfinite(force)
     x, y = displacement[known], force[known]

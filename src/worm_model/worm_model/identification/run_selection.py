@@ -40,11 +40,7 @@ class FittedRun:
 
 
 def prepared(recordings: Sequence[Recording], pitch: float) -> tuple[list[FittedRun], list[str]]:
-    """Return the usable runs and the remarks on all runs.
-
-    Raises:
-        IdentificationError: No run is usable.
-    """
+    """Return the usable runs and the remarks on all runs."""
     lengths = [measured_length(recording) for recording in recordings]
     kept, warnings = usable(recordings, lengths)
     runs = []
@@ -60,11 +56,7 @@ def prepared(recordings: Sequence[Recording], pitch: float) -> tuple[list[Fitted
 
 
 def fitted_runs(recordings: Sequence[Recording], pitch: float) -> tuple[list[FittedRun], list[str]]:
-    """Return the usable runs and the remarks, with a warning if they start in different grooves.
-
-    Raises:
-        IdentificationError: No run is usable.
-    """
+    """Return the usable runs and the remarks, with a warning if they start in different grooves."""
     runs, warnings = prepared(recordings, pitch)
     warnings += starts_apart([run.recording for run in runs])
     return runs, warnings
@@ -73,12 +65,7 @@ def fitted_runs(recordings: Sequence[Recording], pitch: float) -> tuple[list[Fit
 def prepared_validation(
     recordings: Sequence[Recording], fitted: Sequence[Recording], pitch: float
 ) -> tuple[list[FittedRun], list[str]]:
-    """Return the usable validation runs and the remarks.
-
-    Raises:
-        IdentificationError: A validation run is also fitted, two validation runs have the same name, or no validation
-            run is usable.
-    """
+    """Return the usable validation runs and the remarks."""
     known = {_identity(recording): recording.name for recording in fitted}
     names: set[str] = set()
     for recording in recordings:

@@ -32,8 +32,7 @@ from worm_model.bags.formats.bag_metadata import dump_yaml, qos_profile
 from worm_model.bags.formats.message_block import Message, Topic
 from worm_model.bags.formats.message_types import installed_definition
 from worm_model.bags.worm_topics import GAIT_STATE, TWIN_EVENT
-from worm_model.nodes.message_stamps import nanoseconds
-from worm_model.run import SAME_ONSET_NS, Activity
+from worm_model.run import SAME_ONSET_NS, Activity, nanoseconds
 from worm_model.twin.cause_table import NEAR_EDGE
 from worm_msgs.node_command import declare_none
 
@@ -358,11 +357,7 @@ class RecordNode(Node):
 
 
 def message_class(type_name: str) -> type:
-    """Return the Python class of ``package/msg/Type``.
-
-    Raises:
-        DefinitionError: The name is malformed, or no installed package contains the type.
-    """
+    """Return the Python class of ``package/msg/Type``."""
     package, _, kind = type_name.partition("/msg/")
     try:
         kind_class: type = getattr(importlib.import_module(f"{package}.msg"), kind)

@@ -15,8 +15,8 @@ from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from worm_model.loads import under
-from worm_model.nodes.message_stamps import nanoseconds
 from worm_model.parameters import Parameters, load_parameters
+from worm_model.run import nanoseconds
 from worm_model.twin import scene
 from worm_model.twin.data.records import (
     NANOSECONDS,
@@ -185,9 +185,6 @@ def robot_of(value: Callable[[str], Any]) -> Parameters:
 
     Args:
         value: returns the value of a ROS parameter by name.
-
-    Raises:
-        ParameterError, ConditionsError: The parameter file is invalid, or the conditions are not admissible.
     """
     stated = {name: value(name) for name in CONDITION_ROWS}
     return under(Conditions(**stated), load_parameters(value(PARAMETER_FILE)))

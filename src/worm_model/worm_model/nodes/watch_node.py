@@ -28,9 +28,8 @@ from worm_model.gait import (
     GaitError,
     gait_of,
 )
-from worm_model.nodes.message_stamps import nanoseconds
 from worm_model.parameters import load_parameters
-from worm_model.run import Activity, LengthSource
+from worm_model.run import Activity, LengthSource, nanoseconds
 from worm_model.twin.data.records import Health
 from worm_model.twin.watch_view import CLEAR, NAN, STALE_S, Trend, View, render
 from worm_msgs.msg import BodyLength, GaitState, Power, Tracker, TwinResiduals, TwinState

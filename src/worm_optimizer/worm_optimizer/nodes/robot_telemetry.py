@@ -14,8 +14,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
-from worm_model.nodes.message_stamps import nanoseconds
-from worm_model.run import Activity, LengthSource
+from worm_model.run import Activity, LengthSource, nanoseconds
 from worm_model.twin.data.records import Health, ResidualRecord, StateRecord
 from worm_model.twin.scene import PositionSample
 from worm_model.twin.watch_view import STALE_S

@@ -4,8 +4,8 @@
 import numpy as np
 import pytest
 
+from worm_model.arrays import accumulated
 from worm_model.simulation.kernel.sampled_energy import sampled_energy
-from worm_model.simulation.quadrature import accumulated
 
 
 @pytest.mark.parametrize("one_sided", [False, True])

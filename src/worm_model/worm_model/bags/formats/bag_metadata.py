@@ -52,11 +52,7 @@ class LogTimes:
 
 
 def read_metadata(directory: Path) -> dict[str, Any]:
-    """Return the content of a bag's metadata.yaml below its root key.
-
-    Raises:
-        BagError: The file is missing, cannot be read, or is not rosbag2's.
-    """
+    """Return the content of a bag's metadata.yaml below its root key."""
     path = directory / METADATA_FILE
     if not path.exists():
         raise BagError(f"{path} is missing")
@@ -180,9 +176,6 @@ def write_metadata(directory: Path, text: str) -> None:
     Args:
         directory: the bag.
         text: content below the root key.
-
-    Raises:
-        OSError: The disk is full or missing.
     """
     unfinished = directory / f"{METADATA_FILE}.tmp"
     with unfinished.open("w", encoding="utf-8") as stream:

@@ -32,9 +32,6 @@ class BagWriter:
         directory: folder of the file.
         name: name of the bag, with which the name of its file begins.
         custom: rosbag2's `custom_data`: text by key.
-
-    Raises:
-        OSError: In all methods, if the disk is full or missing; synchronised data is preserved.
     """
 
     def __init__(self, directory: Path, name: str, custom: Mapping[str, str] | None = None) -> None:
@@ -168,12 +165,7 @@ def new_bag(directory: Path) -> Iterator[BagWriter]:
 
 @contextmanager
 def new_folder(target: Path) -> Iterator[Path]:
-    """Yield a temporary folder that is renamed to the target when the context ends, or removed after an exception.
-
-    Raises:
-        ExistsError: The target exists, or another process has created it in the meantime.
-        OSError: The operating system cannot create or write the target.
-    """
+    """Yield a temporary folder that is renamed to the target when the context ends, or removed after an exception."""
     if target.exists():
         raise ExistsError(f"{target} exists already and is not overwritten; choose another name")
     unfinished = target.with_name(f".{target.name}.{os.getpid()}")

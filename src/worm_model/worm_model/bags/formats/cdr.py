@@ -112,11 +112,7 @@ class ColumnBuilder:
 
 
 def types_of(topic: Topic) -> Types:
-    """Return the fields of a topic's type, from the definition inside the bag or else the installed one.
-
-    Raises:
-        BagError: The encoding is not CDR, or the definition is missing or cannot be read.
-    """
+    """Return the fields of a topic's type, from the definition inside the bag or else the installed one."""
     if topic.encoding != "cdr":
         raise BagError(f"it is encoded as {topic.encoding!r}; only cdr can be decoded")
     topic = with_definition(topic)
@@ -258,9 +254,6 @@ def encode(
         numbers: values by path: a scalar for all messages, shape (count,), or (count, k) for an array of k numbers.
             Fields of integers require integers.
         texts: texts by path: one text for all messages, or one text per message.
-
-    Raises:
-        BagError: The type lacks one of the fields.
     """
     from rosbags.convert.converter import default_message  # here: it loads slowly
 

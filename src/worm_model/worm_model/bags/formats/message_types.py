@@ -165,22 +165,14 @@ def parse_ahead(type_names: Iterable[str]) -> None:
 
 
 def parse_types(type_name: str, definition: str, definition_format: str) -> Types:
-    """Return the fields of a type and of all types that it needs.
-
-    Raises:
-        DefinitionError: The definition cannot be read, or does not define the type.
-    """
+    """Return the fields of a type and of all types that it needs."""
     store = typestore(type_name, definition, definition_format)
     return {name: fields for name, (_, fields) in store.fielddefs.items()}
 
 
 @lru_cache(maxsize=256)  # the parser is slow
 def typestore(type_name: str, definition: str, definition_format: str) -> Typestore:
-    """Return the types of a definition as a store of `rosbags`, which decodes and encodes messages.
-
-    Raises:
-        DefinitionError: As in `parse_types`.
-    """
+    """Return the types of a definition as a store of `rosbags`, which decodes and encodes messages."""
     try:
         types = _parsed(type_name, definition, definition_format)
         for name in [type_name, *(n for _, fs in types.values() for _, f in fs for n in _named(f))]:
@@ -229,11 +221,7 @@ def without_comments(definition: str) -> str:
 
 
 def type_hash(type_name: str, definition: str, definition_format: str) -> str:
-    """Return the RIHS01 hash of a type; empty if `rosbags` cannot compute it.
-
-    Raises:
-        DefinitionError: As in `parse_types`.
-    """
+    """Return the RIHS01 hash of a type; empty if `rosbags` cannot compute it."""
     store = typestore(type_name, definition, definition_format)
     try:
         return str(store.hash_rihs01(type_name))
@@ -247,9 +235,6 @@ def with_definition(topic: Topic, definitions: Path | None = None) -> Topic:
     Args:
         topic: the topic.
         definitions: folder with the ``.msg`` file of the topic's type; None: no such folder.
-
-    Raises:
-        DefinitionError: The definition is missing, or has another type hash than the recorded one.
     """
     if topic.definition and definitions is None:
         return topic

@@ -30,10 +30,6 @@ def write_copy(
         output: the new bag.
         series: iterables of messages, each in order of log time. At equal times, the order of the iterables decides.
         topics: topics to list.
-
-    Raises:
-        BagError: The output exists.
-        UnwritableError: The operating system cannot create or write the output.
     """
     with new_bag(output) as writer:
         copy_records(bag, writer)

@@ -64,11 +64,7 @@ class BagRecorder(BagWriter):
         sync_directory(directory.parent)
 
     def close(self) -> None:
-        """Finish the bag: index, summary and the final metadata.yaml.
-
-        Raises:
-            OSError: The disk is full or missing; the bag then lacks its end.
-        """
+        """Finish the bag: index, summary and the final metadata.yaml."""
         self.custom = {STATE: CLOSED}
         self.sync()
         self.finish()

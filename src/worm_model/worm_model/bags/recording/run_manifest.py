@@ -65,9 +65,6 @@ def run_manifest(
         command: the command line of the recorder.
         now_ns: the time, ns since the epoch.
         conditions: conditions in the pipe; those that are not zero are stored.
-
-    Raises:
-        ManifestError: A note is not ``key=value``, or the parameter file cannot be read.
     """
     attachments: tuple[AttachedFile, ...] = ()
     record = {
@@ -95,11 +92,7 @@ def _stored(conditions: Conditions) -> Mapping[str, str]:
 
 
 def recorded_conditions(bag: Bag) -> Conditions:
-    """Return the conditions under which a bag was recorded; `LEVEL` if the bag does not store any.
-
-    Raises:
-        ManifestError: The conditions are invalid, or runs have different conditions, as in merged bags.
-    """
+    """Return the conditions under which a bag was recorded; `LEVEL` if the bag does not store any."""
     records = [dict(record.values) for record in bag.records if record.name == RUN_RECORD]
     try:
         found = {
@@ -134,11 +127,7 @@ def recorded_robot(bag: Bag, parameter_file: str = "") -> ParameterFile:
 
 
 def recorded_parameters(bag: Bag) -> ParameterFile | None:
-    """Return the parameter file inside a bag, None without one.
-
-    Raises:
-        ManifestError: The file is invalid, or runs have different files, as in merged bags.
-    """
+    """Return the parameter file inside a bag, None without one."""
     texts = {file.data for file in bag.attachments() if file.name == PARAMETER_ATTACHMENT}
     if not texts:
         return None

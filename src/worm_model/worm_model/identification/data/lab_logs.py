@@ -119,12 +119,7 @@ class LabRun:
 
 
 def read_lab_run(folder: Path, settings: LabSettings) -> LabRun:
-    """Read a run's folder.
-
-    Raises:
-        LabError: The folder contains none of the files, a file does not have the format that the module's docstring
-            describes, runs.json does not contain a valid gait of the run, or the times give no stamps of ROS.
-    """
+    """Read a run's folder."""
     if not folder.is_dir():
         raise LabError(f"{folder} is not a folder; expected one with {', '.join(FILES)}")
     tables = {
@@ -275,11 +270,7 @@ Table = Mapping[str, NDArray[np.float64]]
 
 
 def read_table(path: Path, columns: tuple[str, ...]) -> Table:
-    """Return the columns of a CSV file by name; an empty cell is NaN. The first column is the time, which must rise.
-
-    Raises:
-        LabError: The time does not rise, or the error is one of `read_columns`.
-    """
+    """Return the columns of a CSV file by name; an empty cell is NaN. The first column is the time, which must rise."""
     table = read_columns(path, columns)
     time = table[columns[0]]
     wrong = np.flatnonzero(~(np.diff(time) > 0.0))
@@ -290,11 +281,7 @@ def read_table(path: Path, columns: tuple[str, ...]) -> Table:
 
 
 def read_columns(path: Path, columns: tuple[str, ...]) -> Table:
-    """Return the columns of a CSV file by name; an empty cell is NaN. The order of the rows does not matter.
-
-    Raises:
-        LabError: The file cannot be read, a column is missing, there are no rows, or a cell is not a finite number.
-    """
+    """Return the columns of a CSV file by name; an empty cell is NaN. The order of the rows does not matter."""
     try:
         with path.open(encoding="utf-8-sig", newline="") as stream:
             reader = csv.DictReader(stream)
@@ -330,11 +317,7 @@ def _number(text: str | None, path: Path, line: int, name: str) -> float:
 
 
 def read_gait(folder: Path) -> Gait | None:
-    """Return the gait of a run's folder from runs.json, None without such a file.
-
-    Raises:
-        LabError: runs.json lacks the run, or its gait is invalid.
-    """
+    """Return the gait of a run's folder from runs.json, None without such a file."""
     path = next(
         (p for p in (folder / GAITS_FILE, folder.resolve().parent / GAITS_FILE) if p.is_file()),
         None,

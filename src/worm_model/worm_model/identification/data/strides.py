@@ -75,9 +75,6 @@ def check_pitch(recordings: Sequence[Recording], pitch: float, deviation: float 
     """Check a given pitch (m, with standard ``deviation``) against the strides of all runs.
 
     In a pipe with an uneven pitch, the ridges that the runs pass may differ from the pipe's mean.
-
-    Raises:
-        IdentificationError: The strides contradict the pitch.
     """
     pitches = np.array([pitch_of_strides(recording, pitch) for recording in recordings])
     pitches = pitches[np.isfinite(pitches)]

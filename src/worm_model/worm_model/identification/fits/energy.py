@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from worm_model.arrays import Array
+from worm_model.arrays import Array, accumulated
 from worm_model.identification.data.observed_run import Recording
 from worm_model.identification.fits.block_least_squares import (
     Problem,
@@ -24,7 +24,6 @@ from worm_model.identification.fits.block_least_squares import (
     with_fixed,
 )
 from worm_model.simulation.kernel.sampled_energy import sampled_energy
-from worm_model.simulation.quadrature import accumulated
 
 CLOCK_SPREAD = 0.02  # s, prior standard deviation of the clock offset
 SCALE = 0.05  # J, unit of the residuals; outliers exceed `block_least_squares.HUBER` units

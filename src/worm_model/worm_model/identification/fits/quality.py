@@ -86,11 +86,7 @@ def _change_per_cycle(recording: Recording) -> tuple[Array, Array]:
 def usable(
     recordings: Sequence[Recording], lengths: Sequence[MeasuredLength]
 ) -> tuple[list[int], list[str]]:
-    """Return the indices of the usable runs and the reasons why the other runs are excluded.
-
-    Raises:
-        IdentificationError: No run is usable.
-    """
+    """Return the indices of the usable runs and the reasons why the other runs are excluded."""
     reasons = [follows_command(r, m) for r, m in zip(recordings, lengths, strict=True)]
     kept = [index for index, reason in enumerate(reasons) if not reason]
     if not kept:

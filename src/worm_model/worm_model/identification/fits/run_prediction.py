@@ -8,13 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from worm_model.analysis.run_metrics import root_mean_square
-from worm_model.arrays import Array
+from worm_model.arrays import Array, accumulated
 from worm_model.identification.data.observed_run import Recording
 from worm_model.identification.fits.actuation_fit import predicted_length_change
 from worm_model.identification.fits.locomotion import Traverse
 from worm_model.identification.fits.quality import power_missing
 from worm_model.parameters import Parameters
-from worm_model.simulation.quadrature import accumulated
 from worm_model.simulation.simulator import Locomotion, SimulationError
 from worm_model.simulation.smoothing import Smoothed
 

@@ -8,10 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from worm_model.identification.fingerprint import code_version
 from worm_model.identification.fits.estimate import Estimate, quantile
 from worm_model.identification.fits.run_prediction import Errors
-from worm_model.identification.report.results import correlations
+from worm_model.identification.report.results import code_version, correlations
 from worm_model.identification.stages import Identification
 from worm_model.parameters import PAPER, SYMBOLS, UNITS
 
@@ -40,11 +39,7 @@ def write_report(
     folder: Path,
     progress: Callable[[float], None] = lambda _: None,
 ) -> Path:
-    """Write report.md and figures/* (PNG and PDF) into a new folder and return the page's path.
-
-    Raises:
-        FileExistsError: The folder exists.
-    """
+    """Write report.md and figures/* (PNG and PDF) into a new folder and return the page's path."""
     from worm_model.analysis.plot_style import save_png_and_pdf
     from worm_model.identification.report.identification_figures import all_figures
 

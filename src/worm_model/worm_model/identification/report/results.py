@@ -3,13 +3,14 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import asdict, fields
 from itertools import combinations
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from worm_model.identification.fingerprint import code_version
 from worm_model.identification.fits.actuation_fit import KEYS as ACTUATION
 from worm_model.identification.fits.energy import KEYS as ENERGY
 from worm_model.identification.fits.estimate import quantile
@@ -21,6 +22,16 @@ from worm_model.parameters import FORM, KEYS, MADE_BY, ParameterFile
 from worm_model.travel_error import PRIOR
 
 CORRELATED = 0.8  # smallest magnitude of a reported correlation
+VERSION = "1.0.0"  # of package.xml
+
+
+def code_version() -> str:
+    """Return a text with the version of this package and the digest of its sources."""
+    package = Path(__file__).resolve().parents[2]
+    digest = hashlib.sha256()
+    for file in sorted(package.rglob("*.py")):
+        digest.update(str(file.relative_to(package)).encode() + file.read_bytes())
+    return f"worm_model {VERSION}, sources {digest.hexdigest()[:12]}"
 
 
 def parameter_file(result: Identification, inputs: Inputs) -> ParameterFile:
