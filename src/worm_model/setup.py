@@ -57,7 +57,7 @@ with TemporaryDirectory() as scratch:
         package_data={NAME: ["py.typed"]},
         python_requires=">=3.11",
         install_requires=NEEDED,
-        extras_require={"frames": ["pandas"], "test": ["pytest"]},
+        extras_require={"frames": ["pandas"], "parquet": ["pyarrow>=14"], "test": ["pytest"]},
         entry_points={"worm.commands" if IS_WHEEL else "console_scripts": EXECUTABLES},
         options=build if IS_WHEEL else {},
         data_files=[

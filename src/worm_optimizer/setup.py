@@ -49,7 +49,7 @@ with TemporaryDirectory() as scratch:
         maintainer=maintainer.text,
         maintainer_email=maintainer.get("email"),
         packages=find_packages(),
-        package_data={NAME: ["py.typed", "config/*", "report/*.jinja", "study/*.jinja"]},
+        package_data={NAME: ["py.typed", "config/*", "report/*.jinja"]},
         python_requires=">=3.11",
         install_requires=NEEDED,
         extras_require={

@@ -83,7 +83,7 @@ CONFINED = {
     "PIL": ["worm_model/analysis/gait_animation.py"],
     "pydantic": ["worm_msgs/settings_file.py"],
     "pydantic_core": ["worm_msgs/settings_file.py"],
-    "jinja2": ["worm_optimizer/report/report_page.py", "worm_optimizer/study/study_page.py"],
+    "jinja2": ["worm_optimizer/report/report_page.py"],
     "markdown2": ["worm_optimizer/report/identification_parts.py"],
     "mcap": ["worm_model/bags/*.py"],
     "mcap_ros2": ["worm_model/bags/*.py"],
@@ -94,7 +94,7 @@ CONFINED = {
     "nicegui": ["worm_optimizer/console/*page*.py", "worm_optimizer/console/server.py"],
     "fastapi": ["worm_optimizer/console/console_page.py"],
     "starlette": ["worm_optimizer/console/server.py"],
-    "xarray": ["worm_optimizer/study/study_run.py", "worm_optimizer/study/summary.py"],
+    "xarray": ["worm_optimizer/study/study_run.py"],
     "launch": [],
     "launch_ros": [],
     "domain_coordinator": [],
@@ -326,19 +326,40 @@ def test_every_executable_has_its_main(package: str):
         assert function in names, f"{entry}: no {function} in {path.relative_to(ROOT)}"
 
 
-def test_the_modules_of_executables_that_are_nodes_have_their_main():
+def test_the_modules_of_executables_have_what_these_call():
     """The modules are imported when the executables are called."""
     wrong = []
     for path in (ROOT / "src").glob("*/*/nodes/executables.py"):
         for call in ast.walk(tree_of(path)):
             if isinstance(call, ast.Call):
-                module = ast.literal_eval(call.args[0])
-                file = ROOT / "src" / module.split(".")[0] / Path(*module.split("."))
-                if not re.search(
-                    r"^(def main\(|main = )", file.with_suffix(".py").read_text("utf-8"), re.M
-                ):
-                    wrong.append(module)
+                modules = [ast.literal_eval(argument) for argument in call.args][-2:]
+                names = ("rows", "run") if ast.unparse(call.func) == "node" else ("main",)
+                for module, name in zip(modules, names, strict=True):
+                    file = ROOT / "src" / module.split(".")[0] / Path(*module.split("."))
+                    text = file.with_suffix(".py").read_text("utf-8")
+                    if not re.search(rf"^(def {name}\(|{name} = )", text, re.M):
+                        wrong.append(f"{module}.{name}")
     assert wrong == []
+
+
+@pytest.mark.parametrize(
+    ("package", "name"),
+    [
+        ("worm_driver", "driver_node"),
+        ("worm_driver", "tracker_node"),
+        ("worm_driver", "virtual_robot"),
+        ("worm_model", "twin_node"),
+        ("worm_optimizer", "optimizer_node"),
+    ],
+)
+def test_the_help_of_a_node_imports_no_large_library(package, name):
+    code = (
+        f"import sys; sys.argv[1:] = ['--help']; from {package}.nodes import executables\n"
+        f"try: executables.{name}()\n"
+        "except SystemExit as end: assert not end.code\n"
+        "assert not {'numba', 'cv2', 'matplotlib', 'scipy', 'pymoo'} & {*sys.modules}"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 def test_the_core_runs_without_ros():

@@ -19,9 +19,8 @@ import serial
 
 from worm_driver.clock import Traffic
 from worm_driver.control.control_loop import ControlLoop
-from worm_driver.control.cycle_snapshot import CycleSnapshot
 from worm_driver.control.driver_settings import DriverSettings
-from worm_driver.control.robot import Robot
+from worm_driver.control.robot import CycleSnapshot, Robot
 from worm_driver.driver_errors import BusError
 from worm_driver.gait.gait_player import Phase
 from worm_driver.power import socket_smbus as frames
@@ -151,7 +150,7 @@ class DirectSMBus:
         self._clock = clock
 
     def read_word_data(self, i2c_addr: int, register: int) -> int:
-        answer = self._transact(frames.Request(frames.READ, i2c_addr, register, 2))
+        answer = self._transact(frames.Request(frames.READ, i2c_addr, register))
         return int.from_bytes(answer.data, "little")
 
     def write_word_data(self, i2c_addr: int, register: int, value: int) -> None:
@@ -172,11 +171,25 @@ def settings(**changes: object) -> DriverSettings:
     """Return the settings of a driver for the virtual robot of the installed file."""
     given = DriverSettings(
         port="/dev/simulated",
-        spools=(Spool(CABLE, 1, 0.025),),
-        fins=(Fin(11, 2.3562, 3.9270), Fin(12, 2.3562, 3.9270)),
+        real_time_priority=0,
         home_at_start=True,
+        **spool_parameters([Spool(CABLE, 1, 0.025)]),
+        **fin_parameters([Fin(11, 2.3562, 3.9270), Fin(12, 2.3562, 3.9270)]),
     )
     return replace(given, **changes)
+
+
+def spool_parameters(spools: Sequence[Spool]) -> dict[str, tuple[float, ...]]:
+    """Return the parameters of the driver with these spools."""
+    columns = zip(*((spool.servo, spool.sign, spool.radius) for spool in spools), strict=True)
+    return dict(zip(("cable_ids", "cable_signs", "spool_radii"), columns, strict=True))
+
+
+def fin_parameters(fins: Sequence[Fin]) -> dict[str, tuple[float, ...]]:
+    """Return the parameters of the driver with these fins."""
+    rows = [(fin.servo, fin.forward_angle, fin.reverse_angle) for fin in fins]
+    columns = zip(*rows, strict=True) if rows else [()] * 3
+    return dict(zip(("fin_ids", "forward_angles", "reverse_angles"), columns, strict=True))
 
 
 @dataclass(frozen=True)
@@ -385,7 +398,7 @@ def robot_with_spools(spools: Sequence[Spool]) -> VirtualRobot:
 
 def two_spools(**changes: object) -> Rig:
     """Return a rig with two spools."""
-    return Rig(settings(spools=SPOOLS, **changes), robot_with_spools(SPOOLS))
+    return Rig(settings(**spool_parameters(SPOOLS), **changes), robot_with_spools(SPOOLS))
 
 
 def shaft_lengths(rig: Rig) -> list[float]:

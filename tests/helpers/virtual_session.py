@@ -15,8 +15,8 @@ import numpy as np
 from driver_rig import Rig, installed_robot
 from twin_samples import run_of_rows
 
-from worm_driver.control.cycle_snapshot import CycleSnapshot
 from worm_driver.control.driver_settings import DriverSettings
+from worm_driver.control.robot import CycleSnapshot
 from worm_driver.gait.gait_player import Phase
 from worm_driver.power.ina219 import SampleStatus
 from worm_driver.virtual_robot.virtual_robot import VirtualRobot

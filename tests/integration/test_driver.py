@@ -189,7 +189,7 @@ def test_a_second_ctrl_c_releases_the_torque(start, directory, commander, probe)
 _SABOTAGE = """
 import sys
 import rclpy
-from worm_driver.nodes import driver_node
+from worm_driver.nodes import driver_node, executables
 from worm_driver.driver_errors import BusError
 from worm_driver.control.robot import Robot
 
@@ -202,7 +202,7 @@ class Sabotaged(driver_node.TrackerListener):
             {deed}
 
 {change}
-sys.exit(driver_node.main(sys.argv))
+sys.exit(executables.driver_node(sys.argv))
 """
 
 

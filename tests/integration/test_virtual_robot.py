@@ -146,7 +146,7 @@ _SLOW = """
 import sys
 import time
 from worm_driver.control.robot import Robot
-from worm_driver.nodes import driver_node
+from worm_driver.nodes import driver_node, executables
 
 activate = Robot.activate
 
@@ -155,7 +155,7 @@ def slow(robot, now):
     time.sleep(0.6)
 
 Robot.activate, driver_node._ACTIVATION = slow, 0.2
-sys.exit(driver_node.main(sys.argv))
+sys.exit(executables.driver_node(sys.argv))
 """
 
 

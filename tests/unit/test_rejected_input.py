@@ -98,7 +98,7 @@ BAD = [
     (STUDY, "s.yaml", "--output is missing"),
     (STUDY, "s.yaml --output no/s.nc", "no does not exist"),
     (STUDY, "s.yaml --output s.nc --workers 0", "give at least 1"),
-    (STUDY, "s.yaml --parameters none.yaml --dry-run", "cannot be read"),
+    (STUDY, "s.yaml --parameters none.yaml --output s.nc", "cannot be read"),
     (TUNE, f"{FORWARD} --probability 1", "--probability"),
     (TUNE, f"{FORWARD} --grooves 0", "--grooves"),
     (TUNE, f"{FORWARD} {FORWARD}", "twice"),

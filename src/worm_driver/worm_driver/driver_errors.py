@@ -57,3 +57,19 @@ class StatusError(BusError):
 
 class PowerSensorError(DriverError):
     """The power sensor or its I2C bus is missing or unusable, or the sensor does not answer."""
+
+
+class TrackingError(DriverError):
+    """Base class of the tracker's exceptions."""
+
+
+class SetupError(TrackingError):
+    """Invalid setup file or calibration."""
+
+
+class ImageError(TrackingError):
+    """Unreadable image, video or camera."""
+
+
+class PoseError(TrackingError):
+    """Camera pose that cannot be determined from the visible reference markers."""

@@ -109,9 +109,6 @@ class SimulatedClock:
     Args:
         directory: the robot's directory.
         port: the interface that the thread uses, SERIAL or I2C.
-
-    Raises:
-        OSError: The directory has no clock.
     """
 
     least_timeout = _LEAST_TIMEOUT

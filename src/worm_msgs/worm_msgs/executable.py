@@ -1,14 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """Deferred imports of executables that use ROS.
 
-Such an import takes seconds. Ctrl-C during the import must not print a traceback.
+Such an import takes up to a second. ``--help`` of a node does without it, and Ctrl-C during the import prints no
+traceback.
 """
 
 from __future__ import annotations
 
+import argparse
 import signal
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Sequence
 from importlib import import_module
+
+from worm_msgs.command_parser import Parser
 
 
 def deferred(module: str) -> Callable[[], int | None]:
@@ -24,6 +29,47 @@ def deferred(module: str) -> Callable[[], int | None]:
         return status
 
     return main
+
+
+def node(name: str, description: str, rows: str, module: str) -> Callable[..., int]:
+    """Return the ``main`` of a node, which accepts only ``--help`` and ROS arguments.
+
+    Args:
+        name: name of the executable.
+        description: description for ``--help``.
+        rows: module whose function ``rows`` returns the descriptions of the node's parameters, for ``--help``.
+        module: module whose function ``run`` creates and serves the node, see `worm_msgs.node_command.run_node`. Its
+            tuple ``REJECTIONS`` has the exceptions that ``run`` raises on bad input.
+    """
+
+    def main(arguments: Sequence[str] | None = None) -> int:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+        command_line = list(sys.argv if arguments is None else arguments)
+        if {"-h", "--help"} & {*command_line}:
+            _NodeParser(name, description, rows).parse_args(["--help"])
+        status: int = import_module("worm_msgs.node_command").run_node(
+            _NodeParser(name, description, rows), import_module(module), command_line
+        )
+        return status
+
+    return main
+
+
+class _NodeParser(Parser):
+    """Parser whose only option is --help."""
+
+    def __init__(self, name: str, description: str, rows: str) -> None:
+        table = "\n".join(
+            f"  {row.name}  (default {row.default!r})\n      {row.description}"
+            for row in import_module(rows).rows()
+        )
+        super().__init__(
+            prog=name,
+            description=description,
+            usage=f"{name} [--help] [--ros-args [-p PARAMETER:=VALUE] [--params-file FILE] [-r FROM:=TO] ...]",
+            epilog=f"parameters:\n{table}",
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
 
 
 def deferred_command(module: str) -> Callable[[], int | None]:

@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import argparse
 import difflib
+import math
 import sys
 from array import array
 from collections.abc import Callable, Sequence
 from itertools import pairwise
+from types import ModuleType
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
@@ -20,10 +22,10 @@ from rclpy.exceptions import ParameterException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from worm_msgs.command_parser import BAD_INPUT, Parser, one_line
+from worm_msgs.command_parser import BAD_INPUT, one_line
 from worm_msgs.parameter_rows import ParameterRow
 from worm_msgs.ros_parameter_file import matches, read_sections
-from worm_msgs.ros_process import ShutdownRequest, own_arguments, ros_process
+from worm_msgs.ros_process import own_arguments, ros_process
 from worm_msgs.yaml_file import SettingsFileError
 
 #: Prefixes of parameter names that are accepted although the node does not declare them, because rclpy reads them.
@@ -157,64 +159,43 @@ def _is_float(default: Any) -> bool:
 
 
 def _converted(parameter: Parameter, floats: frozenset[str]) -> Parameter:
-    """Return a parameter, with a float in place of an integer if its name is in ``floats``."""
+    """Return a parameter, with a float in place of an integer if its name is in ``floats``.
+
+    A node's own dump has ``.nan``, which rcl reads as a text.
+    """
     if parameter.name not in floats:
         return parameter
     value = parameter.value
     if parameter.type_ is Parameter.Type.INTEGER:
         return Parameter(parameter.name, value=float(value))
+    if parameter.type_ is Parameter.Type.STRING and value.lower() == ".nan":
+        return Parameter(parameter.name, value=math.nan)
     if parameter.type_ is Parameter.Type.INTEGER_ARRAY:
         return Parameter(parameter.name, value=[float(each) for each in value])
     return parameter
 
 
-def run_node(
-    name: str,
-    description: str,
-    rows: Rows,
-    run: Callable[[ShutdownRequest], int | None],
-    rejections: tuple[type[Exception], ...],
-    arguments: Sequence[str] | None = None,
-) -> int:
+def run_node(parser: argparse.ArgumentParser, module: ModuleType, command_line: list[str]) -> int:
     """Parse the command line and run a node. On bad input, print one line on standard error; the exit status is 2.
 
     Args:
-        name: name of the executable.
-        description: description for ``--help``.
-        rows: returns the descriptions of the parameters, for ``--help``.
-        run: creates and serves the node, and returns the exit status (None means 0). It is called with a function that
-            returns True once a signal requests the end.
-        rejections: exceptions that ``run`` raises on bad input.
-        arguments: command line with the program's name; None: the command line of the process.
+        parser: parser of the arguments that are not ROS arguments.
+        module: its function ``run`` creates and serves the node, and returns the exit status (None means 0). It is
+            called with a function that returns True once a signal requests the end. Its tuple ``REJECTIONS`` has the
+            exceptions that ``run`` raises on bad input.
+        command_line: command line with the program's name.
 
     Returns:
         Exit status.
 
     Raises:
-        SystemExit: The command line contains ``--help`` or an unknown argument, or `ros_process` raises it.
+        SystemExit: The command line contains an unknown argument, or `ros_process` raises it.
     """
-    rejected: tuple[type[Exception], ...] = (ParameterRejectedError, *rejections)
-    command_line = list(sys.argv if arguments is None else arguments)
-    _Parser(name, description, rows).parse_args(own_arguments(command_line)[1:])
+    rejected: tuple[type[Exception], ...] = (ParameterRejectedError, *module.REJECTIONS)
+    parser.parse_args(own_arguments(command_line)[1:])
     try:
         with ros_process(command_line) as ended:
-            return run(ended) or 0
+            return module.run(ended) or 0
     except rejected as error:
-        print(f"{name}: {one_line(error)}", file=sys.stderr)  # noqa: T201 (output of a command)
+        print(f"{parser.prog}: {one_line(error)}", file=sys.stderr)  # noqa: T201 (output of a command)
         return BAD_INPUT
-
-
-class _Parser(Parser):
-    """Parser whose only option is --help, because a node otherwise accepts ROS arguments only."""
-
-    def __init__(self, name: str, description: str, rows: Rows) -> None:
-        table = "\n".join(
-            f"  {row.name}  (default {row.default!r})\n      {row.description}" for row in rows()
-        )
-        super().__init__(
-            prog=name,
-            description=description,
-            usage=f"{name} [--help] [--ros-args [-p PARAMETER:=VALUE] [--params-file FILE] [-r FROM:=TO] ...]",
-            epilog=f"parameters:\n{table}",
-            formatter_class=argparse.RawDescriptionHelpFormatter,
-        )

@@ -61,6 +61,11 @@ class ServoRow:
         """False for a model that reports an estimated load ratio instead of a current."""
         return self.current_unit > 0.0
 
+    @property
+    def torque_constant(self) -> float:
+        """Stall torque divided by stall current, N·m/A; NaN for a model that measures no current."""
+        return self.stall_torque / self.stall_current if self.measures_current else math.nan
+
 
 SERVO_MODELS: tuple[ServoRow, ...] = (
     ServoRow(

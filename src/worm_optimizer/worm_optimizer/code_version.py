@@ -6,7 +6,6 @@ from __future__ import annotations
 import hashlib
 import inspect
 import platform
-from collections.abc import Iterable, Mapping
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -17,44 +16,8 @@ from worm_msgs.robot_parameters import RobotParameters
 _NUMERIC = ("numpy", "scipy", "numba")  # their versions may change the last digits of results
 _MODEL, _OPTIMIZER = Path(worm_model.__file__).parent, Path(__file__).parent
 _MESSAGES = Path(inspect.getfile(RobotParameters)).parent
-# Sources that determine the numbers of a study with given values. The readers of YAML files are not among them, because
-# a block contains the hash of all values that they returned (`plan.Study.identity`). Patterns of whole folders include
-# files that are added later.
-_SOURCES: Mapping[Path, tuple[str, ...]] = {
-    _MODEL: (
-        "arrays.py",
-        "errors.py",
-        "gait.py",
-        "loads.py",
-        "parameters.py",
-        "travel_error.py",
-        "margin/predicted_margin.py",
-        "simulation/**/*.py",
-    ),
-    _OPTIMIZER: (
-        "evaluation/*.py",
-        "search/*.py",
-        "robustness/*.py",
-        "study/plan.py",
-        "study/point.py",
-        "study/study_file.py",
-        "gait_prediction.py",
-    ),
-    _MESSAGES: (
-        "conditions.py",
-        "driver_file.py",
-        "gait.py",
-        "robot_parameters.py",
-        "ros_parameter_file.py",
-        "servo_models.py",
-    ),
-}
 # All sources, without the generated messages
-_ALL: Mapping[Path, tuple[str, ...]] = {
-    _MODEL: ("**/*.py",),
-    _OPTIMIZER: ("**/*.py",),
-    _MESSAGES: ("*.py",),
-}
+_SOURCES = {_MODEL: "**/*.py", _OPTIMIZER: "**/*.py", _MESSAGES: "*.py"}
 _OTHERS = ("worm_model", "worm_optimizer", "xarray", "distributed")
 
 
@@ -69,35 +32,14 @@ def versions() -> dict[str, str]:
     return versions
 
 
-def sources() -> list[Path]:
-    """Return the source files that determine the numbers of a study, in an order independent of their location."""
-    return _found(_SOURCES)
-
-
-def _found(places: Mapping[Path, tuple[str, ...]]) -> list[Path]:
-    return [
-        path
-        for folder, patterns in places.items()
-        for path in sorted(path for pattern in patterns for path in folder.glob(pattern))
-    ]
-
-
-def identity() -> str:
-    """Return a hash of `sources` with the versions of the numerical packages."""
-    return _hash(sources())
-
-
 @cache
-def identity_of_all() -> str:
-    """Return a hash as `identity`, but of all sources, as they are at the first call. It must be equal on all workers.
+def code_identity() -> str:
+    """Return a hash of all sources, as they are at the first call, with the versions of the numerical packages.
 
-    Use it for results that depend on recordings, because the code of bags, twin and identification also affects them.
+    It must be equal on all workers of a study.
     """
-    return _hash(_found(_ALL))
-
-
-def _hash(files: Iterable[Path]) -> str:
     digest = hashlib.sha256()
-    for path in files:
-        digest.update(path.name.encode() + b"\0" + path.read_bytes())
+    for folder, pattern in _SOURCES.items():
+        for path in sorted(folder.glob(pattern)):
+            digest.update(path.name.encode() + b"\0" + path.read_bytes())
     return " ".join([digest.hexdigest()[:24], *(f"{name}-{version(name)}" for name in _NUMERIC)])

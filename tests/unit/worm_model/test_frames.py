@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from worm_driver.nodes import position_publisher
+from worm_driver.nodes import driver_messages
 from worm_model.nodes import twin_messages
 from worm_model.parameters import PAPER
 from worm_model.twin import scene
@@ -100,4 +100,4 @@ def test_each_module_has_the_mass_of_the_paper(robot):
 
 
 def test_positions_are_published_in_the_frame_of_the_pipe():
-    assert position_publisher.FRAME == scene.FRAME
+    assert driver_messages.FRAME == scene.FRAME

@@ -6,7 +6,7 @@ import dataclasses
 import pytest
 import yaml
 
-from worm_driver.nodes import virtual_robot_node
+from worm_driver.nodes import virtual_robot_command, virtual_robot_node
 from worm_driver.virtual_robot.plant import Plant, PlantEffects, make_grooves
 from worm_driver.virtual_robot.virtual_settings import DEFAULT_FILE, load_settings
 from worm_model.commands.command_line import Parser
@@ -29,8 +29,8 @@ def by_the_model(values, tmp_path):
 
 def by_the_options_of_the_virtual_robot(values, tmp_path):
     options = ["--directory", str(tmp_path), *options_of(values)]
-    return virtual_robot_node._make_robot(
-        virtual_robot_node._parse_arguments(options)
+    return virtual_robot_node.make_robot(
+        virtual_robot_command.parse_arguments(options)
     ).plant.conditions
 
 

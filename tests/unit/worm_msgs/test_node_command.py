@@ -2,14 +2,17 @@
 """A node's response to invalid arguments and parameters."""
 
 import math
-from collections.abc import Iterator
+import sys
+from collections.abc import Callable, Iterator
+from types import SimpleNamespace
 
 import pytest
 import rclpy
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from worm_msgs.node_command import declare, declare_none, run_node
+from worm_msgs.executable import node
+from worm_msgs.node_command import declare, declare_none
 from worm_msgs.parameter_rows import ParameterRow
 
 
@@ -32,6 +35,14 @@ def _domain(ros_domain) -> Iterator[None]:
     rclpy.try_shutdown()
 
 
+def main_of(run: Callable[[object], None]) -> Callable[[list[str]], int]:
+    """Return the ``main`` of a node that consists of its function ``run``."""
+    sys.modules["machine_node"] = SimpleNamespace(
+        rows=rows, run=run, REJECTIONS=(ZeroDivisionError,)
+    )
+    return node("machine", "A machine.", "machine_node", "machine_node")
+
+
 def started(*arguments: str) -> tuple[int, dict[str, object], list[object]]:
     """Return the exit status, the node's values, and the result of setting the speed to a whole number."""
     values, answers = {}, []
@@ -46,10 +57,7 @@ def started(*arguments: str) -> tuple[int, dict[str, object], list[object]]:
         finally:
             node.destroy_node()
 
-    status = run_node(
-        "machine", "A machine.", rows, run, (ZeroDivisionError,), ["machine", *arguments]
-    )
-    return status, values, answers
+    return main_of(run)(["machine", *arguments]), values, answers
 
 
 def rejected(capsys, *arguments: str) -> str:
@@ -65,10 +73,12 @@ def rejected(capsys, *arguments: str) -> str:
 
 def test_whole_numbers_are_values_of_floats_at_the_start_and_later():
     given = ("--ros-args", "-p", "speed_m_per_s:=1", "-p", "radii_m:=[1, 2]", "-p", "count:=4")
+    given += ("-p", "margin_m:=.nan")  # as in the node's own dump
     status, values, (answer, value) = started(*given)
     assert status == 0
     assert (values["speed_m_per_s"], values["count"]) == (1.0, 4)
     assert isinstance(values["speed_m_per_s"], float)
+    assert math.isnan(values["margin_m"])
     assert list(values["radii_m"]) == [1.0, 2.0]
     assert answer.successful
     assert value == 1.0
@@ -145,7 +155,7 @@ def test_a_node_without_parameters_rejects_them_all(capsys):
 
     arguments = ["machine", "--ros-args", "-p", "speed_m_per_s:=1.0"]
     with pytest.raises(SystemExit) as error:
-        run_node("machine", "", list, run, (), arguments)
+        main_of(run)(arguments)
     assert error.value.code == 2
     assert "machine: no parameter speed_m_per_s: " in capsys.readouterr().err
 

@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterator
 from types import FrameType
 
 from worm_driver.commands.driver_command import new_file
-from worm_driver.control.supervision import Limits, own_limit
+from worm_driver.control.supervision import own_limit
 from worm_driver.driver_errors import (
     ConfigurationError,
     CorruptReplyError,
@@ -37,6 +37,7 @@ from worm_driver.servos.servo_bus import ServoBus
 from worm_driver.servos.servo_setup import Servo
 from worm_driver.servos.transmission import Fin, Spool
 from worm_msgs.command_parser import Parser
+from worm_msgs.driver_file import DriverFile
 
 #: rad/s, speed of the spool during the calibration
 _SPEED = 0.5
@@ -57,6 +58,8 @@ _WATCHDOG = 1.0
 _FEEDING = 0.2
 #: number of repetitions of a failed exchange before the operator must decide
 _RETRIES = 3
+#: number of ruler readings
+_READINGS = 4
 
 Ask = Callable[[str, Callable[[], object]], str]
 Say = Callable[[str], None]
@@ -83,12 +86,7 @@ class Calibration:
         self._goals = GoalGate(bus, self._track)
 
     def find_servos(self) -> list[Servo]:
-        """Return all servos that answer and have a supported model. Print the ids of servos with other models.
-
-        Raises:
-            ConfigurationError: The firmware of a servo is too old.
-            BusError: A servo stops answering, or the port is gone.
-        """
+        """Return all servos that answer and have a supported model. Print the ids of servos with other models."""
         answering = []
         for number in range(253):
             try:
@@ -112,9 +110,6 @@ class Calibration:
 
         A lit LED is also the home mark of a cable servo, and the LED may stay lit if the dialogue is interrupted. So
         the servo is first set to position mode, in which a driver ignores the mark.
-
-        Raises:
-            DriverError: The servo does not answer, or the operator does not permit the release of its torque.
         """
         self._require_no_torque(servo)
         with self._bus.retrying():
@@ -126,13 +121,12 @@ class Calibration:
         finally:
             self._bus.write(servo.number, servo["led"], 0)
 
-    def cable(self, servo: Servo, turns: float, points: int) -> Spool:
+    def cable(self, servo: Servo, turns: float) -> Spool:
         """Return the spool of a cable servo, from ruler readings while the servo winds the cable up.
 
         Args:
             servo: cable servo.
             turns: turns of the spool from the first to the last reading.
-            points: number of readings.
 
         Raises:
             DriverError: The readings are inconsistent, the cable is blocked, or the servo does not answer.
@@ -142,7 +136,7 @@ class Calibration:
         )
         self._ask("then do not touch the robot, and press Enter ")
         with self._bus.retrying():
-            servos.prepare_cable(self._bus, servo, own_limit(servo, Limits()))
+            servos.prepare_cable(self._bus, servo, own_limit(servo, DriverFile()))
             start = servos.registers(self._bus, servo, "present_position")["present_position"]
         span = round(turns * TICKS_PER_TURN) + _PROBE
         self._goals.bounds = {servo.number: Bound(start - span, start + span)}
@@ -152,12 +146,12 @@ class Calibration:
                 "the spool has turned a little. Is the cable [t]ighter or [s]lack? ", "ts"
             )
             direction = 1 if tighter == "t" else -1
-            step = round(turns * TICKS_PER_TURN / (points - 1))
+            step = round(turns * TICKS_PER_TURN / (_READINGS - 1))
             readings = []
-            for index in range(points):
+            for index in range(_READINGS):
                 ticks = start + direction * step * index
                 position = self._reach(servo, ticks)
-                question = f"reading {index + 1} of {points}: body length on the ruler, mm: "
+                question = f"reading {index + 1} of {_READINGS}: body length on the ruler, mm: "
                 readings.append(Reading(position - start, self._length(question) * 1e-3))
             self._reach(servo, start)
         spool, worst = spool_from(servo.number, readings)
@@ -217,7 +211,7 @@ class Calibration:
         self._release(servo)
 
     def _return(self, servo: Servo, start: int) -> None:
-        """Return a cable servo to its start (ticks) after a failure, and release it. Raises as `_held`."""
+        """Return a cable servo to its start (ticks) after a failure, and release it."""
         self._say(
             f"cable servo {servo.number} returns to its start and is released there; Ctrl-C releases it at once"
         )
@@ -288,9 +282,6 @@ class Calibration:
         """Move a servo to a position (ticks), wait until it arrives, and return its position.
 
         A load holds the servo at a distance from the goal.
-
-        Raises:
-            DriverError: The servo does not arrive, and now holds where it is; or it does not answer.
         """
         self._goals.write(servo.number, ticks)
         nearest, stuck = math.inf, 0.0
@@ -330,10 +321,10 @@ class Calibration:
             self._say(f"{answer!r} is not a length: enter a positive number")
 
 
-def calibrate(calibration: Calibration, turns: float, points: int) -> tuple[list[Spool], list[Fin]]:
+def calibrate(calibration: Calibration, turns: float) -> tuple[list[Spool], list[Fin]]:
     """Run the dialogue, and return the spools and the fins. Raises DriverError.
 
-    `Calibration.cable` explains ``turns`` and ``points``.
+    `Calibration.cable` explains ``turns``.
     """
     answering = calibration.find_servos()
     if not answering:
@@ -342,7 +333,7 @@ def calibrate(calibration: Calibration, turns: float, points: int) -> tuple[list
     cables = [servo for servo in answering if roles[servo.number] == "c"]
     if not cables:
         raise ConfigurationError("no cable servo was selected: a robot needs at least one")
-    spools = [calibration.cable(servo, turns, points) for servo in cables]
+    spools = [calibration.cable(servo, turns) for servo in cables]
     fins = [calibration.fin(servo) for servo in answering if roles[servo.number] == "f"]
     return spools, fins
 
@@ -367,15 +358,7 @@ def _arguments(arguments: list[str] | None) -> argparse.Namespace:
         default=0.5,
         help="turns of the spool from the first to the last ruler reading, 0.05 to 5; default: %(default)s",
     )
-    parser.add_argument(
-        "--points",
-        type=int,
-        default=4,
-        help="number of ruler readings, at least 3; default: %(default)s",
-    )
     options = parser.parse_args(arguments)
-    if options.points < 3:
-        parser.error("--points must be at least 3")
     if not 0.05 <= options.turns <= 5.0:
         parser.error("--turns must be 0.05 to 5")
     return options
@@ -395,7 +378,7 @@ def main(arguments: list[str] | None = None) -> int:
             ServoBus.open(options.port, options.baud_rate, retries=_RETRIES)
         ) as bus:
             calibration = Calibration(bus, _ask, _say, time.sleep)
-            spools, fins = calibrate(calibration, options.turns, options.points)
+            spools, fins = calibrate(calibration, options.turns)
         text = parameter_text(options.port, options.baud_rate, spools, fins)
         with options.output.open("x", encoding="utf-8") as file:
             file.write(text)

@@ -10,9 +10,9 @@ import numpy as np
 
 from worm_driver.commands.driver_command import new_file, positive, run_command, say
 from worm_driver.commands.markers import BOARD
+from worm_driver.driver_errors import ImageError
 from worm_driver.tracking.camera_model import Array, camera_info_text
 from worm_driver.tracking.image_sources import frames_of_folder
-from worm_driver.tracking.tracking_errors import ImageError
 from worm_driver.tracking.vision import Board, Calibration, Image, VideoSource, calibrate
 from worm_msgs.command_parser import Parser
 
@@ -28,11 +28,7 @@ View = tuple[Array, Array]
 
 
 def find_views(images: Iterator[Image], board: Board) -> tuple[list[View], tuple[int, int]]:
-    """Return views of the board that differ, and the image size (width, height), pixels.
-
-    Raises:
-        ImageError: The images differ in size.
-    """
+    """Return views of the board that differ, and the image size (width, height), pixels."""
     views: list[View] = []
     size: tuple[int, int] | None = None
     for index, image in enumerate(images):
@@ -117,13 +113,6 @@ def _parser() -> Parser:
         metavar="M",
         help=f"side of a square as measured on the print (default {BOARD[2]})",
     )
-    parser.add_argument(
-        "--model",
-        choices=("plumb_bob", "rational_polynomial"),
-        default="plumb_bob",
-        help="distortion model; rational_polynomial for wide-angle lenses (default plumb_bob)",
-    )
-    parser.add_argument("--name", default="camera", help="name of the camera in the file")
     return parser
 
 
@@ -135,14 +124,14 @@ def _run(options: argparse.Namespace) -> None:
             f"the board was found in {len(views)} different images; at least {FEWEST_VIEWS} are needed. Hold it still, "
             "near and far, tilted, and in all corners of the image (markers --board prints it)"
         )
-    calibration = calibrate(views, size, options.model)
+    calibration = calibrate(views, size)
     if not calibration.error < _BAD:
         raise ImageError(
-            f"the model {options.model} does not fit: the reprojection error is {calibration.error:.1f} px. Check that "
-            "the board is flat and printed completely, and that the model suits the lens (--model)"
+            f"the lens model plumb_bob does not fit: the reprojection error is {calibration.error:.1f} px. Check that "
+            "the board is flat and printed completely, and that the lens is no wide-angle lens"
         )
     with options.output.open("x", encoding="utf-8") as stream:
-        stream.write(camera_info_text(options.name, calibration.camera))
+        stream.write(camera_info_text(calibration.camera))
     for warning in warnings_of(calibration, views, size):
         say(f"calibrate_camera: {warning}")
     fx, fy = calibration.camera.focal

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from worm_driver.tracking.tracking_errors import TrackingError
+from worm_driver.driver_errors import TrackingError
 from worm_msgs import command_parser
 from worm_msgs.command_parser import Parser
 

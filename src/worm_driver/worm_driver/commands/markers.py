@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from worm_driver.commands.driver_command import new_file, positive, run_command
-from worm_driver.tracking.tracker_setup import DICTIONARIES, load_setup
-from worm_driver.tracking.tracking_errors import SetupError
+from worm_driver.commands.driver_command import new_file, run_command
+from worm_driver.driver_errors import SetupError
+from worm_driver.tracking.tracker_setup import TrackerSetup, load_setup
 from worm_driver.tracking.vision import Board, marker_cells
 from worm_msgs.command_parser import Parser
 
@@ -37,36 +37,21 @@ class MarkerLabel:
     text: str
 
 
-def _markers(options: argparse.Namespace) -> tuple[str, float, list[MarkerLabel]]:
-    """Return dictionary, side (m) and markers for the options."""
-    if options.setup is None:
-        count = DICTIONARIES[options.dictionary]
-        wrong = [number for number in options.ids if not 0 <= number < count]
-        if wrong:
-            raise SetupError(f"marker {wrong[0]}: {options.dictionary} has 0 to {count - 1}")
-        return (
-            options.dictionary,
-            options.size_m,
-            [MarkerLabel(number, "") for number in options.ids],
-        )
-    setup = load_setup(options.setup)
+def _markers(setup: TrackerSetup) -> list[MarkerLabel]:
+    """Return the markers of a rig."""
     markers = [
         MarkerLabel(setup.rear.number, "rear module"),
         MarkerLabel(setup.front.number, "front module"),
     ]
     for number, (x, y, z) in setup.reference.items():
         markers.append(MarkerLabel(number, f"on the pipe at x {x:g}, y {y:g}, z {z:g} m"))
-    return setup.dictionary, setup.marker_size, markers
+    return markers
 
 
 def _pages(
     markers: Sequence[MarkerLabel], size: float, paper: tuple[float, float]
 ) -> Iterator[list[tuple[MarkerLabel, float, float]]]:
-    """Yield, for each page, its markers with the lower left corners (x, y) of their black squares on the page, m.
-
-    Raises:
-        SetupError: A marker does not fit on the paper.
-    """
+    """Yield, for each page, its markers with the lower left corners (x, y) of their black squares on the page, m."""
     pitch_x, pitch_y = max(1.6 * size, 0.045), 1.5 * size + 0.012
     width, height = paper[0] - 2.0 * _MARGIN, paper[1] - 2.0 * _MARGIN - _HEAD
     columns, rows = int(width / pitch_x), int(height / pitch_y)
@@ -171,10 +156,10 @@ def _runs(line: Sequence[bool]) -> Iterator[tuple[int, int]]:
 
 
 def _marker_sheets(options: argparse.Namespace) -> list[_Sheet]:
-    dictionary, size, markers = _markers(options)
-    paper = PAPERS[options.paper]
+    setup, paper = load_setup(options.setup), PAPERS[options.paper]
+    dictionary, size = setup.dictionary, setup.marker_size
     sheets = []
-    for page in _pages(markers, size, paper):
+    for page in _pages(_markers(setup), size, paper):
         sheet = _Sheet(paper, f"{dictionary}, black square {size * 1e3:g} mm", _MARKER_REMEDY)
         for item, x, y in page:
             sheet.marker(dictionary, size, item, x, y)
@@ -207,20 +192,8 @@ def _parser() -> Parser:
     what.add_argument(
         "--setup", type=Path, metavar="FILE", help="markers of the rig in this setup file (YAML)"
     )
-    what.add_argument("--ids", type=int, nargs="+", metavar="N", help="markers with these ids")
     what.add_argument("--board", action="store_true", help="calibration board for calibrate_camera")
     parser.add_argument("--output", type=new_file, required=True, metavar="FILE.pdf")
-    parser.add_argument(
-        "--dictionary", choices=DICTIONARIES, default="DICT_4X4_50", metavar="NAME",
-        help="dictionary of the markers of --ids (default DICT_4X4_50)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--size-m",
-        type=positive,
-        default=0.02,
-        metavar="M",
-        help="side of the black square of the markers of --ids (default 0.02)",
-    )
     parser.add_argument("--paper", choices=PAPERS, default="a4", help="paper size (default a4)")
     return parser
 

@@ -5,38 +5,30 @@ The table has one row per image: time_s, rear_position_m, front_position_m, leng
 """
 
 import argparse
-import contextlib
 import csv
 import json
 import math
-import subprocess
 import sys
-import tempfile
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from worm_driver.commands.driver_command import new_file, run_command, say
+from worm_driver.driver_errors import TrackingError
 from worm_driver.tracking.image_sources import Frame, check_size, frames_of_folder, frames_of_video
 from worm_driver.tracking.preview import preview, summary
 from worm_driver.tracking.tracker import TrackedPositions, Tracker
 from worm_driver.tracking.tracker_setup import load_setup
-from worm_driver.tracking.tracking_errors import TrackingError
 from worm_driver.tracking.vision import MarkerDetector, write_image
 from worm_msgs.command_parser import Parser
 
 COLUMNS = ("time_s", "rear_position_m", "front_position_m", "length_m", "reason")
-LAB_COLUMNS = ("time_s", "x1_m", "x2_m")  # columns of the file camera.csv that import_lab reads
 PICTURES = (".png", ".jpg", ".jpeg")
 _PROGRESS_INTERVAL = 300  # images between two lines of progress
 
 
 def follow(tracker: Tracker, frames: Iterable[Frame]) -> Iterator[TrackedPositions]:
-    """Yield the positions of each image. Print events and progress on standard error.
-
-    Raises:
-        TrackingError: An image cannot be read or does not have the size of the calibration.
-    """
+    """Yield the positions of each image. Print events and progress on standard error."""
     detector = MarkerDetector(tracker.setup.dictionary)
     for index, frame in enumerate(frames, 1):
         check_size(frame.image, (tracker.camera.width, tracker.camera.height), frame.name)
@@ -61,43 +53,6 @@ def write_table(path: Path, samples: Iterable[TrackedPositions]) -> list[Tracked
     return kept
 
 
-def write_bag(path: Path, samples: Iterable[TrackedPositions]) -> list[TrackedPositions]:
-    """Write a bag with the topics tracker and body_length/measured, and return the samples.
-
-    The command import_lab of worm_model creates the bag from a table in the format of lab logs.
-
-    Raises:
-        TrackingError: import_lab is not installed or fails.
-    """
-    command = _import_lab()
-    kept = list(samples)
-    with tempfile.TemporaryDirectory() as name:
-        with (Path(name) / "camera.csv").open("x", encoding="utf-8", newline="") as stream:
-            writer = csv.writer(stream)
-            writer.writerow(LAB_COLUMNS)
-            for s in kept:
-                places = ["" if math.isnan(x) else f"{x:.6f}" for x in (s.rear, s.front)]
-                writer.writerow([f"{s.time - kept[0].time:.6f}", *places])
-        done = subprocess.run(
-            [*command, name, "--output", str(path)], capture_output=True, text=True, check=False
-        )
-    if done.returncode:
-        raise TrackingError(f"no bag was written: {done.stderr.strip()}")
-    return kept
-
-
-def _import_lab() -> list[str]:
-    with contextlib.suppress(ImportError, LookupError):
-        from ament_index_python.packages import get_package_prefix
-
-        executable = Path(get_package_prefix("worm_model"), "lib", "worm_model", "import_lab")
-        if executable.is_file():
-            return [str(executable)]
-    raise TrackingError(
-        "a bag needs worm_model's import_lab, which is not installed: use a name ending in .csv for --output"
-    )
-
-
 def _parser() -> Parser:
     parser = Parser(prog="track", description=__doc__)
     source = parser.add_mutually_exclusive_group(required=True)
@@ -114,8 +69,8 @@ def _parser() -> Parser:
     parser.add_argument(
         "--output",
         type=new_file,
-        metavar="FILE.csv|BAG",
-        help="CSV table to write; with any other ending, a bag",
+        metavar="FILE.csv",
+        help="CSV table to write",
     )
     parser.add_argument(
         "--preview",
@@ -140,8 +95,7 @@ def _run(options: argparse.Namespace) -> None:
     if options.output is None:
         return
     samples = follow(Tracker(tracker.setup), _frames(options, tracker))
-    write = write_table if options.output.suffix == ".csv" else write_bag
-    _report(write(options.output, samples), options)
+    _report(write_table(options.output, samples), options)
 
 
 def _frames(options: argparse.Namespace, tracker: Tracker) -> Iterator[Frame]:

@@ -13,7 +13,7 @@ from worm_driver.servos.position_track import PositionSample, PositionTrack
 from worm_driver.servos.registers import COMMON
 from worm_driver.servos.servo_bus import ServoBus
 from worm_driver.servos.servo_setup import Servo
-from worm_driver.servos.servo_state import SILENT, ServoState
+from worm_driver.servos.state_reader import SILENT, ServoState
 from worm_driver.servos.transmission import Spool
 
 #: Largest distance of a fin from its goal at which the fin counts as set, ticks.
@@ -88,7 +88,7 @@ class Actuators:
             )
             return
         for servo in self.cables:
-            servos.prepare_cable(self._bus, servo, own_limit(servo, self.settings.limits))
+            servos.prepare_cable(self._bus, servo, own_limit(servo, self.settings))
         self.homed = all(servos.is_homed(self._bus, servo) for servo in self.cables)
         if self.settings.home_at_start and not self.homed:
             self.home()
@@ -128,7 +128,7 @@ class Actuators:
                     f"servo {servo.number} has no torque, while another cable servo holds the robot contracted by "
                     f"{max(held) * 1e3:.1f} mm: secure the body and switch the supply of the servos off"
                 )
-            servos.require_cable_settings(self._bus, servo, own_limit(servo, self.settings.limits))
+            servos.require_cable_settings(self._bus, servo, own_limit(servo, self.settings))
         return max(held)
 
     @property
@@ -147,13 +147,7 @@ class Actuators:
     # --- torque off ----------------------------------------------------------------------------
 
     def home(self) -> None:
-        """Define the present cable length as the initial length.
-
-        Raises:
-            HomingError: A torque was left on, a servo is too far from its encoder's zero, or it did not accept its new
-                zero.
-            BusError: A servo does not answer.
-        """
+        """Define the present cable length as the initial length."""
         if self.left_on:
             raise HomingError(f"homing needs the torque off, and {self.left_on}")
         self.homed = False
@@ -165,9 +159,6 @@ class Actuators:
         """Restart the servos that report a hardware error and return their ids.
 
         A restarted cable servo must be homed again.
-
-        Raises:
-            DriverError: An exchange failed.
         """
         register = COMMON["hardware_error_status"]
         with self._bus.retrying():
@@ -180,13 +171,7 @@ class Actuators:
         return tuple(servo.number for servo in failed)
 
     def check(self) -> None:
-        """Check that every servo is fit to be enabled.
-
-        Raises:
-            HomingError: The turn count of a cable servo is unknown.
-            BusError: A servo does not answer.
-            ConfigurationError: A servo reports a fault, or its supply is out of range.
-        """
+        """Check that every servo is fit to be enabled."""
         with self._bus.retrying():
             self.homed = all(servos.is_homed(self._bus, servo) for servo in self.cables)
             if not self.homed:
@@ -222,7 +207,7 @@ class Actuators:
                 for servo in (self.cables if self.left_on else ())
             }
             for spool, servo in zip(settings.spools, self.cables, strict=True):
-                limit = own_limit(servo, settings.limits)
+                limit = own_limit(servo, settings)
                 speed = settings.max_cable_speed / spool.radius
                 servos.reset_control(self._bus, servo, speed, limit)
             for servo in self.fins:
@@ -246,9 +231,8 @@ class Actuators:
         return position
 
     def apply_settings(self, settings: DriverSettings) -> None:
-        """Apply new limits. The range of the goals does not shrink before the next activation."""
+        """Apply lower limits. The range of the goals does not shrink before the next activation."""
         self.settings = settings
-        self._longest_stroke = max(self._longest_stroke, settings.max_stroke)
         self._bound_goals()
 
     def _bound_goals(self) -> None:
@@ -258,12 +242,11 @@ class Actuators:
         from the last plausible position must be at most the limit of the following error, plus the distance that the
         cable can have moved since this position was received. A fin goal must lie within the limits of its servo.
         """
-        limits = self.settings.limits
         bounds = {servo.number: Bound(*servo.position_range) for servo in self.fins}
         for spool in self.settings.spools:
             ends = (PAYOUT_TOLERANCE, -self._longest_stroke - PAYOUT_TOLERANCE)
             low, high = sorted(spool.ticks(end) for end in ends)
-            lead, speed = limits.following_error, self.settings.max_cable_speed
+            lead, speed = self.settings.max_following_error, self.settings.max_cable_speed
             bounds[spool.servo] = Bound(low, high, abs(spool.ticks(lead)), abs(spool.ticks(speed)))
         self._goals.bounds = bounds
 
@@ -321,7 +304,7 @@ class Actuators:
 
     def _is_recent(self, position: PositionSample | None) -> bool:
         """Return True if a position was received in one of the last two cycles, or within `limits.max_silence`."""
-        longest = max(self.settings.limits.max_silence, 2 * self.settings.period)
+        longest = max(self.settings.max_silence, 2 * self.settings.period)
         return position is not None and self._bus.now() - position.time <= longest
 
     @property
@@ -343,10 +326,6 @@ class Actuators:
                 the others keep their ratio to it.
             direction: direction of the fins, 1 or -1; 0: the fins keep the goals that `enable`, `hold` or `stop_fins`
                 stored.
-
-        Raises:
-            RejectedError: The length change is not finite, or is out of the range of a cable servo.
-            BusError: The packet cannot be sent.
         """
         goals = dict(self._held)
         if not length_change:
@@ -386,7 +365,7 @@ class Actuators:
         if state is SILENT or not self._is_recent(self.track.last(servo.number)):
             return goal
         ahead = state.trajectory - state.ticks
-        strongest = _STRAIN * fault_level(servo, self.settings.limits)
+        strongest = _STRAIN * fault_level(servo, self.settings)
         if ahead * state.effort > 0.0 and abs(state.effort) >= strongest:
             return state.ticks
         if abs(ahead) > _FOLLOWS or state.trajectory == goal:

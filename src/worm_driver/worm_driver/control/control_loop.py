@@ -17,14 +17,13 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from worm_driver.clock import Clock, MachineClock
-from worm_driver.control.cycle_snapshot import CycleSnapshot
 from worm_driver.control.real_time import (
     NOT_REQUESTED,
     VIRTUAL,
     request_scheduling,
     return_to_normal,
 )
-from worm_driver.control.robot import Robot
+from worm_driver.control.robot import CycleSnapshot, Robot
 from worm_driver.control.timing import DeadlineGrid, PeriodMeter, TimingReport
 from worm_driver.driver_errors import DriverError, PowerSensorError, RejectedError
 from worm_driver.power.ina219 import INA219, PowerSample, SampleStatus
@@ -153,11 +152,7 @@ class ControlLoop(PeriodicThread):
         self.release_problems: list[str] = []
 
     def check(self) -> None:
-        """Check that the thread did not end by itself.
-
-        Raises:
-            DriverError: The thread has ended. The message and the cause name the exception that ended it.
-        """
+        """Check that the thread did not end by itself."""
         if not self.alive and not self._robot.closing:
             raise self._ended() from self.failure
 
@@ -209,9 +204,6 @@ class ControlLoop(PeriodicThread):
         """Submit an action, wait for its result and return it, as in `run`, but without ``undo``.
 
         The action runs even if the timeout expires before the action begins, unless the thread ends before.
-
-        Raises:
-            DriverError: The action failed, its result did not arrive within the timeout (s), or the thread has ended.
         """
         timeout = max(timeout, self._clock.least_timeout)
         try:

@@ -10,9 +10,9 @@ from worm_driver.control.real_time import Scheduling
 from worm_driver.control.timing import TimingReport
 from worm_driver.gait.gait_player import Phase, PlayerState
 from worm_driver.power.ina219 import SampleStatus
-from worm_driver.servos.bus_types import BusCounters
+from worm_driver.servos.servo_bus import BusCounters
 from worm_driver.servos.servo_setup import Servo
-from worm_driver.servos.servo_state import SILENT, ServoState
+from worm_driver.servos.state_reader import SILENT, ServoState
 
 #: A report warns if the temperature is closer than this to the servo's own limit, degC.
 _WARM = 10.0

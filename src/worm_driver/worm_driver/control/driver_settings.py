@@ -2,10 +2,10 @@
 """Validated driver configuration."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from functools import cached_property
 from pathlib import Path
 
-from worm_driver.control.supervision import Limits
 from worm_driver.driver_errors import ConfigurationError
 from worm_driver.gait.gait_player import PlayerSettings
 from worm_driver.servos.registers import COMMON
@@ -14,63 +14,31 @@ from worm_msgs.driver_file import DriverFile
 from worm_msgs.robot_parameters import ParameterFileContent, RobotParameters
 from worm_msgs.settings_file import read_settings
 
-
-@dataclass(frozen=True)
-class PowerSettings:
-    """I2C bus, address, shunt and range of the INA219, in SI units. An empty bus means that there is no sensor."""
-
-    i2c_bus: str = DriverFile.i2c_bus
-    i2c_address: int = DriverFile.i2c_address
-    shunt_resistance: float = DriverFile.shunt_resistance
-    max_current: float = DriverFile.max_current
+#: ROS names of the parameters, by their names in `DriverFile`.
+PARAMETER_NAMES = {row.name: row.metadata["alias"] for row in fields(DriverFile)}
 
 
 @dataclass(frozen=True)
-class DriverSettings:
-    """Settings of one robot, in SI units.
+class DriverSettings(DriverFile):
+    """Parameters of one driver that agree with each other, and what follows from them, in SI units.
 
     Attributes:
-        port: path of the serial port of the servos.
-        spools: spools of the cable servos, at least one.
-        fins: fin servos.
-        baud_rate: baud rate of the servos, bit/s.
-        watchdog: time without packets after which the servos stop by themselves, s; a multiple of the register's step.
-        home_at_start: True if the robot stands at its initial length when the driver is configured. The driver then
-            homes it, unless it is homed already.
-        rate: rate of commands and telemetry, Hz.
-        real_time_priority: SCHED_FIFO priority of the servo thread; the other threads have half of it. 0: normal
-            scheduling.
-        max_stroke: largest sum of stroke and pretension of a gait, m.
-        max_frequency: largest frequency of a gait, Hz.
-        max_cable_speed: largest speed of the cable, m/s.
-        fin_speed: largest speed of the fin servos, rad/s.
-        power: settings of the power sensor.
-        player: times and speeds of the gait player.
-        limits: limits beyond which a deviation becomes a fault.
         body: parameters of the robot and its pipe.
+        player: times and speeds of the gait player.
+
+    Raises:
+        ConfigurationError: Parameters contradict each other.
     """
 
-    port: str
-    spools: tuple[Spool, ...]
-    fins: tuple[Fin, ...] = ()
-    baud_rate: int = DriverFile.baud_rate
-    watchdog: float = DriverFile.watchdog
-    home_at_start: bool = DriverFile.home_at_start
-    rate: float = DriverFile.rate
-    real_time_priority: int = 0
-    max_stroke: float = DriverFile.max_stroke
-    max_frequency: float = DriverFile.max_frequency
-    max_cable_speed: float = DriverFile.max_cable_speed
-    fin_speed: float = DriverFile.fin_speed
-    power: PowerSettings = field(default_factory=PowerSettings)
-    player: PlayerSettings = field(default_factory=PlayerSettings)
-    limits: Limits = field(default_factory=Limits)
     body: RobotParameters = field(default_factory=RobotParameters)
+    player: PlayerSettings = field(default_factory=PlayerSettings)
 
     def __post_init__(self) -> None:
-        if not self.spools:
+        if not self.cable_ids:
             raise ConfigurationError("there is no cable servo: set cable_servos.ids")
-        ids = [s.servo for s in self.spools] + [f.servo for f in self.fins]
+        self._require_entries("cable_ids", "cable_signs", "spool_radii")
+        self._require_entries("fin_ids", "forward_angles", "reverse_angles")
+        ids = [spool.servo for spool in self.spools] + [fin.servo for fin in self.fins]
         for number in ids:
             if not 0 <= number <= 252:
                 raise ConfigurationError(f"servo id {number} is not in 0 to 252")
@@ -86,6 +54,23 @@ class DriverSettings:
                 f"rate_hz is {self.rate:g}: the servos stop by their watchdog (bus_watchdog_s, {self.watchdog:g} s) "
                 f"between two cycles. Use a rate above {1.0 / self.watchdog:g} Hz, or a longer watchdog"
             )
+
+    def _require_entries(self, *names: str) -> None:
+        """Raise ConfigurationError if parameters do not have one entry per servo each."""
+        counts = {PARAMETER_NAMES[name]: len(getattr(self, name)) for name in names}
+        if len(set(counts.values())) > 1:
+            lengths = ", ".join(f"{name} has {count}" for name, count in counts.items())
+            raise ConfigurationError(f"these parameters need one entry per servo: {lengths}")
+
+    @cached_property
+    def spools(self) -> tuple[Spool, ...]:
+        """Spools of the cable servos."""
+        return tuple(map(Spool, self.cable_ids, self.cable_signs, self.spool_radii))
+
+    @cached_property
+    def fins(self) -> tuple[Fin, ...]:
+        """Fin servos."""
+        return tuple(map(Fin, self.fin_ids, self.forward_angles, self.reverse_angles))
 
     @property
     def period(self) -> float:

@@ -13,8 +13,7 @@ from worm_driver.control.actuators import Actuators
 from worm_driver.control.supervision import Counts, ServoHealth, fault_level
 from worm_driver.gait.gait_player import PlayerState, moving
 from worm_driver.servos.registers import WATCHDOG_EXPIRED
-from worm_driver.servos.servo_state import SILENT, ServoState
-from worm_driver.servos.state_reader import StateReader
+from worm_driver.servos.state_reader import SILENT, ServoState, StateReader
 
 #: Time for which the loop's own lateness explains an expired bus watchdog, s. It is longer than a cycle, because
 #: each cycle examines one suspect servo only.
@@ -125,7 +124,7 @@ class FaultWatch:
         return next((supervision.position_jumped(*jump) for jump in lost.items()), None)
 
     def _fault_in_counts(self, states: tuple[ServoState, ...], player: PlayerState) -> str | None:
-        robot, limits = self._actuators, self._actuators.settings.limits
+        robot, limits = self._actuators, self._actuators.settings
         efforts = {
             servo.number: state.effort
             for servo, state in zip(robot.cables, states, strict=False)

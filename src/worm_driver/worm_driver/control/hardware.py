@@ -10,10 +10,9 @@ from dataclasses import dataclass
 
 from worm_driver.control import diagnostics
 from worm_driver.control.control_loop import ControlLoop, PowerLoop
-from worm_driver.control.cycle_snapshot import CycleSnapshot
 from worm_driver.control.diagnostics import DiagnosticReport
-from worm_driver.control.driver_settings import DriverSettings, PowerSettings
-from worm_driver.control.robot import Robot
+from worm_driver.control.driver_settings import DriverSettings
+from worm_driver.control.robot import CycleSnapshot, Robot
 from worm_driver.driver_errors import ConfigurationError, DriverError
 from worm_driver.power import i2c
 from worm_driver.power.ina219 import (
@@ -24,9 +23,8 @@ from worm_driver.power.ina219 import (
     reversed_current,
 )
 from worm_driver.servos import serial_port
-from worm_driver.servos.bus_types import BusCounters
 from worm_driver.servos.registers import ServoModel
-from worm_driver.servos.servo_bus import ServoBus
+from worm_driver.servos.servo_bus import BusCounters, ServoBus
 from worm_driver.simulated_clock import I2C, SERIAL, clock_of
 
 #: Answers per cycle that an adapter may delay: those of the state and of the health register.
@@ -55,12 +53,12 @@ class Hardware:
     """Open devices of a robot and the threads that use them.
 
     Args:
-        settings: settings of the robot.
+        settings: present settings, see `apply_settings`.
         tracker_ready: returns True if the tracker sees the robot at rest, or if there is no tracker.
         why_not_start: returns why neither torque nor a run may begin; empty if they may.
 
     Attributes:
-        settings: present settings, see `apply_settings`.
+        settings: settings of the robot.
         clock: clock of the robot.
         robot: the robot, owned by the loop.
         loop: control loop.
@@ -79,7 +77,7 @@ class Hardware:
         why_not_start: Callable[[], str] = lambda: "",
     ):
         self.settings = settings
-        # Largest max_stroke of all settings so far, because a run may have begun with it.
+        # Largest max_stroke so far, because a run may have begun with it.
         self._longest_stroke = settings.max_stroke
         self.snapshots: deque[CycleSnapshot] = deque()
         self.samples: deque[PowerSample] = deque()
@@ -93,7 +91,7 @@ class Hardware:
             self._bus = ServoBus.open(settings.port, settings.baud_rate)
             opened.callback(self._bus.close)
             # The sensor is opened before the clock: a thread with a virtual robot's clock may wait on this clock only.
-            sensor = _open_sensor(settings.power)
+            sensor = _open_sensor(settings)
             if sensor is not None:
                 opened.callback(sensor.device.close)
             self.clock = clock_of(settings.port, SERIAL)
@@ -113,7 +111,7 @@ class Hardware:
         self.loop = ControlLoop(self.robot, self._on_snapshot, self.clock)
         self.loop.start()
         if sensor is not None:
-            clock = clock_of(settings.power.i2c_bus, I2C)
+            clock = clock_of(settings.i2c_bus, I2C)
             self._power = PowerLoop(sensor, settings.period, self._on_sample, clock)
             self._power.start()
 
@@ -137,13 +135,8 @@ class Hardware:
 
     def apply_settings(self, settings: DriverSettings) -> str:
         """Apply new limits. Return a message if the present run ends because of them, else an empty string."""
-        self._longest_stroke = max(self._longest_stroke, settings.max_stroke)
         self.settings = settings
         return self.loop.run(lambda now: self.robot.apply_settings(now, settings))
-
-    def rest_line(self) -> str:
-        """Return a sentence with the longest duration of a return to rest."""
-        return f"a return to rest takes at most {self.release_time:.1f} s"
 
     def description(self) -> list[str]:
         """Return the sentences that describe the devices found."""
@@ -163,7 +156,7 @@ class Hardware:
             )
         if self.robot.actuators.left_on:
             lines.append(self.robot.actuators.left_on)
-        lines.append(self.rest_line())
+        lines.append(f"a return to rest takes at most {self.release_time:.1f} s")
         if not self.robot.actuators.homed:
             lines.append("not homed: bring the robot to its initial length, then call home")
         return lines
@@ -217,9 +210,7 @@ class Hardware:
             problem = robot.problems.get(servo.number, "does not answer")
             reports.append(diagnostics.servo_report(servo, state, alert=alert, problem=problem))
         if self._power is not None:
-            where = (
-                f"INA219 0x{self.settings.power.i2c_address:02X} on {self.settings.power.i2c_bus}"
-            )
+            where = f"INA219 0x{self.settings.i2c_address:02X} on {self.settings.i2c_bus}"
             reports.append(
                 diagnostics.power_report(power - before.power, where, self._reversed_current)
             )
@@ -279,8 +270,8 @@ class Hardware:
             self.warnings.append(self._reversed_current)
 
 
-def _open_sensor(settings: PowerSettings) -> INA219 | None:
-    if not settings.i2c_bus:
+def _open_sensor(settings: DriverSettings) -> INA219 | None:
+    if not settings.has_sensor:
         return None
     calibration = calibration_for(settings.shunt_resistance, settings.max_current)
     device = i2c.open_device(settings.i2c_bus, settings.i2c_address)

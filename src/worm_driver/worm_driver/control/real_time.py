@@ -37,9 +37,6 @@ def _set_priority(priority: int) -> None:
     """Set SCHED_FIFO with a priority for the calling thread, and with half of it for the other threads of the process.
 
     A thread of normal priority that holds the interpreter and waits for a processor would block the calling thread.
-
-    Raises:
-        OSError: Linux does not permit it.
     """
     _schedule(os.SCHED_FIFO, priority, max(priority // 2, 1))
 
@@ -51,11 +48,7 @@ def return_to_normal() -> None:
 
 
 def _schedule(policy: int, own: int, others: int) -> None:
-    """Set the scheduling policy of the process's threads, with priorities for the calling thread and for the others.
-
-    Raises:
-        OSError: Linux does not permit it.
-    """
+    """Set the scheduling policy of the process's threads, with priorities for the calling thread and for the others."""
     caller = threading.get_native_id()
     for thread in [int(entry.name) for entry in Path("/proc/self/task").iterdir()]:
         with contextlib.suppress(ProcessLookupError):  # the thread has ended meanwhile
@@ -65,11 +58,7 @@ def _schedule(policy: int, own: int, others: int) -> None:
 
 
 def _lock_memory() -> None:
-    """Lock each page of the process in memory from its first use, so that no cycle waits for a disk.
-
-    Raises:
-        OSError: Linux does not permit it.
-    """
+    """Lock each page of the process in memory from its first use, so that no cycle waits for a disk."""
     if ctypes.CDLL(None, use_errno=True).mlockall(_CURRENT | _FUTURE | _ON_FAULT):
         number = ctypes.get_errno()
         raise OSError(number, os.strerror(number))

@@ -9,11 +9,10 @@ import math
 import os
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 from worm_driver.control.actuators import PAYOUT_TOLERANCE, Actuators
-from worm_driver.control.cycle_snapshot import CycleSnapshot
 from worm_driver.control.driver_settings import DriverSettings
 from worm_driver.control.fault_watch import FaultWatch
 from worm_driver.driver_errors import (
@@ -28,9 +27,36 @@ from worm_driver.gait import gait_player
 from worm_driver.gait.gait_limits import GaitLimits
 from worm_driver.gait.gait_player import Observation, Phase, PlayerState
 from worm_driver.servos.servo_bus import ServoBus
-from worm_driver.servos.servo_state import SILENT, ServoState
-from worm_driver.servos.state_reader import StateReader
+from worm_driver.servos.state_reader import SILENT, ServoState, StateReader
 from worm_msgs.gait import Gait
+
+
+@dataclass(frozen=True)
+class CycleSnapshot:
+    """Result of one cycle. Times are monotonic, in s.
+
+    Attributes:
+        command_time: start of the cycle. If active, the goals are sent immediately after it.
+        read_time: time at which the states of the servos were requested; command_time if the request failed.
+        active: True if this driver has enabled the torque. A torque that an earlier driver left on does not count.
+        homed: True if the length of the cable is known.
+        player: state of the gait player.
+        commanded: commanded length change of the cable, m; NaN if not active.
+        cable: length change according to the encoders, m; NaN if a cable servo is silent, and before homing.
+        servos: states in the order of the robot's servos; SILENT for a servo without a usable answer.
+        alerts: ids of the servos whose last answer reported a hardware error.
+    """
+
+    command_time: float
+    read_time: float
+    active: bool
+    player: PlayerState
+    commanded: float
+    cable: float
+    servos: tuple[ServoState, ...]
+    alerts: frozenset[int] = frozenset()
+    homed: bool = False
+
 
 #: Largest number of readings of the state before an activation. Two consecutive ones must agree.
 _ATTEMPTS = 5
@@ -51,7 +77,7 @@ class Robot:
     The torque is off until `activate` is called, unless an earlier driver left it on (`Actuators.left_on`).
 
     Args:
-        settings: settings of the robot.
+        settings: present settings, see `apply_settings`.
         bus: open servo bus, owned by the robot from now on.
         valid_power_samples: returns the number of valid power samples since the start.
         tracker_ready: returns True if the tracker sees the robot at rest, or if there is no tracker.
@@ -60,6 +86,7 @@ class Robot:
         why_not_start: returns the reason why torque and runs must not start; empty if they may.
 
     Attributes:
+        settings: settings of the robot.
         player: state of the gait player.
         active: True while the torque is on.
         closing: True while the driver shuts down. No run can then begin.
@@ -80,6 +107,7 @@ class Robot:
         load: Callable[[], float] = lambda: os.getloadavg()[0],
         why_not_start: Callable[[], str] = lambda: "",
     ):
+        self.settings = settings
         self.bus = bus
         self.active = False
         self.closing = False
@@ -98,11 +126,6 @@ class Robot:
     def _forget_states(self) -> None:
         """Drop the states that were read before the servos were set up, because the robot may have moved since."""
         self._states: tuple[ServoState, ...] = (SILENT,) * len(self.actuators.servos)
-
-    @property
-    def settings(self) -> DriverSettings:
-        """Present settings, see `apply_settings`."""
-        return self.actuators.settings
 
     @property
     def problems(self) -> Mapping[int, str]:
@@ -242,6 +265,7 @@ class Robot:
         A run that violates the new limits is cancelled, see `cancel`. In this case return a message, else an empty
         string.
         """
+        self.settings = settings
         self.actuators.apply_settings(settings)
         run = self.player.active_run
         if run is None:

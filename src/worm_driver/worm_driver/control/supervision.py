@@ -12,42 +12,23 @@ from worm_msgs.driver_file import DriverFile
 #: Ratio of the limit that a servo enforces itself to the effort above which it is overloaded (`fault_level`). The ratio
 #: is above 1, because a servo never exceeds its own limit: with a ratio of 1, no overload could be detected.
 _HEADROOM = 1.1
+#: Consecutive cycles with an overload or with too large a following error that are a fault.
+_FAULTY_CYCLES = 5
+#: Time for which a cable is contracted, although it is commanded to rest, that is a fault, s.
+_UNRESTED = 1.0
 
 
-@dataclass(frozen=True)
-class Limits:
-    """Limits beyond which a deviation becomes a fault.
-
-    Attributes:
-        max_silence: longest time without a state of a servo, s. The driver's own lateness does not count.
-        max_current: largest current of a cable servo, A.
-        max_load: largest load of a cable servo that measures no current, as a ratio of its maximum.
-        overload_cycles: consecutive cycles above max_current or max_load that are a fault.
-        following_error: largest distance of the cable from its command, m.
-        following_cycles: consecutive cycles beyond following_error that are a fault.
-        rest_time: time for which a cable is contracted, although it is commanded to rest, that is a fault, s.
-    """
-
-    max_silence: float = DriverFile.max_silence
-    max_current: float = DriverFile.max_servo_current
-    max_load: float = DriverFile.max_servo_load
-    overload_cycles: int = 5
-    following_error: float = DriverFile.max_following_error
-    following_cycles: int = 5
-    rest_time: float = 1.0
-
-
-def own_limit(servo: Servo, limits: Limits) -> float:
+def own_limit(servo: Servo, limits: DriverFile) -> float:
     """Return the largest effort that a cable servo itself permits, A; a load ratio if the servo measures no current."""
     if servo.model.measures_current:
-        return min(_HEADROOM * limits.max_current, servo.model.strongest_current)
-    return min(_HEADROOM * limits.max_load, 1.0)
+        return min(_HEADROOM * limits.max_servo_current, servo.model.strongest_current)
+    return min(_HEADROOM * limits.max_servo_load, 1.0)
 
 
-def fault_level(servo: Servo, limits: Limits) -> float:
+def fault_level(servo: Servo, limits: DriverFile) -> float:
     """Return the effort above which a cable servo is overloaded, in the unit of `own_limit`.
 
-    It is max_current or max_load, or less if the servo cannot exceed this limit by the factor _HEADROOM.
+    It is max_servo_current or max_servo_load, or less if the servo cannot exceed this limit by the factor _HEADROOM.
     """
     return own_limit(servo, limits) / _HEADROOM
 
@@ -154,10 +135,12 @@ def overload(counts: Counts, efforts: Mapping[int, float], levels: Mapping[int, 
     return replace(counts, overload=now)
 
 
-def following(counts: Counts, cables: Mapping[int, CableLength], limits: Limits) -> Counts:
+def following(counts: Counts, cables: Mapping[int, CableLength], limits: DriverFile) -> Counts:
     """Return the counts after a reading of the cables by servo id. An unknown length counts as no error."""
     off = (
-        s for s, at in cables.items() if abs(at.measured - at.commanded) > limits.following_error
+        s
+        for s, at in cables.items()
+        if abs(at.measured - at.commanded) > limits.max_following_error
     )
     return replace(
         counts, following={s: counts.following.get(s, 0) + 1 for s in off}, cables=cables
@@ -170,13 +153,13 @@ def resting(counts: Counts, contracted: Iterable[int], period: float) -> Counts:
 
 
 def fault_in_counts(
-    counts: Counts, limits: Limits, problems: Mapping[int, str], otherwise: str = ""
+    counts: Counts, limits: DriverFile, problems: Mapping[int, str], otherwise: str = ""
 ) -> str | None:
     """Return the fault that the counts amount to, as a message, or None.
 
     Args:
         counts: counts after the present reading.
-        limits: limits of the deviations.
+        limits: parameters of the driver with the limits of the deviations.
         problems: why the state of a servo is missing, by id.
         otherwise: further possible cause of a silence, see `crowding`. It is appended to the message about a silence.
     """
@@ -185,18 +168,18 @@ def fault_in_counts(
             why = problems.get(servo, "does not answer")
             return f"servo {servo} has returned no state for {duration * 1e3:.0f} ms: it {why}{otherwise}"
     for servo, cycles in counts.overload.items():
-        if cycles >= limits.overload_cycles:
+        if cycles >= _FAULTY_CYCLES:
             return (
                 f"servo {servo} is beyond its limit (limits.max_servo_current_a, limits.max_servo_load): the "
                 "cable is blocked or overloaded"
             )
     for servo, cycles in counts.following.items():
-        if cycles >= limits.following_cycles:
-            when = f"beyond limits.max_following_error_m ({limits.following_error * 1e3:g} mm)"
+        if cycles >= _FAULTY_CYCLES:
+            when = f"beyond limits.max_following_error_m ({limits.max_following_error * 1e3:g} mm)"
             why = ", or the limit is too small for a loaded servo at this rate_hz"
             return _off_command(servo, counts.cables[servo], when, why)
     for servo, duration in counts.unrested.items():
-        if duration >= limits.rest_time:
+        if duration >= _UNRESTED:
             return _off_command(servo, counts.cables[servo], "although it should be at rest")
     return None
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""End of a run: after a number of cycles or grooves, or after a distance."""
+"""End of a run: after a number of cycles or grooves, after a distance, or when its client sends no more heartbeats."""
 
 import math
 from dataclasses import dataclass
@@ -41,11 +41,7 @@ class RunEnd:
         return self.grooves > 0 or self.distance > 0.0
 
     def most_cycles(self, gait: Gait, limits: GaitLimits) -> int:
-        """Return the number of cycles after which the run ends at the latest.
-
-        Raises:
-            RejectedError: The distance is invalid, or no condition is given.
-        """
+        """Return the number of cycles after which the run ends at the latest."""
         if not (math.isfinite(self.distance) and self.distance >= 0.0):
             raise RejectedError(f"distance is {self.distance:g} m; it must be 0 m or longer")
         if self.cycles:
@@ -104,3 +100,45 @@ def unseen_cycle(run: PlayedRun, judged: int, now: float) -> int:
         return 0
     ended = run.cycle(now - _LATENCY) - 1
     return ended if ended > judged else 0
+
+
+#: Period of the checks, s.
+PERIOD = 0.1
+
+
+class HeartbeatMonitor:
+    """Heartbeat monitor of one run. One thread may record heartbeats while another one checks them.
+
+    The intervals between the checks add up to the silence, and a heartbeat resets it to 0. An interval counts as at
+    most two periods. If it is longer, the driver itself was late, and heartbeats may wait in its queues.
+
+    Args:
+        timeout: heartbeat timeout, s; infinite if no heartbeats are required.
+        now: present time, s, monotonic.
+    """
+
+    def __init__(self, timeout: float, now: float):
+        self.timeout = timeout
+        self._silence = 0.0
+        self._last_check = now
+        self._received = False
+
+    def record(self) -> None:
+        """Record a heartbeat."""
+        self._received = True
+
+    def is_silent(self, now: float) -> bool:
+        """Return True if the heartbeat timeout has expired. Call it every PERIOD with the time (s, monotonic)."""
+        watched = min(now - self._last_check, 2.0 * PERIOD)
+        self._last_check = now
+        self._silence = 0.0 if self._received else self._silence + watched
+        self._received = False
+        return self._silence > self.timeout
+
+
+def shorter_timeout(requested: float, required: float) -> float:
+    """Return the shorter of the goal's and the driver's heartbeat timeout, s.
+
+    An argument of 0 stands for no timeout. If both are 0, the result is infinity.
+    """
+    return min((value for value in (requested, required) if value > 0.0), default=math.inf)

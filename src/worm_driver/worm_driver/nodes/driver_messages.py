@@ -1,23 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Conversion of the driver's values to ROS messages, and back. Needs no ROS graph."""
+"""ROS messages of the driver: conversion of its values, stamps, and the publisher of measured positions."""
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
-from worm_driver.control.cycle_snapshot import CycleSnapshot
+from worm_driver.clock import Clock
 from worm_driver.control.diagnostics import DiagnosticReport
+from worm_driver.control.robot import CycleSnapshot
 from worm_driver.driver_errors import RejectedError
 from worm_driver.gait.gait_player import Phase
 from worm_driver.power.ina219 import PowerSample
 from worm_driver.servos.registers import ServoModel
 from worm_msgs.gait import Gait, GaitError, gait_of
-from worm_msgs.msg import BodyLength, GaitState, Power
+from worm_msgs.msg import BodyLength, GaitState, Power, Tracker
 from worm_msgs.msg import Gait as GaitMessage
 
 _STATE = {
@@ -169,3 +172,76 @@ def diagnostics(reports: Sequence[DiagnosticReport], stamp: Time, robot: str) ->
             for report in reports
         ],
     )
+
+
+FRAME = "pipe"  # x forward along the axis, z up (REP 103)
+_SAMPLES = 30  # number of first lengths, assumed to be at rest; their mean is the zero of the length changes
+
+
+class PositionPublisher:
+    """Publisher of positions and length. ``depth`` samples may wait for a slow subscriber."""
+
+    def __init__(self, node: Node, depth: int) -> None:
+        self._positions = node.create_publisher(Tracker, "tracker", depth)
+        self._length = node.create_publisher(BodyLength, "body_length/measured", depth)
+        self._sum, self._count = 0.0, 0
+
+    def publish(self, stamp: Time, rear: float, front: float) -> None:
+        """Publish the positions (m) of the modules, NaN while one is hidden, and the length if both are visible."""
+        header = Header(stamp=stamp, frame_id=FRAME)
+        self._positions.publish(Tracker(header=header, rear_position=rear, front_position=front))
+        length = front - rear
+        if math.isnan(length):
+            return
+        if self._count < _SAMPLES:
+            self._sum += length
+            self._count += 1
+        change = length - self._sum / self._count
+        source = BodyLength.MEASURED
+        self._length.publish(
+            BodyLength(header=header, source=source, length=length, length_change=change)
+        )
+
+
+class Stamps:
+    """Source of a node's stamps.
+
+    Attributes:
+        robot_clock: clock of the robot that was configured last; None before. A clean-up does not reset it, so that
+            later stamps continue the earlier ones.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._clocks: ClockPair | None = None
+        self.robot_clock: Clock | None = None
+
+    def clocks(self) -> ClockPair:
+        """Return the difference between the ROS clock and the robot's clock. Log a step of the ROS clock, as by NTP.
+
+        A real robot uses the monotonic clock. So a step of the ROS clock changes the stamps, but neither motion nor
+        metrics.
+        """
+        clock = self.robot_clock
+        if clock is not None and clock.epoch_ns is not None:
+            return ClockPair(clock.epoch_ns)  # The ROS time of a virtual robot is its own clock.
+        clocks = ClockPair.read(lambda: self._node.get_clock().now().nanoseconds)
+        step = 0.0 if self._clocks is None else clocks.step_since(self._clocks)
+        if step:
+            self._node.get_logger().warning(
+                f"the system clock has jumped by {step:.3f} s, and the stamps with it"
+            )
+        self._clocks = clocks
+        return clocks
+
+    def now(self) -> Time:
+        """Return the present stamp."""
+        clock = self.robot_clock
+        if clock is not None and clock.epoch_ns is not None:
+            return ClockPair(clock.epoch_ns).stamp(clock())
+        stamp: Time = self._node.get_clock().now().to_msg()
+        return stamp
+
+    def monotonic(self) -> float:
+        """Return the robot's present time, s."""
+        return time.monotonic() if self.robot_clock is None else self.robot_clock()

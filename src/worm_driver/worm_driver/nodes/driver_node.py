@@ -29,14 +29,14 @@ from worm_driver.control.emergency import EmergencyLatch, state_folder
 from worm_driver.control.hardware import Hardware
 from worm_driver.driver_errors import ConfigurationError, DriverError, ReleaseError, StoppedError
 from worm_driver.nodes import driver_messages, driver_parameters
+from worm_driver.nodes.driver_messages import Stamps
 from worm_driver.nodes.run_gait_action import RunGaitAction
 from worm_driver.nodes.sole_driver import SoleDriver
-from worm_driver.nodes.stamps import Stamps
 from worm_driver.nodes.stop_services import StopServices
 from worm_driver.nodes.telemetry_publisher import TelemetryPublisher
 from worm_driver.nodes.tracker_listener import TrackerListener
 from worm_msgs import network
-from worm_msgs.node_command import declare, run_node
+from worm_msgs.node_command import declare
 from worm_msgs.ros_process import ShutdownRequest, freeze_garbage_collection
 
 T = TypeVar("T")
@@ -62,6 +62,7 @@ _LINGER = 0.3
 
 #: reason that is reported when the end of the process closes the robot
 _END = "the driver ends"
+REJECTIONS = (ConfigurationError,)
 
 _Action = Callable[[Hardware, float], object]
 _SERVICES: tuple[tuple[str, _Action, str], ...] = (
@@ -125,7 +126,7 @@ class DriverNode(LifecycleNode):
         self.create_timer(_PUBLISH_PERIOD, self._publish, clock=steady)
         self.create_timer(1.0, self._publish_diagnostics, clock=steady)
         self.add_on_set_parameters_callback(self._check_parameters)
-        self.add_post_set_parameters_callback(self._apply_parameters)
+        self.add_post_set_parameters_callback(self._apply_limits)
         self._publish()
 
     # --- parameters ----------------------------------------------------------------------------
@@ -137,28 +138,26 @@ class DriverNode(LifecycleNode):
         )
         return SetParametersResult(successful=not reason, reason=reason)
 
-    def _apply_parameters(self, _: Sequence[Parameter]) -> None:
-        """Apply the parameters that take effect at once. The file of the robot parameters is not read again."""
+    def _apply_limits(self, _: Sequence[Parameter]) -> None:
         hardware = self._hardware
         if hardware is None:
             return
         try:
             warning = hardware.apply_settings(
-                driver_parameters.settings(self, hardware.settings.body)
+                driver_parameters.with_limits(hardware.settings, self)
             )
         except DriverError as error:
-            self.get_logger().error(f"the new parameters have no effect: {error}")
+            self.get_logger().error(f"the new limits have no effect: {error}")
             return
         if warning:
             self.get_logger().warning(warning)
-        self.get_logger().info(hardware.rest_line())
 
     # --- lifecycle -----------------------------------------------------------------------------
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Open and check the devices. Return FAILURE, with the reason in the log and the diagnostics, on an error."""
         try:
-            settings = driver_parameters.settings(self, driver_parameters.body(self))
+            settings = driver_parameters.settings(self)
             self._adopt_emergency()
             self._sole.require()
             self._hardware = Hardware(settings, self._tracker.is_ready, self._why_not_start)
@@ -277,9 +276,6 @@ class DriverNode(LifecycleNode):
         """Configure and activate the driver if the parameter autostart is true.
 
         If the activation fails, as for a robot that is not homed, the driver stays configured.
-
-        Raises:
-            DriverError: The driver cannot be configured, and the parameter stay_on_failure is false.
         """
         if not self.get_parameter("autostart").value:
             return
@@ -440,7 +436,7 @@ class DriverNode(LifecycleNode):
         )
 
 
-def main(args: list[str] | None = None) -> int:
+def run(ended: ShutdownRequest) -> int:
     """Run the driver until SIGINT, SIGTERM or SIGHUP.
 
     The first signal brings the robot to rest and releases it; a later Ctrl-C releases it at once. If a stop
@@ -448,15 +444,16 @@ def main(args: list[str] | None = None) -> int:
     torque on. The exit status is then 1.
     """
     sys.setswitchinterval(_SWITCH_INTERVAL)
-    about = "Run gaits on the robot and publish its measurements, as a lifecycle node."
     try:
-        return run_node("driver", about, driver_parameters.rows, _run, (ConfigurationError,), args)
+        return _serve(ended)
+    except ConfigurationError:
+        raise
     except DriverError as error:
         print(f"driver: {error}", file=sys.stderr)  # noqa: T201 (output of a command)
         return 1
 
 
-def _run(ended: ShutdownRequest) -> int:
+def _serve(ended: ShutdownRequest) -> int:
     node = DriverNode(ended)
     ended.first, ended.again = node.begin_shutdown, node.release_at_once
     executor = SingleThreadedExecutor()

@@ -17,17 +17,23 @@ from rclpy.clock import ClockType
 from rclpy.node import Node
 from rclpy.task import Future
 
-from worm_driver.control.cycle_snapshot import CycleSnapshot
 from worm_driver.control.hardware import Hardware
-from worm_driver.control.heartbeat import PERIOD, HeartbeatMonitor, shorter_timeout
+from worm_driver.control.robot import CycleSnapshot
 from worm_driver.driver_errors import DriverError, RejectedError
 from worm_driver.gait.gait_metrics import RunMetrics, RunRecord, distance, run_metrics
 from worm_driver.gait.gait_player import Ending, Phase, PlayedRun
-from worm_driver.gait.run_end import RunEnd, is_near_cycle_end, makes_no_progress, unseen_cycle
-from worm_driver.nodes.driver_messages import gait_from
+from worm_driver.gait.run_end import (
+    PERIOD,
+    HeartbeatMonitor,
+    RunEnd,
+    is_near_cycle_end,
+    makes_no_progress,
+    shorter_timeout,
+    unseen_cycle,
+)
+from worm_driver.nodes.driver_messages import Stamps, gait_from
 from worm_driver.nodes.driver_parameters import HEARTBEAT
 from worm_driver.nodes.goal_server import GoalServer
-from worm_driver.nodes.stamps import Stamps
 from worm_driver.power.ina219 import PowerSample
 from worm_msgs.action import RunGait
 from worm_msgs.goal_rejections import GoalRejections

@@ -25,9 +25,6 @@ class SoleDriver:
 
     Attributes:
         problem: reason why neither torque nor a run may start, if another driver was discovered; otherwise empty.
-
-    Raises:
-        ConfigurationError: Another driver on this computer uses the namespace.
     """
 
     def __init__(self, node: Node, *, on_network: bool):
@@ -46,9 +43,6 @@ class SoleDriver:
         """Wait until no other driver is announced on the network, at least for the usual time of discovery.
 
         Return at once if no other computer can reach the driver. Return early when ``ended`` returns True.
-
-        Raises:
-            ConfigurationError: Another driver is still announced after ANNOUNCED_S.
         """
         start = time.monotonic()
         while self._on_network and not ended():

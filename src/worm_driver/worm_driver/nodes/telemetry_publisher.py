@@ -10,13 +10,12 @@ from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import JointState
 
-from worm_driver.control.cycle_snapshot import CycleSnapshot
 from worm_driver.control.emergency import EmergencyLatch
 from worm_driver.control.hardware import Hardware
+from worm_driver.control.robot import CycleSnapshot
 from worm_driver.gait.gait_player import Phase, PlayerState
 from worm_driver.nodes import driver_messages
-from worm_driver.nodes.driver_messages import ClockPair
-from worm_driver.nodes.stamps import Stamps
+from worm_driver.nodes.driver_messages import ClockPair, Stamps
 from worm_driver.power.ina219 import PowerSample
 from worm_msgs.msg import BodyLength, GaitState, Power
 from worm_msgs.qos import LATCHED

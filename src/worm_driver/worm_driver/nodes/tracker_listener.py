@@ -8,7 +8,7 @@ from collections.abc import Callable
 from rclpy.node import Node
 
 from worm_driver.gait.stillness import Stillness
-from worm_driver.nodes.stamps import Stamps
+from worm_driver.nodes.driver_messages import Stamps
 from worm_msgs.msg import Tracker
 
 #: s, age up to which the latest sample counts as recent; a busy computer delays samples

@@ -15,41 +15,21 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
+from worm_driver.driver_errors import ImageError, SetupError, TrackingError
 from worm_driver.nodes import driver_messages
-from worm_driver.nodes.position_publisher import PositionPublisher
+from worm_driver.nodes.driver_messages import PositionPublisher
 from worm_driver.tracking import vision
 from worm_driver.tracking.camera_model import make_camera_model
-from worm_driver.tracking.frame_thread import FrameThread
-from worm_driver.tracking.image_sources import check_size
+from worm_driver.tracking.image_sources import FrameThread, check_size
 from worm_driver.tracking.tracker import Tracker as ModuleTracker
-from worm_driver.tracking.tracker_report import TrackerReport
-from worm_driver.tracking.tracker_setup import load_setup
-from worm_driver.tracking.tracking_errors import ImageError, SetupError, TrackingError
-from worm_msgs.node_command import declare, run_node
-from worm_msgs.parameter_rows import ParameterRow
+from worm_driver.tracking.tracker import TrackerReport
+from worm_driver.tracking.tracker_setup import TOPIC, load_setup, rows
+from worm_msgs.node_command import declare
 from worm_msgs.ros_process import ShutdownRequest, freeze_garbage_collection
 
-#: Value of source that selects the topics of a camera.
-TOPIC = "topic"
 _TRANSPORTS = ("raw", "compressed")
-_PARAMETERS = tuple(
-    ParameterRow(name, default, text, read_only=True)
-    for name, default, text in (
-        ("setup_file", "", "Setup file of the camera and the markers (YAML)."),
-        (
-            "source",
-            TOPIC,
-            "Source of the images: topic, a V4L2 device such as /dev/video0, a video, or a folder of images.",
-        ),
-        ("image_transport", "raw", "Transport of the topic: raw or compressed."),
-    )
-)
+REJECTIONS = (TrackingError,)
 _NANOSECONDS = 10**9
-
-
-def rows() -> tuple[ParameterRow, ...]:
-    """Return all parameters."""
-    return _PARAMETERS
 
 
 class TrackerNode(Node):
@@ -57,15 +37,12 @@ class TrackerNode(Node):
 
     Attributes:
         failure: error that ends the node; None while it runs.
-
-    Raises:
-        TrackingError: The parameters are invalid.
     """
 
     def __init__(self) -> None:
         super().__init__("tracker")
         declare(self, rows)
-        texts = {row.name: str(self.get_parameter(row.name).value) for row in _PARAMETERS}
+        texts = {row.name: str(self.get_parameter(row.name).value) for row in rows()}
         self._setup = load_setup(_setup_path(texts["setup_file"]))
         self._detector = vision.MarkerDetector(self._setup.dictionary)
         self._tracker = None if self._setup.camera is None else ModuleTracker(self._setup)
@@ -226,7 +203,8 @@ def _time(nanoseconds: int) -> Time:
     return Time(sec=nanoseconds // _NANOSECONDS, nanosec=nanoseconds % _NANOSECONDS)
 
 
-def _run(ended: ShutdownRequest) -> int:
+def run(ended: ShutdownRequest) -> int:
+    """Run the tracker until SIGINT, SIGTERM or SIGHUP, or until the source has no more images."""
     node = TrackerNode()
     try:
         executor = SingleThreadedExecutor()
@@ -244,9 +222,3 @@ def _run(ended: ShutdownRequest) -> int:
     if node.failure is not None:
         raise node.failure
     return 0
-
-
-def main(args: list[str] | None = None) -> int:
-    """Run the tracker until SIGINT, SIGTERM or SIGHUP, or until the source has no more images."""
-    about = "Measure the positions of both modules in the images of a camera, a video or a folder."
-    return run_node("tracker", about, rows, _run, (TrackingError,), args)

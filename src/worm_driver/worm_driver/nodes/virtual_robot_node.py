@@ -2,11 +2,8 @@
 """Node ``virtual_robot``: ports of the servo bus and of the power sensor, measured positions, and fault injection."""
 
 import argparse
-import logging
-import math
 import sys
 import threading
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,10 +13,9 @@ from rclpy.node import Node
 from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
 
-from worm_driver.nodes.position_publisher import PositionPublisher
-from worm_driver.virtual_robot.camera import TrackerSample
-from worm_driver.virtual_robot.robot_server import DirectoryError, RobotServer
-from worm_driver.virtual_robot.virtual_robot import VirtualRobot
+from worm_driver.nodes.driver_messages import PositionPublisher
+from worm_driver.virtual_robot.robot_server import RobotServer
+from worm_driver.virtual_robot.virtual_robot import TrackerSample, VirtualRobot
 from worm_driver.virtual_robot.virtual_settings import load_settings
 from worm_driver.virtual_robot.wire.faults import (
     KINDS,
@@ -28,22 +24,16 @@ from worm_driver.virtual_robot.wire.faults import (
     make_fault,
     parse_fault,
 )
-from worm_msgs.claim import ClaimedError, claim_robot
-from worm_msgs.command_parser import BAD_INPUT, Parser
+from worm_msgs.claim import claim_robot
 from worm_msgs.conditions import CONDITION_ROWS
-from worm_msgs.input_error import InputError
 from worm_msgs.node_command import declare_none
-from worm_msgs.ros_process import ShutdownRequest, own_arguments, ros_process
+from worm_msgs.ros_process import ShutdownRequest
 from worm_msgs.srv import InjectFault
 
 _DEPTH = 500  # samples that may wait for a slow subscriber
 _CLOCK_PERIOD = 0.05  # s, virtual time between two messages on the topic clock
-# s, time slice of the interpreter's threads; with Python's default of 5 ms, answers on the bus would be too late.
-_SWITCH_INTERVAL = 0.0002
 _SIGNAL_LATENCY = 0.1  # s, longest delay until a signal takes effect
 _QUIET = 0.5  # s, time without an instruction after which the driver counts as ended
-
-log = logging.getLogger("virtual_robot")
 
 
 class VirtualRobotNode(Node):
@@ -53,9 +43,6 @@ class VirtualRobotNode(Node):
         robot: the virtual robot.
         directory: folder of the ports.
         rate: largest number of virtual seconds per second; None: real time, like a real robot.
-
-    Raises:
-        ClaimedError: The namespace has a robot already.
     """
 
     def __init__(self, robot: VirtualRobot, directory: Path, rate: float | None) -> None:
@@ -124,72 +111,8 @@ class VirtualRobotNode(Node):
         return response
 
 
-def _parse_arguments(arguments: Sequence[str]) -> argparse.Namespace:
-    faults = "\n".join(f"  {name:18}{kind}" for name, kind in KINDS.items())
-    parser = Parser(
-        prog="virtual_robot",
-        description="Simulate a worm robot: serve DIR/servo_bus (serial) and DIR/i2c.sock (power sensor).",
-        epilog=f"faults, with their defaults:\n{faults}",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument(
-        "--directory",
-        type=Path,
-        required=True,
-        metavar="DIR",
-        help="folder of the ports; created if it is missing",
-    )
-    parser.add_argument(
-        "--parameters",
-        type=Path,
-        metavar="FILE",
-        help="parameter file of the virtual robot; default: the installed one",
-    )
-    parser.add_argument(
-        "--seed", type=int, metavar="N", help="random seed; default: that of the parameter file"
-    )
-    for name, row in CONDITION_ROWS.items():
-        parser.add_argument(
-            row["option"],
-            dest=name,
-            type=float,
-            metavar=row["unit"].upper().replace("/", "_PER_"),
-            help=f"{row['meaning']}; default: that of the parameter file",
-        )
-    parser.add_argument(
-        "--fault",
-        action="append",
-        default=[],
-        metavar="NAME[:KEY=VALUE,…][@SECONDS]",
-        help="inject a fault; keys: target (id of a servo), duration (s), count, value; may be repeated",
-    )
-    time = parser.add_mutually_exclusive_group()
-    time.add_argument(
-        "--rate",
-        type=_rate,
-        default=1.0,
-        metavar="X",
-        help="virtual seconds per second, at most; 0: as fast as possible (default 1). The virtual time waits for the "
-        "driver, so results do not depend on the speed or the load of the machine",
-    )
-    time.add_argument(
-        "--real-time",
-        dest="rate",
-        action="store_const",
-        const=None,
-        help="run in real time, like a real robot: to measure how well the driver meets its deadlines",
-    )
-    return parser.parse_args(arguments)
-
-
-def _rate(text: str) -> float:
-    value = float(text)
-    if not (math.isfinite(value) and value >= 0.0):
-        raise argparse.ArgumentTypeError(f"{text}: the rate must be a number, 0 or above")
-    return value or math.inf
-
-
-def _make_robot(arguments: argparse.Namespace) -> VirtualRobot:
+def make_robot(arguments: argparse.Namespace) -> VirtualRobot:
+    """Return the robot that the options describe. Raises `InputError` for an invalid file, condition or fault."""
     settings = load_settings(arguments.parameters)
     if arguments.seed is not None:
         settings = settings.with_seed(arguments.seed)
@@ -207,7 +130,7 @@ def _serve(node: VirtualRobotNode, failures: list[Exception]) -> None:
         failures.append(error)
 
 
-def _run(robot: VirtualRobot, options: argparse.Namespace, ended: ShutdownRequest) -> None:
+def run(robot: VirtualRobot, options: argparse.Namespace, ended: ShutdownRequest) -> None:
     """Serve until a signal arrives and the driver has ended. Raise the exception of the serving thread, if any."""
     node = VirtualRobotNode(robot, options.directory, options.rate)
     ended.again = node.server.stop
@@ -232,29 +155,3 @@ def _run(robot: VirtualRobot, options: argparse.Namespace, ended: ShutdownReques
         node.destroy_node()
     if failures:
         raise failures[0]
-
-
-def _reject(error: Exception) -> int:
-    log.error("%s", error)
-    return BAD_INPUT
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command and return the exit status."""
-    logging.basicConfig(stream=sys.stderr, format="virtual_robot: %(message)s")
-    command_line = sys.argv if arguments is None else ["virtual_robot", *arguments]
-    options = _parse_arguments(own_arguments(command_line)[1:])
-    try:
-        robot = _make_robot(options)
-    except InputError as error:
-        return _reject(error)
-    sys.setswitchinterval(_SWITCH_INTERVAL)
-    try:
-        with ros_process(command_line) as ended:
-            _run(robot, options, ended)
-    except (DirectoryError, ClaimedError) as error:
-        return _reject(error)
-    except Exception:
-        log.exception("stopped by an error")
-        return 1
-    return 0

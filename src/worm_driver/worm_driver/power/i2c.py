@@ -7,8 +7,6 @@ bytes in both directions. Only one thread may use a bus, because smbus2 has no l
 
 import contextlib
 import errno
-import os
-import re
 import stat
 from dataclasses import dataclass
 from pathlib import Path
@@ -48,11 +46,7 @@ class I2CDevice:
     address: int
 
     def reopen(self) -> None:
-        """Close the bus and open it again. This is necessary after the adapter was unplugged.
-
-        Raises:
-            PowerSensorError: The bus cannot be opened.
-        """
+        """Close the bus and open it again. This is necessary after the adapter was unplugged."""
         self.close()
         self.bus = open_device(self.bus_name, self.address).bus
 
@@ -77,11 +71,9 @@ class I2CDevice:
 
     def _explain(self, error: OSError) -> str:
         where = f"I2C device 0x{self.address:02X} on bus {self.bus_name}"
-        number = _bus_number(self.bus_name)
-        scan = f" (i2cdetect -y {number})" if number else ""
         remedy = {
-            errno.EREMOTEIO: f"does not acknowledge: check its power, wiring and address{scan}",
-            errno.ENXIO: "does not acknowledge: check its power, wiring and address",
+            errno.EREMOTEIO: "does not acknowledge: check its power, wiring and address (i2cdetect)",
+            errno.ENXIO: "does not acknowledge: check its power, wiring and address (i2cdetect)",
             errno.ETIMEDOUT: "timed out: a device may block the bus. Switch its power off and on",
             errno.EBUSY: "is in use by a kernel driver: unbind ina2xx (hwmon)",
         }.get(error.errno or 0, f"failed: {error}")
@@ -127,14 +119,6 @@ def exists(bus: str) -> bool:
     except OSError:
         return False
     return True
-
-
-def _bus_number(bus: str) -> str:
-    """Return the number of a bus that is given as in `open_device`; empty for a virtual robot's socket."""
-    if bus.isdecimal():
-        return bus
-    device = re.fullmatch(r"/dev/i2c-(\d+)", os.path.realpath(bus))
-    return device[1] if device else ""
 
 
 def _open_bus(bus: str) -> WordBus:

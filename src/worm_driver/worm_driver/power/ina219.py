@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from worm_driver.driver_errors import ConfigurationError, PowerSensorError
-from worm_driver.power.i2c import I2CDevice, swap
+from worm_driver.power.i2c import I2CDevice
 
 CONFIGURATION, SHUNT, BUS, POWER, CALIBRATION = 0, 1, 2, 3, 5  # register addresses
 
@@ -90,34 +90,20 @@ class INA219:
     _repeats: int = field(default=0, init=False)
 
     def start(self) -> None:
-        """Reset the chip, check its type and byte order, and set it up.
+        """Reset the chip, check its type, and set it up.
 
         Raises:
-            PowerSensorError: The chip does not answer, is another chip or loses its settings, or the bytes are swapped.
+            PowerSensorError: The chip does not answer, is another chip, or loses its settings.
         """
-        where = f"the device 0x{self.device.address:02X} on I2C bus {self.device.bus_name}"
-        swapped = (
-            f"{where} sends its bytes swapped: an SMBus adapter that swaps words is not supported"
-        )
-        if swap(self.device.read(CONFIGURATION)) in (POWER_ON_CONFIGURATION, RUNNING_CONFIGURATION):
-            raise PowerSensorError(swapped)
-        configuration = self._reset(RESET)
-        if configuration == POWER_ON_CONFIGURATION:
-            self.set_up()
-            return
-        # If the adapter swaps the bytes, the chip received 0x0080, which is a setting, instead of RESET. Then only the
-        # swapped value resets it.
-        if POWER_ON_CONFIGURATION in (swap(configuration), swap(self._reset(swap(RESET)))):
-            raise PowerSensorError(swapped)
-        raise PowerSensorError(
-            f"{where} is no INA219: configuration after reset is 0x{configuration:04X}, not 0x399F; "
-            "check the parameter i2c_address"
-        )
-
-    def _reset(self, word: int) -> int:
-        """Write a value that should reset the chip, and return the configuration."""
-        self.device.write(CONFIGURATION, word)
-        return self.device.read(CONFIGURATION)
+        self.device.write(CONFIGURATION, RESET)
+        configuration = self.device.read(CONFIGURATION)
+        if configuration != POWER_ON_CONFIGURATION:
+            raise PowerSensorError(
+                f"the device 0x{self.device.address:02X} on I2C bus {self.device.bus_name} is no INA219, or its "
+                f"adapter swaps bytes: configuration after reset is 0x{configuration:04X}, not 0x399F; check the "
+                "parameter i2c_address"
+            )
+        self.set_up()
 
     def set_up(self) -> None:
         """Write the settings and check them. Raises PowerSensorError."""

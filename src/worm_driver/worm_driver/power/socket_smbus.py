@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Replacement for smbus2.SMBus that sends transactions through a socket, as to the process of a virtual robot.
 
-The socket preserves packets (SOCK_SEQPACKET). A request is four bytes (operation, address, register, number of bytes to
-read) followed by the data to write. An answer is the errno (two bytes) followed by the data read. As with the kernel,
-the first byte of a word is its low byte, and a missing acknowledgement raises OSError(EREMOTEIO).
+The socket preserves packets (SOCK_SEQPACKET). A request is three bytes (operation, address, register), then the data to
+write. An answer is the errno (two bytes) followed by the data read. As with the kernel, the first byte of a word is its
+low byte, and a missing acknowledgement raises OSError(EREMOTEIO).
 """
 
 import errno
@@ -12,24 +12,23 @@ import socket
 import struct
 from dataclasses import dataclass
 
-_REQUEST = struct.Struct("<BBBB")
+_REQUEST = struct.Struct("<BBB")
 _ANSWER = struct.Struct("<H")
 
-READ = 0  # the master writes the register number, then reads `length` bytes
+READ = 0  # the master writes the register number, then reads a word
 WRITE = 1  # the master writes the register number and the data
 
 _TIMEOUT = 60.0  # s; the robot itself simulates a hanging bus, so that this timeout only detects a hanging process
-_LONGEST = 512  # longest answer, bytes; at most 255 of them are data
+_LONGEST = 512  # more than the longest answer, bytes
 
 
 @dataclass(frozen=True)
 class Request:
-    """SMBus transaction. operation: READ or WRITE; address: 7 bit; length: number of bytes to read."""
+    """SMBus transaction. operation: READ or WRITE; address: 7 bit; data: bytes to write."""
 
     operation: int
     address: int
     register: int = 0
-    length: int = 0
     data: bytes = b""
 
 
@@ -47,14 +46,13 @@ class Answer:
 
 def pack_request(request: Request) -> bytes:
     """Return the packet of a request."""
-    head = _REQUEST.pack(request.operation, request.address, request.register, request.length)
-    return head + request.data
+    return _REQUEST.pack(request.operation, request.address, request.register) + request.data
 
 
 def unpack_request(packet: bytes) -> Request:
     """Return the request of a packet. Raises struct.error if it is too short."""
-    operation, address, register, length = _REQUEST.unpack_from(packet)
-    return Request(operation, address, register, length, packet[_REQUEST.size :])
+    operation, address, register = _REQUEST.unpack_from(packet)
+    return Request(operation, address, register, packet[_REQUEST.size :])
 
 
 def pack_answer(answer: Answer) -> bytes:
@@ -90,7 +88,7 @@ class SocketSMBus:
 
     def read_word_data(self, i2c_addr: int, register: int) -> int:
         """Read two bytes of a register, low byte first."""
-        return int.from_bytes(self._transact(Request(READ, i2c_addr, register, 2)), "little")
+        return int.from_bytes(self._transact(Request(READ, i2c_addr, register)), "little")
 
     def write_word_data(self, i2c_addr: int, register: int, value: int) -> None:
         """Write two bytes to a register, low byte first."""

@@ -31,10 +31,6 @@ def spool_from(servo: int, readings: Sequence[Reading]) -> tuple[Spool, float]:
 
     The fit is a straight line: the length (m) as a function of the servo angle (rad). The absolute value of its slope
     is the radius of the spool (m). If the length falls with rising ticks, the sign is 1, otherwise -1.
-
-    Raises:
-        ConfigurationError: There are fewer than two positions, the body length hardly changed, a reading is too far
-            from the straight line, or the radius is out of the range of `Spool`.
     """
     if len({reading.ticks for reading in readings}) < 2:
         raise ConfigurationError(

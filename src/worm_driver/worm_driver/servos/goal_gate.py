@@ -52,23 +52,14 @@ class GoalGate:
         self.bounds: Mapping[int, Bound] = {}
 
     def write(self, servo: int, ticks: int) -> None:
-        """Write a goal (ticks) and wait for the acknowledgement. For use outside of the control cycle.
-
-        Raises:
-            RejectedError: The goal is withheld.
-            BusError: The servo does not acknowledge the goal.
-        """
+        """Write a goal (ticks) and wait for the acknowledgement. For use outside of the control cycle."""
         if why := self._why_withheld(servo, ticks):
             raise RejectedError(f"servo {servo}: goal {ticks} ticks is withheld: {why}")
         self._bus.write(servo, _GOAL, ticks)
         self._sent[servo] = ticks
 
     def send(self, goals: Mapping[int, int]) -> None:
-        """Write goals (ticks by servo id) in one packet, without acknowledgement. Withheld goals are counted.
-
-        Raises:
-            BusError: The packet cannot be sent.
-        """
+        """Write goals (ticks by servo id) in one packet, without acknowledgement. Withheld goals are counted."""
         within = {
             servo: ticks for servo, ticks in goals.items() if not self._why_withheld(servo, ticks)
         }

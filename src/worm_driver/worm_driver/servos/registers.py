@@ -9,6 +9,7 @@ files the velocity unit is 0.0239691227 rad/s. The manual rounds it to 0.229 rpm
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from types import MappingProxyType
 
 from worm_msgs.servo_models import SERVO_MODELS, ServoRow
@@ -90,32 +91,21 @@ class Register:
 
 
 @dataclass(frozen=True)
-class ServoModel:
-    """Servo model with its model number and its control table by register name.
+class ServoModel(ServoRow):
+    """Servo model: its data, and its control table by register name."""
 
-    Attributes:
-        number: model number, as a ping returns it.
-        name: name of the model.
-        minimum_firmware: oldest firmware that has a bus watchdog.
-        registers: control table.
-        factory: factory values of registers in which the models differ, raw, by register name.
-        strongest_current: largest value that current_limit accepts, A; NaN without such a register.
-        torque_constant: stall torque divided by stall current (e-manual, Specifications), N*m/A; NaN if the servo
-            measures no current.
-    """
+    registers: Mapping[str, Register] = field(default_factory=dict, repr=False)
 
-    number: int
-    name: str
-    minimum_firmware: int
-    registers: Mapping[str, Register] = field(repr=False)
-    factory: Mapping[str, int] = field(repr=False)
-    strongest_current: float = math.nan
-    torque_constant: float = math.nan
+    @cached_property
+    def factory(self) -> Mapping[str, int]:
+        """Factory values of registers in which the models differ, raw, by register name."""
+        given = {**self.initial, "velocity_limit": self.velocity_limit}
+        return {name: raw if isinstance(raw, int) else raw[0] for name, raw in given.items()}
 
     @property
-    def measures_current(self) -> bool:
-        """True if the servo measures its current, False if it reports an estimated load ratio instead."""
-        return "present_current" in self.registers
+    def strongest_current(self) -> float:
+        """Largest value that current_limit accepts, A."""
+        return self.current_limit * self.current_unit
 
     def __getitem__(self, name: str) -> Register:
         return self.registers[name]
@@ -191,17 +181,8 @@ def _table(*own: Register) -> Mapping[str, Register]:
 
 
 def _model(row: ServoRow) -> ServoModel:
-    given = {**row.initial, "velocity_limit": row.velocity_limit}
-    factory = {name: raw if isinstance(raw, int) else raw[0] for name, raw in given.items()}
-    return ServoModel(
-        row.number,
-        f"{row.name}-T",
-        row.minimum_firmware,
-        _table(*(_current(row.current_unit) if row.measures_current else _LOAD)),
-        MappingProxyType(factory),
-        row.current_limit * row.current_unit if row.measures_current else math.nan,
-        row.stall_torque / row.stall_current if row.measures_current else math.nan,
-    )
+    table = _table(*(_current(row.current_unit) if row.measures_current else _LOAD))
+    return ServoModel(**{**vars(row), "name": f"{row.name}-T"}, registers=table)
 
 
 MODELS: Mapping[int, ServoModel] = MappingProxyType(

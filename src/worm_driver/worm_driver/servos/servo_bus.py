@@ -43,8 +43,78 @@ from worm_driver.driver_errors import (
     StatusError,
 )
 from worm_driver.servos import serial_port
-from worm_driver.servos.bus_types import BusCounters, Identity, Reply, error_text
 from worm_driver.servos.registers import COMMON, Register
+
+_ERROR_TEXT = {
+    1: "could not carry the instruction out",
+    2: "does not support the instruction",
+    3: "received a garbled request (wrong CRC): check its cable",
+    4: "rejects the value: out of range, or its bus watchdog has expired",
+    5: "rejects the length of the data",
+    6: "rejects the value: beyond its limit register",
+    7: "rejects the access (read-only, undefined, or EEPROM while torque is on)",
+}
+
+
+@dataclass(frozen=True)
+class Identity:
+    """Answer of a servo to a ping."""
+
+    model_number: int
+    firmware: int
+
+
+@dataclass(frozen=True)
+class Reply:
+    """Answer of one servo to a request (status packet).
+
+    Attributes:
+        data: bytes of the requested registers, in the order of their addresses; empty after a write.
+        alert: True if the servo reports a hardware error (see hardware_error_status).
+        error: error number of the status packet, 0 for none.
+        received: time at which the driver had read the whole packet, s, monotonic.
+    """
+
+    data: bytes
+    alert: bool
+    error: int
+    received: float
+
+    def repeats(self, other: "Reply") -> bool:
+        """Return True if both replies have the same content. Their times of reception may differ."""
+        return (self.data, self.alert, self.error) == (other.data, other.alert, other.error)
+
+
+@dataclass(frozen=True)
+class BusCounters:
+    """Numbers of exchanges and of failures since the port was opened.
+
+    Attributes:
+        exchanges: requests to servos, including group writes and broadcasts, which have no answer.
+        timeouts: requests to one servo without an answer, and sync reads in which a usable answer is missing.
+        corrupt: garbled or contradictory answers, and answers of a wrong length; in sync reads also answers of servos
+            that were not requested.
+        errors: answers with an error number.
+        stale: answers that are older than their request.
+        implausible: positions that their servo cannot have reached.
+        withheld: goals that were not written because they are out of bounds.
+        retries: repetitions of requests to a single servo.
+    """
+
+    exchanges: int = 0
+    timeouts: int = 0
+    corrupt: int = 0
+    errors: int = 0
+    stale: int = 0
+    implausible: int = 0
+    withheld: int = 0
+    retries: int = 0
+
+
+def error_text(number: int) -> str:
+    """Return the meaning of a status packet's error number."""
+    return _ERROR_TEXT.get(number, f"answers with error number {number}")
+
 
 BROADCAST = 254
 _HEADER = b"\xff\xff\xfd"  # first three bytes of a packet; the fourth is 0
@@ -144,11 +214,7 @@ class BusPort(PortHandler):
         return data
 
     def writePort(self, packet: Sequence[int]) -> int:  # noqa: N802
-        """Send all bytes and return their number.
-
-        Raises:
-            OSError: The device accepts no bytes for _WRITE_TIMEOUT.
-        """
+        """Send all bytes and return their number."""
         left = memoryview(bytes(packet))
         device = self.ser.fileno()
         while left:
@@ -314,63 +380,38 @@ class ServoBus:
             self.retries, self._quiet = before
 
     def ping(self, servo: int) -> Identity:
-        """Return the model number and the firmware of a servo.
-
-        Raises:
-            BusError: The servo does not answer correctly.
-        """
+        """Return the model number and the firmware of a servo."""
         packet = [0] * 10
         packet[_ID], packet[_LENGTH], packet[_INSTRUCTION] = servo, 3, 1
         data = self._command(servo, packet, 3)
         return Identity(data[0] | data[1] << 8, data[2])
 
     def read(self, servo: int, register: Register) -> int:
-        """Return a register's raw value.
-
-        Raises:
-            BusError: The servo does not answer correctly.
-        """
+        """Return a register's raw value."""
         return register.unpack(self.read_block(servo, register.address, register.size))
 
     def read_block(self, servo: int, start: int, size: int) -> bytes:
-        """Return a block of the control table.
-
-        Raises:
-            BusError: The servo does not answer correctly.
-        """
+        """Return a block of the control table."""
         packet = [0] * 14
         packet[_ID], packet[_LENGTH], packet[_INSTRUCTION] = servo, 7, 2
         packet[8:12] = [*start.to_bytes(2, "little"), *size.to_bytes(2, "little")]
         return self._command(servo, packet, size)
 
     def write(self, servo: int, register: Register, raw: int) -> None:
-        """Write a register with acknowledgement by the servo.
-
-        Raises:
-            BusError: The servo does not acknowledge the write.
-        """
+        """Write a register with acknowledgement by the servo."""
         packet = [0] * (12 + register.size)
         packet[_ID], packet[_LENGTH], packet[_INSTRUCTION] = servo, 5 + register.size, 3
         packet[8:-2] = [*register.address.to_bytes(2, "little"), *register.pack(raw)]
         self._command(servo, packet, 0)
 
     def reboot(self, servo: int) -> None:
-        """Restart a servo. The servo loses its torque and its turn count.
-
-        Raises:
-            BusError: The servo does not acknowledge the request.
-        """
+        """Restart a servo. The servo loses its torque and its turn count."""
         packet = [0] * 10
         packet[_ID], packet[_LENGTH], packet[_INSTRUCTION] = servo, 3, 8
         self._command(servo, packet, 0)
 
     def sync_write(self, register: Register, values: Mapping[int, int]) -> None:
-        """Write a register of several servos at once, without acknowledgement.
-
-        Raises:
-            PortError: The port is gone.
-            BusError: The packet cannot be sent.
-        """
+        """Write a register of several servos at once, without acknowledgement."""
         if not values:
             return
         parameters = [
@@ -402,10 +443,6 @@ class ServoBus:
 
         Returns:
             Time at which the request was sent (s, monotonic), and the replies by id.
-
-        Raises:
-            PortError: The port is gone.
-            BusError: The packet cannot be sent.
         """
         replies: dict[int, Reply] = {}
         doubted: set[int] = set()
@@ -452,12 +489,7 @@ class ServoBus:
         return self.port.answer_time((11 + size) * servos)
 
     def torque_off_all(self) -> None:
-        """Switch off the torque of all servos on the bus, by broadcast and without acknowledgement.
-
-        Raises:
-            PortError: The port is gone.
-            BusError: The packet cannot be sent.
-        """
+        """Switch off the torque of all servos on the bus, by broadcast and without acknowledgement."""
         with self._exchange() as handler:
             torque = COMMON["torque_enable"]
             self._check_sent(handler.writeTxOnly(self.port, BROADCAST, torque.address, 1, [0]))

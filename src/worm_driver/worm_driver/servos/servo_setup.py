@@ -6,7 +6,6 @@ line, because a late answer must not pass for the answer to the present request.
 pings only once. `standing_position` and `switch_on`, which belong to the switching on of the torque, do
 not wait for a quiet line before each reading. All other written values are read back twice on a
 quiet line, too. Callers should enter the context `ServoBus.retrying`; `release_all` enters it itself.
-`register_rules` lists what the driver does with each register.
 
 The home mark of a cable servo means that position 0 is the cable's home. It consists of led, which is 1, and of
 velocity_i_gain, which is a function of homing_offset. Both registers are in RAM. A reboot or a power failure, which
@@ -18,7 +17,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from worm_driver.driver_errors import BusError, ConfigurationError, CorruptReplyError, HomingError
-from worm_driver.servos.register_rules import RULES, Treatment, required
 from worm_driver.servos.registers import (
     EXTENDED_POSITION_MODE,
     MODELS,
@@ -41,6 +39,28 @@ _HOME_TOLERANCE = 10
 _HOMING_OFFSET_LIMIT = 1_044_479
 #: Largest value of velocity_i_gain (e-manual). Position control does not use this gain.
 _LARGEST_GAIN = 16_383
+
+# Registers that need the same raw value in every robot, unless `ServoModel.factory` contains another one for the model.
+# The driver writes the other registers that it needs with values that depend on the settings, see the functions.
+#: Registers that must have this value already, with the reason.
+_CHECKED = {
+    "secondary_id": (255, "the servo would also obey commands for the servo with this id"),
+    "temperature_limit": (80, "the servo protects itself at the factory value"),
+    "pwm_limit": (885, "a lower value makes the servo slow and weak"),
+    "shutdown": (52, "the servo protects itself at the factory value"),
+}
+#: Registers of the EEPROM, written while the torque is off: a restarted servo then has no torque.
+_EEPROM = {"return_delay_time": 0, "drive_mode": 0, "startup_configuration": 0}
+#: Registers of the RAM. Gains are those of position control; the servo does not delay a goal.
+_RAM = {
+    "status_return_level": 2,
+    "position_d_gain": 0,
+    "position_i_gain": 0,
+    "position_p_gain": 800,
+    "feedforward_2nd_gain": 0,
+    "feedforward_1st_gain": 0,
+    "profile_acceleration": 0,
+}
 
 
 @dataclass(frozen=True)
@@ -91,13 +111,13 @@ def identify(bus: ServoBus, number: int) -> Servo:
         )
     # A servo may be set to answer pings only. A group write has no answer on which this could fail.
     bus.sync_write(model["status_return_level"], {number: 2})
-    checked = required(model, Treatment.CHECKED)
+    checked = _required(model, {name: raw for name, (raw, _) in _CHECKED.items()})
     limits = ("velocity_limit", "min_voltage_limit", "max_voltage_limit")
     ends = ("min_position_limit", "max_position_limit")
     values = _registers(bus, number, model, (*checked, *limits, *ends))
     for name, raw in checked.items():
         if values[name] != raw:
-            raise _unsuitable(number, name, values[name], raw)
+            raise _unsuitable(number, name, values[name], raw, _CHECKED[name][1])
     values["velocity_limit"] = min(values["velocity_limit"], model.factory["velocity_limit"])
     speed, low, high = (model[name].from_raw(values[name]) for name in limits)
     temperature = model["temperature_limit"].from_raw(values["temperature_limit"])
@@ -105,19 +125,19 @@ def identify(bus: ServoBus, number: int) -> Servo:
     return Servo(number, model, identity.firmware, speed, (low, high), temperature, ticks)
 
 
-def _unsuitable(number: int, name: str, stored: int, needed: int) -> ConfigurationError:
+def _required(model: ServoModel, values: Mapping[str, int]) -> dict[str, int]:
+    """Return the raw values, by name, that registers of a model need."""
+    return {name: model.factory.get(name, raw) for name, raw in values.items()}
+
+
+def _unsuitable(number: int, name: str, stored: int, needed: int, why: str) -> ConfigurationError:
     return ConfigurationError(
-        f"servo {number} has {name} {stored} instead of {needed}: {RULES[name].why}. Set it to {needed} with Dynamixel "
-        "Wizard"
+        f"servo {number} has {name} {stored} instead of {needed}: {why}. Set it to {needed} with Dynamixel Wizard"
     )
 
 
 def require_speed(servo: Servo, speed: float, parameter: str) -> None:
-    """Check that a servo permits a speed (rad/s), or the speed that its model permits when new, if this is less.
-
-    Raises:
-        ConfigurationError: The velocity limit is lower. The message names ``parameter``, from which the speed results.
-    """
+    """Check that a servo permits a speed (rad/s), or the speed that its model permits when new, if this is less."""
     register, factory = servo["velocity_limit"], servo.model.factory["velocity_limit"]
     needed = min(int(speed / register.scale), factory)
     stored = register.to_raw(servo.velocity_limit)
@@ -129,12 +149,7 @@ def require_speed(servo: Servo, speed: float, parameter: str) -> None:
 
 
 def require_fin(bus: ServoBus, servo: Servo, low: int, high: int) -> None:
-    """Check that a fin servo can reach its angles, ``low`` to ``high`` ticks, counted from its encoder's zero.
-
-    Raises:
-        ConfigurationError: A register excludes an angle or shifts all angles.
-        BusError: The servo does not answer.
-    """
+    """Check that a fin servo can reach its angles, ``low`` to ``high`` ticks, counted from its encoder's zero."""
     smallest, largest = servo.position_range
     if not smallest <= low <= high <= largest:
         raise ConfigurationError(
@@ -143,15 +158,12 @@ def require_fin(bus: ServoBus, servo: Servo, low: int, high: int) -> None:
         )
     offset = registers(bus, servo, "homing_offset")["homing_offset"]
     if offset:
-        raise _unsuitable(servo.number, "homing_offset", offset, 0)
+        why = "the angles of a fin count from its encoder's 0"
+        raise _unsuitable(servo.number, "homing_offset", offset, 0, why)
 
 
 def registers(bus: ServoBus, servo: Servo, *names: str) -> Mapping[str, int]:
-    """Return raw values of registers by name. Two readings on a quiet line agree on them.
-
-    Raises:
-        BusError: The servo does not answer, or no two readings agree.
-    """
+    """Return raw values of registers by name. Two readings on a quiet line agree on them."""
     return _registers(bus, servo.number, servo.model, names)
 
 
@@ -176,11 +188,7 @@ def _registers(
 
 
 def store(bus: ServoBus, servo: Servo, name: str, raw: int) -> None:
-    """Write a register and read it back.
-
-    Raises:
-        BusError: The servo does not answer, or stores another value.
-    """
+    """Write a register and read it back."""
     bus.write(servo.number, servo[name], raw)
     stored = registers(bus, servo, name)[name]
     if stored != raw:
@@ -190,12 +198,7 @@ def store(bus: ServoBus, servo: Servo, name: str, raw: int) -> None:
 
 
 def check(bus: ServoBus, servo: Servo) -> None:
-    """Check that a servo's supply is in range and that it reports no fault.
-
-    Raises:
-        BusError: The servo does not answer.
-        ConfigurationError: The servo reports a fault, or its supply is out of range.
-    """
+    """Check that a servo's supply is in range and that it reports no fault."""
     values = registers(bus, servo, "hardware_error_status", "present_input_voltage")
     voltage = servo["present_input_voltage"].from_raw(values["present_input_voltage"])
     low, high = servo.voltage_range
@@ -221,13 +224,10 @@ def prepare(bus: ServoBus, servo: Servo, settings: Mapping[str, int]) -> None:
     Args:
         bus: servo bus.
         servo: the servo.
-        settings: values of registers in addition to those of `register_rules`, raw by name.
-
-    Raises:
-        BusError: The servo does not answer, keeps its torque, or stores another value.
+        settings: values of registers in addition to those of every robot, raw by name.
     """
     bus.write(servo.number, servo["torque_enable"], 0)
-    wanted = {**required(servo.model, Treatment.WRITTEN), **settings}
+    wanted = {**_required(servo.model, _EEPROM), **settings}
     values = registers(bus, servo, "torque_enable", *wanted)
     if values["torque_enable"]:
         raise CorruptReplyError(f"servo {servo.number} keeps its torque: switch its supply off")
@@ -246,15 +246,12 @@ def _mode_and_current(servo: Servo, mode: int, limit: float) -> dict[str, int]:
 
 
 def prepare_cable(bus: ServoBus, servo: Servo, limit: float) -> None:
-    """Prepare a cable servo: extended position mode, and a current limit (A, see `supervision.own_limit`).
-
-    Raises as `prepare`.
-    """
+    """Prepare a cable servo: extended position mode, and a current limit (A, see `supervision.own_limit`)."""
     prepare(bus, servo, _mode_and_current(servo, EXTENDED_POSITION_MODE, limit))
 
 
 def prepare_fin(bus: ServoBus, servo: Servo) -> None:
-    """Prepare a fin servo: position mode, no homing offset, and the largest current limit. Raises as `prepare`."""
+    """Prepare a fin servo: position mode, no homing offset, and the largest current limit."""
     settings = _mode_and_current(servo, POSITION_MODE, servo.model.strongest_current)
     prepare(bus, servo, {**settings, "homing_offset": 0})
 
@@ -289,13 +286,8 @@ def held_position(bus: ServoBus, servo: Servo) -> int | None:
 
 
 def require_cable_settings(bus: ServoBus, servo: Servo, limit: float) -> None:
-    """Check that a cable servo whose torque is on has the EEPROM of `prepare_cable`, which needs the torque off.
-
-    Raises:
-        ConfigurationError: A setting differs.
-        BusError: The servo does not answer, or no two readings agree.
-    """
-    wanted = required(servo.model, Treatment.WRITTEN)
+    """Check that a cable servo whose torque is on has the EEPROM of `prepare_cable`, which needs the torque off."""
+    wanted = _required(servo.model, _EEPROM)
     wanted |= _mode_and_current(servo, EXTENDED_POSITION_MODE, limit)
     values = registers(bus, servo, *wanted)
     for name, raw in wanted.items():
@@ -314,11 +306,7 @@ def _mark(homing_offset: int) -> dict[str, int]:
 
 
 def is_homed(bus: ServoBus, servo: Servo) -> bool:
-    """Return True if a cable servo's position 0 is the cable's home.
-
-    Raises:
-        BusError: The servo does not answer.
-    """
+    """Return True if a cable servo's position 0 is the cable's home."""
     values = registers(bus, servo, "homing_offset", "led", "velocity_i_gain")
     return _mark(values["homing_offset"]).items() <= values.items()
 
@@ -342,7 +330,7 @@ def home(bus: ServoBus, cables: Sequence[Servo]) -> None:
 
 
 def _set_zero(bus: ServoBus, servo: Servo) -> int:
-    """Set the present position to 0 and return the homing offset. Raises as `home`."""
+    """Set the present position to 0 and return the homing offset."""
     values = registers(bus, servo, "homing_offset", "present_position")
     offset = values["homing_offset"] - values["present_position"]
     if abs(offset) > _HOMING_OFFSET_LIMIT:
@@ -369,14 +357,11 @@ def reset_control(bus: ServoBus, servo: Servo, speed: float, limit: float = 1.0)
         speed: speed limit, rad/s.
         limit: largest PWM output as a ratio of the maximum, see `supervision.own_limit`. Not used for a servo that
             measures its current.
-
-    Raises:
-        BusError: The servo does not answer, rejects a value, or stores another value.
     """
     bus.write(servo.number, servo["bus_watchdog"], 0)  # an expired watchdog lets no goal be written
     profile, output = servo["profile_velocity"], servo["goal_pwm"]
     wanted = {
-        **required(servo.model, Treatment.RESET),
+        **_required(servo.model, _RAM),
         profile.name: max(1, profile.to_raw(min(speed, servo.velocity_limit))),
         output.name: output.to_raw(1.0 if servo.model.measures_current else limit),
     }
@@ -401,9 +386,6 @@ def standing_position(bus: ServoBus, servo: Servo) -> int:
 
     A single wrong reading must not become a goal. The tolerance is not 0, because a body that springs back moves
     between two readings.
-
-    Raises:
-        BusError: The servo does not answer, or no two consecutive readings agree.
     """
     before = bus.read(servo.number, servo["present_position"])
     for _ in range(_PAIRS):
@@ -422,10 +404,6 @@ def switch_on(bus: ServoBus, servo: Servo) -> None:
 
     The bus watchdog must be armed (`arm_watchdog`), and the goal must be the present position. The function makes
     only two exchanges, because the servos that are already enabled wait for their first goal.
-
-    Raises:
-        BusError: The servo does not answer, or rejects the write.
-        ConfigurationError: The servo restarted during setup. Its torque is on without limits: disable the servo.
     """
     bus.write(servo.number, servo["torque_enable"], 1)
     if not bus.read(servo.number, servo["bus_watchdog"]):
@@ -435,11 +413,7 @@ def switch_on(bus: ServoBus, servo: Servo) -> None:
 
 
 def disable(bus: ServoBus, servo: Servo) -> None:
-    """Switch the torque off, and then disarm the bus watchdog.
-
-    Raises:
-        BusError: The servo does not answer.
-    """
+    """Switch the torque off, and then disarm the bus watchdog."""
     bus.write(servo.number, servo["torque_enable"], 0)
     bus.write(servo.number, servo["bus_watchdog"], 0)
 

@@ -1,16 +1,71 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reader of the states of all servos, once per cycle. It checks that answers are fresh and positions are plausible."""
 
+import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 from worm_driver.servos import tick_clock
-from worm_driver.servos.bus_types import Reply, error_text
 from worm_driver.servos.position_track import PositionTrack
-from worm_driver.servos.registers import COMMON, WATCHDOG_EXPIRED
-from worm_driver.servos.servo_bus import ServoBus
+from worm_driver.servos.registers import COMMON, WATCHDOG_EXPIRED, ServoModel
+from worm_driver.servos.servo_bus import Reply, ServoBus, error_text
 from worm_driver.servos.servo_setup import Servo
-from worm_driver.servos.servo_state import SILENT, STATE_SIZE, STATE_START, ServoState, decode
 from worm_driver.servos.tick_clock import TickClock
+
+#: Block that is read in every cycle: Realtime Tick to Present Temperature. No model has a gap in this range.
+STATE_START = COMMON["realtime_tick"].address
+STATE_SIZE = COMMON["present_temperature"].end - STATE_START
+
+
+@dataclass(frozen=True)
+class ServoState:
+    """State of a servo, in SI units.
+
+    Attributes:
+        ticks: present position, raw.
+        position: present position, rad.
+        velocity: present velocity, rad/s.
+        effort: current, A; for a servo that measures no current, the load as a ratio of its maximum.
+        voltage: supply voltage, V.
+        temperature: temperature, degC.
+        tick: time of the servo's own clock (realtime_tick), s.
+        trajectory: present point of the servo's profile (position_trajectory), raw. The servo controls its position to
+            this point. Under a load it remains behind it.
+    """
+
+    ticks: int
+    position: float
+    velocity: float
+    effort: float
+    voltage: float
+    temperature: float
+    tick: float
+    trajectory: int = 0
+
+
+#: State of a servo without a usable answer.
+SILENT = ServoState(0, math.nan, math.nan, math.nan, math.nan, math.nan, math.nan)
+
+
+def decode(model: ServoModel, block: bytes) -> ServoState:
+    """Return a servo's state from its block of STATE_SIZE bytes at address STATE_START."""
+
+    def value(name: str) -> float:
+        return model[name].from_raw(model[name].unpack_from(block, STATE_START))
+
+    position = model["present_position"]
+    ticks = position.unpack_from(block, STATE_START)
+    return ServoState(
+        ticks=ticks,
+        position=position.from_raw(ticks),
+        velocity=value("present_velocity"),
+        effort=value("present_current" if model.measures_current else "present_load"),
+        voltage=value("present_input_voltage"),
+        temperature=value("present_temperature"),
+        tick=value("realtime_tick"),
+        trajectory=model["position_trajectory"].unpack_from(block, STATE_START),
+    )
+
 
 #: Health registers, which are not part of the block of the state. In each cycle in which all states arrive, the next of
 #: these registers is read from all servos.
@@ -35,9 +90,6 @@ class StateReader:
 
     Attributes:
         problems: reasons why states are SILENT, by servo id.
-
-    Raises:
-        BusError: A request cannot be sent, for example because the port is gone.
     """
 
     def __init__(self, bus: ServoBus, servos: Sequence[Servo], track: PositionTrack):
@@ -57,9 +109,6 @@ class StateReader:
 
         The state of a servo without a fresh and plausible answer is SILENT. A servo whose position is lost
         (`PositionTrack.lost`) gets no request. The bus watchdog then stops this servo where it is, whatever its goal.
-
-        Raises:
-            BusError: A request cannot be sent, for example because the port is gone.
         """
         requested_at, states = self._request()
         if len(states) < len(self._ids):
@@ -98,9 +147,6 @@ class StateReader:
         """Estimate the servos' clocks from scratch. Each request waits until no older answer can arrive.
 
         The signs of faults and restarts collected so far are dropped, see `pop_suspect`.
-
-        Raises:
-            BusError: A request cannot be sent, for example because the port is gone.
         """
         self._clocks.clear()
         with self._bus.retrying():
@@ -115,9 +161,6 @@ class StateReader:
         A line is quiet when all older answers have arrived or can no longer arrive. The registers and the servo's clock
         are read in one block, which shows a late answer, so that it is never mistaken for a fault.
         The result includes the clock, realtime_tick.
-
-        Raises:
-            BusError: A request cannot be sent, for example because the port is gone.
         """
         self._bus.require_quiet_line()
         size = _HEALTH_END - _HEALTH_START

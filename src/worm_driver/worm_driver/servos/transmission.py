@@ -37,11 +37,7 @@ class Spool:
             )
 
     def ticks(self, length_change: float) -> int:
-        """Return the position (ticks from home) for a length change (m, contraction is negative).
-
-        Raises:
-            RejectedError: The length change is not finite, or beyond the range of the servo.
-        """
+        """Return the position (ticks from home) for a length change (m, contraction is negative)."""
         if not math.isfinite(length_change):
             raise RejectedError(
                 f"cable servo {self.servo}: length change {length_change} is not a finite number"

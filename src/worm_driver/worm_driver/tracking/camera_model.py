@@ -2,8 +2,7 @@
 """Intrinsic parameters of a camera, with the names of ROS's camera_info.
 
 Distortion models and names follow sensor_msgs/CameraInfo and image_geometry: ``plumb_bob`` (Brown's radial and
-tangential distortion, 4 or 5 coefficients), ``rational_polynomial`` (8 coefficients) and ``equidistant`` (Kannala and
-Brandt's fisheye, 4 coefficients).
+tangential distortion, 4 or 5 coefficients) and ``rational_polynomial`` (8 coefficients).
 """
 
 from __future__ import annotations
@@ -18,13 +17,13 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from worm_driver.tracking.tracking_errors import SetupError
+from worm_driver.driver_errors import SetupError
 from worm_msgs.settings_file import FOREIGN, read_settings
 
 Array = NDArray[np.float64]
 
 #: Allowed numbers of distortion coefficients of each model.
-COEFFICIENTS = {"plumb_bob": (4, 5), "rational_polynomial": (8,), "equidistant": (4,)}
+COEFFICIENTS = {"plumb_bob": (4, 5), "rational_polynomial": (8,)}
 #: Largest difference between the numbers of two calibrations that are the same.
 _ROUNDING = 1e-3
 
@@ -149,13 +148,13 @@ def make_camera_model(
     return CameraModel(width, height, focal, centre, model, tuple(distortion))
 
 
-def camera_info_text(name: str, camera: CameraModel) -> str:
+def camera_info_text(camera: CameraModel) -> str:
     """Return the content of a camera_info YAML file, as `load_camera_info` and camera_info_manager read it."""
     fx, fy, cx, cy = *camera.focal, *camera.centre
     content = {
         "image_width": camera.width,
         "image_height": camera.height,
-        "camera_name": name,
+        "camera_name": "camera",
         "camera_matrix": _matrix(3, 3, [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]),
         "distortion_model": camera.model,
         "distortion_coefficients": _matrix(1, len(camera.distortion), list(camera.distortion)),

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from worm_driver.driver_errors import PoseError
 from worm_driver.tracking import vision
 from worm_driver.tracking.camera_model import Array, CameraModel
 from worm_driver.tracking.tracker_setup import FEWEST_REFERENCES, TrackerSetup
-from worm_driver.tracking.tracking_errors import PoseError
 
 #: Limits of the rms distance of the reference markers' corners from their positions in the setup file (m). Above
 #: _MISPLACED, the pose is rejected; above DOUBTFUL, the tracker warns. The limits are small because the fitted pose
@@ -79,10 +79,6 @@ def find_pose(setup: TrackerSetup, camera: CameraModel, corners_of: Corners) -> 
         setup: the rig.
         camera: calibrated camera.
         corners_of: corners (pixels, shape (4, 2)) of each visible reference marker, by marker number.
-
-    Raises:
-        PoseError: Too few markers are visible, a marker is outside the range of the lens calibration, two poses fit
-            equally well, or none fits.
     """
     if len(corners_of) < FEWEST_REFERENCES:
         have = ", ".join(map(str, corners_of)) or "none"

@@ -12,10 +12,25 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
+from worm_driver.driver_errors import SetupError
 from worm_driver.tracking.camera_model import CameraModel, load_camera_info
-from worm_driver.tracking.tracking_errors import SetupError
+from worm_msgs.parameter_rows import ParameterRow
 from worm_msgs.settings_file import OneOf, key, read_settings
 
+#: Value of source that selects the topics of a camera.
+TOPIC = "topic"
+_PARAMETERS = tuple(
+    ParameterRow(name, default, text, read_only=True)
+    for name, default, text in (
+        ("setup_file", "", "Setup file of the camera and the markers (YAML)."),
+        (
+            "source",
+            TOPIC,
+            "Source of the images: topic, a V4L2 device such as /dev/video0, a video, or a folder of images.",
+        ),
+        ("image_transport", "raw", "Transport of the topic: raw or compressed."),
+    )
+)
 #: Marker dictionaries (OpenCV names) with their numbers of markers.
 DICTIONARIES = {
     **{f"DICT_{n}X{n}_{count}": count for n in (4, 5, 6, 7) for count in (50, 100, 250, 1000)},
@@ -38,6 +53,11 @@ LARGEST_ALONG = 20.0
 
 #: Values of ``pose``: the camera is stationary, or its pose is estimated from each image.
 POSES = ("fixed", "each_image")
+
+
+def rows() -> tuple[ParameterRow, ...]:
+    """Return the parameters of the tracker's node."""
+    return _PARAMETERS
 
 
 MarkerNumber = Annotated[int, key(ge=0)]

@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from worm_driver.driver_errors import ImageError
 from worm_driver.tracking.camera_model import Array, CameraModel
-from worm_driver.tracking.tracking_errors import ImageError
 
 Image = NDArray[np.uint8]
 
@@ -191,10 +191,7 @@ def project(camera: CameraModel, points: Array, rotation: Array, shift: Array) -
     turn = cv2.Rodrigues(rotation)[0]
     distortion = np.array(camera.distortion)
     places = points.reshape(-1, 1, 3)
-    if camera.model == "equidistant":
-        pixels, _ = cv2.fisheye.projectPoints(places, turn, shift, camera.matrix, distortion)
-    else:
-        pixels, _ = cv2.projectPoints(places, turn, shift, camera.matrix, distortion)
+    pixels, _ = cv2.projectPoints(places, turn, shift, camera.matrix, distortion)
     return np.asarray(pixels, float).reshape(-1, 2)
 
 
@@ -202,14 +199,9 @@ def directions(camera: CameraModel, pixels: Array) -> Array:
     """Return the ray directions (x/z, y/z), shape (n, 2), of pixels; NaN where the lens model has no inverse."""
     distortion = np.array(camera.distortion)
     image_points = np.ascontiguousarray(pixels, float).reshape(-1, 1, 2)
-    if camera.model == "equidistant":
-        undistorted = cv2.fisheye.undistortPoints(
-            image_points, camera.matrix, distortion, criteria=_EXACT
-        )
-    else:
-        undistorted = cv2.undistortPointsIter(
-            image_points, camera.matrix, distortion, None, None, _EXACT
-        )
+    undistorted = cv2.undistortPointsIter(
+        image_points, camera.matrix, distortion, None, None, _EXACT
+    )
     rays = np.asarray(undistorted, float).reshape(-1, 2)
     ahead = np.column_stack([rays, np.ones(len(rays))])
     again = project(camera, ahead, np.eye(3), np.zeros(3))
@@ -312,29 +304,24 @@ class Calibration:
     focal_deviation: float
 
 
-def calibrate(
-    views: Sequence[tuple[Array, Array]], size: tuple[int, int], model: str
-) -> Calibration:
-    """Calibrate a camera from views of a board.
+def calibrate(views: Sequence[tuple[Array, Array]], size: tuple[int, int]) -> Calibration:
+    """Calibrate a camera, with the model plumb_bob, from views of a board.
 
     Args:
         views: results of `Board.find`.
         size: image size (width, height), pixels.
-        model: plumb_bob or rational_polynomial.
     """
-    flags = cv2.CALIB_RATIONAL_MODEL if model == "rational_polynomial" else 0
     places = [place.astype(np.float32) for place, _ in views]
     pixels = [corners.astype(np.float32).reshape(-1, 1, 2) for _, corners in views]
     error, matrix, distortion, _, _, deviations, _, errors = cv2.calibrateCameraExtended(
-        places, pixels, size, None, None, flags=flags
+        places, pixels, size, None, None
     )
-    count = 8 if flags else 5
     camera = CameraModel(
         *size,
         (float(matrix[0, 0]), float(matrix[1, 1])),
         (float(matrix[0, 2]), float(matrix[1, 2])),
-        model,
-        tuple(float(value) for value in distortion.ravel()[:count]),
+        "plumb_bob",
+        tuple(float(value) for value in distortion.ravel()[:5]),
     )
     return Calibration(camera, float(error), np.asarray(errors).ravel(), float(deviations[0, 0]))
 
@@ -383,11 +370,7 @@ _CHANNELS = {"mono8": 1, "bgr8": 3, "rgb8": 3, "bgra8": 4, "rgba8": 4} | dict.fr
 
 
 def grey(data: NDArray[np.uint8], height: int, width: int, step: int, encoding: str) -> Image:
-    """Return the pixels of a sensor_msgs/Image, whose rows are step bytes apart, as a grey image.
-
-    Raises:
-        ImageError: The encoding is not supported, or the data are truncated.
-    """
+    """Return the pixels of a sensor_msgs/Image, whose rows are step bytes apart, as a grey image."""
     if encoding not in _CHANNELS:
         raise ImageError(
             f"images in {encoding!r} are not supported: set the camera to one of {', '.join(_CHANNELS)}"

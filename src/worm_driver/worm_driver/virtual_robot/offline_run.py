@@ -12,11 +12,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from worm_driver.virtual_robot.camera import TrackerSample
 from worm_driver.virtual_robot.servo.control_table import XM430_W350
 from worm_driver.virtual_robot.servo.motor import PULSES_PER_RADIAN
 from worm_driver.virtual_robot.servo.virtual_servo import Servo
-from worm_driver.virtual_robot.virtual_robot import VirtualRobot
+from worm_driver.virtual_robot.virtual_robot import TrackerSample, VirtualRobot
 from worm_driver.virtual_robot.virtual_settings import RobotSettings
 from worm_driver.virtual_robot.wire.ina219_chip import BUS, CONFIGURATION, POWER, SHUNT
 from worm_msgs.gait import FORWARD

@@ -25,9 +25,8 @@ from pathlib import Path
 
 from worm_driver import simulated_clock
 from worm_driver.power import socket_smbus as frames
-from worm_driver.virtual_robot.camera import TrackerSample
 from worm_driver.virtual_robot.servo.control_table import BAUD_RATES
-from worm_driver.virtual_robot.virtual_robot import VirtualRobot
+from worm_driver.virtual_robot.virtual_robot import TrackerSample, VirtualRobot
 from worm_driver.virtual_robot.wire import faults
 from worm_driver.virtual_robot.wire.clock_server import ClockClient, ClockServer
 from worm_driver.virtual_robot.wire.faults import Fault
@@ -402,11 +401,7 @@ class RobotServer:
 
 
 def _lock_directory(directory: Path) -> int:
-    """Create a directory if necessary, lock it and return the lock's descriptor. The lock ends with the process.
-
-    Raises:
-        DirectoryError: The directory cannot be created, or another virtual robot uses it.
-    """
+    """Create a directory if necessary, lock it and return the lock's descriptor. The lock ends with the process."""
     try:
         directory.mkdir(parents=True, exist_ok=True)
         lock = os.open(directory / _LOCK_NAME, os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o600)

@@ -7,16 +7,11 @@ results.
 
 import math
 from collections import deque
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from random import Random
 
 from worm_driver.power.socket_smbus import Answer, Request
-from worm_driver.virtual_robot.camera import Tracker, TrackerSample
-from worm_driver.virtual_robot.plant import (
-    LOOSE,
-    Plant,
-    make_grooves,
-)
+from worm_driver.virtual_robot.plant import LOOSE, Plant, make_grooves
 from worm_driver.virtual_robot.servo.control_table import (
     BAUD_RATES,
     EXTENDED_POSITION_MODE,
@@ -31,6 +26,7 @@ from worm_driver.virtual_robot.virtual_settings import (
     FinServoSettings,
     LineSettings,
     RobotSettings,
+    TrackerSettings,
     perturbed,
 )
 from worm_driver.virtual_robot.wire import faults
@@ -39,6 +35,53 @@ from worm_driver.virtual_robot.wire.ina219_chip import AdcNoise, I2cLine, Ina219
 from worm_msgs.conditions import CONDITION_ROWS
 from worm_msgs.gait import FORWARD, REVERSE
 from worm_msgs.robot_parameters import RobotParameters
+
+
+@dataclass(frozen=True)
+class TrackerSample:
+    """Positions measured in one exposure.
+
+    Attributes:
+        time: time of the exposure, s.
+        rear_position, front_position: x1 and x2, m; NaN while the marker is hidden.
+        available: time at which the sample can be read, s.
+    """
+
+    time: float
+    rear_position: float
+    front_position: float
+    available: float
+
+
+class Tracker:
+    """Camera with a fixed rate. The zero of both positions is the initial position of the rear module without a load.
+
+    Attributes:
+        next_exposure: time of the next exposure, s.
+    """
+
+    def __init__(self, settings: TrackerSettings, random: Random) -> None:
+        self._settings = settings
+        self._random = random
+        self._exposures = 0
+        self._hidden_until = [0.0, 0.0]
+        self.next_exposure = 0.0
+
+    def expose(self, time: float, rear: float, front: float) -> TrackerSample:
+        """Return a noisy sample of the true positions x1 and x2 (m) at a time (s)."""
+        self._exposures += 1
+        self.next_exposure = self._exposures / self._settings.rate
+        positions = [self._see(marker, time, true) for marker, true in enumerate((rear, front))]
+        return TrackerSample(time, positions[0], positions[1], time + self._settings.latency)
+
+    def _see(self, marker: int, time: float, true: float) -> float:
+        # Both numbers are drawn each time, so that an occlusion does not change the noise after it.
+        starts = self._random.random() < self._settings.occlusion_rate / self._settings.rate
+        noise = self._random.gauss(0.0, self._settings.noise)
+        if starts and time >= self._hidden_until[marker]:
+            self._hidden_until[marker] = time + self._settings.occlusion
+        return math.nan if time < self._hidden_until[marker] else true + noise
+
 
 _HOUSEKEEPING = 0.005  # s, time between two updates of the faults
 _SUPERVISION = 0.050  # s, time between two checks of the servos' protections

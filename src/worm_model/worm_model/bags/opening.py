@@ -10,25 +10,33 @@ from __future__ import annotations
 import logging
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from itertools import groupby, pairwise
 from operator import itemgetter
 from pathlib import Path, PurePath
 
+import numpy as np
+import zstandard
+
 from worm_model.bags.formats.bag_errors import BagError
 from worm_model.bags.formats.bag_metadata import is_unfinished, read_metadata
 from worm_model.bags.formats.finding import (
+    COMPRESSED,
     METADATA_FILE,
     check_readable,
     is_storage,
 )
-from worm_model.bags.formats.mcap_file import McapFile
+from worm_model.bags.formats.mcap_file import LARGEST_CHUNK, McapFile
 from worm_model.bags.formats.message_block import (
     Message,
     Messages,
     Topic,
+    cells,
     merge,
+    messages_of,
 )
+from worm_model.bags.formats.message_types import PACKAGE, with_definition
 from worm_model.bags.formats.stored_file import (
     LONGEST_GAP_NS,
     AttachedFile,
@@ -39,21 +47,23 @@ from worm_model.bags.formats.stored_file import (
 # metadata record of a recovered bag, with its source and what is missing
 RECOVERY_RECORD = "worm_recovery"
 SOURCE, LOSS = "recovered_from", "loss"
-NOT_READ = ("file", "message")  # rosbag2's compression modes; it compresses chunks by default
 _log = logging.getLogger("worm_model.bags")
 
 Notify = Callable[[str], None]
 
 
-def open_bag(path: Path, notify: Notify = _log.warning) -> Bag:
+def open_bag(path: Path, notify: Notify = _log.warning, definitions: Path | None = None) -> Bag:
     """Open a bag for reading. The bag is not changed.
 
     Args:
         path: a rosbag2 directory, or one of its files (``.mcap``, ``.db3``).
         notify: called with one line for each file that is not complete, and for each inconsistency.
+        definitions: folder with the ``.msg`` files of worm_msgs from the time of the recording, used for the topics
+            whose type is in it.
 
     Raises:
-        BagError: The bag is missing or of an unknown format, or none of its files can be read.
+        BagError: The bag is missing or of an unknown format, or none of its files can be read; or the definitions do
+            not match its messages.
     """
     check_readable(path)
     names = [""] if path.is_file() else _file_names(path, notify)
@@ -66,9 +76,27 @@ def open_bag(path: Path, notify: Notify = _log.warning) -> Bag:
             errors[name] = error
     if errors and not files:
         raise next(reversed(errors.values()))
+    if definitions is not None:
+        _define(path, files, definitions)
     bag = Bag(path, files, notify, [f"{name} is left out: {e}" for name, e in errors.items()])
     _report(bag)
     return bag
+
+
+def _define(path: Path, files: Sequence[StoredFile], definitions: Path) -> None:
+    """Replace the definitions of the topics whose type is in a folder."""
+    found = False
+    for file in files:
+        for number, topic in file.channels.items():
+            package, _, kind = topic.type_name.partition("/msg/")
+            if package == PACKAGE and (definitions / f"{kind}.msg").is_file():
+                file.channels[number] = with_definition(topic, definitions)
+                found = True
+    if not found:
+        raise BagError(
+            f"{definitions} has no definition of a type in {path}; give the folder with the .msg files of "
+            f"{PACKAGE}, such as {PACKAGE}/msg"
+        )
 
 
 def _file_names(path: Path, notify: Notify) -> Sequence[str]:
@@ -86,10 +114,6 @@ def _file_names(path: Path, notify: Notify) -> Sequence[str]:
             raise
         notify(f"{error}; all files of the folder are read")
         return present
-    if str(content.get("compression_mode")).lower() in NOT_READ:
-        raise BagError(
-            f"{path} is compressed by {content['compression_mode']}; decompress it first: ros2 bag convert"
-        )
     if is_unfinished(content):
         return present
     listed = list(dict.fromkeys(PurePath(name).name for name in content["relative_file_paths"]))
@@ -100,12 +124,12 @@ def _file_names(path: Path, notify: Notify) -> Sequence[str]:
 
 def _split_number(name: str) -> tuple[int, str]:
     """Return the sort key of a file of a split bag; the number counts, so that bag_2 precedes bag_10."""
-    number = PurePath(name).stem.rpartition("_")[2]
+    number = PurePath(name.removesuffix(COMPRESSED)).stem.rpartition("_")[2]
     return (int(number) if number.isdecimal() else 0), name
 
 
 def _open_file(path: Path) -> StoredFile:
-    if not path.name.endswith(".db3"):
+    if not path.name.removesuffix(COMPRESSED).endswith(".db3"):
         return McapFile(path)
     from worm_model.bags.formats.sqlite_file import SqliteFile  # here: rosbags.rosbag2 loads slowly
 
@@ -254,7 +278,10 @@ class Bag:
         # Extents with equal times stay in the order of the files.
         extents.sort(key=lambda item: (item[1].start, item[1].end))
         runs = groupby(extents if wanted else (), key=itemgetter(0))
-        yield from merge(b for file, run in runs for b in file.blocks((e for _, e in run), wanted))
+        for block in merge(
+            b for file, run in runs for b in file.blocks((e for _, e in run), wanted)
+        ):
+            yield _decompressed(block)
 
 
 def _by_name(channels: Iterable[Topic]) -> dict[str, Topic]:
@@ -264,3 +291,28 @@ def _by_name(channels: Iterable[Topic]) -> dict[str, Topic]:
         known = topics.get(channel.name)
         topics[channel.name] = replace(channel, count=channel.count + (known.count if known else 0))
     return topics
+
+
+def _decompressed(block: Messages) -> Messages:
+    """Return the messages of a block, decompressed; rosbag2's compression mode MESSAGE compresses each message.
+
+    A compressed message begins with the magic number of Zstandard, with which no CDR message begins.
+    """
+    rows = np.flatnonzero(block.size >= len(zstandard.FRAME_HEADER))
+    beginnings = cells(block.buffer, len(zstandard.FRAME_HEADER))[block.offset[rows]]
+    if not (beginnings.view("<u4") == int.from_bytes(zstandard.FRAME_HEADER, "little")).any():
+        return block
+    return messages_of([message._replace(data=_payload(message)) for message in block])
+
+
+def _payload(message: Message) -> bytes:
+    """Return the decompressed payload of a message.
+
+    A payload is returned unchanged if it is not compressed, is damaged, or decompresses to more than LARGEST_CHUNK
+    bytes.
+    """
+    data = message.data
+    with suppress(zstandard.ZstdError):
+        if zstandard.frame_content_size(data) <= LARGEST_CHUNK:
+            return zstandard.ZstdDecompressor().decompress(data, max_output_size=LARGEST_CHUNK)
+    return data

@@ -19,6 +19,7 @@ from worm_model.bags.formats.message_block import Topic
 from worm_model.bags.opening import Bag
 from worm_model.bags.worm_topics import SERIES, TWIN_INPUTS, TYPES, find_topic, path_of
 from worm_model.run import GaitStates, Run, Stamps, concatenated
+from worm_msgs.gait import GAIT_DEFAULTS
 
 RUN_TOPICS = tuple(SERIES)
 # all except gait_state, whose last message may be much older than the recording
@@ -285,8 +286,22 @@ def _series(kind: type[Any], columns: MessageColumns | None) -> Any:
             arrays[field.name] = _READERS[field.name](columns)
         else:
             number = getattr(nothing, field.name).dtype.type
-            arrays[field.name] = _numbers(columns, path_of(field.name), number)
+            read = _numbers
+            if field.name in _ABSENT:
+                read = partial(_numbers_or_default, default=_ABSENT[field.name])
+            arrays[field.name] = read(columns, path_of(field.name), number)
     return kind(**arrays)
+
+
+def _numbers_or_default(
+    columns: MessageColumns, path: str, kind: type, default: float
+) -> NDArray[Any]:
+    """Return the numbers of a field, with a default for older messages, whose type lacks the field."""
+    size = len(next(iter(columns.numbers.values())))
+    values = columns.numbers.get(path, np.full(size, default))
+    if values.dtype == object:
+        values = np.where(values == None, default, values)  # noqa: E711 - element by element
+    return values.astype(kind)
 
 
 def _joint_names(columns: MessageColumns) -> tuple[str, ...]:
@@ -296,6 +311,8 @@ def _joint_names(columns: MessageColumns) -> tuple[str, ...]:
     return tuple(str(texts[0]) for texts in names)
 
 
+#: fields that messages of older recordings lack, with their defaults; run 0 means no run number
+_ABSENT: Mapping[str, Any] = {**GAIT_DEFAULTS, "run": 0}
 _READERS: Mapping[str, Callable[[MessageColumns], Any]] = {
     "stamp": stamps_of,
     "onset": partial(stamps_of, path="onset"),

@@ -64,6 +64,7 @@ def _parser() -> command_line.Parser:
         part.add_argument(
             "--topic", action="append", default=[], help="topic to copy; may be repeated"
         )
+        part.add_definitions()
         part.add_number("--start", "S", "start of the span, in s since the start of the bag")
         part.add_number("--end", "S", "end of the span, in s since the start of the bag")
         part.add_argument(
@@ -82,7 +83,8 @@ def _table(options: argparse.Namespace) -> None:
 def _opened(options: argparse.Namespace) -> Bag:
     from worm_model.bags.opening import open_bag
 
-    return open_bag(options.bag, command_line.notifier(f"bags {options.verb}"))
+    notify = command_line.notifier(f"bags {options.verb}")
+    return open_bag(options.bag, notify, getattr(options, "definitions", None))
 
 
 def _info(options: argparse.Namespace) -> None:

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Command line: export of a bag's topics as CSV tables."""
+"""Command line: export of a bag's topics as CSV or Parquet tables."""
 
 from __future__ import annotations
 
 import argparse
 import csv
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,6 +17,8 @@ from worm_model.bags.formats.bag_writer import new_folder
 from worm_model.bags.opening import Bag, open_bag
 from worm_model.bags.operations.tables import (
     MOST_ELEMENTS,
+    TEXT,
+    ColumnKind,
     TableRows,
     find_tables,
     read_tables,
@@ -29,17 +31,27 @@ STEM_BYTES = 200  # bytes, longest file name without its ending
 MERGED = "run"  # name of the table with all measurements and commands
 _NOTIFY = command_line.notifier("export")
 
+Kinds = Mapping[str, ColumnKind]
 _RUN_TYPES = {TYPES[name] for name in RUN_TOPICS if name != "joint_states"}
 
 
 class CsvWriter:
-    """Writer of a CSV file. Numbers are written without loss of precision; missing values and NaN are empty cells."""
+    """Writer of a CSV file with the columns ``kinds``.
 
-    def __init__(self, path: Path, columns: Iterable[str]) -> None:
-        self._columns = list(columns)
+    The columns ``lists`` contain arrays. They are not written, because a CSV cell contains one value.
+    Numbers are written without loss of precision. Missing values and NaN are empty cells.
+    """
+
+    def __init__(self, path: Path, kinds: Kinds, lists: Kinds) -> None:
+        self._columns = list(kinds)
         self._stream = path.open("x", encoding="utf-8", newline="")
         self._writer = csv.writer(self._stream, lineterminator="\n")
         self._writer.writerow(self._columns)
+        for name in lists:
+            _NOTIFY(
+                f"{path.name}: {name} is not exported, because its arrays have more than {MOST_ELEMENTS} elements; "
+                "use --format parquet"
+            )
 
     def write(self, rows: TableRows) -> None:
         """Append rows."""
@@ -55,6 +67,43 @@ def _cell(value: Any) -> Any:
     return "" if value is None or (isinstance(value, float) and math.isnan(value)) else value
 
 
+class ParquetWriter:
+    """Writer of a Parquet file with the columns ``kinds`` and ``lists``.
+
+    Columns have the types of the fields. Missing values are null, and NaN remains NaN.
+    """
+
+    def __init__(self, path: Path, kinds: Kinds, lists: Kinds) -> None:
+        try:
+            import pyarrow as arrow
+            from pyarrow import parquet
+        except ImportError:
+            raise command_line.InputError(
+                "Parquet requires pyarrow: pip install pyarrow, or use --format csv"
+            ) from None
+        types = {
+            name: arrow.string() if kind == TEXT else arrow.from_numpy_dtype(kind)
+            for name, kind in kinds.items()
+        }
+        for name, kind in lists.items():
+            types[name] = arrow.list_(arrow.from_numpy_dtype(kind))
+        self._arrow = arrow
+        self._schema = arrow.schema(list(types.items()))
+        self._writer = parquet.ParquetWriter(path, self._schema)
+
+    def write(self, rows: TableRows) -> None:
+        """Append rows."""
+        self._writer.write_table(self._arrow.table(dict(rows), schema=self._schema))
+
+    def close(self) -> None:
+        """Finish the file."""
+        self._writer.close()
+
+
+TableWriter = CsvWriter | ParquetWriter
+WRITERS: Mapping[str, type[TableWriter]] = {"csv": CsvWriter, "parquet": ParquetWriter}
+
+
 @dataclass(frozen=True)
 class Exported:
     """Result of an export: the number of `rows` by file name, and the reason for each topic that is `left_out`."""
@@ -63,7 +112,7 @@ class Exported:
     left_out: dict[str, str] = field(default_factory=dict)
 
 
-def export(bag: Bag, output: Path, topics: list[str], namespace: str = "") -> Exported:
+def export(bag: Bag, output: Path, kind: str, topics: list[str], namespace: str = "") -> Exported:
     """Write one table per topic to a new folder and, if ``topics`` is empty, the merged table of the robot.
 
     ``namespace`` is that of the robot; empty: the only one in the bag. Only the merged table is held in memory as a
@@ -73,21 +122,17 @@ def export(bag: Bag, output: Path, topics: list[str], namespace: str = "") -> Ex
     stems = file_stems(table.topic.name for table in tables)
     exported = Exported(left_out={name: str(reason) for name, reason in failed.items()})
     with new_folder(output) as folder, ExitStack() as stack:
-        writers: dict[str, CsvWriter] = {}
+        writers: dict[str, TableWriter] = {}
         for table in tables:
-            file = f"{stems[table.topic.name]}.csv"
-            for name in table.omitted:
-                _NOTIFY(
-                    f"{file}: {name} is not exported, because its arrays have more than {MOST_ELEMENTS} elements"
-                )
-            writer = CsvWriter(folder / file, table.columns)
+            file = f"{stems[table.topic.name]}.{kind}"
+            writer = WRITERS[kind](folder / file, table.kinds, table.lists)
             stack.callback(writer.close)
             writers[table.topic.name] = writer
             exported.rows[file] = table.topic.count
         for table, batch in read_tables(bag, tables):
             writers[table.topic.name].write(batch)
         if not topics and any(channel.type_name in _RUN_TYPES for channel in bag.channels):
-            _export_merged(bag, folder / f"{MERGED}.csv", namespace, exported)
+            _export_merged(bag, folder / f"{MERGED}.{kind}", namespace, exported)
     return exported
 
 
@@ -100,7 +145,11 @@ def _export_merged(bag: Bag, path: Path, namespace: str, exported: Exported) -> 
     except BagError as error:
         exported.left_out[MERGED] = str(error)
         return
-    writer = CsvWriter(path, columns)
+    kinds = {
+        name: TEXT if column.dtype == object else str(column.dtype)
+        for name, column in columns.items()
+    }
+    writer = WRITERS[path.suffix[1:]](path, kinds, {})
     writer.write({name: column.tolist() for name, column in columns.items()})
     writer.close()
     exported.rows[path.name] = len(columns["stamp_ns"])
@@ -129,11 +178,12 @@ def _parser() -> command_line.Parser:
     parser = command_line.Parser(
         prog="export",
         description="Write a table for each topic of a bag (a row per message, a column per field, times in ns), and "
-        f"{MERGED}.csv with all measurements and commands, in seconds since the gait's onset. "
+        f"{MERGED}.csv or {MERGED}.parquet with all measurements and commands, in seconds since the gait's onset. "
         "The exit status is 1 if a topic is left out.",
     )
     parser.add_argument("bag", type=Path, metavar="BAG")
     parser.add_argument("--output", required=True, metavar="FOLDER", help="must not exist")
+    parser.add_argument("--format", choices=WRITERS, default="csv", help="default csv")
     parser.add_argument(
         "--topic", action="append", default=[], help="export only this topic; may be repeated"
     )
@@ -142,14 +192,15 @@ def _parser() -> command_line.Parser:
         default="",
         help="namespace of the merged table's robot; default: the only one in the bag",
     )
+    parser.add_definitions()
     parser.add_json()
     return parser
 
 
 def _export(options: argparse.Namespace) -> int:
     output = command_line.new_file(options.output)
-    with open_bag(options.bag, _NOTIFY) as bag:
-        exported = export(bag, output, options.topic, options.namespace)
+    with open_bag(options.bag, _NOTIFY, options.definitions) as bag:
+        exported = export(bag, output, options.format, options.topic, options.namespace)
     for name, reason in exported.left_out.items():
         _NOTIFY(f"{name} is left out: {reason}")
     text = "\n".join(f"{output / name}: {count} rows" for name, count in exported.rows.items())

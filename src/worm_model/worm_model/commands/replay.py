@@ -276,6 +276,7 @@ def _parser() -> Parser:
     parser.add_argument(
         "--namespace", default="", help="namespace of the robot; default: the only one in the bag"
     )
+    parser.add_definitions()
     parser.add_json()
     parser.add_parameters()
     return parser
@@ -291,7 +292,7 @@ def _replay(options: argparse.Namespace) -> None:
     warm_up.main()  # so that the time below includes neither compilation nor parsing of definitions
     parse_ahead(TYPES[name] for name in (*REPLAY_INPUTS, *TWIN_TOPICS))
     begin = time.perf_counter()
-    with open_bag(options.bag, _notify) as bag:
+    with open_bag(options.bag, _notify, options.definitions) as bag:
         reader = RunReader(bag, options.namespace, REPLAY_INPUTS)
         _check_drive(bag, options.namespace)
         parameters = under(recorded_conditions(bag), parameters)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares, minimize
 
-from worm_model.arrays import Array
+from worm_model.arrays import Array, accumulated
 from worm_model.identification.bellows import fit_bellows
 from worm_model.identification.data.identification_errors import IdentificationError
 from worm_model.identification.data.observed_run import Recording
@@ -32,7 +32,6 @@ from worm_model.identification.idle import SAMPLES
 from worm_model.identification.inputs import Inputs
 from worm_model.parameters import NOT_OF_PAPER, Parameters
 from worm_model.simulation.kernel.work import cable_power
-from worm_model.simulation.quadrature import accumulated
 from worm_model.simulation.simulator import Locomotion, SimulationError
 from worm_model.simulation.smoothing import smooth
 

@@ -31,7 +31,7 @@ from worm_model.twin.data.samples import (
     SampleKind,
 )
 from worm_model.twin.forecast import Forecast
-from worm_model.twin.twin_settings import TwinSettings
+from worm_model.twin.twin_settings import PARAMETER_FILE, TwinSettings
 from worm_msgs.conditions import CONDITION_ROWS, Conditions
 from worm_msgs.msg import (
     BodyLength,
@@ -45,7 +45,6 @@ from worm_msgs.msg import (
     TwinState,
 )
 from worm_msgs.msg import Gait as GaitMessage
-from worm_msgs.parameter_rows import ParameterRow
 
 
 def time_message(stamp_ns: int) -> Time:
@@ -179,25 +178,6 @@ def fill_forecast(response: Any, prediction: Forecast) -> Any:
 
 
 # --- settings ----------------------------------------------------------------------------------------
-
-
-PARAMETER_FILE = "parameter_file"
-
-
-def rows() -> list[ParameterRow]:
-    """Return the declarations of all ROS parameters of the node."""
-    file = ParameterRow(
-        PARAMETER_FILE, "", "Parameter file (YAML) of the model; empty: the paper's values."
-    )
-    settings = dataclasses.fields(TwinSettings)
-    return [
-        file,
-        *(
-            ParameterRow(name, 0.0, f"{row['meaning']}, {row['unit']}", row["low"], row["high"])
-            for name, row in CONDITION_ROWS.items()
-        ),
-        *(ParameterRow(row.name, row.default, **row.metadata) for row in settings),
-    ]
 
 
 def robot_of(value: Callable[[str], Any]) -> Parameters:

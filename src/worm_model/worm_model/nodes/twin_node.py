@@ -8,7 +8,6 @@ the twin processes samples only when they are older than ``delay_s``.
 
 from __future__ import annotations
 
-import sys
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -39,11 +38,12 @@ from worm_model.twin.forecast import ForecastError, forecast
 from worm_model.twin.scene import LOST_S, PositionSample, scene
 from worm_model.twin.stored_memory import is_due, stored_memory
 from worm_model.twin.twin import Output, Twin
+from worm_model.twin.twin_settings import rows
 from worm_model.twin.twin_status import report
 from worm_msgs import qos
 from worm_msgs.conditions import ConditionsError
 from worm_msgs.msg import BodyLength, TwinEvent, TwinMemory, TwinResiduals, TwinState
-from worm_msgs.node_command import declare, run_node
+from worm_msgs.node_command import declare
 from worm_msgs.ros_process import (
     PolledGroup,
     ShutdownRequest,
@@ -54,6 +54,7 @@ from worm_msgs.srv import PredictGait
 
 POLL_S = 0.02  # time between two polls of the subscriptions
 MARKER_PERIOD_S = 0.1
+REJECTIONS = (ConditionsError, ParameterError)
 SIGHTINGS = 100  # stored samples of the tracker: 3 s of a camera at 30 Hz
 BURST = 200  # queue length of publishers that publish many messages per poll after a stall of the machine
 DEPTH = 1000  # queue length of each subscription except gait_state
@@ -75,7 +76,7 @@ class TwinNode(Node):
 
     def __init__(self) -> None:
         super().__init__("twin")
-        declare(self, twin_messages.rows)
+        declare(self, rows)
         self._twin = self._make_twin()
         self._state = self._twin.start()
         group = PolledGroup()
@@ -245,15 +246,8 @@ def _spin(node: TwinNode, ended: Callable[[], bool]) -> None:
         time.sleep(POLL_S)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the twin until SIGINT or SIGTERM; return the exit status."""
-    about = "Simulates the robot during a run, compares simulation and measurements, and reports changes."
-    return run_node(
-        "twin_node", about, twin_messages.rows, _run, (ConditionsError, ParameterError), arguments
-    )
-
-
-def _run(ended: ShutdownRequest) -> None:
+def run(ended: ShutdownRequest) -> None:
+    """Run the twin until SIGINT or SIGTERM."""
     with exiting_on_signal():
         warm_up.main()  # compile before the first sample
     node = TwinNode()
@@ -263,7 +257,3 @@ def _run(ended: ShutdownRequest) -> None:
         _spin(node, ended)
     finally:
         node.destroy_node()
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -7,6 +7,11 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
+from worm_msgs.conditions import CONDITION_ROWS
+from worm_msgs.parameter_rows import ParameterRow
+
+PARAMETER_FILE = "parameter_file"
+
 
 def _row(default: float, low: float, high: float, description: str) -> float:
     """Return a field with a default; its metadata contain range and description."""
@@ -93,3 +98,19 @@ def check(row: dataclasses.Field[Any], value: float) -> None:
 
 
 DEFAULTS = TwinSettings()
+
+
+def rows() -> list[ParameterRow]:
+    """Return the declarations of all ROS parameters of the node."""
+    file = ParameterRow(
+        PARAMETER_FILE, "", "Parameter file (YAML) of the model; empty: the paper's values."
+    )
+    settings = dataclasses.fields(TwinSettings)
+    return [
+        file,
+        *(
+            ParameterRow(name, 0.0, f"{row['meaning']}, {row['unit']}", row["low"], row["high"])
+            for name, row in CONDITION_ROWS.items()
+        ),
+        *(ParameterRow(row.name, row.default, **row.metadata) for row in settings),
+    ]

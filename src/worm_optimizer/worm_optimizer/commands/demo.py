@@ -82,6 +82,7 @@ def _drive(options: argparse.Namespace, bag: Path, say: Say) -> tuple[Prediction
             "parameter_file": _absolute(options.parameters),
             "plant": _absolute(options.plant),
             "seed": str(options.seed),
+            "rate": "2",  # nobody waits for a virtual robot longer than necessary
         }
         system = installed_system_file().system("virtual", **settings)
         return run_demo_gait(system, folder / "logs", say)

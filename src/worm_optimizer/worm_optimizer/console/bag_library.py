@@ -14,7 +14,7 @@ from typing import Any
 from worm_model.bags.formats.finding import METADATA_FILE
 from worm_model.commands.bag_columns import COLUMNS
 from worm_model.errors import InputError
-from worm_optimizer.code_version import identity_of_all
+from worm_optimizer.code_version import code_identity
 from worm_optimizer.operation.processes import executable_command
 from worm_optimizer.report.report_page import PAGE, REPORT_SUFFIX, report_name
 
@@ -109,7 +109,7 @@ class BagLibrary:
 
 def _digest(files: Sequence[Path]) -> str:
     """Return a short digest of files and of the code."""
-    digest = hashlib.sha256(identity_of_all().encode())
+    digest = hashlib.sha256(code_identity().encode())
     for path in files:
         digest.update(path.read_bytes())
     return digest.hexdigest()[:_DIGEST]

@@ -22,17 +22,23 @@ from worm_msgs.action import OptimizeGaits, ScanMargin
 from worm_msgs.conditions import CONDITION_ROWS, ConditionsError
 from worm_msgs.gait import Gait, GaitError, gait_of
 from worm_msgs.goal_rejections import GoalRejections
-from worm_msgs.node_command import declare, run_node
-from worm_msgs.parameter_rows import ParameterRow
+from worm_msgs.node_command import declare
 from worm_msgs.ros_process import ShutdownRequest, spin
 from worm_msgs.srv import RequestGait
 from worm_optimizer.nodes import optimizer_messages
 from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.search import gait_request
 from worm_optimizer.search.front import RobustFront, given_gait, make_front, scanned_price
-from worm_optimizer.search.search_settings import SETTINGS, Robustness, Settings, settings_of
+from worm_optimizer.search.search_settings import (
+    PARAMETER_FILE,
+    SETTINGS,
+    Robustness,
+    Settings,
+    rows,
+    settings_of,
+)
 
-PARAMETER_FILE = "parameter_file"
+REJECTIONS = (ConditionsError, OptimizerError, ParameterError)
 # Largest number of stored fronts for initial lengths other than that of the parameters
 MOST_RESTING = 8
 _NAMES = {FORWARD: "forward", REVERSE: "reverse"}
@@ -43,17 +49,6 @@ _Result = TypeVar("_Result")
 
 class ShutdownError(OptimizerError):
     """A signal ended the computation."""
-
-
-def rows() -> list[ParameterRow]:
-    """Return the declarations of all parameters. Only the parameter file and the conditions may be changed later."""
-    settings = (
-        ParameterRow(row.parameter, row.default, row.meaning, row.low, row.high) for row in SETTINGS
-    )
-    return [
-        ParameterRow(PARAMETER_FILE, "", "Parameter file; empty: the paper's values."),
-        *(dataclasses.replace(row, read_only=row.name not in CONDITION_ROWS) for row in settings),
-    ]
 
 
 def _settings_of_node(node: Node) -> Settings:
@@ -358,18 +353,8 @@ class OptimizerNode(Node):
         return status
 
 
-def main() -> int:
-    """Run the node until it is stopped. Return the exit status, which is 2 if its parameters are invalid."""
-    return run_node(
-        "optimizer_node",
-        "Answers requests for gaits from exact robust fronts.",
-        rows,
-        _run,
-        (ConditionsError, OptimizerError, ParameterError),
-    )
-
-
-def _run(ended: ShutdownRequest) -> None:
+def run(ended: ShutdownRequest) -> None:
+    """Run the node until SIGINT, SIGTERM or SIGHUP."""
     node = OptimizerNode(ended)
     try:
         spin(node, ended)

@@ -51,7 +51,7 @@ def run_demo_gait(system: System, logs: Path, say: Say) -> tuple[Prediction, Pat
         bag = bag_of(running.group.processes[RECORDER])
         running.activate()
         node.graph.wait_for_recorder(RECORDER, left_out(system.node(RECORDER)))
-        say(f"running {CYCLES} cycles, {CYCLES / gait.frequency:.0f} s")
+        say(f"running {CYCLES} cycles, {CYCLES / gait.frequency:.0f} s of the robot's time")
         running.run_gait(GaitCommand(gait, CYCLES))
         running.release()
     return prediction, bag

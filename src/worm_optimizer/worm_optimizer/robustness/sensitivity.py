@@ -19,7 +19,7 @@ from worm_model.parameters import ParameterFile
 from worm_model.simulation.batch import evaluate_gaits
 from worm_model.simulation.closed_form import cliff_margin, front_groove
 from worm_optimizer.evaluation.task import Array
-from worm_optimizer.robustness.sobol import SALTELLI, Indices, Sample, indices_of
+from worm_optimizer.robustness.sobol import Indices, indices_of, saltelli_sample
 from worm_optimizer.robustness.uncertainty import (
     LENGTH,
     MOTION_KEYS,
@@ -66,14 +66,13 @@ def sensitivity(gait: Gait, content: ParameterFile, samples: int, seed: int) -> 
         seed: seed of the random numbers.
     """
     reach = _reach(content)
-    design = Sample(SALTELLI, samples, seed)
-    deviates = ndtri(design.draw(len(reach))).T
+    deviates = ndtri(saltelli_sample(len(reach), samples, seed)).T
     columns = _figures(gait, content, reach, deviates)
     indices = {
         name: indices_of(values, len(reach), seed)
         for name, values in zip(FIGURES, columns, strict=True)
     }
-    return Sensitivity(gait, tuple(reach), reach, indices, design.size(len(reach)))
+    return Sensitivity(gait, tuple(reach), reach, indices, deviates.shape[1])
 
 
 def _reach(content: ParameterFile) -> dict[str, tuple[float, float]]:

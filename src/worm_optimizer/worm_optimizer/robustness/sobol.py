@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Samples of several quantities, and Sobol indices of a result from a Saltelli sample, with bootstrapped bounds.
+"""Saltelli samples, and Sobol indices of a result from one, with bootstrapped bounds.
 
 The indices are shares of the variance of a result that depends on independent inputs. The first-order index of an
 input is the share that vanishes on average when this input becomes known. The total index is the share that remains on
@@ -8,22 +8,16 @@ average when all other inputs are known. SciPy provides the estimators.
 
 from __future__ import annotations
 
-import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from worm_msgs.settings_file import OneOf, key
-
 Array = NDArray[np.float64]
 
-SOBOL, SALTELLI, LATIN_HYPERCUBE = "sobol", "saltelli", "latin_hypercube"
-METHODS = (SOBOL, SALTELLI, LATIN_HYPERCUBE)
-MOST_POINTS = 1_000_000  # of a study, whose results are in memory at the end
 #: Heads of the columns that `index_cells` returns.
 INDEX_HEADS = ("alone", "95 % bounds", "with others", "95 % bounds")
 #: Text in place of indices that are NaN, see `Indices`
@@ -33,48 +27,26 @@ _OUTSIDE = 5e-3  # distance below 0 or above 1 up to which an index is accepted 
 _VISIBLE = 5e-4  # smallest difference of two indices that printed percentages show
 
 
-@dataclass(frozen=True)
-class Sample:
-    """Sampling of all axes with a range: ``method`` (one of `METHODS`), number of ``points`` and ``seed``.
+def saltelli_sample(inputs: int, samples: int, seed: int) -> Array:
+    """Return values between 0 and 1, shape (samples · (inputs + 2), inputs).
 
-    With `SALTELLI`, ``points`` is the number of base samples, each of which results in d + 2 points for d axes.
-    """
-
-    method: Annotated[str, OneOf(METHODS)] = SOBOL
-    points: Annotated[int, key(ge=1, le=MOST_POINTS)] = 64
-    seed: Annotated[int, key(ge=0, lt=2**32)] = 1
-
-    def size(self, axes: int) -> int:
-        """Return the number of points for ``axes`` axes with a range."""
-        return self.points * (axes + 2 if self.method == SALTELLI else 1)
-
-    def draw(self, axes: int) -> Array:
-        """Return values between 0 and 1, shape (size, axes).
-
-        Sobol sequences are scrambled, because an unscrambled one begins with a point whose values are all exactly 0.
-        With `SOBOL` and `SALTELLI`, a larger sample begins with the points of a smaller one.
-        """
-        from scipy.stats import qmc  # here: the import takes a second, and workers do not need it
-
-        if self.method == LATIN_HYPERCUBE:
-            return qmc.LatinHypercube(axes, seed=self.seed).random(self.points)
-        saltelli = self.method == SALTELLI
-        engine: Any = qmc.Sobol(2 * axes if saltelli else axes, scramble=True, seed=self.seed)
-        unit = engine.random_base2(math.ceil(math.log2(max(self.points, 2))))[: self.points]
-        return _saltelli(unit[:, :axes], unit[:, axes:]) if saltelli else unit
-
-
-def _saltelli(first: Array, second: Array) -> Array:
-    """Return the rows A, B, AB_1 … AB_d of each base sample, one base sample after another.
-
-    A is the row of the base sample in ``first``, and B its row in ``second``. AB_k is A with element k replaced by
+    Each base sample of a scrambled Sobol sequence has the rows A, B, AB_1 … AB_d. AB_k is A with element k replaced by
     element k of B.
+
+    Args:
+        inputs: number of inputs.
+        samples: number of base samples, a power of two.
+        seed: seed of the scrambling.
     """
-    mixed = np.repeat(first[:, None], first.shape[1], axis=1)
-    each = np.arange(first.shape[1])
+    from scipy.stats import qmc  # here: the import takes a second
+
+    unit = qmc.Sobol(2 * inputs, scramble=True, seed=seed).random(samples)
+    first, second = unit[:, :inputs], unit[:, inputs:]
+    mixed = np.repeat(first[:, None], inputs, axis=1)
+    each = np.arange(inputs)
     mixed[:, each, each] = second
     rows = np.concatenate([first[:, None], second[:, None], mixed], axis=1)
-    return rows.reshape(-1, first.shape[1])
+    return rows.reshape(-1, inputs)
 
 
 @dataclass(frozen=True)
@@ -109,7 +81,7 @@ def indices_of(values: Array, inputs: int, seed: int) -> Indices:
     """Return the indices of a result.
 
     Args:
-        values: result at the points of a Saltelli sample, in the order of `Sample.draw`, shape
+        values: result at the points of a Saltelli sample, in the order of `saltelli_sample`, shape
             (samples · (inputs + 2),).
         inputs: number of inputs.
         seed: seed of the bootstrap.

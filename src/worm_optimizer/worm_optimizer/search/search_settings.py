@@ -20,6 +20,7 @@ from worm_msgs.gait import (
     MAX_STROKE,
     RAMP_SHARE_RANGE,
 )
+from worm_msgs.parameter_rows import ParameterRow
 from worm_optimizer.evaluation.actuator_limits import ActuatorLimits
 from worm_optimizer.evaluation.servo_limits import servo_models, within
 from worm_optimizer.evaluation.task import Array, Bounds
@@ -28,6 +29,8 @@ from worm_optimizer.search.corners import ShapeBounds
 from worm_optimizer.search.exact import Resolution
 
 _MOST_MARGINS = 10_000  # largest number of margins of a scan
+
+PARAMETER_FILE = "parameter_file"
 
 
 @dataclass(frozen=True)
@@ -268,6 +271,24 @@ FRONT_SETTINGS: tuple[SettingRow, ...] = (
          1_000_000),
 )  # fmt: skip
 SETTINGS = (*SCAN_SETTINGS, *FRONT_SETTINGS)
+
+
+def rows() -> list[ParameterRow]:
+    """Return the parameters of the node. Only the parameter file and the conditions may be changed later."""
+    return [
+        ParameterRow(PARAMETER_FILE, "", "Parameter file; empty: the paper's values."),
+        *(
+            ParameterRow(
+                row.parameter,
+                row.default,
+                row.meaning,
+                row.low,
+                row.high,
+                read_only=row.parameter not in CONDITION_ROWS,
+            )
+            for row in SETTINGS
+        ),
+    ]
 
 
 def settings_of(values: Mapping[str, Any]) -> Settings:

@@ -4,7 +4,6 @@
 - `study_file` reads and validates the description of a study, and `plan` defines it.
 - `point` computes the results of one parameter set: fronts, gaits, margin scans and success probabilities.
 - `blocks` distributes points to Dask workers and stores finished blocks, and `study_run` writes the result.
-- `summary` finds the best points; `study_page` and `study_plots` present them.
 
 Only this package needs the packages of the group study in pyproject.toml.
 """

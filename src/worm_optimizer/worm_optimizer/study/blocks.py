@@ -26,7 +26,7 @@ from distributed.client import ClosedClientError
 from distributed.comm import CommClosedError
 
 from worm_model.errors import InputError
-from worm_optimizer.code_version import identity_of_all
+from worm_optimizer.code_version import code_identity
 
 Block = dict[str, np.ndarray]
 Say = Callable[[str], None]
@@ -189,12 +189,9 @@ def _computed(
 
     An exception that the task's function raises in a worker is raised here.
     """
-    version = identity_of_all()
+    version = code_identity()
     with _client(workers, len(pieces), say) as client:
         try:
-            answers = client.run(identity_of_all, on_error="return")
-            for address, answer in sorted(answers.items()):
-                _check(address, answer, version)
             futures = [
                 client.submit(_block, version, task.function, task.common, piece, pure=False)
                 for piece in pieces
@@ -202,6 +199,11 @@ def _computed(
             for future in as_completed(futures):
                 yield future.result()
                 future.release()  # The worker may forget the result.
+        except ImportError as error:
+            raise InputError(
+                f"a worker cannot import worm_optimizer.study ({error}); "
+                "install worm_msgs, worm_model and worm_optimizer there"
+            ) from None
         except KilledWorker:
             raise LostError(
                 "all workers that computed a block have died: read the workers' logs; out of memory is the usual cause"
@@ -213,23 +215,13 @@ def _computed(
 
 
 def _block(version: str, function: Callable[..., Block], common: Any, items: np.ndarray) -> Block:
-    """Return a block, in a worker, which may have joined after the client had checked all workers."""
-    _check(get_worker().address, identity_of_all(), version)
-    return {ITEMS: items, **function(common, items)}
-
-
-def _check(address: str, answer: str | BaseException, version: str) -> None:
-    """Raise `InputError` unless the code of a worker has the client's version."""
-    if isinstance(answer, BaseException):
+    """Return a block, in a worker. Raises `InputError` if its code has another version than the client's."""
+    if code_identity() != version:
         raise InputError(
-            f"worker {address} cannot import worm_optimizer.study ({answer}); "
-            "install worm_msgs, worm_model and worm_optimizer there"
-        )
-    if answer != version:
-        raise InputError(
-            f"worker {address} has another version (code {answer}, here {version}); "
+            f"worker {get_worker().address} has another version (code {code_identity()}, here {version}); "
             "install the version of this machine there"
         )
+    return {ITEMS: items, **function(common, items)}
 
 
 @contextlib.contextmanager

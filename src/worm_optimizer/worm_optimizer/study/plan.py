@@ -25,9 +25,8 @@ from worm_msgs.gait import (
 )
 from worm_msgs.robot_parameters import ROWS
 from worm_msgs.settings_file import key
-from worm_optimizer.code_version import identity
+from worm_optimizer.code_version import code_identity
 from worm_optimizer.evaluation.servo_limits import DrivenBy
-from worm_optimizer.robustness.sobol import Sample
 from worm_optimizer.search.exact import Resolution as ScanResolution
 from worm_optimizer.search.search_settings import ScanSettings, Waveform
 
@@ -36,6 +35,7 @@ Array = NDArray[np.float64]
 # Names of the dimensions that do not belong to a single quantity
 PARAMETER_FILE, SAMPLE = "parameter_file", "sample"
 COMPUTABLE = ("front", "gaits", "cliff", "success", "any_phase")
+MOST_POINTS = 1_000_000  # of a study, whose results are in memory at the end
 _MOST_BLOCKS = 1000  # a killed study loses a thousandth of its time for each worker
 
 _FINEST = 10_000  # largest number of strokes, frequencies or gaits of a front
@@ -155,6 +155,25 @@ class Resolution:
 
 
 @dataclass(frozen=True)
+class Sample:
+    """Sampling of all axes with a range: number of ``points`` and ``seed`` of the scrambled Sobol sequence."""
+
+    points: Annotated[int, key(ge=1, le=MOST_POINTS)] = 64
+    seed: Annotated[int, key(ge=0, lt=2**32)] = 1
+
+    def draw(self, axes: int) -> Array:
+        """Return values between 0 and 1, shape (points, axes).
+
+        The sequence is scrambled, because an unscrambled one begins with a point whose values are all exactly 0. A
+        larger sample begins with the points of a smaller one.
+        """
+        from scipy.stats import qmc  # here: the import takes a second, and workers do not need it
+
+        engine = qmc.Sobol(axes, scramble=True, seed=self.seed)
+        return engine.random_base2(math.ceil(math.log2(max(self.points, 2))))[: self.points]
+
+
+@dataclass(frozen=True)
 class Study:
     """Validated description of a study.
 
@@ -208,7 +227,7 @@ class Study:
             values[PARAMETER_FILE] = range(len(self.files))
         values |= {axis.name: axis.values for axis in self.axes if not axis.sampled}
         if self.ranges:
-            values[SAMPLE] = range(self.sample.size(len(self.ranges)))
+            values[SAMPLE] = range(self.sample.points)
         return values
 
     @property
@@ -244,5 +263,5 @@ class Study:
         Two studies that differ in title and points only have the same identity.
         """
         plain = dataclasses.replace(self, title="", text="", axes=(), sample=Sample())
-        content = f"{identity()} {self.varied} {plain}"
+        content = f"{code_identity()} {self.varied} {plain}"
         return hashlib.sha256(content.encode()).hexdigest()[:24]

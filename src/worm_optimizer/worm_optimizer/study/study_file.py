@@ -23,10 +23,9 @@ from worm_model.parameters import ParameterFile, load_parameter_file
 from worm_msgs.settings_file import OneOf, key, settings_of
 from worm_msgs.yaml_file import SettingsFileError, parse_yaml
 from worm_optimizer.evaluation.servo_limits import load_driver_file, servo_model
-from worm_optimizer.robustness.sobol import MOST_POINTS, SALTELLI, Sample
 from worm_optimizer.search.search_settings import ScanSettings, Waveform
 from worm_optimizer.study import plan
-from worm_optimizer.study.plan import QUANTITIES, SHAPE_BOUNDS
+from worm_optimizer.study.plan import MOST_POINTS, QUANTITIES, SHAPE_BOUNDS, Sample
 
 CLIFF = "cliff"  # value of margin_m that selects the last margin before the cliff of the point's own scan
 _MOST_VALUES = 100_000  # largest number of values of an axis
@@ -54,7 +53,6 @@ class StudyFile:
     """Content of a study's file. The values of `vary` and `fixed` are checked after reading."""
 
     title: str = "Study"
-    parameters: str = ""
     parameter_files: Annotated[tuple[str, ...] | None, key(min_length=1)] = None
     vary: Mapping[Quantity, Any] = field(default_factory=dict)
     sample: Sample | None = None
@@ -136,8 +134,6 @@ def _check(study: plan.Study) -> None:
     shaped = study.waveform is Waveform.SHAPED
     of_shapes = sorted(named & set(itertools.chain(*SHAPE_BOUNDS)))
     need_margin = sorted({"front", "gaits", "success"} & set(study.compute))
-    saltelli = bool(study.ranges) and study.sample.method == SALTELLI
-    points = study.sample.points
     for wrong, message in (
         (
             study.size > MOST_POINTS,
@@ -169,14 +165,6 @@ def _check(study: plan.Study) -> None:
             not study.dimensions,
             "vary: nothing varies: name at least one quantity, or parameter_files",
         ),
-        (
-            saltelli and len(study.dimensions) > 1,
-            "sample: saltelli permits ranges only: remove the lists of values, and use one parameter file",
-        ),
-        (
-            saltelli and points & (points - 1),
-            f"sample: points: {points} is not a power of two, which saltelli needs",
-        ),
     ):
         if wrong:
             raise StudyError(message)
@@ -201,58 +189,51 @@ def _quantity(where: str, name: str, value: Any) -> float:
 
 def _axis(name: str, row: Any) -> plan.Axis:
     where = f"vary: {name}"
-    form = {"values": row} if isinstance(row, list) else row
-    if isinstance(form, Mapping) and set(form) == {"range"}:
+    if isinstance(row, Mapping) and set(row) == {"range"}:
         if name == "direction":
             raise StudyError(f"{where}: expected a list of 1 and -1")
-        return plan.Axis(name, (), *_range(where, name, form["range"]))
-    if isinstance(form, Mapping) and set(form) in ({"values"}, {"from", "to", "count"}):
-        return plan.Axis(name, _listed(where, name, form))
+        ends = row["range"]
+        if not isinstance(ends, list) or len(ends) != 2:
+            raise StudyError(f"{where}: range: expected [low, high]")
+        return plan.Axis(name, (), *_ends(f"{where}: range", name, *ends))
+    if isinstance(row, Mapping) and set(row) == {"from", "to", "count"}:
+        return plan.Axis(name, _evenly_spaced(where, name, row))
+    if isinstance(row, list) and row:
+        values = tuple(_quantity(where, name, value) for value in row)
+        if len(set(values)) < len(values):
+            raise StudyError(f"{where}: contains a value twice")
+        return plan.Axis(name, values)
     raise StudyError(
         f"{where}: write a list of values, {{from: A, to: B, count: N}}, or {{range: [A, B]}}"
     )
 
 
-def _range(where: str, name: str, ends: Any) -> tuple[float, float]:
-    if not isinstance(ends, list) or len(ends) != 2:
-        raise StudyError(f"{where}: range: expected [low, high]")
-    low, high = (_quantity(f"{where}: range", name, end) for end in ends)
-    if not low < high:
-        raise StudyError(f"{where}: range: {low:g} is not below {high:g}")
-    return low, high
+def _evenly_spaced(where: str, name: str, row: Mapping[str, Any]) -> tuple[float, ...]:
+    """Return evenly spaced values, rounded to 12 digits, which removes errors of the floating-point arithmetic."""
+    count = row["count"]
+    if isinstance(count, bool) or not isinstance(count, int) or not 2 <= count <= _MOST_VALUES:
+        raise StudyError(
+            f"{where}: count: {count!r} is not a whole number from 2 to {_MOST_VALUES}"
+        )
+    low, high = _ends(where, name, row["from"], row["to"])
+    return tuple(float(f"{value:.12g}") for value in linspace(low, high, count))
 
 
-def _listed(where: str, name: str, form: Mapping[str, Any]) -> tuple[float, ...]:
-    """Return the values of a grid, either listed or evenly spaced between two ends.
-
-    Evenly spaced values are rounded to 12 digits, which removes errors of the floating-point arithmetic.
-    """
-    if "count" in form:
-        count = form["count"]
-        if isinstance(count, bool) or not isinstance(count, int) or not 2 <= count <= _MOST_VALUES:
-            raise StudyError(
-                f"{where}: count: {count!r} is not a whole number from 2 to {_MOST_VALUES}"
-            )
-        low, high = (_quantity(f"{where}: {end}", name, form[end]) for end in ("from", "to"))
-        values = [float(f"{value:.12g}") for value in linspace(low, high, count)]
-    elif isinstance(form["values"], list) and form["values"]:
-        values = [_quantity(where, name, value) for value in form["values"]]
-    else:
-        raise StudyError(f"{where}: values: expected a list of numbers")
-    if len(set(values)) < len(values):
-        raise StudyError(f"{where}: contains a value twice")
-    return tuple(values)
+def _ends(where: str, name: str, low: Any, high: Any) -> tuple[float, float]:
+    ends = _quantity(where, name, low), _quantity(where, name, high)
+    if not ends[0] < ends[1]:
+        raise StudyError(f"{where}: {ends[0]:g} is not below {ends[1]:g}")
+    return ends
 
 
 def _files(file: StudyFile, folder: Path, parameters: str) -> tuple[tuple[str, ParameterFile], ...]:
-    names, single = file.parameter_files, file.parameters
-    if sum(map(bool, (names, single, parameters))) > 1:
-        raise StudyError(
-            "parameters: the study has two sources of parameters; keep one of parameters, parameter_files, --parameters"
-        )
+    names = file.parameter_files
     if names is None:
-        path = str(folder / single) if single else parameters
-        return ((Path(path).name if path else "the paper", load_parameter_file(path)),)
+        return (
+            (Path(parameters).name if parameters else "the paper", load_parameter_file(parameters)),
+        )
+    if parameters:
+        raise StudyError("parameter_files: names the robots already; leave --parameters out")
     if len(set(names)) < len(names):
         raise StudyError("parameter_files: contains a file twice")
     return tuple((name, load_parameter_file(folder / name)) for name in names)
@@ -262,7 +243,7 @@ def _sample(content: Sample | None, axes: Sequence[plan.Axis]) -> Sample:
     needed = any(axis.sampled for axis in axes)
     if needed and content is None:
         raise StudyError(
-            "sample: is missing, but a quantity has a range: write sample: {method: sobol, points: 64, seed: 1}"
+            "sample: is missing, but a quantity has a range: write sample: {points: 64, seed: 1}"
         )
     if not needed and content is not None:
         raise StudyError("sample: nothing under vary has a range to sample")

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -19,7 +18,7 @@ import xarray
 
 from worm_model.errors import InputError
 from worm_model.parameters import format_parameter_file
-from worm_optimizer.code_version import identity, versions
+from worm_optimizer.code_version import code_identity, versions
 from worm_optimizer.evaluation.servo_limits import servo_model
 from worm_optimizer.study.blocks import (
     ITEMS,
@@ -46,7 +45,6 @@ from worm_optimizer.study.point import (
 
 STATE, REASON = "state", "reason"
 _HASH = "study_hash"  # attribute
-_TIMED_POINTS = 3  # number of points whose computation `estimate` times
 _OTHER_COORDINATES = {
     PARAMETER_FILE: ("1", "parameter file of the robot"),
     SAMPLE: ("1", "number of the sample"),
@@ -54,15 +52,6 @@ _OTHER_COORDINATES = {
     GAIT: ("1", "gait, by its objective"),
     SCAN: ("m", "margin of the scan"),
 }
-
-
-def estimate(study: Study) -> float:
-    """Return the time (s) that one core needs for a study, from a few points that are computed in this process."""
-    rows = study.points()[:: max(1, study.size // _TIMED_POINTS)][:_TIMED_POINTS]
-    compute_block(study, rows[:1])  # the first call may compile
-    begin = time.process_time()
-    compute_block(study, rows)
-    return (time.process_time() - begin) / len(rows) * study.size
 
 
 def run_study(
@@ -90,7 +79,7 @@ def run_study(
         with new_output(output) as part:
             # not to a path, for which xarray takes a lock from Dask's last client, even if that one is closed
             part.write_bytes(content.to_netcdf(engine="scipy", format="NETCDF3_64BIT"))
-    with open_result(output) as data:
+    with _opened(output) as data:
         if data.attrs.get(_HASH) != _hash(study):
             raise InputError(
                 f"{output}: exists already, and contains something else or was computed by another version; "
@@ -100,12 +89,7 @@ def run_study(
     return Counts(study.size, study.size, int(failed))
 
 
-def open_result(output: Path) -> xarray.Dataset:
-    """Open the results of a study.
-
-    Raises:
-        InputError: The file cannot be read.
-    """
+def _opened(output: Path) -> xarray.Dataset:
     try:
         return xarray.open_dataset(output, engine="scipy")
     except (OSError, TypeError, ValueError, IndexError, KeyError) as error:
@@ -113,29 +97,6 @@ def open_result(output: Path) -> xarray.Dataset:
             f"{output}: is no result of a study, or is damaged ({' '.join(str(error).split())}); "
             "move it away and repeat the command, which writes it again from its blocks"
         ) from None
-
-
-def point_table(output: Path) -> xarray.Dataset:
-    """Return the results of a study with one dimension ``point`` in place of all dimensions of the points."""
-    with open_result(output) as data:
-        return data.load().stack(point=data[STATE].dims).reset_index("point")
-
-
-def write_csv(output: Path, file: Path) -> None:
-    """Write the results of a study as a table with a row for each point, without fronts and margin scans.
-
-    Each result of a gait becomes one column per gait. The name of the column ends with the name of the gait.
-    """
-    data = point_table(output)
-    plain = data.drop_dims([name for name in (FRONT, SCAN) if name in data.dims])
-    if GAIT in plain.dims:
-        of_gaits = [name for name in plain.data_vars if GAIT in plain[name].dims]
-        for gait in plain[GAIT].values:
-            columns = plain[of_gaits].sel({GAIT: gait}, drop=True)
-            plain = plain.assign({f"{name}_{gait}": columns[name] for name in of_gaits})
-        plain = plain.drop_dims(GAIT)
-    frame = plain.to_dataframe()
-    frame[[*plain.coords, *plain.data_vars]].to_csv(file, index=False)
 
 
 def _dataset(study: Study, found: Sequence[Block]) -> xarray.Dataset:
@@ -199,7 +160,7 @@ def _provenance(study: Study) -> dict[str, Any]:
         **({"driver": json.dumps(asdict(driver))} if driver else {}),
         **({"servo_model": json.dumps(asdict(model))} if model else {}),
         _HASH: _hash(study),
-        "code": identity(),
+        "code": code_identity(),
         "versions": json.dumps(versions()),
     }
 

@@ -126,7 +126,7 @@ class Bench:
 
 def test_a_conversation_finds_the_virtual_robots_parameters():
     bench = Bench()
-    spools, fins = calibrate(bench.calibration, turns=0.3, points=4)
+    spools, fins = calibrate(bench.calibration, turns=0.3)
     assert spools[0].servo == 1
     assert spools[0].sign == 1
     assert spools[0].radius == pytest.approx(0.025, rel=0.02)
@@ -138,7 +138,7 @@ def test_a_conversation_finds_the_virtual_robots_parameters():
 
 def test_several_turns_of_a_small_spool_are_measured():
     """The way back over several turns takes a minute."""
-    spools, _ = calibrate(Bench(spool_radius=0.002).calibration, turns=5.0, points=3)
+    spools, _ = calibrate(Bench(spool_radius=0.002).calibration, turns=5.0)
     assert spools[0].radius == pytest.approx(0.002, rel=0.02)
 
 
@@ -147,7 +147,7 @@ def test_a_cancelled_conversation_returns_the_cable_before_it_releases_it():
     bench.interrupted_at = "reading 3"
     released_at = watch_release(bench)
     with pytest.raises(KeyboardInterrupt):
-        calibrate(bench.calibration, turns=0.3, points=4)
+        calibrate(bench.calibration, turns=0.3)
     assert released_at == [pytest.approx(0.0, abs=1e-3)]  # a loaded servo yields by less
 
 
@@ -163,7 +163,7 @@ def test_a_second_interrupt_releases_a_contracted_robot_at_once():
 
     bench.calibration._wait = interrupt
     with pytest.raises(KeyboardInterrupt):
-        calibrate(bench.calibration, turns=0.3, points=4)
+        calibrate(bench.calibration, turns=0.3)
     assert released_at[0] > 0.02
     assert not bench.torque
 
@@ -181,7 +181,7 @@ def test_a_contracted_robot_that_cannot_return_keeps_its_torque(fault):
 
     bench.calibration._ask_operator = answer
     with pytest.raises(ReleaseError, match="servo 1"):
-        calibrate(bench.calibration, turns=0.3, points=4)
+        calibrate(bench.calibration, turns=0.3)
     assert bench.torque
     assert bench.wound > 0.02
 
@@ -237,7 +237,7 @@ def test_a_conversation_that_is_killed_with_the_torque_on_leaves_it_to_the_watch
         return sent
 
     bench.port.writePort = watched
-    calibrate(bench.calibration, turns=0.3, points=4)
+    calibrate(bench.calibration, turns=0.3)
     assert unarmed == []
 
 
@@ -280,7 +280,7 @@ def test_a_blocked_cable_ends_the_conversation():
     bench.robot.board.add(make_fault("stalled", target=1, duration=1e3))
     servo = bench.calibration.find_servos()[0]
     with pytest.raises(DriverError, match="blocked"):
-        bench.calibration.cable(servo, 0.3, 4)
+        bench.calibration.cable(servo, 0.3)
 
 
 def lose_answers(bench: Bench, monkeypatch: pytest.MonkeyPatch, count: int) -> None:
@@ -300,7 +300,7 @@ def lose_answers(bench: Bench, monkeypatch: pytest.MonkeyPatch, count: int) -> N
 def test_a_garbled_answer_costs_one_reading_and_not_the_session(monkeypatch):
     bench = Bench()
     lose_answers(bench, monkeypatch, 2)
-    spools, _ = calibrate(bench.calibration, turns=0.3, points=4)
+    spools, _ = calibrate(bench.calibration, turns=0.3)
     assert spools[0].radius == pytest.approx(0.025, rel=0.02)
     readings = [question for question in bench.questions if "ruler" in question]
     assert [q.split(":")[0] for q in readings] == [f"reading {n} of 4" for n in (1, 2, 3, 4)]
@@ -313,7 +313,7 @@ def test_a_person_may_give_up_after_a_garbled_answer(monkeypatch):
     lose_answers(bench, monkeypatch, 1)
     released_at = watch_release(bench)
     with pytest.raises(CorruptReplyError):
-        calibrate(bench.calibration, turns=0.3, points=4)
+        calibrate(bench.calibration, turns=0.3)
     assert released_at == [pytest.approx(0.0, abs=5e-4)]
 
 
@@ -329,7 +329,7 @@ def test_a_servo_that_lost_its_torque_meanwhile_is_not_read_on(monkeypatch):
 
     monkeypatch.setattr(bench.calibration, "_say", restart)
     with pytest.raises(DriverError, match="run calibrate again"):
-        calibrate(bench.calibration, turns=0.3, points=4)
+        calibrate(bench.calibration, turns=0.3)
 
 
 def test_an_invalid_answer_repeats_the_question():
@@ -350,7 +350,7 @@ def test_a_reading_that_is_no_length_repeats_the_question(answer):
         return next(wrong, right) if "reading 2" in question else right
 
     bench.calibration._ask_operator = misread
-    spools, _ = calibrate(bench.calibration, turns=0.3, points=4)
+    spools, _ = calibrate(bench.calibration, turns=0.3)
     assert spools[0].radius == pytest.approx(0.025, rel=0.02)
     assert sum("reading 2" in question for question in bench.questions) == 2
     assert sum(repr(answer) in line for line in bench.output) == 1
@@ -382,7 +382,7 @@ def test_without_servos_it_names_the_checks():
     bus = ServoBus(SimulatedPort(Wire(clock, lambda *_: []), clock), retries=0)
     silent = Calibration(bus, lambda *_: "", lambda _: None, lambda _: None)
     with pytest.raises(ConfigurationError, match="no servo answers"):
-        calibrate(silent, 0.5, 4)
+        calibrate(silent, 0.5)
 
 
 @pytest.mark.parametrize(
@@ -390,7 +390,6 @@ def test_without_servos_it_names_the_checks():
     [
         (["{}/exists.yaml"], "already exists"),
         (["{}/no/folder.yaml"], "its folder does not exist"),
-        (["{}/new.yaml", "--points", "2"], "--points"),
         (["{}/new.yaml", "--turns", "nan"], "--turns"),
     ],
 )

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from camera_rig import LENGTH, SETTINGS, SETUP_FILE
 from rendered_images import CameraSettings, Pattern, RenderedCamera
 
@@ -120,16 +121,6 @@ def test_track_rejects_bad_input_in_one_line(images, tmp_path, capsys, arguments
     assert not (tmp_path / "out.csv").exists() or (tmp_path / "out.csv").stat().st_size < 100
 
 
-def test_a_bag_is_made_by_the_package_of_bags(images, tmp_path):
-    opening = pytest.importorskip("worm_model.bags.opening")
-    pytest.importorskip("ament_index_python")
-    bag = tmp_path / "bag"
-    if track.main(["--images", str(images), "--setup", str(SETUP_FILE), "--output", str(bag)]) == 2:
-        pytest.skip("the workspace is not built")
-    with opening.open_bag(bag, print) as opened:
-        assert {"/worm/tracker", "/worm/body_length/measured"} <= set(opened.topics)
-
-
 # --- markers --------------------------------------------------------------------------------------
 
 
@@ -148,8 +139,7 @@ def test_black_squares_and_the_ruler_have_their_true_size(tmp_path, monkeypatch)
 
     drawn = []
     monkeypatch.setattr(markers, "_write", lambda _, sheets: drawn.extend(sheets))
-    arguments = ["--ids", "0", "7", "--size-m", "0.03", "--output", str(tmp_path / "m.pdf")]
-    assert markers.main(arguments) == 0
+    assert markers.main(["--setup", str(SETUP_FILE), "--output", str(tmp_path / "m.pdf")]) == 0
     (axes,) = drawn[0].figure.axes
     to_inches = axes.transData + drawn[0].figure.dpi_scale_trans.inverted()
 
@@ -157,18 +147,21 @@ def test_black_squares_and_the_ruler_have_their_true_size(tmp_path, monkeypatch)
         return 25.4 * to_inches.transform(points)
 
     squares = [p for p in axes.patches if isinstance(p, Rectangle) and p.get_facecolor()[0] == 0.0]
-    assert len(squares) == 2
+    assert len(squares) == 2 + len(SETTINGS.reference)
     for square in squares:
         corners = to_mm([square.get_xy(), np.array(square.get_xy()) + square.get_width()])
-        assert np.ptp(corners, axis=0) == pytest.approx([30.0, 30.0], abs=1e-6)
+        assert np.ptp(corners, axis=0) == pytest.approx([1e3 * SETTINGS.marker_size] * 2, abs=1e-6)
     lengths = [np.ptp(to_mm(line.get_xydata()), axis=0)[0] for line in axes.lines]
     assert max(lengths) == pytest.approx(100.0, abs=1e-6)
 
 
-def test_missing_markers_are_rejected(tmp_path, capsys):
-    assert markers.main(["--ids", "50", "--output", str(tmp_path / "m.pdf")]) == 2
-    assert "marker 50: DICT_4X4_50 has 0 to 49" in complaint(capsys)
-    assert markers.main(["--ids", "1", "--size-m", "0.3", "--output", str(tmp_path / "m.pdf")]) == 2
+def test_a_marker_that_does_not_fit_on_the_paper_is_rejected(tmp_path, capsys):
+    large = tmp_path / "setup.yaml"
+    given = yaml.safe_load(SETUP_FILE.read_text())
+    given["camera_info"] = str(SETUP_FILE.parent / given["camera_info"])
+    places = {10: [0.0, 0.0, 0.0], 11: [1.0, 0.0, 0.0]}
+    large.write_text(yaml.safe_dump({**given, "marker_size_m": 0.3, "reference": places}))
+    assert markers.main(["--setup", str(large), "--output", str(tmp_path / "m.pdf")]) == 2
     assert "does not fit on the paper" in complaint(capsys)
     assert not (tmp_path / "m.pdf").exists()
 
@@ -211,7 +204,7 @@ def board_views(tmp_path_factory) -> Path:
 
 def test_the_lens_is_found_again(board_views, tmp_path, capsys):
     output = tmp_path / "camera.yaml"
-    arguments = ["--images", str(board_views), "--output", str(output), "--name", "webcam"]
+    arguments = ["--images", str(board_views), "--output", str(output)]
     assert calibrate_camera.main(arguments) == 0
     reported = capsys.readouterr()
     assert float(re.search(r"reprojection error ([\d.]+) px", reported.out)[1]) < 0.3

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import pytest
 
 from worm_driver.clock import MachineClock
-from worm_driver.control.control_loop import ControlLoop, PeriodicThread, PowerLoop
+from worm_driver.control.control_loop import ControlLoop, PowerLoop
 from worm_driver.driver_errors import DriverError, PowerSensorError, RejectedError
 from worm_driver.power.ina219 import PowerSample, SampleStatus
 
@@ -282,11 +282,6 @@ def test_waiting_for_the_end_leaves_time_for_something_else(robot, loop):
     assert len(calls) > 3
 
 
-class Idler(PeriodicThread):
-    def _step(self, now: float) -> bool:
-        return True
-
-
 class SteppedClock(MachineClock):
     """Time that passes only while a thread waits, or when a test sets it."""
 
@@ -299,16 +294,6 @@ class SteppedClock(MachineClock):
 
     def sleep_until(self, due: float) -> None:
         self.now = max(self.now, due)
-
-
-def test_a_periodic_thread_reports_its_timing():
-    thread = Idler("test", 0.001, SteppedClock())
-    thread.start()
-    wait_for(lambda: thread.report().cycles >= 1000)
-    report = thread.report()
-    assert report.mean_period == pytest.approx(0.001)
-    assert report.missed == 0
-    assert thread.end(TIMEOUT_S)
 
 
 @pytest.mark.parametrize(

@@ -11,10 +11,10 @@ from worm_driver.control.timing import TimingReport
 from worm_driver.driver_errors import PortError
 from worm_driver.gait.gait_player import Phase, PlayerState
 from worm_driver.power.ina219 import SampleStatus
-from worm_driver.servos.bus_types import BusCounters
 from worm_driver.servos.registers import XL430_W250, XM430_W350
+from worm_driver.servos.servo_bus import BusCounters
 from worm_driver.servos.servo_setup import Servo
-from worm_driver.servos.servo_state import SILENT, ServoState
+from worm_driver.servos.state_reader import SILENT, ServoState
 
 SERVO = Servo(1, XM430_W350, 48, 4.8, (9.5, 16.0), 80.0, (0, 4095))
 STATE = ServoState(0, 0.1, 0.2, 0.3, 12.0, 30.0, 1.0)

@@ -9,7 +9,7 @@ import math
 from dataclasses import replace
 
 import pytest
-from driver_rig import SPOOLS, Rig, robot_with_spools, settings, shaft_lengths
+from driver_rig import SPOOLS, Rig, robot_with_spools, settings, shaft_lengths, spool_parameters
 from hypothesis import HealthCheck, Phase, seed
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
@@ -26,7 +26,7 @@ from worm_driver.driver_errors import DriverError, StoppedError
 from worm_driver.gait import gait_player
 from worm_driver.gait.gait_player import Phase as GaitPhase
 from worm_driver.gait.gait_player import PlayerSettings
-from worm_driver.servos.servo_state import SILENT
+from worm_driver.servos.state_reader import SILENT
 from worm_driver.virtual_robot.wire.faults import make_fault
 from worm_driver.virtual_robot.wire.packet import Instruction, instruction_packet
 from worm_msgs.gait import Gait, Profile
@@ -47,7 +47,7 @@ CREEP, BRAKING = 0.001, 0.20
 #: m, largest distance of a goal from the range of a gait (an activation admits this much slack)
 SLACK = 0.0105
 #: m, from the shaft to a goal: the tolerated following error, and the motion of the cable in two cycles
-REACH = QUICK.limits.following_error + 2 * QUICK.period * QUICK.max_cable_speed
+REACH = QUICK.max_following_error + 2 * QUICK.period * QUICK.max_cable_speed
 #: consecutive cycles with too large a following error, after which there must be a FAULT
 LAGGED = 10
 #: m, a robot with a larger contraction springs back when it is released
@@ -146,7 +146,7 @@ class Life(RuleBasedStateMachine):
     @initialize(spools=st.sampled_from([1, 2]), speed=st.sampled_from([0.01, 0.03, 0.12, 0.12]))
     def open(self, spools: int, speed: float) -> None:
         self.latched = False  # the emergency stop is on
-        self.given = replace(QUICK, spools=SPOOLS[:spools], max_cable_speed=speed)
+        self.given = replace(QUICK, **spool_parameters(SPOOLS[:spools]), max_cable_speed=speed)
         robot = robot_with_spools(self.given.spools)
         self.rig: Rig = Rig(self.given, robot, why_not_start=self.why_not_start)
         self.virtual, self.clock = self.rig.virtual, self.rig.clock
@@ -503,7 +503,7 @@ class Life(RuleBasedStateMachine):
         lengths = shaft_lengths(self.rig)
         for index, (spool, servo) in enumerate(zip(self.given.spools, self.cables, strict=True)):
             off = abs(lengths[index] - spool.length_change(servo.memory["goal_position"]))
-            lags = watched and off > QUICK.limits.following_error + OFF
+            lags = watched and off > QUICK.max_following_error + OFF
             self.lagged[index] = self.lagged[index] + 1 if lags else 0
         assert max(self.lagged) <= LAGGED or self.clock.now <= self.troubled_until, robot.player
 

@@ -4,7 +4,6 @@ from driver_rig import settings
 
 from worm_driver.control.driver_settings import load_body
 from worm_driver.driver_errors import ConfigurationError
-from worm_driver.servos.transmission import Fin, Spool
 from worm_msgs.robot_parameters import RobotParameters
 
 
@@ -36,37 +35,28 @@ def test_a_missing_parameter_file_is_rejected(tmp_path):
         load_body(str(tmp_path / "none.yaml"))
 
 
-@pytest.mark.parametrize("rate", [10.0, 12.4])
-def test_a_rate_at_which_the_servos_stop_between_two_cycles_is_rejected(rate):
-    with pytest.raises(
-        ConfigurationError, match=r"rate_hz is 1\d.*bus_watchdog_s, 0\.08 s.*12\.5 Hz"
-    ):
-        settings(rate=rate)
-    assert settings(rate=rate, watchdog=0.2).period == 1.0 / rate
-
-
-@pytest.mark.parametrize("watchdog", [0.05, 0.07, 0.0805, 1.99])
-def test_a_watchdog_that_the_servos_would_round_is_rejected(watchdog):
-    with pytest.raises(ConfigurationError, match=rf"bus_watchdog_s is {watchdog}.*0\.02 s"):
-        settings(watchdog=watchdog)
+@pytest.mark.parametrize(
+    ("wrong", "reason"),
+    [
+        ({"rate": 10.0}, r"rate_hz is 10.*bus_watchdog_s, 0\.08 s.*12\.5 Hz"),
+        ({"rate": 12.4}, r"rate_hz is 12\.4.*12\.5 Hz"),
+        *(
+            ({"watchdog": step}, rf"bus_watchdog_s is {step}.*0\.02 s")
+            for step in (0.05, 0.0805, 1.99)
+        ),
+        ({"cable_ids": ()}, r"cable_servos\.ids"),
+        ({"cable_ids": (11,)}, r"two servos have the id 11\b"),
+        *(({"cable_ids": (number,)}, "not in 0 to 252") for number in (-1, 253, 254)),
+        ({"cable_ids": (1, 2)}, r"cable_servos\.ids has 2, cable_servos\.signs has 1"),
+        ({"reverse_angles": ()}, r"fin_servos\.reverse_angle_rad has 0"),
+    ],
+)
+def test_parameters_that_contradict_each_other_are_rejected(wrong, reason):
+    with pytest.raises(ConfigurationError, match=reason):
+        settings(**wrong)
 
 
 def test_every_multiple_of_the_servos_step_is_accepted():
     for steps in range(2, 101):
         assert settings(watchdog=steps / 50, rate=100.0).watchdog == steps / 50
-
-
-def test_a_robot_without_a_cable_servo_is_rejected():
-    with pytest.raises(ConfigurationError, match=r"cable_servos\.ids"):
-        settings(spools=())
-
-
-def test_an_id_that_two_servos_have_is_rejected():
-    with pytest.raises(ConfigurationError, match=r"\bid 1\b"):
-        settings(spools=(Spool(1, 1, 0.012),), fins=(Fin(1, 0.0, 1.0),))
-
-
-@pytest.mark.parametrize("number", [-1, 253, 254])
-def test_an_id_that_no_servo_can_have_is_rejected(number):
-    with pytest.raises(ConfigurationError, match="not in 0 to 252"):
-        settings(spools=(Spool(number, 1, 0.012),))
+    assert settings(rate=10.0, watchdog=0.2).period == 0.1

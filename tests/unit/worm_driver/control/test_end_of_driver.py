@@ -8,7 +8,6 @@ from dataclasses import replace
 import pytest
 from driver_rig import CABLE, Rig, moving, settings
 
-from worm_driver.control.supervision import Limits
 from worm_driver.driver_errors import ConfigurationError, RejectedError, StoppedError
 from worm_driver.gait.gait_player import Phase
 
@@ -86,7 +85,7 @@ def test_a_driver_with_other_limits_does_not_release_a_robot_that_was_left_contr
     """The current limit of the servo could only be changed without torque."""
     rig = left_contracted()
     held = contraction(rig)
-    other = replace(rig.settings, home_at_start=False, limits=Limits(max_current=1.9))
+    other = replace(rig.settings, home_at_start=False, max_servo_current=1.9)
     with pytest.raises(ConfigurationError, match=r"current_limit is 2\.2"):
         rig.restarted_driver(other)
     assert rig.cable.memory["torque_enable"] == 1
@@ -231,12 +230,3 @@ def test_no_gait_begins_while_it_shuts_down():
     rig = closing(0.2)
     with pytest.raises(RejectedError, match="shuts down"):
         rig.start()
-
-
-def test_an_idle_driver_ends_at_once():
-    rig = Rig()
-    rig.run(0.1)
-    rig.loop.shutdown("the driver ends")
-    rig.run(rig.settings.period)
-    assert rig.ended
-    assert rig.end() == []

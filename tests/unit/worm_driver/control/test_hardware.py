@@ -14,9 +14,8 @@ from driver_rig import settings
 
 from worm_driver.control import hardware as hardware_module
 from worm_driver.control.diagnostics import Level
-from worm_driver.control.driver_settings import DriverSettings, PowerSettings
+from worm_driver.control.driver_settings import DriverSettings
 from worm_driver.control.hardware import Hardware
-from worm_driver.control.supervision import Limits
 from worm_driver.driver_errors import ConfigurationError, DriverError, PortError
 from worm_driver.gait.gait_player import Phase
 from worm_driver.servos import serial_port
@@ -56,9 +55,10 @@ def given(robot, tmp_path) -> DriverSettings:
     ports = tmp_path / "robot"
     return settings(
         port=str(ports / "servo_bus"),
-        power=PowerSettings(i2c_bus=str(ports / "i2c.sock")),
+        i2c_bus=str(ports / "i2c.sock"),
         watchdog=2.0,
-        limits=Limits(max_silence=1.0, following_error=0.1),
+        max_silence=1.0,
+        max_following_error=0.1,
     )
 
 
@@ -143,7 +143,7 @@ def test_a_latency_timer_that_a_slow_rate_tolerates_is_reported(given, monkeypat
 
 @pytest.mark.parametrize(
     "change",
-    [{"port": "/dev/no_worm"}, {"power": PowerSettings(i2c_bus="/dev/i2c-77")}],
+    [{"port": "/dev/no_worm"}, {"i2c_bus": "/dev/i2c-77"}],
     ids=["port", "sensor"],
 )
 def test_what_fails_to_open_leaves_nothing_open(given, change):
@@ -160,7 +160,7 @@ def test_a_second_opener_is_rejected_and_the_first_continues(hardware, given):
 
 
 def test_without_a_power_sensor_there_are_no_samples_and_no_report_of_one(given):
-    hardware = Hardware(replace(given, power=PowerSettings(i2c_bus="")))
+    hardware = Hardware(replace(given, i2c_bus=""))
     wait_for(lambda: len(hardware.snapshots) > 5)
     names = [report.name for report in hardware.report(hardware.snapshots[-1])]
     assert "driver: power sensor" not in names

@@ -8,7 +8,6 @@ import re
 import pytest
 from driver_rig import CABLE, Rig, moving, settings, shaft_lengths, two_spools
 
-from worm_driver.control.supervision import Limits
 from worm_driver.driver_errors import HomingError
 from worm_driver.gait.gait_player import Phase
 
@@ -324,7 +323,7 @@ def test_servos_that_hold_at_different_lengths_return_to_rest_together():
 
 
 def test_one_blocked_servo_of_two_stops_both():
-    rig = two_spools(limits=Limits(following_error=1.0))
+    rig = two_spools(max_following_error=1.0)
     rig.activate()
     rig.start(0.06, 0.3)
     rig.run(8.0, until=lambda s: s.player.phase is Phase.RUNNING)
@@ -333,4 +332,4 @@ def test_one_blocked_servo_of_two_stops_both():
     fault = rig.run(1.0, until=lambda s: s.player.phase is Phase.FAULT)
     assert "servo 2 is beyond its limit" in fault.player.message
     rig.run(0.3)
-    assert abs(rig.snapshots[-1].servos[1].effort) < 0.5 * rig.settings.limits.max_current
+    assert abs(rig.snapshots[-1].servos[1].effort) < 0.5 * rig.settings.max_servo_current

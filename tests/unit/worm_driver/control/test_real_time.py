@@ -4,11 +4,9 @@
 import errno
 import os
 import threading
-import time
 
 import pytest
 
-from worm_driver.control.control_loop import PeriodicThread
 from worm_driver.control.diagnostics import Level, timing_report
 from worm_driver.control.real_time import (
     NOT_REQUESTED,
@@ -69,26 +67,6 @@ def test_the_main_thread_gets_half_the_priority_until_the_end():
     if not urgencies[0].granted:
         pytest.skip(urgencies[0].description)
     assert found == [(10, 5), (0, 0)]
-
-
-def test_the_thread_itself_requests_it_before_its_first_step():
-    seen: list[tuple[str, str]] = []
-
-    class Thread(PeriodicThread):
-        def _at_start(self) -> None:
-            seen.append(("start", threading.current_thread().name))
-
-        def _step(self, now: float) -> bool:
-            seen.append(("step", threading.current_thread().name))
-            return False
-
-    thread = Thread("servo", 0.001)
-    thread.start()
-    end = time.monotonic() + 20.0
-    while thread.alive:
-        assert time.monotonic() < end
-        time.sleep(0.001)
-    assert seen == [("start", "servo"), ("step", "servo")]
 
 
 def test_the_diagnostics_report_it_and_blame_it_only_for_a_late_loop():

@@ -8,13 +8,12 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
-from driver_rig import CABLE, Rig, idle, moving, settings
+from driver_rig import CABLE, Rig, fin_parameters, idle, moving, settings, spool_parameters
 
-from worm_driver.control.supervision import Limits
 from worm_driver.driver_errors import BusError, ConfigurationError, HomingError, RejectedError
 from worm_driver.gait.gait_player import Ending, Phase
 from worm_driver.servos.registers import COMMON
-from worm_driver.servos.servo_state import SILENT
+from worm_driver.servos.state_reader import SILENT
 from worm_driver.servos.transmission import Spool
 from worm_driver.virtual_robot.servo.control_table import (
     XL330_M288,
@@ -63,7 +62,7 @@ def test_opening_leaves_the_torque_off_and_finds_the_models(rig):
 
 def test_a_missing_servo_is_named():
     with pytest.raises(BusError, match="servo 5 does not answer"):
-        Rig(settings(spools=(Spool(5, 1, 0.025),)))
+        Rig(settings(cable_ids=(5,)))
 
 
 def test_activation_holds_the_servos_where_they_stand_with_the_watchdog_armed(rig):
@@ -185,7 +184,7 @@ def test_a_gait_while_inactive_is_rejected(rig):
 
 
 def test_the_servos_velocity_limit_is_a_limit_of_gaits():
-    rig = Rig(settings(spools=(Spool(1, 1, 0.012),)))
+    rig = Rig(settings(spool_radii=(0.012,)))
     rig.activate()
     with pytest.raises(RejectedError, match=r"limit is 0\.0575 m/s"):
         rig.start(0.09, 0.4)
@@ -417,13 +416,6 @@ def test_a_restart_between_two_drivers_is_noticed():
     assert not rig.restarted_driver().robot.actuators.homed
 
 
-def test_another_operating_mode_has_folded_the_turns():
-    rig = Rig()
-    rig.bus.write(CABLE, COMMON["operating_mode"], 3)
-    assert not rig.restarted_driver(settings(home_at_start=False)).robot.actuators.homed
-    assert rig.bus.read(CABLE, COMMON["operating_mode"]) == 4
-
-
 def test_a_position_that_jumps_by_a_turn_is_a_fault():
     rig = moving()
     rig.run(1.0, until=lambda s: s.cable < -0.06)
@@ -507,12 +499,16 @@ def other_robot(models: dict[int, VirtualServoModel], voltage: float) -> Virtual
     )
 
 
+#: parameters of a driver with one cable servo and no fins
+ONE_SERVO = spool_parameters([Spool(3, 1, 0.01)]) | fin_parameters([])
+
+
 @pytest.mark.parametrize(
     ("model", "voltage"), [(XL330_M288, 5.0), (XL430_W250, 12.0), (XM430_W350, 12.0)]
 )
 def test_each_model_of_servo_plays_a_gait(model, voltage):
     virtual = other_robot({3: model}, voltage)
-    given = settings(spools=(Spool(3, 1, 0.01),), fins=(), limits=Limits(max_current=5.0))
+    given = settings(**ONE_SERVO, max_servo_current=5.0)
     rig = Rig(given, virtual)
     rig.activate()
     rig.start(0.02, 0.2, cycles=1)
@@ -535,11 +531,8 @@ def test_each_model_of_servo_plays_a_gait(model, voltage):
 def test_each_model_limits_its_own_output_a_little_above_the_level_of_a_fault(
     model, voltage, current, register, raw
 ):
-    limits = Limits(max_current=current, max_load=0.5)
-    rig = Rig(
-        settings(spools=(Spool(3, 1, 0.01),), fins=(), limits=limits),
-        other_robot({3: model}, voltage),
-    )
+    given = settings(**ONE_SERVO, max_servo_current=current, max_servo_load=0.5)
+    rig = Rig(given, other_robot({3: model}, voltage))
     rig.activate()
     assert rig.cable.memory[register] == raw
     assert rig.cable.memory["torque_enable"] == 1
@@ -549,17 +542,15 @@ def test_each_model_limits_its_own_output_a_little_above_the_level_of_a_fault(
 @pytest.mark.parametrize(
     ("model", "voltage", "limits"),
     [
-        (XL330_M288, 5.0, Limits(max_current=1.0, following_error=1.0)),
-        (XL430_W250, 12.0, Limits(max_load=0.6, following_error=1.0)),
-        (XM430_W350, 12.0, Limits(max_current=1.5, following_error=1.0)),
+        (XL330_M288, 5.0, {"max_servo_current": 1.0}),
+        (XL430_W250, 12.0, {"max_servo_load": 0.6}),
+        (XM430_W350, 12.0, {"max_servo_current": 1.5}),
     ],
 )
 def test_an_overload_of_each_model_is_a_fault(model, voltage, limits):
     """The cable is blocked. Only the servo's effort may show this, in time before the servo overheats."""
-    rig = Rig(
-        settings(spools=(Spool(3, 1, 0.01),), fins=(), limits=limits),
-        other_robot({3: model}, voltage),
-    )
+    given = settings(**ONE_SERVO, **limits, max_following_error=1.0)
+    rig = Rig(given, other_robot({3: model}, voltage))
     rig.activate()
     rig.start(0.02, 0.2, cycles=2)
     rig.run(12.0, until=lambda s: s.player.phase is Phase.RUNNING)

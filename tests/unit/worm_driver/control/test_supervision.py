@@ -8,13 +8,13 @@ from worm_driver.control import supervision
 from worm_driver.control.supervision import (
     CableLength,
     Counts,
-    Limits,
     ServoHealth,
     fault_in_counts,
     fault_in_health,
 )
+from worm_msgs.driver_file import DriverFile
 
-LIMITS = Limits(max_silence=0.035, max_current=2.0, following_error=0.015)
+LIMITS = DriverFile(max_silence=0.035, max_servo_current=2.0, max_following_error=0.015)
 
 
 def test_silence_adds_up_over_the_looks_and_ends_with_an_answer():

@@ -10,7 +10,15 @@ from worm_driver.gait import gait_player
 from worm_driver.gait.gait_limits import GaitLimits
 from worm_driver.gait.gait_metrics import RunRecord
 from worm_driver.gait.gait_player import Phase, PlayedRun, PlayerState
-from worm_driver.gait.run_end import RunEnd, is_near_cycle_end, makes_no_progress, unseen_cycle
+from worm_driver.gait.run_end import (
+    PERIOD,
+    HeartbeatMonitor,
+    RunEnd,
+    is_near_cycle_end,
+    makes_no_progress,
+    shorter_timeout,
+    unseen_cycle,
+)
 from worm_msgs.gait import Gait
 
 PITCH, ONSET = 0.0173, 10.0
@@ -86,3 +94,32 @@ def test_a_run_that_is_finished_ends_as_completed_with_its_cycle():
     assert (run.cycles, run.stop_cycle) == (3, 3)
     resting = PlayerState(phase=Phase.RESTING, run=PlayedRun(1, GAIT, 5, 5))
     assert gait_player.finish(resting, 0.0) == resting
+
+
+# --- the heartbeat of its client ---
+
+
+def test_an_owner_that_sends_heartbeats_is_not_silent():
+    owner = HeartbeatMonitor(1.0, 0.0)
+    for look in range(100):
+        if look % 3 == 0:
+            owner.record()
+        assert not owner.is_silent(look * PERIOD)
+
+
+def test_an_owner_without_heartbeats_is_silent_after_its_timeout():
+    owner = HeartbeatMonitor(1.0, 0.0)
+    silent = [owner.is_silent(look * PERIOD) for look in range(1, 15)]
+    assert silent == [look * PERIOD > 1.0 + 1e-9 for look in range(1, 15)]
+
+
+def test_the_drivers_own_pause_is_not_its_owners_silence():
+    owner = HeartbeatMonitor(1.0, 0.0)
+    assert not owner.is_silent(30.0)
+
+
+def test_the_shorter_timeout_holds():
+    assert (
+        shorter_timeout(2.0, 0.0) == shorter_timeout(0.0, 2.0) == shorter_timeout(2.0, 3.0) == 2.0
+    )
+    assert shorter_timeout(0.0, 0.0) == math.inf

@@ -8,14 +8,14 @@ pytest.importorskip("worm_msgs", reason="the workspace is not built")
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from worm_driver.control.cycle_snapshot import CycleSnapshot
 from worm_driver.control.diagnostics import DiagnosticReport, Level
+from worm_driver.control.robot import CycleSnapshot
 from worm_driver.gait.gait_player import Phase, PlayedRun, PlayerState
 from worm_driver.nodes import driver_messages as ros_messages
 from worm_driver.nodes.driver_messages import ClockPair
 from worm_driver.power.ina219 import PowerSample, SampleStatus
 from worm_driver.servos.registers import XL330_M288, XL430_W250, XM430_W350, ServoModel
-from worm_driver.servos.servo_state import SILENT, ServoState
+from worm_driver.servos.state_reader import SILENT, ServoState
 from worm_msgs.gait import Gait
 from worm_msgs.msg import BodyLength, GaitState, Power
 

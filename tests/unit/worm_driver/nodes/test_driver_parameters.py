@@ -13,7 +13,8 @@ from worm_driver.nodes.driver_parameters import why_not_set
 
 
 def reason(name: str, value: object, *, configured: bool) -> str:
-    return why_not_set(SimpleNamespace(), [Parameter(name, value=value)], configured=configured)
+    present = SimpleNamespace(get_parameter=lambda _: SimpleNamespace(value=0.05))
+    return why_not_set(present, [Parameter(name, value=value)], configured=configured)
 
 
 @pytest.mark.parametrize("configured", [False, True])
@@ -27,5 +28,15 @@ def test_a_parameter_that_is_read_at_the_start_is_rejected_with_this_reason(name
 
 
 def test_a_parameter_that_takes_effect_at_configure_is_rejected_until_cleanup():
-    assert "clean up" in reason("port", "/dev/other", configured=True)
-    assert reason("port", "/dev/other", configured=False) == ""
+    for name, value in (("port", "/dev/other"), ("limits.max_stroke_m", 0.06)):
+        assert "deactivate" in reason(name, value, configured=True)
+        assert reason(name, value, configured=False) == ""
+
+
+def test_a_limit_may_be_lowered_at_any_time():
+    assert reason("limits.max_stroke_m", 0.04, configured=True) == ""
+
+
+def test_the_heartbeat_of_the_next_goal_may_change_at_any_time_and_the_clock_never():
+    assert reason("heartbeat_s", 1.0, configured=True) == ""
+    assert "clock" in reason("use_sim_time", True, configured=False)

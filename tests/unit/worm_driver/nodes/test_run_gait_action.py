@@ -12,10 +12,9 @@ from driver_rig import Rig, settings
 from rclpy.action import CancelResponse
 from rclpy.task import Future
 
-from worm_driver.control.heartbeat import HeartbeatMonitor
 from worm_driver.gait.gait_metrics import RunRecord
 from worm_driver.gait.gait_player import Ending, Phase
-from worm_driver.gait.run_end import RunEnd
+from worm_driver.gait.run_end import HeartbeatMonitor, RunEnd
 from worm_driver.nodes import run_gait_action
 from worm_driver.nodes.run_gait_action import RunGaitAction
 

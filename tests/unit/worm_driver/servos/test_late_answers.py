@@ -8,7 +8,7 @@ from driver_rig import Rig, moving
 
 from worm_driver.driver_errors import DriverError
 from worm_driver.gait.gait_player import Phase
-from worm_driver.servos.servo_state import SILENT
+from worm_driver.servos.state_reader import SILENT
 from worm_driver.virtual_robot.wire.faults import make_fault
 
 #: s, delays of responses: less than a wait, about one, a cycle, several

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from worm_driver.servos.registers import COMMON, MODELS, XL430_W250, XM430_W350, hardware_error_text
-from worm_driver.servos.servo_state import STATE_SIZE, STATE_START
+from worm_driver.servos.state_reader import STATE_SIZE, STATE_START
 from worm_driver.virtual_robot.servo import control_table
 
 POSITION = COMMON["present_position"]

@@ -9,24 +9,21 @@ import pytest
 import yaml
 from camera_rig import SETTINGS, PaperCamera, model_of
 
+from worm_driver.driver_errors import SetupError
 from worm_driver.tracking import vision
 from worm_driver.tracking.camera_model import CameraModel, camera_info_text, load_camera_info
-from worm_driver.tracking.tracking_errors import SetupError
 
 BROWN = model_of(SETTINGS)
 RATIONAL = replace(
     BROWN, model="rational_polynomial", distortion=(0.3, 0.1, 1e-3, -1e-3, 0.02, 0.25, 0.08, 0.01)
 )
-FISHEYE = replace(
-    BROWN, model="equidistant", distortion=(-0.02, 0.01, -0.004, 0.001), focal=(500.0, 501.0)
-)
 STRAIGHT = replace(SETTINGS, position=(0.0, -1.0, 0.0), yaw=0.0, pitch_angle=0.0, roll=0.0)
 
 
-@pytest.mark.parametrize("camera", [BROWN, RATIONAL, FISHEYE], ids=lambda c: c.model)
+@pytest.mark.parametrize("camera", [BROWN, RATIONAL], ids=lambda c: c.model)
 def test_the_file_is_read_as_it_was_written(camera: CameraModel, tmp_path):
     path = tmp_path / "camera.yaml"
-    path.write_text(camera_info_text("webcam", camera))
+    path.write_text(camera_info_text(camera))
     assert load_camera_info(path) == camera
     content = yaml.safe_load(path.read_text())
     assert content["camera_matrix"]["rows"] == content["camera_matrix"]["cols"] == 3
@@ -56,7 +53,7 @@ def test_a_calibration_with_another_number_or_model_differs(other):
     assert BROWN.differs_from(other)
 
 
-@pytest.mark.parametrize("camera", [BROWN, RATIONAL, FISHEYE], ids=lambda c: c.model)
+@pytest.mark.parametrize("camera", [BROWN, RATIONAL], ids=lambda c: c.model)
 def test_directions_are_the_inverse_of_projecting(camera: CameraModel):
     columns, rows = np.meshgrid(np.linspace(0, 1279, 9), np.linspace(0, 719, 7))
     pixels = np.column_stack([columns.ravel(), rows.ravel()])
@@ -90,33 +87,22 @@ def test_where_the_lens_model_folds_over_there_is_no_direction():
         ({"camera_matrix": [1.0]}, r"camera_matrix.* mapping"),
         (
             {"distortion_model": "thin_prism"},
-            "thin_prism.*plumb_bob, rational_polynomial, equidistant",
+            "thin_prism.*plumb_bob, rational_polynomial",
         ),
         ({"distortion_coefficients": {"data": [0.1, 0.2]}}, "4 or 5 coefficients, not 2"),
-        ({"distortion_coefficients": {"data": ["a"] * 5}}, r"distortion_coefficients: data.* 'a'"),
         ({"distortion_coefficients": {"data": [0.0, 0.0, 0.0, math.nan]}}, "nan"),
-        ({"image_width": 1280.5}, r"image_width.* 1280\.5"),
-        ({"distortion_model": None}, "distortion_model.* None"),
-        ({"distortion_model": ["plumb_bob"]}, r"distortion_model.* \['plumb_bob'\]"),
     ],
 )
 def test_invalid_calibrations_are_rejected(change, message, tmp_path):
-    content = yaml.safe_load(camera_info_text("camera", BROWN))
+    content = yaml.safe_load(camera_info_text(BROWN))
     path = tmp_path / "camera.yaml"
     path.write_text(yaml.safe_dump({**content, **change}))
     with pytest.raises(SetupError, match=message):
         load_camera_info(path)
-    del content["camera_matrix"]
-    path.write_text(yaml.safe_dump(content))
-    with pytest.raises(SetupError, match="camera_matrix is missing"):
-        load_camera_info(path)
-    path.write_text("- 1")
-    with pytest.raises(SetupError, match=r"camera\.yaml: the file must be a mapping"):
-        load_camera_info(path)
 
 
 def test_keys_that_the_tracker_does_not_read_may_have_any_value(tmp_path):
-    content = yaml.safe_load(camera_info_text("camera", BROWN))
+    content = yaml.safe_load(camera_info_text(BROWN))
     content["camera_matrix"]["unit"] = "px"
     path = tmp_path / "camera.yaml"
     path.write_text(yaml.safe_dump({**content, "projection_matrix": math.nan, "made": [None]}))

@@ -10,8 +10,8 @@ from camera_rig import SETTINGS, PaperCamera, setup_of
 from hypothesis import given
 from hypothesis import strategies as st
 
+from worm_driver.driver_errors import PoseError
 from worm_driver.tracking.camera_pose import FixedCamera, MovingCamera, find_pose
-from worm_driver.tracking.tracking_errors import PoseError
 
 SETUP = setup_of(SETTINGS)
 

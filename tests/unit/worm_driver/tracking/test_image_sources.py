@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from worm_driver.driver_errors import ImageError
 from worm_driver.tracking.image_sources import (
     check_size,
     frames_of_folder,
     frames_of_video,
     times_of_folder,
 )
-from worm_driver.tracking.tracking_errors import ImageError
 from worm_driver.tracking.vision import write_image
 
 

@@ -10,9 +10,9 @@ from camera_rig import LENGTH, SETTINGS, PaperCamera, setup_of, turned
 from hypothesis import given
 from hypothesis import strategies as st
 
+from worm_driver.driver_errors import SetupError
 from worm_driver.tracking.tracker import Tracker
 from worm_driver.tracking.tracker_setup import ModuleLine, ModuleMarker
-from worm_driver.tracking.tracking_errors import SetupError
 
 CAMERA = PaperCamera()
 Y, Z = SETTINGS.module_line

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 from camera_rig import SETTINGS, model_of
 
+from worm_driver.driver_errors import SetupError
 from worm_driver.tracking.camera_model import camera_info_text
 from worm_driver.tracking.tracker_setup import load_setup
-from worm_driver.tracking.tracking_errors import SetupError
 
 GOOD = """\
 dictionary: DICT_4X4_50
@@ -24,12 +24,9 @@ rate_hz: 30.0
 """
 
 
-REFERENCE = GOOD[GOOD.index("reference:") : GOOD.index("camera_info")]
-
-
 @pytest.fixture
 def write(tmp_path: Path):
-    (tmp_path / "camera.yaml").write_text(camera_info_text("camera", model_of(SETTINGS)))
+    (tmp_path / "camera.yaml").write_text(camera_info_text(model_of(SETTINGS)))
 
     def written(text: str) -> Path:
         path = tmp_path / "tracker.yaml"
@@ -57,9 +54,6 @@ def test_the_calibration_may_come_with_the_images(write):
     ("old", "new", "facts"),
     [
         ("rate_hz: 30.0", "rate: 30.0", ["rate", "rate_hz"]),
-        ("offset_m: 0.0}", "offset_m: 0.0, colour: red}", ["rear", "colour"]),
-        ("  11: [0.30", "  10: [0.30", ["line 8", "10"]),
-        ("rate_hz: 30.0", "dictionary: DICT_4X4_50", ["line 10", "dictionary"]),
         ("  11: [0.30, 0.0, 0.06]\n", "", ["reference", "2", "1"]),
         ("marker_size_m: 0.020", "marker_size_m: 20", ["marker_size_m", "0.5", "20"]),
         ("marker_size_m: 0.020", "marker_size_m: 0", ["marker_size_m", "0"]),
@@ -69,23 +63,15 @@ def test_the_calibration_may_come_with_the_images(write):
         ("z_m: 0.0", "z_m: 15", ["module_line", "z_m", "3", "15"]),
         ("[0.30, 0.0, 0.06]", "[0.01, 0.0, 0.06]", ["10", "11", "0.01 m", "0.02 m"]),
         ("[0.30, 0.0, 0.06]", "[0.30, 0.06]", ["reference", "11"]),
-        ("[0.30, 0.0, 0.06]", "[0.30, 0.0, 0.06, 0]", ["reference", "11", "3 items"]),
-        ("[0.30, 0.0, 0.06]", "[0.30, 0.0, .nan]", ["reference", "11", "finite", "nan"]),
         ("id: 1", "id: 0", ["rear", "front", "marker 0"]),
         ("id: 1", "id: 10", ["marker 10", "front", "reference"]),
         ("id: 1", "id: 50", ["50", "DICT_4X4_50", "49"]),
-        ("id: 1", "id: true", ["front", "id", "integer", "True"]),
-        ("  11:", "  eleven:", ["reference", "eleven", "integer"]),
         ("DICT_4X4_50", "DICT_4X4", ["dictionary", "'DICT_4X4'", "DICT_4X4_"]),
         ("camera_info: camera.yaml\n", "", ["camera_info"]),
         ("camera.yaml", "lost.yaml", ["lost.yaml", "No such file", "calibrate_camera"]),
         ("rate_hz: 30.0", "delay_s: -1.0", ["delay_s", "0", "-1"]),
         ("rate_hz: 30.0", "pose: free", ["pose", "fixed", "each_image", "free"]),
         ("rate_hz: 30.0", "max_speed_m_s: 0", ["max_speed_m_s", "0"]),
-        ("rate_hz: 30.0", "max_speed_m_s: 1e-3", ["max_speed_m_s", "'1e-3'", "1.0e-3"]),
-        ("rear: {id: 0, offset_m: 0.0}", "rear: 0", ["rear", "mapping", "0"]),
-        (REFERENCE, "reference: [10, 11]\n", ["reference", "mapping", "[10, 11]"]),
-        ("dictionary: DICT_4X4_50", "dictionary: [", ["YAML", "line"]),
     ],
 )
 def test_an_invalid_setup_is_rejected_in_one_line(write, old, new, facts):
@@ -97,8 +83,3 @@ def test_an_invalid_setup_is_rejected_in_one_line(write, old, new, facts):
     assert "\n" not in message
     assert message.startswith(str(path.parent))
     assert [fact for fact in facts if fact not in message.removeprefix(str(path))] == []
-
-
-def test_a_missing_file(tmp_path):
-    with pytest.raises(SetupError, match="No such file"):
-        load_setup(tmp_path / "none.yaml")

@@ -6,8 +6,8 @@ import pytest
 from camera_rig import SETTINGS, PaperCamera
 from rendered_images import MARKERS, RenderedCamera, framed
 
+from worm_driver.driver_errors import ImageError
 from worm_driver.tracking import vision
-from worm_driver.tracking.tracking_errors import ImageError
 
 RAMP = np.tile(np.arange(0, 240, 4, dtype=np.uint8), (8, 1))
 HEIGHT, WIDTH = RAMP.shape

@@ -144,26 +144,6 @@ def test_a_sync_read_resets_the_watchdog_also_of_a_servo_that_does_not_answer(le
     assert virtual.servos[0].memory["bus_watchdog"] == 5
 
 
-def test_a_lost_answer_is_still_an_instruction_obeyed():
-    virtual = robot(make_fault(faults.NO_ANSWER, target=CABLE))
-    assert replies(virtual, write(CABLE, 65, b"\x01")) == []
-    assert virtual.servos[0].memory["led"] == 1
-    assert replies(virtual, PING) == [PONG]
-
-
-def test_corrupted_truncated_and_doubled_answers():
-    virtual = robot(
-        make_fault(faults.CORRUPTED_CRC, start=0, duration=0.5),
-        make_fault(faults.TRUNCATED, start=1, duration=0.5),
-        make_fault(faults.DUPLICATED, start=2, duration=0.5),
-    )
-    (corrupted,) = replies(virtual, PING, 0.1)
-    assert (corrupted[:-2], corrupted != PONG) == (PONG[:-2], True)
-    assert replies(virtual, PING, 1.1) == [PONG[: len(PONG) // 2]]
-    assert replies(virtual, PING, 2.1) == [PONG + PONG]
-    assert replies(virtual, PING, 3.0) == [PONG]
-
-
 def test_fuzzed_answers_are_of_all_kinds_and_repeat_with_the_seed():
     def fuzzed():
         virtual = robot(make_fault(faults.FUZZED, duration=10.0))
@@ -181,14 +161,6 @@ def test_what_follows_a_late_answer_is_late_too():
     assert late.time == pytest.approx(1.3)
     assert next_one.time == pytest.approx(1.3)
     assert virtual.receive(PING, 1.4)[0].time == 1.4
-
-
-@pytest.mark.parametrize("number", range(1, 8))
-def test_a_status_with_each_error_number(number):
-    virtual = robot(make_fault(faults.ERROR_NUMBER, value=number, count=2))
-    assert replies(virtual, read(CABLE, 132, 4)) == [status_packet(CABLE, number)]
-    assert replies(virtual, PING) == [status_packet(CABLE, number)]
-    assert replies(virtual, PING) == [PONG]
 
 
 @pytest.mark.parametrize(

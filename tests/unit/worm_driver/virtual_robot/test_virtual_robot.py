@@ -1,31 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """The whole virtual robot on a virtual clock: it is reproducible, it moves forward, its instruments are correct."""
 
-import errno
 import math
 from dataclasses import replace
+from itertools import pairwise
+from random import Random
 
 import numpy as np
 import pytest
 
-from worm_driver.power import socket_smbus as frames
-from worm_driver.power.socket_smbus import Request
 from worm_driver.virtual_robot.offline_run import run_offline
 from worm_driver.virtual_robot.servo.control_table import XL330_M288
 from worm_driver.virtual_robot.servo.virtual_servo import Servo
-from worm_driver.virtual_robot.virtual_robot import VirtualRobot
+from worm_driver.virtual_robot.virtual_robot import Tracker, VirtualRobot
+from worm_driver.virtual_robot.virtual_settings import TrackerSettings
 from worm_driver.virtual_robot.wire import faults
-from worm_driver.virtual_robot.wire.faults import FaultBoard, make_fault
-from worm_driver.virtual_robot.wire.ina219_chip import BUS, CALIBRATION, CONFIGURATION, SHUNT
+from worm_driver.virtual_robot.wire.faults import make_fault
 from worm_msgs.gait import FORWARD, REVERSE, Gait, Profile
-
-ADDRESS = 0x40
-
-
-def read(robot, register, time):
-    answer = robot.transact(Request(frames.READ, ADDRESS, register, 2), time)
-    assert answer.errno == 0
-    return int.from_bytes(answer.data, "big")
 
 
 def grooves_per_cycle(run, frequency, pitch=0.0173, cycles=5, last=3):
@@ -164,50 +155,33 @@ def set_goal(servo: Servo, ticks: int) -> None:
     servo.write(116, ticks.to_bytes(4, "little", signed=True))
 
 
-# --- the power sensor's line ----------------------------------------------------------------------
+# --- the camera ---
+
+CLEAR = TrackerSettings(rate=30.0, noise=0.00015, occlusion_rate=0.0, occlusion=0.3, latency=0.0)
 
 
-def test_another_address_is_not_acknowledged(settings):
-    robot = VirtualRobot(settings)
-    answer = robot.transact(Request(frames.READ, 0x41, 0, 2), 0.0)
-    assert answer.errno == errno.EREMOTEIO
+def watch(settings, seconds, seed=1):
+    tracker = Tracker(settings, Random(seed))
+    return [tracker.expose(index / 30, 0.1, 0.4) for index in range(round(seconds * 30))]
 
 
-def test_a_nack_occurs_as_often_as_requested(settings):
-    robot = VirtualRobot(settings, FaultBoard([make_fault(faults.I2C_NACK, count=2)]))
-    request = Request(frames.READ, ADDRESS, CONFIGURATION, 2)
-    assert [robot.transact(request, 0.1).errno for _ in range(3)] == [121, 121, 0]
+def test_an_occlusion_hides_one_marker_for_its_time():
+    samples = watch(replace(CLEAR, occlusion_rate=0.2), 200)
+    hidden = [math.isnan(sample.rear_position) for sample in samples]
+    starts = sum(now and not before for before, now in pairwise(hidden))
+    assert starts == pytest.approx(0.2 * 200, rel=0.4)
+    assert sum(hidden) / starts == pytest.approx(0.3 * 30, rel=0.25)
+    both = sum(
+        math.isnan(sample.rear_position) and math.isnan(sample.front_position) for sample in samples
+    )
+    assert both < 0.5 * sum(hidden)
 
 
-def test_a_hanging_bus_takes_its_time_to_fail(settings):
-    robot = VirtualRobot(settings, FaultBoard([make_fault(faults.I2C_TIMEOUT, value=0.2)]))
-    answer = robot.transact(Request(frames.READ, ADDRESS, BUS, 2), 0.1)
-    assert (answer.errno, answer.delay) == (errno.ETIMEDOUT, 0.2)
-
-
-@pytest.mark.parametrize(
-    ("name", "overflow"), [(faults.INA219_OVERFLOW, 1), (faults.INA219_SATURATION, 0)]
-)
-def test_a_current_beyond_the_range(settings, name, overflow):
-    robot = VirtualRobot(settings, FaultBoard([make_fault(name, start=0.5, duration=0.5)]))
-    assert read(robot, SHUNT, 0.4) < 2000
-    assert read(robot, SHUNT, 0.9) == 32000
-    assert read(robot, BUS, 0.9) & 1 == overflow
-    assert read(robot, SHUNT, 1.1) < 2000
-    assert read(robot, BUS, 1.1) & 1 == 0
-
-
-def test_a_brown_out_forgets_the_settings(settings):
-    robot = VirtualRobot(settings, FaultBoard([make_fault(faults.INA219_RESET, start=0.5)]))
-    for register, value in ((CALIBRATION, 4194), (CONFIGURATION, 0x1DDF)):
-        data = value.to_bytes(2, "big")
-        robot.transact(Request(frames.WRITE, ADDRESS, register, data=data), 0.1)
-    assert read(robot, CALIBRATION, 0.4) == 4194
-    assert read(robot, CALIBRATION, 0.6) == 0
-    assert read(robot, CONFIGURATION, 0.6) == 0x399F
-
-
-def test_a_block_longer_than_a_register_reads_a_released_line(settings):
-    robot = VirtualRobot(settings)
-    answer = robot.transact(Request(frames.READ, ADDRESS, CONFIGURATION, 4), 0.0)
-    assert answer.data == b"\x39\x9f\xff\xff"
+def test_samples_come_after_their_latency_and_carry_the_exposures_time(settings):
+    delayed = replace(settings, tracker=replace(settings.tracker, latency=0.1))
+    robot = VirtualRobot(delayed)
+    robot.advance(0.099)
+    assert robot.take_samples(0.099) == []
+    robot.advance(0.15)
+    times = [sample.time for sample in robot.take_samples(0.15)]
+    assert times == pytest.approx([0.001, 0.034], abs=1e-9)

@@ -30,30 +30,20 @@ def test_its_truth_is_not_the_papers_table(settings):
 @pytest.mark.parametrize(
     ("change", "facts"),
     [
-        (lambda c: c["body"].update(colour=1), ["body", "'colour'"]),
         (lambda c: c["body"].update(pich=1), ["body", "'pich'", "pitch"]),
         (lambda c: c["body"].pop("gain"), ["body: gain", "missing"]),
-        (lambda c: c["body"].update(pitch="wide"), ["body: pitch", "number", "'wide'"]),
-        (lambda c: c["body"].update(pitch=float("nan")), ["body: pitch", "finite", "nan"]),
         (lambda c: c["body"].update(pitch=-0.01), ["body: pitch", "-0.01"]),
         (lambda c: c["body"].update(pitch=17.3), ["body: pitch", "17.3", "0.2", "d, m"]),
-        (lambda c: c.update(seed=1.5), ["seed", "integer", "1.5"]),
         (lambda c: c.update(step_s=0.01), ["step_s", "0.001", "0.01"]),
-        (lambda c: c.update(step_m=0.001), ["'step_m'", "step_s"]),
         (lambda c: c["servos"].update(baud_rate=1234), ["servos: baud_rate", "57600", "1234"]),
         (lambda c: c["cable_servos"][0].update(id=11), ["same id"]),
         (lambda c: c["cable_servos"][0].update(id=253), ["cable_servos: [0]: id", "252", "253"]),
         (lambda c: c["cable_servos"][0].update(sign=0), ["cable_servos: [0]: sign", "1 or -1"]),
-        (lambda c: c["cable_servos"][0].update(sign=True), ["cable_servos: [0]: sign", "True"]),
         (lambda c: c["cable_servos"][0].update(model="XL320"), ["model", "XL330-M288", "'XL320'"]),
         (lambda c: c["fin_servos"][0].update(model="XL330-M288"), ["servo 11", "3.7", "6.0 V"]),
         (lambda c: c["fin_servos"].pop(), ["fin_servos", "rear", "front"]),
         (lambda c: c.update(fin_servos=[]), ["fin_servos", "1 item"]),
-        (lambda c: c.update(tracker=3), ["tracker", "mapping", "3"]),
         (lambda c: c["conditions"].update(slope_deg=91), ["conditions: slope_deg", "90", "91"]),
-        (lambda c: c["conditions"].update(tether_n=-1), ["conditions: tether_n", "0", "-1"]),
-        (lambda c: c["conditions"].update(tether_n_per_m=1e4), ["tether_n_per_m", "10000"]),
-        (lambda c: c["conditions"].update(flow=1), ["conditions", "'flow'"]),
     ],
 )
 def test_invalid_values_are_rejected(tmp_path, change, facts):
@@ -64,15 +54,6 @@ def test_invalid_values_are_rejected(tmp_path, change, facts):
     assert message.startswith(str(path))
     assert "\n" not in message
     assert [fact for fact in facts if fact not in message.removeprefix(str(path))] == []
-
-
-def test_a_missing_file_and_one_that_is_no_yaml(tmp_path):
-    with pytest.raises(SettingsFileError, match="No such file"):
-        load_settings(tmp_path / "none.yaml")
-    path = tmp_path / "bad.yaml"
-    path.write_text("a: [1\n")
-    with pytest.raises(SettingsFileError, match="YAML"):
-        load_settings(path)
 
 
 def test_conditions_in_the_file_load_the_robot(tmp_path):

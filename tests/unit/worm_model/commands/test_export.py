@@ -78,6 +78,18 @@ def test_several_robots_have_no_merged_table_until_one_is_named(
     assert (tmp_path / "one" / "run.csv").exists()
 
 
+def test_parquet_keeps_the_types(bag: Path, tmp_path: Path, monkeypatch):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    target = tmp_path / "tables"
+    assert command(monkeypatch, bag, "--output", target, "--format", "parquet") == 0
+    power = parquet.read_table(target / "worm__power.parquet")
+    assert str(power.schema.field("power").type) == "double"
+    assert str(power.schema.field("status").type) == "uint8"
+    assert str(power.schema.field("header.stamp_ns").type) == "int64"
+    assert power["power"].to_pylist() == RUN.power.power.tolist()
+    assert power.num_rows == len(RUN.power.stamp)
+
+
 def joints(store, sec: int, names: list[str]) -> bytes:
     """Return a message whose arrays have as many elements as there are names."""
     kind, empty = "sensor_msgs/msg/JointState", np.empty(0)
@@ -134,11 +146,29 @@ def test_stamps_of_later_elements_that_some_messages_lack_are_right(tmp_path: Pa
     assert found["marks[2].stamp_ns"][4] == "1800000004000000005"
 
 
-def test_large_arrays_are_left_out_by_name(tmp_path: Path, monkeypatch, capsys):
+def test_nullable_times_stay_integers_in_parquet(tmp_path: Path, monkeypatch):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    bag = array_bag(tmp_path / "bag", [3, 8])
+    assert command(monkeypatch, bag, "--output", tmp_path / "x", "--format", "parquet") == 0
+    column = parquet.read_table(tmp_path / "x" / "a.parquet")["marks[6].stamp_ns"]
+    assert str(column.type) == "int64"
+    assert column.to_pylist() == [None, 1800000001000000005]
+
+
+def test_large_arrays_are_lists_in_parquet_and_left_out_by_name_in_csv(
+    tmp_path: Path, monkeypatch, capsys
+):
+    parquet = pytest.importorskip("pyarrow.parquet")
     bag = array_bag(tmp_path / "bag", [300_000, 2, 300_000])
     assert command(monkeypatch, bag, "--output", tmp_path / "csv") == 0
-    assert "a.csv: data" in capsys.readouterr().err
+    err = capsys.readouterr().err
+    assert "a.csv: data" in err
+    assert "parquet" in err
     assert "data" not in "".join(table(tmp_path / "csv" / "a.csv"))
+    assert command(monkeypatch, bag, "--output", tmp_path / "x", "--format", "parquet") == 0
+    column = parquet.read_table(tmp_path / "x" / "a.parquet")["data"]
+    assert [len(item) for item in column.to_pylist()] == [300_000, 2, 300_000]
+    assert str(column.type.value_type) == "uint8"
 
 
 def test_topics_whose_names_would_be_the_same_file_are_two(tmp_path: Path, monkeypatch, capsys):

@@ -108,7 +108,7 @@ def test_a_report_has_another_name_after_a_change_of_bags_parameters_or_code(
     names.add(name("run", file=str(parameters)))
     (library.folder / "run/metadata.yaml").write_text("another recording")
     names.add(name("run"))
-    monkeypatch.setattr(bag_library, "identity_of_all", lambda: "another code")
+    monkeypatch.setattr(bag_library, "code_identity", lambda: "another code")
     names.add(name("run"))
     assert len(names) == len(made) == 6
     assert all(library.report(each).is_file() for each in names)

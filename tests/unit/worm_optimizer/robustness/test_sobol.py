@@ -4,9 +4,9 @@
 import numpy as np
 import pytest
 
-from worm_optimizer.robustness.sobol import SALTELLI, Sample, indices_of, warnings_of
+from worm_optimizer.robustness.sobol import indices_of, saltelli_sample, warnings_of
 
-RANDOM = Sample(SALTELLI, 1024, 3).draw(3)
+RANDOM = saltelli_sample(3, 1024, 3)
 
 
 def test_the_ishigami_function_has_its_indices():
@@ -32,7 +32,7 @@ def test_a_constant_and_a_missing_value_have_no_indices():
 
 
 def test_a_total_index_below_the_first_is_reported():
-    design = Sample(SALTELLI, 2, 3).draw(2)
+    design = saltelli_sample(2, 2, 3)
     values = design[:, 0] + design[:, 1]
     few = indices_of(values, 2, 1)
     assert few.inconsistent.size

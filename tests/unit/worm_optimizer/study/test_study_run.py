@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Result of a study: its file, table, summary and page."""
+"""Result of a study: its file."""
 
-import csv
 import json
 from pathlib import Path
 
@@ -15,9 +14,7 @@ from worm_model.errors import InputError
 from worm_optimizer.study.blocks import Counts, Workers
 from worm_optimizer.study.point import compute_block
 from worm_optimizer.study.study_file import parse_study
-from worm_optimizer.study.study_page import write_page
-from worm_optimizer.study.study_run import point_table, run_study, write_csv
-from worm_optimizer.study.summary import summarise
+from worm_optimizer.study.study_run import run_study
 
 STUDY = parse_study(SMALL, Path())
 
@@ -107,57 +104,6 @@ def test_a_cut_result_is_reported_and_written_again_from_its_blocks(tmp_path, he
     finish(path)
     assert path.read_bytes() == whole
     assert here.pieces == 6
-
-
-def test_the_table_has_a_row_per_point_and_a_column_per_gait(output, tmp_path):
-    data = point_table(output)
-    assert data.sizes["point"] == 6
-    rows = zip(data["slack"].values, data["switching_threshold"].values, strict=True)
-    assert list(rows) == [tuple(row) for row in STUDY.points()[:, 1:]]
-    file = tmp_path / "study.csv"
-    write_csv(output, file)
-    rows = list(csv.DictReader(file.open(newline="")))
-    assert len(rows) == 6
-    assert rows[3]["slack"] == "0.008"
-    speed = xarray.load_dataset(output)["speed"]
-    speed = speed.sel(slack=0.008, switching_threshold=0.0175, gait="max_speed")
-    assert float(rows[3]["speed_max_speed"]) == float(speed)
-    assert rows[2]["speed_max_speed"] == ""
-    assert "half the pitch" in rows[2]["reason"]
-
-
-@pytest.mark.parametrize(
-    ("requests", "gait", "first", "goal"),
-    [
-        ("at_speed_m_s: 0.004", "min_power_at_speed", "power at 4 mm/s", "lowest"),
-        ("at_power_W: 2.6", "max_speed_at_power", "speed at 2.6 W", "highest"),
-        ("at_power_W: 2.6, at_speed_m_s: 0.004", "max_speed_at_power", "speed at 2.6 W", "highest"),
-        ("direction: 1", "cruise", "cost of transport", "lowest"),
-    ],
-)
-def test_requested_gaits_and_probabilities_are_on_the_page(
-    tmp_path, here, requests, gait, first, goal
-):
-    text = SMALL.replace("at_power_W: 2.6", requests).replace("gaits]", "gaits, success]")
-    study, path = parse_study(text, Path()), tmp_path / "study.nc"
-    finish(path, study)
-    found = summarise(path, study)
-    assert found.figures[0].name == first
-    assert goal in found.goal
-    data = point_table(path).sel(gait=gait).isel(point=[1, 3, 5])
-    shown = {column.name: column.values for column in found.figures}
-    assert np.array_equal(shown["success probability"], data["success_probability"])
-    any_phase = shown["success at unknown phase"]
-    assert np.array_equal(any_phase, data["success_probability_any_phase"])
-    for key, name in (("at_power_W", "speed at 2.6 W"), ("at_speed_m_s", "power at 4 mm/s")):
-        assert (name in shown) == (key in requests)
-    best = {"speed at 2.6 W": np.argmax, "power at 4 mm/s": np.argmin}.get(first, np.argmin)
-    assert found.best == best(shown[first])
-    write_page(path, study, tmp_path / "page.html")
-    page = (tmp_path / "page.html").read_text()
-    assert first in page
-    assert "success probability" in page
-    assert "less than half the pitch" in page
 
 
 def test_other_files_are_left_alone(output, tmp_path):

@@ -62,11 +62,6 @@ class VirtualServoModel(ServoRow):
 
     registers: Mapping[str, Register] = field(default_factory=dict)
 
-    @property
-    def torque_constant(self) -> float:
-        """Torque constant, N*m/A: stall torque divided by stall current."""
-        return self.stall_torque / self.stall_current
-
 
 def _status(name: str, address: int, size: int, low: int = 0) -> Register:
     return Register(name, address, size, 0, low=low, writable=False)

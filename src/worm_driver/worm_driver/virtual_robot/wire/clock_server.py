@@ -63,12 +63,10 @@ class ClockServer:
     Attributes:
         rate: largest ratio of simulated to machine time; inf for as fast as possible.
         now: simulated time, s.
-        held: total machine time by which clients or a slow machine have delayed simulated time, s.
     """
 
     rate: float = 1.0
     now: float = 0.0
-    held: float = 0.0
     _start: float = 0.0
     _machine: float = 0.0
 
@@ -101,9 +99,7 @@ class ClockServer:
             due = until if math.isinf(self.rate) else (machine - self._start) * self.rate
             self.now = max(self.now, min(due, until))
         behind = (machine - self._start) - self.now / self._pace
-        late = max(0.0, behind - _SLACK)
-        self._start += late
-        self.held += late
+        self._start += max(0.0, behind - _SLACK)
         return self.now
 
     def machine_time(self, event: float) -> float:

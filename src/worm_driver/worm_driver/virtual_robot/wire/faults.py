@@ -165,9 +165,6 @@ def make_fault(
 
     - With a duration and without a count, the count is unlimited.
     - With a count and without a duration, the duration is unlimited.
-
-    Raises:
-        FaultError: The fault is invalid.
     """
     kind = KINDS.get(name)
     if kind is None:

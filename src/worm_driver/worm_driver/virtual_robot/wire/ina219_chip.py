@@ -28,7 +28,6 @@ _BUS_LSB = 4e-3  # V per raw unit of the bus voltage
 _SHUNT_LIMIT = 32000  # raw shunt voltage at the ends of the range +-320 mV
 _BUS_PIN_LIMIT = 26.0  # V, largest measurable bus voltage
 _CONVERSION = 532e-6  # s, one 12-bit conversion without averaging
-_RELEASED = 0xFF  # value of a bus that no device drives
 
 
 def samples_of(configuration: int) -> int:
@@ -170,6 +169,4 @@ class I2cLine:
             if len(request.data) == 2:
                 self._chip.write(request.register, int.from_bytes(request.data, "big"))
             return Answer(0)
-        value = self._chip.read(request.register).to_bytes(2, "big")
-        padded = value + bytes([_RELEASED]) * max(request.length - 2, 0)
-        return Answer(0, padded[: request.length])
+        return Answer(0, self._chip.read(request.register).to_bytes(2, "big"))

@@ -35,7 +35,7 @@ from worm_model.bags.formats.message_block import Topic
 
 PACKAGE = "worm_msgs"
 SEPARATOR = "=" * 80
-REMEDY = "source the workspace that has the definitions of the recording"
+REMEDY = "give the definitions of the recording by --definitions FOLDER, or source the workspace that has them"
 REASON_LENGTH = 200  # shown characters of a parser's error, which repeats the definition
 _CONSTANT = re.compile(r"[A-Za-z]\w*\s+[A-Z]\w*\s*=")
 # texts and characters (first group), and comments
@@ -54,7 +54,10 @@ Types = Mapping[str, Fields]
 # --- installed definitions ------------------------------------------------------------------------
 
 
-def _folders(package: str) -> Iterator[Path]:
+def _folders(package: str, definitions: Path | None = None) -> Iterator[Path]:
+    if package == PACKAGE and definitions is not None:
+        yield definitions
+        return  # no other sources: the layouts of two versions would mix
     for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
         if prefix:
             yield Path(prefix, "share", package, "msg")
@@ -62,12 +65,16 @@ def _folders(package: str) -> Iterator[Path]:
         yield Path(__file__).resolve().parents[4] / PACKAGE / "msg"
 
 
-def _installed_text(package: str, kind: str) -> str:
-    for folder in _folders(package):
+def _installed_text(package: str, kind: str, definitions: Path | None) -> str:
+    for folder in _folders(package, definitions):
         path = folder / f"{kind}.msg"
         if path.is_file():
             return path.read_text(encoding="utf-8")
     standard, name = _standard_types(), f"{package}/msg/{kind}"
+    if package == PACKAGE and definitions is not None:
+        raise DefinitionError(
+            f"{definitions} has no {kind}.msg, which contains the definition of {name}"
+        )
     if name not in standard.fielddefs:
         raise DefinitionError(
             f"no definition of {name} is installed; source the workspace that has it"
@@ -81,11 +88,12 @@ def _standard_types() -> Typestore:
 
 
 @lru_cache(maxsize=256)
-def installed_definition(type_name: str) -> str:
+def installed_definition(type_name: str, definitions: Path | None = None) -> str:
     """Return the ``ros2msg`` text of an installed type with all types that it needs.
 
     Args:
         type_name: ``package/msg/Type``.
+        definitions: folder with the ``.msg`` files of worm_msgs; None: the installed files.
     """
     package, _, kind = type_name.partition("/msg/")
     if not (package and kind) or "/" in package + kind:
@@ -97,7 +105,7 @@ def installed_definition(type_name: str) -> str:
         if name in texts:
             continue
         package, _, kind = name.partition("/msg/")
-        texts[name] = _installed_text(package, kind)
+        texts[name] = _installed_text(package, kind, definitions)
         with suppress(*_UNREADABLE):  # errors are reported by `parse_types`
             (_, fields) = get_types_from_msg(without_comments(texts[name]), name)[name]
             waiting += [needed for _, field in fields for needed in _named(field)]
@@ -118,17 +126,20 @@ def _named(field: Any) -> Iterator[str]:
 
 
 @lru_cache(maxsize=256)
-def topic_of(name: str, type_name: str, offered_qos: str = "") -> Topic:
+def topic_of(
+    name: str, type_name: str, offered_qos: str = "", definitions: Path | None = None
+) -> Topic:
     """Return a topic for writing, with its type hash, and the definitions of its type and of all types that it needs.
 
     Args:
         name, type_name: full name of the topic and its type.
         offered_qos: quality of service of the publishers, YAML.
+        definitions: folder of definitions, see `installed_definition`.
 
     Raises:
         DefinitionError: The type is not installed.
     """
-    definition = installed_definition(type_name)
+    definition = installed_definition(type_name, definitions)
     metadata = (
         ("offered_qos_profiles", offered_qos),
         ("topic_type_hash", type_hash(type_name, definition, "ros2msg")),
@@ -215,16 +226,22 @@ def type_hash(type_name: str, definition: str, definition_format: str) -> str:
         return ""
 
 
-def with_definition(topic: Topic) -> Topic:
-    """Return the topic with a definition: its own, or the installed one."""
-    if topic.definition:
+def with_definition(topic: Topic, definitions: Path | None = None) -> Topic:
+    """Return the topic with a definition: that of a folder, or its own, or the installed one.
+
+    Args:
+        topic: the topic.
+        definitions: folder with the ``.msg`` file of the topic's type; None: no such folder.
+    """
+    if topic.definition and definitions is None:
         return topic
     if not topic.type_name:
         raise DefinitionError(f"{topic.name} has neither a type nor a definition")
-    found = topic_of(topic.name, topic.type_name)
+    found = topic_of(topic.name, topic.type_name, definitions=definitions)
     if topic.type_hash not in ("", found.type_hash):
         raise DefinitionError(
-            f"the type hash of {topic.name} differs from that of the installed {topic.type_name}; {REMEDY}"
+            f"the type hash of {topic.name} differs from that of the {topic.type_name} "
+            f"{'that is installed' if definitions is None else f'in {definitions}'}; {REMEDY}"
         )
     return replace(
         topic,

@@ -6,14 +6,17 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from tempfile import NamedTemporaryFile
+from typing import BinaryIO, NamedTuple, cast
 
 import numpy as np
+import zstandard
 
 from worm_model.bags.formats.bag_errors import BagError
-from worm_model.bags.formats.finding import check_readable
+from worm_model.bags.formats.finding import COMPRESSED, check_readable
 from worm_model.bags.formats.message_block import Messages, Times, Topic
 
 # A longer time without a message is a gap: durations do not include it, and the player skips it.
@@ -113,9 +116,20 @@ def joined_spans(spans: Iterable[Span]) -> Sequence[Span]:
 
 
 def opened(path: Path) -> BinaryIO:
-    """Return an open file. Raises BagError if the file does not exist or cannot be opened."""
+    """Return an open file. A file that rosbag2 has compressed is decompressed into a temporary one, up to damage.
+
+    Raises BagError if the file does not exist or cannot be opened.
+    """
     check_readable(path)
     try:
-        return path.open("rb")
+        packed = path.open("rb")
     except OSError as error:
         raise BagError(f"{path} cannot be read: {error.strerror}") from None
+    if path.suffix != COMPRESSED:
+        return packed
+    unpacked = cast(BinaryIO, NamedTemporaryFile())  # noqa: SIM115 - the caller closes it
+    with packed, suppress(zstandard.ZstdError):
+        for piece in zstandard.ZstdDecompressor().read_to_iter(packed):
+            unpacked.write(piece)
+    unpacked.flush()
+    return unpacked

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -16,39 +16,54 @@ from worm_model.bags.formats.message_block import Messages, Topic
 from worm_model.bags.opening import Bag
 
 LOG_TIME = "log_time_ns"
+TEXT = "text"
 SECONDS, NANOSECONDS = ".sec", ".nanosec"
-MOST_ELEMENTS = 256  # a larger array, such as an image, has no columns
+MOST_ELEMENTS = 256  # a larger array, such as an image, is one column of lists
 
+ColumnKind = str  # numpy's name of a number type, or TEXT
 TableRows = Mapping[str, list[Any]]
 
 
 @dataclass(frozen=True)
 class TopicTable:
-    """Columns of a topic in their order. A time is one column in ns; an array has one column per element.
+    """Columns of a topic in their order. A time is one column in ns; a short array has one column per element.
 
     Attributes:
         topic: topic whose messages are the rows; its count is the number of rows.
         channels: channels that can be decoded, including those of other topics.
-        columns: names of the columns.
-        omitted: paths of the fields with an array of more than MOST_ELEMENTS elements.
+        kinds: kind of the columns with one value per row, by name.
+        lists: kind of the elements of the columns with an array of more than MOST_ELEMENTS per row, by name.
     """
 
     topic: Topic
     channels: frozenset[Topic]
-    columns: Sequence[str]
-    omitted: Sequence[str]
+    kinds: Mapping[str, ColumnKind]
+    lists: Mapping[str, ColumnKind]
 
 
 @dataclass
 class _Field:
     """Values of a topic's field: `width` is None for one value, else the largest number of elements of an array."""
 
+    kind: ColumnKind
     width: int | None
     values: list[Any]
 
+    def joined(self, other: _Field) -> _Field:
+        """Return an empty field with the kind and width that can represent both fields."""
+        texts = TEXT in (self.kind, other.kind)
+        kind = TEXT if texts else str(np.result_type(self.kind, other.kind))
+        widths = [width for width in (self.width, other.width) if width is not None]
+        return _Field(kind, max(widths, default=None), [])
+
+    @property
+    def is_list(self) -> bool:
+        """True if the field is too wide for one column per element."""
+        return (self.width or 0) > MOST_ELEMENTS
+
     def columns(self, path: str, width: int | None) -> Iterator[tuple[str, list[Any]]]:
         """Yield names and values of the columns: one column, or one for each of ``width`` elements of an array."""
-        if width is None:
+        if width is None or width > MOST_ELEMENTS:
             yield path, self.values
             return
         for i in range(width):
@@ -61,9 +76,9 @@ def find_tables(bag: Bag, topics: Iterable[str]) -> tuple[list[TopicTable], dict
     Of a topic with several types or encodings, those that can be decoded are in its table. Topics without messages have
     no table. The whole bag is read once, because the length of a sequence may change from message to message.
     """
-    widths: dict[str, dict[str, int | None]] = {name: {} for name in topics}
-    readable, failed = _readable(bag, widths)
-    for block in bag.blocks(widths):
+    fields: dict[str, dict[str, _Field]] = {name: {} for name in topics}
+    readable, failed = _readable(bag, fields)
+    for block in bag.blocks(fields):
         for name, messages in block.by_topic():
             try:
                 read = _fields(messages.within(readable)) if name not in failed else {}
@@ -71,21 +86,17 @@ def find_tables(bag: Bag, topics: Iterable[str]) -> tuple[list[TopicTable], dict
                 failed[name] = error
                 continue
             for path, new in read.items():
-                known = widths[name].get(path)
-                widths[name][path] = _larger(new.width, known)
+                known = fields[name].get(path)
+                fields[name][path] = new.joined(known or new)
     counts: Counter[str] = Counter()
     for channel in readable:
         counts[channel.name] += channel.count
     tables = [
-        _table(replace(bag.topics[name], count=counts[name]), readable, widths[name])
-        for name in widths
+        _table(replace(bag.topics[name], count=counts[name]), readable, fields[name])
+        for name in fields
         if name not in failed
     ]
-    return [table for table in tables if table.columns], failed
-
-
-def _larger(one: int | None, other: int | None) -> int | None:
-    return max((width for width in (one, other) if width is not None), default=None)
+    return [table for table in tables if table.kinds], failed
 
 
 def _readable(bag: Bag, topics: Collection[str]) -> tuple[frozenset[Topic], dict[str, BagError]]:
@@ -107,17 +118,15 @@ def _readable(bag: Bag, topics: Collection[str]) -> tuple[frozenset[Topic], dict
     }
 
 
-def _table(
-    topic: Topic, channels: frozenset[Topic], widths: Mapping[str, int | None]
-) -> TopicTable:
-    omitted = [path for path, width in widths.items() if (width or 0) > MOST_ELEMENTS]
-    columns = [
-        column
-        for path, width in widths.items()
-        if path not in omitted
-        for column, _ in _Field(None, []).columns(path, width)
-    ]
-    return TopicTable(topic, channels, columns, omitted)
+def _table(topic: Topic, channels: frozenset[Topic], fields: Mapping[str, _Field]) -> TopicTable:
+    kinds = {
+        column: known.kind
+        for path, known in fields.items()
+        if not known.is_list
+        for column, _ in known.columns(path, known.width)
+    }
+    lists = {path: known.kind for path, known in fields.items() if known.is_list}
+    return TopicTable(topic, channels, kinds, lists)
 
 
 def read_tables(bag: Bag, tables: Iterable[TopicTable]) -> Iterator[tuple[TopicTable, TableRows]]:
@@ -129,26 +138,26 @@ def read_tables(bag: Bag, tables: Iterable[TopicTable]) -> Iterator[tuple[TopicT
             columns_read: dict[str, list[Any]] = {}
             messages = messages.within(table.channels)
             for path, here in _fields(messages).items():
-                if path not in table.omitted:
-                    columns_read.update(here.columns(path, here.width))
+                width = MOST_ELEMENTS + 1 if path in table.lists else here.width
+                columns_read.update(here.columns(path, width))
             missing = [None] * len(messages)
-            yield table, {name: columns_read.get(name, missing) for name in table.columns}
+            yield table, {n: columns_read.get(n, missing) for n in (*table.kinds, *table.lists)}
 
 
 def _fields(messages: Messages) -> dict[str, _Field]:
-    """Return width and values of the fields of messages."""
+    """Return kind, width and values of the fields of messages."""
     builder = ColumnBuilder()
     builder.add(messages)
     columns = builder.columns()
-    fields_read = {LOG_TIME: _Field(None, messages.log_time.tolist())}
+    fields_read = {LOG_TIME: _Field("int64", None, messages.log_time.tolist())}
     for path, values in columns.numbers.items():
         stem = path.removesuffix(SECONDS).removesuffix(NANOSECONDS)
         if stem + SECONDS in columns.numbers and stem + NANOSECONDS in columns.numbers:
-            fields_read[f"{stem}_ns"] = _Field(None, _nanoseconds(columns, stem))
+            fields_read[f"{stem}_ns"] = _Field("int64", None, _nanoseconds(columns, stem))
         else:
             fields_read[path] = _number_field(values)
     for path, texts in columns.texts.items():
-        fields_read[path] = _Field(None, list(texts))
+        fields_read[path] = _Field(TEXT, None, list(texts))
     return fields_read
 
 
@@ -165,9 +174,11 @@ def _nanoseconds(columns: MessageColumns, stem: str) -> list[Any]:
 def _number_field(values: np.ndarray[Any, Any]) -> _Field:
     if values.dtype != object:
         width = None if values.ndim == 1 else values.shape[1]
-        return _Field(width, values.tolist() if width is None else list(values))
-    arrays = [np.size(value) for value in values if value is not None and np.ndim(value)]
-    return _Field(max(arrays, default=None), list(values))
+        return _Field(str(values.dtype), width, values.tolist() if width is None else list(values))
+    present = [value for value in values if value is not None]
+    kind = str(np.result_type(*(np.asarray(value) for value in present))) if present else "float64"
+    arrays = [np.size(value) for value in present if np.ndim(value)]
+    return _Field(kind, max(arrays, default=None), list(values))
 
 
 def _element(value: Any, index: int) -> Any:

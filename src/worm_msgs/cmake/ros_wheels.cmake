@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 # Only for the ROS wheels of PyPI, passed as CMAKE_PROJECT_worm_msgs_INCLUDE by ./worm build.
+#
 # The Python targets that those wheels export name include folders of the machine that built the
 # wheels. CMake rejects a target whose include folder does not exist. CMake finds this machine's
 # Python and NumPy and does not need these folders, so this file drops folders that do not exist.
@@ -25,3 +26,7 @@ foreach(target IN LISTS targets)
   endforeach()
   set_target_properties(${target} PROPERTIES INTERFACE_INCLUDE_DIRECTORIES "${existing}")
 endforeach()
+
+# Only Python programs use these interfaces: C++ types would take a third of the time of the build.
+find_package(rosidl_default_generators REQUIRED)
+list(FILTER AMENT_EXTENSIONS_rosidl_generate_idl_interfaces EXCLUDE REGEX "_cpp:")
