@@ -9,10 +9,11 @@ import re
 
 from interfaces_page import PAGE, ROOT, rows_of
 
-from worm_driver.nodes import driver_parameters, tracker_node
-from worm_model.nodes import twin_messages
+from worm_driver.nodes import driver_parameters
+from worm_driver.tracking import tracker_setup
+from worm_model.twin import twin_settings
 from worm_model.twin.twin_settings import DEFAULTS
-from worm_optimizer.nodes import optimizer_node
+from worm_optimizer.search import search_settings
 
 _SPEC = importlib.util.spec_from_file_location("generator", ROOT / "docs/generate_interfaces.py")
 assert _SPEC is not None
@@ -59,7 +60,7 @@ def test_the_drawing_has_the_names_and_types_of_the_tables():
 
 
 def test_names_of_parameters_and_keys_are_lower_snake_case_with_the_unit_last():
-    nodes = (driver_parameters, twin_messages, optimizer_node, tracker_node)
+    nodes = (driver_parameters, twin_settings, search_settings, tracker_setup)
     names = [row.name for node in nodes for row in node.rows()]
     assert len(names) > 50
     wrong = re.compile(r"[A-Z]|_m_s$|_rad_s$|[^a-z0-9_.]")

@@ -4,6 +4,7 @@
 import importlib
 import shlex
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -114,13 +115,13 @@ BAD = [
 # with ROS
 DEMO = "worm_optimizer.commands.demo"
 OPERATE = "worm_optimizer.commands.operate"
-OPTIMIZER_NODE = "worm_optimizer.nodes.optimizer_node"
-PLAY = "worm_model.nodes.play_node"
-RECORD = "worm_model.nodes.record_node"
-TRACKER_NODE = "worm_driver.nodes.tracker_node"
-TWIN_NODE = "worm_model.nodes.twin_node"
-VIRTUAL_ROBOT = "worm_driver.nodes.virtual_robot_node"
-WATCH = "worm_model.nodes.watch_node"
+OPTIMIZER_NODE = "worm_optimizer optimizer_node"
+PLAY = "worm_model play"
+RECORD = "worm_model record"
+TRACKER_NODE = "worm_driver tracker_node"
+TWIN_NODE = "worm_model twin_node"
+VIRTUAL_ROBOT = "worm_driver virtual_robot"
+WATCH = "worm_model watch"
 SHORT = "--stroke 0.03 --frequency 0.4"
 LIGHT = "-p scan_highest_m:=0.004 -p scan_step_m:=0.001 -p samples:=20"
 BAD_WITH_ROS = [
@@ -217,9 +218,17 @@ def test_bad_input_is_one_line_and_status_2_and_leaves_nothing(
     assert sorted(folder.rglob("*")) == before
 
 
-@pytest.mark.parametrize(("module", "arguments", "fact"), BAD_WITH_ROS)
+def main_of(executable: str) -> Callable[[], int]:
+    """Return the ``main`` of a node, given as package and name, or of the module of a command."""
+    if " " not in executable:
+        return importlib.import_module(executable).main
+    package, name = executable.split()
+    return getattr(importlib.import_module(f"{package}.nodes.executables"), name)
+
+
+@pytest.mark.parametrize(("executable", "arguments", "fact"), BAD_WITH_ROS)
 def test_bad_input_of_an_executable_with_ros_is_status_2_and_no_traceback(
-    module, arguments, fact, folder, ros_domain, monkeypatch, capfd, caplog
+    executable, arguments, fact, folder, ros_domain, monkeypatch, capfd, caplog
 ):
     given, dash, parameters = arguments.partition("-p ")
     ros = ["--ros-args", *shlex.split(dash + parameters)] if dash else []
@@ -227,7 +236,7 @@ def test_bad_input_of_an_executable_with_ros_is_status_2_and_no_traceback(
     monkeypatch.setattr(sys, "argv", ["command", *shlex.split(given), *ros])
     monkeypatch.setattr(sys, "setswitchinterval", lambda _: None)
     try:
-        status = importlib.import_module(module).main()
+        status = main_of(executable)()
     except SystemExit as end:
         status = end.code
     reported = capfd.readouterr().err + caplog.text

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Travel error: measured minus predicted margin of a run, in m of the switching threshold.
+"""Travel error: measured minus predicted margin of a run's worst cycle, in m of the switching threshold.
 
 A robot is not the model. With the same command, the travel of its fins differs from the model's, by an amount that no
 parameter of the model describes. This amount decides whether a gait keeps its grooves.

@@ -288,7 +288,7 @@ def _ramp(state: PlayerState, now: float, target: float, settings: PlayerSetting
     """Return the state with the length change that a ramp to a target (m) has reached at the time ``now`` (s).
 
     The ramp is a half cosine, so that the speed of the cable has no steps. In each step it advances by the time since
-    the previous step, at most ``longest_step``. So a late step does not make the cable jump.
+    the previous step, at most ``longest_step``. So neither a late step nor another return speed makes the cable jump.
     """
     way = state.ramp_from - target
     if abs(way) <= REST_TOLERANCE:

@@ -8,6 +8,7 @@ import numpy as np
 from worm_model.identification.data.observed_run import Recording
 from worm_model.identification.fits.estimate import Estimate, not_identifiable, quantile
 from worm_model.identification.run_selection import FittedRun
+from worm_model.margin.half_cycles import Fin
 from worm_model.margin.measured_margin import RunMargin, measure_cycles
 from worm_model.margin.predicted_margin import predicted_margin
 from worm_model.parameters import Parameters
@@ -34,10 +35,13 @@ def margin_estimate(recording: Recording, parameters: Parameters) -> Estimate:
 
 
 def compared_margin(run: FittedRun, parameters: Parameters) -> tuple[float, float]:
-    """Return the measured margin of a run and the predicted one, m; NaN if none was measured."""
+    """Return the least measured margin of a run's cycles and the predicted one, m; NaN if a fin was not measured.
+
+    The least one decides whether the run keeps its grooves, which is what a success probability states.
+    """
     margin = recorded_margin(run.recording, parameters)
-    least = margin.least
-    if least is None:
+    if margin.keeps is None:
         return np.nan, np.nan
+    least = min(float(margin.margins(fin)[0].min()) for fin in Fin)
     known = parameters.replace(initial_length=run.length.initial_length)
-    return least.expected, predicted_margin(run.recording.gait, known, margin.grooves)
+    return least, predicted_margin(run.recording.gait, known, margin.grooves)

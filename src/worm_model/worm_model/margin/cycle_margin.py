@@ -33,6 +33,10 @@ _TAUT_M = 0.012  # travel after which the cable pulls
 # that the model lacks; SHARED_SD_M is the standard deviation of this and other errors that all cycles of a run share
 _SHORTFALL_M = 0.0003
 SHARED_SD_M = 0.0002
+# relative standard deviations of the deflection per travel, because a fin may stiffen and a taut cable yields to it,
+# and of the rate of a release (to the largest one), because the background of a kink takes a part; 0: not observed
+_SHARE_ERROR = {Fin.REAR: 0.1, Fin.FRONT: 0.0}
+_KINK_ERROR = {Fin.REAR: 0.25, Fin.FRONT: 0.0}
 # s, time constants with which a released body comes to rest: (c_b/(k_b + k_cable)) with a taut cable, and longer with
 # a slack one, as in an extension
 _SETTLING_S = {Fin.REAR: 0.12, Fin.FRONT: 0.3}
@@ -79,7 +83,8 @@ def release_of(
         moment += float(own @ travel) / (2.0 * motion.noise**2)
         precision += float(own @ own) / (2.0 * motion.noise**2)
     rate = moment / precision
-    return Release(float(np.clip(rate, 0.0, largest)), float(precision**-0.5), settling)
+    sd = math.hypot(precision**-0.5, _KINK_ERROR[fin] * largest)
+    return Release(float(np.clip(rate, 0.0, largest)), sd, settling)
 
 
 # samples and switches that are fitted together
@@ -126,20 +131,21 @@ def threshold_margin(
 
 
 def margin_sd(
-    length_sd: float, release: Release, remaining: float, parameters: Parameters
+    half: HalfCycle, switch: float, length: float, length_sd: float, release: Release, share: float
 ) -> float:
     """Return the standard deviation of a margin (m).
 
     Args:
-        length_sd: standard deviation of the remaining travel, m.
+        half: half cycle of the switch.
+        switch: its time, s.
+        length: remaining travel, m.
+        length_sd: its standard deviation, m.
         release: release of the fin.
-        remaining: time from the switch to the turning point, s.
-        parameters: stiffness of the fins.
+        share: deflection per travel.
     """
-    effect = release.time_constant * float(
-        step_response(np.asarray(remaining), release.time_constant)
-    )
-    return deflected_share(parameters) * float(np.hypot(length_sd, release.sd * effect))
+    remaining = np.asarray(half.end - switch)
+    effect = release.time_constant * float(step_response(remaining, release.time_constant))
+    return share * math.hypot(length_sd, release.sd * effect, _SHARE_ERROR[half.fin] * length)
 
 
 def negative_margin(margin: float, sd: float) -> float:

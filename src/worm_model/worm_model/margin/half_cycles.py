@@ -8,6 +8,7 @@ A run in reverse is the mirror image of one forward, so `motion_of` mirrors it.
 from __future__ import annotations
 
 import enum
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,7 +21,8 @@ from worm_model.run import Run, seconds
 from worm_model.simulation.smoothing import smooth
 
 LENGTH_WINDOW_S = 0.06  # half window of the smoothed length; a jump of a module takes 0.1 s
-_TURNING_S = 0.22  # half window of the parabola through a turning point
+TURNING_S = 0.22  # half window of the parabola through a turning point
+_FEWEST_STEPS = 2.2  # between two samples, in the half window of a parabola
 _SEARCH = (0.2, 0.35)  # of a period, before and after the command's turning point
 # A robot differs from the templates of the fits by errors that successive samples share. So more samples per second do
 # not show more.
@@ -62,10 +64,14 @@ class Motion:
         half = 0.5 * self.length
         return 0.5 * (self.rear + self.front) + (half if fin is Fin.REAR else -half)
 
-    @property
-    def least_window(self) -> float:
-        """Half window of a parabola, s, that contains enough samples."""
-        return _least_window(self.time)
+    def window(self, half_window: float) -> tuple[float, float]:
+        """Return a half window (s) with enough samples, and the standard deviation (m) of the length in its middle.
+
+        It is that of a parabola through the samples of the window.
+        """
+        step = _step(self.time)
+        half = max(half_window, _FEWEST_STEPS * step)
+        return half, 1.5 * math.sqrt(step / half) * self.noise
 
     def length_at(self, time: float | Array) -> Array:
         """Return the smoothed length at times in s, m."""
@@ -111,10 +117,10 @@ def motion_of(run: Run, gait: Gait, onset: int, cycles: int) -> Motion | None:
     rear, front = tracker.rear_position[used], tracker.front_position[used]
     if gait.direction == REVERSE:
         rear, front = -front, -rear
-    half = max(LENGTH_WINDOW_S, _least_window(time))
+    step = _step(time)
+    half = max(LENGTH_WINDOW_S, _FEWEST_STEPS * step)
     length = smooth(time, front - rear, time, half, half).value
     whole = np.isfinite(length)
-    step = float(np.median(np.diff(time)))
     alike = max(1.0 / (_DISTINCT_HZ * step), 1.0)  # samples with the same error of the template
     noise = float(np.hypot(_noise(rear), _noise(front)) * np.sqrt(0.5 * alike))
     return Motion(time[whole], rear[whole], front[whole], length[whole], noise, end)
@@ -162,7 +168,7 @@ def _turning_point(
     inside = (motion.time >= low) & (motion.time <= min(high, motion.end + 0.6 * period))
     if np.count_nonzero(inside) < 4 or motion.time[-1] < low + 0.5 * (high - low):
         return None
-    half = max(_TURNING_S, motion.least_window)
+    half, _ = motion.window(TURNING_S)
     at = motion.time[inside]
     curve = smooth(motion.time, motion.front - motion.rear, at, half, half)
     if not np.isfinite(curve.value).any():
@@ -171,8 +177,8 @@ def _turning_point(
     return float(at[best]), float(curve.value[best])
 
 
-def _least_window(time: Array) -> float:
-    return 2.2 * float(np.median(np.diff(time)))
+def _step(time: Array) -> float:
+    return float(np.median(np.diff(time)))
 
 
 def _noise(position: Array) -> float:

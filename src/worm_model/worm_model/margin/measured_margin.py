@@ -25,7 +25,14 @@ from worm_model.margin.cycle_margin import (
     threshold_margin,
 )
 from worm_model.margin.fin_switch import Switches
-from worm_model.margin.half_cycles import Fin, HalfCycle, Motion, half_cycles, motion_of
+from worm_model.margin.half_cycles import (
+    TURNING_S,
+    Fin,
+    HalfCycle,
+    Motion,
+    half_cycles,
+    motion_of,
+)
 from worm_model.margin.keeping import (
     MarginBelief,
     Probability,
@@ -42,7 +49,6 @@ FEWEST_CYCLES = 2  # that are measured, for a statement on a run
 # standard deviation of a length, because a robot differs from the template
 _SHAPE_ERROR_M = 0.0002
 _AT_SWITCH_S = 0.15  # half window of the length at a switch
-_TURNING_ERROR = 0.3  # of the noise of the length; standard deviation of a turning point
 
 
 @dataclass(frozen=True)
@@ -222,7 +228,7 @@ def _lacking(lengths: dict[Fin, tuple[Release, float]], grooves: int) -> dict[Fi
 def _remaining(motion: Motion, half: HalfCycle, time: float, release: Release) -> float:
     """Return the travel (m) between a switch at a time (s) and the turning point."""
     travel = half.travel(motion.front - motion.rear) - release.travel(motion.time - time)
-    window = max(_AT_SWITCH_S, motion.least_window)
+    window, _ = motion.window(_AT_SWITCH_S)
     now = float(smooth(motion.time, travel, [time], window, window).value[0])
     return float(half.travel(np.asarray(half.end_length))) - now
 
@@ -244,8 +250,10 @@ def _fin_margin(
         return NOT_MEASURED  # a marker was hidden at the switch
     near = motion.length_at(np.array([time - 0.05, time + 0.05]))
     by_time = found.last_sd * abs(near[1] - near[0]) / 0.1
-    length_sd = math.hypot(by_time, _TURNING_ERROR * 1.41 * motion.noise, _SHAPE_ERROR_M)
-    short = (missing + lacking) * deflected_share(p) * p.pitch
+    ends = (motion.window(window)[1] for window in (_AT_SWITCH_S, TURNING_S))
+    length_sd = math.hypot(by_time, *ends, _SHAPE_ERROR_M)
+    share = deflected_share(p)
+    short = (missing + lacking) * share * p.pitch
     margin = threshold_margin(motion, half, time, release, p) - short
-    sd = margin_sd(length_sd, release, half.end - time, p)
+    sd = margin_sd(half, time, length, length_sd, release, share)
     return FinMargin(length, length_sd, negative_margin(margin, sd) if short > 0.0 else margin, sd)

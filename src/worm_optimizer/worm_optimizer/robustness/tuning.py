@@ -39,6 +39,7 @@ _SLOWER = 0.98  # step of the frequency
 _SLOWEST_STEP = 0.6  # of the frequency from one run to the next
 _UNCERTAIN_M = 0.003  # negative rear margin that can be one of the front fin
 _WORTHWHILE_M = 0.0005  # increase of the front margin for which a lower frequency is tried
+_HOPELESS = 0.05  # probability below which the gaits of the runs lose about every groove
 # standard deviation of the prior of the margin of the first gait: it is measured
 _MEASURED_OFFSET_M = 0.05
 # m per unit of ln f, change of the margin with the frequency and its standard deviation. The front margin changes only
@@ -184,6 +185,8 @@ def _slower(known: _Knowledge, probability: float, limits: GaitLimits) -> Tuning
     if fitting is not None and fitting.stroke - last.stroke > _SAME_M:
         return _run(known, fitting, _margins(known, last))
     reason = f"{reason} within the limits, nor a slower gait"
+    if max(known.keeps(each).value for each in known.gaits) < _HOPELESS:
+        reason += "; start from another gait, such as that of --objective min_power"
     return Tuning(TuneState.IMPOSSIBLE, known.best, known.keeps(known.best), reason)
 
 

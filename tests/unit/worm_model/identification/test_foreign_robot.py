@@ -18,7 +18,8 @@ from worm_model.identification.data.strides import check_pitch, uneven_pitch
 from worm_model.identification.fits.contraction_fit import fit_contractions
 from worm_model.identification.fits.measured_length import measured_length
 from worm_model.identification.fits.quality import follows_command, usable
-from worm_model.identification.recorded_margin import recorded_margin
+from worm_model.identification.recorded_margin import compared_margin, recorded_margin
+from worm_model.identification.run_selection import prepared
 from worm_model.margin.half_cycles import Fin
 from worm_model.parameters import PAPER, load_parameter_file
 
@@ -48,6 +49,14 @@ def test_the_margin_of_a_recording_is_that_of_its_run(runs, recordings):
         assert found.grooves == whole.grooves
         rear, expected = found.margins(Fin.REAR)[0], whole.margins(Fin.REAR)[0]
         assert rear == pytest.approx(expected, abs=0.0005)
+
+
+def test_the_margin_for_the_travel_error_is_that_of_the_worst_cycle_of_a_run(recordings):
+    for run in prepared(recordings, ROBOT.pitch)[0]:
+        margin = recorded_margin(run.recording, PAPER)
+        cycles = np.concatenate([margin.margins(fin)[0] for fin in Fin])
+        assert compared_margin(run, PAPER)[0] == cycles.min()
+        assert cycles.min() < margin.least.expected
 
 
 def test_the_measured_length_is_that_of_the_body(runs, lengths):

@@ -55,13 +55,18 @@ def least_true_margin(robot: ForeignRobot, gait: Gait, fin: Fin) -> float:
     return 0.5 * (kept + lost)
 
 
-def length_errors(robot: ForeignRobot, gait: Gait, camera: Camera) -> dict[Fin, list[float]]:
-    """Return measured minus true travel (m) between last switch and turning point, for each half cycle of a fin."""
+def length_errors(
+    robot: ForeignRobot, gait: Gait, camera: Camera
+) -> dict[Fin, list[tuple[float, float]]]:
+    """Return measured minus true travel (m) between last switch and turning point, and its standard deviation (m).
+
+    There is one pair for each half cycle of a fin.
+    """
     truth = crawl(robot, gait, CYCLES, camera, seed=robot.pipe)
     found = measure_margin(truth.run, PAPER)
     motion = motion_of(truth.run, gait, EPOCH, CYCLES)
     assert motion is not None
-    errors: dict[Fin, list[float]] = {fin: [] for fin in Fin}
+    errors: dict[Fin, list[tuple[float, float]]] = {fin: [] for fin in Fin}
     for half in half_cycles(motion, gait, CYCLES)[1:-1]:
         groove = truth.rear_groove if half.fin is Fin.REAR else truth.front_groove
         start, end = np.searchsorted(truth.time, np.array([half.start, half.end]) - camera.delay_s)
@@ -69,7 +74,8 @@ def length_errors(robot: ForeignRobot, gait: Gait, camera: Camera) -> dict[Fin, 
         travel = half.travel(truth.front - truth.rear)
         near = travel[end - 200 : end + 200]
         true = (near.max() if near.max() > near.min() else near[0]) - travel[stepped[-1]]
-        errors[half.fin].append(getattr(found.cycles[half.cycle - 1], half.fin.value).length - true)
+        own = getattr(found.cycles[half.cycle - 1], half.fin.value)
+        errors[half.fin].append((own.length - true, own.length_sd))
     return errors
 
 
@@ -101,12 +107,33 @@ def test_the_least_margin_of_a_run_is_the_increase_of_the_threshold_that_loses_a
 def test_the_travel_after_the_last_switch_is_measured_in_every_cycle(camera):
     errors = [length_errors(robot, GAIT, camera) for robot in map(some_robot, range(3))]
     for fin in Fin:
-        values = np.concatenate([each[fin] for each in errors])
+        values = np.concatenate([each[fin] for each in errors])[:, 0]
         assert np.isfinite(values).mean() > 0.85
         known = values[np.isfinite(values)]
         assert abs(known.mean()) < 0.0006
         assert known.std() < 0.001
         assert np.abs(known).max() < 0.004  # no switch is confused with the one before
+
+
+@pytest.mark.parametrize("camera", [Camera(), Camera(rate_hz=15.0, noise_m=0.0005)])
+def test_a_rear_length_is_within_two_standard_deviations_of_the_truth_in_nine_cycles_of_ten(camera):
+    gaits = Gait(0.075, 0.1), Gait(0.078, 0.2), Gait(0.08, 0.24)
+    robots = [some_robot(seed) for seed in (1, 2, 3)]
+    cycles = [length_errors(robot, gait, camera)[Fin.REAR] for robot in robots for gait in gaits]
+    error, sd = np.concatenate(cycles).T
+    known = np.isfinite(error)
+    assert known.mean() > 0.85
+    assert (np.abs(error[known]) > 2.0 * sd[known]).mean() < 0.1
+
+
+def test_a_rear_margin_is_at_most_three_standard_deviations_too_high():
+    gait, robot, cycles = Gait(0.06, 0.15), some_robot(2), 6
+    found = measure_margin(crawl(robot, gait, cycles, seed=2).run, PAPER)
+    for cycle in found.cycles[1:]:
+        excess = cycle.rear.margin - 3.0 * cycle.rear.margin_sd
+        raised = dataclasses.replace(robot, rear_excess=excess)
+        gained = crawl(raised, gait, cycles).grooves(cycles, gait.frequency)
+        assert gained[cycle.cycle - 1] == found.grooves
 
 
 @pytest.mark.parametrize("fin", list(Fin))

@@ -74,6 +74,17 @@ def test_no_run_exceeds_the_limits_and_an_unattainable_aim_is_impossible(tmp_pat
     assert operator.gaits == [FRAGILE]
 
 
+def test_a_gait_that_loses_all_grooves_at_any_stroke_within_the_limits_names_another_to_start_from(
+    tmp_path: Path,
+):
+    aim = dataclasses.replace(AIM, limits=GaitLimits(lambda _: FRAGILE.stroke, FRAGILE.frequency))
+    step = measured_step(
+        [Operator(some_robot(1, rear_excess=0.006), tmp_path)(FRAGILE, 1)], aim, print
+    )
+    assert step.state is TuneState.IMPOSSIBLE
+    assert "--objective min_power" in step.reason
+
+
 def test_after_the_most_runs_the_next_gait_is_returned_and_not_run(tmp_path: Path):
     operator = Operator(some_robot(1), tmp_path)
     first = measured_step([operator(FRAGILE, 0)], AIM, print)

@@ -94,6 +94,9 @@ def installed_definition(type_name: str, definitions: Path | None = None) -> str
     Args:
         type_name: ``package/msg/Type``.
         definitions: folder with the ``.msg`` files of worm_msgs; None: the installed files.
+
+    Raises:
+        DefinitionError: The name is not the name of a message type, or a definition is missing.
     """
     package, _, kind = type_name.partition("/msg/")
     if not (package and kind) or "/" in package + kind:
