@@ -18,8 +18,9 @@ from worm_model.bags.formats.message_block import Topic
 BAGS = Path(__file__).resolve().parents[2] / "bags"
 FORWARD, REVERSE, FAULTS = (str(BAGS / name) for name in ("forward", "reverse", "faults"))
 GAIT = "--stroke 0.07 --frequency 0.2"
-EVALUATE, SIMULATE, IDENTIFY, REPLAY = (
-    f"worm_model.commands.{name}" for name in ("evaluate_gait", "simulate", "identify", "replay")
+EVALUATE, SIMULATE, IDENTIFY, EXPORT, REPLAY = (
+    f"worm_model.commands.{name}"
+    for name in ("evaluate_gait", "simulate", "identify", "export", "replay")
 )
 OPTIMIZE, CAMPAIGN, REPORT, STUDY, TUNE = (
     f"worm_optimizer.commands.{name}"
@@ -54,6 +55,9 @@ BAD = [
     (IDENTIFY, "bag --seed -1", "must not be negative"),
     (IDENTIFY, "bag --output no/such/folder.yaml", "does not exist"),
     (IDENTIFY, "bag --parameters none.yaml", "none.yaml"),
+    (EXPORT, "bag --output bag", "bag: exists"),
+    (EXPORT, "no --output x", "no does not exist"),
+    (EXPORT, "bag --output x --topic /no", "no topic /no"),
     (REPLAY, "nowhere", "nowhere"),
     (REPLAY, "bag --output bag", "bag"),
     (REPLAY, "bag --namespace /x", "/x"),

@@ -213,18 +213,3 @@ def test_a_topic_that_cannot_be_decoded_is_left_out_and_reported_by_the_status(
     reported = capsys.readouterr()
     assert "/worm/bad is left out" in reported.err
     assert "shorter" in json.loads(reported.out)["left_out"]["/worm/bad"]
-
-
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ("{bag}", "--output", "{bag}"),
-        ("no", "--output", "x"),
-        ("{bag}", "--output", "x", "--topic", "/no"),
-    ],
-)
-def test_bad_input_ends_with_status_2(bag: Path, tmp_path: Path, monkeypatch, capsys, arguments):
-    monkeypatch.chdir(tmp_path)
-    assert command(monkeypatch, *(a.format(bag=bag) for a in arguments)) == 2
-    assert capsys.readouterr().err.count("\n") == 1
-    assert list(tmp_path.iterdir()) == []

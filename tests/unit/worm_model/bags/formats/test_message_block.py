@@ -4,15 +4,12 @@
 from collections import Counter
 from itertools import chain, pairwise
 
-import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
 from worm_model.bags.formats.message_block import (
     Message,
     Topic,
-    concatenate,
-    groups,
     merge,
     messages_of,
 )
@@ -45,11 +42,6 @@ def test_messages_are_what_they_were_put_together_from(messages):
     }
 
 
-@given(st.lists(MESSAGES, min_size=1, max_size=4))
-def test_parts_are_put_one_behind_the_other(parts):
-    assert list(concatenate([messages_of(part) for part in parts])) == list(chain(*parts))
-
-
 @given(st.lists(MESSAGES, max_size=6))
 def test_merging_gives_the_messages_by_rising_time(parts):
     parts.sort(key=lambda part: min(m.log_time for m in part))
@@ -61,9 +53,3 @@ def test_merging_gives_the_messages_by_rising_time(parts):
     assert found == sorted(chain(*parts), key=lambda m: m.log_time)
     for before, after in pairwise(merged):
         assert before.log_time[-1] <= after.log_time[0]
-
-
-@given(st.lists(st.integers(0, 9), max_size=30))
-def test_groups_are_the_rows_of_each_value(keys: list[int]):
-    found = {key: rows.tolist() for key, rows in groups(np.array(keys, np.int64))}
-    assert found == {key: [i for i, k in enumerate(keys) if k == key] for key in set(keys)}

@@ -78,30 +78,6 @@ def test_mcap_ros2_decodes_it_without_ros(tmp_path: Path):
     assert yaml.safe_load(channel.metadata["offered_qos_profiles"]) == [LATCHED]
 
 
-def test_metadata_is_that_of_rosbag2_version_9(tmp_path: Path):
-    record(tmp_path / "bag").close()
-    found = metadata(tmp_path / "bag")
-    assert found["version"] == 9
-    assert found["storage_identifier"] == "mcap"
-    assert found["relative_file_paths"] == ["bag_0.mcap"]
-    assert found["message_count"] == 10
-    assert found["starting_time"] == {"nanoseconds_since_epoch": NOW}
-    assert found["duration"] == {"nanoseconds": 9 * 10**8}
-    assert found["files"][0] == {
-        "path": "bag_0.mcap",
-        "starting_time": {"nanoseconds_since_epoch": NOW},
-        "duration": {"nanoseconds": 9 * 10**8},
-        "message_count": 10,
-    }
-    counter = next(
-        t["topic_metadata"]
-        for t in found["topics_with_message_count"]
-        if t["topic_metadata"]["name"] == "/counter"
-    )
-    assert counter["offered_qos_profiles"] == [LATCHED]
-    assert counter["type_description_hash"] == UINT64_HASH
-
-
 def test_metadata_exists_from_the_start_and_shows_the_state(tmp_path: Path):
     recorder = record(tmp_path / "bag", count=0)
     assert metadata(tmp_path / "bag")["custom_data"] == {"state": "being recorded"}
