@@ -171,7 +171,8 @@ def test_robots_of_the_model_have_hardly_a_travel_error(campaigns, results):
         assert file.travel_error == result.travel_error
         assert (file.travel_error is not None) == seen
         if seen:
-            assert abs(file.travel_error.value) < 0.001
+            # of the worst cycle of each run, which lies below the mean by the scatter of the grooves
+            assert -0.002 < file.travel_error.value < 0.001
             assert summary(result)["travel_error"]["value"] == file.travel_error.value
 
 
