@@ -122,11 +122,19 @@ class RunMargin:
         known = list(self.beliefs.values())
         return min(known, key=lambda fin: fin.expected) if len(known) == len(Fin) else None
 
+    @property
+    def shows_losing_fin(self) -> bool:
+        """False if no cycle gains the grooves, so that the fin that loses one is assumed (`_lacking`)."""
+        return max((c.grooves for c in self.cycles[1:]), default=self.grooves) >= self.grooves
+
     def __str__(self) -> str:
         """Return the margins of both fins and the probability to keep the grooves in one line."""
         fins = [f"{fin.value} {self.beliefs.get(fin, 'not measured')}" for fin in Fin]
         chance = f"; a cycle keeps its grooves with {self.keeps}" if self.keeps else ""
-        return f"{self.grooves} grooves, to spare: {', '.join(fins)}{chance}"
+        either = (
+            "" if self.shows_losing_fin else "; no cycle gains them, rear or front may lose one"
+        )
+        return f"{self.grooves} grooves, to spare: {', '.join(fins)}{chance}{either}"
 
     def as_json(self) -> dict[str, Any]:
         """Return the run as a JSON object, in SI units; None where something was not measured."""

@@ -126,6 +126,13 @@ def test_a_rear_length_is_within_two_standard_deviations_of_the_truth_in_nine_cy
     assert (np.abs(error[known]) > 2.0 * sd[known]).mean() < 0.1
 
 
+def test_of_a_run_that_never_gains_its_grooves_both_fins_are_named():
+    lacking = measure_margin(recorded(some_robot(1), Gait(0.06, 0.15)), PAPER, 2)
+    assert not lacking.shows_losing_fin
+    assert "rear or front" in str(lacking)
+    assert measured(some_robot(1), Gait(0.078, 0.15)).shows_losing_fin
+
+
 def test_a_rear_margin_is_at_most_three_standard_deviations_too_high():
     gait, robot, cycles = Gait(0.06, 0.15), some_robot(2), 6
     found = measure_margin(crawl(robot, gait, cycles, seed=2).run, PAPER)
