@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 
 from worm_model.bags.formats.bag_errors import BagError
-from worm_model.bags.opening import open_bag
 from worm_model.errors import InputError
 from worm_model.gait import Gait, GaitError
 from worm_model.identification.actuation_stage import identify_actuation
@@ -24,11 +23,10 @@ from worm_model.identification.fits.locomotion import Known, traverse_of
 from worm_model.identification.fits.measured_length import measured_length
 from worm_model.identification.fits.quality import LONGEST_GAP, remarks, usable
 from worm_model.identification.idle import idle_power, idle_power_of
-from worm_model.identification.inputs import read_recordings
+from worm_model.identification.inputs import read_bag
 from worm_model.identification.locomotion_stage import identify_locomotion
 from worm_model.identification.recorded_margin import margin_estimate
 from worm_model.parameters import Parameters
-from worm_model.run import utc_of
 from worm_model.simulation.simulator import SimulationError
 
 SEED = 0  # fixed seed of the bootstrap, so that equal bags result in equal intervals
@@ -40,22 +38,17 @@ class BagEstimates:
 
     Attributes:
         name: name of the bag.
-        start: start of the bag, ns since the epoch.
+        date: start of the bag in UTC, to the second.
         gait: gait of the run.
         estimates: estimates by key, for the keys of `drift.ADVICE`.
         remarks: remarks on the data.
     """
 
     name: str
-    start: int
+    date: str
     gait: Gait
     estimates: Mapping[str, Estimate]
     remarks: tuple[str, ...]
-
-    @property
-    def date(self) -> str:
-        """Start in UTC, to the second."""
-        return utc_of(self.start)
 
 
 @dataclass(frozen=True)
@@ -88,13 +81,11 @@ def estimate_bags(
     for done, path in enumerate(paths):
         progress(done / len(paths))
         try:
-            with open_bag(path, definitions=definitions) as bag:
-                start = bag.start
-            recording = read_recordings([path], definitions)[0]
+            recording = read_bag(path, definitions)[0]
             content = _content(recording)
             if content in by_bag:
                 raise IdentificationError(f"the same run as {by_bag[content].name}")
-            by_bag[content] = estimate_bag(recording, start, parameters)
+            by_bag[content] = estimate_bag(recording, parameters)
         except (BagError, GaitError, IdentificationError, SimulationError) as error:
             excluded.append(ExcludedBag(path.name, str(error)))
         except InputError:
@@ -105,7 +96,7 @@ def estimate_bags(
                 ExcludedBag(path.name, f"the fit failed ({error}); check the bag's data")
             )
     progress(1.0)
-    bags = sorted(by_bag.values(), key=lambda bag: (bag.start, bag.name))
+    bags = sorted(by_bag.values(), key=lambda bag: (bag.date, bag.name))
     return tuple(_with_margins_of_one_gait(bags)), tuple(excluded)
 
 
@@ -131,8 +122,8 @@ def _content(recording: Recording) -> str:
     return digest.hexdigest()
 
 
-def estimate_bag(recording: Recording, start: int, parameters: Parameters) -> BagEstimates:
-    """Estimate, from a recording, the parameters that may drift; ``start`` is the start of its bag, ns."""
+def estimate_bag(recording: Recording, parameters: Parameters) -> BagEstimates:
+    """Estimate, from a recording, the parameters that may drift."""
     _check_seen(recording)
     length = measured_length(recording)
     usable([recording], [length])
@@ -151,7 +142,7 @@ def estimate_bag(recording: Recording, start: int, parameters: Parameters) -> Ba
     estimates = {key: admissible(key, estimate) for key, estimate in estimates.items()}
     estimates[MARGIN] = margin_estimate(recording, parameters)
     notes = tuple(remarks(recording, length, traverse))
-    return BagEstimates(recording.name, start, recording.gait, estimates, notes)
+    return BagEstimates(recording.name, recording.date, recording.gait, estimates, notes)
 
 
 def _check_seen(recording: Recording) -> None:

@@ -126,7 +126,7 @@ def read_recordings(
         if is_lab_folder(path):
             recordings += [read_lab_recording(run, logs) for run in run_folders(path)]
         else:
-            recordings += _read_bag(path, definitions)
+            recordings += read_bag(path, definitions)
     return recordings
 
 
@@ -148,7 +148,7 @@ def run_folders(folder: Path) -> list[Path]:
     return sorted(file.parent for file in folder.glob(f"*/{RUN_FILE}"))
 
 
-def _read_bag(path: Path, definitions: Path | None) -> tuple[Recording, ...]:
+def read_bag(path: Path, definitions: Path | None) -> tuple[Recording, ...]:
     """Read the runs in a bag. Raises IdentificationError if they were recorded on a slope, with a tether or in flow."""
     with open_bag(path, definitions=definitions) as bag:
         conditions = recorded_conditions(bag)

@@ -148,8 +148,7 @@ def test_steady_series_are_seldom_reported():
 @pytest.mark.parametrize("seed", [4])
 def test_a_steady_robot_is_not_reported(seed):
     bags = [
-        estimate_bag(recording_of(robot_run(seed, k), f"bag{k}"), k, PAPER).estimates
-        for k in range(6)
+        estimate_bag(recording_of(robot_run(seed, k), f"bag{k}"), PAPER).estimates for k in range(6)
     ]
     states = {
         key: drift.chart_of(key, [bag[key] for bag in bags], PAPER_FILE).state

@@ -34,7 +34,7 @@ def test_a_wrong_pitch_is_rejected_by_health_and_identify_with_the_measured_one(
     wrong = campaign.reference.parameters.replace(pitch=campaign.truth.pitch * (1.0 + off))
     expected = f"pitch: given as {1e3 * wrong.pitch:.2f} mm, but the rear module gains 17.[23]"
     with pytest.raises(IdentificationError, match=expected):
-        estimate_bag(campaign.inputs.recordings[0], 0, wrong)
+        estimate_bag(campaign.inputs.recordings[0], wrong)
     with pytest.raises(IdentificationError, match=expected):
         identify(campaign.inputs, replace(campaign.reference, parameters=wrong))
 
