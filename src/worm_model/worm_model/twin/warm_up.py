@@ -4,6 +4,8 @@
 The script prints the folder of the kernel's cache.
 """
 
+from multiprocessing import Process
+
 import numpy as np
 
 from worm_model.gait import FORWARD, Gait
@@ -23,6 +25,15 @@ from worm_model.twin.offline_replay import replay_run
 
 def main() -> None:
     """Call the functions of kernel and core once, which compiles them into the cache."""
+    _call_core()
+    _call_kernel()
+
+
+def _call_core() -> None:
+    replay_run(_recording(Gait(0.07, 0.2)), PAPER)
+
+
+def _call_kernel() -> None:
     gait = Gait(0.07, 0.2)
     evaluate_gait(gait)
     evaluate_gaits([0.07, 0.08], 0.2)
@@ -35,7 +46,6 @@ def main() -> None:
     model.follow(model.start(), [0.1, 0.2], [-0.001, -0.002])
     play_gait(gait, PAPER, model.start(), [0.1])
     length_change_of_command([0.0, 0.1], [0.0, -0.01], PAPER)
-    replay_run(_recording(gait), PAPER)
     samples, still, row = np.zeros((1, SAMPLE_COLUMNS)), np.zeros((4, 1)), parameter_rows(PAPER)[0]
     two = np.arange(2.0)
     sampled_energy(two, two, two, 1.0, False, 1.0, 1.0, two)
@@ -67,5 +77,10 @@ def _recording(gait: Gait) -> Run:
 
 
 if __name__ == "__main__":
-    main()
+    both = Process(target=_call_core), Process(target=_call_kernel)
+    for part in both:
+        part.start()
+    for part in both:
+        part.join()
+    main()  # what the two have in common may be missing
     print(cache_directory())  # noqa: T201 - for the script worm
