@@ -192,6 +192,9 @@ def _computed(
     version = code_identity()
     with _client(workers, len(pieces), say) as client:
         try:
+            answers = client.run(code_identity, on_error="return")
+            for address, answer in sorted(answers.items()):
+                _check(address, answer, version)
             futures = [
                 client.submit(_block, version, task.function, task.common, piece, pure=False)
                 for piece in pieces
@@ -199,11 +202,6 @@ def _computed(
             for future in as_completed(futures):
                 yield future.result()
                 future.release()  # The worker may forget the result.
-        except ImportError as error:
-            raise InputError(
-                f"a worker cannot import worm_optimizer.study ({error}); "
-                "install worm_msgs, worm_model and worm_optimizer there"
-            ) from None
         except KilledWorker:
             raise LostError(
                 "all workers that computed a block have died: read the workers' logs; out of memory is the usual cause"
@@ -215,13 +213,23 @@ def _computed(
 
 
 def _block(version: str, function: Callable[..., Block], common: Any, items: np.ndarray) -> Block:
-    """Return a block, in a worker. Raises `InputError` if its code has another version than the client's."""
-    if code_identity() != version:
+    """Return a block, in a worker, which may have joined after the client had checked all workers."""
+    _check(get_worker().address, code_identity(), version)
+    return {ITEMS: items, **function(common, items)}
+
+
+def _check(address: str, answer: str | BaseException, version: str) -> None:
+    """Raise `InputError` unless the code of a worker has the client's version."""
+    if isinstance(answer, BaseException):
         raise InputError(
-            f"worker {get_worker().address} has another version (code {code_identity()}, here {version}); "
+            f"worker {address} cannot import worm_optimizer.study ({answer}); "
+            "install worm_msgs, worm_model and worm_optimizer there"
+        )
+    if answer != version:
+        raise InputError(
+            f"worker {address} has another version (code {answer}, here {version}); "
             "install the version of this machine there"
         )
-    return {ITEMS: items, **function(common, items)}
 
 
 @contextlib.contextmanager

@@ -187,3 +187,13 @@ def test_no_scheduler_and_no_workers_are_one_line(tmp_path, monkeypatch):
     ):
         found(task(), tmp_path / "out.nc", Workers(number=1))
     assert "\n" not in str(raised.value)
+
+
+def test_a_worker_without_the_package_is_rejected_by_name_at_once(tmp_path):
+    """Dask never reports a block that such a worker cannot load."""
+    shutil.copy(ROOT / "tests/helpers/worker_jobs.py", tmp_path)
+    with (
+        foreign_worker(tmp_path, "worm_model", "worm_msgs") as address,
+        pytest.raises(InputError, match=r"worker tcp.*cannot import worm_optimizer"),
+    ):
+        found(task(), tmp_path / "out.nc", Workers(address))
