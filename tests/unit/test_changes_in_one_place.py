@@ -128,9 +128,7 @@ GAIT = """
 import dataclasses, json
 from pathlib import Path
 import numpy as np
-from worm_model.bags.formats.cdr import MessageConverter, encode
 from worm_model.bags.formats.bag_writer import new_bag
-from worm_model.bags.formats.message_types import topic_of
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import read_run
 from worm_model.bags.run_writer import write_run
@@ -158,11 +156,6 @@ with open_bag(Path("new")) as bag:
     again = read_run(bag)
 with open_bag(Path(OLD)) as bag:
     old = read_run(bag)
-    channel = next(c for c in bag.channels if c.name == "/worm/gait_state")
-    data = next(iter(bag.messages([channel.name]))).data
-state_type = topic_of(channel.name, channel.type_name)
-converted = MessageConverter(channel, state_type)(data)
-share = np.frombuffer(converted, "<f8", 1, converted.index(np.float64(0.375).tobytes()))[0]
 rows = rows_of_run(again, 10**9)
 Path("gaits.csv").write_text("stroke_m,frequency_Hz,ripple_share\\n0.07,0.2,0.4\\n")
 overrides, table = evaluate_table(read_gaits("gaits.csv"), PAPER)
@@ -173,7 +166,6 @@ options = _parser().parse_args(["--stroke", "0.07", "--frequency", "0.2", "--rip
 print(json.dumps({
     "bag": last_played_gait(again.gait_state).gait == gait,
     "old": sorted({float(v) for v in old.gait_state.ripple_share}),
-    "converted": float(share),
     "twin": driver_state_of(rows[rows["kind"] == SampleKind.GAIT][1]).gait == gait,
     "memory": "ripple_share" in (MEMORY.names or ()),
     "table": float(table.gait["ripple_share"][0]),
@@ -200,7 +192,6 @@ def test_a_field_of_the_gait_is_a_field_of_its_two_declarations(copy):
     seen = copy.run(GAIT.replace("OLD", "'forward'"))
     assert all(seen[step] for step in ("bag", "twin", "memory", "expected", "options"))
     assert seen["old"] == [0.375]
-    assert seen["converted"] == 0.375
     assert seen["table"] == seen["rebuilt"] == 0.4
     assert "ripple_share" in seen["header"]
     assert seen["prediction"] == 0.375

@@ -199,7 +199,7 @@ def _computed(
                 client.submit(_block, version, task.function, task.common, piece, pure=False)
                 for piece in pieces
             ]
-            for future in as_completed(futures):
+            for future in as_completed(futures, loop=client.loop):
                 yield future.result()
                 future.release()  # The worker may forget the result.
         except KilledWorker:
@@ -248,7 +248,8 @@ def _client(workers: Workers, pieces: int, say: Say) -> Iterator[Client]:
         advice = "use fewer workers with --workers, or free memory and processes"
     say(f"connecting to {workers.scheduler or f'{number} workers, started on this machine'}")
     try:
-        client = Client(**options)
+        # A default client would set the scheduler of xarray, too, which may outlive it.
+        client = Client(set_as_default=False, **options)
     except (OSError, ValueError, RuntimeError) as error:
         cause: BaseException = error
         while cause.__cause__ is not None:
