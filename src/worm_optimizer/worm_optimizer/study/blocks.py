@@ -257,5 +257,9 @@ def _client(workers: Workers, pieces: int, say: Say) -> Iterator[Client]:
         raise InputError(
             f"no Dask scheduler or workers ({type(cause).__name__}: {' '.join(str(cause).split())}): {advice}"
         ) from None
-    with client:
+    try:
         yield client
+    finally:
+        # Dask asserts that it has started a worker, which it may just be replacing after a death.
+        with contextlib.suppress(AssertionError):
+            client.close()
