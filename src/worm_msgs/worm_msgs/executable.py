@@ -45,10 +45,11 @@ def node(name: str, description: str, rows: str, module: str) -> Callable[..., i
     def main(arguments: Sequence[str] | None = None) -> int:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
         command_line = list(sys.argv if arguments is None else arguments)
+        parser = _NodeParser(name, description, rows)
         if {"-h", "--help"} & {*command_line}:
-            _NodeParser(name, description, rows).parse_args(["--help"])
+            parser.parse_args(["--help"])
         status: int = import_module("worm_msgs.node_command").run_node(
-            _NodeParser(name, description, rows), import_module(module), command_line
+            parser, import_module(module), command_line
         )
         return status
 

@@ -77,7 +77,7 @@ class Robot:
     The torque is off until `activate` is called, unless an earlier driver left it on (`Actuators.left_on`).
 
     Args:
-        settings: present settings, see `apply_settings`.
+        settings: settings of the robot at the start.
         bus: open servo bus, owned by the robot from now on.
         valid_power_samples: returns the number of valid power samples since the start.
         tracker_ready: returns True if the tracker sees the robot at rest, or if there is no tracker.
@@ -86,7 +86,6 @@ class Robot:
         why_not_start: returns the reason why torque and runs must not start; empty if they may.
 
     Attributes:
-        settings: settings of the robot.
         player: state of the gait player.
         active: True while the torque is on.
         closing: True while the driver shuts down. No run can then begin.
@@ -107,7 +106,6 @@ class Robot:
         load: Callable[[], float] = lambda: os.getloadavg()[0],
         why_not_start: Callable[[], str] = lambda: "",
     ):
-        self.settings = settings
         self.bus = bus
         self.active = False
         self.closing = False
@@ -126,6 +124,11 @@ class Robot:
     def _forget_states(self) -> None:
         """Drop the states that were read before the servos were set up, because the robot may have moved since."""
         self._states: tuple[ServoState, ...] = (SILENT,) * len(self.actuators.servos)
+
+    @property
+    def settings(self) -> DriverSettings:
+        """Present settings, see `apply_settings`."""
+        return self.actuators.settings
 
     @property
     def problems(self) -> Mapping[int, str]:
@@ -265,7 +268,6 @@ class Robot:
         A run that violates the new limits is cancelled, see `cancel`. In this case return a message, else an empty
         string.
         """
-        self.settings = settings
         self.actuators.apply_settings(settings)
         run = self.player.active_run
         if run is None:

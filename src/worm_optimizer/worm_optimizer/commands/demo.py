@@ -82,7 +82,7 @@ def _drive(options: argparse.Namespace, bag: Path, say: Say) -> tuple[Prediction
             "parameter_file": _absolute(options.parameters),
             "plant": _absolute(options.plant),
             "seed": str(options.seed),
-            "rate": "2",  # nobody waits for a virtual robot longer than necessary
+            "rate": "2",  # times real time, for a short demo
         }
         system = installed_system_file().system("virtual", **settings)
         return run_demo_gait(system, folder / "logs", say)
