@@ -54,6 +54,12 @@ def traverses(truth=TRUTH, gaits=GAITS, **instruments):
     ]
 
 
+def solved(runs, viscous_friction=90.0):
+    """Return the solution of the locomotion problem from a start near the truth."""
+    start = np.array([viscous_friction, 0.0172, 0.05, 0.05, TRUTH.pitch, 0.5])
+    return solve(locomotion.locomotion_problem(runs, KNOWN), start, locomotion.first_own(runs))
+
+
 def test_actuation_is_found_and_the_clocks_with_it():
     fit = fit_actuation(recordings(camera_noise=1e-5, camera_behind=0.007))
     assert fit.values == pytest.approx([0.0072, 0.84, 0.17], rel=2e-3)
@@ -110,9 +116,7 @@ def test_runs_that_never_pass_a_groove_determine_friction_but_no_threshold():
 def test_how_the_body_sets_in_is_found(onset):
     alike = np.zeros((10, 2))
     runs = rough_traverses((0.1, 0.1), alike, alike, onset)
-    start = np.array([90.0, 0.0172, 0.05, 0.05, TRUTH.pitch, 0.5])
-    own = locomotion.first_own(runs)
-    solution = solve(locomotion.locomotion_problem(runs, KNOWN), start, own)
+    solution = solved(runs)
     assert solution.shared[5] == pytest.approx(onset, abs=0.25)
     assert solution.shared[0] == pytest.approx(95.0, rel=0.02)
 
@@ -144,11 +148,7 @@ def test_a_cable_without_slack_is_not_given_an_interval_at_the_bound():
 def fitted(monkeypatch):
     """Return runs and the groove fit from which the stage starts, without a search."""
     runs = traverses(camera_noise=1e-4)
-    solution = locomotion_stage.solve(
-        locomotion.locomotion_problem(runs, KNOWN),
-        np.array([90.0, 0.0172, 0.05, 0.05, TRUTH.pitch, 0.5]),
-        locomotion.first_own(runs),
-    )
+    solution = solved(runs)
     fit = fit_grooves(runs, KNOWN, solution)
     monkeypatch.setattr(locomotion, "search", lambda *_: None)
     monkeypatch.setattr(locomotion, "find_locomotion", lambda *_: solution)
@@ -197,9 +197,7 @@ def rough_traverses(dry, rear_grooves, front_grooves, onset=0.0):
 def test_dry_friction_is_not_booked_as_viscous():
     alike = np.zeros((10, 2))
     runs = rough_traverses((0.4, 0.2), alike, alike)
-    problem = locomotion.locomotion_problem(runs, KNOWN)
-    own = locomotion.first_own(runs)
-    solution = solve(problem, np.array([80.0, 0.0172, 0.05, 0.05, TRUTH.pitch, 0.5]), own)
+    solution = solved(runs, 80.0)
     assert solution.shared[0] == pytest.approx(95.0, rel=0.02)
     assert solution.shared[2:4] == pytest.approx([0.4, 0.2], abs=0.05)
 
@@ -222,9 +220,7 @@ def test_grooves_that_differ_are_distinguished():
         for _ in range(2)
     )
     runs = rough_traverses((0.2, 0.2), rear, front)
-    problem = locomotion.locomotion_problem(runs, KNOWN)
-    own = locomotion.first_own(runs)
-    flat = solve(problem, np.array([90.0, 0.0172, 0.05, 0.05, TRUTH.pitch, 0.5]), own)
+    flat = solved(runs)
     fit = fit_grooves(runs, KNOWN, flat)
     assert fit.solution.cost < 0.8 * flat.cost
     assert 1e-4 < fit.scatter.threshold < 4e-4
