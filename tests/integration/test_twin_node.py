@@ -10,21 +10,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from harness import LATCHED, NAMESPACE, Probe, Processes
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+from visualization_msgs.msg import MarkerArray
 
-rclpy = pytest.importorskip("rclpy", reason="no ROS is installed")
-
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
-from rcl_interfaces.srv import SetParameters  # noqa: E402
-from rclpy.parameter import Parameter  # noqa: E402
-from visualization_msgs.msg import MarkerArray  # noqa: E402
-
-from worm_model.gait import Gait  # noqa: E402
-from worm_model.nodes import twin_messages as ros_twin  # noqa: E402
-from worm_model.parameters import PAPER  # noqa: E402
-from worm_model.twin.data.samples import SAMPLE  # noqa: E402
-from worm_model.twin.twin import Output, Twin  # noqa: E402
-from worm_msgs.msg import (  # noqa: E402
+from worm_model.gait import Gait
+from worm_model.nodes import twin_messages as ros_twin
+from worm_model.parameters import PAPER
+from worm_model.twin.data.samples import SAMPLE
+from worm_model.twin.twin import Output, Twin
+from worm_msgs.msg import (
     BodyLength,
     GaitState,
     Power,
@@ -32,8 +29,8 @@ from worm_msgs.msg import (  # noqa: E402
     TwinResiduals,
     TwinState,
 )
-from worm_msgs.msg import Gait as GaitMessage  # noqa: E402
-from worm_msgs.srv import PredictGait  # noqa: E402
+from worm_msgs.msg import Gait as GaitMessage
+from worm_msgs.srv import PredictGait
 
 GAIT = Gait(0.07, 0.4)
 MESSAGE = GaitMessage(stroke=GAIT.stroke, frequency=GAIT.frequency, direction=1)
