@@ -7,18 +7,31 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from worm_driver.driver_errors import TrackingError
+from worm_driver.driver_errors import ConfigurationError, DriverError, TrackingError
 from worm_msgs import command_parser
 from worm_msgs.command_parser import Parser
 
 
 def run_command(
     parser: Parser,
-    command: Callable[[argparse.Namespace], None],
+    command: Callable[[argparse.Namespace], int | None],
     arguments: list[str] | None = None,
 ) -> int:
-    """Run a command like `command_parser.run_command`. A TrackingError is bad input, too."""
-    return command_parser.run_command(parser, command, arguments, (TrackingError,))
+    """Run a command like `command_parser.run_command`.
+
+    A TrackingError or a ConfigurationError is bad input, too; any other DriverError is a failure.
+    """
+
+    def run(options: argparse.Namespace) -> int | None:
+        try:
+            return command(options)
+        except (TrackingError, ConfigurationError):
+            raise
+        except DriverError as error:
+            raise OSError(error) from error
+
+    bad_input = (TrackingError, ConfigurationError)
+    return command_parser.run_command(parser, run, arguments, bad_input)
 
 
 def new_file(text: str) -> Path:
