@@ -18,7 +18,13 @@ from worm_driver.control import actuators, diagnostics
 from worm_driver.control.diagnostics import Level
 from worm_driver.control.driver_settings import DriverSettings
 from worm_driver.control.supervision import own_limit
-from worm_driver.driver_errors import BusError, ConfigurationError, DriverError, PowerSensorError
+from worm_driver.driver_errors import (
+    BusError,
+    ConfigurationError,
+    DriverError,
+    NoReplyError,
+    PowerSensorError,
+)
 from worm_driver.power import i2c, ina219
 from worm_driver.power.ina219 import INA219, PowerSample, SampleStatus
 from worm_driver.servos import serial_port
@@ -67,17 +73,20 @@ def judge(name: str, checks: Iterable[Check]) -> Row:
 
     A message contains the problem, then a colon and the remedy. Without checks, the row is skipped.
     """
-    found, problems, failed = [], [], False
+    found: list[str] = []
+    problems: dict[str, str] = {}
+    failed = False
     for check in checks:
         try:
             found.append(check())
         except DriverError as error:
-            problems.append(str(error).partition(": "))
+            problem, _, remedy = str(error).partition(": ")
+            problems[problem] = remedy
             failed = failed or not isinstance(error, AdviceError)
     if problems:
         state = State.FAILED if failed else State.WARNING
-        remedies = dict.fromkeys(remedy for _, _, remedy in problems)
-        return Row(name, state, "; ".join(text for text, _, _ in problems), "; ".join(remedies))
+        remedies = dict.fromkeys(filter(None, problems.values()))
+        return Row(name, state, "; ".join(problems), "; ".join(remedies))
     if not found:
         return Row(name, State.SKIPPED, "nothing that could be read")
     return Row(name, State.OK, ", ".join(filter(None, found)) or "ok")
@@ -110,9 +119,9 @@ def open_port(settings: DriverSettings) -> tuple[ServoBus | None, list[Row]]:
         bus = ServoBus.open(settings.port, settings.baud_rate)
     except DriverError as error:
         forbidden = getattr(error.__cause__, "errno", None) == errno.EACCES
-        names = [_PERMISSIONS, _PORT] if forbidden else [_PORT, _PERMISSIONS]
-        rows = [judge(names[0], [partial(fail, error)])]
-        return None, rows + skipped([names[1], _LATENCY], "the port cannot be opened")
+        failed = judge(_PERMISSIONS if forbidden else _PORT, [partial(fail, error)])
+        others = skipped((_PORT, _PERMISSIONS, _LATENCY), "the port cannot be opened")
+        return None, [failed if row.name == failed.name else row for row in others]
     rows = [
         Row(_PORT, State.OK, f"{settings.port} at {settings.baud_rate} bit/s"),
         Row(_PERMISSIONS, State.OK, f"{settings.port} can be read and written"),
@@ -189,10 +198,15 @@ class ServoCheck:
             yield partial(fail, AdviceError(text))
 
     def _scan(self) -> tuple[DriverError | None, dict[int, Identity]]:
-        try:
-            return None, self._bus.scan() or self._bus.scan()
-        except BusError as error:
-            return error, {}
+        """Return the servos that answer, or why their answers are unusable also in a second attempt."""
+        problem: DriverError | None = None
+        for _ in range(2):
+            try:
+                if answering := self._bus.scan():
+                    return None, answering
+            except BusError as error:
+                problem = error
+        return problem, {}
 
     def _ping(self, number: int) -> str:
         self._identities[number] = self._bus.ping(number)
@@ -204,7 +218,7 @@ class ServoCheck:
         try:
             for rate in BAUD_RATES:
                 self._bus.set_baud_rate(rate)
-                if ids := ", ".join(map(str, self._scan()[1])):
+                if ids := ", ".join(map(str, self._bus.scan())):
                     raise ConfigurationError(
                         f"no servo answers at {usual} bit/s, but ids {ids} do at {rate}: set baud_rate to {rate}, or "
                         "the servos to the other rate (setup_servo)"
@@ -229,7 +243,7 @@ class ServoCheck:
                 servo, values = servos.read_servo(self._bus, number, model, firmware)
                 names = ("hardware_error_status", "present_input_voltage", "present_temperature")
                 self._health[number] = servos.registers(self._bus, servo, *names, "torque_enable")
-            except BusError:
+            except NoReplyError:
                 yield partial(
                     fail,
                     AdviceError(
@@ -237,6 +251,9 @@ class ServoCheck:
                         "configure the driver, which sets this register, then check again"
                     ),
                 )
+                continue
+            except BusError as error:
+                yield partial(fail, error)
                 continue
             self.servos[number] = servo
             yield partial(self._protections, servo, values)
@@ -329,7 +346,11 @@ class SensorCheck:
             rows = [judge(self.NAMES[0], [partial(self._presence, sensor)])]
             if not self._samples:
                 return rows + skipped(self.NAMES[1:], "the sensor does not answer")
-            checks = (partial(self._calibration, sensor), self._sign, self._noise)
+            checks: tuple[Check, ...] = (
+                partial(self._calibration, sensor),
+                self._sign,
+                self._noise,
+            )
             self._valid = [s for s in self._samples if s.status is SampleStatus.VALID]
             return rows + [
                 judge(name, [check] if self._valid else [])

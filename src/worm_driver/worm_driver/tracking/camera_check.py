@@ -39,7 +39,7 @@ def camera_rows(tracker: Tracker, source: str) -> list[Row]:
 
 def _shots(tracker: Tracker, source: str) -> list[Shot]:
     size = tracker.camera.width, tracker.camera.height
-    shots = []
+    shots: list[Shot] = []
     with contextlib.closing(VideoSource(source)) as camera:
         camera.request_format(*size, tracker.setup.rate)
         camera.read()  # the first image waits for the start of the camera
