@@ -10,7 +10,7 @@ from dataclasses import replace
 import pytest
 import serial
 from bench_rig import Bench
-from driver_rig import Clock, DirectSMBus, installed_robot, settings
+from driver_rig import Clock, DirectSMBus, idle, installed_robot, moving, settings
 
 from worm_driver.control.bench_check import Row, SensorCheck, ServoCheck, State, open_port
 from worm_driver.power import i2c, ina219
@@ -37,9 +37,12 @@ def fault(name: str, **arguments: object) -> Change:
     return lambda robot: robot.board.add(make_fault(name, **arguments))
 
 
-def servo_rows(change: Change, **changed: object) -> tuple[dict[str, Row], Bench]:
-    robot = VirtualRobot(installed_robot())
+def servo_rows(
+    change: Change, robot: VirtualRobot | None = None, **changed: object
+) -> tuple[dict[str, Row], Bench]:
+    robot = robot or VirtualRobot(installed_robot())
     bench = Bench(robot.receive)
+    bench.clock.now = robot.time
     change(robot)
     given = settings(**changed)
     bench.bus.set_baud_rate(given.baud_rate)
@@ -120,6 +123,19 @@ def test_no_servo_at_all_and_one_too_many():
     assert turned(list(rows.values())) == ["ids"]
     assert rows["ids"].state is State.WARNING
     assert "12" in rows["ids"].found
+
+
+def test_an_earlier_driver_left_the_robot_at_rest_or_contracted():
+    rig = idle()
+    assert rig.end() == []
+    rows, _ = servo_rows(lambda _: None, rig.virtual)
+    assert turned(list(rows.values())) == []
+    rows, bench = servo_rows(lambda _: None, moving().virtual)
+    assert turned(list(rows.values())) == ["torque"]
+    assert rows["torque"].state is State.WARNING
+    assert "contracted by" in rows["torque"].found
+    assert "activate" in rows["torque"].remedy
+    assert bench.written == []
 
 
 # --- the serial port ------------------------------------------------------------------------------
