@@ -6,30 +6,20 @@ import contextlib
 import json
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
+from worm_driver.clock import Clock, MachineClock
 from worm_driver.commands.driver_command import run_command
-from worm_driver.control.bench_check import (
-    Row,
-    SensorCheck,
-    ServoCheck,
-    State,
-    judge,
-    open_port,
-    skipped,
-)
+from worm_driver.control import bench_check
+from worm_driver.control.bench_check import Row, SensorCheck, ServoCheck, State, skipped
 from worm_driver.control.computer_check import OF_REAL_TIME, computer_checks
 from worm_driver.control.driver_settings import DriverSettings, load_body
 from worm_driver.driver_errors import ConfigurationError
-from worm_driver.servos.servo_bus import ServoBus
 from worm_driver.servos.state_reader import STATE_SIZE, STATE_START
 from worm_driver.simulated_clock import I2C, SERIAL, clock_of
-from worm_driver.tracking.camera_check import NAMES as CAMERA_ROWS
-from worm_driver.tracking.camera_check import camera_rows
-from worm_driver.tracking.tracker import Tracker
-from worm_driver.tracking.tracker_setup import load_setup
 from worm_msgs.claim import DRIVER, ROBOT
 from worm_msgs.command_parser import DONE, FAILED, Parser
 from worm_msgs.driver_file import DriverFile, read_driver_file
@@ -69,58 +59,53 @@ def _settings(options: argparse.Namespace) -> DriverSettings:
     return DriverSettings(**vars(file), body=load_body(file.parameter_file))
 
 
-def _tracker(options: argparse.Namespace) -> Tracker | None:
+def _camera(options: argparse.Namespace) -> Callable[[], list[Row]]:
+    """Return the function that checks the camera. Raises ConfigurationError or SetupError for wrong options."""
     if options.camera is None and options.setup is None:
-        return None
+        return partial(skipped, bench_check.CAMERA_ROWS, "no --camera")
     if None in (options.camera, options.setup):
         raise ConfigurationError("--camera and --setup belong together: give both")
-    return Tracker(load_setup(options.setup))
+    # Imported here, because it takes too long for --help.
+    from worm_driver.tracking.camera_check import camera_rows
+    from worm_driver.tracking.tracker import Tracker
+    from worm_driver.tracking.tracker_setup import load_setup
+
+    return partial(camera_rows, Tracker(load_setup(options.setup)), options.camera)
 
 
 def _rows(
-    settings: DriverSettings, options: argparse.Namespace, tracker: Tracker | None
+    settings: DriverSettings, options: argparse.Namespace, camera: Callable[[], list[Row]]
 ) -> Iterator[Row]:
-    bus, rows = open_port(settings)
+    bus, rows = bench_check.open_port(settings)
     yield from rows
-    with contextlib.ExitStack() as opened:
-        if bus is not None:
-            opened.callback(bus.close)
-        yield from _devices(settings, options, bus)
-    # A thread with a virtual robot's clock may wait on this clock only, so the clock of the bus is closed by now.
-    with contextlib.closing(clock_of(settings.i2c_bus, I2C)) as clock:
-        yield from SensorCheck(settings, clock).rows()
-    if tracker is None:
-        yield from skipped(CAMERA_ROWS, "no --camera")
+    if bus is None:
+        # Without the clock of a virtual robot, which may have a driver.
+        yield from skipped(ServoCheck.NAMES, "the port cannot be opened")
+        yield from _computer_rows(settings, options.namespace, MachineClock(), lambda: None)
     else:
-        yield from camera_rows(tracker, options.camera)
-
-
-def _devices(
-    settings: DriverSettings, options: argparse.Namespace, bus: ServoBus | None
-) -> Iterator[Row]:
-    """Yield the rows on servos and computer, with the clock of the bus."""
-    with contextlib.closing(clock_of(settings.port, SERIAL)) as clock:
-        ids: list[int] = []
-        if bus is None:
-            yield from skipped(ServoCheck.NAMES, "the port cannot be opened")
-        else:
+        with contextlib.closing(bus), contextlib.closing(clock_of(settings.port, SERIAL)) as clock:
             bus.port.go_by(clock)
             check = ServoCheck(settings, bus)
             yield from check.rows()
-            ids = list(check.servos)
+            exchange = partial(bus.sync_read, STATE_START, STATE_SIZE, list(check.servos))
+            yield from _computer_rows(settings, options.namespace, clock, exchange)
+    # A thread with a virtual robot's clock may wait on this clock only, so the clock of the bus is closed by now.
+    with contextlib.closing(clock_of(settings.i2c_bus, I2C)) as clock:
+        yield from SensorCheck(settings, clock).rows()
+    yield from camera()
 
-        def exchange() -> None:
-            if bus is not None:
-                bus.sync_read(STATE_START, STATE_SIZE, ids)
 
-        is_virtual = os.path.realpath(settings.port).startswith("/dev/pts/")
-        roles = (DRIVER,) if is_virtual else (DRIVER, ROBOT)
-        checks = computer_checks(settings, os.environ, options.namespace, roles, exchange)
-        for name, row in checks.items():
-            if clock.epoch_ns is not None and name in OF_REAL_TIME:
-                yield from skipped([name], "the time of the virtual robot waits for the driver")
-            else:
-                yield judge(name, [row])
+def _computer_rows(
+    settings: DriverSettings, namespace: str, clock: Clock, exchange: Callable[[], object]
+) -> Iterator[Row]:
+    is_virtual = os.path.realpath(settings.port).startswith("/dev/pts/")
+    roles = (DRIVER,) if is_virtual else (DRIVER, ROBOT)
+    checks = computer_checks(settings, os.environ, namespace, roles, exchange)
+    for name, check in checks.items():
+        if clock.epoch_ns is not None and name in OF_REAL_TIME:
+            yield from skipped([name], "the time of the virtual robot waits for the driver")
+        else:
+            yield bench_check.judge(name, [check])
 
 
 def _print(row: Row) -> None:
@@ -138,9 +123,9 @@ def _content(row: Row) -> dict[str, object]:
 
 
 def _run(options: argparse.Namespace) -> int:
-    tracker = _tracker(options)
+    camera = _camera(options)
     rows = []
-    for row in _rows(_settings(options), options, tracker):
+    for row in _rows(_settings(options), options, camera):
         rows.append(row)
         if not options.json:
             _print(row)

@@ -33,6 +33,8 @@ from worm_driver.servos.registers import BAUD_RATES, ServoModel
 from worm_driver.servos.servo_bus import Identity, ServoBus
 from worm_driver.servos.servo_setup import Servo
 
+#: Rows of `tracking.camera_check`.
+CAMERA_ROWS = ("camera rate", "camera delay", "markers")
 #: Bits of hardware_error_status that the rows "supply voltage" and "temperatures" report.
 _VOLTAGE_ERROR, _HEAT_ERROR = 1 << 0, 1 << 2
 #: Period of the power samples, s. It is longer than a conversion.

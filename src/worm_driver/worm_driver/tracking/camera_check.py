@@ -7,14 +7,13 @@ import time
 from functools import partial
 from itertools import pairwise
 
-from worm_driver.control.bench_check import AdviceError, Row, fail, judge, skipped
+from worm_driver.control.bench_check import CAMERA_ROWS, AdviceError, Row, fail, judge, skipped
 from worm_driver.control.diagnostics import Level
 from worm_driver.driver_errors import ImageError, TrackingError
 from worm_driver.tracking.image_sources import check_size
 from worm_driver.tracking.tracker import Tracker, TrackerReport
 from worm_driver.tracking.vision import Image, MarkerDetector, VideoSource
 
-NAMES = ("camera rate", "camera delay", "markers")
 _IMAGES = 30
 #: Longest plausible delay of an image, s. A longer one shows that the camera stamps by another clock.
 _LONGEST_DELAY = 2.0
@@ -30,10 +29,13 @@ def camera_rows(tracker: Tracker, source: str) -> list[Row]:
     try:
         shots = _shots(tracker, source)
     except TrackingError as error:
-        return [judge(NAMES[0], [partial(fail, error)]), *skipped(NAMES[1:], "no usable images")]
+        return [
+            judge(CAMERA_ROWS[0], [partial(fail, error)]),
+            *skipped(CAMERA_ROWS[1:], "no usable images"),
+        ]
     return [
         judge(name, [partial(check, tracker, shots)])
-        for name, check in zip(NAMES, (_rate, _delay, _markers), strict=True)
+        for name, check in zip(CAMERA_ROWS, (_rate, _delay, _markers), strict=True)
     ]
 
 

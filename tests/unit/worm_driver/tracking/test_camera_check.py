@@ -12,7 +12,7 @@ from worm_driver.driver_errors import ImageError
 from worm_driver.tracking import camera_check
 from worm_driver.tracking.tracker import Tracker
 
-ROWS = list(camera_check.NAMES)
+ROWS = list(camera_check.CAMERA_ROWS)
 
 
 @pytest.fixture(scope="module")
