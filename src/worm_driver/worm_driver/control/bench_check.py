@@ -310,7 +310,7 @@ class ServoCheck:
         on = [str(n) for n, health in self._health.items() if health["torque_enable"]]
         if on:
             raise AdviceError(
-                f"servo {', '.join(on)} has its torque on: end the program that uses it; configure releases it"
+                f"the torque of {', '.join(on)} is on: end the program that uses it; configure releases it"
             )
         return "off"
 
