@@ -17,21 +17,12 @@ def run_command(
     command: Callable[[argparse.Namespace], int | None],
     arguments: list[str] | None = None,
 ) -> int:
-    """Run a command like `command_parser.run_command`.
+    """Run a command like `command_parser.run_command`, with DriverError as a failure.
 
-    A TrackingError or a ConfigurationError is bad input, too; any other DriverError is a failure.
+    A TrackingError or a ConfigurationError is bad input.
     """
-
-    def run(options: argparse.Namespace) -> int | None:
-        try:
-            return command(options)
-        except (TrackingError, ConfigurationError):
-            raise
-        except DriverError as error:
-            raise OSError(error) from error
-
     bad_input = (TrackingError, ConfigurationError)
-    return command_parser.run_command(parser, run, arguments, bad_input)
+    return command_parser.run_command(parser, command, arguments, bad_input, (DriverError,))
 
 
 def new_file(text: str) -> Path:

@@ -67,15 +67,13 @@ class AdviceError(DriverError):
     """A problem in spite of which the robot can be switched on."""
 
 
-Check = Callable[[], str]
+#: Check that returns what it found (None: nothing to show), or raises DriverError: problem, colon and remedy.
+Check = Callable[[], str | None]
 
 
 def judge(name: str, checks: Iterable[Check]) -> Row:
-    """Return the row of some checks. Each returns what it found, or raises DriverError with problem and remedy.
-
-    A message contains the problem, then a colon and the remedy. Without checks, the row is skipped.
-    """
-    found: list[str] = []
+    """Return the row of some checks. Without checks, the row is skipped."""
+    found: list[str | None] = []
     problems: dict[str, str] = {}
     failed = False
     for check in checks:
@@ -94,12 +92,12 @@ def judge(name: str, checks: Iterable[Check]) -> Row:
     return Row(name, State.OK, ", ".join(filter(None, found)) or "ok")
 
 
-def fail(error: DriverError) -> str:
+def fail(error: DriverError) -> None:
     """Raise an error, as a check that is known to fail."""
     raise error
 
 
-def _each(check: Callable[[int], str], numbers: Iterable[int]) -> Iterator[Check]:
+def _each(check: Callable[[int], str | None], numbers: Iterable[int]) -> Iterator[Check]:
     """Yield a check of each servo. Nothing is read from ``numbers`` before the first of them is needed."""
     for number in numbers:
         yield partial(check, number)
@@ -164,6 +162,7 @@ class ServoCheck:
         self._settings, self._bus = settings, bus
         self._identities: dict[int, Identity] = {}
         self._models: dict[int, ServoModel] = {}
+        self._protections: dict[int, Mapping[str, int]] = {}
         self._health: dict[int, Mapping[str, int]] = {}
         self.servos: dict[int, Servo] = {}
 
@@ -240,44 +239,32 @@ class ServoCheck:
 
     def _registers(self) -> Iterator[Check]:
         for number, model in self._models.items():
-            firmware = self._identities[number].firmware
-            try:
-                servo, values = servos.read_servo(self._bus, number, model, firmware)
-                names = ("hardware_error_status", "present_input_voltage", "present_temperature")
-                self._health[number] = servos.registers(self._bus, servo, *names, "torque_enable")
-            except NoReplyError:
-                yield partial(
-                    fail,
-                    AdviceError(
-                        f"servo {number} answers pings, but no reading of its registers (status_return_level 0?): "
-                        "configure the driver, which sets this register, then check again"
-                    ),
-                )
-                continue
-            except BusError as error:
-                yield partial(fail, error)
-                continue
-            self.servos[number] = servo
-            yield partial(self._protections, servo, values)
-            yield partial(self._requirements, servo)
-            yield partial(self._left_over, servo)
+            yield partial(self._read, number, model)
+            if servo := self.servos.get(number):
+                yield partial(servos.require_protections, servo, self._protections[number])
+                yield partial(actuators.require_registers, self._bus, servo, self._settings)
+                yield partial(self._left_over, servo)
 
-    def _protections(self, servo: Servo, values: Mapping[str, int]) -> str:
-        servos.require_protections(servo, values)
-        return ""
+    def _read(self, number: int, model: ServoModel) -> None:
+        firmware = self._identities[number].firmware
+        names = ("hardware_error_status", "present_input_voltage", "present_temperature")
+        try:
+            servo, self._protections[number] = servos.read_servo(self._bus, number, model, firmware)
+            self._health[number] = servos.registers(self._bus, servo, *names, "torque_enable")
+        except NoReplyError:
+            raise AdviceError(
+                f"servo {number} answers pings, but no reading of its registers (status_return_level 0?): configure "
+                "the driver, which sets this register, then check again"
+            ) from None
+        self.servos[number] = servo
 
-    def _requirements(self, servo: Servo) -> str:
-        actuators.require_registers(self._bus, servo, self._settings)
-        return ""
-
-    def _left_over(self, servo: Servo) -> str:
+    def _left_over(self, servo: Servo) -> None:
         weak = servo.number in self._settings.cable_ids and not servo.model.measures_current
         limit = own_limit(servo, self._settings) if weak else 1.0
         if left := servos.left_over(self._bus, servo, limit):
             raise AdviceError(
                 f"servo {servo.number} has {left}: the driver sets these values itself"
             )
-        return ""
 
     def _supply(self, number: int) -> str:
         servo, health = self.servos[number], self._health[number]
@@ -286,10 +273,9 @@ class ServoCheck:
         servos.require_no_error(servo, health["hardware_error_status"] & _VOLTAGE_ERROR)
         return f"{number} {voltage:.1f} V"
 
-    def _errors(self, number: int) -> str:
+    def _errors(self, number: int) -> None:
         status = self._health[number]["hardware_error_status"]
         servos.require_no_error(self.servos[number], status & ~(_VOLTAGE_ERROR | _HEAT_ERROR))
-        return ""
 
     def _heat(self, number: int) -> str:
         servo, health = self.servos[number], self._health[number]
@@ -330,49 +316,41 @@ class SensorCheck:
 
     def __init__(self, settings: DriverSettings, clock: Clock):
         self._settings, self._clock = settings, clock
-        self._samples: list[PowerSample] = []
         self._valid: list[PowerSample] = []
+        self._stored = 0
 
     def rows(self) -> list[Row]:
         """Return all rows, in the order of `NAMES`."""
-        settings = self._settings
-        if not settings.has_sensor:
+        if not self._settings.has_sensor:
             return skipped(self.NAMES, "i2c_bus is none")
-        try:
-            device = i2c.open_device(settings.i2c_bus, settings.i2c_address)
-        except PowerSensorError as error:
-            present = judge(self.NAMES[0], [partial(fail, error)])
-            return [present, *skipped(self.NAMES[1:], "the I2C bus cannot be opened")]
-        with contextlib.closing(device):
-            sensor = INA219(device, settings.shunt_resistance, 0)
-            rows = [judge(self.NAMES[0], [partial(self._presence, sensor)])]
-            if not self._samples:
-                return rows + skipped(self.NAMES[1:], "the sensor does not answer")
-            checks: tuple[Check, ...] = (
-                partial(self._calibration, sensor),
-                self._sign,
-                self._noise,
-            )
-            self._valid = [s for s in self._samples if s.status is SampleStatus.VALID]
-            return rows + [
-                judge(name, [check] if self._valid else [])
-                for name, check in zip(self.NAMES[1:], checks, strict=True)
-            ]
+        with contextlib.ExitStack() as opened:
+            rows = [judge(self.NAMES[0], [partial(self._presence, opened)])]
+            for name, check in zip(
+                self.NAMES[1:], (self._calibration, self._sign, self._noise), strict=True
+            ):
+                rows.append(judge(name, [check] if self._valid else []))
+        return rows
 
-    def _presence(self, sensor: INA219) -> str:
-        settings, device = self._settings, sensor.device
+    def _presence(self, opened: contextlib.ExitStack) -> str:
+        settings = self._settings
+        device = i2c.open_device(settings.i2c_bus, settings.i2c_address)
+        opened.callback(device.close)
+        sensor = INA219(device, settings.shunt_resistance, 0)
         configuration = device.read(ina219.CONFIGURATION)
         usual = ina219.POWER_ON_CONFIGURATION, ina219.RUNNING_CONFIGURATION
         if i2c.swap(configuration) in usual:
             raise sensor.other_chip(configuration)
+        self._stored = device.read(ina219.CALIBRATION)
+        samples = []
         for _ in range(ina219.FROZEN):
             self._clock.sleep_until(self._clock() + _SAMPLING)
-            self._samples.append(sensor.look(self._clock()))
-        counts = Counter(sample.status for sample in self._samples)
+            samples.append(sensor.look(self._clock()))
+        self._valid = [sample for sample in samples if sample.status is SampleStatus.VALID]
+        counts = Counter(sample.status for sample in samples)
         where = f"INA219 0x{settings.i2c_address:02X} on {settings.i2c_bus}"
         report = diagnostics.power_report(counts, where, "")
         if report.level is not Level.OK:
-            kind = AdviceError if counts[SampleStatus.VALID] else PowerSensorError
+            kind = AdviceError if self._valid else PowerSensorError
             raise kind(f"{report.message}: check its supply, its wiring and the parameters ina219")
         if configuration not in usual:
             raise AdviceError(
@@ -381,13 +359,12 @@ class SensorCheck:
             )
         return where
 
-    def _calibration(self, sensor: INA219) -> str:
+    def _calibration(self) -> str:
         settings = self._settings
         needed = ina219.calibration_for(settings.shunt_resistance, settings.max_current)
-        stored = sensor.device.read(ina219.CALIBRATION)
-        if stored not in (0, needed):
+        if self._stored not in (0, needed):
             raise AdviceError(
-                f"{stored} instead of {needed}, left by another program: the driver sets it"
+                f"{self._stored} instead of {needed}, left by another program: the driver sets it"
             )
         return f"{needed} for {settings.max_current:g} A and {settings.shunt_resistance:g} ohm"
 
