@@ -15,7 +15,7 @@ from pathlib import Path
 
 from worm_model.commands.command_line import FAILED, InputError, Parser, executable, number
 from worm_model.parameters import load_parameters
-from worm_optimizer.commands.robot_options import add_robot, robot_of
+from worm_optimizer.commands.start import add_robot, robot_of
 from worm_optimizer.nodes.operator_node import OperatorNode, operator
 from worm_optimizer.operation.bring_up import Check, ProgressLog, Say, session, work_folder
 from worm_optimizer.operation.processes import counted_interrupts

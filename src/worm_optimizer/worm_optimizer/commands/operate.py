@@ -21,9 +21,9 @@ from worm_model.commands.command_line import (
     print_result,
 )
 from worm_model.text_table import labelled
-from worm_optimizer.commands.objective_options import add_objective
 from worm_optimizer.commands.operate_run import add_run, check_run, own_gait, run
-from worm_optimizer.commands.tuning_options import add_aim, check_aim
+from worm_optimizer.commands.request import add_objective
+from worm_optimizer.commands.tune import add_aim, check_aim
 from worm_optimizer.nodes.operator_node import OperatorNode, operator
 from worm_optimizer.operation.bring_up import FAILURES
 from worm_optimizer.snapshot import Snapshot

@@ -18,7 +18,7 @@ from worm_model.run import Activity
 from worm_model.text_table import labelled
 from worm_msgs.conditions import CONDITION_ROWS, LEVEL, Conditions
 from worm_msgs.gait import GAIT_DEFAULTS, WAVEFORM, Gait, gait_of
-from worm_optimizer.commands.objective_options import add_objective, request_of_options
+from worm_optimizer.commands.request import add_objective, request_of_options
 from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.nodes.operator_node import (
     OPTIMIZER,
@@ -26,9 +26,8 @@ from worm_optimizer.nodes.operator_node import (
     RejectedStartError,
     UnreachableError,
 )
-from worm_optimizer.operation.bring_up import CYCLES, ProgressLog
+from worm_optimizer.operation.bring_up import CYCLES, ProgressLog, new_bag, recorded
 from worm_optimizer.operation.processes import counted_interrupts
-from worm_optimizer.operation.recorded_run import new_bag, recorded
 from worm_optimizer.robot_commands import GaitCommand, RunProgress, RunResult
 
 _PROGRESS_S = 2.0  # shortest time between two lines of progress within a cycle, s

@@ -15,10 +15,8 @@ from worm_msgs.gait import Gait
 from worm_optimizer.commands.operate_run import attended, conditions_of, own_gait, requested
 from worm_optimizer.commands.tune import Aim, described, measured_step, tuned_json
 from worm_optimizer.nodes.operator_node import DRIVER, GaitFailedError, OperatorNode
-from worm_optimizer.operation.bring_up import CYCLES, ProgressLog
-from worm_optimizer.operation.campaign_runs import require_tracker
-from worm_optimizer.operation.recorded_run import new_bag, recorded
-from worm_optimizer.operation.tuning_runs import Tuned, tune_gait
+from worm_optimizer.operation.bring_up import CYCLES, ProgressLog, new_bag, recorded
+from worm_optimizer.operation.campaign_runs import Tuned, require_tracker, tune_gait
 from worm_optimizer.robot_commands import GaitCommand
 from worm_optimizer.robustness.tuning import GaitLimits, TuneState, Tuning
 

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Comparison of measured with expected values, and of the measured with the expected order of the gaits."""
+"""Comparison of measured with expected values."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -58,28 +58,6 @@ TOO_SHORT = "not compared: fewer than three complete cycles after the first"
 NOMINAL, LEVEL_GROUND, SINUSOIDAL = "nominal_", "level_", "sinusoid_"
 COMPARED = {NOMINAL: "nominal", LEVEL_GROUND: "for level ground", SINUSOIDAL: "sinusoid"}
 _TITLES = {"min_power": "minimum power", "cruise": "cruising", "max_speed": "maximum speed"}
-
-
-@dataclass(frozen=True)
-class Order:
-    """Order of the gaits by one quantity.
-
-    Attributes:
-        quantity: key of `QUANTITIES`.
-        expected: names of the gaits by rising expected value; None if a value is NaN or if two values are equal.
-        measured: the same by measured value.
-    """
-
-    quantity: str
-    expected: tuple[str, ...] | None
-    measured: tuple[str, ...] | None
-
-    @property
-    def preserved(self) -> bool | None:
-        """True if both orders are the same; None if one of them is unknown."""
-        if self.expected is None or self.measured is None:
-            return None
-        return self.measured == self.expected
 
 
 @dataclass(frozen=True)
@@ -195,13 +173,6 @@ def percent(difference: float) -> str:
     return f"{round(100.0 * difference, 1) + 0.0:+.1f} %" if math.isfinite(difference) else ""
 
 
-def orders(gaits: Sequence[RecordedGait]) -> tuple[Order, ...]:
-    """Return the orders of the gaits by speed, power and cost of transport; empty for fewer than two gaits."""
-    if len(gaits) < 2:
-        return ()
-    return tuple(_order(gaits, quantity) for quantity in QUANTITIES)
-
-
 def agreements(gait: RecordedGait) -> tuple[Agreement, ...]:
     """Return the comparison of measured with expected values, one entry for each of `QUANTITIES`."""
     grooves = {"speed": grooves_of(gait)}
@@ -226,39 +197,6 @@ def grooves_of(gait: RecordedGait) -> Grooves | None:
         return None
     measured = speed / (gait.gait.frequency * gait.content.parameters.pitch)
     return Grooves(expected.grooves, measured, expected.cycles)
-
-
-def _order(gaits: Sequence[RecordedGait], quantity: str) -> Order:
-    expected = {gait.name: getattr(gait.expected.bands, quantity).value for gait in gaits}
-    measured = {
-        gait.name: getattr(gait.measured, quantity).value if gait.is_steady else math.nan
-        for gait in gaits
-    }
-    return Order(quantity, _rising(expected), _rising(measured))
-
-
-def _rising(values: Mapping[str, float]) -> tuple[str, ...] | None:
-    """Return the names by rising value; None if a value is NaN or if two values are equal."""
-    different = set(values.values())
-    if len(different) < len(values) or any(map(math.isnan, different)):
-        return None
-    return tuple(sorted(values, key=values.__getitem__))
-
-
-def order_text(order: Order) -> str:
-    """Return an order as text."""
-    name = f"order by {QUANTITIES[order.quantity].name}"
-    if order.expected is None:
-        return f"{name}: unknown, an expected value is missing or two are equal"
-    expected = " < ".join(map(title_of, order.expected))
-    if order.measured is None:
-        return (
-            f"{name}: unknown, a measured value is missing or two are equal (expected {expected})"
-        )
-    if order.preserved:
-        return f"{name}: preserved, {expected}"
-    measured = " < ".join(map(title_of, order.measured))
-    return f"{name}: not preserved; expected {expected}, measured {measured}"
 
 
 def headline(gaits: Sequence[RecordedGait]) -> str:
@@ -287,7 +225,7 @@ def headline(gaits: Sequence[RecordedGait]) -> str:
 
 
 def describe(gaits: Sequence[RecordedGait]) -> str:
-    """Return a table for a terminal: each measured value with its expected 95 % interval, then the orders."""
+    """Return a table for a terminal: each measured value with its expected 95 % interval, then the margins."""
     heads = ("gait", "", "measured", "expected", "95 % interval", "difference", "verdict")
     rows = [heads, *(_row(row) for gait in gaits for row in agreements(gait))]
     lines = [f"{gait.name}: {gait.early_end}" for gait in gaits if gait.early_end]
@@ -296,7 +234,6 @@ def describe(gaits: Sequence[RecordedGait]) -> str:
     lines += ["", f"expected without the margin, at a groove phase of {', '.join(phases)}"]
     lines += {f"intervals at 95 %: {gait.expected.condition}": None for gait in gaits}
     lines += [f"{gait.name}: {margin_text(gait)}" for gait in gaits]
-    lines += map(order_text, orders(gaits))
     lines += [f"{gait.name}: {reason}" for gait in gaits for reason in gait.missing]
     return "\n".join(lines)
 
@@ -353,7 +290,6 @@ def agreement_json(gaits: Sequence[RecordedGait]) -> dict[str, Any]:
             }
             for gait in gaits
         ],
-        "order_preserved": {order.quantity: order.preserved for order in orders(gaits)},
     }
 
 
