@@ -22,10 +22,10 @@ from worm_model.identification.fits.estimate import Estimate, admissible, not_id
 from worm_model.identification.fits.locomotion import Known, traverse_of
 from worm_model.identification.fits.measured_length import measured_length
 from worm_model.identification.fits.quality import LONGEST_GAP, remarks, usable
+from worm_model.identification.held_out import margin_estimate
 from worm_model.identification.idle import idle_power, idle_power_of
 from worm_model.identification.inputs import read_bag
 from worm_model.identification.locomotion_stage import identify_locomotion
-from worm_model.identification.recorded_margin import margin_estimate
 from worm_model.parameters import Parameters
 from worm_model.simulation.simulator import SimulationError
 

@@ -13,7 +13,7 @@ from worm_model.identification.bellows import BellowsFit, fit_bellows
 from worm_model.identification.data.identification_errors import IdentificationError
 from worm_model.identification.data.observed_run import Recording
 from worm_model.identification.data.strides import check_pitch
-from worm_model.identification.energy_stage import EnergyResult, identify_energy
+from worm_model.identification.energy_stage import EnergyResult, Forces, forces_of, identify_energy
 from worm_model.identification.fin import KEYS as FIN
 from worm_model.identification.fin import FinFit, fit_fin
 from worm_model.identification.fit_verdict import FitVerdict, judge_fit
@@ -27,8 +27,7 @@ from worm_model.identification.fits.estimate import (
 )
 from worm_model.identification.fits.locomotion import Known
 from worm_model.identification.fits.run_prediction import Errors
-from worm_model.identification.forces import Forces, forces_of
-from worm_model.identification.held_out import leave_one_out, run_errors
+from worm_model.identification.held_out import compared_margin, leave_one_out, run_errors
 from worm_model.identification.idle import NO_IDLE, idle_power
 from worm_model.identification.inputs import Inputs
 from worm_model.identification.locomotion_stage import (
@@ -37,7 +36,6 @@ from worm_model.identification.locomotion_stage import (
     LocomotionResult,
     identify_locomotion,
 )
-from worm_model.identification.recorded_margin import compared_margin
 from worm_model.identification.reference_values import ReferenceValues
 from worm_model.identification.run_selection import (
     FittedRun,

@@ -1,13 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Estimates with 95 % intervals, and profile likelihood."""
+"""Estimates with 95 % intervals: profile likelihood, bootstrap, and robust statistics of residuals.
+
+The bootstrap over runs is for the stages with a continuous cost (actuation and energy). Runs get random exponential
+weights (Bayesian bootstrap), so that every refit contains all frequencies. With few runs, the spread of the refits is
+too small by a known factor, and the spread itself is uncertain. Both effects are corrected as for the mean of an equal
+number of normally distributed values.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from worm_model.arrays import Array
 from worm_msgs.robot_parameters import ROWS
@@ -120,3 +127,85 @@ def follow_profile(
         if not low < offset < high:
             offset = 0.5 * (low + min(high, reach))
     return best + float(np.copysign(high, guess))
+
+
+REFITS = 120  # number of refits of a bootstrap
+
+
+def unit_weights(random: np.random.Generator, units: int) -> Array:
+    """Return random weights with mean 1 in every row, shape (REFITS, units)."""
+    weights = random.exponential(size=(REFITS, units))
+    return weights / weights.mean(axis=1, keepdims=True)
+
+
+def refitted(refit: Callable[[int], Array]) -> Array:
+    """Return the results of all refits in order, shape (REFITS, ...)."""
+    return np.array([refit(index) for index in range(REFITS)])
+
+
+def spread_factor(units: int) -> float:
+    """Return the ratio of a 95 % half-width to the standard deviation of the refits.
+
+    ``units`` is the number of runs or cycles that the bootstrap draws.
+    """
+    if units < 2:
+        return np.inf
+    return float(np.sqrt((units + 1) / (units - 1))) * quantile(units - 1)
+
+
+def estimates(values: Array, refits: Array, units: int | Sequence[int]) -> list[Estimate]:
+    """Return an estimate for each entry of ``values`` (k,) from its ``refits`` (REFITS, k).
+
+    ``units`` is the number of runs or cycles with information about each entry; a single number applies to all entries.
+    """
+    factors = [spread_factor(number) for number in np.broadcast_to(units, values.shape)]
+    half = factors * np.maximum(refits.std(axis=0), np.finfo(float).tiny)
+    return [
+        Estimate(float(v), float(v - h), float(v + h)) for v, h in zip(values, half, strict=True)
+    ]
+
+
+def correlation(refits: Array) -> Array:
+    """Return the correlation matrix (k, k) of the refits."""
+    deviation = refits.std(axis=0)
+    unit = np.where(deviation > 0.0, deviation, np.inf)  # constant entries have zero correlation
+    centred = (refits - refits.mean(axis=0)) / unit
+    return np.asarray(centred.T @ centred / refits.shape[0])
+
+
+# Ratio of the standard deviation to the median absolute deviation of a normal distribution
+SIGMA_PER_MAD = 1.4826
+OUTLIER = 5.0  # residual of an outlier, in robust standard deviations
+MOST_MEMORY = 0.9  # largest correlation of successive residuals; at 1 `dependence` is infinite
+ONE_SIDED = 1.645  # one-sided 95 % quantile of the normal distribution
+
+
+def scale_of(values: ArrayLike) -> float:
+    """Return the robust standard deviation (from the median absolute deviation) of the finite values; 0 if none."""
+    array = np.asarray(values, dtype=float)
+    finite = array[np.isfinite(array)]
+    if not finite.size:
+        return 0.0
+    return float(SIGMA_PER_MAD * np.median(np.abs(finite - np.median(finite))))
+
+
+def noise_of(values: ArrayLike) -> float:
+    """Return the standard deviation of white noise on a smooth signal, from second differences."""
+    return scale_of(np.diff(np.asarray(values, dtype=float), 2)) / np.sqrt(6.0)
+
+
+def dependence(residuals: Array) -> float:
+    """Return the factor on the variance of a fit for correlated residuals, at least 1.
+
+    Because of hysteresis, the residuals (n,) of a bench test, in the order of measurement, are correlated and contain
+    less information. The factor follows from a first-order autoregression; it is 1 without significant correlation.
+    """
+    r = residuals / max(scale_of(residuals), 1e-300)
+    r = np.clip(r - np.median(r), -OUTLIER, OUTLIER)
+    count = r.size
+    correlation = float(np.sum(r[1:] * r[:-1]) / max(float(np.sum(r * r)), 1e-300))
+    if correlation < ONE_SIDED / np.sqrt(count):
+        return 1.0
+    # The correlation ρ of residuals of a fitted line is too small by about (2 + 4ρ)/n (Kendall 1954).
+    memory = min(correlation + (2.0 + 4.0 * correlation) / count, MOST_MEMORY)
+    return (1.0 + memory) / (1.0 - memory)
