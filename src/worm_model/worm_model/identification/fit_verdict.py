@@ -157,8 +157,8 @@ def _of_length(
         names = ", ".join(run.name for run in unexplained)
         causes.append(
             f"the cable cannot push: late in its extensions the body is {1e3 * lacking[worst]:.1f} mm shorter than "
-            f"its contractions predict (median of {name}, {gait.frequency:g} Hz). The bellows are too slow for this gait, "
-            "or something brakes them. δ_s, K, τ, c_b and α_P are averages over the gaits"
+            f"its contractions predict (median of {name}, {gait.frequency:g} Hz). The bellows are too slow for this "
+            "gait, or something brakes them. δ_s, K, τ, c_b and α_P are averages over the gaits"
             if lacking[worst] > LACKING
             else f"the length does not follow slack, gain and time constant in {names}: the cable is compliant, or its "
             "slack is taken up slowly"
