@@ -43,8 +43,7 @@ from worm_model.simulation.simulator import Locomotion, simulate
 from worm_model.simulation.smoothing import smooth
 from worm_model.twin.scene import FREE, HOLDING, YIELDING
 from worm_optimizer.evaluation.task import Bounds
-from worm_optimizer.report.analysis_figures import capability_figure
-from worm_optimizer.report.front_plots import price_figure
+from worm_optimizer.report.front_plots import capability_figure, price_figure
 from worm_optimizer.search.capability import capabilities, curve, strongest
 from worm_optimizer.search.front import RobustFront, make_front, scanned_price
 from worm_optimizer.search.search_settings import Settings, settings_of

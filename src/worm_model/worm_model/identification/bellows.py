@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from worm_model.arrays import Array
-from worm_model.identification.data.identification_errors import IdentificationError
+from worm_model.errors import IdentificationError
 from worm_model.identification.fits.estimate import (
     OUTLIER,
     Estimate,

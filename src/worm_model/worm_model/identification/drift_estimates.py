@@ -11,10 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from worm_model.bags.formats.bag_errors import BagError
-from worm_model.errors import InputError
+from worm_model.errors import IdentificationError, InputError
 from worm_model.gait import Gait, GaitError
 from worm_model.identification.actuation_stage import identify_actuation
-from worm_model.identification.data.identification_errors import IdentificationError
 from worm_model.identification.data.observed_run import Recording
 from worm_model.identification.data.strides import check_pitch
 from worm_model.identification.drift import MARGIN

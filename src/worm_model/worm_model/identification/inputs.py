@@ -12,8 +12,8 @@ from worm_model.bags.opening import open_bag
 from worm_model.bags.recording.run_manifest import recorded_conditions
 from worm_model.bags.run_reader import read_run
 from worm_model.checksum import checksums_of, sha256_of
+from worm_model.errors import IdentificationError
 from worm_model.identification import bellows, fin
-from worm_model.identification.data.identification_errors import IdentificationError
 from worm_model.identification.data.lab_logs import (
     LabError,
     LabSettings,

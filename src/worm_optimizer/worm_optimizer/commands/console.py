@@ -66,10 +66,10 @@ def _console(options: argparse.Namespace) -> int:
             "the console needs NiceGUI: pip install --group console, or use ./worm console"
         )
     from worm_optimizer.console.bag_library import BagLibrary
+    from worm_optimizer.console.console_page import HOST, serve
     from worm_optimizer.console.console_state import ConsoleState
     from worm_optimizer.console.control import PageControl
     from worm_optimizer.console.robot_worker import Notice, RobotWorker
-    from worm_optimizer.console.server import HOST, serve
 
     parameters = load_parameters(options.parameters)
     file = str(Path(options.parameters).resolve()) if options.parameters else ""

@@ -26,7 +26,7 @@ from worm_optimizer.commands.request import add_objective
 from worm_optimizer.commands.tune import add_aim, check_aim
 from worm_optimizer.nodes.operator_node import OperatorNode, operator
 from worm_optimizer.operation.bring_up import FAILURES
-from worm_optimizer.snapshot import Snapshot
+from worm_optimizer.robot_commands import Snapshot
 
 #: fields of the driver's state that `operate state` returns
 _STATE = (

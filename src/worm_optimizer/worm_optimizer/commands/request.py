@@ -64,7 +64,7 @@ def add_objective(parser: Parser) -> None:
 
 
 def request_of_options(options: argparse.Namespace) -> GaitRequest:
-    """Return the request that the options of `add_objective` describe. Raises `OptimizerError` for a bad value."""
+    """Return the request that the options of `add_objective` describe. Raises `InputError` for a bad value."""
     if options.speed is not None:
         return GaitRequest(Objective.MIN_POWER_AT_SPEED, options.speed)
     if options.power is not None:

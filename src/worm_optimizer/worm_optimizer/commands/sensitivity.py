@@ -118,7 +118,7 @@ def _run(options: argparse.Namespace) -> None:
     result = sensitivity(gait, content, options.samples, options.seed)
     if figure is not None:
         from worm_model.analysis.plot_style import save_figure  # here: matplotlib loads slowly
-        from worm_optimizer.report.analysis_figures import sensitivity_figure
+        from worm_optimizer.report.front_plots import sensitivity_figure
 
         save_figure(sensitivity_figure(result), figure)
     print_result(options, sensitivity_json(result), describe(result))

@@ -13,7 +13,7 @@ from worm_msgs.conditions import CONDITION_ROWS
 from worm_optimizer.nodes.service_caller import OperatorError
 from worm_optimizer.operation.bring_up import FAILURES, ProgressLog, Session, session
 from worm_optimizer.operation.processes import counted_interrupts, termination_as_interrupt
-from worm_optimizer.operation.system import RESTARTS, Robot, SystemFileError, installed_system_file
+from worm_optimizer.operation.system import RESTARTS, Robot, installed_system_file
 
 
 def _parser() -> Parser:
@@ -58,12 +58,9 @@ def robot_of(options: argparse.Namespace, mode: str) -> Robot:
         if not (name and separator):
             raise InputError(f"--set {text}: write NAME=VALUE")
         settings[name] = value
-    try:
-        robot = Robot(installed_system_file(), mode, settings)
-        robot.system()
-        robot.conditions  # noqa: B018 (raises InputError)
-    except SystemFileError as error:
-        raise InputError(str(error)) from None
+    robot = Robot(installed_system_file(), mode, settings)
+    robot.system()
+    robot.conditions  # noqa: B018 (raises InputError)
     return robot
 
 

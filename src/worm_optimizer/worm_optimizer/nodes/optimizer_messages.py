@@ -6,12 +6,12 @@ from __future__ import annotations
 import dataclasses
 import math
 
+from worm_model.errors import InputError
 from worm_msgs.action import OptimizeGaits, ScanMargin
 from worm_msgs.gait import GAIT_UNITS
 from worm_msgs.msg import Gait, GaitPrediction
 from worm_msgs.srv import RequestGait
 from worm_optimizer.gait_prediction import Prediction
-from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.search.front import RobustFront, price_warning
 from worm_optimizer.search.gait_request import GaitAnswer, RequestStatus
 from worm_optimizer.search.price_of_robustness import CLIFF_RULE, PriceOfRobustness
@@ -58,7 +58,7 @@ def settings_of_goal(base: Settings, goal: OptimizeGaits.Goal) -> Settings:
     or 0, the value in ``base`` applies.
 
     Raises:
-        OptimizerError: A value is inadmissible.
+        InputError: A value is inadmissible.
     """
     return dataclasses.replace(
         base,
@@ -72,9 +72,9 @@ def settings_of_goal(base: Settings, goal: OptimizeGaits.Goal) -> Settings:
 
 
 def direction_of(value: int) -> int:
-    """Return the direction of a goal. Raises `OptimizerError` if it is neither forward nor reverse."""
+    """Return the direction of a goal. Raises `InputError` if it is neither forward nor reverse."""
     if value not in (Gait.FORWARD, Gait.REVERSE):
-        raise OptimizerError(
+        raise InputError(
             f"direction: {value} is neither {Gait.FORWARD} (forward) nor {Gait.REVERSE} (reverse)"
         )
     return int(value)
@@ -83,7 +83,7 @@ def direction_of(value: int) -> int:
 def scan_of_goal(base: Settings, goal: ScanMargin.Goal) -> Settings:
     """Return the settings of the node (``base``) with the margins of a goal.
 
-    If ``highest`` or ``step`` of the goal is 0, the value in ``base`` applies. Raises `OptimizerError` if the
+    If ``highest`` or ``step`` of the goal is 0, the value in ``base`` applies. Raises `InputError` if the
     margins are inadmissible.
     """
     margins = ScanSettings(

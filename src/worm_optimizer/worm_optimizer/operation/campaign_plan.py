@@ -57,7 +57,7 @@ def make_plan(content: ParameterFile, settings: Settings, direction: int) -> Pla
         direction: FORWARD or REVERSE.
 
     Raises:
-        OptimizerError: No gait moves.
+        InputError: No gait moves.
     """
     price = scanned_price(content, settings, direction)
     if settings.scans_margins:  # the scan is not repeated
@@ -83,7 +83,7 @@ def with_comparisons(
         nominal: True to compare each gait also with the corresponding gait that is designed without a margin.
 
     Raises:
-        OptimizerError: No gait moves on level ground, or no sinusoid moves.
+        InputError: No gait moves on level ground, or no sinusoid moves.
     """
     settings = settings.with_margin(plan.optimisation.front.margin)
     compared: dict[str, Mapping[str, Prediction]] = {}

@@ -14,8 +14,11 @@ from worm_model.identification.fits.locomotion import RIDGES
 from worm_model.identification.inputs import read_inputs
 from worm_model.identification.reference_values import reference_by_file
 from worm_model.identification.report.advice import advise
-from worm_model.identification.report.identification_report import write_report
-from worm_model.identification.report.results import parameter_file, summary
+from worm_model.identification.report.identification_report import (
+    parameter_file,
+    summary,
+    write_report,
+)
 from worm_model.identification.stages import identify
 from worm_model.parameters import ParameterFile, write_parameter_file
 from worm_optimizer.operation.bring_up import Say, Session

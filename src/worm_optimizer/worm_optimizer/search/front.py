@@ -11,6 +11,7 @@ from typing import assert_never
 
 import numpy as np
 
+from worm_model.errors import InputError
 from worm_model.gait import Gait
 from worm_model.loads import content_under
 from worm_model.parameters import ParameterFile, Parameters
@@ -19,7 +20,6 @@ from worm_optimizer.evaluation.actuator_limits import NO_LIMITS, describe_limit,
 from worm_optimizer.evaluation.command_shape import shapes_of_gaits
 from worm_optimizer.evaluation.task import Array, Index, MarginTask, Points, Task
 from worm_optimizer.gait_prediction import Prediction
-from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.robustness.chance import PromiseTask, tolerated_margins
 from worm_optimizer.robustness.prediction import outline, predict
 from worm_optimizer.robustness.uncertainty import (
@@ -186,13 +186,13 @@ def price_of(task: MarginTask, settings: Settings) -> PriceOfRobustness:
 
 
 def make_front(content: ParameterFile, settings: Settings, direction: int) -> RobustFront:
-    """Compute the front for some settings. Raises `OptimizerError` if no gait moves within the limits."""
+    """Compute the front for some settings. Raises `InputError` if no gait moves within the limits."""
     content = content_under(settings.conditions, content)
     nominal = task_of(content, settings, direction)
     task, margin, reason = _robust_task(nominal, content, settings)
     exact = front_of_task(task, settings.resolution)
     if not len(exact.front):
-        raise OptimizerError(_why_nothing_moves(task, settings.resolution))
+        raise InputError(_why_nothing_moves(task, settings.resolution))
     margins = _margins(nominal, settings, margin, exact.front)
     if isinstance(task, PromiseTask):
         margin = float(margins.min())
@@ -301,7 +301,7 @@ def _margin_task(
     price = price_of(nominal, settings)
     if not price.moves:
         least = waveform_task(nominal.with_margin(settings.scan.lowest), settings)
-        raise OptimizerError(_why_nothing_moves(least, settings.resolution))
+        raise InputError(_why_nothing_moves(least, settings.resolution))
     task = waveform_task(nominal.with_margin(price.margin), settings)
     return task, price.margin, reason_for(price)
 

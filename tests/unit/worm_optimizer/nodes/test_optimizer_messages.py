@@ -7,12 +7,12 @@ import math
 import pytest
 from gaits_for_tests import QUICK, made_up, small_front
 
+from worm_model.errors import InputError
 from worm_msgs.action import OptimizeGaits, ScanMargin
 from worm_msgs.msg import Gait, GaitPrediction
 from worm_msgs.srv import RequestGait
 from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.nodes import optimizer_messages
-from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.search.gait_request import GaitAnswer, Objective, RequestStatus
 from worm_optimizer.search.price_of_robustness import Cliff, MarginPoint, PriceOfRobustness
 from worm_optimizer.search.search_settings import Robustness
@@ -79,7 +79,7 @@ def test_a_goal_sets_its_settings():
     ],
 )
 def test_an_invalid_goal_is_rejected(goal, expected):
-    with pytest.raises(OptimizerError, match=expected):
+    with pytest.raises(InputError, match=expected):
         optimizer_messages.settings_of_goal(QUICK, OptimizeGaits.Goal(**goal))
 
 
@@ -88,7 +88,7 @@ def test_a_scans_margins_are_the_goals_or_the_defaults():
     assert dataclasses.astuple(plain.scan) == (1e-3, QUICK.scan.highest, QUICK.scan.step)
     given = optimizer_messages.scan_of_goal(QUICK, ScanMargin.Goal(highest=2e-3, step=5e-4))
     assert given.scan.margins().tolist() == [0.0, 5e-4, 1e-3, 1.5e-3, 2e-3]
-    with pytest.raises(OptimizerError, match="scan:"):
+    with pytest.raises(InputError, match="scan:"):
         optimizer_messages.scan_of_goal(QUICK, ScanMargin.Goal(lowest=math.nan))
 
 

@@ -11,7 +11,7 @@ from worm_model.parameters import PAPER, ParameterFile
 from worm_model.simulation.simulator import evaluate_gait
 from worm_msgs.robot_parameters import TravelError
 from worm_optimizer.commands import sensitivity as command
-from worm_optimizer.report.analysis_figures import sensitivity_figure
+from worm_optimizer.report.front_plots import sensitivity_figure
 from worm_optimizer.robustness.sensitivity import Sensitivity, sensitivity
 from worm_optimizer.robustness.sobol import Indices, index_cells
 

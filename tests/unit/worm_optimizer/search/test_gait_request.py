@@ -11,9 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from random_cases import examples
 
+from worm_model.errors import InputError
 from worm_model.parameters import PAPER, ParameterFile
 from worm_model.simulation.simulator import evaluate_gait
-from worm_optimizer.optimizer_errors import OptimizerError
 from worm_optimizer.search import gait_request
 from worm_optimizer.search.front import make_front
 
@@ -97,7 +97,7 @@ def test_the_unreachable_is_rejected_with_the_nearest():
     ],
 )
 def test_a_request_of_impossible_values_is_rejected(values, named):
-    with pytest.raises(OptimizerError, match=named):
+    with pytest.raises(InputError, match=named):
         gait_request.request_of(*values)
     assert gait_request.request_of(1, math.nan, -1.0).objective is gait_request.Objective.CRUISE
 

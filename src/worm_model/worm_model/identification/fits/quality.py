@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from worm_model.arrays import Array
-from worm_model.identification.data.identification_errors import IdentificationError
+from worm_model.errors import IdentificationError
 from worm_model.identification.data.observed_run import SAME_PLACE, Recording
 from worm_model.identification.fits.estimate import noise_of
 from worm_model.identification.fits.locomotion import RIDGES, Traverse
