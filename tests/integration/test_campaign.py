@@ -9,6 +9,7 @@ from worm_model.gait import Gait
 from worm_optimizer.operation.campaign_runs import run_gaits
 from worm_optimizer.operation.system import Robot, installed_system_file
 from worm_optimizer.report.agreement import agreements
+from worm_optimizer.report.agreement import orders as orders_of
 from worm_optimizer.report.recordings import read_recorded_gaits
 from worm_optimizer.robot_commands import GaitCommand
 
@@ -33,3 +34,4 @@ def test_each_gait_has_a_recording_of_its_own_that_agrees(ros_domain: int, tmp_p
         assert [row.measured.value for row in agreements(gait)] == pytest.approx(
             [row.expected.value for row in agreements(gait)], rel=0.2
         )
+    assert orders_of(recorded)["speed"][0] is True

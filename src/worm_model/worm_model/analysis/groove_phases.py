@@ -10,10 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.colors import BoundaryNorm
 from matplotlib.figure import Figure
 
 from worm_model.analysis import plot_style
@@ -83,7 +80,7 @@ def phase_map_figure(content: PhaseMap) -> Figure:
     """Return a figure with the map of the grooves per cycle and, next to it, the cliff for each groove phase."""
     figure = plot_style.new_figure(10.5, 4.5)
     left, right = figure.subplots(1, 2, sharey=True, width_ratios=(3, 2))
-    _draw_groove_map(
+    plot_style.draw_groove_map(
         left, plot_style.MM * content.stroke, plot_style.MM * content.phase, content.grooves
     )
     left.set(xlabel="stroke S (mm)", ylabel="groove phase φ (mm)")
@@ -105,19 +102,3 @@ def phase_map_figure(content: PhaseMap) -> Figure:
     right.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), fontsize="small", frameon=False)
     plot_style.letter((left, right))
     return figure
-
-
-def _draw_groove_map(axes: Axes, x: Array, y: Array, grooves: Array) -> None:
-    """Draw a map of the grooves per cycle (m, n) with the axes ``x`` (n,) and ``y`` (m,), and a colour bar."""
-    count = max(int(grooves.max()), 1) + 1
-    image = axes.pcolormesh(
-        x,
-        y,
-        grooves,
-        cmap=mpl.colormaps["cividis"].resampled(count),
-        norm=BoundaryNorm(np.arange(-0.5, count), count),
-        shading="nearest",
-        rasterized=True,
-    )
-    figure = axes.figure
-    figure.colorbar(image, ax=axes, ticks=np.arange(count), label="grooves per cycle", pad=0.02)

@@ -30,15 +30,6 @@ from worm_model.bags.recording.run_manifest import (
 from worm_model.bags.run_reader import clock_offset, read_run
 from worm_model.bags.worm_topics import REPLAY_INPUTS
 from worm_model.commands import bag_columns
-from worm_model.commands.bag_columns import (
-    CLOSED,
-    DAMAGED,
-    MISSING,
-    NO_RUN,
-    OPEN,
-    STATE,
-    UNREADABLE,
-)
 from worm_model.errors import InputError, RecordingError
 from worm_model.margin.half_cycles import Fin
 from worm_model.margin.measured_margin import measure_cycles
@@ -63,23 +54,35 @@ def rows_of_bag(path: Path, parameters: str) -> list[dict[str, Any]]:
                 file.open("rb").close()
         if is_unclosed(path):
             text = f"it is being recorded, or its recorder was killed: {_SAVE}"
-            return [{STATE: OPEN, "notes": text}]
+            return [{bag_columns.STATE: bag_columns.OPEN, "notes": text}]
     remarks: list[str] = []
     with open_bag(path, remarks.append) as bag:
         if bag.damage:
-            return [{STATE: DAMAGED, "notes": f"{'; '.join(bag.damage)}: {_SAVE}"}]
+            return [
+                {
+                    bag_columns.STATE: bag_columns.DAMAGED,
+                    "notes": f"{'; '.join(bag.damage)}: {_SAVE}",
+                }
+            ]
         try:
             rows = _rows_of_runs(bag, parameters, remarks)
         except NoRunError as error:
             rows = []
             remarks.insert(0, str(error))
         except BagError as error:
-            return [{STATE: CLOSED, "notes": str(error)}]
+            return [{bag_columns.STATE: bag_columns.CLOSED, "notes": str(error)}]
         if rows:
-            return [{STATE: CLOSED, **row} for row in rows]
+            return [{bag_columns.STATE: bag_columns.CLOSED, **row} for row in rows]
         start = utc_of(bag.start) if bag.message_count else None
         notes = "; ".join(remarks)
-        return [{STATE: NO_RUN, "start": start, "duration_s": bag.duration_s, "notes": notes}]
+        return [
+            {
+                bag_columns.STATE: bag_columns.NO_RUN,
+                "start": start,
+                "duration_s": bag.duration_s,
+                "notes": notes,
+            }
+        ]
 
 
 def _rows_of_runs(bag: Bag, parameters: str, remarks: list[str]) -> list[dict[str, Any]]:
@@ -278,7 +281,11 @@ def _known(index: Path) -> dict[str, Any]:
 
 def _store(index: Path, content: dict[str, Any]) -> None:
     """Write the index without the unreadable bags. The next call reads them again, and all bags if writing fails."""
-    content = {key: entry for key, entry in content.items() if entry[1][0][STATE] != UNREADABLE}
+    content = {
+        key: entry
+        for key, entry in content.items()
+        if entry[1][0][bag_columns.STATE] != bag_columns.UNREADABLE
+    }
     with suppress(OSError):
         index.parent.mkdir(parents=True, exist_ok=True)
         part = index.with_name(f"{index.name}.{os.getpid()}")
@@ -292,16 +299,16 @@ def _read(bag: Path, parameters: str) -> list[Row]:
     try:
         rows = rows_of_bag(bag, parameters)
     except OSError as error:
-        rows = [{STATE: UNREADABLE, "notes": str(error)}]
+        rows = [{bag_columns.STATE: bag_columns.UNREADABLE, "notes": str(error)}]
     except InputError as error:
-        rows = [{STATE: DAMAGED, "notes": str(error)}]
+        rows = [{bag_columns.STATE: bag_columns.DAMAGED, "notes": str(error)}]
     return [{**empty, **row, "notes": " ".join(row["notes"].split())} for row in rows]
 
 
 def _without_empty(lines: Sequence[Sequence[str]]) -> list[list[str]]:
     """Return a table without empty columns, such as the conditions on level ground."""
     columns = zip(*lines, strict=True)
-    filled = [column for column in columns if set(column[1:]) - {"", MISSING}]
+    filled = [column for column in columns if set(column[1:]) - {"", bag_columns.MISSING}]
     return [list(row) for row in zip(*filled, strict=True)]
 
 
@@ -312,8 +319,10 @@ def describe(rows: Sequence[Row], folder: Path) -> str:
     notes = []
     for row in rows:
         name = name_below(folder, Path(row["bag"]))
-        values = {**row, "health": row["health"] or row[STATE]}
-        cells = (MISSING if values[c.key] is None else c.text(values[c.key]) for c in shown)
+        values = {**row, "health": row["health"] or row[bag_columns.STATE]}
+        cells = (
+            bag_columns.MISSING if values[c.key] is None else c.text(values[c.key]) for c in shown
+        )
         lines.append([name, *cells])
         if row["notes"]:
             notes.append(f"{name}: {row['notes']}")

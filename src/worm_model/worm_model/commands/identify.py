@@ -17,6 +17,11 @@ from worm_model.commands.command_line import (
     print_result,
 )
 from worm_model.parameters import (
+    FORM,
+    KEYS,
+    MADE_BY,
+    PAPER,
+    UNITS,
     ParameterFile,
     load_parameter_file,
     write_parameter_file,
@@ -67,6 +72,11 @@ def _parser() -> Parser:
         "--seed", type=int, default=0, metavar="N", help="seed of the bootstrap (default 0)"
     )
     parser.add_argument(
+        "--literal",
+        action="store_true",
+        help="for comparison, run the paper's procedure: its cost functions, no nuisance parameters, no intervals",
+    )
+    parser.add_argument(
         "--one-sided-cable",
         action="store_true",
         help="fit the power model of a cable that cannot push, and store this choice in the parameter file; default: "
@@ -109,6 +119,42 @@ def _given(options: argparse.Namespace, inputs: Inputs) -> ReferenceValues:
     return reference_by_file(ParameterFile(), "the paper")
 
 
+def _literal(options: argparse.Namespace, inputs: Inputs, output: Path | None) -> None:
+    """Run the paper's procedure; see `worm_model.identification.paper_procedure`."""
+    from worm_model.identification.paper_procedure import literal
+
+    if options.report or options.validation:
+        raise InputError(
+            "--literal supports neither report nor validation; remove --report and --validation"
+        )
+    if options.one_sided_cable:
+        raise InputError(
+            "--literal uses the paper's power model; remove --one-sided-cable or --literal"
+        )
+    reference = _reference(options, inputs)
+    parameters, costs = literal(
+        inputs, reference.parameters, StageProgress(), SIDES.get(options.fin_engages, 0)
+    )
+    if output is not None:
+        provenance = {"made_by": f"{MADE_BY} --literal", FORM: False, "given": reference.source}
+        write_parameter_file(output, ParameterFile(parameters, {}, provenance))
+    unknown = {"low": None, "high": None, "identifiable": True}
+    values = {key: getattr(parameters, key) for key in KEYS}
+    content = {
+        "parameters": {key: {"value": value, **unknown} for key, value in values.items()},
+        FORM: False,
+        "costs": costs,
+    }
+    lines = [
+        f"{key:22} {value:12.6g} {UNITS[key]:6}  (paper: {getattr(PAPER, key):g})"
+        for key, value in values.items()
+    ]
+    lines += [f"{name:22} {cost:12.6g}" for name, cost in costs.items()]
+    for remark in inputs.remarks:
+        sys.stderr.write(f"{remark}\n")
+    print_result(options, content, "\n".join(lines))
+
+
 def _describe(result: Identification, advice: str) -> str:
     from worm_model.identification.report.identification_report import (
         error_table,
@@ -149,6 +195,9 @@ def _run(options: argparse.Namespace) -> None:
     reporter = StageProgress()
     logs = LabSettings(onset=options.onset, spool_radius=options.spool_radius)
     inputs = read_inputs(options.runs, options.bellows, options.fin, options.definitions, logs)
+    if options.literal:
+        _literal(options, inputs, output)
+        return
     result = identify(
         inputs,
         _reference(options, inputs),

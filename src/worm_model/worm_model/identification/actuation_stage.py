@@ -23,14 +23,11 @@ from worm_model.identification.fits.block_least_squares import (
 )
 from worm_model.identification.fits.estimate import (
     Estimate,
-    correlation,
-    estimates,
     if_identifiable,
     not_identifiable,
     quantile,
-    refitted,
-    unit_weights,
 )
+from worm_model.identification.fits.resampling import correlation, estimates, refitted, unit_weights
 from worm_model.parameters import PAPER
 
 USUAL = (PAPER.slack, PAPER.gain, PAPER.time_constant)  # usual values, see `if_identifiable`

@@ -22,17 +22,9 @@ from worm_model.identification.fits.block_least_squares import (
     own_deviations,
     solve,
 )
-from worm_model.identification.fits.estimate import (
-    VAGUE,
-    Estimate,
-    correlation,
-    estimates,
-    not_identifiable,
-    quantile,
-    refitted,
-    unit_weights,
-)
+from worm_model.identification.fits.estimate import VAGUE, Estimate, not_identifiable, quantile
 from worm_model.identification.fits.locomotion import Traverse
+from worm_model.identification.fits.resampling import correlation, estimates, refitted, unit_weights
 from worm_model.identification.locomotion_stage import LocomotionResult, holding_forces
 from worm_model.identification.reference_values import ReferenceValues
 from worm_model.parameters import Parameters

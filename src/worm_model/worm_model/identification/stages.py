@@ -19,12 +19,7 @@ from worm_model.identification.fin import FinFit, fit_fin
 from worm_model.identification.fit_verdict import FitVerdict, judge_fit
 from worm_model.identification.fits.actuation_fit import KEYS as ACTUATION
 from worm_model.identification.fits.energy import PowerRun, power_run
-from worm_model.identification.fits.estimate import (
-    Estimate,
-    admissible,
-    not_identifiable,
-    quantile,
-)
+from worm_model.identification.fits.estimate import Estimate, admissible, not_identifiable, quantile
 from worm_model.identification.fits.locomotion import Known
 from worm_model.identification.fits.run_prediction import Errors
 from worm_model.identification.held_out import compared_margin, leave_one_out, run_errors

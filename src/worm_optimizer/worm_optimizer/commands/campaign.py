@@ -45,6 +45,8 @@ if TYPE_CHECKING:
     from worm_optimizer.report.recorded_gait import RecordedGait
 
 _MODES = ("virtual", "robot")
+_GAITS = 3  # gaits of a plan without comparisons; with more runs than this, the spread is drawn
+SPREAD_FIGURE = "spread.png"
 SAME_PLACE = "Put the robot where the first run began: same grooves, fins straight"
 
 
@@ -81,7 +83,8 @@ def _parser() -> Parser:
         type=int,
         default=1,
         metavar="N",
-        help="runs of each gait (default: 1); their spread is printed",
+        help="runs of each gait (default: 1); their spread is printed, and drawn in spread.png if the campaign has "
+        "more than three runs in total",
     )
     add(
         "--with-nominal",
@@ -263,7 +266,7 @@ class _Campaign:
 
     def compare(self, names: Mapping[str, str]) -> None:
         """Write the report on the runs, whose gaits ``names`` contains by run, and print it."""
-        from worm_optimizer.operation.campaign_plan import spread
+        from worm_optimizer.operation.campaign_plan import draw_spread, spread
         from worm_optimizer.operation.campaign_runs import put_aside
         from worm_optimizer.report.identification_parts import identification_of
         from worm_optimizer.report.recordings import read_recorded_gaits
@@ -285,6 +288,8 @@ class _Campaign:
         ]
         put_aside(self._folder / "report", self._say)
         page = build_report(report, self._folder / "report")
+        if len(recorded) > _GAITS:
+            draw_spread(self._folder / SPREAD_FIGURE, spreads)
         self._print(recorded, spreads, page)
 
     def _print(self, gaits: Sequence[RecordedGait], spreads: Sequence[Spread], page: Path) -> None:

@@ -153,9 +153,10 @@ def _optimize(options: argparse.Namespace) -> None:
         front = replaced(front, comparison.front)
     if figure is not None:
         from worm_model.analysis.plot_style import save_figure  # here: matplotlib loads slowly
-        from worm_optimizer.report.front_plots import front_figure
+        from worm_optimizer.report.front_plots import front_and_map_figure, front_figure
 
-        save_figure(front_figure(front, front.three), figure)
+        draw = front_figure if settings.waveform is Waveform.SHAPED else front_and_map_figure
+        save_figure(draw(front, front.three), figure)
     limits = {
         name: value for name, value in asdict(settings.limits).items() if math.isfinite(value)
     }

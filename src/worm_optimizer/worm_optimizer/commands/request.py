@@ -7,7 +7,6 @@ import argparse
 from dataclasses import asdict
 
 from worm_model.commands.command_line import (
-    InputError,
     Parser,
     elapsed,
     executable,
@@ -15,6 +14,7 @@ from worm_model.commands.command_line import (
     number,
     print_result,
 )
+from worm_model.errors import InputError
 from worm_model.parameters import load_parameter_file
 from worm_optimizer.commands.search_options import (
     add_front_options,

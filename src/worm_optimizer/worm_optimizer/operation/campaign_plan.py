@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from worm_model.analysis.plot_style import BLUE, VERMILION, finish, new_figure, save_figure
 from worm_model.commands.command_line import finite
 from worm_model.errors import InputError
 from worm_model.gait import named_values
@@ -19,6 +20,7 @@ from worm_model.text_table import text_table
 from worm_msgs.conditions import LEVEL
 from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.report.agreement import (
+    COMPARED,
     LEVEL_GROUND,
     NOMINAL,
     QUANTITIES,
@@ -36,6 +38,7 @@ from worm_optimizer.search.front import (
 )
 from worm_optimizer.search.search_settings import Settings, Waveform
 
+_WIDTH = 0.3  # half the length of a prediction's line; neighbouring gaits are 1 apart
 PROMISES = "promised.json"  # name of the file with the predictions of a campaign
 
 
@@ -135,6 +138,8 @@ class Spread:
         kept: number of repeats that gained the predicted grooves in every averaged cycle.
         means: mean of each quantity, by name, SI units.
         deviations: standard deviation of each quantity, by name, SI units; NaN for a single repeat.
+        speeds: speed of each repeat, m/s.
+        promised_speed: predicted speed with the margin, m/s.
     """
 
     name: str
@@ -143,6 +148,8 @@ class Spread:
     kept: int
     means: Mapping[str, float]
     deviations: Mapping[str, float]
+    speeds: tuple[float, ...]
+    promised_speed: float
 
 
 def run_names(gaits: Sequence[str], repeats: int) -> dict[str, str]:
@@ -180,6 +187,8 @@ def spread(name: str, promise: Prediction, runs: Sequence[RecordedGait]) -> Spre
             quantity: float(np.std(measured, ddof=1)) if len(runs) > 1 else math.nan
             for quantity, measured in values.items()
         },
+        speeds=tuple(values["speed"].tolist()),
+        promised_speed=promise.speed,
     )
 
 
@@ -197,3 +206,25 @@ def spread_table(spreads: Sequence[Spread]) -> str:
         )
         rows.append((title_of(row.name), kept, *cells))
     return text_table(rows)
+
+
+def draw_spread(path: Path, spreads: Sequence[Spread]) -> None:
+    """Write the figure of the speeds: a dot for each repeat, and a line for the prediction with the margin."""
+    figure = new_figure(1.6 + 1.3 * len(spreads), 3.6)
+    axes = figure.add_subplot()
+    for place, row in enumerate(spreads):
+        color = VERMILION if row.name.startswith(tuple(COMPARED)) else BLUE
+        aside = np.linspace(-_WIDTH / 2, _WIDTH / 2, row.repeats) if row.repeats > 1 else [0.0]
+        axes.plot(place + np.asarray(aside), 1e3 * np.array(row.speeds), "o", color=color)
+        level = 1e3 * row.promised_speed
+        axes.plot([place - _WIDTH, place + _WIDTH], [level, level], color="black", linewidth=1.2)
+    axes.set_xticks(
+        range(len(spreads)),
+        [
+            f"{title_of(row.name).replace(', ', chr(10))}\n{row.kept} of {row.repeats} as predicted"
+            for row in spreads
+        ],
+    )
+    axes.set_ylim(bottom=0.0)
+    finish(axes, "speed (mm/s)", "line: prediction with the margin; dot: one run")
+    save_figure(figure, path)

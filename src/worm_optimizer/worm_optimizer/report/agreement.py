@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Comparison of measured with expected values."""
+"""Comparison of measured with expected values, and of the measured with the expected order of the gaits."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -199,6 +199,37 @@ def grooves_of(gait: RecordedGait) -> Grooves | None:
     return Grooves(expected.grooves, measured, expected.cycles)
 
 
+def orders(gaits: Sequence[RecordedGait]) -> dict[str, tuple[bool | None, str]]:
+    """Return whether the measured order of the gaits is the expected one, by quantity, and this as text.
+
+    None means that a value is missing or that two values are equal. With fewer than two gaits, the result is empty.
+    """
+    return {name: _order(gaits, name) for name in QUANTITIES} if len(gaits) > 1 else {}
+
+
+def _order(gaits: Sequence[RecordedGait], quantity: str) -> tuple[bool | None, str]:
+    expected = _rising({g.name: getattr(g.expected.bands, quantity).value for g in gaits})
+    steady = {g.name: getattr(g.measured, quantity).value for g in gaits if g.is_steady}
+    measured = _rising(steady) if len(steady) == len(gaits) else ""
+    name = f"order by {QUANTITIES[quantity].name}"
+    if not expected:
+        return None, f"{name}: unknown, an expected value is missing or two are equal"
+    if not measured:
+        text = "unknown, a measured value is missing or two are equal"
+        return None, f"{name}: {text} (expected {expected})"
+    if measured == expected:
+        return True, f"{name}: preserved, {expected}"
+    return False, f"{name}: not preserved; expected {expected}, measured {measured}"
+
+
+def _rising(values: Mapping[str, float]) -> str:
+    """Return the titles of the gaits by rising value; empty if a value is NaN or if two values are equal."""
+    different = set(values.values())
+    if len(different) < len(values) or any(map(math.isnan, different)):
+        return ""
+    return " < ".join(map(title_of, sorted(values, key=values.__getitem__)))
+
+
 def headline(gaits: Sequence[RecordedGait]) -> str:
     """Return the gaits that ended early, and the verdict on all gaits, as text."""
     rows = [row for gait in gaits for row in agreements(gait)]
@@ -225,7 +256,7 @@ def headline(gaits: Sequence[RecordedGait]) -> str:
 
 
 def describe(gaits: Sequence[RecordedGait]) -> str:
-    """Return a table for a terminal: each measured value with its expected 95 % interval, then the margins."""
+    """Return a table for a terminal: each measured value with its expected 95 % interval, then the orders."""
     heads = ("gait", "", "measured", "expected", "95 % interval", "difference", "verdict")
     rows = [heads, *(_row(row) for gait in gaits for row in agreements(gait))]
     lines = [f"{gait.name}: {gait.early_end}" for gait in gaits if gait.early_end]
@@ -234,6 +265,7 @@ def describe(gaits: Sequence[RecordedGait]) -> str:
     lines += ["", f"expected without the margin, at a groove phase of {', '.join(phases)}"]
     lines += {f"intervals at 95 %: {gait.expected.condition}": None for gait in gaits}
     lines += [f"{gait.name}: {margin_text(gait)}" for gait in gaits]
+    lines += [text for _, text in orders(gaits).values()]
     lines += [f"{gait.name}: {reason}" for gait in gaits for reason in gait.missing]
     return "\n".join(lines)
 
@@ -290,6 +322,7 @@ def agreement_json(gaits: Sequence[RecordedGait]) -> dict[str, Any]:
             }
             for gait in gaits
         ],
+        "order_preserved": {name: preserved for name, (preserved, _) in orders(gaits).items()},
     }
 
 

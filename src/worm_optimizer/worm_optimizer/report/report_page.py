@@ -113,6 +113,7 @@ def build_report(report: Report, folder: Path) -> Path:
         "quantities": agreement.QUANTITIES,
         "agreements": [row for gait in report.gaits for row in agreement.agreements(gait)],
         "cap": agreement.LEAST_DISAGREEMENT,
+        "orders": list(agreement.orders(report.gaits).values()),
         "failures": list(_failures(report.gaits)),
         "overlay": _overlay(report.gaits, pictures),
         "front": _front_pictures(report, pictures),
@@ -159,7 +160,7 @@ def _span_of_dates(text: str) -> str:
 
 
 def _failures(gaits: Sequence[RecordedGait]) -> Iterator[str]:
-    """Yield a line for each early end, disagreeing value, missing value, and error."""
+    """Yield a line for each early end, disagreeing value, changed order of the gaits, missing value, and error."""
     for gait in gaits:
         if gait.early_end:
             yield f"{agreement.title_of(gait.name)}: {gait.early_end}"
@@ -168,6 +169,7 @@ def _failures(gaits: Sequence[RecordedGait]) -> Iterator[str]:
             name = agreement.QUANTITIES[row.quantity].name
             difference = agreement.percent(row.difference)
             yield f"{agreement.title_of(row.gait)}: {name} differs from the expected value by {difference}"
+    yield from (text for same, text in agreement.orders(gaits).values() if same is False)
     for gait in gaits:
         yield from (f"{agreement.title_of(gait.name)}: {reason}" for reason in gait.missing)
         for event in gait.events:

@@ -9,7 +9,7 @@ import pytest
 from worm_model.identification.fits.locomotion import RIDGES
 from worm_model.parameters import PAPER
 from worm_model.simulation.simulator import evaluate_gait
-from worm_optimizer.operation.campaign_plan import run_names, spread, spread_table
+from worm_optimizer.operation.campaign_plan import draw_spread, run_names, spread, spread_table
 from worm_optimizer.operation.identification_runs import identification_orders
 from worm_optimizer.report.expectation import Band, Bands
 
@@ -28,7 +28,7 @@ def run(grooves: float, poorest: float):
     )
 
 
-PROMISE = SimpleNamespace(grooves_per_cycle=2.01)
+PROMISE = SimpleNamespace(grooves_per_cycle=2.01, speed=2 * PAPER.pitch * FREQUENCY)
 
 
 def test_a_promise_is_kept_where_every_averaged_cycle_gains_its_grooves():
@@ -51,11 +51,13 @@ def test_every_planned_gait_passes_the_ridges_in_its_cycles_at_three_frequencies
         assert reached > 1.3 * order.distance
 
 
-def test_the_table_names_robust_and_nominal_gaits():
+def test_the_table_and_the_figure_name_robust_and_nominal_gaits(tmp_path):
     rows = [spread(name, PROMISE, [run(2.0, 2.0)] * 2) for name in ("cruise", "nominal_cruise")]
     text = spread_table(rows)
     assert "2 of 2 (2 a cycle)" in text
     assert "cruising, nominal" in text
+    draw_spread(tmp_path / "spread.png", rows)
+    assert (tmp_path / "spread.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_repeats_of_one_gait_do_not_follow_each_other():

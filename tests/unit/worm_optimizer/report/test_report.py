@@ -244,6 +244,20 @@ def test_intervals_hold_the_prediction_and_are_the_same_each_time():
 # --- several gaits --------------------------------------------------------------------------------
 
 
+def test_order_is_preserved_or_not_or_uncertain(gait: RecordedGait):
+    slow, fast = with_speed(gait, "slow", 1.0, 1.1), with_speed(gait, "fast", 2.0, 1.9)
+    assert agreement.orders([gait]) == {}
+    assert agreement.orders([fast, slow])["speed"][0] is True
+    assert agreement.orders([slow, with_speed(gait, "fast", 0.5, 1.9)])["speed"][0] is False
+    for measured, expected in ((math.nan, 1.9), (2.0, math.nan), (1.0, 1.9), (2.0, 1.1)):
+        other = with_speed(gait, "fast", measured, expected)
+        for pair in ([slow, other], [other, slow]):
+            preserved, text = agreement.orders(pair)["speed"]
+            assert preserved is None
+            assert agreement.agreement_json(pair)["order_preserved"]["speed"] is None
+            assert "unknown" in text
+
+
 def test_nothing_that_is_twenty_percent_off_agrees():
     """Regardless of the width of the interval."""
     for measured, agrees in ((1.0, True), (1.19, True), (1.21, False), (0.79, False)):

@@ -1,15 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Estimates with 95 % intervals: profile likelihood, bootstrap, and robust statistics of residuals.
-
-The bootstrap over runs is for the stages with a continuous cost (actuation and energy). Runs get random exponential
-weights (Bayesian bootstrap), so that every refit contains all frequencies. With few runs, the spread of the refits is
-too small by a known factor, and the spread itself is uncertain. Both effects are corrected as for the mean of an equal
-number of normally distributed values.
-"""
+"""Estimates with 95 % intervals, profile likelihood, and robust statistics of residuals."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -127,50 +121,6 @@ def follow_profile(
         if not low < offset < high:
             offset = 0.5 * (low + min(high, reach))
     return best + float(np.copysign(high, guess))
-
-
-REFITS = 120  # number of refits of a bootstrap
-
-
-def unit_weights(random: np.random.Generator, units: int) -> Array:
-    """Return random weights with mean 1 in every row, shape (REFITS, units)."""
-    weights = random.exponential(size=(REFITS, units))
-    return weights / weights.mean(axis=1, keepdims=True)
-
-
-def refitted(refit: Callable[[int], Array]) -> Array:
-    """Return the results of all refits in order, shape (REFITS, ...)."""
-    return np.array([refit(index) for index in range(REFITS)])
-
-
-def spread_factor(units: int) -> float:
-    """Return the ratio of a 95 % half-width to the standard deviation of the refits.
-
-    ``units`` is the number of runs or cycles that the bootstrap draws.
-    """
-    if units < 2:
-        return np.inf
-    return float(np.sqrt((units + 1) / (units - 1))) * quantile(units - 1)
-
-
-def estimates(values: Array, refits: Array, units: int | Sequence[int]) -> list[Estimate]:
-    """Return an estimate for each entry of ``values`` (k,) from its ``refits`` (REFITS, k).
-
-    ``units`` is the number of runs or cycles with information about each entry; a single number applies to all entries.
-    """
-    factors = [spread_factor(number) for number in np.broadcast_to(units, values.shape)]
-    half = factors * np.maximum(refits.std(axis=0), np.finfo(float).tiny)
-    return [
-        Estimate(float(v), float(v - h), float(v + h)) for v, h in zip(values, half, strict=True)
-    ]
-
-
-def correlation(refits: Array) -> Array:
-    """Return the correlation matrix (k, k) of the refits."""
-    deviation = refits.std(axis=0)
-    unit = np.where(deviation > 0.0, deviation, np.inf)  # constant entries have zero correlation
-    centred = (refits - refits.mean(axis=0)) / unit
-    return np.asarray(centred.T @ centred / refits.shape[0])
 
 
 # Ratio of the standard deviation to the median absolute deviation of a normal distribution
