@@ -387,7 +387,7 @@ def waveforms_picture() -> Figure:
     figure = new_figure(WIDTH, 4.8)
     panels = figure.subplots(2, 2, sharex="col", sharey="row")
     for (above, below), name in zip(panels.T, ("sinusoid", "shaped"), strict=True):
-        cruise = _front(name, 0.0).cruise
+        cruise = _front(name, 0.0).three["cruise"]
         run = simulated_run(cruise.gait, p, 3, 200.0)
         cycle = run.time >= 2.0 * cruise.period
         time = run.time[cycle] - 2.0 * cruise.period

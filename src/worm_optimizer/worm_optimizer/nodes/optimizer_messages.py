@@ -16,10 +16,11 @@ from worm_optimizer.search.front import RobustFront, price_warning
 from worm_optimizer.search.gait_request import GaitAnswer, RequestStatus
 from worm_optimizer.search.price_of_robustness import CLIFF_RULE, PriceOfRobustness
 from worm_optimizer.search.search_settings import (
+    Robustness,
     ScanSettings,
     Settings,
-    robustness_of,
-    waveform_of,
+    Waveform,
+    choice_of,
 )
 
 
@@ -65,8 +66,8 @@ def settings_of_goal(base: Settings, goal: OptimizeGaits.Goal) -> Settings:
         seed=int(goal.seed),
         margin=None if math.isnan(goal.margin) else goal.margin,
         margin_force=goal.margin_force or None,
-        waveform=waveform_of(goal.waveform) if goal.waveform else base.waveform,
-        robustness=robustness_of(goal.robustness) if goal.robustness else base.robustness,
+        waveform=choice_of(Waveform, goal.waveform) if goal.waveform else base.waveform,
+        robustness=choice_of(Robustness, goal.robustness) if goal.robustness else base.robustness,
         probability=goal.probability or base.probability,
     )
 

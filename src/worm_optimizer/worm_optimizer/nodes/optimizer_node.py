@@ -270,7 +270,7 @@ class OptimizerNode(Node):
                 self._resting.pop(next(iter(self._resting)))
             resting = self._computed(make_front, content, settings, front.direction)
             if settings.robustness is Robustness.MARGIN:
-                phase = 1e3 * front.cruise.groove_phase
+                phase = 1e3 * front.three["cruise"].groove_phase
                 reason = f"as at groove phase {phase:.1f} mm: {front.reason}"
                 resting = dataclasses.replace(resting, reason=reason)
             self._resting[key] = resting

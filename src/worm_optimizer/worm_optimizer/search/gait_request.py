@@ -123,10 +123,10 @@ def select(front: RobustFront, request: GaitRequest) -> GaitAnswer:
     match request.objective:
         case Objective.MIN_POWER_AT_SPEED:
             found = front.exact.cheapest(at_speed(request.value))
-            nearest = _too_fast(request.value, front.max_speed)
+            nearest = _too_fast(request.value, front.three["max_speed"])
         case Objective.MAX_SPEED_AT_POWER:
             found = front.exact.cheapest(at_power(request.value))
-            nearest = _too_little(request.value, front.min_power)
+            nearest = _too_little(request.value, front.three["min_power"])
         case Objective.MIN_POWER | Objective.CRUISE | Objective.MAX_SPEED:
             return GaitAnswer(
                 RequestStatus.DONE, prediction=front.three[request.objective.name.lower()]

@@ -7,7 +7,7 @@ import enum
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from worm_msgs.gait import (
     RAMP_SHARE_RANGE,
 )
 from worm_msgs.parameter_rows import ParameterRow
+from worm_msgs.settings_file import key
 from worm_optimizer.evaluation.actuator_limits import ActuatorLimits
 from worm_optimizer.evaluation.servo_limits import servo_models, within
 from worm_optimizer.evaluation.task import Array, Bounds
@@ -37,9 +38,9 @@ PARAMETER_FILE = "parameter_file"
 class ScanSettings:
     """Margins of a margin scan: from ``lowest`` to ``highest`` in steps of ``step``, all in m."""
 
-    lowest: float = 0.0
-    highest: float = 8e-3
-    step: float = 1e-4
+    lowest: Annotated[float, key("lowest_m")] = 0.0
+    highest: Annotated[float, key("highest_m")] = 8e-3
+    step: Annotated[float, key("step_m")] = 1e-4
 
     def __post_init__(self) -> None:
         if not (0.0 <= self.lowest < self.highest <= MAX_MARGIN and self.step > 0.0):
@@ -92,22 +93,17 @@ class Waveform(enum.StrEnum):
     SHAPED = "shaped"  # any pretension, contraction share, profile and ramp share within bounds
 
 
-def waveform_of(name: str) -> Waveform:
-    """Return the waveform with a name. Raises `InputError`, with the known names, if the name is unknown."""
-    try:
-        return Waveform(name)
-    except ValueError:
-        known = ", ".join(each.value for each in Waveform)
-        raise InputError(f"waveform: {name!r} is none of {known}") from None
+_Choice = TypeVar("_Choice", Robustness, Waveform)
 
 
-def robustness_of(name: str) -> Robustness:
-    """Return the criterion with a name. Raises `InputError`, with the known names, if the name is unknown."""
+def choice_of(kind: type[_Choice], name: str) -> _Choice:
+    """Return the member of an enumeration with a name. Raises `InputError`, with the known names, if there is none."""
     try:
-        return Robustness(name)
+        return kind(name)
     except ValueError:
-        known = ", ".join(each.value for each in Robustness)
-        raise InputError(f"robustness: {name!r} is none of {known}") from None
+        raise InputError(
+            f"{kind.__name__.lower()}: {name!r} is none of {', '.join(kind)}"
+        ) from None
 
 
 @dataclass(frozen=True)
@@ -313,13 +309,13 @@ def settings_of(values: Mapping[str, Any]) -> Settings:
         bounds=bounds,
         limits=limits,
         scan=ScanSettings(value["scan_lowest_m"], value["scan_highest_m"], value["scan_step_m"]),
-        robustness=robustness_of(value["robustness"]),
+        robustness=choice_of(Robustness, value["robustness"]),
         probability=value["probability"],
         margin=None if math.isnan(value["margin_m"]) else value["margin_m"],
         samples=value["samples"],
         seed=value["seed"],
         conditions=Conditions(**{name: value[name] for name in CONDITION_ROWS}),
-        waveform=waveform_of(value["waveform"]),
+        waveform=choice_of(Waveform, value["waveform"]),
         shapes=ShapeBounds(
             *(
                 (value[f"{name}_low{unit}"], value[f"{name}_high{unit}"])

@@ -99,9 +99,9 @@ def test_the_result_of_an_optimisation():
     assert message.margin == 0.0034
     assert [gait.speed for gait in message.front] == [gait.speed for gait in front.gaits]
     assert math.isnan(message.front[0].success_probability)
-    assert message.min_power.power == front.min_power.power
-    assert message.cruise.success_probability == front.cruise.success_probability
-    assert message.max_speed.power == front.max_speed.power
+    assert message.min_power.power == front.three["min_power"].power
+    assert message.cruise.success_probability == front.three["cruise"].success_probability
+    assert message.max_speed.power == front.three["max_speed"].power
 
 
 def test_the_result_of_a_scan():

@@ -33,8 +33,8 @@ def test_the_margin_is_the_last_of_the_scan_before_the_cliff():
 
 def test_a_given_gait_has_the_prediction_of_the_front_that_it_was_taken_from():
     front = small_front(2e-3)
-    prediction, warning = given_gait(front.cruise.gait, FILE, front.settings)
-    assert prediction == front.cruise
+    prediction, warning = given_gait(front.three["cruise"].gait, FILE, front.settings)
+    assert prediction == front.three["cruise"]
     assert f"{prediction.success_probability:.2f}" in warning
     with pytest.raises(GaitError):
         given_gait(Gait(0.5, 0.2), FILE, QUICK)
@@ -57,7 +57,7 @@ def test_a_prediction_is_the_simulators():
 
 def test_past_the_cliff_the_robust_prediction_is_half_of_the_nominal_one():
     """model_notes.md, 14: both are predicted, so that the difference is visible."""
-    fastest = small_front(5e-3).max_speed
+    fastest = small_front(5e-3).three["max_speed"]
     assert fastest.nominal_grooves_per_cycle == pytest.approx(2.0, abs=1e-3)
     assert fastest.grooves_per_cycle == pytest.approx(1.0, abs=1e-3)
 
@@ -68,8 +68,8 @@ def test_the_front_is_that_of_its_direction(direction):
     front = make_front(file, dataclasses.replace(QUICK, margin=2e-3), direction)
     assert front.direction == direction
     assert {gait.direction for gait in front.gaits} == {direction}
-    assert front.cruise.power == pytest.approx(
-        evaluate_gait(front.cruise.gait, file.parameters).power
+    assert front.three["cruise"].power == pytest.approx(
+        evaluate_gait(front.three["cruise"].gait, file.parameters).power
     )
 
 

@@ -18,7 +18,7 @@ from worm_optimizer.search import gait_request
 from worm_optimizer.search.front import make_front
 
 FRONT = small_front()
-SLOWEST, FASTEST = FRONT.min_power, FRONT.max_speed
+SLOWEST, FASTEST = FRONT.three["min_power"], FRONT.three["max_speed"]
 
 
 def at_speed(speed: float):
@@ -107,7 +107,7 @@ def test_the_reverse_front_answers_in_its_direction():
         small_front(3.4e-3, -1), gait_request.GaitRequest(gait_request.Objective.CRUISE)
     ).prediction
     assert gait.direction == -1
-    assert gait.power == pytest.approx(FRONT.cruise.power, rel=1e-6)
+    assert gait.power == pytest.approx(FRONT.three["cruise"].power, rel=1e-6)
     assert np.sign(gait.speed) == 1.0
 
 
@@ -121,7 +121,7 @@ SETTINGS = dataclasses.replace(QUICK, margin=0.002)
 def test_the_gait_gains_with_its_margin_what_is_promised_at_the_phase_of_the_robot(shift):
     length = PAPER.initial_length + shift
     here = gait_request.resting_content(CONTENT, length)
-    gait = make_front(here, SETTINGS, 1).cruise
+    gait = make_front(here, SETTINGS, 1).three["cruise"]
     resting = evaluate_gait(gait.gait, PAPER.replace(initial_length=length))
     assert gait.margin == 0.002
     assert gait.speed == pytest.approx(resting.speed, rel=1e-12)

@@ -68,7 +68,7 @@ def test_conditions_of_the_settings_load_the_robot():
     weight = PAPER.rear_mass * 9.80665 * math.sin(math.radians(20.0))
     assert front.content.parameters.rear_load == pytest.approx(weight)
     level = make_front(ParameterFile(), dataclasses.replace(QUICK, margin=1e-3), 1)
-    assert front.cruise.cost_of_transport > level.cruise.cost_of_transport
+    assert front.three["cruise"].cost_of_transport > level.three["cruise"].cost_of_transport
 
 
 def test_an_interval_of_a_load_moves_with_the_conditions_and_is_drawn():
