@@ -6,7 +6,6 @@ from __future__ import annotations
 import dataclasses
 import math
 
-from worm_model.errors import InputError
 from worm_msgs.action import OptimizeGaits, ScanMargin
 from worm_msgs.gait import GAIT_UNITS
 from worm_msgs.msg import Gait, GaitPrediction
@@ -70,15 +69,6 @@ def settings_of_goal(base: Settings, goal: OptimizeGaits.Goal) -> Settings:
         robustness=choice_of(Robustness, goal.robustness) if goal.robustness else base.robustness,
         probability=goal.probability or base.probability,
     )
-
-
-def direction_of(value: int) -> int:
-    """Return the direction of a goal. Raises `InputError` if it is neither forward nor reverse."""
-    if value not in (Gait.FORWARD, Gait.REVERSE):
-        raise InputError(
-            f"direction: {value} is neither {Gait.FORWARD} (forward) nor {Gait.REVERSE} (reverse)"
-        )
-    return int(value)
 
 
 def scan_of_goal(base: Settings, goal: ScanMargin.Goal) -> Settings:

@@ -227,8 +227,8 @@ class OptimizerNode(Node):
                 answer = self._prediction(gait_of(request.gait), content)
             else:
                 wanted = gait_request.request_of(request.objective, request.speed, request.power)
-                gait_request.check_direction(request.direction)
-                answer = self._answer(wanted, request.direction, content)
+                direction = gait_request.checked_direction(request.direction)
+                answer = self._answer(wanted, direction, content)
         except (InputError, SimulationError) as error:
             answer = gait_request.GaitAnswer(gait_request.RequestStatus.INVALID, str(error))
         return optimizer_messages.fill_response(response, answer)
@@ -290,7 +290,7 @@ class OptimizerNode(Node):
         def why_not(goal: Any) -> str:
             try:
                 settings_of(self._settings, goal)
-                optimizer_messages.direction_of(goal.direction)
+                gait_request.checked_direction(goal.direction)
             except InputError as error:
                 return str(error)
             return ""
@@ -304,7 +304,7 @@ class OptimizerNode(Node):
         """
         try:
             settings = optimizer_messages.settings_of_goal(self._settings, goal.request)
-            direction = optimizer_messages.direction_of(goal.request.direction)
+            direction = gait_request.checked_direction(goal.request.direction)
             front = self._computed(make_front, self._content, settings, direction)
         except (InputError, SimulationError) as error:
             goal.abort()
@@ -318,7 +318,7 @@ class OptimizerNode(Node):
     def _scan(self, goal: ServerGoalHandle) -> ScanMargin.Result:
         try:
             settings = optimizer_messages.scan_of_goal(self._settings, goal.request)
-            direction = optimizer_messages.direction_of(goal.request.direction)
+            direction = gait_request.checked_direction(goal.request.direction)
             price = self._computed(scanned_price, self._content, settings, direction)
         except (InputError, SimulationError) as error:
             goal.abort()

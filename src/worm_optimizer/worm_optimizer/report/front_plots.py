@@ -17,8 +17,7 @@ from worm_optimizer.gait_prediction import Prediction
 from worm_optimizer.report.agreement import title_of
 from worm_optimizer.report.expectation import Band, Bands
 from worm_optimizer.report.recorded_gait import RecordedGait
-from worm_optimizer.robustness.sensitivity import SYMBOLS, Sensitivity
-from worm_optimizer.robustness.sobol import NO_INDICES
+from worm_optimizer.robustness.sensitivity import NO_INDICES, SYMBOLS, Sensitivity
 from worm_optimizer.search.capability import Capability, LoadPoint
 from worm_optimizer.search.front import RobustFront
 from worm_optimizer.search.price_of_robustness import PriceOfRobustness

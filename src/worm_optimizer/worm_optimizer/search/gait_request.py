@@ -94,12 +94,13 @@ def request_of(objective: int, speed: float, power: float) -> GaitRequest:
     return GaitRequest(known_objective, values.get(known_objective, math.nan))
 
 
-def check_direction(direction: int) -> None:
-    """Raise `InputError` unless the direction is `FORWARD` or `REVERSE`."""
+def checked_direction(direction: int) -> int:
+    """Return a direction. Raises `InputError` if it is neither `FORWARD` nor `REVERSE`."""
     if direction not in (FORWARD, REVERSE):
         raise InputError(
             f"direction: {direction} is neither {FORWARD} (forward) nor {REVERSE} (reverse)"
         )
+    return direction
 
 
 def resting_content(content: ParameterFile, initial_length: float) -> ParameterFile:
