@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 import pytest
 import yaml
 
-from worm_model.identification.report.results import VERSION
+from worm_model.identification.report.identification_report import VERSION
 from worm_msgs.worm_command import is_of_ros
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -150,25 +150,23 @@ def _filled(message: Any, row: Any, names: Sequence[str]) -> Any:
     return message
 
 
+# fields of a prediction that only the optimizer computes
+_OF_OPTIMIZER = (
+    *("stroke_to_lower_edge", "stroke_to_upper_edge"),
+    *("success_probability", "success_probability_any_phase"),
+)
+
+
 def fill_forecast(response: Any, prediction: Forecast) -> Any:
     """Fill the response of PredictGait with a forecast, and return it."""
-    nan = math.nan
+    names = ("speed", "power", "cost_of_transport", "grooves_per_cycle")
     response.success = True
     response.prediction = GaitPrediction(
         gait=GaitMessage(**dataclasses.asdict(prediction.robust.gait)),
-        speed=prediction.robust.speed,
-        power=prediction.robust.power,
-        cost_of_transport=prediction.robust.cost_of_transport,
-        grooves_per_cycle=prediction.robust.grooves_per_cycle,
         groove_phase=prediction.groove_phase,
-        nominal_speed=prediction.nominal.speed,
-        nominal_power=prediction.nominal.power,
-        nominal_cost_of_transport=prediction.nominal.cost_of_transport,
-        nominal_grooves_per_cycle=prediction.nominal.grooves_per_cycle,
-        stroke_to_lower_edge=nan,
-        stroke_to_upper_edge=nan,
-        success_probability=nan,
-        success_probability_any_phase=nan,
+        **{name: getattr(prediction.robust, name) for name in names},
+        **{f"nominal_{name}": getattr(prediction.nominal, name) for name in names},
+        **dict.fromkeys(_OF_OPTIMIZER, math.nan),
     )
     for name in ("time", "rear_position", "front_position", "power"):
         setattr(response, name, getattr(prediction, name).tolist())
