@@ -64,6 +64,8 @@ CONFINED = {
     "sensor_msgs": NODES,
     "diagnostic_msgs": NODES,
     "lifecycle_msgs": NODES,
+    "nav_msgs": NODES,
+    "tf2_msgs": NODES,
     "visualization_msgs": NODES,
     "geometry_msgs": NODES,
     "builtin_interfaces": NODES,
