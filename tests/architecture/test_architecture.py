@@ -48,7 +48,7 @@ SHARED = {
             "robot_parameters",
             "servo_models",
         ),
-        *("parameter_rows", "ros_parameter_file", "settings_file", "yaml_file"),
+        *("network", "parameter_rows", "ros_parameter_file", "settings_file", "yaml_file"),
     )
 }
 PROCESSES = [

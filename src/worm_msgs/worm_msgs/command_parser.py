@@ -30,10 +30,12 @@ def run_command(
     command: Callable[[argparse.Namespace], int | None],
     arguments: list[str] | None = None,
     bad_input: tuple[type[Exception], ...] = (),
+    failures: tuple[type[Exception], ...] = (),
 ) -> int:
     """Parse the arguments, run the command, and return the exit status.
 
-    ``bad_input`` contains exceptions that are bad input in addition to `InputError` and an output file that exists.
+    ``bad_input`` contains exceptions that are bad input in addition to `InputError` and an output file that exists,
+    ``failures`` those that are a failure in addition to OSError.
     """
     rejected: tuple[type[Exception], ...] = (InputError, FileExistsError, *bad_input)
     options = parser.parse_args(arguments)
@@ -46,7 +48,7 @@ def run_command(
     except BrokenPipeError:
         sys.stderr.close()  # The process that reads the output, such as `head`, has ended.
         return FAILED
-    except OSError as error:  # a full disk, no permission
+    except (OSError, *failures) as error:  # a full disk, no permission
         notify(one_line(error))
         return FAILED
     except KeyboardInterrupt:
