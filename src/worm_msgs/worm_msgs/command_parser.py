@@ -38,6 +38,7 @@ def run_command(
     ``failures`` those that are a failure in addition to OSError.
     """
     rejected: tuple[type[Exception], ...] = (InputError, FileExistsError, *bad_input)
+    failed: tuple[type[Exception], ...] = (OSError, *failures)  # a full disk, no permission
     options = parser.parse_args(arguments)
     notify = notifier(parser.prog)
     try:
@@ -48,7 +49,7 @@ def run_command(
     except BrokenPipeError:
         sys.stderr.close()  # The process that reads the output, such as `head`, has ended.
         return FAILED
-    except (OSError, *failures) as error:  # a full disk, no permission
+    except failed as error:
         notify(one_line(error))
         return FAILED
     except KeyboardInterrupt:
