@@ -14,17 +14,17 @@ from worm_model.commands.command_line import (
     Parser,
     executable,
     notifier,
+    number,
     print_result,
 )
-from worm_model.commands.margin import measured_margins
+from worm_model.commands.margin import add_grooves, check_grooves, measured_margins
 from worm_model.gait import named_values
 from worm_model.parameters import load_parameter_file
 from worm_optimizer.commands.search_options import add_limit_options, chosen_settings
-from worm_optimizer.commands.tuning_options import add_aim, check_aim
 
 if TYPE_CHECKING:  # ROS, SciPy and Numba load slowly
     from worm_model.margin.measured_margin import RunMargin
-    from worm_optimizer.operation.tuning_runs import Tuned
+    from worm_optimizer.operation.campaign_runs import Tuned
     from worm_optimizer.robustness.tuning import GaitLimits, Tuning
 
 
@@ -46,6 +46,31 @@ def _parser() -> Parser:
     parser.add_parameters("the file in the bag, else the paper's values")
     parser.add_json()
     return parser
+
+
+PROBABILITY = 0.99  # default
+
+
+def add_aim(parser: Parser) -> None:
+    """Add the probability and the grooves that a tuning is to reach."""
+    parser.add_argument(
+        "--probability",
+        type=number,
+        default=PROBABILITY,
+        metavar="P",
+        help=f"probability that a cycle keeps its grooves (default: {PROBABILITY})",
+    )
+    add_grooves(
+        parser,
+        "the most in any cycle of the runs but their first; of a requested gait, the predicted ones",
+    )
+
+
+def check_aim(options: argparse.Namespace) -> None:
+    """Raise `InputError` if the options of `add_aim` are inadmissible."""
+    if not 0.0 < options.probability < 1.0:
+        raise InputError(f"--probability {options.probability:g}: give a number between 0 and 1")
+    check_grooves(options)
 
 
 @dataclass(frozen=True)

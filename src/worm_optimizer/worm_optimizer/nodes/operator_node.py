@@ -50,9 +50,9 @@ from worm_optimizer.robot_commands import (
     GaitCommand,
     Progress,
     RunResult,
+    Snapshot,
 )
 from worm_optimizer.search.gait_request import GaitRequest, Objective
-from worm_optimizer.snapshot import Snapshot
 
 REQUEST_GAIT = "request_gait"
 DRIVER, TWIN, OPTIMIZER = "driver", "twin", "optimizer"  # names of the nodes in system.yaml

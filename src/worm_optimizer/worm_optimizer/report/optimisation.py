@@ -58,7 +58,7 @@ def optimise(gaits: Sequence[RecordedGait]) -> Optimisation:
     The front has the margin of the gaits. If their margins differ, it has the last margin of the scan before the cliff.
 
     Raises:
-        OptimizerError: No gait moves.
+        InputError: No gait moves.
     """
     content, direction = gaits[0].content, gaits[0].gait.direction
     price = scanned_price(content, Settings(), direction)

@@ -14,8 +14,8 @@ from worm_model.errors import InputError
 from worm_model.gait import Gait
 from worm_model.run import Run, TrackerSamples
 from worm_optimizer.commands.tune import Aim, measured_step
+from worm_optimizer.operation.campaign_runs import MOST_RUNS, TUNING, tune_gait, tune_gaits
 from worm_optimizer.operation.system import Robot, load_system_file
-from worm_optimizer.operation.tuning_runs import MOST_RUNS, TUNING, tune_gait, tune_gaits
 from worm_optimizer.robustness.tuning import GaitLimits, TuneState, Tuning
 
 FRAGILE = Gait(0.0713, 0.2)  # loses grooves on most foreign robots
