@@ -80,25 +80,12 @@ def set_up(bus: ServoBus, found: FoundServo, number: int, baud_rate: int, say: S
         )
     for name, raw in {**servos.new_limits(model), "return_delay_time": 0}.items():
         _change(bus, servo, name, raw, say)
-    moved = replace(servo, number=number)
-    _change(bus, servo, "id", number, say, lambda: moved)
-
-    def at_new_rate() -> Servo:
-        bus.set_baud_rate(baud_rate)
-        return moved
-
-    _change(bus, moved, "baud_rate", BAUD_RATES.index(baud_rate), say, at_new_rate)
+    _change(bus, servo, "id", number, say)
+    _change(bus, replace(servo, number=number), "baud_rate", BAUD_RATES.index(baud_rate), say)
 
 
-def _change(
-    bus: ServoBus,
-    servo: Servo,
-    name: str,
-    raw: int,
-    say: Say,
-    reach: Callable[[], Servo] | None = None,
-) -> None:
-    """Write a register if it differs, and read it back from the servo that ``reach`` returns after the change."""
+def _change(bus: ServoBus, servo: Servo, name: str, raw: int, say: Say) -> None:
+    """Write a register if it differs, and read it back: a new id from the new id, a new baud rate at the new rate."""
     before = servos.registers(bus, servo, name)[name]
     if before == raw:
         say(f"  {name}: {raw}")
@@ -106,7 +93,11 @@ def _change(
     # The answer to a write of id or baud rate may be lost, and then no repetition reaches the servo.
     with contextlib.suppress(NoReplyError):
         bus.write(servo.number, servo[name], raw)
-    stored = servos.registers(bus, servo if reach is None else reach(), name)[name]
+    if name == "id":
+        servo = replace(servo, number=raw)
+    if name == "baud_rate":
+        bus.set_baud_rate(BAUD_RATES[raw])
+    stored = servos.registers(bus, servo, name)[name]
     if stored != raw:
         raise CorruptReplyError(
             f"servo {servo.number} has {stored} in {name}, not the {raw} that was written: call setup_servo again"

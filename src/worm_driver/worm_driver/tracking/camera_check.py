@@ -53,8 +53,12 @@ def _shots(tracker: Tracker, source: str) -> list[Shot]:
     return shots
 
 
+def _period(shots: list[Shot]) -> float:
+    return statistics.median(b - a for (_, _, a), (_, _, b) in pairwise(shots))
+
+
 def _rate(tracker: Tracker, shots: list[Shot]) -> str:
-    rate = 1.0 / statistics.median(b - a for (_, _, a), (_, _, b) in pairwise(shots))
+    rate = 1.0 / _period(shots)
     if rate < _SLOW * tracker.setup.rate:
         raise AdviceError(
             f"{rate:.1f} Hz instead of rate_hz {tracker.setup.rate:g}: give the camera more light (a long exposure "
@@ -67,8 +71,7 @@ def _delay(tracker: Tracker, shots: list[Shot]) -> str:
     delay = statistics.median(arrival - exposed for _, exposed, arrival in shots)
     if not 0.0 <= delay <= _LONGEST_DELAY:
         return "not measured: the camera does not stamp its images by the clock of the computer"
-    period = statistics.median(b - a for (_, _, a), (_, _, b) in pairwise(shots))
-    if abs(delay - tracker.setup.delay) > 0.5 * period:
+    if abs(delay - tracker.setup.delay) > 0.5 * _period(shots):
         raise AdviceError(
             f"{delay * 1e3:.0f} ms from exposure to arrival, but delay_s is {tracker.setup.delay:g}: set delay_s in "
             f"the setup file to {delay:.3f}"
