@@ -48,7 +48,7 @@ SHARED = {
             "robot_parameters",
             "servo_models",
         ),
-        *("parameter_rows", "ros_parameter_file", "settings_file", "yaml_file"),
+        *("network", "parameter_rows", "ros_parameter_file", "settings_file", "yaml_file"),
     )
 }
 PROCESSES = [
@@ -64,6 +64,8 @@ CONFINED = {
     "sensor_msgs": NODES,
     "diagnostic_msgs": NODES,
     "lifecycle_msgs": NODES,
+    "nav_msgs": NODES,
+    "tf2_msgs": NODES,
     "visualization_msgs": NODES,
     "geometry_msgs": NODES,
     "builtin_interfaces": NODES,

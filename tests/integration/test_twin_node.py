@@ -15,6 +15,7 @@ from harness import LATCHED, NAMESPACE, Probe, Processes
 rclpy = pytest.importorskip("rclpy", reason="no ROS is installed")
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
+from nav_msgs.msg import Odometry  # noqa: E402
 from rcl_interfaces.srv import SetParameters  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from visualization_msgs.msg import MarkerArray  # noqa: E402
@@ -34,6 +35,11 @@ from worm_msgs.msg import (  # noqa: E402
 )
 from worm_msgs.msg import Gait as GaitMessage  # noqa: E402
 from worm_msgs.srv import PredictGait  # noqa: E402
+
+try:
+    from tf2_msgs.msg import TFMessage
+except ModuleNotFoundError:  # it is not a wheel
+    TFMessage = None
 
 GAIT = Gait(0.07, 0.4)
 MESSAGE = GaitMessage(stroke=GAIT.stroke, frequency=GAIT.frequency, direction=1)
@@ -125,6 +131,7 @@ def test_live_equals_offline_and_ctrl_c_is_clean(processes: Processes, probe: Pr
     residuals = probe.collect(TwinResiduals, "twin/residuals")
     lengths = probe.collect(BodyLength, "body_length/estimated")
     diagnostics = probe.collect(DiagnosticArray, "/diagnostics")
+    odometry = probe.collect(Odometry, "twin/odometry")
     process = processes.start_node("worm_model", "twin_node")
     robot = Robot(probe)
     play(robot, probe, states)
@@ -138,6 +145,11 @@ def test_live_equals_offline_and_ctrl_c_is_clean(processes: Processes, probe: Pr
     assert {numbers(m) for m in residuals} == {
         numbers(ros_twin.residuals_message(row, expected.warnings)) for row in expected.residuals
     }
+    probe.wait_for(lambda: odometry[-1].header.stamp == states[-1].header.stamp, "last odometry")
+    positions = {repr(state.header.stamp): state.rear_position for state in states}
+    for message in odometry:
+        assert (message.header.frame_id, message.child_frame_id) == ("odom", "base_link")
+        assert message.pose.pose.position.x == positions[repr(message.header.stamp)]
     status = probe.wait_for(
         lambda: [s for m in diagnostics for s in m.status if s.name == "worm/twin: model"],
         "diagnostics",
@@ -156,11 +168,27 @@ def set_parameter(probe: Probe, name: str, value: object) -> bool:
     )
 
 
+def check_transforms(robot: Robot, odometry: list, frames: list) -> None:
+    """Check that the node publishes the transform of its odometry, until a parameter forbids it."""
+    probe = robot.probe
+    (sent,) = probe.wait_for(lambda: frames and frames[-1].transforms, "a transform")
+    assert (sent.header.frame_id, sent.child_frame_id) == ("odom", "base_link")
+    assert sent.transform.translation.x in [m.pose.pose.position.x for m in odometry]
+    assert set_parameter(probe, "publish_tf", False)
+    frames.clear()
+    before = len(odometry)
+    robot.move(1.22)
+    probe.wait_for(lambda: len(odometry) > before, "odometry without the transform")
+    assert frames == []
+
+
 def test_it_takes_new_parameters_predicts_and_shows(
     processes: Processes, probe: Probe, tmp_path: Path
 ):
     states = probe.collect(TwinState, "twin/state")
     markers = probe.collect(MarkerArray, "twin/markers")
+    odometry = probe.collect(Odometry, "twin/odometry")
+    frames = probe.collect(TFMessage, "tf") if TFMessage else []
     processes.start_node("worm_model", "twin_node")
     robot = Robot(probe)
     play(robot, probe, states, end=0.9)
@@ -202,6 +230,8 @@ def test_it_takes_new_parameters_predicts_and_shows(
     before = len(states)
     robot.move(1.21)
     probe.wait_for(lambda: len(states) > before, "a state after the change")
+    if TFMessage:
+        check_transforms(robot, odometry, frames)
 
 
 def test_the_example_of_the_page_runs(processes: Processes, probe: Probe, ros_domain: int):

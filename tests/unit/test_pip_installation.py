@@ -59,6 +59,24 @@ def test_all_state_one_version():
     assert {file.findtext("version") for file in files} == {cited} == {VERSION}
 
 
+def test_the_first_use_says_that_it_compiles(tmp_path: Path):
+    """Without ``./worm build``, the first command computes nothing for a minute."""
+
+    def imported_kernel() -> str:
+        return subprocess.run(
+            [sys.executable, "-c", "import worm_model.simulation.kernel"],
+            env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stderr
+
+    assert "worm_model.simulation.kernel" in imported_kernel()
+    (folder,) = tmp_path.iterdir()
+    (folder / "code.nbc").touch()
+    assert imported_kernel() == ""
+
+
 @pytest.fixture(scope="module")
 def worm(tmp_path_factory):
     """Return a function that runs ``worm`` of wheels in an empty folder, and returns status, output and errors."""

@@ -8,8 +8,17 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
+from geometry_msgs.msg import (
+    Point,
+    Pose,
+    Quaternion,
+    Transform,
+    TransformStamped,
+    Vector3,
+)
+from nav_msgs.msg import Odometry
 from sensor_msgs.msg import JointState
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
@@ -139,6 +148,35 @@ def joint_state(row: Any) -> JointState:
         header=Header(stamp=time_message(int(row["stamp_ns"]))),
         name=list(JOINTS),
         position=[rear, float(row["front_position"]) - rear],
+    )
+
+
+UNMEASURED = 1e6  # variance of what the twin does not estimate, m² and so on
+
+
+def odometry(row: Any, deviation: float) -> Odometry:
+    """Return the pose of the rear module, and its speed, for a row of `twin.data.records.STATE_ROW`.
+
+    ``deviation`` is the standard deviation of x1 in m, NaN if it is unknown. REP 105 names the frames.
+    """
+    message = Odometry(child_frame_id="base_link")
+    message.header = Header(stamp=time_message(int(row["stamp_ns"])), frame_id="odom")
+    message.pose.pose.position.x = float(row["rear_position"])
+    message.twist.twist.linear.x = float(row["rear_velocity"])
+    covariance = np.diag([UNMEASURED] * 6)
+    message.twist.covariance = covariance.ravel()
+    if not math.isnan(deviation):
+        covariance[0, 0] = deviation**2
+    message.pose.covariance = covariance.ravel()
+    return message
+
+
+def transform(message: Odometry) -> TransformStamped:
+    """Return the transform between the frames of an odometry message."""
+    place = message.pose.pose.position
+    shift = Transform(translation=Vector3(x=place.x, y=place.y, z=place.z))
+    return TransformStamped(
+        header=message.header, child_frame_id=message.child_frame_id, transform=shift
     )
 
 

@@ -35,7 +35,9 @@ _STEP_M = 0.0005  # of the stroke
 # of the stroke: up to this difference from a run, a gait needs no run of its own, as the change of its margin is known
 # to 0.2 mm
 _SAME_M = 0.0015
-_RESERVE_M = 0.0003  # of the stroke, so that the next run confirms its probability
+_RESERVE_M = (
+    0.0003  # of the stroke, more than the probability needs, so that a next run confirms it
+)
 _REAR_SHARE = 0.1  # of the lost cycles, for the rear fin where the front fin lacks margin
 _SLOWER = 0.98  # step of the frequency
 _SLOWEST_STEP = 0.6  # of the frequency from one run to the next
@@ -165,7 +167,7 @@ def _next(known: _Knowledge, probability: float, limits: GaitLimits) -> Tuning:
         return _run(known, replace(smallest, stroke=reserve), _margins(known, last))
     if last.stroke - smallest.stroke > _SAME_M:
         return _run(known, smallest, "a shorter stroke keeps the grooves, too")
-    shorter = replace(last, stroke=min(smallest.stroke, last.stroke))
+    shorter = replace(last, stroke=min(smallest.stroke + _RESERVE_M, last.stroke))
     return _outcome(TuneState.DONE, known, shorter, _margins(known, last))
 
 
