@@ -86,9 +86,6 @@ def _drive(options: argparse.Namespace, bag: Path, say: bring_up.Say) -> tuple[P
     """Start the nodes, run five cycles of the optimizer's cruise gait, and end all processes.
 
     Return the prediction and the bag, which is then closed.
-
-    Raises:
-        ProcessError, OperatorError: A stage failed. The message contains the node or service, and the reason.
     """
     with bring_up.work_folder("demo") as folder:
         settings = {

@@ -102,11 +102,7 @@ def aim_of(options: argparse.Namespace, direction: int) -> Aim:
 
 
 def runs_of(bags: Sequence[Path], parameters: str, grooves: int | None) -> list[RunMargin]:
-    """Return the last measured run of each bag, all for the same number of grooves.
-
-    Raises:
-        InputError: A bag cannot be read, is given twice or has no run, or the directions differ.
-    """
+    """Return the last measured run of each bag, all for the same number of grooves."""
     twice = [
         bag for number, bag in enumerate(bags) if bag.resolve() in map(Path.resolve, bags[:number])
     ]
@@ -152,11 +148,7 @@ def tuning_of(runs: Sequence[RunMargin], aim: Aim, last: Path) -> Tuning:
 
 
 def measured_step(bags: Sequence[Path], aim: Aim, say: Callable[[str], None]) -> Tuning:
-    """Return the next step of a tuning from the bags of its runs; ``say`` gets the last margins and the step as lines.
-
-    Raises:
-        InputError: A bag cannot be read, or its margin was not measured.
-    """
+    """Return the next step of a tuning from the bags of its runs; ``say`` gets the last margins and the step."""
     runs = runs_of(bags, aim.parameter_file, aim.grooves)
     say(str(runs[-1]))
     tuning = tuning_of(runs, aim, bags[-1])

@@ -241,9 +241,6 @@ def recording(
         node: the operator.
         recorder: description of the recorder in the system file.
         name: name of the process and node of the new recorder, which must be unique.
-
-    Raises:
-        ProcessError, OperatorError: The recorder did not start, subscribe or end properly.
     """
     words = tuple(word for word in recorder.arguments if word != _TO_REST)
     own = replace(recorder, name=name, arguments=words)
@@ -255,11 +252,7 @@ def recording(
 
 
 def bag_of(recorder: Process) -> Path:
-    """Return the path of a recorder's bag. The recorder logs this path at its start.
-
-    Raises:
-        ProcessError: The recorder does not log the path.
-    """
+    """Return the path of a recorder's bag. The recorder logs this path at its start."""
     return Path(recorder.wait_for_line(r": recording to (.+)$", START_S)[1])
 
 
@@ -298,9 +291,6 @@ def new_bag(folder: Path, kind: str = "run") -> Path:
     Args:
         folder: folder of bags.
         kind: first part of the bag's name, followed by the time.
-
-    Raises:
-        InputError: The folder is a bag, or cannot be created.
     """
     folder = folder.resolve()
     if (folder / METADATA_FILE).exists():

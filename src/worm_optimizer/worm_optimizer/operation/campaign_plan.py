@@ -58,9 +58,6 @@ def make_plan(content: ParameterFile, settings: Settings, direction: int) -> Pla
         settings: settings of the search. If the criterion is the margin and they contain none, the last margin before
             the cliff is used.
         direction: FORWARD or REVERSE.
-
-    Raises:
-        InputError: No gait moves.
     """
     price = scanned_price(content, settings, direction)
     if settings.scans_margins:  # the scan is not repeated
@@ -84,9 +81,6 @@ def with_comparisons(
         plan: plan with three gaits.
         content, settings, direction: the arguments of `make_plan`.
         nominal: True to compare each gait also with the corresponding gait that is designed without a margin.
-
-    Raises:
-        InputError: No gait moves on level ground, or no sinusoid moves.
     """
     settings = settings.with_margin(plan.optimisation.front.margin)
     compared: dict[str, Mapping[str, Prediction]] = {}
@@ -107,11 +101,7 @@ def with_comparisons(
 
 
 def promise(plan: Plan, folder: Path) -> None:
-    """Write the predictions to a new file in a folder, which proves that they were not adapted to the runs.
-
-    Raises:
-        InputError: The folder already contains other predictions.
-    """
+    """Write the predictions to a new file in a folder, which proves that they were not adapted to the runs."""
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / PROMISES
     if not path.exists():

@@ -50,9 +50,6 @@ def run_gaits(
         logs: folder of the log files.
         say: called with each line of progress.
         prepare: called before each gait; raises an exception to end the campaign.
-
-    Raises:
-        ProcessError, OperatorError: A stage failed. The message contains the node or service, and the reason.
     """
     missing = {name: order for name, order in orders.items() if not is_recorded(folder / name)}
     for name in orders:
@@ -187,9 +184,6 @@ def tune_gaits(
         logs: folder of the log files.
         say: called with each line of progress.
         prepare: called before each run; raises an exception to end the campaign.
-
-    Raises:
-        ProcessError, OperatorError: A stage failed. The message contains the node or service, and the reason.
     """
     runs = folder / TUNING
     runs.mkdir(parents=True, exist_ok=True)

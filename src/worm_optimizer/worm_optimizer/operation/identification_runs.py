@@ -128,9 +128,6 @@ def identify_robot(
         known: parameters from which masses, pitch and unstressed length are used, and their source as text.
         folder: folder of the results.
         progress: called with the name of a stage and its finished share.
-
-    Raises:
-        IdentificationError: The data do not suffice.
     """
     inputs = read_inputs(bags, *bench)
     result = identify(inputs, reference_by_file(*known), progress=progress)

@@ -103,9 +103,6 @@ def _read_folder(folders: Sequence[Path]) -> tuple[str, dict[str, bytes]]:
     """Return the text (HTML) of a report of ``identify``, and its figures (PNG) by title; empty without a folder.
 
     The figures are in the order of `FIGURE_TITLES`, followed by figures that it does not contain.
-
-    Raises:
-        InputError: The folder contains no such report.
     """
     if not folders:
         return "", {}
